@@ -1,0 +1,1 @@
+"""What crosses a process or a file: messages, the table of channels, their encoding, the drive manifest."""

@@ -1,0 +1,30 @@
+"""Height of the antenna above the road."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from camber.schemas.base import Message, Model, Sigma, Text
+
+Way = Literal["fixed", "stroke", "ranging", "scan_matching"]
+
+
+class HeightByWay(Model):
+    """What one way says."""
+
+    way: Way
+    height_m: Annotated[float, Field(ge=-1.0, le=100.0)]
+    sigma_m: Sigma
+
+
+class AntennaHeight(Message):
+    """`h_a` of H: road surface to antenna, by the way chosen, and what the other ways said."""
+
+    status: Literal["known", "unknown", "disagreement"]
+    reason: Text = ""
+    way: Way | None = None
+    height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = None
+    sigma_m: Sigma | None = None
+    others: tuple[HeightByWay, ...] = Field(default=(), max_length=8)

@@ -1,0 +1,99 @@
+"""THE table: every channel, who produces and consumes it, how often, how old it may be, how it is delivered.
+
+Freshness limits, delivery settings, subscriptions, the order of work in a replay and `docs/data-flow.md` follow
+from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from camber.schemas import antenna, fleet, gnss, health, integrity, lidar, motion, pose, road
+from camber.schemas.base import Message
+
+Delivery = Literal["small", "bulk", "query", "upload", "barrier"]
+"""small: reliable, dropped when congested, high priority, judged by age. bulk: low priority, newest only.
+query: query and reply, at most 256 kB a reply, explicit timeout. upload: durable outbox, acknowledged after commit,
+deduplicated. barrier: reliable, blocking, in replays only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One row. For a query, `message` is the request, `reply` the answer; the producer asks, consumers answer."""
+
+    name: str
+    key: str
+    message: type[Message]
+    producers: tuple[str, ...]
+    consumers: tuple[str, ...]
+    rate_hz: float | None
+    max_age_s: float | None
+    delivery: Delivery
+    reply: type[Message] | None = None
+    looped: bool = False  # consumed one epoch later: the loops that the documents ask for
+    note: str = ""
+
+    def key_for(self, vehicle: str) -> str:
+        """The Zenoh key of this channel for one vehicle."""
+        return self.key.replace("{vehicle}", vehicle)
+
+
+_V = "camber/v1/{vehicle}/"
+_F = "camber/v1/fleet/"
+VEHICLE_SERVICES = ("gnss", "map_server", "antenna_height", "localizer", "integrity")
+SERVICES = (*VEHICLE_SERVICES, "map_update")
+"""In the order of work within one epoch of a replay."""
+
+CHANNELS: tuple[Channel, ...] = (
+    Channel("receiver_bytes", _V + "vehicle/receiver_bytes", gnss.ReceiverBytes, ("vehicle",), ("gnss",), 10, 2.0,
+            "small", note="native bytes, where the receiver is not attached to gnss itself: replays"),
+    Channel("motion", _V + "vehicle/motion", motion.Motion, ("vehicle",), ("localizer", "integrity"), 10, 0.5, "small"),
+    Channel("suspension", _V + "vehicle/suspension", motion.Suspension, ("vehicle",), ("antenna_height",), 10, 0.5,
+            "small"),
+    Channel("ranging", _V + "vehicle/ranging", motion.Ranging, ("vehicle",), ("antenna_height",), 10, 0.5, "small"),
+    Channel("sweep", _V + "vehicle/sweep", lidar.Sweep, ("vehicle",), ("localizer",), 10, 0.5, "bulk"),
+    Channel("fix", _V + "gnss/fix", gnss.Fix, ("gnss",), ("localizer", "integrity"), 10, 0.5, "small"),
+    Channel("velocity", _V + "gnss/velocity", gnss.SatelliteVelocity, ("gnss",), ("integrity",), 10, 0.5, "small"),
+    Channel("observations", _V + "gnss/observations", gnss.Observations, ("gnss",), (), 10, None, "small"),
+    Channel("receiver_integrity", _V + "gnss/receiver_integrity", gnss.ReceiverIntegrity, ("gnss",), ("integrity",),
+            1, 2.0, "small"),
+    Channel("estimates", _V + "gnss/estimates", gnss.EstimatesRequest, ("integrity",), ("gnss",), None, 0.1, "query",
+            reply=gnss.Estimates),
+    Channel("elevation", _V + "map_server/elevation", road.ElevationRequest, ("localizer",), ("map_server",), 10, 0.1,
+            "query", reply=road.ElevationReply),
+    Channel("links", _V + "map_server/links", road.LinksRequest, ("localizer",), ("map_server",), 0.1, 0.5, "query",
+            reply=road.LinksReply),
+    Channel("tile", _V + "map_server/tile", road.TileRequest, ("localizer",), ("map_server",), 0.1, 2.0, "query",
+            reply=road.TileReply),
+    Channel("antenna_height", _V + "antenna_height/height", antenna.AntennaHeight, ("antenna_height",), ("integrity",),
+            10, 2.0, "small"),
+    Channel("pose", _V + "localizer/pose", pose.Pose, ("localizer",), ("integrity",), 10, 0.3, "small"),
+    Channel("scan_match", _V + "localizer/match", pose.ScanMatch, ("localizer",), ("antenna_height", "integrity"), 10,
+            0.5, "small", looped=True),
+    Channel("verdict", _V + "integrity/verdict", integrity.Verdict, ("integrity",), ("localizer", "consumers"), 10, 1.0,
+            "small", looped=True, note="confirmed positions anchor the localizer's next pose"),
+    Channel("position", _V + "integrity/position", integrity.Position, ("integrity",), ("consumers",), 10, 1.0,
+            "small"),
+    Channel("upload", _F + "upload", fleet.ElevationUpload, ("integrity",), ("map_update",), 1, None, "upload",
+            reply=fleet.UploadReceipt),
+    Channel("upload_batch", _F + "upload_batch", fleet.UploadBatch, ("tools",), ("map_update",), None, None, "upload",
+            reply=fleet.UploadReceipt),
+    Channel("release", _F + "release", fleet.ReleaseHead, ("map_update",), ("map_server",), None, None, "small"),
+    Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), SERVICES, None, 1.0, "query",
+            reply=health.Health, note="answered by the work loop"),
+    Channel("tick", _V + "replay/tick", health.Tick, ("feeder",), SERVICES, None, None, "barrier"),
+    Channel("done", _V + "replay/done/{service}", health.Done, SERVICES, (*SERVICES, "feeder"), None, None, "barrier"),
+)  # fmt: skip
+
+BY_NAME: dict[str, Channel] = {channel.name: channel for channel in CHANNELS}
+
+
+def inputs_of(service: str) -> tuple[Channel, ...]:
+    """Channels a service subscribes to (queries and the barrier apart)."""
+    return tuple(c for c in CHANNELS if service in c.consumers and c.delivery in ("small", "bulk"))
+
+
+def outputs_of(service: str) -> tuple[Channel, ...]:
+    """Channels a service publishes on (queries and the barrier apart)."""
+    return tuple(c for c in CHANNELS if service in c.producers and c.delivery in ("small", "bulk"))

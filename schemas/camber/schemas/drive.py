@@ -1,0 +1,505 @@
+"""The drive manifest, `drive.toml`: one description of a recorded drive in its native files.
+
+Every path is relative to the manifest, or begins with `${CAMBER_DATA}`, the folder of recordings. What a recording
+has not got may be made from its truth: such an input is a *surrogate*, is named in `surrogates.inputs`, and is
+named again in the summary of every figure that rests on it. `docs/drive.md` explains the file for people.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from camber.schemas.base import Model, Name, Text
+from camber.schemas.motion import LeverArm
+
+SurrogateInput = Literal["wheel_speed", "yaw_rate", "steering", "links", "road_surfaces", "initial_pose"]
+MOTION_SURROGATES = frozenset({"wheel_speed", "yaw_rate", "steering"})
+MAP_SURROGATES = frozenset({"links", "road_surfaces"})
+
+LEAST_ERRORS: dict[str, float] = {
+    "wheel_scale_sigma": 0.005,
+    "wheel_noise_m_s": 0.05,
+    "yaw_rate_bias_sigma_rad_s": math.radians(0.02),
+    "yaw_rate_noise_rad_s": math.radians(0.1),
+    "steering_bias_sigma_rad": math.radians(0.2),
+    "steering_noise_rad": math.radians(0.2),
+    "link_deviation_m": 3.0,
+    "map_sigma_m": 0.05,
+    "map_correlation_m": 20.0,
+    "initial_pose_sigma_m": 1.0,
+    "initial_yaw_sigma_rad": math.radians(1.0),
+}
+"""A surrogate made from truth flatters whoever uses it; no published figure may rest on smaller errors than these."""
+
+
+class ManifestError(ValueError):
+    """The manifest cannot be used; one clear line with the file, the field and what was expected."""
+
+
+def _native(value: Any, info: ValidationInfo) -> Path:
+    """The path a manifest means, by the folder and environment in the validation context."""
+    if not isinstance(value, str) or not value:
+        raise PydanticCustomError("path", "expected a path as text")
+    context: Mapping[str, Any] = info.context or {"folder": Path(), "environ": os.environ}
+    first, _, rest = value.partition("/")
+    if first == "${CAMBER_DATA}":
+        data = context["environ"].get("CAMBER_DATA")
+        if not data:
+            raise PydanticCustomError(
+                "path", "CAMBER_DATA is not set, expected the folder of recordings in it"
+            )
+        return Path(data) / rest
+    if value.startswith("/") or "$" in value:
+        raise PydanticCustomError(
+            "path", "expected a path relative to the manifest or one with ${CAMBER_DATA} in front"
+        )
+    return Path(context["folder"]) / value
+
+
+def _native_file(value: Any, info: ValidationInfo) -> Path:
+    path = _native(value, info)
+    if not path.is_file():
+        raise PydanticCustomError("path", "there is no such file")
+    return path
+
+
+def _native_folder(value: Any, info: ValidationInfo) -> Path:
+    path = _native(value, info)
+    if not path.is_dir():
+        raise PydanticCustomError("path", "there is no such folder")
+    return path
+
+
+File = Annotated[Path, BeforeValidator(_native_file)]
+Folder = Annotated[Path, BeforeValidator(_native_folder)]
+Metres = Annotated[float, Field(ge=-100.0, le=100.0)]
+ErrorMetres = Annotated[float, Field(gt=0.0, le=1_000.0)]
+ErrorAngle = Annotated[float, Field(gt=0.0, le=math.pi)]
+
+
+class ReceiverFile(Model):
+    """What the receiver solved by itself."""
+
+    format: Literal["pos", "nmea"] = Field(description="format of the file, pos (RTKLIB) or nmea")
+    file: File = Field(description="file of solutions as the receiver or its program wrote it")
+    utc_date: date | None = Field(
+        default=None, description="UTC date of the first NMEA position, if the file has none"
+    )
+
+
+class RawObservations(Model):
+    """Raw observations for Camber's own engine."""
+
+    rover_obs: File = Field(description="observations of the vehicle's antenna (RINEX, UBX or RTCM 3)")
+    base_obs: File = Field(description="observations of the base station")
+    ephemerides: Annotated[tuple[File, ...], Field(strict=False, min_length=1)] = Field(
+        description="files of broadcast ephemerides"
+    )
+
+
+class OneFile(Model):
+    """A table of samples in Camber's CSV layout (`camber.formats.motion_csv`)."""
+
+    file: File = Field(description="CSV file, its columns as in docs/drive.md")
+
+
+class Sweeps(Model):
+    """Sweeps of a surround sensor."""
+
+    folder: Folder = Field(description="folder with one point-cloud file a sweep")
+
+
+class MapRelease(Model):
+    """The map the vehicle drives with."""
+
+    release: Folder = Field(description="folder of a map release (camber.schemas.road)")
+
+
+class Truth(Model):
+    """Where the antenna really was. Used to judge, and to make surrogates from; never an input of a service."""
+
+    format: Literal["camber", "nagoya"] = Field(description="layout of the file, camber or nagoya")
+    file: File = Field(description="CSV file of positions, attitudes and velocities")
+    receiver_minus_truth_east_m: Metres = Field(
+        default=0.0,
+        description="constant offset of right fixes from the truth (datum, antenna point), to the east",
+    )
+    receiver_minus_truth_north_m: Metres = Field(default=0.0, description="the same, to the north")
+    receiver_minus_truth_up_m: Metres = Field(default=0.0, description="the same, upwards")
+
+
+class LeverArms(Model):
+    """Where things are on the vehicle."""
+
+    antenna: LeverArm = Field(default=LeverArm(), description="reference point of the antenna")
+    lidar: LeverArm = Field(default=LeverArm(), description="origin of the surround sensor")
+    wheel: LeverArm = Field(default=LeverArm(), description="point whose speed the wheel sensor gives")
+
+
+class AntennaHeightWay(Model):
+    """Road surface to antenna, and how it is known (H, third embodiment)."""
+
+    way: Literal["fixed", "stroke", "ranging", "scan_matching", "automatic"] = Field(
+        default="fixed", description="how the antenna's height is found"
+    )
+    height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
+        default=None, description="fixed: road surface to antenna"
+    )
+    sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        default=None, description="fixed: standard deviation of height_m"
+    )
+    suspension_to_antenna_m: Metres | None = Field(default=None, description="stroke: h_ba of H (1)")
+    tyre_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] | None = Field(
+        default=None, description="stroke: h_t of H (1)"
+    )
+    sensor_to_antenna_m: Metres | None = Field(default=None, description="ranging: h_sa of H (7)")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        needed = {
+            "fixed": ("height_m", "sigma_m"),
+            "stroke": ("suspension_to_antenna_m", "tyre_radius_m"),
+            "ranging": ("sensor_to_antenna_m",),
+        }.get(self.way, ())
+        for name in needed:
+            if getattr(self, name) is None:
+                raise PydanticCustomError("incomplete", f"way = {self.way!r} without {name}, expected both")
+        return self
+
+
+class InitialPose(Model):
+    """Where the antenna is at the start of the drive, known without satellites: a parking place, an operator."""
+
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = Field(description="latitude of the antenna")
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = Field(
+        description="longitude of the antenna"
+    )
+    yaw_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
+        description="direction of the vehicle's x, counter-clockwise from east"
+    )
+    horizontal_sigma_m: ErrorMetres = Field(description="standard deviation in east and in north")
+    yaw_sigma_deg: Annotated[float, Field(gt=0.0, le=180.0)] = Field(
+        description="standard deviation of yaw_deg"
+    )
+
+
+class Surrogates(Model):
+    """Which inputs are made from the truth, and with what errors; an error once drawn holds for the whole drive
+    where its name has `bias`, `scale` or `deviation`."""
+
+    allow_smaller_errors: bool = Field(
+        default=False, description="true or false; true is shown in every summary"
+    )
+    inputs: Annotated[tuple[SurrogateInput, ...], Field(strict=False)] = Field(
+        default=(), description="list of " + ", ".join(get_args(SurrogateInput))
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
+        default=1, description="seed of all errors, a whole number"
+    )
+    wheel_scale_sigma: Annotated[float, Field(gt=0.0, le=0.5)] = Field(
+        default=LEAST_ERRORS["wheel_scale_sigma"],
+        description="relative standard deviation of the wheel's scale error",
+    )
+    wheel_noise_m_s: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
+        default=LEAST_ERRORS["wheel_noise_m_s"], description="white noise of the wheel speed, in m/s"
+    )
+    yaw_rate_bias_sigma_rad_s: ErrorAngle = Field(
+        default=LEAST_ERRORS["yaw_rate_bias_sigma_rad_s"],
+        description="standard deviation of the yaw rate's bias, rad/s",
+    )
+    yaw_rate_noise_rad_s: ErrorAngle = Field(
+        default=LEAST_ERRORS["yaw_rate_noise_rad_s"], description="white noise of the yaw rate, rad/s"
+    )
+    steering_bias_sigma_rad: ErrorAngle = Field(
+        default=LEAST_ERRORS["steering_bias_sigma_rad"],
+        description="standard deviation of the steering's bias, rad",
+    )
+    steering_noise_rad: ErrorAngle = Field(
+        default=LEAST_ERRORS["steering_noise_rad"], description="white noise of the steering angle, rad"
+    )
+    wheelbase_m: Annotated[float, Field(gt=0.1, le=20.0)] = Field(
+        default=2.7, description="wheelbase of the bicycle model that steering is made with, metres"
+    )
+    link_deviation_m: Annotated[float, Field(gt=0.0, le=50.0)] = Field(
+        default=LEAST_ERRORS["link_deviation_m"],
+        description="how far links run off the track at most, metres",
+    )
+    map_sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
+        default=LEAST_ERRORS["map_sigma_m"], description="standard deviation of the road's elevation, metres"
+    )
+    map_correlation_m: Annotated[float, Field(gt=0.0, le=100_000.0)] = Field(
+        default=LEAST_ERRORS["map_correlation_m"],
+        description="distance over which that error falls to 1/e, metres",
+    )
+    antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
+        default=None,
+        description="what is taken from the truth's heights to make roads, metres; unset: antenna_height.height_m",
+    )
+    initial_pose_sigma_m: ErrorMetres = Field(
+        default=1.0, description="error of the given pose, east and north, metres"
+    )
+    initial_yaw_sigma_rad: ErrorAngle = Field(
+        default=math.radians(2.0), description="error of the given pose's direction, rad"
+    )
+
+    @field_validator(*LEAST_ERRORS)
+    @classmethod
+    def _not_too_good(cls, value: float, info: ValidationInfo) -> float:
+        least = LEAST_ERRORS[str(info.field_name)]
+        if value < least and not info.data.get("allow_smaller_errors", False):
+            raise PydanticCustomError(
+                "too_good", f"expected at least {least:.6g}, or surrogates.allow_smaller_errors = true"
+            )
+        return value
+
+    @field_validator("inputs")
+    @classmethod
+    def _each_once(cls, value: tuple[SurrogateInput, ...]) -> tuple[SurrogateInput, ...]:
+        if len(set(value)) != len(value):
+            raise PydanticCustomError("repeated", "expected each input once")
+        return value
+
+    @property
+    def smaller_errors(self) -> tuple[str, ...]:
+        """The errors that are below what a published figure may rest on."""
+        return tuple(name for name, least in LEAST_ERRORS.items() if getattr(self, name) < least)
+
+
+class DriveManifest(Model):
+    """One drive. Paths are resolved and exist; angles are in radians unless the name says degrees."""
+
+    name: Name = Field(description="name of the drive: letters, digits and _ . : @ + -")
+    description: Text = Field(default="", description="where it comes from, for people")
+    vehicle: Name = Field(default="vehicle", description="name of the vehicle, second part of every key")
+    datum: Name = Field(default="WGS84", description="datum of all positions and ellipsoidal heights")
+    simulated: bool = Field(default=False, description="true where all of it comes from a simulator")
+    alert_limit_m: Annotated[float, Field(gt=0.0, le=1_000.0)] = Field(
+        default=1.5, description="horizontal alert limit, metres"
+    )
+    start_s: Annotated[float, Field(ge=0.0, le=1e6)] | None = Field(
+        default=None, description="leave out what comes earlier, seconds after the first epoch of the files"
+    )
+    end_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = Field(
+        default=None, description="leave out what comes later, seconds after the first epoch of the files"
+    )
+    receiver: ReceiverFile | None = Field(default=None, description="table with the receiver's own solutions")
+    observations: RawObservations | None = Field(
+        default=None, description="table with raw observations and a base"
+    )
+    motion: OneFile | None = Field(default=None, description="table with wheel speed, yaw rate and steering")
+    suspension: OneFile | None = Field(default=None, description="table with stroke heights")
+    ranging: OneFile | None = Field(default=None, description="table with distances to the road")
+    sweeps: Sweeps | None = Field(default=None, description="table with the sweeps' folder")
+    map: MapRelease | None = Field(default=None, description="table with the map release")
+    truth: Truth | None = Field(default=None, description="table with the truth")
+    lever_arms: LeverArms = Field(default=LeverArms(), description="table of antenna, lidar, wheel")
+    antenna_height: AntennaHeightWay = Field(description="table that says how the antenna's height is known")
+    initial_pose: InitialPose | None = Field(default=None, description="table with a given pose at the start")
+    surrogates: Surrogates = Field(default=Surrogates(), description="table of inputs made from the truth")
+    _overrides: tuple[str, ...] = PrivateAttr(default=())
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problem = next(iter(self._problems()), None)
+        if problem is not None:
+            raise PydanticCustomError("inconsistent", problem)
+        return self
+
+    def _problems(self) -> list[str]:
+        inputs = frozenset(self.surrogates.inputs)
+        way = self.antenna_height.way
+        roads_without_height = (
+            self.surrogates.antenna_height_m is None and self.antenna_height.height_m is None
+        )
+        tests = {
+            "receiver: expected exactly one of the tables receiver and observations": (
+                (self.receiver is None) == (self.observations is None)
+            ),
+            "surrogates.inputs is not empty, expected a table truth to make them from": bool(
+                inputs and self.truth is None
+            ),
+            "motion.file is given, expected no wheel_speed, yaw_rate, steering in surrogates.inputs": bool(
+                inputs & MOTION_SURROGATES and self.motion is not None
+            ),
+            "map.release is given, expected no links, road_surfaces in surrogates.inputs": bool(
+                inputs & MAP_SURROGATES and self.map is not None
+            ),
+            "initial_pose is given, expected no initial_pose in surrogates.inputs": (
+                "initial_pose" in inputs and self.initial_pose is not None
+            ),
+            "antenna_height.way is 'stroke', expected a table suspension": way == "stroke"
+            and self.suspension is None,
+            "antenna_height.way is 'ranging', expected a table ranging": way == "ranging"
+            and self.ranging is None,
+            "surrogates.antenna_height_m is missing, expected it where antenna_height has no height_m": (
+                "road_surfaces" in inputs and roads_without_height
+            ),
+            "initial_pose is that of the drive's first epoch, expected no start_s": (
+                self.initial_pose is not None and bool(self.start_s)
+            ),
+            "end_s is not after start_s, expected a later time": (
+                self.end_s is not None and self.start_s is not None and self.end_s <= self.start_s
+            ),
+        }
+        return [text for text, failed in tests.items() if failed]
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """What was changed from the file, as `field=value`."""
+        return self._overrides
+
+    def surrogate_notes(self) -> tuple[str, ...]:
+        """One line for each input that was made and not measured, and with what errors; for reports."""
+        e = self.surrogates
+        degrees = {
+            name: f"{math.degrees(getattr(e, name)):.3g}"
+            for name in type(e).model_fields
+            if name.endswith(("_rad", "_rad_s"))
+        }
+        how = {
+            "wheel_speed": f"scale error {e.wheel_scale_sigma:g}, noise {e.wheel_noise_m_s:g} m/s",
+            "yaw_rate": f"bias {degrees['yaw_rate_bias_sigma_rad_s']}, noise {degrees['yaw_rate_noise_rad_s']} °/s",
+            "steering": f"bias {degrees['steering_bias_sigma_rad']}, noise {degrees['steering_noise_rad']}°",
+            "links": f"up to {e.link_deviation_m:g} m off the track",
+            "road_surfaces": f"noise {e.map_sigma_m:g} m, correlated over {e.map_correlation_m:g} m",
+            "initial_pose": f"off by {e.initial_pose_sigma_m:g} m, {degrees['initial_yaw_sigma_rad']}°",
+        }
+        notes = [f"{name}: made from the truth, {how[name]} (seed {e.seed})" for name in e.inputs]
+        if e.allow_smaller_errors:
+            smaller = ", ".join(e.smaller_errors) or "none"
+            notes.append(
+                f"smaller errors than a published figure may rest on are allowed; they are: {smaller}"
+            )
+        return tuple(notes)
+
+    def summary(self) -> dict[str, Any]:
+        """What every report of this drive says of it; without paths, so it is the same on every machine."""
+        inputs = self.surrogates.inputs
+        said: dict[str, Any] = {
+            "drive": self.name,
+            "vehicle": self.vehicle,
+            "simulated": self.simulated,
+            "surrogates": list(inputs),
+            "alert_limit_m": self.alert_limit_m,
+            "start_s": self.start_s,
+            "end_s": self.end_s,
+            "overrides": list(self.overrides),
+        }
+        if inputs:
+            said["surrogate_errors"] = {
+                name: getattr(self.surrogates, name) for name in ("seed", *LEAST_ERRORS)
+            }
+        if self.surrogates.allow_smaller_errors:
+            said["allow_smaller_errors"] = True
+            said["smaller_errors"] = list(self.surrogates.smaller_errors)
+        return said
+
+
+def load_manifest(
+    path: Path, overrides: Mapping[str, Any] | Sequence[str] = (), *, environ: Mapping[str, str] | None = None
+) -> DriveManifest:
+    """Read a manifest; raises ManifestError with one line.
+
+    `overrides` are `{"surrogates.map_sigma_m": 0.1}` or `["surrogates.map_sigma_m=0.10"]`; in the latter a value
+    is read as TOML, and what is no TOML value is text. `environ` stands for the process's environment in tests.
+    """
+    try:
+        table = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ManifestError(f"{path}: {error.strerror or error}, expected a drive manifest") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ManifestError(f"{path}: not TOML: {error}") from None
+    changes = (
+        dict(overrides)
+        if isinstance(overrides, Mapping)
+        else dict(_parse_override(text) for text in overrides)
+    )
+    for field, value in changes.items():
+        _set(table, field, value)
+    context = {"folder": path.parent, "environ": os.environ if environ is None else environ}
+    try:
+        manifest = DriveManifest.model_validate(table, context=context)
+    except ValidationError as error:
+        raise ManifestError(_one_line(error, path, frozenset(changes))) from None
+    manifest._overrides = tuple(f"{field}={value}" for field, value in changes.items())
+    return manifest
+
+
+def _parse_override(text: str) -> tuple[str, Any]:
+    field, equals, value = text.partition("=")
+    field = field.strip()
+    if not equals or not field:
+        raise ManifestError(f"--set {text!r}: expected field=value, such as surrogates.map_sigma_m=0.10")
+    try:
+        parsed = tomllib.loads(f"value = {value.strip()}")
+    except tomllib.TOMLDecodeError:
+        return field, value.strip()
+    # A value with a newline in it could bring further keys along.
+    return field, parsed["value"] if set(parsed) == {"value"} else value.strip()
+
+
+def _set(table: dict[str, Any], field: str, value: Any) -> None:
+    *parents, last = field.split(".")
+    for depth, parent in enumerate(parents):
+        below = table.setdefault(parent, {})
+        if not isinstance(below, dict):
+            raise ManifestError(f"--set {field}: {'.'.join(parents[: depth + 1])} is no table, expected one")
+        table = below
+    table[last] = value
+
+
+def _one_line(error: ValidationError, path: Path, changed: frozenset[str]) -> str:
+    first = error.errors(include_url=False, include_context=False)[0]
+    location = first["loc"]
+    field = ".".join(str(part) for part in location)
+    where = f"{path}: --set" if any(f"{field}.".startswith(f"{name}.") for name in changed) else f"{path}:"
+    if not location:
+        return f"{where} {first['msg']}"
+    names, expected = _known_at(location)
+    if first["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(str(location[-1]), names, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        return f"{where} {field} is not known; {hint}expected one of {', '.join(names)}"
+    if first["type"] == "missing":
+        return f"{where} {field} is missing, expected {expected}"
+    shown = "" if isinstance(first["input"], dict) else f" is {str(first['input'])[:60]!r}"
+    message = first["msg"].removeprefix("Input ").removeprefix("Value ")
+    return f"{where} {field}{shown}: {message}" + (f" ({expected})" if expected else "")
+
+
+def _known_at(location: tuple[int | str, ...]) -> tuple[list[str], str]:
+    """The keys that are known beside the last part of `location`, and the description of that part."""
+    model: type[BaseModel] = DriveManifest
+    description = ""
+    for part in location[:-1]:
+        info = model.model_fields.get(str(part))
+        below = [a for a in (info.annotation, *get_args(info.annotation)) if _is_model(a)] if info else []
+        description = info.description or "" if info else description
+        if not below:
+            return [], description
+        model = below[0]
+    info = model.model_fields.get(str(location[-1]))
+    return list(model.model_fields), (info.description or "") if info else ""
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)

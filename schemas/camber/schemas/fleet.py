@@ -1,0 +1,78 @@
+"""What vehicles upload, and what the cloud says back."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from camber.schemas.base import (
+    ArrayOf,
+    Count,
+    Covariance3,
+    Float64,
+    Height,
+    Int64,
+    Latitude,
+    Longitude,
+    Message,
+    Name,
+    Sigma,
+    Text,
+    UInt8,
+)
+from camber.schemas.integrity import VerdictWord
+
+
+class ElevationUpload(Message):
+    """One observation of a road's height, free of the map's own height; `time_ns` is the positioning time (H)."""
+
+    vehicle: Name
+    upload_id: Name = Field(description="unique per vehicle; the server keeps each once")
+    fix_id: Count
+    fix_quality: Name
+    verdict: VerdictWord
+    latitude_rad: Latitude
+    longitude_rad: Longitude
+    road_height_m: Height = Field(description="h_r − h_a, ellipsoidal")
+    road_height_sigma_m: Sigma
+    antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)]
+    position_covariance_enu_m2: Covariance3
+    datum: Name
+    epoch_year: Annotated[float, Field(ge=1980.0, le=2200.0)]
+    map_version: Count
+    surface_id: Count
+
+
+class UploadBatch(Message):
+    """Many observations of one vehicle as columns; `time_ns` is that of the last."""
+
+    vehicle: Name
+    batch_id: Name
+    datum: Name
+    map_version: Count
+    positioning_time_ns: Annotated[Int64, ArrayOf("<i8", ("records",))]
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("records",))]
+    verdict: Annotated[UInt8, ArrayOf("|u1", ("records",), le=3)]
+    latitude_rad: Annotated[Float64, ArrayOf("<f8", ("records",))]
+    longitude_rad: Annotated[Float64, ArrayOf("<f8", ("records",))]
+    road_height_m: Annotated[Float64, ArrayOf("<f8", ("records",))]
+    road_height_sigma_m: Annotated[Float64, ArrayOf("<f8", ("records",), ge=0.0)]
+    antenna_height_m: Annotated[Float64, ArrayOf("<f8", ("records",))]
+
+
+class UploadReceipt(Message):
+    """Sent only after the upload is committed to disk."""
+
+    vehicle: Name
+    upload_id: Name
+    status: Literal["stored", "duplicate", "refused"]
+    reason: Text = ""
+
+
+class ReleaseHead(Message):
+    """There is a release of the map: fetch what you lack."""
+
+    region: Name
+    map_version: Count
+    manifest_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

@@ -1,0 +1,135 @@
+"""From the receiver: bytes as they came, observations, tentative fixes, velocity, other estimates of a fix."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from camber.schemas.base import (
+    Angle,
+    ArrayOf,
+    Count,
+    Covariance3,
+    Float64,
+    Height,
+    Int32,
+    Int64,
+    Latitude,
+    Longitude,
+    Message,
+    Model,
+    Name,
+    Probability,
+    Sigma,
+    Text,
+    UInt8,
+    Vector3,
+)
+
+Known = Literal["yes", "no", "unknown"]
+Quality = Literal["fixed", "float", "dgps", "single", "ppp", "sbas", "estimated", "none"]
+Protocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed"]
+
+
+class ReceiverBytes(Message):
+    """What a receiver or its file gave, byte for byte; `time_ns` is when it was received."""
+
+    protocol: Protocol
+    payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
+
+
+class Observations(Message):
+    """Raw observations of one epoch at one antenna, one row a signal.
+
+    `satellite` is system letter × 256 + number (ASCII), `signal` the RINEX 3 code as two ASCII bytes (`1C`).
+    The bits of `present` say what a row has: 0 pseudorange, 1 phase, 2 Doppler, 3 C/N0, 4 lock.
+    """
+
+    station: Name
+    satellite: Annotated[Int32, ArrayOf("<i4", ("signals",))]
+    signal: Annotated[Int32, ArrayOf("<i4", ("signals",))]
+    present: Annotated[UInt8, ArrayOf("|u1", ("signals",))]
+    pseudorange_m: Annotated[Float64, ArrayOf("<f8", ("signals",))]
+    carrier_phase_cycles: Annotated[Float64, ArrayOf("<f8", ("signals",))]
+    doppler_hz: Annotated[Float64, ArrayOf("<f8", ("signals",))]
+    cn0_dbhz: Annotated[Float64, ArrayOf("<f8", ("signals",))]
+    lock_time_ns: Annotated[Int64, ArrayOf("<i8", ("signals",))]
+    slip: Annotated[UInt8, ArrayOf("|u1", ("signals",))]
+
+
+class ReceiverIntegrity(Message):
+    """What the receiver says of its own integrity, carried as it is and never mixed with ours."""
+
+    horizontal_protection_level_m: Sigma | None = None
+    vertical_protection_level_m: Sigma | None = None
+    integrity_risk: Probability | None = None
+    jamming: Literal["none", "warning", "critical", "unknown"] = "unknown"
+    spoofing: Literal["none", "indicated", "affirmed", "unknown"] = "unknown"
+    raim: Literal["passed", "failed", "unknown"] = "unknown"
+
+
+class Fix(Message):
+    """A tentative position: nothing may trust it before the judge has confirmed it. It is that of the antenna."""
+
+    fix_id: Count
+    origin: Literal["receiver", "engine"]
+    quality: Quality
+    latitude_rad: Latitude
+    longitude_rad: Longitude
+    height_m: Height = Field(description="ellipsoidal, of the antenna's reference point")
+    covariance_enu_m2: Covariance3 | None = Field(
+        description="as the receiver claims it; None: it does not say"
+    )
+    datum: Name = "WGS84"
+    satellites: Annotated[int, Field(ge=0, le=255)] | None = None
+    ratio: Sigma | None = None
+    age_of_corrections_s: Sigma | None = None
+    ambiguity_continuity: Literal["continuous", "broken", "no_evidence"] = "no_evidence"
+    phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
+
+
+class SatelliteVelocity(Message):
+    """Velocity and heading from Doppler, of the antenna."""
+
+    velocity_enu_m_s: Vector3
+    covariance_enu_m2_s2: Covariance3
+    hdop: Sigma
+    satellites: Annotated[int, Field(ge=0, le=255)]
+    heading_rad: Angle | None = Field(default=None, description="clockwise from north")
+    heading_sigma_rad: Sigma | None = None
+
+
+class EstimatesRequest(Message):
+    """The judge asks for other estimates of one fix; they are made and agreed on without any height."""
+
+    fix_id: Count
+    strategy: Literal[
+        "leave_one_out", "leave_one_system_out", "by_cn0", "by_elevation", "by_residual", "explicit", "all"
+    ] = "all"
+    excluded_satellites: tuple[Name, ...] = Field(default=(), max_length=100)
+    maximum_trials: Annotated[int, Field(ge=1, le=1000)] = 20
+
+
+class Candidate(Model):
+    """One other estimate of a fix."""
+
+    latitude_rad: Latitude
+    longitude_rad: Longitude
+    height_m: Height
+    covariance_enu_m2: Covariance3
+    excluded_satellites: tuple[Name, ...] = Field(max_length=100)
+    ambiguities: Count
+    ratio: Sigma
+    success_rate: Probability
+    agreeing_subsets: Count
+
+
+class Estimates(Message):
+    """All candidates, none chosen; `unavailable` where there are no raw observations (a receiver's own solution)."""
+
+    fix_id: Count
+    status: Literal["available", "unavailable", "forgotten"]
+    reason: Text = ""
+    trials: Count = 0
+    candidates: tuple[Candidate, ...] = Field(default=(), max_length=100)

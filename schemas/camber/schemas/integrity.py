@@ -1,0 +1,99 @@
+"""What the judge says of a fix, and the position a consumer may use."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from camber.schemas.base import (
+    Angle,
+    Count,
+    Covariance3,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Probability,
+    Sigma,
+    Text,
+)
+
+VerdictWord = Literal["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
+Reason = Literal[
+    "none",
+    "height_agrees",
+    "height_disagrees",
+    "starting",
+    "not_a_fix",
+    "position_disagrees",
+    "continuity_disagrees",
+    "fix_implausible",
+    "fix_repeated",
+    "fix_out_of_order",
+    "pose_missing",
+    "pose_stale",
+    "pose_provisional",
+    "pose_too_uncertain",
+    "road_unknown",
+    "levels_ambiguous",
+    "map_server_absent",
+    "antenna_height_missing",
+    "antenna_height_stale",
+    "antenna_height_disagrees",
+    "datum_mismatch",
+    "gnss_absent",
+    "gnss_stale",
+    "localizer_absent",
+    "antenna_height_absent",
+]
+Evidence = Literal["height", "time_series", "ambiguity_continuity", "scan_matching", "track"]
+
+
+class Verdict(Message):
+    """The one final word on one fix, or, without a fix (`fix_id` None), on the epoch.
+
+    Only `confirmed` and `confirmed_after_verification` may be used as positions. `unknown` is not trust.
+    The difference is that of H (3) in the form that goes to zero: (h_m + h_a) + h_e − h_r.
+    """
+
+    fix_id: Count | None
+    verdict: VerdictWord
+    reason: Reason
+    detail: Text = ""
+    evidence: tuple[Evidence, ...] = Field(default=(), max_length=8)
+    height_difference_m: float | None = None
+    tolerance_m: Sigma | None = None
+    correction_m: float = Field(default=0.0, description="h_e in force when this was judged")
+    trials: Count = 0
+    latitude_rad: Latitude | None = Field(default=None, description="of the antenna, where confirmed")
+    longitude_rad: Longitude | None = None
+    height_m: Height | None = None
+    covariance_enu_m2: Covariance3 | None = None
+    surface_id: Count | None = None
+    map_version: Count | None = None
+
+
+class Position(Message):
+    """What consumers use, at every epoch: where the antenna is, how far off it may be, and whether to use it."""
+
+    source: Literal["rtk", "doppler", "sensors", "scan_match", "none"]
+    usable: bool = Field(description="the 99.9 % horizontal radius is below the alert limit")
+    reason: Reason = "none"
+    latitude_rad: Latitude | None = None
+    longitude_rad: Longitude | None = None
+    height_m: Height | None = Field(default=None, description="ellipsoidal")
+    covariance_enu_m2: Covariance3 | None = None
+    yaw_rad: Angle | None = None
+    semi_major_999_m: Sigma | None = Field(default=None, description="99.9 % horizontal error ellipse")
+    semi_minor_999_m: Sigma | None = None
+    orientation_rad: Angle | None = Field(
+        default=None, description="of the major axis, counter-clockwise from east"
+    )
+    horizontal_protection_level_m: Sigma | None = None
+    vertical_protection_level_m: Sigma | None = None
+    integrity_risk: Probability | None = Field(
+        default=None, description="per epoch, at which the levels hold"
+    )
+    alert_limit_m: Sigma
+    fix_id: Count | None = None

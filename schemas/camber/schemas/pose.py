@@ -1,0 +1,108 @@
+"""Where the vehicle is without the satellites under test, and the road under its antenna."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from camber.schemas.base import (
+    Angle,
+    ArrayOf,
+    Count,
+    Covariance2,
+    Covariance3,
+    Float64,
+    Height,
+    Latitude,
+    Longitude,
+    Message,
+    Model,
+    Name,
+    Probability,
+    Sigma,
+    Speed,
+    Text,
+    TimeNs,
+    Vector3,
+)
+
+RoadStatus = Literal["known", "unknown"]
+RoadReason = Literal[
+    "none",
+    "no_pose",
+    "pose_too_uncertain",
+    "no_surface",
+    "levels_ambiguous",
+    "map_stale",
+    "map_missing",
+    "map_server_absent",
+    "datum_mismatch",
+]
+PoseMode = Literal["none", "provisional", "anchored", "dead_reckoning", "scan_match"]
+Provenance = Literal["none", "fixes", "given", "confirmed", "scan_match"]
+
+
+class Road(Model):
+    """The road under the antenna: a plane about the antenna's approximate position, or why there is none.
+
+    The elevation at an offset (east, north) in metres from the pose's antenna position is
+    `elevation_m + slope_east · east + slope_north · north`, good within `extent_m`.
+    """
+
+    status: RoadStatus
+    reason: RoadReason = "none"
+    surface_id: Count | None = None
+    level: Annotated[int, Field(ge=-20, le=20)] | None = None
+    elevation_m: Height | None = Field(default=None, description="ellipsoidal height of the road surface")
+    sigma_m: Sigma | None = Field(
+        default=None, description="of the map's elevation itself, without the pose's share"
+    )
+    slope_east: Annotated[float, Field(ge=-2.0, le=2.0)] | None = None
+    slope_north: Annotated[float, Field(ge=-2.0, le=2.0)] | None = None
+    extent_m: Sigma | None = None
+    datum: Name | None = None
+    map_version: Count | None = None
+
+
+class Pose(Message):
+    """Approximate pose of the vehicle and of its antenna, owing nothing to unconfirmed satellite positions."""
+
+    mode: PoseMode
+    provenance: Provenance
+    reason: Text = Field(default="", description="why there is no pose, or why it is only provisional")
+    latitude_rad: Latitude | None = Field(default=None, description="of the antenna")
+    longitude_rad: Longitude | None = Field(default=None, description="of the antenna")
+    yaw_rad: Angle | None = Field(default=None, description="counter-clockwise from east, of the vehicle's x")
+    covariance_east_north_yaw: Covariance3 | None = Field(
+        default=None, description="(ee, en, eψ, nn, nψ, ψψ) in m², m·rad, rad², of antenna position and yaw"
+    )
+    pitch_rad: Angle | None = None
+    roll_rad: Angle | None = None
+    speed_m_s: Speed | None = None
+    yaw_rate_rad_s: Annotated[float, Field(ge=-20.0, le=20.0)] | None = None
+    link_id: Count | None = None
+    anchor_time_ns: TimeNs | None = Field(
+        default=None, description="of the last confirmed position that entered"
+    )
+    motion_time_ns: TimeNs | None = Field(default=None, description="of the last motion sample that entered")
+    match_time_ns: TimeNs | None = Field(default=None, description="of the last scan match that entered")
+    road: Road
+
+
+class ScanMatch(Message):
+    """A layered scan match of one local map against the environment map."""
+
+    status: Literal["converged", "ambiguous", "lost"]
+    reason: Text = ""
+    latitude_rad: Latitude | None = None
+    longitude_rad: Longitude | None = None
+    height_m: Height | None = Field(default=None, description="ellipsoidal, of the sensor")
+    sensor_height_m: Annotated[float, Field(ge=-10.0, le=100.0)] | None = Field(
+        default=None, description="sensor above the road, from matching"
+    )
+    sensor_height_sigma_m: Sigma | None = None
+    roll_pitch_yaw_rad: Vector3 | None = None
+    covariance_east_north: Covariance2 | None = None
+    overlap: Probability | None = None
+    layer_mean_distance_m: Annotated[Float64, ArrayOf("<f8", ("layers",))] | None = None

@@ -1,0 +1,57 @@
+"""`camber`: one command, a subcommand per service and per tool."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+SERVICES = {
+    "gnss": "receivers and their files → tentative positions",
+    "map_server": "map release → road elevation, links, tiles",
+    "localizer": "motion, links, confirmed positions → approximate pose with the road under it",
+    "antenna_height": "fixed value or suspension → height of the antenna above the road",
+    "integrity": "everything above → verdict, position with its bounds, uploads",
+    "map_update": "uploads of a fleet → stored, each once",
+}
+TOOLS = {
+    "router": ("camber.runtime.router", "a Zenoh router in Python"),
+    "replay": ("camber.tools.replay", "run a recorded drive through all processes"),
+    "demo": ("camber.tools.demo", "make a short drive on the spot and replay it"),
+    "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
+    "health": ("camber.tools.health", "ask a running service how it is"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Dispatch to a service or a tool; returns the exit code."""
+    args = sys.argv[1:] if argv is None else argv
+    if not args or args[0] in ("-h", "--help", "help"):
+        print(_help())
+        return 0
+    name, rest = args[0].replace("-", "_"), args[1:]
+    if name in SERVICES:
+        return _run_service(name, rest)
+    if name in TOOLS:
+        code: int = importlib.import_module(TOOLS[name][0]).main(rest)
+        return code
+    print(f"camber: {args[0]!r} is neither a service nor a tool; `camber --help` lists them", file=sys.stderr)
+    return 2
+
+
+def _run_service(name: str, argv: list[str]) -> int:
+    from camber.runtime.run import run
+
+    module = importlib.import_module(f"camber.{name}.service")
+    return run(module.SERVICE, argv)
+
+
+def _help() -> str:
+    lines = ["usage: camber NAME [options]      camber NAME --help for each", "", "services:"]
+    lines += [f"  {name:<16} {text}" for name, text in SERVICES.items()]
+    lines += ["", "tools:"]
+    lines += [f"  {name:<16} {text}" for name, (_, text) in TOOLS.items()]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

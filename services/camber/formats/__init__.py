@@ -1,0 +1,1 @@
+"""Native files and streams of receivers, read and written."""

@@ -1,0 +1,334 @@
+"""Recordings: everything that was on the bus, in one MCAP file, byte for byte.
+
+    MCAP channel      one for each key and schema; topic = the Zenoh key, metadata `channel` its name
+    schema            `camber.Fix.v1`, with the JSON Schema of its fields; arrays are described as raw
+    message encoding  `msgpack`: the payload is exactly what was on the bus (`schemas/codec.py`: a length, a
+                      msgpack header, raw arrays); other programs take the four bytes of length off first
+    log_time          time of measurement, GPS nanoseconds
+    publish_time      when the recorder received it, wall clock, Unix nanoseconds
+    sequence          the sender's, modulo 2**32
+
+`Recorder.tick_done` writes what came since the last tick in the order of the channel table, key and sequence:
+two replays of one drive differ in nothing but `publish_time`. Source: MCAP 1.0 specification, mcap.dev.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import threading
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Self, TypeVar
+
+import msgpack
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel as McapChannel
+from mcap.records import Message as McapMessage
+from mcap.records import Schema as McapSchema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from camber.formats.errors import FormatError
+from camber.schemas.base import ArrayOf, Message
+from camber.schemas.channels import BY_NAME, CHANNELS
+from camber.schemas.codec import DecodeError, decode
+
+M = TypeVar("M", bound=Message)
+
+PROFILE = "camber"
+_METADATA = "camber.recording"
+_ORDER = {channel.name: place for place, channel in enumerate(CHANNELS)}
+_SCHEMAS: dict[str, type[Message]] = {
+    cls.schema_name(): cls for c in CHANNELS for cls in (c.message, c.reply) if cls is not None
+}
+# Small enough that a killed recorder loses little, large enough to compress. LZ4 is twice as fast as zstd.
+_CHUNK_BYTES = 256 << 10
+_FLUSH_AFTER_NS = 10_000_000_000
+_MAX_HEADER = 1 << 16
+_LENGTH = struct.Struct("<I")
+_UINT64_MAX = (1 << 64) - 1
+
+# Everything that a damaged file makes the MCAP library and its decompressors raise.
+_DAMAGE = (
+    McapError,
+    EOFError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+    KeyError,
+    struct.error,
+    zstandard.ZstdError,
+)
+
+
+class RecordingError(FormatError):
+    """A recording is damaged, cut short, or holds messages that this version cannot read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded(Generic[M]):
+    """A message as the recorder got it; `arrival_ns` is its wall clock, Unix nanoseconds."""
+
+    channel: str
+    key: str
+    message: M
+    source: str
+    sequence: int
+    arrival_ns: int
+
+
+# Place of the channel in the table, key, sequence, time, payload: the order in the file.
+# Then arrival, schema, channel.
+_Pending = tuple[int, str, int, int, bytes, int, str, str]
+
+
+class Recorder:
+    """Writes a recording. `add` may be called from any thread, the rest from one.
+
+    A full disk or a broken one ends the recording, not the program: `problem` then says why, `dropped` counts
+    what came after, and what reached the disk can be read. What exceeds `limit_bytes` within one tick is
+    dropped too, and what is no message is counted in `malformed`.
+    Raises OSError where the file cannot be made.
+    """
+
+    def __init__(self, path: Path, *, limit_bytes: int = 64 << 20) -> None:
+        self.problem: str | None = None
+        self.written = 0
+        self.dropped = 0
+        self.malformed = 0
+        self._path = path
+        self._limit_bytes = limit_bytes
+        self._lock = threading.Lock()
+        self._pending: list[_Pending] = []
+        self._pending_bytes = 0
+        self._mcap_channels: dict[tuple[str, str], int] = {}
+        self._chunk_began_ns: int | None = None
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
+        self._writer.start(PROFILE, library="camber")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, channel: str, payload: bytes, *, key: str, arrival_ns: int) -> None:
+        """Take one message of a channel of the table, as it was on the bus under `key`."""
+        envelope = _envelope(payload)
+        with self._lock:
+            if self.problem is not None:
+                self.dropped += 1
+            elif envelope is None:
+                self.malformed += 1
+            elif self._pending_bytes + len(payload) > self._limit_bytes:
+                self.dropped += 1
+            else:
+                schema, time_ns, sequence = envelope
+                self._pending_bytes += len(payload)
+                self._pending.append(
+                    (_ORDER[channel], key, sequence, time_ns, payload, arrival_ns, schema, channel)
+                )
+
+    def tick_done(self) -> None:
+        """Write what came since the last call, in the order that does not depend on arrival."""
+        with self._lock:
+            pending, self._pending, self._pending_bytes = self._pending, [], 0
+        if self.problem is not None:
+            self.dropped += len(pending)
+            return
+        pending.sort()
+        written_before = self.written
+        try:
+            for item in pending:
+                self._write(item)
+            self._flush_now_and_then(pending)
+        except OSError as error:
+            self.dropped += len(pending) - (self.written - written_before)
+            self._stop(error)
+
+    def close(self) -> None:
+        """Write what is pending and end the file."""
+        self.tick_done()
+        if self._stream.closed:
+            return
+        try:
+            self._writer.add_metadata(
+                _METADATA, {"dropped": str(self.dropped), "malformed": str(self.malformed), "complete": "yes"}
+            )
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.close()
+        except OSError as error:
+            self._stop(error)
+
+    def _write(self, item: _Pending) -> None:
+        _, key, sequence, time_ns, payload, arrival_ns, schema, channel = item
+        number = self._mcap_channels.get((key, schema)) or self._register(channel, key, schema)
+        self._writer.add_message(number, time_ns, payload, arrival_ns, sequence & 0xFFFFFFFF)
+        self.written += 1
+
+    def _register(self, channel: str, key: str, schema: str) -> int:
+        cls = _SCHEMAS.get(schema)
+        data = b"" if cls is None else json.dumps(json_schema(cls), sort_keys=True).encode()
+        schema_number = self._writer.register_schema(schema, "jsonschema" if data else "", data)
+        number = self._writer.register_channel(key, "msgpack", schema_number, {"channel": channel})
+        self._mcap_channels[key, schema] = number
+        return number
+
+    def _flush_now_and_then(self, pending: list[_Pending]) -> None:
+        # By measured time, so that the file's chunks do not depend on the machine's speed.
+        newest_ns = max((item[3] for item in pending), default=None)
+        if newest_ns is None:
+            return
+        if self._chunk_began_ns is None:
+            self._chunk_began_ns = newest_ns
+        elif newest_ns - self._chunk_began_ns >= _FLUSH_AFTER_NS:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._chunk_began_ns = newest_ns
+
+    def _stop(self, error: OSError) -> None:
+        self.problem = f"{self._path.name}: recording stopped: {error.strerror or error}"
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+
+def _envelope(payload: bytes) -> tuple[str, int, int] | None:
+    """Schema, time and sequence number of a message without decoding the rest; None if it is no message."""
+    try:
+        (length,) = _LENGTH.unpack_from(payload)
+        if length > _MAX_HEADER:
+            return None
+        unpacker = msgpack.Unpacker(max_buffer_size=_MAX_HEADER, use_list=False)
+        unpacker.feed(payload[_LENGTH.size : _LENGTH.size + length])
+        unpacker.read_array_header()
+        schema = unpacker.unpack()
+        unpacker.skip()
+        sequence = unpacker.unpack()
+        for _ in range(unpacker.read_map_header()):
+            if unpacker.unpack() == "time_ns":
+                time_ns = unpacker.unpack()
+                break
+            unpacker.skip()
+        else:
+            return None
+    except (struct.error, ValueError, TypeError, msgpack.UnpackException):
+        return None
+    if type(schema) is not str or type(sequence) is not int or type(time_ns) is not int:
+        return None
+    return (schema, time_ns, sequence) if 0 <= time_ns <= _UINT64_MAX and sequence >= 0 else None
+
+
+class _JsonSchema(GenerateJsonSchema):
+    def function_plain_schema(self, schema: core_schema.PlainValidatorFunctionSchema) -> JsonSchemaValue:
+        kind = getattr(schema["function"]["function"], "__self__", None)
+        if not isinstance(kind, ArrayOf):
+            return super().function_plain_schema(schema)
+        shape = " × ".join(str(length) for length in kind.shape)
+        return {
+            "type": "string",
+            "contentEncoding": "raw",
+            "description": f"raw array of {kind.dtype}, {shape}",
+        }
+
+
+def json_schema(cls: type[Message]) -> dict[str, Any]:
+    """JSON Schema of a message's fields; an array is a `raw` string with its dtype and shape."""
+    return cls.model_json_schema(schema_generator=_JsonSchema)
+
+
+def read_recording(
+    path: Path, channels: Collection[str] | None = None
+) -> Iterator[Recorded[Any] | RecordingError]:
+    """The messages of these channels (all by default) in the order of the file.
+
+    A damaged or cut file gives what stands before the damage and then one RecordingError; messages that
+    cannot be decoded give one RecordingError for each schema, at the end. Raises OSError if the file cannot
+    be opened.
+    """
+    reading = _Reading(path, None if channels is None else frozenset(channels))
+    with path.open("rb") as stream:
+        # A damaged length then asks for no more memory than the file has bytes.
+        limit = max(path.stat().st_size, 1)
+        records = StreamReader(stream, validate_crcs=True, record_size_limit=limit).records
+        try:
+            for record in records:
+                recorded = reading.take(record)
+                if recorded is not None:
+                    yield recorded
+        except _DAMAGE as error:
+            yield reading.damage(error, stream.tell())
+    yield from reading.undecoded()
+
+
+def load_recording(
+    path: Path, channels: Collection[str] | None = None
+) -> tuple[dict[str, list[Recorded[Any]]], list[RecordingError]]:
+    """`read_recording` as lists by channel (empty where nothing was recorded), and what was wrong."""
+    lists: dict[str, list[Recorded[Any]]] = {name: [] for name in (BY_NAME if channels is None else channels)}
+    errors: list[RecordingError] = []
+    for item in read_recording(path, channels):
+        if isinstance(item, RecordingError):
+            errors.append(item)
+        else:
+            lists[item.channel].append(item)
+    return lists, errors
+
+
+class _Reading:
+    """What has been met in a file so far: its schemas and channels, and what could not be decoded."""
+
+    def __init__(self, path: Path, wanted: frozenset[str] | None) -> None:
+        self._name = path.name
+        self._wanted = wanted
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, tuple[str, str, str]] = {}
+        self._read = 0
+        self._failed: Counter[str] = Counter()
+        self._first_failure: dict[str, str] = {}
+
+    def take(self, record: object) -> Recorded[Any] | None:
+        if isinstance(record, McapMessage):
+            self._read += 1
+            return self._decode(record)
+        if isinstance(record, McapSchema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, McapChannel):
+            name = record.metadata.get("channel", "")
+            self._channels[record.id] = (name, record.topic, self._schemas.get(record.schema_id, ""))
+        return None
+
+    def _decode(self, record: McapMessage) -> Recorded[Any] | None:
+        name, key, schema = self._channels[record.channel_id]
+        if name not in BY_NAME or (self._wanted is not None and name not in self._wanted):
+            return None
+        cls = _SCHEMAS.get(schema)
+        try:
+            if cls is None:
+                raise DecodeError("a schema that this version does not know")
+            received = decode(cls, record.data)
+        except DecodeError as error:
+            self._failed[schema] += 1
+            self._first_failure.setdefault(schema, str(error))
+            return None
+        return Recorded(name, key, received.message, received.source, received.sequence, record.publish_time)
+
+    def damage(self, error: BaseException, offset: int) -> RecordingError:
+        kind = str(error).splitlines()[0] if str(error) else type(error).__name__
+        expected = f"a whole MCAP recording; {self._read} messages before the damage were read"
+        return RecordingError(self._name, "data", expected, found=kind, byte_offset=offset)
+
+    def undecoded(self) -> Iterator[RecordingError]:
+        for schema, count in sorted(self._failed.items()):
+            expected = f"messages of this version, but {count} are not: {self._first_failure[schema][:200]}"
+            yield RecordingError(self._name, "schema", expected, found=schema)
+
+
+__all__ = ["Recorded", "Recorder", "RecordingError", "json_schema", "load_recording", "read_recording"]

@@ -1,0 +1,1 @@
+"""Shared mathematics of positions: ellipsoid, local frames, rigid motions, covariances and GPS time."""

@@ -1,0 +1,1 @@
+"""Receivers and their files → tentative positions of the antenna."""

@@ -1,0 +1,6 @@
+"""`python -m camber.gnss`."""
+
+from camber.gnss.service import SERVICE
+from camber.runtime.run import run
+
+raise SystemExit(run(SERVICE))

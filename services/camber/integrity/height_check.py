@@ -1,0 +1,72 @@
+"""The determination of H: does a position stand where the road and the antenna say it must?
+
+All heights are ellipsoidal metres, `h_a` is above the road.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from camber.schemas.pose import Road
+
+
+@dataclass(frozen=True, slots=True)
+class RoadPoint:
+    """The road at one point: elevation `h_m` and its σ, in metres."""
+
+    elevation_m: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Determination:
+    """Outcome of the height check; `agrees` only where the difference is known and within the tolerance."""
+
+    difference_m: float
+    sigma_m: float
+    tolerance_m: float
+    agrees: bool
+
+
+def height_difference_m(road_m: float, antenna_m: float, correction_m: float, receiver_m: float) -> float:
+    """`(h_m + h_a) + h_e − h_r`, H (3) in the form that goes to zero.
+
+    H prints `(h_m + h_a) − h_r − h_e`; with `h_e → h_r − (h_m + h_a)` of H (4) that would go to `−2 h_e`.
+    """
+    return road_m + antenna_m + correction_m - receiver_m
+
+
+def road_at(road: Road, east_m: float, north_m: float) -> RoadPoint | None:
+    """The road at an offset from the pose's antenna position; None where the surface's plane does not reach.
+
+    The offset is that of the fix under test: the level and the surface were chosen without it, only the place on that
+    surface is taken from it. A wrong fix some metres off is so compared with the road some metres off, an error of
+    slope × metres that is far below what it is wrong by in height; a right one loses nothing to the pose's own error.
+    """
+    if road.status != "known" or road.elevation_m is None or road.sigma_m is None:
+        return None
+    if road.slope_east is None or road.slope_north is None or road.extent_m is None:
+        return None
+    if math.hypot(east_m, north_m) > road.extent_m:
+        return None
+    elevation_m = road.elevation_m + road.slope_east * east_m + road.slope_north * north_m
+    return RoadPoint(elevation_m, road.sigma_m)
+
+
+def determine(
+    road: RoadPoint,
+    antenna_m: float,
+    antenna_sigma_m: float,
+    correction_m: float,
+    receiver_m: float,
+    receiver_sigma_m: float,
+    tolerance_m: float,
+) -> Determination:
+    """The determination with the document's fixed tolerance; σ is that of the difference, for information.
+
+    Anything not finite disagrees.
+    """
+    difference_m = height_difference_m(road.elevation_m, antenna_m, correction_m, receiver_m)
+    sigma_m = math.sqrt(road.sigma_m**2 + antenna_sigma_m**2 + receiver_sigma_m**2)
+    return Determination(difference_m, sigma_m, tolerance_m, abs(difference_m) <= tolerance_m)

@@ -1,0 +1,1 @@
+"""Localizer: sweeps, motion and map become an approximate pose, without the satellites under test."""

@@ -1,0 +1,233 @@
+"""The road under a point: its elevation, slope and uncertainty, or why it is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from camber.formats.map_tiles import TILES, Tile, tile_of, tiles_of
+from camber.map_server.tile_index import Hits, TileIndex
+from camber.map_server.topology import Topology, choose
+from camber.schemas.pose import Road
+from camber.schemas.road import LinkTile, SurfaceTile
+
+T = TypeVar("T")
+M = TypeVar("M")
+
+NO_SURFACE = Road(status="unknown", reason="no_surface")
+LEVELS_AMBIGUOUS = Road(status="unknown", reason="levels_ambiguous")
+
+
+class _Links:
+    """Links of one tile: their nodes and levels, and which share a node."""
+
+    def __init__(self, tile: LinkTile) -> None:
+        columns = (tile.link_id, tile.start_node, tile.end_node, tile.level)
+        rows = list(zip(*(column.tolist() for column in columns), strict=True))
+        self.level = {link: level for link, _, _, level in rows}
+        self.nodes = {link: (start, end) for link, start, end, _ in rows}
+        self.at_node: dict[int, set[int]] = {}
+        for link, start, end, _ in rows:
+            self.at_node.setdefault(start, set()).add(link)
+            self.at_node.setdefault(end, set()).add(link)
+
+
+@dataclass(frozen=True, slots=True)
+class RoadColumns:
+    """Roads under n points: what is known as columns (k,), for the points numbered in `known`.
+
+    `ambiguous` (n,) is true where surfaces are there and none could be chosen; neither known nor ambiguous: no surface.
+    """
+
+    ambiguous: NDArray[np.bool_]
+    known: NDArray[np.int64]
+    surface_id: NDArray[np.int64]
+    level: NDArray[np.int64]
+    elevation_m: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    slope_east: NDArray[np.float64]
+    slope_north: NDArray[np.float64]
+    extent_m: NDArray[np.float64]
+
+
+class ElevationMap:
+    """Elevations of one release. Tiles come from the two functions given, when first needed, and the last are kept.
+
+    The functions give None where the release has no tile; what they raise, the questions raise.
+    """
+
+    def __init__(
+        self,
+        surfaces: Callable[[int, int], SurfaceTile | None],
+        links: Callable[[int, int], LinkTile | None],
+        *,
+        datum: str,
+        map_version: int,
+        tiles_kept: int = 256,
+    ) -> None:
+        self.datum = datum
+        self.map_version = map_version
+        self._surfaces = _kept(surfaces, TileIndex, tiles_kept)
+        self._links = _kept(links, _Links, tiles_kept)
+        # A vehicle asks many times from the same tile, links and last surface.
+        self._topology = lru_cache(maxsize=256)(self._find_topology)
+
+    def road(
+        self,
+        latitude_rad: float,
+        longitude_rad: float,
+        link_ids: Iterable[int] = (),
+        last_surface_id: int | None = None,
+    ) -> Road:
+        """The road under a point; `link_ids` and `last_surface_id` as in ElevationRequest."""
+        tile = tile_of(latitude_rad, longitude_rad)
+        index = self._surfaces(tile) if tile is not None else None
+        if tile is None or index is None:
+            return NO_SURFACE
+        hits = index.hits(*index.frame.east_north_from_geodetic(latitude_rad, longitude_rad, 0.0))
+        if not hits:
+            return NO_SURFACE
+        hit = choose(hits, self._topology(tile, frozenset(link_ids), last_surface_id))
+        if hit is None:
+            return LEVELS_AMBIGUOUS
+        return Road(
+            status="known",
+            surface_id=hit.surface_id,
+            level=hit.level,
+            elevation_m=hit.height_m,
+            sigma_m=hit.sigma_m,
+            slope_east=hit.slope_east,
+            slope_north=hit.slope_north,
+            extent_m=hit.extent_m,
+            datum=self.datum,
+            map_version=self.map_version,
+        )
+
+    def roads(
+        self,
+        latitude_rad: ArrayLike,
+        longitude_rad: ArrayLike,
+        link_ids: Iterable[int] = (),
+        last_surface_id: int | None = None,
+    ) -> RoadColumns:
+        """The roads under n points given as two arrays (n,), all by the same links and last surface: n times `road`."""
+        latitude, longitude = np.asarray(latitude_rad, np.float64), np.asarray(longitude_rad, np.float64)
+        if latitude.ndim != 1 or latitude.shape != longitude.shape:
+            raise ValueError(
+                f"latitude_rad, longitude_rad: expected (n,), got {latitude.shape}, {longitude.shape}"
+            )
+        links = frozenset(link_ids)
+        x, y = tiles_of(latitude, longitude)
+        number = np.where(x < 0, -1, x * TILES + y)
+        ambiguous = np.zeros(len(latitude), bool)
+        pieces = [_EMPTY_PIECE]
+        for name in np.unique(number[number >= 0]).tolist():
+            tile = divmod(name, TILES)
+            index = self._surfaces(tile)
+            if index is None:
+                continue
+            points = np.flatnonzero(number == name)
+            plane_m = index.frame.east_north_from_geodetic_array(
+                latitude[points], longitude[points], np.zeros(len(points))
+            )
+            hits = index.hits_of(plane_m[:, 0], plane_m[:, 1])
+            chosen = _choose_each(index, hits, self._topology(tile, links, last_surface_id))
+            ambiguous[points[hits.point]] = True
+            ambiguous[points[hits.point[chosen]]] = False
+            pieces.append(_piece(points, index, hits, chosen))
+        known, *columns = (np.concatenate(column) for column in zip(*pieces, strict=True))
+        order = np.argsort(known)
+        return RoadColumns(ambiguous, known[order], *(column[order] for column in columns))
+
+    def _find_topology(self, tile: Tile, candidates: frozenset[int], last_surface_id: int | None) -> Topology:
+        connected: frozenset[int] = frozenset()
+        levels: frozenset[int] = frozenset()
+        if last_surface_id is not None:
+            connected, levels = self._find_last(tile, last_surface_id)
+        if candidates:
+            near = [links for around in _neighbours(tile) if (links := self._links(around)) is not None]
+            levels = frozenset(
+                links.level[link] for links in near for link in candidates if link in links.level
+            )
+        return Topology(candidates, connected, levels)
+
+    def _find_last(self, tile: Tile, surface_id: int) -> tuple[frozenset[int], frozenset[int]]:
+        """Links connected to a surface that is in a tile or beside it, and its level; nothing where it is farther."""
+        for around in _neighbours(tile):
+            index = self._surfaces(around)
+            row = None if index is None else index.row_of(surface_id)
+            if index is not None and row is not None:
+                break
+        else:
+            return frozenset(), frozenset()
+        link, level = int(index.link_id[row]), int(index.level[row])
+        near = [links for around in _neighbours(tile) if (links := self._links(around)) is not None]
+        nodes = {node for links in near for node in links.nodes.get(link, ())}
+        sharing = {other for links in near for node in nodes for other in links.at_node.get(node, ())}
+        return frozenset(sharing | {link}), frozenset({level})
+
+
+def _neighbours(tile: Tile) -> list[Tile]:
+    """A tile and the eight around it, itself first."""
+    x, y = tile
+    steps = [(0, 0)] + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+    return [((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES]
+
+
+def _choose_each(index: TileIndex, hits: Hits, topology: Topology) -> NDArray[np.int64]:
+    """For each point that has hits the one chosen, as a number into `hits`; points that are ambiguous are left out."""
+    _, first, count = np.unique(hits.point, return_index=True, return_counts=True)
+    # A single surface is taken or not whatever the point is, so each row is asked once.
+    single = first[count == 1]
+    rows, where = np.unique(hits.row[single], return_index=True)
+    taken = [
+        row for row, k in zip(rows, where, strict=True) if choose([index.hit(hits, single[k])], topology)
+    ]
+    chosen = single[np.isin(hits.row[single], taken)].tolist()
+    for begin, n in zip(first[count > 1].tolist(), count[count > 1].tolist(), strict=True):
+        here = [index.hit(hits, k) for k in range(begin, begin + n)]
+        hit = choose(here, topology)
+        if hit is not None:
+            chosen.append(begin + here.index(hit))
+    return np.array(sorted(chosen), np.int64)
+
+
+def _piece(
+    points: NDArray[np.int64], index: TileIndex, hits: Hits, chosen: NDArray[np.int64]
+) -> tuple[NDArray[Any], ...]:
+    """The columns of RoadColumns, from `known` on, for the hits chosen in one tile."""
+    row = hits.row[chosen]
+    return (
+        points[hits.point[chosen]],
+        index.surface_id[row],
+        index.level[row],
+        hits.height_m[chosen],
+        index.sigma_m[row],
+        hits.slope_east[chosen],
+        hits.slope_north[chosen],
+        index.extent_m[row],
+    )
+
+
+_EMPTY_PIECE: tuple[NDArray[Any], ...] = (
+    *(np.zeros(0, np.int64) for _ in range(3)),
+    *(np.zeros(0) for _ in range(5)),
+)
+
+
+def _kept(
+    load: Callable[[int, int], T | None], make: Callable[[T], M], count: int
+) -> Callable[[Tile], M | None]:
+    """`make` of what `load` gives for a tile, the last `count` kept; a load that raised is tried again."""
+
+    @lru_cache(maxsize=count)
+    def get(tile: Tile) -> M | None:
+        loaded = load(*tile)
+        return None if loaded is None else make(loaded)
+
+    return get

@@ -1,0 +1,47 @@
+"""Settings of the map server."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from pydantic import Field, field_validator
+
+from camber.formats.map_release import ReleaseError, load_public_key
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.base import Name
+
+
+class MapServerSettings(ServiceSettings):
+    """Serves road elevation, links and tiles from a release of the map."""
+
+    SERVICE: ClassVar[str] = "map_server"
+
+    release: Path = Field(description="folder of the release; it may come later")
+    public_key: Path | None = Field(
+        None,
+        description="PEM file of the Ed25519 key that releases must be signed with; unset: signatures are not asked",
+    )
+    datum: Name = Field("WGS84", description="datum that positions and heights must be in")
+    max_age_days: float | None = Field(
+        None,
+        gt=0.0,
+        description="a release made longer ago is stale and says nothing; unset: any age will do",
+    )
+    look_every_s: float = Field(2.0, gt=0.0, le=3600.0, description="how often to look for a new release")
+    retry_every_s: float = Field(60.0, gt=0.0, description="how often to try a refused release again")
+    verify_bytes: int = Field(
+        4_000_000, gt=0, description="about how much of a new release is verified in a round of the work loop"
+    )
+    tiles_kept: int = Field(256, ge=32, description="how many tiles are kept ready for questions")
+
+    @field_validator("public_key")
+    @classmethod
+    def _key_is_there(cls, path: Path | None) -> Path | None:
+        # A key that cannot be read must end the start, never turn into a service that asks for no signature.
+        if path is not None:
+            try:
+                load_public_key(path)
+            except ReleaseError as error:
+                raise ValueError(str(error)) from None
+        return path

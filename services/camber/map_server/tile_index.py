@@ -1,0 +1,255 @@
+"""The road surfaces of one tile, indexed: which are at a point, and how high and how steep they are there.
+
+A surface's own axes: u along (yaw, counter-clockwise from east), v across (positive to the left), metres from its
+centre. Its grid is bilinear between the points; beyond its edge, within TOLERANCE_M, it goes on with the slope at
+the edge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.map_tile_checks import surface_slopes
+from camber.formats.map_tiles import MARGIN_M, tile_corners_rad, tile_frame
+from camber.schemas.road import SurfaceTile
+
+TOLERANCE_M = 0.5
+"""A surface reaches this far beyond its rectangle, and no farther."""
+_CELL_M = 10.0
+_EDGE_M = 1e-6  # rounding of positions, so that a point on an edge is inside whichever way it was computed
+_LEAST_SIGMA_M = 0.01  # planes are not called curved for less than this
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+class Hit(NamedTuple):
+    """A surface at a point: where on it (u, v), and the plane there."""
+
+    row: int
+    surface_id: int
+    link_id: int
+    level: int
+    inside: bool
+    offset_m: float
+    height_m: float
+    sigma_m: float
+    slope_east: float
+    slope_north: float
+    extent_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """`Hit` for many points: columns (k,), by point and then by surface id."""
+
+    point: Integers
+    row: Integers
+    inside: NDArray[np.bool_]
+    offset_m: Floats
+    height_m: Floats
+    slope_east: Floats
+    slope_north: Floats
+
+
+class TileIndex:
+    """Search structure of one tile: cells of 10 m, each with the surfaces that reach into it."""
+
+    def __init__(self, tile: SurfaceTile) -> None:
+        order = np.argsort(tile.surface_id, kind="stable")
+        self.frame = tile_frame(tile.x, tile.y)
+        self.surface_id = tile.surface_id[order]
+        self.link_id = tile.link_id[order]
+        self.level = tile.level[order].astype(np.int64)
+        self.sigma_m = tile.sigma_m[order].astype(np.float64)
+        half_length_m = tile.half_length_m[order].astype(np.float64)
+        half_width_m = tile.half_width_m[order].astype(np.float64)
+        # Along a path inside the surface the plane departs by at most the length times the spread of slopes.
+        spread = surface_slopes(tile)[1][order]
+        reach_m = np.maximum(self.sigma_m, _LEAST_SIGMA_M) / np.maximum(spread, 1e-9)
+        self.extent_m = np.minimum(reach_m, np.hypot(half_length_m, half_width_m))
+        cos, sin = np.cos(tile.yaw_rad[order]), np.sin(tile.yaw_rad[order])
+        self._heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
+        self._shape = np.column_stack(
+            (tile.centre_east_m[order], tile.centre_north_m[order], cos, sin, half_length_m, half_width_m)
+        )
+        self._grid = np.column_stack((tile.first_height, tile.rows, tile.columns)).astype(np.int64)[order]
+        self._row_of = {int(surface): row for row, surface in enumerate(self.surface_id.tolist())}
+        self._make_cells(tile.x, tile.y)
+        # The same as plain numbers: for one point they are many times faster than numpy's.
+        self._plain_shape: list[list[float]] = self._shape.tolist()
+        self._plain_grid: list[list[int]] = self._grid.tolist()
+        columns = (self.surface_id, self.link_id, self.level, self.sigma_m, self.extent_m)
+        self._plain: list[tuple[int, int, int, float, float]] = list(
+            zip(*(column.tolist() for column in columns), strict=True)
+        )
+
+    def row_of(self, surface_id: int) -> int | None:
+        """Row of a surface; None: it is not in this tile."""
+        return self._row_of.get(surface_id)
+
+    # one point
+
+    def hits(self, east_m: float, north_m: float) -> list[Hit]:
+        """The surfaces at a point of the tile, by surface id."""
+        found = []
+        for row in self._plain_cell(east_m, north_m):
+            centre_east, centre_north, cos, sin, half_length, half_width = self._plain_shape[row]
+            de, dn = east_m - centre_east, north_m - centre_north
+            u, v = cos * de + sin * dn, cos * dn - sin * de
+            beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
+            if beyond_u <= TOLERANCE_M and beyond_v <= TOLERANCE_M and _near(beyond_u, beyond_v):
+                inside = beyond_u <= _EDGE_M and beyond_v <= _EDGE_M
+                height, slope_u, slope_v = self._plane(row, u, v, half_length, half_width)
+                surface_id, link_id, level, sigma, extent = self._plain[row]
+                slope_east, slope_north = slope_u * cos - slope_v * sin, slope_u * sin + slope_v * cos
+                found.append(
+                    Hit(
+                        row,
+                        surface_id,
+                        link_id,
+                        level,
+                        inside,
+                        abs(v),
+                        height,
+                        sigma,
+                        slope_east,
+                        slope_north,
+                        extent,
+                    )
+                )
+        return found
+
+    def _plane(
+        self, row: int, u: float, v: float, half_length: float, half_width: float
+    ) -> tuple[float, float, float]:
+        first, rows, columns = self._plain_grid[row]
+        at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
+        step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
+        p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
+        i, j = min(int(p), rows - 2), min(int(q), columns - 2)
+        p, q = p - i, q - j
+        item = self._heights_m.item
+        k = first + i * columns + j
+        a, b, c, d = item(k), item(k + 1), item(k + columns), item(k + columns + 1)
+        slope_u = ((c - a) * (1.0 - q) + (d - b) * q) / step_u
+        slope_v = ((b - a) * (1.0 - p) + (d - c) * p) / step_v
+        height = (a * (1.0 - q) + b * q) * (1.0 - p) + (c * (1.0 - q) + d * q) * p
+        return height + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v
+
+    def _plain_cell(self, east_m: float, north_m: float) -> Sequence[int]:
+        column = math.floor((east_m - self._west_m) / _CELL_M)
+        line = math.floor((north_m - self._south_m) / _CELL_M)
+        if not (0 <= column < self._columns and 0 <= line < self._lines):
+            return ()
+        return self._cells.get(line * self._columns + column, ())
+
+    # n points
+
+    def hits_of(self, east_m: Floats, north_m: Floats) -> Hits:
+        """The surfaces at n points of the tile, given as two arrays (n,)."""
+        column = np.floor((east_m - self._west_m) / _CELL_M).astype(np.int64)
+        line = np.floor((north_m - self._south_m) / _CELL_M).astype(np.int64)
+        there = (column >= 0) & (column < self._columns) & (line >= 0) & (line < self._lines)
+        cell = np.where(there, line * self._columns + column, 0)
+        count = np.where(there, self._cell_start[cell + 1] - self._cell_start[cell], 0)
+        point = np.repeat(np.arange(len(east_m)), count)
+        nth = np.arange(len(point)) - np.repeat(np.cumsum(count) - count, count)
+        row = self._cell_rows[self._cell_start[cell][point] + nth]
+        centre_east, centre_north, cos, sin, half_length, half_width = self._shape[row].T
+        de, dn = east_m[point] - centre_east, north_m[point] - centre_north
+        u, v = cos * de + sin * dn, cos * dn - sin * de
+        beyond_u, beyond_v = np.abs(u) - half_length, np.abs(v) - half_width
+        outside = np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0))
+        keep = outside <= TOLERANCE_M
+        point, row, u, v = point[keep], row[keep], u[keep], v[keep]
+        cos, sin = cos[keep], sin[keep]
+        height_m, slope_u, slope_v = self._planes(row, u, v)
+        return Hits(
+            point=point,
+            row=row,
+            inside=(beyond_u[keep] <= _EDGE_M) & (beyond_v[keep] <= _EDGE_M),
+            offset_m=np.abs(v),
+            height_m=height_m,
+            slope_east=slope_u * cos - slope_v * sin,
+            slope_north=slope_u * sin + slope_v * cos,
+        )
+
+    def hit(self, hits: Hits, k: int) -> Hit:
+        """Entry `k` of `hits` as a `Hit`."""
+        row = int(hits.row[k])
+        surface_id, link_id, level, sigma_m, extent_m = self._plain[row]
+        return Hit(
+            row,
+            surface_id,
+            link_id,
+            level,
+            bool(hits.inside[k]),
+            float(hits.offset_m[k]),
+            float(hits.height_m[k]),
+            sigma_m,
+            float(hits.slope_east[k]),
+            float(hits.slope_north[k]),
+            extent_m,
+        )
+
+    def _planes(self, row: Integers, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
+        first, rows, columns = self._grid[row].T
+        half_length, half_width = self._shape[row, 4], self._shape[row, 5]
+        at_u, at_v = np.clip(u, -half_length, half_length), np.clip(v, -half_width, half_width)
+        step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
+        p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
+        i, j = np.minimum(p.astype(np.int64), rows - 2), np.minimum(q.astype(np.int64), columns - 2)
+        p, q = p - i, q - j
+        k = first + i * columns + j
+        a, b, c, d = (self._heights_m[k + step] for step in (0, 1, columns, columns + 1))
+        slope_u = ((c - a) * (1.0 - q) + (d - b) * q) / step_u
+        slope_v = ((b - a) * (1.0 - p) + (d - c) * p) / step_v
+        height = (a * (1.0 - q) + b * q) * (1.0 - p) + (c * (1.0 - q) + d * q) * p
+        return height + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v
+
+    def _make_cells(self, x: int, y: int) -> None:
+        """Cells over the tile as rows of a table: of cell i `_cell_rows[_cell_start[i] : _cell_start[i + 1]]`."""
+        south, west, north, east = tile_corners_rad(x, y)
+        corners_m = self.frame.east_north_from_geodetic_array(
+            [south, south, north, north], [west, east, west, east], np.zeros(4)
+        )
+        self._west_m, self._south_m = (corners_m.min(axis=0) - MARGIN_M).tolist()
+        size_m = np.ptp(corners_m, axis=0) + 2.0 * MARGIN_M
+        self._columns, self._lines = (math.ceil(size / _CELL_M) for size in size_m.tolist())
+        centre_east, centre_north, cos, sin, half_length, half_width = self._shape.T
+        half_east = np.abs(cos) * half_length + np.abs(sin) * half_width + TOLERANCE_M + _EDGE_M
+        half_north = np.abs(sin) * half_length + np.abs(cos) * half_width + TOLERANCE_M + _EDGE_M
+        first_column, last_column = _span(centre_east - self._west_m, half_east, self._columns)
+        first_line, last_line = _span(centre_north - self._south_m, half_north, self._lines)
+        wide = np.maximum(last_column - first_column + 1, 0)
+        count = wide * np.maximum(last_line - first_line + 1, 0)
+        row = np.repeat(np.arange(len(count)), count)
+        nth = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        line, column = first_line[row] + nth // wide[row], first_column[row] + nth % wide[row]
+        cell = line * self._columns + column
+        order = np.argsort(cell, kind="stable")  # stable: by row and so by surface id within a cell
+        self._cell_rows = row[order]
+        self._cell_start = np.searchsorted(cell[order], np.arange(self._columns * self._lines + 1))
+        filled, begin = np.unique(cell[order], return_index=True)
+        groups = np.split(self._cell_rows, begin[1:]) if len(filled) else []
+        self._cells: dict[int, list[int]] = {
+            int(number): group.tolist() for number, group in zip(filled, groups, strict=True)
+        }
+
+
+def _near(beyond_u: float, beyond_v: float) -> bool:
+    """Round corners: the distance to the rectangle counts, not that to each side."""
+    return beyond_u <= 0.0 or beyond_v <= 0.0 or math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
+
+
+def _span(centre_m: Floats, half_m: Floats, cells: int) -> tuple[Integers, Integers]:
+    first = np.floor((centre_m - half_m) / _CELL_M).astype(np.int64)
+    last = np.floor((centre_m + half_m) / _CELL_M).astype(np.int64)
+    return np.maximum(first, 0), np.minimum(last, cells - 1)

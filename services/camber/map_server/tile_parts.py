@@ -1,0 +1,31 @@
+"""A tile's blob in parts that fit into replies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camber.schemas.road import TileReply, TileRequest
+
+PART_BYTES = 250_000
+"""With the header below the 256 kB that a reply may have."""
+
+
+def tile_part(blob: bytes, sha256: str, request: TileRequest, *, time_ns: int) -> TileReply:
+    """The part asked for; `unchanged` where the asker has the blob already.
+
+    Every part names the blob's hash: where it differs from that of the part before, the map has changed meanwhile, and
+    the asker begins again.
+    """
+    if request.have_sha256 == sha256:
+        return TileReply(time_ns=time_ns, status="unchanged", sha256=sha256, payload=np.zeros(0, np.uint8))
+    parts = -(-len(blob) // PART_BYTES)
+    if request.part >= parts:
+        return unknown_tile(f"part {request.part} of {parts}", time_ns=time_ns)
+    begin = request.part * PART_BYTES
+    payload = np.frombuffer(blob[begin : begin + PART_BYTES], np.uint8)
+    return TileReply(time_ns=time_ns, status="known", sha256=sha256, parts=parts, payload=payload)
+
+
+def unknown_tile(reason: str, *, time_ns: int) -> TileReply:
+    """A reply that says why there is none."""
+    return TileReply(time_ns=time_ns, status="unknown", reason=reason, payload=np.zeros(0, np.uint8))

@@ -1,0 +1,50 @@
+"""Which surface at a point is the road the vehicle is on: by links and levels, never by the height under test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from camber.map_server.tile_index import Hit
+
+_TIE_M = 1e-6  # centre lines this near to one another are equally near: the smaller id is taken
+
+
+@dataclass(frozen=True, slots=True)
+class Topology:
+    """What is known of where the vehicle can be.
+
+    `candidates`: links it may be on; `connected`: the link of its last surface and those that share a node with it;
+    `levels`: levels of the candidates or, without candidates, of the last surface, as far as the map knows them.
+    """
+
+    candidates: frozenset[int] = frozenset()
+    connected: frozenset[int] = frozenset()
+    levels: frozenset[int] = frozenset()
+
+
+def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
+    """The surface among those at one point, or None where it is ambiguous.
+
+    1. Surfaces of candidate links; among them, or where no candidates were given, those connected to the last surface.
+    2. Where that leaves none: all, provided that nothing that is known of the topology is on another level.
+    3. What is left must be on one level.
+    4. Of that level those that contain the point (else those within the tolerance), which must agree within their σ;
+       the one whose centre line is nearest.
+
+    In 4 the heights of the map are compared with one another; no height from outside enters.
+    """
+    plausible = [hit for hit in hits if hit.link_id in topology.candidates]
+    if plausible or not topology.candidates:
+        plausible = [hit for hit in plausible or hits if hit.link_id in topology.connected] or plausible
+    left = plausible or hits
+    level = left[0].level
+    if any(hit.level != level for hit in left):
+        return None
+    if not plausible and topology.levels - {level}:
+        return None
+    left = [hit for hit in left if hit.inside] or left
+    chosen = min(left, key=lambda hit: (round(hit.offset_m / _TIE_M), hit.surface_id))
+    if any(abs(hit.height_m - chosen.height_m) > hit.sigma_m + chosen.sigma_m for hit in left):
+        return None
+    return chosen

@@ -1,0 +1,79 @@
+"""What the store takes in: beyond the schema, an observation must be possible and its datum a known one.
+
+A refusal is for ever: the vehicle files the upload away and does not send it again. So this judges only what no later
+knowledge can put right, generously; whether a possible height is *true* is the business of the fusion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from camber.map_update.contribution import Contribution
+from camber.schemas.base import EARLIEST_NS
+
+_LARGEST_ID = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Bounds of what is possible; see `settings.py` for each."""
+
+    datums: frozenset[str]
+    future_limit_s: float
+    lowest_road_m: float
+    highest_road_m: float
+    least_sigma_m: float
+    largest_sigma_m: float
+    highest_antenna_m: float
+    most_records: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why not: a code to count by, and a line that names the field, its value and what was expected."""
+
+    code: str
+    text: str
+
+
+def refusal(contribution: Contribution, now_ns: int, rules: Rules) -> Refusal | None:
+    """Why `contribution` cannot be taken in at GPS time `now_ns`, or None."""
+    return _heading(contribution, rules) or _observations(contribution, now_ns, rules)
+
+
+def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
+    records = len(contribution.observations)
+    if not 1 <= records <= rules.most_records:
+        return Refusal("records", f"{records} records, expected 1 to {rules.most_records}")
+    if contribution.datum not in rules.datums:
+        known = ", ".join(sorted(rules.datums))
+        return Refusal("datum", f"datum {contribution.datum}, expected one of {known}"[:512])
+    return None
+
+
+def _observations(contribution: Contribution, now_ns: int, rules: Rules) -> Refusal | None:
+    rows = contribution.observations
+    bounds: tuple[tuple[str, float, float], ...] = (
+        ("time_ns", EARLIEST_NS, now_ns + round(rules.future_limit_s * 1e9)),
+        ("surface_id", 0, _LARGEST_ID),
+        ("latitude_rad", -pi / 2, pi / 2),
+        ("longitude_rad", -pi, pi),
+        ("road_height_m", rules.lowest_road_m, rules.highest_road_m),
+        ("road_height_sigma_m", rules.least_sigma_m, rules.largest_sigma_m),
+        ("antenna_height_m", 0.0, rules.highest_antenna_m),
+    )
+    for field, low, high in bounds:
+        values = rows[field]
+        wrong = (values < low) | (values > high)
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            return Refusal(field, f"record {at}: {field} {values[at]}, expected {low} to {high}")
+    nowhere = (rows["latitude_rad"] == 0.0) & (rows["longitude_rad"] == 0.0)
+    if nowhere.any():
+        return Refusal(
+            "position", f"record {int(np.argmax(nowhere))}: latitude and longitude 0, expected a position"
+        )
+    return None

@@ -1,0 +1,110 @@
+"""What one upload or one batch of a vehicle brings: a heading, and its observations as rows of one kind."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from camber.schemas.fleet import ElevationUpload, UploadBatch
+from camber.schemas.integrity import VerdictWord
+
+VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+"""`verdict` of a row, and of UploadBatch, is an index into these."""
+
+OBSERVATION = np.dtype(
+    [
+        ("time_ns", "<i8"),
+        ("surface_id", "<i8"),
+        ("verdict", "|u1"),
+        ("latitude_rad", "<f8"),
+        ("longitude_rad", "<f8"),
+        ("road_height_m", "<f8"),
+        ("road_height_sigma_m", "<f8"),
+        ("antenna_height_m", "<f8"),
+    ]
+)
+"""One observation of a road's height. Names are those of ElevationUpload; times are positioning times."""
+
+Kind = Literal["upload", "batch"]
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """A heading, and observations as an array of OBSERVATION (n,). (vehicle, kind, id) names it once and for all.
+
+    What a batch does not carry is None: its reference epoch, the fixes behind it and their covariances.
+    """
+
+    vehicle: str
+    kind: Kind
+    id: str
+    datum: str
+    map_version: int
+    epoch_year: float | None
+    fix_id: int | None
+    fix_quality: str | None
+    position_covariance_enu_m2: tuple[float, ...] | None
+    observations: npt.NDArray[np.void]
+
+    def digest(self) -> bytes:
+        """SHA-256 of everything but the name: equal when the same is sent again."""
+        heading: tuple[Any, ...] = (
+            self.datum,
+            self.map_version,
+            self.epoch_year,
+            self.fix_id,
+            self.fix_quality,
+            self.position_covariance_enu_m2,
+        )
+        return hashlib.sha256(repr(heading).encode() + self.observations.tobytes()).digest()
+
+
+def from_upload(upload: ElevationUpload) -> Contribution:
+    """The contribution of a single upload."""
+    row = (
+        upload.time_ns,
+        upload.surface_id,
+        VERDICTS.index(upload.verdict),
+        upload.latitude_rad,
+        upload.longitude_rad,
+        upload.road_height_m,
+        upload.road_height_sigma_m,
+        upload.antenna_height_m,
+    )
+    return Contribution(
+        vehicle=upload.vehicle,
+        kind="upload",
+        id=upload.upload_id,
+        datum=upload.datum,
+        map_version=upload.map_version,
+        epoch_year=upload.epoch_year,
+        fix_id=upload.fix_id,
+        fix_quality=upload.fix_quality,
+        position_covariance_enu_m2=upload.position_covariance_enu_m2,
+        observations=np.array([row], OBSERVATION),
+    )
+
+
+def from_batch(batch: UploadBatch) -> Contribution:
+    """The contribution of a batch."""
+    rows = np.empty(len(batch.positioning_time_ns), OBSERVATION)
+    rows["time_ns"] = batch.positioning_time_ns
+    for name in OBSERVATION.names or ():
+        if name != "time_ns":
+            rows[name] = getattr(batch, name)
+    return Contribution(
+        vehicle=batch.vehicle,
+        kind="batch",
+        id=batch.batch_id,
+        datum=batch.datum,
+        map_version=batch.map_version,
+        epoch_year=None,
+        fix_id=None,
+        fix_quality=None,
+        position_covariance_enu_m2=None,
+        observations=rows,
+    )

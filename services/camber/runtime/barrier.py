@@ -1,0 +1,163 @@
+"""The replay barrier of one service: when may a tick be worked on, and with which messages?
+
+The feeder publishes a tick after everything up to its time. A service works on tick i when it has all messages that the
+feeder and the services before it have published for it up to i (for looped channels: up to i − 1); then it says
+*done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any speed. A service that has
+died leaves the tick's list of participants and nobody waits for it; one that returns listens until it has heard every
+participant and every participant has heard it, and only then is put on the list.
+
+Pure: messages go in, decisions come out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from camber.schemas.channels import CHANNELS, Channel, inputs_of
+from camber.schemas.codec import Received
+from camber.schemas.health import Done, Tick
+
+_ORDER = {channel.name: position for position, channel in enumerate(CHANNELS)}
+_KEEP = 64  # ticks of which the counts are kept; far more than any feeder runs ahead
+
+
+def producers_for(service: str) -> tuple[str, ...]:
+    """The services whose *done* this one needs to hear, by the table."""
+    return tuple(sorted({channel.producers[0] for channel in inputs_of(service)} - {"vehicle", service}))
+
+
+@dataclass(slots=True)
+class Barrier:
+    """State of one service's barrier."""
+
+    service: str
+    inputs: tuple[Channel, ...]
+    ticks: deque[Tick] = field(default_factory=deque)
+    index: int = -1
+    heard: set[str] = field(default_factory=set)
+    _waiting: dict[str, deque[Received[Any]]] = field(default_factory=dict)
+    _next: dict[str, int] = field(default_factory=dict)
+    _done: dict[str, dict[int, dict[str, int]]] = field(default_factory=dict)
+    _joining: bool = True
+
+    def __post_init__(self) -> None:
+        self._waiting = {channel.name: deque() for channel in self.inputs}
+        self._next = {channel.name: 0 for channel in self.inputs}
+
+    @property
+    def producers(self) -> tuple[str, ...]:
+        """The services whose *done* this one needs to hear."""
+        return producers_for(self.service)
+
+    def add_message(self, name: str, received: Received[Any]) -> None:
+        """A message has arrived on an input channel."""
+        self._waiting[name].append(received)
+        self._next[name] = received.sequence + 1
+
+    def add_tick(self, tick: Tick) -> None:
+        """The feeder has published a tick, or again with fewer participants because one has died."""
+        for position, waiting in enumerate(self.ticks):
+            if waiting.index == tick.index:
+                self.ticks[position] = tick
+                return
+        if tick.index > self.index:
+            self.ticks.append(tick)
+
+    def add_done(self, done: Done) -> None:
+        """Another service has finished a tick, or (index −1) has joined and begins to count at zero."""
+        self.heard.add(done.service)
+        counts = self._done.setdefault(done.service, {})
+        if done.index < 0:
+            if counts.keys() != {-1}:
+                counts.clear()
+                for channel in self.inputs:
+                    if channel.producers == (done.service,):
+                        self._next[channel.name] = 0
+                        self._waiting[channel.name].clear()
+            counts[-1] = done.published
+            return
+        counts[done.index] = done.published
+        if len(counts) > _KEEP:
+            del counts[min(counts)]
+
+    def participates(self) -> bool:
+        """Is this service on the list of the oldest tick?"""
+        return bool(self.ticks) and self.service in self.ticks[0].participants
+
+    def skip(self) -> None:
+        """Drop the oldest tick, of which this service is no participant, and take its counts as the base."""
+        tick = self.ticks.popleft()
+        for channel in self.inputs:
+            counts = self._counts(channel, tick)
+            if counts is not None:
+                self._next[channel.name] = max(self._next[channel.name], counts)
+            self._waiting[channel.name].clear()
+        self._joining = True
+
+    def ready(self) -> bool:
+        """May the oldest tick be worked on?"""
+        return bool(self.ticks) and not self.missing()
+
+    def missing(self) -> list[str]:
+        """What the oldest tick still waits for: names of channels or services."""
+        tick = self.ticks[0]
+        if self._joining:
+            self._take_base(tick)
+        waits = []
+        for channel in self.inputs:
+            if not self._expects(channel, tick):
+                continue
+            counts = self._counts(channel, tick)
+            if counts is None:
+                waits.append(channel.producers[0])
+            elif self._next[channel.name] < counts:
+                waits.append(channel.name)
+        return waits
+
+    def take(self) -> tuple[Tick, list[tuple[str, Received[Any]]]]:
+        """The oldest tick with its messages in total order: by time, then the table's order, then the sequence."""
+        tick = self.ticks.popleft()
+        self.index = tick.index
+        self._joining = False
+        taken: list[tuple[str, Received[Any]]] = []
+        for channel in self.inputs:
+            waiting = self._waiting[channel.name]
+            limit = self._counts(channel, tick)
+            while waiting and (limit is None or waiting[0].sequence < limit):
+                taken.append((channel.name, waiting.popleft()))
+        taken.sort(key=lambda item: (item[1].message.time_ns, _ORDER[item[0]], item[1].sequence))
+        return tick, taken
+
+    def left(self, tick: Tick) -> None:
+        """Forget having heard those who are not on the tick's list: they must be heard anew when they return."""
+        self.heard &= set(tick.participants)
+
+    def _take_base(self, tick: Tick) -> None:
+        """What was published before this service listened will not come: count from what was heard of last."""
+        for channel in self.inputs:
+            counts = self._done.get(channel.producers[0], {})
+            base = [published.get(channel.name, 0) for index, published in counts.items() if index < tick.index]
+            self._next[channel.name] = max([self._next[channel.name], *base])
+
+    def _expects(self, channel: Channel, tick: Tick) -> bool:
+        producer = channel.producers[0]
+        if producer == "vehicle":
+            return True
+        if producer not in tick.participants:
+            return False
+        # The first tick of a service has nothing before it to be waited for.
+        return not (channel.looped and tick.index <= tick.participants[producer])
+
+    def _counts(self, channel: Channel, tick: Tick) -> int | None:
+        producer = channel.producers[0]
+        if producer == "vehicle":
+            return tick.published.get(channel.name, 0)
+        counts = self._done.get(producer, {})
+        wanted = tick.index - 1 if channel.looped else tick.index
+        if wanted in counts:
+            return counts[wanted].get(channel.name, 0)
+        if channel.looped and tick.index <= tick.participants.get(producer, -1):
+            return 0
+        return None

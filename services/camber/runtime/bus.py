@@ -1,0 +1,271 @@
+"""A service's side of the bus: publish, ask, answer, who is alive, what to report.
+
+Zenoh's callbacks only put bytes into bounded queues; everything else happens in the work loop (`run.py`), in one
+thread. A callback that works would block the receive thread and lose other topics of the session.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import zenoh
+
+from camber.runtime.clock import Clock, ReplayClock
+from camber.runtime.log import make_logger
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.base import Message
+from camber.schemas.channels import BY_NAME, Channel, outputs_of
+from camber.schemas.codec import DecodeError, decode, encode, encoding_of
+from camber.schemas.health import Issue
+
+Event = tuple[Literal["message", "query", "wake"], str]
+_QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
+_QUERY_LIMIT = 256
+FEEDER = "feeder"
+_REPLAY_QUERY_TIMEOUT_S = 10.0
+_LOG_EVERY_S = 10.0
+
+# Why each departs from Zenoh's default (drop when congested, priority `data`, batching):
+# small: goes at once (express), ahead of bulk; dropped when congested because a consumer judges freshness anyway.
+# bulk: behind everything else, the consumer keeps only the newest.
+# barrier and all of a replay: blocking, because a replay may lose nothing.
+_PRIORITY = {
+    "small": zenoh.Priority.INTERACTIVE_HIGH,
+    "bulk": zenoh.Priority.BACKGROUND,
+    "query": zenoh.Priority.INTERACTIVE_HIGH,
+    "upload": zenoh.Priority.DATA_LOW,
+    "barrier": zenoh.Priority.INTERACTIVE_HIGH,
+}
+
+
+class QueryFailed(RuntimeError):
+    """A question that got no usable answer; `reason` says why."""
+
+    def __init__(self, reason: Literal["absent", "timeout", "refused", "invalid"], detail: str = "") -> None:
+        super().__init__(f"{reason}: {detail}" if detail else reason)
+        self.reason = reason
+
+
+@dataclass(slots=True)
+class _Port:
+    """One subscribed channel: its bounded queue and how many were pushed out of it."""
+
+    channel: Channel
+    items: deque[tuple[bytes, str]]
+    overflow: int = 0
+
+
+class Bus:
+    """Everything a service needs of the outside; made and closed by `run`, used from the work loop only."""
+
+    def __init__(self, session: zenoh.Session, settings: ServiceSettings, service: str, clock: Clock) -> None:
+        self.service = service
+        self.settings = settings
+        self.log = make_logger(service, level=settings.log_level, form=settings.log_format)
+        self.counters: Counter[str] = Counter()
+        self.published: dict[str, int] = {channel.name: 0 for channel in outputs_of(service)}
+        self.participants: frozenset[str] = frozenset()
+        self.feeder_gone = False
+        self._session = session
+        self._clock = clock
+        self._replay = isinstance(clock, ReplayClock)
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._queriers: dict[str, zenoh.Querier] = {}
+        self._entities: list[Any] = []
+        self._ports: dict[str, _Port] = {}
+        self._queries: dict[str, deque[zenoh.Query]] = {}
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._issues: dict[str, tuple[str, int]] = {}
+        self._logged: dict[str, float] = {}
+        self._alive: set[str] = set()
+        self._alive_lock = threading.Lock()
+
+    # -- what a service uses --------------------------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        """GPS time now; in a replay the time of the tick."""
+        return self._clock.now_ns()
+
+    def publish(self, name: str, message: Message) -> None:
+        """Send `message` on a channel that the table gives this service."""
+        sequence = self.published[name]
+        data = encode(message, source=self.service, sequence=sequence)
+        publisher = self._publishers.get(name) or self._declare_publisher(BY_NAME[name])
+        publisher.put(data)
+        self.published[name] = sequence + 1
+
+    def ask(self, name: str, request: Message) -> Any:
+        """Ask over a query channel and return the reply.
+
+        Raises QueryFailed: at once when nobody is there to answer, and after the channel's oldest age otherwise.
+        """
+        channel = BY_NAME[name]
+        assert channel.reply is not None
+        if not any(self.is_alive(peer) for peer in channel.consumers):
+            raise QueryFailed("absent", f"none of {', '.join(channel.consumers)} is on the bus")
+        data = encode(request, source=self.service)
+        payload, encoding = self.ask_bytes(name, data)
+        try:
+            return decode(channel.reply, payload, encoding).message
+        except DecodeError as error:
+            raise QueryFailed("invalid", str(error)) from None
+
+    def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
+        """`ask` with a request that is encoded already: for an outbox, also from its own thread."""
+        channel = BY_NAME[name]
+        querier = self._queriers.get(name) or self._declare_querier(channel)
+        detail = ""
+        for reply in querier.get(payload=data, encoding=encoding_of(channel.message)):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes(), str(reply.ok.encoding)
+            detail = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace") if reply.err else ""
+        # Zenoh ends the wait of an unanswered query with an error reply that says so, or with no reply at all.
+        timed_out = not detail or "timeout" in detail.lower()
+        raise QueryFailed("timeout" if timed_out else "refused", detail)
+
+    def is_alive(self, service: str) -> bool:
+        """Is this service on the bus? Live by its liveliness token, in a replay by the tick's list."""
+        if self._replay:
+            return service in self.participants
+        with self._alive_lock:
+            return service in self._alive
+
+    def issue(self, code: str, text: str) -> None:
+        """Something an operator should know: counted, shown in health, logged once in a while."""
+        _, count = self._issues.get(code, ("", 0))
+        self._issues[code] = (text[:512], count + 1)
+        now = time.monotonic()
+        if now - self._logged.get(code, -_LOG_EVERY_S) >= _LOG_EVERY_S:
+            self._logged[code] = now
+            self.log.warning(code, detail=text, count=count + 1)
+
+    def count(self, name: str, n: int = 1) -> None:
+        """Add to a counter that health shows."""
+        self.counters[name] += n
+
+    def issues(self) -> tuple[Issue, ...]:
+        """All issues so far."""
+        return tuple(Issue(code=code, text=text, count=n) for code, (text, n) in sorted(self._issues.items()))
+
+    # -- what the work loop uses ----------------------------------------------------------------------------------
+
+    def subscribe(self, channel: Channel, *, of: str | None = None) -> None:
+        """Queue what arrives on a channel (of one service, where it has a key for each).
+
+        The oldest goes when the queue is full. The port is called as the channel, or `channel.service`.
+        """
+        limit = _QUEUE_LIMIT["barrier"] if self._replay else _QUEUE_LIMIT[channel.delivery]
+        name = channel.name if of is None else f"{channel.name}.{of}"
+        port = self._ports[name] = _Port(channel, deque(maxlen=limit))
+        events, items = self._events, port.items
+
+        def arrived(sample: zenoh.Sample) -> None:
+            full = len(items) == limit
+            items.append((sample.payload.to_bytes(), str(sample.encoding)))
+            if full:
+                port.overflow += 1
+            else:
+                events.put(("message", name))
+
+        key = channel.key_for(self.settings.vehicle).replace("{service}", of or self.service)
+        self._entities.append(self._session.declare_subscriber(key, arrived))
+
+    def answer(self, channel: Channel) -> None:
+        """Queue the questions that arrive on a query channel."""
+        pending = self._queries[channel.name] = deque()
+        events, name = self._events, channel.name
+
+        def asked(query: zenoh.Query) -> None:
+            if len(pending) >= _QUERY_LIMIT:
+                with query:
+                    query.reply_err(b"busy")
+                return
+            pending.append(query)
+            events.put(("query", name))
+
+        key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
+        self._entities.append(self._session.declare_queryable(key, asked))
+
+    def announce(self) -> None:
+        """Declare this service alive, and watch who else is."""
+        prefix = f"camber/v1/{self.settings.vehicle}"
+
+        def changed(sample: zenoh.Sample) -> None:
+            name = str(sample.key_expr).split("/")[-2]
+            with self._alive_lock:
+                if sample.kind == zenoh.SampleKind.PUT:
+                    self._alive.add(name)
+                else:
+                    self._alive.discard(name)
+                    if name == FEEDER:
+                        self.feeder_gone = True
+            self._events.put(("wake", name))
+
+        liveliness = self._session.liveliness()
+        self._entities.append(liveliness.declare_subscriber(f"{prefix}/*/alive", changed, history=True))
+        self._entities.append(liveliness.declare_token(f"{prefix}/{self.service}/alive"))
+
+    def wake(self) -> None:
+        """End the work loop's wait."""
+        self._events.put(("wake", ""))
+
+    def next_event(self, timeout_s: float) -> Event | None:
+        """The next event, or None after the timeout."""
+        try:
+            return self._events.get(timeout=timeout_s) if timeout_s > 0 else self._events.get_nowait()
+        except queue.Empty:
+            return None
+
+    def pop(self, name: str) -> tuple[bytes, str] | None:
+        """The oldest bytes queued on a channel."""
+        port = self._ports[name]
+        if port.overflow:
+            self.counters[f"{name}.overflow"] += port.overflow
+            port.overflow = 0
+        return port.items.popleft() if port.items else None
+
+    def pop_queries(self, name: str) -> list[zenoh.Query]:
+        """All questions waiting on a query channel."""
+        pending = self._queries[name]
+        return [pending.popleft() for _ in range(len(pending))]
+
+    def reply(self, query: zenoh.Query, message: Message) -> None:
+        """Answer a question."""
+        data = encode(message, source=self.service)
+        query.reply(str(query.key_expr), data, encoding=encoding_of(type(message)))
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for entity in self._entities:
+            entity.undeclare()
+        self._session.close()
+
+    def _declare_publisher(self, channel: Channel) -> zenoh.Publisher:
+        blocking = self._replay or channel.delivery == "barrier"
+        publisher = self._session.declare_publisher(
+            channel.key_for(self.settings.vehicle).replace("{service}", self.service),
+            encoding=encoding_of(channel.message),
+            congestion_control=zenoh.CongestionControl.BLOCK if blocking else zenoh.CongestionControl.DROP,
+            priority=_PRIORITY[channel.delivery],
+            express=channel.delivery != "bulk",
+        )
+        self._publishers[channel.name] = publisher
+        return publisher
+
+    def _declare_querier(self, channel: Channel) -> zenoh.Querier:
+        timeout_s = 5.0 if channel.delivery == "upload" else (channel.max_age_s or 1.0)
+        querier = self._session.declare_querier(
+            channel.key_for(self.settings.vehicle),
+            timeout=_REPLAY_QUERY_TIMEOUT_S if self._replay and channel.delivery == "query" else timeout_s,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=_PRIORITY[channel.delivery],
+            express=True,
+        )
+        self._queriers[channel.name] = querier
+        return querier
+

@@ -1,0 +1,62 @@
+"""What has arrived and may be handed out: fresh, valid, in order; and why the rest may not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from camber.schemas.base import Message
+from camber.schemas.channels import Channel
+from camber.schemas.codec import DecodeError, Received, decode
+
+_FUTURE_LIMIT_NS = 500_000_000  # beyond this a sender's clock is wrong, not merely ahead
+_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Inbox:
+    """Judges the messages of one channel; `refused` counts those that were not handed out, by reason.
+
+    Reasons: `undecodable`, `stale` (older than the table allows), `future`, `repeated`, `out_of_order`.
+    """
+
+    channel: Channel
+    refused: Counter[str] = field(default_factory=Counter)
+    last_detail: str = ""
+    _last: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def open(self, data: bytes, encoding: str | None) -> Received[Any] | None:
+        """Decode, or count and return None."""
+        try:
+            return decode(self.channel.message, data, encoding)
+        except DecodeError as error:
+            self.last_detail = str(error)
+            self.refused["undecodable"] += 1
+            return None
+
+    def accept(self, received: Received[Any], now_ns: int, *, judge_age: bool = True) -> Message | None:
+        """Return the message if it is fresh and new, else count why not.
+
+        A sequence that begins anew with a later time is a producer that was restarted.
+        """
+        message, source, sequence = received.message, received.source, received.sequence
+        if judge_age and self.channel.max_age_s is not None:
+            age_ns = now_ns - message.time_ns
+            if age_ns > self.channel.max_age_s * _NS:
+                return self._refuse("stale", f"{age_ns / _NS:.3f} s old, at most {self.channel.max_age_s} s")
+            if age_ns < -_FUTURE_LIMIT_NS:
+                return self._refuse("future", f"{-age_ns / _NS:.3f} s in the future")
+        last_sequence, last_time_ns = self._last.get(source, (-1, 0))
+        if sequence == last_sequence and message.time_ns == last_time_ns:
+            return self._refuse("repeated", f"number {sequence} came twice")
+        if sequence < last_sequence and message.time_ns <= last_time_ns:
+            return self._refuse("out_of_order", f"number {sequence} after {last_sequence}")
+        if len(self._last) >= 64:
+            self._last.clear()  # a peer that invents source names must not fill the memory
+        self._last[source] = (sequence, message.time_ns)
+        return message
+
+    def _refuse(self, reason: str, detail: str) -> None:
+        self.refused[reason] += 1
+        self.last_detail = detail

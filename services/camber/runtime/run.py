@@ -1,0 +1,288 @@
+"""Run a service: read settings, join the bus, work until told to stop, leave.
+
+Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joined, 70 the work loop failed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from types import FrameType
+from typing import Any
+
+import zenoh
+
+from camber.runtime.barrier import Barrier
+from camber.runtime.bus import Bus
+from camber.runtime.clock import ReplayClock, SystemClock
+from camber.runtime.inbox import Inbox
+from camber.runtime.service import Service
+from camber.runtime.session import BusError, open_session
+from camber.runtime.settings import ServiceSettings, load_or_exit
+from camber.schemas.channels import BY_NAME, Channel, inputs_of
+from camber.schemas.codec import DecodeError, decode
+from camber.schemas.health import Done, Health, Tick
+
+VERSION = "0.1.0"
+STOP_LIMIT_S = 2.0
+_STUCK_S = 5.0
+
+
+class Loop:
+    """The one thread in which a service works."""
+
+    def __init__(self, service: Service[Any], bus: Bus, clock: SystemClock | ReplayClock) -> None:
+        self.service = service
+        self.bus = bus
+        self.stopping = False
+        self._clock = clock
+        self._handlers = service.handlers()
+        self._answers = service.answers()
+        self._inboxes = {c.name: Inbox(c) for c in inputs_of(service.NAME) if c.name in self._handlers}
+        self._health = BY_NAME["health"]
+        self._started = self._round = time.monotonic()
+        self._failed = 0
+
+    def declare(self) -> None:
+        """Subscribe to all inputs, answer all questions, then say that this service is here."""
+        for name in self._inboxes:
+            self.bus.subscribe(BY_NAME[name])
+        for name in self._answers:
+            self.bus.answer(BY_NAME[name])
+        self.bus.answer(self._health)
+        self.bus.announce()
+
+    def live(self) -> None:
+        """Work by the clock: handle what arrives, advance at least every period."""
+        period_s = self.service.settings.period_s
+        deadline = time.monotonic() + period_s
+        while not self.stopping:
+            event = self.bus.next_event(max(deadline - time.monotonic(), 0.0))
+            worked = False
+            while event is not None and not self.stopping:
+                worked |= self._event(event)
+                event = self.bus.next_event(0.0)
+            now = time.monotonic()
+            if worked or now >= deadline:
+                self._guard(self.service.advance, self._clock.now_ns())
+                deadline = now + period_s
+            self._round = time.monotonic()
+
+    def _event(self, event: tuple[str, str]) -> bool:
+        kind, name = event
+        if kind == "query":
+            self.answer(name)
+            return False
+        if kind != "message":
+            return False
+        item = self.bus.pop(name)
+        inbox = self._inboxes[name]
+        received = inbox.open(*item) if item else None
+        message = inbox.accept(received, self._clock.now_ns()) if received else None
+        if message is not None:
+            self._guard(self._handlers[name], message)
+            return True
+        if item:
+            self.refused(inbox)
+        return False
+
+    def refused(self, inbox: Inbox) -> None:
+        """Report what an inbox did not hand out."""
+        for reason, n in inbox.refused.items():
+            self.bus.counters[f"{inbox.channel.name}.{reason}"] = n
+        self.bus.issue("refused_input", f"{inbox.channel.name}: {inbox.last_detail}")
+
+    def answer(self, name: str) -> None:
+        """Answer all questions waiting on a channel; whatever happens, each query is closed."""
+        channel = BY_NAME[name]
+        asked: list[tuple[zenoh.Query, Any]] = []
+        for query in self.bus.pop_queries(name):
+            request = self._request(channel, query)
+            if request is not None:
+                asked.append((query, request))
+        if not asked:
+            return
+        if channel is self._health:
+            replies: Any = [self.health()] * len(asked)
+        else:
+            replies = self._guard(self._answers[name], [request for _, request in asked])
+        for (query, _), reply in zip(asked, replies or [None] * len(asked), strict=True):
+            with query:
+                try:
+                    if reply is None:
+                        query.reply_err(b"failed; ask again")
+                    else:
+                        self.bus.reply(query, reply)
+                except zenoh.ZError as error:  # the asker has gone
+                    self.bus.issue("reply_failed", str(error))
+
+    def _request(self, channel: Channel, query: zenoh.Query) -> Any:
+        payload = query.payload
+        try:
+            if payload is None:
+                raise DecodeError("a question without a payload")
+            return decode(channel.message, payload.to_bytes(), str(query.encoding)).message
+        except DecodeError as error:
+            self.bus.issue("refused_question", f"{channel.name}: {error}")
+            with query:
+                query.reply_err(str(error)[:200].encode())
+            return None
+
+    def health(self) -> Health:
+        """How this service is, as its own work loop sees it."""
+        now = time.monotonic()
+        status = "failing" if self._failed else "ok" if self.service.healthy() else "degraded"
+        return Health(
+            time_ns=SystemClock().now_ns(),
+            service=self.service.NAME,
+            version=VERSION,
+            status=status,
+            uptime_s=now - self._started,
+            loop_age_s=now - self._round,
+            issues=self.bus.issues(),
+            counters=dict(self.bus.counters),
+        )
+
+    def replay(self) -> None:
+        """Work by the feeder's ticks."""
+        barrier = Barrier(self.service.NAME, tuple(c for c in inputs_of(self.service.NAME) if c.name in self._inboxes))
+        tick_channel, done_channel = BY_NAME["tick"], BY_NAME["done"]
+        self.bus.published.setdefault("done", 0)
+        self.bus.subscribe(tick_channel)
+        for producer in barrier.producers:
+            self.bus.subscribe(done_channel, of=producer)
+        self.declare()
+        waiting_since = time.monotonic()
+        while not self.stopping and not self.bus.feeder_gone:
+            event = self.bus.next_event(_STUCK_S)
+            if event is None:
+                if barrier.ticks:
+                    waited = time.monotonic() - waiting_since
+                    self.bus.issue("barrier_waits", f"{waited:.0f} s for {', '.join(barrier.missing())}")
+                continue
+            self._replay_event(barrier, event)
+            while barrier.ticks and not self.stopping:
+                if not barrier.participates():
+                    tick = barrier.ticks[0]
+                    barrier.skip()
+                    self._say_done(tick.time_ns, -1, barrier)
+                elif barrier.ready():
+                    self._work(barrier)
+                    waiting_since = time.monotonic()
+                else:
+                    break
+            self._round = time.monotonic()
+
+    def _replay_event(self, barrier: Barrier, event: tuple[str, str]) -> None:
+        kind, name = event
+        if kind == "query":
+            self.answer(name)
+        item = self.bus.pop(name) if kind == "message" else None
+        if item is None:
+            return
+        data, encoding = item
+        if name == "tick":
+            barrier.add_tick(decode(Tick, data, encoding).message)
+        elif name.startswith("done."):
+            barrier.add_done(decode(Done, data, encoding).message)
+        else:
+            received = self._inboxes[name].open(data, encoding)
+            if received is None:
+                self.refused(self._inboxes[name])
+            else:
+                barrier.add_message(name, received)
+
+    def _work(self, barrier: Barrier) -> None:
+        tick, messages = barrier.take()
+        assert isinstance(self._clock, ReplayClock)
+        self._clock.set(tick.time_ns)
+        self.bus.participants = frozenset(tick.participants)
+        for name, received in messages:
+            inbox = self._inboxes[name]
+            # The barrier is what makes a replay fresh; only repeated and out-of-order messages are refused here.
+            message = inbox.accept(received, tick.time_ns, judge_age=False)
+            if message is None:
+                self.refused(inbox)
+            else:
+                self._guard(self._handlers[name], message)
+        self._guard(self.service.advance, tick.time_ns)
+        self._say_done(tick.time_ns, tick.index, barrier)
+        barrier.left(tick)
+
+    def _say_done(self, time_ns: int, index: int, barrier: Barrier) -> None:
+        counts = {name: n for name, n in self.bus.published.items() if name != "done"}
+        heard = tuple(sorted(barrier.heard))
+        self.bus.publish(
+            "done", Done(time_ns=time_ns, service=self.service.NAME, index=index, published=counts, heard=heard)
+        )
+
+    def _guard(self, function: Any, argument: Any) -> Any:
+        """A fault while working on one input must not end the service; it makes it `failing`, visibly."""
+        try:
+            return function(argument)
+        except Exception as error:
+            self._failed += 1
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{os.path.basename(last.filename)}:{last.lineno}"
+            self.bus.issue("internal_error", f"{type(error).__name__} in {where}: {error}")
+            self.bus.log.debug("internal_error", trace=traceback.format_exc())
+            return None
+
+
+def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int:
+    """Run one service until SIGTERM or SIGINT; returns the exit code."""
+    prog = f"camber {service_class.NAME}"
+    settings: ServiceSettings = load_or_exit(service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog)
+    sys.setswitchinterval(0.0005)  # the receive threads hand over to the work loop within half a millisecond
+    clock = ReplayClock() if settings.clock == "replay" else SystemClock()
+    try:
+        session = open_session(settings.zenoh)
+    except BusError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return 3
+    bus = Bus(session, settings, service_class.NAME, clock)
+    code = 70
+    loop: Loop | None = None
+    try:
+        loop = Loop(service_class(settings, bus), bus, clock)
+        _stop_on_signal(loop)
+        bus.log.info("started", clock=settings.clock, vehicle=settings.vehicle)
+        if settings.clock == "replay":
+            loop.replay()
+        else:
+            loop.declare()
+            loop.live()
+        code = 0
+    except Exception:
+        bus.log.error("work_loop_failed", trace=traceback.format_exc())
+    finally:
+        _end_within(STOP_LIMIT_S, code)
+        if loop is not None:
+            loop.service.close()
+        bus.log.info("stopped", code=code)
+        bus.close()
+    return code
+
+
+def _stop_on_signal(loop: Loop) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
+        loop.stopping = True
+        loop.bus.wake()
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+
+
+def _end_within(limit_s: float, code: int) -> None:
+    """A session that does not close must not keep the process: end it after the limit."""
+
+    def end() -> None:
+        os._exit(code)
+
+    timer = threading.Timer(limit_s, end)
+    timer.daemon = True
+    timer.start()

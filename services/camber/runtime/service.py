@@ -1,0 +1,45 @@
+"""What a service is to the runtime: handlers of inputs, answers to questions, a step in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Generic, TypeVar
+
+from camber.runtime.bus import Bus
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.base import Message
+
+S = TypeVar("S", bound=ServiceSettings)
+
+
+class Service(Generic[S]):
+    """Base of the services. All methods are called in the work loop, in one thread.
+
+    A service wires: it hands values to pure modules and publishes what they return. It reads time from `bus.now_ns()`
+    or the messages, never from the machine.
+    """
+
+    NAME: ClassVar[str]
+    SETTINGS: ClassVar[type[ServiceSettings]]
+
+    def __init__(self, settings: S, bus: Bus) -> None:
+        self.settings = settings
+        self.bus = bus
+
+    def handlers(self) -> dict[str, Callable[[Any], None]]:
+        """Channel name → handler of its messages; they are fresh, valid and in order."""
+        return {}
+
+    def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
+        """Query channel → function from all questions waiting to their replies; None: no answer, ask again."""
+        return {}
+
+    def advance(self, now_ns: int) -> None:
+        """All inputs up to `now_ns` have been handled."""
+
+    def healthy(self) -> bool:
+        """Does the service do its work? False shows as `degraded`."""
+        return True
+
+    def close(self) -> None:
+        """The service ends; the bus is still open."""

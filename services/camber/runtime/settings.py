@@ -1,0 +1,165 @@
+"""Settings of a service: command line > environment (`CAMBER_<SERVICE>_…`) > TOML file > default."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_settings import (
+    BaseSettings,
+    CliSettingsSource,
+    EnvSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
+
+from camber.schemas.base import Name
+
+S = TypeVar("S", bound="ServiceSettings")
+
+
+class ConfigError(ValueError):
+    """A setting is unknown, missing, of a wrong kind or out of range; one clear line."""
+
+
+class ZenohSettings(BaseModel):
+    """How this process joins the bus."""
+
+    model_config = ConfigDict(extra="forbid")
+    mode: Literal["peer", "client", "router"] = Field("peer", description="role on the bus")
+    connect: list[str] = Field(
+        default_factory=lambda: ["tcp/127.0.0.1:7447"],
+        description="endpoints to join; tried again for ever when nobody is there",
+    )
+    listen: list[str] = Field(
+        default_factory=lambda: ["tcp/127.0.0.1:0"],
+        description="endpoints on which other peers may reach this one; a client listens on none",
+    )
+    config_file: Path | None = Field(None, description="a Zenoh configuration (json5) to start from: TLS, access control")
+
+
+class ServiceSettings(BaseSettings):
+    """What every service can be told."""
+
+    model_config = SettingsConfigDict(extra="forbid", env_nested_delimiter="__", nested_model_default_partial_update=True)
+    SERVICE: ClassVar[str] = "service"
+
+    vehicle: Name = Field("vehicle", description="name of the vehicle, second part of every key")
+    zenoh: ZenohSettings = Field(default_factory=ZenohSettings)
+    clock: Literal["system", "replay"] = Field(
+        "system", description="system: GPS time from this machine's clock; replay: the time of the feeder's ticks"
+    )
+    period_s: float = Field(0.05, gt=0.0, le=10.0, description="longest time between two rounds of the work loop")
+    state_dir: Path | None = Field(None, description="where the service keeps what must survive a restart")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
+    log_format: Literal["json", "text"] = Field("text", description="one JSON object a line, or for people")
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """The order above; the TOML table comes as init settings, lowest."""
+        env = EnvSettingsSource(settings_cls, env_prefix=f"CAMBER_{cls.SERVICE.upper()}_")
+        return env, init_settings
+
+
+def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Namespace]:
+    """Read the settings of `cls`, or raise ConfigError. Returns them and the flags `--check`, `--print-config`."""
+    flags = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False)
+    flags.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings")
+    flags.add_argument("--check", action="store_true", help="read the settings, say whether they are right, and end")
+    flags.add_argument("--print-config", action="store_true", help="print the settings in force as TOML, and end")
+    args, rest = flags.parse_known_args(argv)
+    table = _read_toml(args.config) if args.config else {}
+    summary = (cls.__doc__ or "").strip().splitlines()[0]
+    parser = argparse.ArgumentParser(prog=prog, parents=[flags], description=summary, allow_abbrev=False)
+    # A source of its own, so that the order holds: pydantic-settings puts it above environment and file.
+    source: Any = CliSettingsSource(
+        cls, root_parser=parser, cli_kebab_case=True, cli_implicit_flags=True, cli_avoid_json=False, cli_prog_name=prog
+    )
+    try:
+        cli = source(args=rest)
+        return cls(_cli_settings_source=cli, **table), args
+    except ValidationError as error:
+        raise ConfigError(_one_line(error, args.config, table)) from None
+    except SettingsError as error:
+        raise ConfigError(f"command line: {str(error).splitlines()[0]}") from None
+
+
+def to_toml(settings: BaseModel) -> str:
+    """The settings as TOML, each with its description."""
+    lines: list[str] = []
+    _emit(settings, "", lines)
+    return "\n".join(lines) + "\n"
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+
+
+def _one_line(error: ValidationError, path: Path | None, table: dict[str, Any]) -> str:
+    first = error.errors(include_url=False)[0]
+    field = ".".join(str(part) for part in first["loc"])
+    where = f"{path}: " if path is not None and str(first["loc"][0] if first["loc"] else "") in table else ""
+    if first["type"] == "extra_forbidden":
+        return f"{where}{field}: unknown setting"
+    if first["type"] == "missing":
+        return f"{where}{field}: missing; this setting has no default"
+    return f"{where}{field}: {first['msg']} (got {str(first['input'])[:60]!r})"
+
+
+def _emit(model: BaseModel, prefix: str, lines: list[str]) -> None:
+    tables: list[tuple[str, BaseModel]] = []
+    for name, info in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            tables.append((name, value))
+            continue
+        comment = f"  # {info.description}" if info.description else ""
+        lines.append(f"# {name} ={comment}" if value is None else f"{name} = {_toml(value)}{comment}")
+    for name, value in tables:
+        lines += ["", f"[{prefix}{name}]"]
+        _emit(value, f"{prefix}{name}.", lines)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return json.dumps(value)  # strings, numbers and booleans read alike in TOML
+
+
+def load_or_exit(cls: type[S], argv: list[str], *, prog: str) -> S:
+    """`load`, with `--check` and `--print-config` carried out; ends the process where the settings say so."""
+    try:
+        settings, args = load(cls, argv, prog=prog)
+    except ConfigError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    if args.print_config:
+        print(to_toml(settings), end="")
+    if args.check:
+        print(f"{prog}: settings are right", file=sys.stderr)
+    if args.print_config or args.check:
+        raise SystemExit(0)
+    return settings
+
+
+__all__ = ["ConfigError", "ServiceSettings", "ZenohSettings", "load", "load_or_exit", "to_toml"]

@@ -1,0 +1,253 @@
+"""A drive, ready to be fed to the services: what arrived when, the map, the truth.
+
+Nothing is repaired. Late and repeated epochs arrive where they stand in their file; the time at which something
+arrives is the running maximum of the times measured, and the ticks of a replay are the distinct times of arrival.
+What arrives from the receiver at one tick is one message, byte for byte.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.map_release import write_release
+from camber.formats.motion_csv import read_motion, read_ranging, read_suspension
+from camber.formats.truth_csv import TruthTable, read_truth
+from camber.geodesy.gps_time import gpst_from_gps_ns
+from camber.schemas.base import Message
+from camber.schemas.drive import (
+    MAP_SURROGATES,
+    MOTION_SURROGATES,
+    DriveManifest,
+    InitialPose,
+    ManifestError,
+    Surrogates,
+)
+from camber.schemas.gnss import Protocol, ReceiverBytes
+from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.simulator.receiver_file import TimedBytes, read_receiver_file, receive_times
+from camber.simulator.surrogate_map import make_map
+from camber.simulator.surrogates import make_initial_pose, make_motion
+from camber.simulator.truth import interpolate_truth
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival(Generic[M]):
+    """A message and when it arrives; its own `time_ns` is when it was measured."""
+
+    receive_time_ns: int
+    message: M
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """All that arrives at one time."""
+
+    time_ns: int
+    receiver: tuple[ReceiverBytes, ...]
+    motion: tuple[Motion, ...]
+    suspension: tuple[Suspension, ...]
+    ranging: tuple[Ranging, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveInputs:
+    """One drive in the order of arrival. `map_release` and `sweeps_folder` are folders; None: the drive has none."""
+
+    manifest: DriveManifest
+    tick_times_ns: tuple[int, ...]
+    receiver: tuple[Arrival[ReceiverBytes], ...]
+    motion: tuple[Arrival[Motion], ...]
+    suspension: tuple[Arrival[Suspension], ...]
+    ranging: tuple[Arrival[Ranging], ...]
+    map_release: Path | None
+    sweeps_folder: Path | None
+    truth: TruthTable | None
+    initial_pose: InitialPose | None
+
+    def ticks(self) -> Iterator[Tick]:
+        """The drive, tick by tick."""
+        columns = [
+            _by_time(arrivals) for arrivals in (self.receiver, self.motion, self.suspension, self.ranging)
+        ]
+        for time_ns in self.tick_times_ns:
+            yield Tick(time_ns, *(tuple(column.get(time_ns, ())) for column in columns))
+
+
+def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
+    """Read the native files, make the surrogates; a surrogate map is written to `work_folder`/map.
+
+    Raises ManifestError or FormatError, one line each, OSError where a file cannot be read or written.
+    """
+    if manifest.receiver is None:
+        raise ManifestError(f"{manifest.name}: observations are not replayed yet, expected a table receiver")
+    truth = None if manifest.truth is None else read_truth(manifest.truth.file, manifest.truth.format)
+    if truth is not None and len(truth) == 0:
+        raise ManifestError(f"{manifest.name}: truth.file has no epochs, expected at least one")
+    errors = manifest.surrogates
+    preamble, epochs = read_receiver_file(manifest.receiver)
+    receiver = _receiver(manifest.receiver.format, epochs)
+    motion = [] if manifest.motion is None else read_motion(manifest.motion.file)
+    if truth is not None and MOTION_SURROGATES & set(errors.inputs):
+        motion = make_motion(truth, errors)
+    moved = _arrivals(motion)
+    suspension = _arrivals([] if manifest.suspension is None else read_suspension(manifest.suspension.file))
+    ranging = _arrivals([] if manifest.ranging is None else read_ranging(manifest.ranging.file))
+    first_ns, last_ns = _period(manifest, (receiver, moved, suspension, ranging))
+    receiver = _starting_with(preamble, receiver, first_ns, last_ns)
+    moved, suspension, ranging = (
+        _within(moved, first_ns, last_ns),
+        _within(suspension, first_ns, last_ns),
+        _within(ranging, first_ns, last_ns),
+    )
+    times = {a.receive_time_ns for column in (receiver, moved, suspension, ranging) for a in column}
+    if not times:
+        raise ManifestError(
+            f"{manifest.name}: nothing lies between start_s and end_s, expected a part of the drive"
+        )
+    tick_times_ns = tuple(sorted(times))
+    return DriveInputs(
+        manifest,
+        tick_times_ns,
+        receiver,
+        moved,
+        suspension,
+        ranging,
+        _map_release(manifest, truth, work_folder),
+        None if manifest.sweeps is None else manifest.sweeps.folder,
+        truth,
+        _initial_pose(manifest, truth, tick_times_ns[0]),
+    )
+
+
+def _receiver(protocol: Protocol, epochs: Sequence[TimedBytes]) -> tuple[Arrival[ReceiverBytes], ...]:
+    """One message a time of arrival: what came then, in the file's order."""
+    together: dict[int, list[bytes]] = {}
+    for at_ns, epoch in zip(receive_times([epoch.time_ns for epoch in epochs]), epochs, strict=True):
+        together.setdefault(at_ns, []).append(epoch.payload)
+    return tuple(
+        Arrival(at_ns, _receiver_bytes(at_ns, protocol, b"".join(parts))) for at_ns, parts in together.items()
+    )
+
+
+def _receiver_bytes(time_ns: int, protocol: Protocol, payload: bytes) -> ReceiverBytes:
+    return ReceiverBytes(time_ns=time_ns, protocol=protocol, payload=np.frombuffer(payload, np.uint8))
+
+
+def _starting_with(
+    preamble: bytes, receiver: tuple[Arrival[ReceiverBytes], ...], first_ns: int, last_ns: int
+) -> tuple[Arrival[ReceiverBytes], ...]:
+    """The part of a period. What the file says before its first epoch, its header, comes with the part's first."""
+    kept = _within(receiver, first_ns, last_ns)
+    if not kept or not preamble:
+        return kept
+    head = kept[0].message
+    payload = preamble + head.payload.tobytes()
+    return (
+        Arrival(kept[0].receive_time_ns, _receiver_bytes(head.time_ns, head.protocol, payload)),
+        *kept[1:],
+    )
+
+
+def _arrivals(messages: Sequence[M]) -> tuple[Arrival[M], ...]:
+    at_ns = receive_times([message.time_ns for message in messages])
+    return tuple(Arrival(t, message) for t, message in zip(at_ns, messages, strict=True))
+
+
+def _within(arrivals: tuple[Arrival[M], ...], first_ns: int, last_ns: int) -> tuple[Arrival[M], ...]:
+    return tuple(arrival for arrival in arrivals if first_ns <= arrival.receive_time_ns <= last_ns)
+
+
+def _by_time(arrivals: Sequence[Arrival[M]]) -> dict[int, list[M]]:
+    column: dict[int, list[M]] = {}
+    for arrival in arrivals:
+        column.setdefault(arrival.receive_time_ns, []).append(arrival.message)
+    return column
+
+
+def _period(manifest: DriveManifest, columns: Sequence[Sequence[Arrival[Any]]]) -> tuple[int, int]:
+    begin_ns = min(column[0].receive_time_ns for column in columns if column)
+    end_ns = max(column[-1].receive_time_ns for column in columns if column)
+    first_ns = begin_ns if manifest.start_s is None else begin_ns + round(manifest.start_s * 1e9)
+    last_ns = end_ns if manifest.end_s is None else begin_ns + round(manifest.end_s * 1e9)
+    return first_ns, last_ns
+
+
+def _map_release(manifest: DriveManifest, truth: TruthTable | None, work_folder: Path) -> Path | None:
+    if manifest.map is not None:
+        return manifest.map.release
+    inputs = MAP_SURROGATES & set(manifest.surrogates.inputs)
+    if not inputs or truth is None:
+        return None
+    if inputs != MAP_SURROGATES:
+        raise ManifestError(
+            f"{manifest.name}: surrogates.inputs has {min(inputs)} alone, expected links, road_surfaces"
+        )
+    height_m = manifest.surrogates.antenna_height_m
+    height_m = manifest.antenna_height.height_m if height_m is None else height_m
+    assert height_m is not None  # the manifest was checked for it
+    folder = work_folder / "map"
+    how = _how_made(manifest.surrogates)
+    write_map(
+        folder,
+        truth,
+        manifest.surrogates,
+        height_m,
+        region=manifest.name,
+        datum=manifest.datum,
+        surrogate=how,
+    )
+    return folder
+
+
+def write_map(
+    folder: Path,
+    truth: TruthTable,
+    errors: Surrogates,
+    antenna_height_m: float,
+    *,
+    region: str,
+    datum: str,
+    surrogate: str,
+) -> None:
+    """Write the release of a map made from where a drive went. Raises FormatError for a truth that does not move."""
+    try:
+        surfaces, links = make_map(truth, errors, antenna_height_m)
+    except ValueError as error:
+        raise FormatError(region, "truth", str(error)) from None
+    made_ns = int(truth.time_ns[0])
+    day = gpst_from_gps_ns(made_ns)
+    write_release(
+        folder,
+        region=region,
+        map_version=1,
+        datum=datum,
+        epoch_year=round(day.year + (day.month - 0.5) / 12.0, 2),
+        time_ns=made_ns,
+        surfaces=surfaces,
+        links=links,
+        surrogate=surrogate,
+    )
+
+
+def _how_made(errors: Surrogates) -> str:
+    return (
+        f"made from the drive's own truth, seed {errors.seed}: heights with {errors.map_sigma_m:g} m of noise "
+        f"(correlation {errors.map_correlation_m:g} m), links up to {errors.link_deviation_m:g} m off, no crossfall"
+    )
+
+
+def _initial_pose(manifest: DriveManifest, truth: TruthTable | None, first_ns: int) -> InitialPose | None:
+    if "initial_pose" not in manifest.surrogates.inputs or truth is None:
+        return manifest.initial_pose
+    start, _ = interpolate_truth(truth, np.array([first_ns]))
+    if len(start) == 0:
+        raise ManifestError(f"{manifest.name}: truth has no epoch at the start of the drive, expected one")
+    return make_initial_pose(start, manifest.surrogates)

@@ -1,0 +1,1 @@
+"""Tools around the services: replay, record, evaluate, report."""

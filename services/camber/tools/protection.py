@@ -1,0 +1,163 @@
+"""Does the position hold what it promises? Availability, errors, error ellipses, protection levels.
+
+Source: R. Kikuchi, reliability index (ellipse, HPL, Stanford chart).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from camber.formats.recording import Recorded
+from camber.schemas.base import Float64, Int64
+from camber.schemas.integrity import Position
+from camber.tools.figures import Flags
+from camber.tools.truth import Truth
+
+# The published ellipse holds 99.9 %; C = −2 ln(1 − P) scales its axes' squares to 99 % (exactly 2/3).
+_SQUARE_AT_99 = math.log(0.01) / math.log(0.001)
+_SMALLEST_AXIS_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Positions:
+    """The last position published of each epoch, in the order of time: arrays (n,); NaN where it said
+    nothing.
+
+    `error_enu_m` (n, 3) is NaN too where the truth is not known.
+    """
+
+    time_ns: Int64
+    source: npt.NDArray[np.str_]
+    latitude_rad: Float64
+    longitude_rad: Float64
+    height_m: Float64
+    semi_major_999_m: Float64
+    semi_minor_999_m: Float64
+    orientation_rad: Float64
+    hpl_m: Float64
+    vpl_m: Float64
+    alert_limit_m: Float64
+    error_enu_m: Float64
+
+    @property
+    def horizontal_error_m(self) -> Float64:
+        """(n,)"""
+        return np.hypot(self.error_enu_m[:, 0], self.error_enu_m[:, 1])
+
+    def square_in_ellipse(self) -> Float64:
+        """(n,) squared distance of the truth in units of the 99.9 % ellipse: inside it up to 1."""
+        c, s = np.cos(self.orientation_rad), np.sin(self.orientation_rad)
+        east, north = self.error_enu_m[:, 0], self.error_enu_m[:, 1]
+        along = (c * east + s * north) / np.maximum(self.semi_major_999_m, _SMALLEST_AXIS_M)
+        across = (c * north - s * east) / np.maximum(self.semi_minor_999_m, _SMALLEST_AXIS_M)
+        return along**2 + across**2
+
+
+def positions_by_epoch(
+    recorded: Sequence[Recorded[Position]],
+    truth: Truth | None,
+    offset_enu_m: tuple[float, float, float],
+    alert_limit_m: float | None,
+) -> Positions:
+    """Columns of the positions that count; `alert_limit_m` None takes each position's own."""
+    last = {item.message.time_ns: item.message for item in recorded}
+    messages = [last[time_ns] for time_ns in sorted(last)]
+
+    def column(name: str) -> Float64:
+        values = (getattr(message, name) for message in messages)
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    time_ns = np.array([message.time_ns for message in messages], dtype=np.int64)
+    latitude, longitude, height = column("latitude_rad"), column("longitude_rad"), column("height_m")
+    error_m = np.full((len(messages), 3), np.nan)
+    if truth is not None:
+        error_m = truth.error_enu_m(time_ns, latitude, longitude, height, offset_enu_m)
+    limit = column("alert_limit_m") if alert_limit_m is None else np.full(len(messages), alert_limit_m)
+    return Positions(
+        time_ns=time_ns,
+        source=np.array([message.source for message in messages], dtype=np.str_),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height,
+        semi_major_999_m=column("semi_major_999_m"),
+        semi_minor_999_m=column("semi_minor_999_m"),
+        orientation_rad=column("orientation_rad"),
+        hpl_m=column("horizontal_protection_level_m"),
+        vpl_m=column("vertical_protection_level_m"),
+        alert_limit_m=limit,
+        error_enu_m=error_m,
+    )
+
+
+def percentiles(values: Float64, names: dict[str, float]) -> dict[str, float | None]:
+    """Values that occurred, such that at least this share of the finite ones is no larger; None where none
+    is."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return dict.fromkeys(names)
+    return {name: float(np.quantile(finite, q, method="inverted_cdf")) for name, q in names.items()}
+
+
+def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
+    """Share of the epochs whose 99.9 % horizontal radius is below the alert limit; None without epochs."""
+    if not len(epoch_time_ns):
+        return None
+    available = positions.time_ns[positions.semi_major_999_m < positions.alert_limit_m]
+    return float(np.isin(epoch_time_ns, available).mean())
+
+
+def coverage(positions: Positions) -> dict[str, Any]:
+    """By source: how many epochs have ellipse and truth, and the share with the truth inside 99 % and 99.9
+    %."""
+    square = positions.square_in_ellipse()
+    known = np.isfinite(square)
+    sources = [*sorted(set(positions.source[known].tolist())), "all"]
+    result: dict[str, Any] = {}
+    for source in sources:
+        chosen = square[known & ((positions.source == source) | (source == "all"))]
+        share = len(chosen) > 0
+        result[source] = {
+            "epochs": len(chosen),
+            "inside_99": float((chosen <= _SQUARE_AT_99).mean()) if share else None,
+            "inside_999": float((chosen <= 1.0).mean()) if share else None,
+        }
+    return result
+
+
+def stanford(positions: Positions) -> dict[str, dict[str, int]]:
+    """Counts of the regions of the Stanford chart, for the 99.9 % radius, HPL and VPL.
+
+    With level L, error e, alert limit A: nominal e ≤ L < A; misleading L < e, L < A; hazardous of those: e >
+    A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is held against the same alert
+    limit.
+    """
+    horizontal, vertical = positions.horizontal_error_m, np.abs(positions.error_enu_m[:, 2])
+    levels = {
+        "radius_999": (positions.semi_major_999_m, horizontal),
+        "hpl": (positions.hpl_m, horizontal),
+        "vpl": (positions.vpl_m, vertical),
+    }
+    return {name: _regions(level, error, positions.alert_limit_m) for name, (level, error) in levels.items()}
+
+
+def _regions(level_m: Float64, error_m: Float64, limit_m: Float64) -> dict[str, int]:
+    known = np.isfinite(level_m) & np.isfinite(error_m) & np.isfinite(limit_m)
+    usable, held = level_m < limit_m, error_m <= level_m
+
+    def count(flags: Flags) -> int:
+        return int((known & flags).sum())
+
+    return {
+        "epochs": int(known.sum()),
+        "nominal": count(usable & held),
+        "misleading": count(usable & ~held),
+        "hazardous": count(usable & ~held & (error_m > limit_m)),
+        "unavailable": count(~usable & held),
+        "unavailable_misleading": count(~usable & ~held),
+    }

@@ -1,0 +1,287 @@
+"""`camber replay`: a recorded drive through the real processes, judged, recorded, summed up."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from tqdm import tqdm
+
+from camber.formats.errors import FormatError
+from camber.formats.recording import Recorder
+from camber.runtime.feeder import Feeder, ReplayStuck
+from camber.runtime.session import BusError
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.channels import CHANNELS, SERVICES
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
+from camber.tools.evaluate import evaluate_folder, headline
+from camber.tools.processes import Processes
+from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
+from camber.tools.truth import Truth
+
+_SUPERVISE_EVERY_S = 0.05
+
+
+class _Stopped(Exception):  # noqa: N818  (asked to, not failed)
+    """SIGINT or SIGTERM."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Replay one drive; 0 done, 1 a service got stuck, 2 the drive cannot be used, 130 interrupted."""
+    args = _parser().parse_args(argv)
+    overrides = [*args.set, *([f"surrogates.seed={args.seed}"] if args.seed is not None else [])]
+    try:
+        manifest = load_manifest(args.drive, overrides)
+        return replay(manifest, args.out, speed=args.speed, quiet=args.quiet)
+    except (ManifestError, FormatError) as error:
+        print(f"camber replay: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"camber replay: {error.filename or args.out}: {error.strerror}", file=sys.stderr)
+        return 2
+    except (ReplayStuck, BusError) as error:
+        print(f"camber replay: {error}; see {args.out / 'logs'}", file=sys.stderr)
+        return 1
+    except _Stopped:
+        print("camber replay: interrupted", file=sys.stderr)
+        return 130
+
+
+def replay(manifest: DriveManifest, out: Path, *, speed: float, quiet: bool = False) -> int:
+    """Run the drive at `speed` times real time (infinite: as fast as it goes) and write the run's folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    inputs = prepare_drive(manifest, out / "work")
+    folder = RunFolder(out)
+    facts = _facts(manifest, inputs)
+    folder.write_drive(facts, _truth(inputs))
+    _forget(out / "state")
+    endpoint = _free_endpoint()
+    processes = Processes(out, _configs(manifest, inputs, out, endpoint))
+    with Recorder(folder.recording_path) as recorder:
+        wall_s = _run(manifest, inputs, processes, recorder, endpoint, speed=speed, quiet=quiet)
+        notes = [*processes.notes, *([recorder.problem] if recorder.problem else [])]
+    driven_s = (inputs.tick_times_ns[-1] - inputs.tick_times_ns[0]) / 1e9
+    folder.write_run(RunFacts(speed_factor=driven_s / wall_s, wall_s=wall_s, notes=tuple(notes)))
+    evaluation = evaluate_folder(folder)
+    for note in notes:
+        print(f"camber replay: {note}", file=sys.stderr)
+    if not quiet:
+        print(headline(evaluation.summary))
+        print(f"summary {folder.summary_path}\nreport  {folder.report_path}")
+    return 0
+
+
+def _run(
+    manifest: DriveManifest,
+    inputs: DriveInputs,
+    processes: Processes,
+    recorder: Recorder,
+    endpoint: str,
+    *,
+    speed: float,
+    quiet: bool,
+) -> float:
+    """Feed the drive; returns the seconds it took, starting and ending of the processes apart."""
+    channels = {channel.key_for(manifest.vehicle): channel.name for channel in CHANNELS}
+
+    def observe(key: str, data: bytes, encoding: str, arrival_ns: int) -> None:
+        name = channels.get(key)
+        if name is not None:
+            recorder.add(name, data, key=key, arrival_ns=arrival_ns)
+
+    settings = ServiceSettings(
+        vehicle=manifest.vehicle, clock="replay", zenoh=ZenohSettings(connect=[], listen=[endpoint])
+    )
+    with _interruptible(), Feeder(settings, observer=observe) as feeder:
+        supervisor = _Supervisor(processes)
+        try:
+            processes.start()
+            supervisor.start()
+            feeder.assemble(SERVICES, time_ns=inputs.tick_times_ns[0])
+            return _feed(inputs, feeder, recorder, speed=speed, quiet=quiet)
+        finally:
+            supervisor.stop()
+            processes.stop()
+
+
+def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: float, quiet: bool) -> float:
+    first_ns, last_ns = inputs.tick_times_ns[0], inputs.tick_times_ns[-1]
+    began = time.monotonic()
+    with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
+        for tick in inputs.ticks():
+            if math.isfinite(speed):
+                due = began + (tick.time_ns - first_ns) / 1e9 / speed
+                time.sleep(max(due - time.monotonic(), 0.0))
+            for name, message in _messages(tick):
+                feeder.publish(name, message)
+            feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
+            recorder.tick_done()
+            bar.update()
+    elapsed = time.monotonic() - began
+    time.sleep(0.1)  # the observer's queue, which the barrier does not wait for
+    return elapsed
+
+
+def _messages(tick: Tick) -> Iterator[tuple[str, Any]]:
+    for name, messages in (
+        ("receiver_bytes", tick.receiver),
+        ("motion", tick.motion),
+        ("suspension", tick.suspension),
+        ("ranging", tick.ranging),
+    ):
+        for message in messages:
+            yield name, message
+
+
+def _configs(
+    manifest: DriveManifest, inputs: DriveInputs, out: Path, endpoint: str
+) -> dict[str, Mapping[str, Any]]:
+    """Each service's settings for this drive."""
+
+    def config(name: str, **own: Any) -> Mapping[str, Any]:
+        return {
+            "vehicle": manifest.vehicle,
+            "clock": "replay",
+            "state_dir": out / "state" / name,
+            **own,
+            "zenoh": {"mode": "peer", "connect": [endpoint], "listen": ["tcp/127.0.0.1:0"]},
+        }
+
+    antenna, height, start = manifest.lever_arms.antenna, manifest.antenna_height, inputs.initial_pose
+    if height.way not in ("fixed", "stroke"):
+        raise ManifestError(f"{manifest.name}: antenna_height.way {height.way!r}, expected fixed or stroke by now")
+    optional = {
+        "fixed_height_m": height.height_m,
+        "fixed_sigma_m": height.sigma_m,
+        "suspension_to_antenna_m": height.suspension_to_antenna_m,
+        "tyre_radius_m": height.tyre_radius_m,
+    }
+    given = {} if start is None else {"initial_pose": start.model_dump()}
+    return {
+        "gnss": config("gnss", source="bus", datum=manifest.datum),
+        "map_server": config(
+            "map_server", release=(inputs.map_release or out / "work" / "no-map").resolve(), datum=manifest.datum
+        ),
+        "localizer": config(
+            "localizer",
+            antenna_x_m=antenna.x_m,
+            antenna_y_m=antenna.y_m,
+            wheelbase_m=manifest.surrogates.wheelbase_m,
+            **given,
+        ),
+        "antenna_height": config(
+            "antenna_height", way=height.way, **{key: value for key, value in optional.items() if value is not None}
+        ),
+        "integrity": config("integrity", alert_limit_m=manifest.alert_limit_m),
+        "map_update": config("map_update"),
+    }
+
+
+def _facts(manifest: DriveManifest, inputs: DriveInputs) -> DriveFacts:
+    truth = manifest.truth
+    offset = (0.0, 0.0, 0.0)
+    if truth is not None:
+        offset = (
+            truth.receiver_minus_truth_east_m,
+            truth.receiver_minus_truth_north_m,
+            truth.receiver_minus_truth_up_m,
+        )
+    return DriveFacts(
+        drive=manifest.name,
+        surrogates=tuple(manifest.surrogates.inputs) + tuple(
+            f"smaller error than allowed: {name}" for name in manifest.surrogates.smaller_errors
+        ),
+        truth=inputs.truth is not None,
+        offset_enu_m=offset,
+        alert_limit_m=manifest.alert_limit_m,
+    )
+
+
+def _truth(inputs: DriveInputs) -> Truth | None:
+    table = inputs.truth
+    if table is None:
+        return None
+    return Truth(
+        time_ns=table.time_ns,
+        latitude_rad=table.latitude_rad,
+        longitude_rad=table.longitude_rad,
+        height_m=table.height_m,
+    )
+
+
+def _forget(state: Path) -> None:
+    """A replay begins with nothing learnt: what an earlier one left would change its verdicts."""
+    for path in sorted(state.rglob("*"), reverse=True) if state.exists() else ():
+        if path.is_file():
+            path.unlink()
+
+
+def _free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class _Supervisor:
+    """Looks after the processes while the feeder waits for them."""
+
+    def __init__(self, processes: Processes) -> None:
+        self._processes = processes
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="supervisor", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.wait(_SUPERVISE_EVERY_S):
+            self._processes.supervise()
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise _Stopped
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError("expected max or a number above 0")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="camber replay", description=__doc__)
+    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
+    parser.add_argument("--speed", type=_speed, default=math.inf, help="times real time, or max (default)")
+    parser.add_argument("--out", type=Path, default=Path("out/replay"), metavar="DIR", help="where everything goes")
+    parser.add_argument("--seed", type=int, help="seed of the surrogates")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no headline")
+    return parser

@@ -1,0 +1,71 @@
+"""One distribution from two source roots, installed or built; what it needs is pinned."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from support.tree import ROOT, SOURCE_ROOTS
+
+PACKAGES = sorted({path.parent for root in SOURCE_ROOTS for path in root.rglob("*.py")} - set(SOURCE_ROOTS))
+
+
+@pytest.mark.parametrize("root", SOURCE_ROOTS, ids=lambda root: root.parent.name)
+def test_the_root_of_the_namespace_is_no_package(root: Path) -> None:
+    assert root.is_dir()
+    assert not (root / "__init__.py").exists(), "it would hide the other source root"
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_every_package_says_in_a_line_what_it_is(package: Path) -> None:
+    text = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
+    assert text, f"{package.name}/__init__.py needs a docstring"
+    assert "\n" not in text.split("\n\n")[0]
+
+
+def test_both_roots_are_installed(tmp_path: Path) -> None:
+    environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", "import camber.schemas.codec, camber.runtime; print('both')"],
+        cwd=tmp_path,
+        env=environ,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "both\n", f"make setup installs them\n{done.stderr}"
+
+
+def test_a_wheel_holds_both_roots_and_leaves_the_namespace_open(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    )
+    (wheel,) = tmp_path.glob("camber-*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert "camber/__init__.py" not in names
+    assert not [name for name in names if name.startswith(("schemas/", "services/", "tests/"))]
+    for root in SOURCE_ROOTS:
+        built = {str(path.relative_to(root.parent)) for path in root.rglob("*.py")}
+        assert built <= names
+
+
+def test_every_dependency_is_pinned_and_nothing_says_from_where() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"].values()
+    wanted = [*project["dependencies"], *(line for extra in extras for line in extra)]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = [line for line in lines if not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][0-9a-z.]*", pin) for pin in pins)
+    pinned = {pin.split("==")[0].lower().replace("_", "-") for pin in pins}
+    assert {re.split(r"[<>=~! \[]", line)[0].lower() for line in wanted} <= pinned

@@ -1,0 +1,60 @@
+"""Within a service all but service, settings and __main__ are pure: no clock, no log, no wiring."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from camber.schemas.channels import SERVICES
+from support.tree import ROOT, modules
+
+WIRING = {"service", "settings", "__main__"}
+PURE = [
+    (name, path) for name, path in modules() if name.split(".")[1] in SERVICES and path.stem not in WIRING
+]
+# What a distribution is imported as, where it is not its own name with underscores.
+IMPORTED_AS = {"eclipse_zenoh": "zenoh", "pyserial": "serial"}
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names that a file imports, `from a import b` as both `a` and `a.b`."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def test_there_are_pure_modules() -> None:
+    assert PURE
+
+
+@pytest.mark.parametrize(("name", "path"), PURE, ids=[name for name, _ in PURE])
+def test_a_pure_module_knows_no_clock_no_log_and_no_wiring(name: str, path: Path) -> None:
+    service = ".".join(name.split(".")[:2])
+    forbidden = {"time", "logging", "structlog", "zenoh", "camber.runtime"}
+    forbidden |= {f"{service}.{wiring}" for wiring in WIRING}
+    assert not imports(path) & forbidden
+
+
+def test_every_import_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = [
+        line for name, lines in project["optional-dependencies"].items() if name != "dev" for line in lines
+    ]
+    names = {
+        line.split(">")[0].split("=")[0].strip().replace("-", "_")
+        for line in [*project["dependencies"], *extras]
+    }
+    declared = {IMPORTED_AS.get(name, name) for name in names} | {"pydantic_core", "camber"}
+    for name, path in modules():
+        outside = {
+            top for full in imports(path) if (top := full.split(".")[0]) not in sys.stdlib_module_names
+        }
+        assert outside <= declared, f"{name} imports {outside - declared}, which pyproject.toml does not list"

@@ -1,0 +1,75 @@
+"""What stands in the repository: nothing of one machine, tests where their sources are, pages that are fresh."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import pytest
+
+from camber.tools import data_flow
+from support.tree import ROOT, SOURCE_ROOTS, tracked_files
+
+# Written so that this file does not match itself.
+PLACES = {
+    "an address of a package registry": r"(?:index|find|extra-index)-(?:url|links)[ =]+\S"
+    r"|py[p]i\.org|python[h]osted\.org|[r]egistry\.[a-z]+\.|docker\.[i]o/",
+    "a path of one machine": r"(?<![\w./$}{-])/(?:[w]ork|[r]oot|[h]ome/\w+|[U]sers/\w+)/",
+}
+
+
+def texts() -> list[tuple[str, str]]:
+    found = []
+    for path in tracked_files():
+        if path.suffix not in {".bin", ".png", ".mcap", ".whl"}:
+            found.append((str(path.relative_to(ROOT)), path.read_text(encoding="utf-8", errors="replace")))
+    return found
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_no_file_names(place: str) -> None:
+    pattern = re.compile(PLACES[place])
+    assert [(name, found[0]) for name, text in texts() if (found := pattern.search(text))] == []
+
+
+def test_the_patterns_find_what_they_are_for() -> None:
+    slash = "/"
+    for place, example in [
+        ("a path of one machine", f"open('{slash}home/someone/x')"),
+        ("an address of a package registry", "--index-" + "url https://example.org"),
+    ]:
+        assert re.search(PLACES[place], example)
+
+
+def test_no_file_is_large() -> None:
+    sizes = {path.relative_to(ROOT): path.stat().st_size for path in tracked_files()}
+    assert {path for path, size in sizes.items() if size > 500_000} == set()
+
+
+def test_names_of_test_files_are_unique() -> None:
+    counts = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
+    assert [name for name, count in counts.items() if count > 1] == []
+
+
+def packages() -> set[str]:
+    """The packages of the sources, as paths below `camber`."""
+    found = {path.parent.relative_to(root) for root in SOURCE_ROOTS for path in root.rglob("*.py")}
+    return {path.as_posix() for path in found} - {"."}
+
+
+def folders_of_unit_tests() -> set[str]:
+    """The folders of unit tests, as paths below `tests/unit`."""
+    unit = ROOT / "tests" / "unit"
+    return {path.parent.relative_to(unit).as_posix() for path in unit.rglob("test_*.py")}
+
+
+def test_unit_tests_stand_where_their_sources_do() -> None:
+    assert folders_of_unit_tests() - packages() == set()
+
+
+def test_every_package_has_unit_tests() -> None:
+    assert packages() - folders_of_unit_tests() == set()
+
+
+def test_the_page_of_the_data_flow_is_fresh() -> None:
+    assert data_flow.main(["--check"]) == 0

@@ -1,0 +1,180 @@
+"""What is impossible is refused with a line that names the field, its value and what was expected."""
+
+import numpy as np
+import pytest
+
+from camber.map_update.admission import Rules, refusal
+from camber.map_update.contribution import OBSERVATION, VERDICTS, from_batch, from_upload
+from camber.schemas.fleet import ElevationUpload, UploadBatch
+
+NOW_NS = 1_400_000_000 * 1_000_000_000
+RULES = Rules(
+    datums=frozenset({"WGS84", "JGD2011"}),
+    future_limit_s=60.0,
+    lowest_road_m=-600.0,
+    highest_road_m=7000.0,
+    least_sigma_m=0.001,
+    largest_sigma_m=10.0,
+    highest_antenna_m=20.0,
+    most_records=10,
+)
+UPLOAD = {
+    "time_ns": NOW_NS - 5,
+    "vehicle": "v1",
+    "upload_id": "u1",
+    "fix_id": 7,
+    "fix_quality": "fixed",
+    "verdict": "erroneous",
+    "latitude_rad": 0.61,
+    "longitude_rad": 2.39,
+    "road_height_m": 41.25,
+    "road_height_sigma_m": 0.05,
+    "antenna_height_m": 1.7,
+    "position_covariance_enu_m2": (1.0, 0.1, 0.2, 1.5, 0.3, 2.0),
+    "datum": "WGS84",
+    "epoch_year": 2024.5,
+    "map_version": 3,
+    "surface_id": 99,
+}
+
+
+def batch(records=4, **changes) -> UploadBatch:
+    columns = {
+        "positioning_time_ns": np.full(records, NOW_NS - 5),
+        "surface_id": np.arange(records),
+        "verdict": np.full(records, 2, np.uint8),
+        "latitude_rad": np.full(records, 0.61),
+        "longitude_rad": np.full(records, 2.39),
+        "road_height_m": np.linspace(40.0, 41.0, records),
+        "road_height_sigma_m": np.full(records, 0.05),
+        "antenna_height_m": np.full(records, 1.7),
+    }
+    heading = {"time_ns": NOW_NS, "vehicle": "v1", "batch_id": "b1", "datum": "WGS84", "map_version": 3}
+    return UploadBatch(**{**heading, **columns, **changes})
+
+
+def judged(**changes):
+    return refusal(from_upload(ElevationUpload(**{**UPLOAD, **changes})), NOW_NS, RULES)
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_an_upload_is_taken_in_whatever_the_verdict_was(verdict):
+    # Uploads of confirmed heights alone would hide what has changed on the road.
+    assert judged(verdict=verdict) is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("datum", "Tokyo", "expected one of JGD2011, WGS84"),
+        ("time_ns", NOW_NS + 60_000_000_001, f"to {NOW_NS + 60_000_000_000}"),
+        ("road_height_m", -600.5, "expected -600.0 to 7000.0"),
+        ("road_height_m", 7000.5, "expected -600.0 to 7000.0"),
+        ("road_height_sigma_m", 0.0, "expected 0.001 to 10.0"),
+        ("road_height_sigma_m", 10.5, "expected 0.001 to 10.0"),
+        ("antenna_height_m", -0.1, "expected 0.0 to 20.0"),
+        ("antenna_height_m", 20.5, "expected 0.0 to 20.0"),
+    ],
+)
+def test_an_impossible_upload_is_refused_by_field_value_and_expectation(field, value, expected):
+    found = judged(**{field: value})
+    assert found is not None
+    assert found.code == field
+    assert f"{field} {value}, " in found.text
+    assert expected in found.text
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("time_ns", NOW_NS + 60_000_000_000),
+        ("road_height_m", -600.0),
+        ("road_height_m", 7000.0),
+        ("road_height_sigma_m", 0.001),
+        ("road_height_sigma_m", 10.0),
+        ("antenna_height_m", 0.0),
+        ("antenna_height_m", 20.0),
+    ],
+)
+def test_the_bounds_themselves_are_possible(field, value):
+    assert judged(**{field: value}) is None
+
+
+def test_latitude_and_longitude_zero_are_no_position_but_one_of_them_may_be():
+    found = judged(latitude_rad=0.0, longitude_rad=0.0)
+    assert found is not None
+    assert found.code == "position"
+    assert judged(latitude_rad=0.0) is None
+    assert judged(longitude_rad=0.0) is None
+
+
+def test_a_possible_batch_is_taken_in():
+    assert refusal(from_batch(batch()), NOW_NS, RULES) is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "code"),
+    [
+        ("positioning_time_ns", 0, "time_ns"),
+        ("positioning_time_ns", 2**63 - 1, "time_ns"),
+        ("surface_id", -1, "surface_id"),
+        ("latitude_rad", 1.6, "latitude_rad"),
+        ("longitude_rad", -3.2, "longitude_rad"),
+        ("road_height_m", 8000.0, "road_height_m"),
+        ("road_height_sigma_m", -1.0, "road_height_sigma_m"),
+        ("antenna_height_m", 50.0, "antenna_height_m"),
+    ],
+)
+def test_one_impossible_record_refuses_its_batch_and_is_named(field, value, code):
+    good = batch()
+    column = getattr(good, field).copy()
+    column[2] = value
+    found = refusal(from_batch(good.model_copy(update={field: column})), NOW_NS, RULES)
+    assert found is not None
+    assert found.code == code
+    assert found.text.startswith(f"record 2: {code} {value}, expected ")
+
+
+@pytest.mark.parametrize("records", [0, 11])
+def test_a_batch_has_at_least_one_record_and_at_most_the_limit(records):
+    found = refusal(from_batch(batch(records)), NOW_NS, RULES)
+    assert found is not None
+    assert (found.code, found.text) == ("records", f"{records} records, expected 1 to 10")
+
+
+def test_every_field_of_an_upload_is_in_its_contribution():
+    upload = ElevationUpload(**UPLOAD)
+    contribution = from_upload(upload)
+    row = dict(zip(OBSERVATION.names or (), contribution.observations[0].tolist(), strict=True))
+    assert VERDICTS[row.pop("verdict")] == upload.verdict
+    heading = {name: getattr(contribution, name) for name in contribution.__slots__ if name != "observations"}
+    assert heading.pop("kind") == "upload"
+    assert {**row, **heading} == {
+        ("id" if name == "upload_id" else name): value for name, value in UPLOAD.items() if name != "verdict"
+    }
+
+
+def test_every_column_of_a_batch_is_in_its_contribution():
+    source = batch()
+    contribution = from_batch(source)
+    for name in OBSERVATION.names or ():
+        column = getattr(source, "positioning_time_ns" if name == "time_ns" else name)
+        assert np.array_equal(contribution.observations[name], column)
+    assert (contribution.vehicle, contribution.kind, contribution.id) == ("v1", "batch", "b1")
+    assert (contribution.datum, contribution.map_version, contribution.fix_id) == ("WGS84", 3, None)
+
+
+@pytest.mark.parametrize("field", sorted(set(UPLOAD) - {"vehicle", "upload_id"}))
+def test_any_other_content_has_another_digest_and_the_same_content_the_same(field):
+    other = {
+        "verdict": "unknown",
+        "datum": "JGD2011",
+        "fix_quality": "float",
+        "position_covariance_enu_m2": (1.0, 0.1, 0.2, 1.5, 0.3, 2.1),
+        "latitude_rad": np.nextafter(0.61, 1.0).item(),
+        "longitude_rad": np.nextafter(2.39, 0.0).item(),
+    }
+    changed = other[field] if field in other else UPLOAD[field] + 1
+    first = from_upload(ElevationUpload(**UPLOAD))
+    assert first.digest() == from_upload(ElevationUpload(**UPLOAD)).digest()
+    assert first.digest() != from_upload(ElevationUpload(**{**UPLOAD, field: changed})).digest()

@@ -1,0 +1,135 @@
+"""The service acknowledges what is committed, and is silent about what is not."""
+
+import sqlite3
+from collections import Counter
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from camber.map_update.service import MapUpdateService
+from camber.map_update.settings import MapUpdateSettings
+from camber.schemas.fleet import ElevationUpload, UploadBatch
+
+NOW_NS = 1_400_000_000 * 1_000_000_000
+
+
+class BusWithoutWires:
+    """What the service uses of a bus."""
+
+    def __init__(self):
+        self.time_ns = NOW_NS
+        self.counters: Counter[str] = Counter()
+        self.issues: dict[str, str] = {}
+
+    def now_ns(self):
+        return self.time_ns
+
+    def count(self, name, n=1):
+        self.counters[name] += n
+
+    def issue(self, code, text):
+        self.issues[code] = text
+
+
+@pytest.fixture
+def bus():
+    return BusWithoutWires()
+
+
+@pytest.fixture
+def service(tmp_path, bus):
+    with closing(MapUpdateService(MapUpdateSettings(state_dir=tmp_path, busy_s=0.0), bus)) as service:
+        yield service
+
+
+def upload(upload_id="u1", **changes):
+    fields = {
+        "time_ns": NOW_NS - 1_000,
+        "vehicle": "v1",
+        "upload_id": upload_id,
+        "fix_id": 7,
+        "fix_quality": "fixed",
+        "verdict": "confirmed",
+        "latitude_rad": 0.61,
+        "longitude_rad": 2.39,
+        "road_height_m": 41.25,
+        "road_height_sigma_m": 0.05,
+        "antenna_height_m": 1.7,
+        "position_covariance_enu_m2": (1.0, 0.1, 0.2, 1.5, 0.3, 2.0),
+        "datum": "WGS84",
+        "epoch_year": 2024.5,
+        "map_version": 3,
+        "surface_id": 99,
+    }
+    return ElevationUpload(**{**fields, **changes})
+
+
+def batch(batch_id="b1", records=3):
+    return UploadBatch(
+        time_ns=NOW_NS,
+        vehicle="v1",
+        batch_id=batch_id,
+        datum="WGS84",
+        map_version=3,
+        positioning_time_ns=np.full(records, NOW_NS - 5),
+        surface_id=np.arange(records),
+        verdict=np.zeros(records, np.uint8),
+        latitude_rad=np.full(records, 0.61),
+        longitude_rad=np.full(records, 2.39),
+        road_height_m=np.full(records, 40.0),
+        road_height_sigma_m=np.full(records, 0.05),
+        antenna_height_m=np.full(records, 1.7),
+    )
+
+
+def asked(service, channel, *questions):
+    return service.answers()[channel](list(questions))
+
+
+def test_each_upload_gets_the_receipt_of_what_became_of_it_in_the_order_asked(service, bus):
+    receipts = asked(service, "upload", upload("u1"), upload("u2", datum="Tokyo"), upload("u1"))
+    assert [(r.vehicle, r.upload_id, r.status) for r in receipts] == [
+        ("v1", "u1", "stored"),
+        ("v1", "u2", "refused"),
+        ("v1", "u1", "duplicate"),
+    ]
+    assert receipts[1].reason.startswith("datum Tokyo, expected one of ")
+    assert receipts[0].reason == ""
+    assert bus.counters == {"stored": 1, "duplicate": 1, "refused": 1, "refused.datum": 1}
+    assert bus.issues["refused_upload"].startswith("v1, u2: datum Tokyo")
+
+
+def test_a_batch_is_acknowledged_under_its_batch_id(service):
+    (first,) = asked(service, "upload_batch", batch())
+    (second,) = asked(service, "upload_batch", batch())
+    assert (first.upload_id, first.status) == ("b1", "stored")
+    assert (second.upload_id, second.status) == ("b1", "duplicate")
+
+
+def test_without_a_commit_there_is_no_receipt_and_the_next_group_is_tried_again(service, bus, tmp_path):
+    with closing(sqlite3.connect(tmp_path / "uploads.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        assert asked(service, "upload", upload("u1"), upload("u2")) == [None, None]
+        assert not service.healthy()
+        assert "uploads.sqlite" in bus.issues["store_unavailable"]
+        assert bus.counters == {"unacknowledged": 2}
+        other.execute("ROLLBACK")
+    assert [r.status for r in asked(service, "upload", upload("u1"), upload("u2"))] == ["stored", "stored"]
+    assert service.healthy()
+
+
+def test_a_service_that_does_not_know_the_time_neither_refuses_nor_acknowledges(service, bus):
+    bus.time_ns = 0
+    assert asked(service, "upload", upload("u1")) == [None]
+    assert "time_not_known" in bus.issues
+    bus.time_ns = NOW_NS
+    assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
+
+
+def test_the_reason_of_a_refusal_fits_into_a_receipt_however_long_the_list_of_datums(tmp_path, bus):
+    settings = MapUpdateSettings(state_dir=tmp_path, datums=[f"datum{n:055d}" for n in range(30)])
+    with closing(MapUpdateService(settings, bus)) as service:
+        (receipt,) = asked(service, "upload", upload())
+    assert receipt.status == "refused"
+    assert len(receipt.reason) == 512

@@ -1,0 +1,174 @@
+"""The drive manifest says in one line what is wrong with it, and refuses errors that flatter."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from camber.schemas.drive import LEAST_ERRORS, DriveManifest, ManifestError, load_manifest
+
+TEXT = """
+name = "try"
+
+[receiver]
+format = "pos"
+file = "rover.pos"
+
+[truth]
+format = "camber"
+file = "${CAMBER_DATA}/truth.csv"
+
+[antenna_height]
+height_m = 1.8
+sigma_m = 0.02
+
+[surrogates]
+inputs = ["wheel_speed", "yaw_rate", "links", "road_surfaces"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "rover.pos").write_text("%\n")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "truth.csv").write_text("\n")
+    return tmp_path
+
+
+def load(
+    folder: Path, text: str = TEXT, overrides: list[str] | dict[str, object] | None = None
+) -> DriveManifest:
+    path = folder / "drive.toml"
+    path.write_text(text)
+    return load_manifest(path, overrides or [], environ={"CAMBER_DATA": str(folder / "data")})
+
+
+def refusal(folder: Path, text: str = TEXT, overrides: list[str] | None = None) -> str:
+    with pytest.raises(ManifestError) as caught:
+        load(folder, text, overrides)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_paths_are_relative_to_the_manifest_or_begin_with_the_folder_of_recordings(folder: Path) -> None:
+    manifest = load(folder)
+    assert manifest.receiver is not None
+    assert manifest.truth is not None
+    assert manifest.receiver.file == folder / "rover.pos"
+    assert manifest.truth.file == folder / "data" / "truth.csv"
+
+
+def test_defaults_are_the_least_errors_allowed_or_larger(folder: Path) -> None:
+    errors = load(folder).surrogates
+    assert errors.smaller_errors == ()
+    assert errors.map_sigma_m == 0.05
+    assert errors.yaw_rate_bias_sigma_rad_s == math.radians(0.02)
+    assert load(folder).alert_limit_m == 1.5
+
+
+@pytest.mark.parametrize("name", sorted(LEAST_ERRORS))
+def test_smaller_errors_are_refused_unless_they_are_allowed_and_then_shown(folder: Path, name: str) -> None:
+    value = 0.9 * LEAST_ERRORS[name]
+    message = refusal(folder, overrides=[f"surrogates.{name}={value}"])
+    assert f"surrogates.{name}" in message
+    assert "expected at least" in message
+    allowed = load(folder, overrides=["surrogates.allow_smaller_errors=true", f"surrogates.{name}={value}"])
+    assert allowed.summary()["smaller_errors"] == [name]
+    assert any(name in note for note in allowed.surrogate_notes())
+
+
+def test_larger_errors_are_taken(folder: Path) -> None:
+    manifest = load(folder, overrides=["surrogates.map_sigma_m=0.10", "surrogates.seed=7"])
+    assert (manifest.surrogates.map_sigma_m, manifest.surrogates.seed) == (0.10, 7)
+    assert manifest.summary()["overrides"] == ["surrogates.map_sigma_m=0.1", "surrogates.seed=7"]
+
+
+def test_overrides_may_be_given_as_values(folder: Path) -> None:
+    assert load(folder, overrides={"surrogates.map_sigma_m": 0.2}).surrogates.map_sigma_m == 0.2
+
+
+def test_an_override_that_is_no_toml_value_is_text(folder: Path) -> None:
+    assert load(folder, overrides=["name=another"]).name == "another"
+
+
+def test_an_override_cannot_bring_other_keys_along(folder: Path) -> None:
+    assert "name" in refusal(folder, overrides=["name='x'\nvehicle='y'"])
+
+
+def test_summary_names_what_was_made_and_not_measured(folder: Path) -> None:
+    manifest = load(folder)
+    summary = manifest.summary()
+    assert summary["surrogates"] == ["wheel_speed", "yaw_rate", "links", "road_surfaces"]
+    assert summary["surrogate_errors"]["map_correlation_m"] == 20.0
+    assert str(folder) not in str(summary)
+    assert [note.split(":")[0] for note in manifest.surrogate_notes()] == summary["surrogates"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["surrogates.map_sigma_cm=5"], "surrogates.map_sigma_cm is not known; did you mean map_sigma_m?"),
+        (["surrogates.map_sigma_m=5 cm"], "surrogates.map_sigma_m is '5 cm': should be a valid number"),
+        (["surrogates.map_sigma_m=true"], "surrogates.map_sigma_m is 'True'"),
+        (["surrogates.map_sigma_m=nan"], "surrogates.map_sigma_m is 'nan'"),
+        (["surrogates.seed=1.5"], "surrogates.seed is '1.5'"),
+        (["surrogates.inputs=['odometer']"], "surrogates.inputs.0 is 'odometer'"),
+        (["surrogates.yaw_rate_noise_rad_s=5.7"], "less than or equal to 3.14"),
+        (["receiver.file=other.pos"], "receiver.file is 'other.pos': there is no such file"),
+        (["receiver.file=/etc/hostname"], "expected a path relative to the manifest"),
+        (["receiver.format=ubx"], "receiver.format is 'ubx': should be 'pos' or 'nmea'"),
+        (["antenna_height.way=stroke"], "without suspension_to_antenna_m"),
+        (["motion.file=rover.pos"], "expected no wheel_speed, yaw_rate, steering in surrogates.inputs"),
+        (["map.release=data"], "expected no links, road_surfaces in surrogates.inputs"),
+        (["start_s=5", "end_s=4"], "end_s is not after start_s"),
+        (["lever_arms.antenna.x=1"], "lever_arms.antenna.x is not known"),
+        (["name.first=1"], "name is no table"),
+        (["surrogates.seed"], "expected field=value"),
+    ],
+)
+def test_a_fault_is_one_line_with_the_field_and_what_was_expected(
+    folder: Path, overrides: list[str], expected: str
+) -> None:
+    assert expected in refusal(folder, overrides=overrides)
+
+
+def test_the_line_names_the_file_and_whether_the_command_line_said_it(folder: Path) -> None:
+    assert refusal(folder, TEXT.replace("sigma_m = 0.02", "sigma_m = -1.0")).startswith(
+        f"{folder / 'drive.toml'}: antenna_height.sigma_m is '-1.0'"
+    )
+    assert "drive.toml: --set surrogates.seed is" in refusal(folder, overrides=["surrogates.seed=-1"])
+
+
+def test_a_missing_table_is_named(folder: Path) -> None:
+    assert "antenna_height is missing" in refusal(folder, TEXT.replace("[antenna_height]", "[lever_arms.lidar]", 1)
+                                                  .replace("height_m = 1.8\nsigma_m = 0.02", ""))  # fmt: skip
+
+
+def test_receiver_and_raw_observations_exclude_one_another(folder: Path) -> None:
+    raw = (
+        TEXT
+        + '\n[observations]\nrover_obs = "rover.pos"\nbase_obs = "rover.pos"\nephemerides = ["rover.pos"]\n'
+    )
+    assert "exactly one of the tables receiver and observations" in refusal(folder, raw)
+
+
+def test_surrogates_need_a_truth(folder: Path) -> None:
+    without = TEXT.replace("[truth]", "[motion]").replace('format = "camber"\n', "")
+    assert "expected a table truth" in refusal(folder, without)
+
+
+def test_an_unset_folder_of_recordings_is_said_plainly(folder: Path) -> None:
+    load(folder)
+    with pytest.raises(ManifestError, match=r"truth\.file .*CAMBER_DATA is not set"):
+        load_manifest(folder / "drive.toml", environ={})
+
+
+@pytest.mark.parametrize("text", ["name = ", b"name = '\xff'", None])
+def test_what_is_no_manifest_is_one_line_too(tmp_path: Path, text: str | bytes | None) -> None:
+    path = tmp_path / "drive.toml"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ManifestError, match=r"drive\.toml: .+") as caught:
+        load_manifest(path)
+    assert "\n" not in str(caught.value)
