@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from camber.formats.map_release import RoadLinks, RoadSurfaces, write_release
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.road import ReleaseRoot
@@ -82,7 +83,10 @@ def links(rows: Sequence[dict[str, Any]]) -> RoadLinks:
 
 
 def write(
-    folder: Path, surface_rows: Sequence[dict[str, Any]], link_rows: Sequence[dict[str, Any]] = (), **changed: Any
+    folder: Path,
+    surface_rows: Sequence[dict[str, Any]],
+    link_rows: Sequence[dict[str, Any]] = (),
+    **changed: Any,
 ) -> ReleaseRoot:
     """Write a release of these rows."""
     arguments: dict[str, Any] = {

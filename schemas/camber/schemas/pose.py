@@ -14,6 +14,7 @@ from camber.schemas.base import (
     Covariance3,
     Float64,
     Height,
+    Int64,
     Latitude,
     Longitude,
     Message,
@@ -43,6 +44,23 @@ PoseMode = Literal["none", "provisional", "anchored", "dead_reckoning", "scan_ma
 Provenance = Literal["none", "fixes", "given", "confirmed", "scan_match"]
 
 
+class RoadPatch(Model):
+    """The road around the antenna's approximate position, sampled: for a pose that may be metres off.
+
+    Row i is the plane at an offset (east, north) in metres from the pose's antenna. All are surfaces the vehicle can be
+    on by links and levels; none was chosen by a height. A sample speaks for `reach_m` around it.
+    """
+
+    reach_m: Sigma
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("samples",))]
+    east_m: Annotated[Float64, ArrayOf("<f8", ("samples",))]
+    north_m: Annotated[Float64, ArrayOf("<f8", ("samples",))]
+    elevation_m: Annotated[Float64, ArrayOf("<f8", ("samples",))]
+    sigma_m: Annotated[Float64, ArrayOf("<f8", ("samples",), ge=0.0)]
+    slope_east: Annotated[Float64, ArrayOf("<f8", ("samples",))]
+    slope_north: Annotated[Float64, ArrayOf("<f8", ("samples",))]
+
+
 class Road(Model):
     """The road under the antenna: a plane about the antenna's approximate position, or why there is none.
 
@@ -63,6 +81,9 @@ class Road(Model):
     extent_m: Sigma | None = None
     datum: Name | None = None
     map_version: Count | None = None
+    patch: RoadPatch | None = Field(
+        default=None, description="the road around, where it was asked for and the pose is uncertain"
+    )
 
 
 class Pose(Message):

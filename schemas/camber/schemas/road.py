@@ -55,6 +55,9 @@ class ElevationRequest(Message):
         description="links the vehicle may be on, by its own topology; empty: not known",
     )
     last_surface_id: Count | None = None
+    radius_m: Annotated[float, Field(ge=0.0, le=100.0)] = Field(
+        default=0.0, description="how far the point may be off: above 0 the reply has a patch of that radius"
+    )
 
 
 class ElevationReply(Message):

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from camber.schemas.pose import Road
+import numpy as np
+
+from camber.schemas.pose import Road, RoadPatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,24 @@ def road_at(road: Road, east_m: float, north_m: float) -> RoadPoint | None:
     """
     if road.status != "known" or road.elevation_m is None or road.sigma_m is None:
         return None
+    if road.patch is not None:
+        return _sampled(road.patch, east_m, north_m)
     if road.slope_east is None or road.slope_north is None or road.extent_m is None:
         return None
     if math.hypot(east_m, north_m) > road.extent_m:
         return None
     elevation_m = road.elevation_m + road.slope_east * east_m + road.slope_north * north_m
     return RoadPoint(elevation_m, road.sigma_m)
+
+
+def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | None:
+    """The plane of the nearest sample, where one is in reach."""
+    east, north = east_m - patch.east_m, north_m - patch.north_m
+    k = int(np.argmin(east**2 + north**2))
+    if not math.hypot(east[k], north[k]) <= patch.reach_m:
+        return None
+    rise_m = float(patch.slope_east[k] * east[k] + patch.slope_north[k] * north[k])
+    return RoadPoint(float(patch.elevation_m[k]) + rise_m, float(patch.sigma_m[k]))
 
 
 def determine(

@@ -96,6 +96,7 @@ COMMON_EAST: Final = N_MOTION + 3  # what consecutive anchors have in common (m)
 COMMON_NORTH: Final = N_MOTION + 4
 N_STATES: Final = N_MOTION + 5
 _TURN_FLOOR_RAD2: Final = 1e-8
+_LATE_PER_M: Final = 0.005  # error of the path driven since an anchor that comes late
 
 
 @dataclass(frozen=True, slots=True)
@@ -558,7 +559,7 @@ class PoseFilter:
             [east_m - x[EAST] - east - x[COMMON_EAST], north_m - x[NORTH] - north - x[COMMON_NORTH]]
         )
         path = abs(here.path_m - then.path_m)
-        noise = noise + np.diag([(0.01 * path) ** 2] * 2)
+        noise = noise + np.diag([(_LATE_PER_M * path) ** 2] * 2)
         s = h @ self._p @ h.T + noise
         nis = float(innovation @ inverse_2x2(s) @ innovation)
         moved = (float(innovation[0]), float(innovation[1]))

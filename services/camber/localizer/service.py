@@ -24,6 +24,8 @@ from camber.schemas.road import ElevationRequest, LinksRequest
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _REFETCH_SHARE = 0.4  # of the radius: so far may the vehicle go before links are fetched anew
+_PATCH_ABOVE_M = 0.3  # a pose of larger σ gets the road around it too
+_PATCH_SIGMAS = 3.7  # 99.9 % of the places where it can be
 _FETCH_PAUSE_NS = 1_000_000_000  # between two attempts to fetch links
 
 
@@ -132,7 +134,8 @@ class LocalizerService(Service[LocalizerSettings]):
     def _road_under(
         self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float, covariance: Any
     ) -> Road:
-        if estimate.horizontal_sigma_m > self.settings.road_sigma_limit_m:
+        sigma_m = estimate.horizontal_sigma_m
+        if sigma_m > self.settings.road_sigma_limit_m:
             return Road(status="unknown", reason="pose_too_uncertain")
         candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
         request = ElevationRequest(
@@ -141,6 +144,7 @@ class LocalizerService(Service[LocalizerSettings]):
             longitude_rad=longitude_rad,
             link_ids=tuple(int(link) for link in candidates)[:16],
             last_surface_id=self._road.surface_id,
+            radius_m=_PATCH_SIGMAS * sigma_m if sigma_m > _PATCH_ABOVE_M else 0.0,
         )
         try:
             road: Road = self.bus.ask("elevation", request).road

@@ -11,13 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camber.formats.map_tiles import TILES, Tile, tile_of, tiles_of
+from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.tile_index import Hits, TileIndex
 from camber.map_server.topology import Topology, choose
-from camber.schemas.pose import Road
+from camber.schemas.pose import Road, RoadPatch
 from camber.schemas.road import LinkTile, SurfaceTile
 
 T = TypeVar("T")
 M = TypeVar("M")
+
+_LATTICE_STEP = 0.2
+"""Samples of a patch lie this far apart, in units of its radius: about 80 of them."""
+_STEPS = np.arange(-1.0, 1.0 + 1e-9, _LATTICE_STEP)
+_LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
+_LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
 
 NO_SURFACE = Road(status="unknown", reason="no_surface")
 LEVELS_AMBIGUOUS = Road(status="unknown", reason="levels_ambiguous")
@@ -104,6 +111,60 @@ class ElevationMap:
             slope_east=hit.slope_east,
             slope_north=hit.slope_north,
             extent_m=hit.extent_m,
+            datum=self.datum,
+            map_version=self.map_version,
+        )
+
+    def road_around(
+        self,
+        latitude_rad: float,
+        longitude_rad: float,
+        radius_m: float,
+        link_ids: Iterable[int] = (),
+        last_surface_id: int | None = None,
+    ) -> Road:
+        """`road` with a patch of samples within `radius_m`; the point itself may lie beside the road."""
+        links = tuple(link_ids)
+        road = self.road(latitude_rad, longitude_rad, links, last_surface_id)
+        if radius_m <= 0.0 or road.reason == "levels_ambiguous":
+            return road
+        east_m, north_m = radius_m * _LATTICE[0], radius_m * _LATTICE[1]
+        frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
+        points = frame.geodetic_from_east_north_array(np.column_stack((east_m, north_m)), np.zeros(len(east_m)))
+        found = self.roads(points[0], points[1], links, last_surface_id)
+        if found.ambiguous.any():
+            # A surface of another level within reach: where exactly the vehicle is decides which one it is on.
+            return LEVELS_AMBIGUOUS
+        if len(found.known) == 0:
+            return road
+        patch = RoadPatch(
+            reach_m=radius_m * _LATTICE_STEP,
+            surface_id=found.surface_id,
+            east_m=east_m[found.known],
+            north_m=north_m[found.known],
+            elevation_m=found.elevation_m,
+            sigma_m=found.sigma_m,
+            slope_east=found.slope_east,
+            slope_north=found.slope_north,
+        )
+        if road.status != "known":
+            road = self._beside(patch, found)
+        return road.model_copy(update={"patch": patch})
+
+    def _beside(self, patch: RoadPatch, found: RoadColumns) -> Road:
+        """The road nearest to a point beside it, as its plane goes on."""
+        k = int(np.argmin(np.hypot(patch.east_m, patch.north_m)))
+        slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
+        rise_m = slope_east * float(patch.east_m[k]) + slope_north * float(patch.north_m[k])
+        return Road(
+            status="known",
+            surface_id=int(patch.surface_id[k]),
+            level=int(found.level[k]),
+            elevation_m=float(patch.elevation_m[k]) - rise_m,
+            sigma_m=float(patch.sigma_m[k]),
+            slope_east=slope_east,
+            slope_north=slope_north,
+            extent_m=0.0,
             datum=self.datum,
             map_version=self.map_version,
         )

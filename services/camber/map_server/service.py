@@ -69,8 +69,12 @@ class MapServerService(Service[MapServerSettings]):
         road = Road(status="unknown", reason=reason or "map_missing")
         if reason is None and self._elevation is not None:
             try:
-                road = self._elevation.road(
-                    request.latitude_rad, request.longitude_rad, request.link_ids, request.last_surface_id
+                road = self._elevation.road_around(
+                    request.latitude_rad,
+                    request.longitude_rad,
+                    request.radius_m,
+                    request.link_ids,
+                    request.last_surface_id,
                 )
             except ReleaseError as error:
                 self._report_unreadable(error)

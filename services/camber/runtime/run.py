@@ -263,7 +263,7 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         _end_within(STOP_LIMIT_S, code)
         if loop is not None:
             loop.service.close()
-        bus.log.info("stopped", code=code)
+        bus.log.info("stopped", code=code, cpu_s=round(time.process_time(), 2))
         bus.close()
     return code
 

@@ -13,13 +13,15 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from camber.simulator.road_lines import RoadLines
+from camber.simulator.road_lines import SPACING_M, RoadLines
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 LONGEST_LINK_M = 300.0
 _SPLIT_M = 200.0
+_LEVEL_MARGIN_M = 30.0
+"""A link over or under another road begins this far before it, so that each link is on one level."""
 _SNAP_M = 10.0
 """Nodes of one road nearer to one another than this are one node; shorter roads between roads have no link."""
 _KNOT_M = 50.0
@@ -34,6 +36,7 @@ class PlaneLinks:
     end_node: Indices
     vertices_m: list[Array]
     link_of_sample: Indices
+    level: Indices
 
 
 def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator) -> PlaneLinks:
@@ -43,13 +46,14 @@ def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator)
     for r in kept:
         run_of_sample[slice(*lines.runs[r])] = r
     joints = {r: [j for j in lines.joined[r] if j >= 0 and run_of_sample[j] >= 0] for r in kept}
+    met = [j for of_run in joints.values() for j in of_run]
     nodes_of_run = {
-        r: _nodes(lines, r, [j for met in joints.values() for j in met if run_of_sample[j] == r])
+        r: _nodes(lines, r, [j for j in met if run_of_sample[j] == r] + _level_changes(lines, r))
         for r in kept
     }
     moved_m = lines.east_north_m + _error(lines, deviation_m * (1.0 - _THINNING_SHARE), rng)
     node_ids: dict[int, int] = {}
-    start, end, vertices = [], [], []
+    start, end, vertices, level = [], [], [], []
     link_of_sample = np.zeros(len(lines.height_m), dtype=np.int64)
     for r in kept:
         path, nodes = _path(lines, r, nodes_of_run, run_of_sample)
@@ -61,8 +65,9 @@ def coarse_links(lines: RoadLines, deviation_m: float, rng: np.random.Generator)
             end.append(node_ids.setdefault(int(samples[-1]), len(node_ids) + 1))
             own = samples[run_of_sample[samples] == r]
             link_of_sample[own] = len(vertices)
+            level.append(_furthest_from_zero(lines.level[own]))
     _lend(lines, link_of_sample)
-    return PlaneLinks(np.array(start), np.array(end), vertices, link_of_sample)
+    return PlaneLinks(np.array(start), np.array(end), vertices, link_of_sample, np.array(level))
 
 
 def thinned(line_m: Array, tolerance_m: float) -> Indices:
@@ -104,6 +109,20 @@ def _nodes(lines: RoadLines, run: int, met: list[int]) -> Indices:
             parts = round(length_m / _SPLIT_M)
             nodes += np.linspace(a, b, parts + 1)[1:-1].astype(int).tolist()
     return np.array(sorted(nodes), dtype=np.int64)
+
+
+def _level_changes(lines: RoadLines, run: int) -> list[int]:
+    """Samples of a run between which it goes over or under another road, with some road to both sides."""
+    first, stop = lines.runs[run]
+    margin = round(_LEVEL_MARGIN_M / SPACING_M)
+    wide = np.zeros(stop - first, dtype=bool)
+    for k in np.flatnonzero(lines.level[first:stop]).tolist():
+        wide[max(k - margin, 0) : k + margin + 1] = True
+    return [first + int(k) + 1 for k in np.flatnonzero(np.diff(wide.astype(np.int8)))]
+
+
+def _furthest_from_zero(levels: Indices) -> int:
+    return int(levels[np.argmax(np.abs(levels))]) if len(levels) else 0
 
 
 def _path(

@@ -52,9 +52,8 @@ def make_map(
     links = coarse_links(lines, errors.link_deviation_m, stream(errors.seed, "links"))
     heights_m = _noisy_heights(lines, errors)
     pieces = _pieces(lines)
-    levels = _levels(lines, pieces)
-    surfaces = _surfaces(lines, heights_m, pieces, levels, links, errors, frame, int(truth.time_ns[0]))
-    return surfaces, _to_links(links, pieces, levels, frame, 0.5 * errors.link_deviation_m)
+    surfaces = _surfaces(lines, heights_m, pieces, links, errors, frame, int(truth.time_ns[0]))
+    return surfaces, _to_links(links, frame, 0.5 * errors.link_deviation_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,28 +102,10 @@ def _pieces(lines: RoadLines) -> list[_Piece]:
     return pieces
 
 
-def _levels(lines: RoadLines, pieces: list[_Piece]) -> npt.NDArray[np.int64]:
-    """Zero, but one above (below) the pieces met earlier that are more than two metres lower (higher) there."""
-    middle = np.array([piece.middle() for piece in pieces])
-    place_m, height_m = lines.east_north_m[middle], lines.height_m[middle]
-    levels = np.zeros(len(pieces), dtype=np.int64)
-    reach_m = _SAMPLES_PER_SURFACE * SPACING_M + 0.5 * WIDTH_M
-    for k in range(1, len(pieces)):
-        near = np.hypot(*(place_m[:k] - place_m[k]).T) <= reach_m
-        below = levels[:k][near & (height_m[:k] < height_m[k] - OTHER_LEVEL_M)]
-        above = levels[:k][near & (height_m[:k] > height_m[k] + OTHER_LEVEL_M)]
-        if len(below):
-            levels[k] = below.max() + 1
-        elif len(above):
-            levels[k] = above.min() - 1
-    return levels
-
-
 def _surfaces(
     lines: RoadLines,
     heights_m: Array,
     pieces: list[_Piece],
-    levels: npt.NDArray[np.int64],
     links: PlaneLinks,
     errors: Surrogates,
     frame: LocalFrame,
@@ -137,6 +118,7 @@ def _surfaces(
     yaw_rad = np.arctan2(chord_m[:, 1], chord_m[:, 0])
     half_length_m = 0.5 * np.hypot(*chord_m.T) + BEYOND_END_M
     ground = _Ground(lines, heights_m, pieces)
+    link_id = links.link_of_sample[[piece.middle() for piece in pieces]]
     grids = []
     for k in range(n):
         rows = max(2, round(2.0 * half_length_m[k] / SPACING_M) + 1)
@@ -146,8 +128,8 @@ def _surfaces(
     latitude, longitude, _ = frame.geodetic_from_east_north_array(centre_m, np.zeros(n))
     return RoadSurfaces(
         surface_id=np.arange(1, n + 1),
-        link_id=links.link_of_sample[[piece.middle() for piece in pieces]],
-        level=levels,
+        link_id=link_id,
+        level=links.level[link_id - 1],
         latitude_rad=latitude,
         longitude_rad=longitude,
         yaw_rad=yaw_rad,
@@ -200,19 +182,8 @@ class _Ground:
         return found
 
 
-def _to_links(
-    links: PlaneLinks,
-    pieces: list[_Piece],
-    levels: npt.NDArray[np.int64],
-    frame: LocalFrame,
-    sigma_m: float,
-) -> RoadLinks:
+def _to_links(links: PlaneLinks, frame: LocalFrame, sigma_m: float) -> RoadLinks:
     n = len(links.vertices_m)
-    level = np.zeros(n, dtype=np.int64)
-    for piece, piece_level in zip(pieces, levels.tolist(), strict=True):
-        at = links.link_of_sample[piece.middle()] - 1
-        if abs(piece_level) > abs(level[at]):
-            level[at] = piece_level
     vertices = []
     for line in links.vertices_m:
         latitude, longitude, _ = frame.geodetic_from_east_north_array(line, np.zeros(len(line)))
@@ -221,7 +192,7 @@ def _to_links(
         link_id=np.arange(1, n + 1),
         start_node=links.start_node,
         end_node=links.end_node,
-        level=level,
+        level=links.level,
         sigma_m=np.full(n, sigma_m),
         vertices=vertices,
     )

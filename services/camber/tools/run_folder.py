@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -25,6 +27,18 @@ from camber.formats.errors import FormatError
 from camber.schemas.base import Model, Sigma
 from camber.tools.truth import Truth
 
+# All that np.load has raised on files that are no archive of arrays, or a damaged one.
+_NO_ARRAYS = (
+    ValueError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    OverflowError,
+    RuntimeError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 _ARRAYS = ("time_ns", "latitude_rad", "longitude_rad", "height_m")
 F = TypeVar("F", bound=Model)
 
@@ -109,14 +123,15 @@ class RunFolder:
         """Read truth.npz."""
         name = self.truth_path.name
         try:
-            with np.load(self.truth_path, allow_pickle=False) as arrays:
+            # Opened here: np.load leaves the file open where it is no archive.
+            with self.truth_path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return Truth(**{array: arrays[array] for array in _ARRAYS})
         except OSError as error:
             expected = "a readable file, as drive.json says that there is truth"
             raise FormatError(name, "file", expected, found=error.strerror or str(error)) from None
         except KeyError:
             raise FormatError(name, "arrays", ", ".join(_ARRAYS)) from None
-        except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        except _NO_ARRAYS as error:
             raise FormatError(name, "arrays", f"a reference track: {str(error)[:120]}") from None
 
 

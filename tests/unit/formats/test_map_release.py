@@ -11,6 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+
 from camber.formats.map_release import (
     ROOT_NAME,
     Release,
@@ -26,9 +30,6 @@ from camber.formats.map_release import (
 from camber.formats.map_tiles import tile_of
 from camber.schemas.codec import decode, encode
 from camber.schemas.road import CloudTile, Manifest, ReleaseRoot, SurfaceTile
-from cryptography.hazmat.primitives.asymmetric.ec import SECP256R1, generate_private_key
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 from support.small_map import FRAME, MADE_NS, at, link, surface, surfaces, write
 
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
@@ -92,7 +93,14 @@ def content(release: Release) -> tuple[Any, ...]:
         for xy in release.tiles(layer)
     ]
     manifest = release.manifest
-    return (tiles, manifest.region, manifest.map_version, manifest.datum, manifest.time_ns, manifest.surrogate)
+    return (
+        tiles,
+        manifest.region,
+        manifest.map_version,
+        manifest.datum,
+        manifest.time_ns,
+        manifest.surrogate,
+    )
 
 
 # -- what was written is read ----------------------------------------------------------------------------------------
@@ -166,7 +174,9 @@ def test_what_did_not_change_stays_the_same_blob(tmp_path: Path) -> None:
     rows, lines = world()
     first = write(tmp_path, rows, lines)
     before = bytes_of(tmp_path)
-    changed = [row | {"heights_m": row["heights_m"] + 0.1} if row["surface_id"] == 100 else row for row in rows]
+    changed = [
+        row | {"heights_m": row["heights_m"] + 0.1} if row["surface_id"] == 100 else row for row in rows
+    ]
     write(tmp_path, changed, lines, map_version=8, time_ns=MADE_NS + 10**9, previous=first)
     new = set(bytes_of(tmp_path)) - set(before)
     touched = [x for x in read_release(tmp_path).tiles("surfaces") if 100 in _ids(tmp_path, x)]
@@ -229,13 +239,19 @@ def test_keys_are_read_from_pem_files(tmp_path: Path) -> None:
     private, public = tmp_path / "release.key", tmp_path / "release.pub"
     private.write_bytes(KEY.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     public.write_bytes(KEY.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
-    assert key_id(load_signing_key(private).public_key()) == key_id(load_public_key(public)) == key_id(KEY.public_key())
+    assert (
+        key_id(load_signing_key(private).public_key())
+        == key_id(load_public_key(public))
+        == key_id(KEY.public_key())
+    )
 
 
 def test_files_that_hold_no_such_key_are_refused(tmp_path: Path) -> None:
     other = generate_private_key(SECP256R1())
     (tmp_path / "a").write_bytes(other.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-    (tmp_path / "b").write_bytes(other.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    (tmp_path / "b").write_bytes(
+        other.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    )
     (tmp_path / "c").write_bytes(b"no key")
     for name in ("a", "b", "c", "missing"):
         with pytest.raises(ReleaseError, match="signing key, expected an Ed25519 key"):
@@ -383,18 +399,13 @@ def _forge(folder: Path, **changed: Any) -> None:
         ({"centre_east_m": np.array([1e9])}, "centre_east_m of 1"),
         ({"grid_m": np.array([0, 0, 0, 50], np.float32)}, "grid_m of 1"),
         ({"base_height_m": 99_999.0}, "grid_m"),
-        ({"first_height": np.array([1], np.int32)}, "SurfaceTile"),
-        ({"rows": np.array([2**31 - 1], np.int32)}, "SurfaceTile"),
     ],
 )
 def test_a_consistent_release_of_impossible_tiles_is_refused(
     tmp_path: Path, changed: dict[str, Any], field: str
 ) -> None:
     write(tmp_path, [surface(1)])
-    try:
-        _forge(tmp_path, **changed)
-    except ValueError:
-        pytest.skip("the message itself allows no such tile, so no writer can make it")
+    _forge(tmp_path, **changed)
     with pytest.raises(ReleaseError, match=field):
         read_release(tmp_path)
 
@@ -402,7 +413,9 @@ def test_a_consistent_release_of_impossible_tiles_is_refused(
 # -- writing ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_write_that_is_interrupted_leaves_the_old_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_write_that_is_interrupted_leaves_the_old_release(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path, *world())
     want = content(read_release(tmp_path))
     replace, left = os.replace, [0]
@@ -446,7 +459,9 @@ def test_a_write_that_is_interrupted_leaves_the_old_release(tmp_path: Path, monk
         ({"heights_m": np.array([[0.0, 0.0], [90.0, 90.0]])}, "slopes of at most 2"),
     ],
 )
-def test_surfaces_that_cannot_be_are_not_written(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+def test_surfaces_that_cannot_be_are_not_written(
+    tmp_path: Path, changed: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ReleaseError, match=message):
         write(tmp_path, [surface(1) | changed])
     assert bytes_of(tmp_path) == {}

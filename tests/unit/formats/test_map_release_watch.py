@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from camber.formats.map_release import ROOT_NAME, Release, ReleaseError
 from camber.formats.map_release_watch import ReleaseWatch
 from support.small_map import surface, write

@@ -4,6 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
 from camber.localizer.dead_reckoning import (
     BIAS_A,
     EAST,
@@ -19,9 +23,6 @@ from camber.localizer.dead_reckoning import (
     propagate,
     rotation,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy import stats
 
 MODEL = MotionModel()
 STEP_NS = 200_000_000
@@ -231,7 +232,8 @@ def test_any_sequence_of_samples_leaves_a_covariance(samples, by_steering):
 @given(st.floats(0.0, 15.0), st.floats(-0.5, 0.5), st.floats(1.0, 5.0))
 def test_noisier_sensors_never_give_a_smaller_covariance(speed, rate, factor):
     noisier = MotionModel(
-        speed_noise_m_s=MODEL.speed_noise_m_s * factor, yaw_rate_noise_rad_s=MODEL.yaw_rate_noise_rad_s * factor
+        speed_noise_m_s=MODEL.speed_noise_m_s * factor,
+        yaw_rate_noise_rad_s=MODEL.yaw_rate_noise_rad_s * factor,
     )
     less, more = Reckoner(), Reckoner(noisier)
     for reckoner in (less, more):

@@ -4,6 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import optimize, stats
+
 from camber.localizer.link_filter import (
     LinkLine,
     couple,
@@ -14,9 +18,6 @@ from camber.localizer.link_filter import (
     observation,
     wrapped,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy import optimize, stats
 
 ANGLES = st.floats(-math.pi, math.pi)
 METRES = st.floats(-200.0, 200.0)
@@ -170,7 +171,7 @@ def test_what_is_not_finite_or_has_another_shape_is_refused_by_name(name):
 
 
 def test_a_line_needs_two_points():
-    with pytest.raises(ValueError, match="^end:"):
+    with pytest.raises(ValueError, match=r"^end:"):
         line_through(1.0, 1.0, 1.0, 1.0)
 
 

@@ -1,13 +1,15 @@
 """The current link by topology and history: roads that cross, run alongside, fork and end."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
-from camber.localizer.link_filter import line_through
-from camber.localizer.link_matching import Link, LinkMatcher, LinkNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from camber.localizer.link_filter import line_through
+from camber.localizer.link_matching import Link, LinkMatcher, LinkNetwork
 
 
 def a_link(link_id, nodes, *vertices, **more):
@@ -22,7 +24,7 @@ def drive(matcher, points, p=None, travelled=0.0, step=5.0):
     """Drive along points; the matches at every step."""
     p = covariance() if p is None else p
     matches = []
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in itertools.pairwise(points):
         a, b = np.array(a, dtype=float), np.array(b, dtype=float)
         length = float(np.hypot(*(b - a)))
         yaw = math.atan2(b[1] - a[1], b[0] - a[0])
@@ -234,11 +236,11 @@ def test_what_is_not_finite_is_refused_by_name(name):
 
 
 def test_links_that_are_no_links_are_refused():
-    with pytest.raises(ValueError, match="^vertices_m: expected shape"):
+    with pytest.raises(ValueError, match=r"^vertices_m: expected shape"):
         a_link("one", ("a", "b"), (0, 0))
-    with pytest.raises(ValueError, match="^vertices_m: every element"):
+    with pytest.raises(ValueError, match=r"^vertices_m: every element"):
         a_link("nan", ("a", "b"), (0, 0), (math.nan, 1))
-    with pytest.raises(ValueError, match="^sigma_m:"):
+    with pytest.raises(ValueError, match=r"^sigma_m:"):
         a_link("sigma", ("a", "b"), (0, 0), (1, 1), sigma_m=0.0)
     with pytest.raises(ValueError, match="has no length"):
         LinkNetwork([a_link("point", ("a", "b"), (0, 0), (0, 0))])

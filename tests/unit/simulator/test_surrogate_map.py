@@ -183,6 +183,13 @@ def _near(surfaces: RoadSurfaces, place_m: tuple[float, float], radius_m: float)
     return near
 
 
+def test_a_link_and_all_its_surfaces_are_on_one_level() -> None:
+    for truth in (drive_along(SQUARE), short_drive_truth()):
+        surfaces, links = make_map(truth, errors(), ANTENNA_M)
+        level_of = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
+        assert [level_of[link] for link in surfaces.link_id.tolist()] == surfaces.level.tolist()
+
+
 def test_reversing_and_standing_add_no_roads() -> None:
     forward = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0)])
     back = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0), (30.0, 0.0, 10.0)], stand=100)

@@ -1,0 +1,396 @@
+"""The road under a point is the one that links and levels say, with the height of its grid; else it is unknown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from camber.formats.map_release import read_release
+from camber.formats.map_road_tiles import link_tiles, surface_tiles
+from camber.formats.map_tiles import tile_corners_rad, tile_of
+from camber.geodesy.local_frame import LocalFrame
+from camber.map_server.elevation import ElevationMap
+from camber.schemas.pose import Road
+from support.small_map import FRAME, at, link, links, surface, surfaces
+
+Rows = Sequence[dict[str, Any]]
+
+
+def map_of(surface_rows: Rows, link_rows: Rows = ()) -> ElevationMap:
+    by_tile = {(tile.x, tile.y): tile for tile in surface_tiles(surfaces(surface_rows))}
+    links_by_tile = {(tile.x, tile.y): tile for tile in link_tiles(links(link_rows))}
+    return ElevationMap(
+        lambda x, y: by_tile.get((x, y)), lambda x, y: links_by_tile.get((x, y)), datum="WGS84", map_version=7
+    )
+
+
+def road(rows: Rows, east_m: float, north_m: float, link_rows: Rows = (), **topology: Any) -> Road:
+    return map_of(rows, link_rows).road(*at(east_m, north_m), **topology)
+
+
+# A ground road to the east, a bridge over it to the north, and a ramp from one to the other.
+GROUND, BRIDGE, RAMP, FAR = 1, 2, 3, 4
+LINKS = [
+    link(GROUND, (1, 2), [(-100.0, 0.0), (100.0, 0.0)]),
+    link(BRIDGE, (3, 4), [(0.0, -100.0), (0.0, 100.0)], level=1),
+    link(RAMP, (2, 3), [(100.0, 0.0), (60.0, -60.0), (0.0, -100.0)], level=1),
+    link(FAR, (8, 9), [(-200.0, 200.0), (200.0, 200.0)]),
+]
+OVERPASS = [
+    surface(10, link_id=GROUND, heights_m=50.0),
+    surface(20, link_id=BRIDGE, level=1, yaw_rad=math.pi / 2, heights_m=56.0),
+    surface(11, 60.0, link_id=GROUND, heights_m=50.0),
+    surface(21, 0.0, 60.0, link_id=BRIDGE, level=1, yaw_rad=math.pi / 2, heights_m=56.0),
+    surface(30, 60.0, -60.0, link_id=RAMP, level=1, heights_m=53.0),
+    surface(40, 0.0, 200.0, link_id=FAR, heights_m=49.0),
+]
+
+
+def overpass(**topology: Any) -> Road:
+    return road(OVERPASS, 0.0, 0.0, LINKS, **topology)
+
+
+# -- heights ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_plane_gives_its_height_slope_and_names() -> None:
+    # 1 m higher in front than behind over 20 m: 5 % along a yaw of 90°, that is to the north.
+    found = road([surface(5, yaw_rad=math.pi / 2, level=2, heights_m=[[50.0, 50.0], [51.0, 51.0]])], 1.0, 2.0)
+    assert found.status == "known"
+    assert (found.surface_id, found.level, found.datum, found.map_version) == (5, 2, "WGS84", 7)
+    assert found.elevation_m == pytest.approx(50.6, abs=1e-4)
+    assert found.sigma_m == pytest.approx(0.03)
+    assert found.slope_north == pytest.approx(0.05, abs=1e-6)
+    assert found.slope_east == pytest.approx(0.0, abs=1e-6)
+
+
+def test_columns_run_from_right_to_left() -> None:
+    found = road([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 0.0, 1.0)
+    assert found.elevation_m == pytest.approx(50.3, abs=1e-4)  # north is left of a road to the east
+    assert found.slope_north == pytest.approx(0.1, abs=1e-6)
+
+
+def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> None:
+    plane = road([surface(5, heights_m=[[50.0, 50.0], [51.0, 51.0]])], 0.0, 0.0)
+    curved = road([surface(5, heights_m=[[50.0, 50.0], [50.0, 50.0], [51.0, 51.0]])], -5.0, 0.0)
+    assert plane.extent_m == pytest.approx(math.hypot(10.0, 2.0))
+    assert curved.extent_m == pytest.approx(0.3, rel=1e-3)  # σ 0.03 m against a change of slope of 10 %
+
+
+@given(st.integers(0, 2**32), st.floats(-1.3, 1.3), st.floats(-math.pi, math.pi))
+def test_heights_are_those_of_an_independent_interpolation(
+    seed: int, latitude_rad: float, longitude_rad: float
+) -> None:
+    """Brute force over all surfaces with scipy, anywhere on earth, for points on, beside and between surfaces."""
+    rng = np.random.default_rng(seed)
+    frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
+    rows = [
+        surface(
+            i,
+            *rng.uniform(-40.0, 40.0, 2),
+            yaw_rad=rng.uniform(-math.pi, math.pi),
+            half_length_m=rng.uniform(3.0, 30.0),
+            half_width_m=rng.uniform(1.5, 6.0),
+            sigma_m=100.0,  # overlapping surfaces agree, so that the nearest centre line decides
+            heights_m=rng.uniform(-0.2, 0.2) + rng.normal(20.0, 0.02, rng.integers(2, 5, 2)),
+            frame=frame,
+        )
+        for i in range(12)
+    ]
+    points_m = rng.uniform(-60.0, 60.0, (40, 2))
+    the_map = map_of(rows)
+    for point_m in points_m:
+        want = _brute_force(rows, point_m, frame)
+        if want == "too close to call":
+            continue
+        found = the_map.road(*at(*point_m, frame))
+        if want is None:
+            assert found.reason == "no_surface"
+        else:
+            assert (found.status, found.surface_id) == ("known", want[0])
+            assert found.elevation_m == pytest.approx(want[1], abs=2e-4)
+            assert (found.slope_east, found.slope_north) == pytest.approx(want[2:], abs=1e-3)
+
+
+def _brute_force(rows: Rows, point_m: np.ndarray, frame: LocalFrame) -> Any:
+    """Surface, height and slopes (east, north) by central differences; None where no surface contains the point."""
+    best = None
+    for row in rows:
+        here = LocalFrame(row["latitude_rad"], row["longitude_rad"], 0.0)
+        east_m, north_m = here.east_north_from_geodetic(*at(*point_m, frame), 0.0)
+        yaw, half = row["yaw_rad"], np.array([row["half_length_m"], row["half_width_m"]])
+        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        uv = turn @ (east_m, north_m)
+        if (np.abs(np.abs(uv) - half) < 0.52).any() and (np.abs(uv) < half + 0.52).all():
+            return "too close to call"  # to an edge: the tolerance has tests of its own
+        if (np.abs(uv) > half).any():
+            continue
+        axes = [np.linspace(-h, h, n) for h, n in zip(half, row["heights_m"].shape, strict=True)]
+        step_m = [np.abs(axis - x).min() for axis, x in zip(axes, uv, strict=True)]
+        if min(step_m) < 2e-4:
+            return "too close to call"  # to a crease of the grid, where the slope jumps
+        surface_at = RegularGridInterpolator(axes, row["heights_m"])
+        d = 1e-4
+        slopes = [
+            float(np.diff(surface_at([uv - turn @ step, uv + turn @ step]))[0] / (2.0 * d))
+            for step in (np.array([d, 0.0]), np.array([0.0, d]))
+        ]
+        candidate = (abs(uv[1]), row["surface_id"], float(surface_at([uv])[0]), *slopes)
+        if best is not None and abs(best[0] - candidate[0]) < 1e-4:
+            return "too close to call"
+        best = candidate if best is None else min(best, candidate)
+    return None if best is None else best[1:]
+
+
+# -- where there is a surface ----------------------------------------------------------------------------------------
+
+
+def test_where_there_is_no_surface_nothing_is_known() -> None:
+    nothing = Road(status="unknown", reason="no_surface")
+    assert road([surface(5)], 30.0, 0.0) == nothing
+    assert road([surface(5)], 5000.0, 0.0) == nothing
+    assert road([], 0.0, 0.0) == nothing
+    assert map_of([surface(5)]).road(math.pi / 2, 0.0) == nothing
+
+
+@pytest.mark.parametrize(
+    ("east_m", "north_m", "status"),
+    [
+        (10.49, 0.0, "known"),
+        (10.51, 0.0, "unknown"),
+        (0.0, 2.49, "known"),
+        (0.0, -2.51, "unknown"),
+        (10.35, 2.35, "known"),
+        (10.45, 2.45, "unknown"),  # beyond a corner the distance counts, not each side
+    ],
+)
+def test_a_surface_reaches_half_a_metre_beyond_its_edge_and_no_farther(
+    east_m: float, north_m: float, status: str
+) -> None:
+    assert road([surface(5)], east_m, north_m).status == status
+
+
+def test_beyond_its_edge_a_surface_goes_on_with_its_slope() -> None:
+    rows = [surface(5, heights_m=[[50.0, 50.0], [50.0, 50.0], [51.0, 51.0]])]
+    assert road(rows, 10.4, 0.0).elevation_m == pytest.approx(51.04, abs=1e-4)
+    assert road(rows, -10.4, 0.0).elevation_m == pytest.approx(50.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("share", [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (1.0, 1.0), (1.0, 0.5)])
+def test_a_point_on_the_border_of_tiles_is_answered_as_any_other(share: tuple[float, float]) -> None:
+    tile = tile_of(FRAME.latitude_rad, FRAME.longitude_rad)
+    assert tile is not None
+    south, west, north, east = tile_corners_rad(*tile)
+    latitude = south + share[0] * (north - south)
+    longitude = west + share[1] * (east - west)
+    centre_m = FRAME.east_north_from_geodetic(latitude, longitude, 0.0)
+    grid = [[50.0, 50.1], [50.4, 50.5]]
+    rows = [surface(5, *centre_m, yaw_rad=0.7, heights_m=grid), surface(6, 9e3, 9e3, heights_m=999.0)]
+    the_map = map_of(rows)
+    step = 1e-12  # 6 µm: to either side of the border
+    answers = [
+        the_map.road(latitude + i * step, longitude + j * step) for i in (-1, 0, 1) for j in (-1, 0, 1)
+    ]
+    assert {answer.surface_id for answer in answers} == {5}
+    assert np.ptp([answer.elevation_m for answer in answers]) < 1e-4
+    assert answers[4].elevation_m == pytest.approx(50.25, abs=1e-4)
+
+
+def test_a_tile_is_read_only_when_it_is_needed_and_what_reading_raises_is_raised() -> None:
+    asked: list[tuple[int, int]] = []
+
+    def broken(x: int, y: int) -> None:
+        asked.append((x, y))
+        raise OSError("gone")
+
+    the_map = ElevationMap(broken, broken, datum="WGS84", map_version=1)
+    assert asked == []
+    for _ in range(2):
+        with pytest.raises(OSError, match="gone"):
+            the_map.road(*at(0.0, 0.0))
+    assert len(asked) == 2  # a failure is not kept
+
+
+# -- which of several ------------------------------------------------------------------------------------------------
+
+
+def test_under_a_bridge_without_topology_the_level_is_not_known() -> None:
+    assert overpass() == Road(status="unknown", reason="levels_ambiguous")
+
+
+def test_a_candidate_link_says_the_level() -> None:
+    assert overpass(link_ids=[GROUND]).elevation_m == pytest.approx(50.0)
+    assert overpass(link_ids=[BRIDGE]).elevation_m == pytest.approx(56.0)
+
+
+def test_candidates_on_both_levels_do_not_decide() -> None:
+    assert overpass(link_ids=[GROUND, BRIDGE]).reason == "levels_ambiguous"
+
+
+def test_the_last_surface_says_the_level_by_its_link() -> None:
+    assert overpass(last_surface_id=11).elevation_m == pytest.approx(50.0)
+    assert overpass(last_surface_id=21).elevation_m == pytest.approx(56.0)
+
+
+def test_the_last_surface_decides_between_candidates() -> None:
+    assert overpass(link_ids=[GROUND, BRIDGE], last_surface_id=11).surface_id == 10
+
+
+def test_candidates_go_before_the_last_surface() -> None:
+    assert overpass(link_ids=[BRIDGE], last_surface_id=11).surface_id == 20
+
+
+def test_a_ramp_that_joins_both_levels_does_not_decide() -> None:
+    # The ramp shares a node with the ground road and one with the bridge.
+    assert overpass(last_surface_id=30).reason == "levels_ambiguous"
+
+
+def test_a_last_surface_without_connection_or_unheard_of_does_not_decide() -> None:
+    assert overpass(last_surface_id=40).reason == "levels_ambiguous"
+    assert overpass(last_surface_id=999).reason == "levels_ambiguous"
+
+
+def test_candidates_without_a_surface_here_leave_two_levels_ambiguous() -> None:
+    assert overpass(link_ids=[FAR]).reason == "levels_ambiguous"
+    assert overpass(link_ids=[FAR], last_surface_id=11).reason == "levels_ambiguous"
+
+
+def test_candidates_without_a_surface_here_leave_the_only_level_known() -> None:
+    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[FAR]).surface_id == 11
+
+
+def test_the_only_level_is_not_taken_for_a_vehicle_that_is_on_another() -> None:
+    # The bridge has no surface at this place, and the vehicle is on the bridge: the ground below is not its road.
+    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[BRIDGE]).reason == "levels_ambiguous"
+    assert road(OVERPASS, 60.0, 0.0, LINKS, link_ids=[FAR, BRIDGE]).reason == "levels_ambiguous"
+    assert road(OVERPASS, 60.0, 0.0, LINKS, last_surface_id=21).reason == "levels_ambiguous"
+
+
+def test_a_bridge_within_the_tolerance_is_there_too() -> None:
+    assert road(OVERPASS, 2.4, 0.0, LINKS).reason == "levels_ambiguous"
+    assert road(OVERPASS, 2.6, 0.0, LINKS).surface_id == 10
+
+
+def test_of_surfaces_that_agree_the_nearest_centre_line_is_taken() -> None:
+    lanes = [surface(5), surface(6, 0.0, 3.0), surface(7, 0.0, 1.5)]
+    assert road(lanes, 0.0, 1.7).surface_id == 7
+    assert road(lanes, 0.0, 0.5).surface_id == 5
+
+
+def test_of_centre_lines_equally_near_the_smaller_id_is_taken() -> None:
+    assert road([surface(9, 0.0, -1.0), surface(8, 0.0, 1.0)], 0.0, 0.0).surface_id == 8
+
+
+def test_surfaces_of_one_level_that_disagree_are_ambiguous() -> None:
+    apart = [surface(5, heights_m=50.0), surface(6, 0.0, 1.0, heights_m=50.07)]
+    near = [surface(5, heights_m=50.0), surface(6, 0.0, 1.0, heights_m=50.05)]
+    assert road(apart, 0.0, 0.2).reason == "levels_ambiguous"
+    assert road(near, 0.0, 0.2).surface_id == 5
+
+
+def test_a_surface_that_contains_the_point_goes_before_one_that_only_comes_near() -> None:
+    rows = [surface(5, heights_m=50.0), surface(6, 0.0, 2.9, half_width_m=0.5, heights_m=50.5)]
+    assert road(rows, 0.0, 1.95).surface_id == 5
+
+
+def test_no_height_has_a_say_in_the_choice_of_a_level() -> None:
+    for bridge_m in (50.0, 50.01, 56.0, 900.0):
+        rows = [OVERPASS[0], OVERPASS[1] | {"heights_m": np.full((2, 2), bridge_m)}]
+        assert road(rows, 0.0, 0.0, LINKS).reason == "levels_ambiguous"
+        assert road(rows, 0.0, 0.0, LINKS, link_ids=[GROUND]).elevation_m == pytest.approx(50.0)
+
+
+@given(
+    st.integers(0, 2**32),
+    st.lists(st.integers(0, 5), max_size=3),
+    st.one_of(st.none(), st.integers(0, 30)),
+)
+def test_what_is_known_never_contradicts_the_topology(
+    seed: int, link_ids: list[int], last_surface_id: int | None
+) -> None:
+    rows, link_rows = _tangle(seed)
+    the_map = map_of(rows, link_rows)
+    level_of = {row["link_id"]: row["level"] for row in link_rows}
+    by_id = {row["surface_id"]: row for row in rows}
+    for point in np.random.default_rng(seed).uniform(-40.0, 40.0, (20, 2)):
+        found = the_map.road(*at(*point), link_ids, last_surface_id)
+        plain = the_map.road(*at(*point))
+        assert (found.reason == "no_surface") == (plain.reason == "no_surface")
+        if found.status == "known" and link_ids:
+            assert found.surface_id is not None
+            on_candidate = by_id[found.surface_id]["link_id"] in link_ids
+            assert on_candidate or {level_of[i] for i in link_ids if i in level_of} <= {found.level}
+
+
+# -- many points -----------------------------------------------------------------------------------------------------
+
+
+def _tangle(seed: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Surfaces all over one another on two levels, partly agreeing."""
+    rng = np.random.default_rng(seed)
+    rows = [
+        surface(
+            i,
+            *rng.uniform(-40.0, 40.0, 2),
+            link_id=i % 5,
+            level=i % 5 // 3,
+            yaw_rad=rng.uniform(-3.0, 3.0),
+            half_length_m=rng.uniform(3.0, 25.0),
+            sigma_m=0.05,
+            heights_m=rng.normal(50.0, 0.05) + rng.normal(0.0, 0.01, rng.integers(2, 4, 2)),
+        )
+        for i in range(30)
+    ]
+    lines = [link(i, (i, i + 1), rng.uniform(-40.0, 40.0, (2, 2)).tolist(), level=i // 3) for i in range(5)]
+    return rows, lines
+
+
+@pytest.mark.parametrize("topology", [{}, {"link_ids": (1,)}, {"link_ids": (0, 4)}, {"last_surface_id": 6}])
+@pytest.mark.parametrize("seed", range(4))
+def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -> None:
+    the_map = map_of(*_tangle(seed))
+    points_m = np.random.default_rng(seed + 100).uniform(-300.0, 300.0, (3000, 2))
+    points_m[:2500] *= 0.15
+    latitude, longitude, _ = FRAME.geodetic_from_east_north_array(points_m, np.zeros(len(points_m)))
+    latitude[-1] = 1.55
+    columns = the_map.roads(latitude, longitude, **topology)
+    alone = [
+        the_map.road(*point, **topology) for point in zip(latitude.tolist(), longitude.tolist(), strict=True)
+    ]
+    assert columns.known.tolist() == [i for i, found in enumerate(alone) if found.status == "known"]
+    assert np.flatnonzero(columns.ambiguous).tolist() == [
+        i for i, found in enumerate(alone) if found.reason == "levels_ambiguous"
+    ]
+    known = [alone[i] for i in columns.known]
+    assert len(known) > 100
+    assert columns.surface_id.tolist() == [found.surface_id for found in known]
+    assert columns.level.tolist() == [found.level for found in known]
+    for name in ("elevation_m", "sigma_m", "slope_east", "slope_north", "extent_m"):
+        want = np.array([getattr(found, name) for found in known])
+        assert np.allclose(getattr(columns, name), want, rtol=1e-9, atol=1e-7), name
+
+
+def test_no_points_give_no_roads() -> None:
+    assert len(map_of([surface(5)]).roads([], []).known) == 0
+
+
+def test_points_of_a_wrong_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected \(n,\), got \(2,\), \(1,\)"):
+        map_of([surface(5)]).roads([0.0, 0.0], [0.0])
+
+
+def test_a_release_on_disk_answers_as_the_tables_it_was_made_of(tmp_path: Path) -> None:
+    from support.small_map import write
+
+    write(tmp_path, OVERPASS, LINKS)
+    release = read_release(tmp_path)
+    on_disk = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=7)
+    assert on_disk.road(*at(0.0, 0.0), [GROUND]) == overpass(link_ids=[GROUND])

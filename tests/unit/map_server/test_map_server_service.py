@@ -1,0 +1,293 @@
+"""The service answers from a good release, follows the folder, and says unknown in every other case."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from camber.formats.map_release import ROOT_NAME
+from camber.formats.map_tiles import tile_of
+from camber.map_server.service import MapServerService
+from camber.map_server.settings import MapServerSettings
+from camber.runtime.bus import Bus
+from camber.runtime.settings import ConfigError, load
+from camber.schemas.fleet import ReleaseHead
+from camber.schemas.pose import Road
+from camber.schemas.road import ElevationRequest, Layer, LinksReply, LinksRequest, TileReply, TileRequest
+from support.small_map import DAY_NS, FRAME, MADE_NS, at, link, surface, write
+
+KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+LINK = link(1, (1, 2), [(-20.0, 0.0), (20.0, 0.0)])
+
+
+class FakeBus:
+    """What the service uses of the bus."""
+
+    def __init__(self, now_ns: int = MADE_NS + DAY_NS) -> None:
+        self.time_ns = now_ns
+        self.issues: list[tuple[str, str]] = []
+        self.counters: Counter[str] = Counter()
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues.append((code, text))
+
+    def count(self, name: str, n: int = 1) -> None:
+        self.counters[name] += n
+
+    def codes(self) -> set[str]:
+        return {code for code, _ in self.issues}
+
+
+class Server:
+    """A service on a fake bus, asked through its table of answers."""
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        self.bus = FakeBus()
+        self.service = MapServerService(MapServerSettings(release=folder, **settings), cast(Bus, self.bus))
+        self.answers = self.service.answers()
+
+    def wait(self, seconds: float, rounds: int = 4) -> None:
+        for _ in range(rounds):
+            self.bus.time_ns += int(seconds / rounds * 1e9)
+            self.service.advance(self.bus.time_ns)
+
+    def road(self, east_m: float = 0.0, north_m: float = 0.0, **topology: Any) -> Road:
+        latitude, longitude = at(east_m, north_m)
+        request = ElevationRequest(
+            time_ns=self.bus.time_ns, latitude_rad=latitude, longitude_rad=longitude, **topology
+        )
+        (reply,) = self.answers["elevation"]([request])
+        assert reply is not None
+        assert reply.time_ns == self.bus.time_ns
+        return cast(Road, reply.road)  # type: ignore[attr-defined]
+
+    def links(self) -> LinksReply:
+        latitude, longitude = at(0.0, 0.0)
+        request = LinksRequest(
+            time_ns=self.bus.time_ns, latitude_rad=latitude, longitude_rad=longitude, radius_m=50.0
+        )
+        (reply,) = self.answers["links"]([request])
+        return cast(LinksReply, reply)
+
+    def tile(self, layer: Layer = "surfaces", **changed: Any) -> TileReply:
+        tile = tile_of(FRAME.latitude_rad, FRAME.longitude_rad)
+        assert tile is not None
+        fields = {"time_ns": self.bus.time_ns, "x": tile[0], "y": tile[1], "layer": layer}
+        (reply,) = self.answers["tile"]([TileRequest(**fields | changed)])
+        return cast(TileReply, reply)
+
+    def assert_unknown(self, reason: str) -> None:
+        assert self.road() == Road(status="unknown", reason=reason)
+        assert (self.links().status, self.links().reason) == ("unknown", reason)
+        assert (self.tile().status, self.tile().reason) == ("unknown", reason)
+        assert not self.service.healthy()
+
+
+def test_a_good_release_is_served(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], [LINK])
+    server = Server(tmp_path)
+    assert server.road().elevation_m == pytest.approx(50.0)
+    assert server.road(500.0).reason == "no_surface"
+    assert server.links().link_id.tolist() == [1]
+    reply = server.tile()
+    assert hashlib.sha256(reply.payload.tobytes()).hexdigest() == reply.sha256
+    assert server.tile(have_sha256=reply.sha256).status == "unchanged"
+    assert server.tile("road_cloud").reason == "the release has no such tile"
+    assert server.service.healthy()
+    assert server.bus.issues == []
+    assert server.bus.counters["elevation.known"] == 1
+    assert server.bus.counters["elevation.no_surface"] == 1
+
+
+def test_questions_that_wait_together_are_answered_in_their_order(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5), surface(6, 100.0)])
+    server = Server(tmp_path)
+    points = [at(100.0, 0.0), at(0.0, 0.0)]
+    requests = [ElevationRequest(time_ns=MADE_NS, latitude_rad=p[0], longitude_rad=p[1]) for p in points]
+    replies = server.answers["elevation"](requests)
+    assert [cast(Any, reply).road.surface_id for reply in replies] == [6, 5]
+
+
+def test_without_a_release_nothing_is_known_until_it_comes(tmp_path: Path) -> None:
+    server = Server(tmp_path / "later")
+    server.assert_unknown("map_missing")
+    assert server.bus.codes() == {"release_refused"}
+    write(tmp_path / "later", [surface(5)], [LINK])
+    server.wait(3.0)
+    assert server.road().status == "known"
+    assert server.service.healthy()
+
+
+def test_another_datum_makes_everything_unknown(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], [LINK], datum="JGD2011")
+    server = Server(tmp_path)
+    server.assert_unknown("datum_mismatch")
+    assert [text for code, text in server.bus.issues if code == "datum_mismatch"] == [
+        f"{tmp_path}: datum is 'JGD2011', expected WGS84"
+    ]
+    assert Server(tmp_path, datum="JGD2011").road().datum == "JGD2011"
+    # The mismatch is a state, not an event: it is still there at the next question and after the next look.
+    server.wait(200.0, rounds=50)
+    server.assert_unknown("datum_mismatch")
+
+
+def test_a_release_of_another_datum_does_not_replace_a_good_one(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    server = Server(tmp_path)
+    write(tmp_path, [surface(5)], datum="JGD2011", map_version=8)
+    server.wait(3.0)
+    assert server.road().map_version == 7
+    assert not server.service.healthy()
+
+
+def test_a_stale_release_says_nothing(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], [LINK])
+    server = Server(tmp_path, max_age_days=30.0)
+    assert server.road().status == "known"
+    server.bus.time_ns = MADE_NS + 30 * DAY_NS
+    assert server.road().status == "known"
+    server.bus.time_ns += 1
+    server.assert_unknown("map_stale")
+    server.wait(3.0)
+    assert "map_stale" in server.bus.codes()
+
+
+def test_a_release_from_the_future_has_no_age(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], [LINK])
+    server = Server(tmp_path, max_age_days=30.0)
+    server.bus.time_ns = MADE_NS - 2 * DAY_NS
+    server.assert_unknown("map_stale")
+    without_limit = Server(tmp_path)
+    without_limit.bus.time_ns = MADE_NS - 2 * DAY_NS
+    assert without_limit.road().status == "known"
+
+
+def test_a_signature_is_required_where_a_key_is_set(tmp_path: Path) -> None:
+    key = tmp_path / "release.pub"
+    key.write_bytes(KEY.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    write(tmp_path / "signed", [surface(5)], [LINK], signing_key=KEY)
+    write(tmp_path / "unsigned", [surface(5)], [LINK])
+    assert Server(tmp_path / "signed", public_key=key).road().status == "known"
+    Server(tmp_path / "unsigned", public_key=key).assert_unknown("map_missing")
+
+
+def test_a_key_that_cannot_be_read_ends_the_start(tmp_path: Path) -> None:
+    arguments = ["--release", str(tmp_path), "--public-key", str(tmp_path / "missing.pub")]
+    with pytest.raises(ConfigError, match=r"public_key: .*missing\.pub: public key, expected an Ed25519 key"):
+        load(MapServerSettings, arguments, prog="camber map_server")
+
+
+def test_a_new_release_is_taken_while_the_old_one_answers(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    server = Server(tmp_path, verify_bytes=1)
+    write(tmp_path, [surface(5 + i, 700.0 * i, heights_m=51.0) for i in range(5)], map_version=8)
+    server.wait(1.0)
+    assert server.road().map_version == 7
+    seen = []
+    for _ in range(12):
+        server.wait(1.5, rounds=1)
+        seen.append((server.road().map_version, server.road().elevation_m))
+    assert seen == sorted(seen)
+    assert set(seen) == {(7, 50.0), (8, 51.0)}
+    assert server.service.healthy()
+
+
+def test_a_bad_new_release_leaves_the_old_one_and_is_tried_again(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    server = Server(tmp_path)
+    before = set(tmp_path.rglob("*"))
+    write(tmp_path, [surface(5, heights_m=51.0)], map_version=8)
+    late = {p: p.read_bytes() for p in set(tmp_path.rglob("*")) - before if p.is_file()}
+    for path in late:
+        path.unlink()
+    server.wait(3.0)
+    assert server.road().map_version == 7
+    assert not server.service.healthy()
+    assert "release_refused" in server.bus.codes()
+    for path, data in late.items():
+        path.write_bytes(data)
+    server.wait(70.0, rounds=40)
+    assert server.road().map_version == 8
+    assert server.service.healthy()
+
+
+def test_a_clock_that_is_set_back_does_not_stop_the_looking(tmp_path: Path) -> None:
+    server = Server(tmp_path)
+    write(tmp_path, [surface(5)])
+    server.bus.time_ns -= DAY_NS
+    server.service.advance(server.bus.time_ns)
+    assert server.road().status == "known"
+
+
+def test_a_tile_that_is_damaged_under_the_service_is_unknown(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], [LINK])
+    server = Server(tmp_path)
+    for path in (tmp_path / "blobs").rglob("*"):
+        if path.is_file():
+            path.write_bytes(path.read_bytes()[:-1] + b"\x7f")
+    server.assert_unknown("map_missing")
+    assert server.bus.codes() == {"tile_unreadable"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_damaged_release_never_makes_a_road_known_from_altered_data(tmp_path: Path, seed: int) -> None:
+    write(tmp_path, [surface(5), surface(6, 0.0, 0.0, link_id=2, level=1, heights_m=56.0)], [LINK])
+    places = [{"link_ids": (1,)}, {"link_ids": (2,)}, {}, {"last_surface_id": 5}]
+    good_server = Server(tmp_path)
+    want = [good_server.road(**place) for place in places]
+    assert [found.status for found in want] == ["known", "known", "unknown", "known"]
+    files = sorted(p for p in tmp_path.rglob("*") if p.is_file())
+    rng = random.Random(seed)
+    for _ in range(120):
+        path = rng.choice(files)
+        good = path.read_bytes()
+        bad = bytearray(good)
+        bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
+        path.write_bytes(bad if rng.random() < 0.8 else bad[: rng.randrange(len(bad))])
+        server = Server(tmp_path)
+        for place, road in zip(places, want, strict=True):
+            assert server.road(**place) in (road, Road(status="unknown", reason="map_missing"))
+        path.write_bytes(good)
+
+
+def test_a_surrogate_map_is_called_one(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], surrogate="made from the drive's truth, sigma 0.05 m")
+    assert ("surrogate_map", "made from the drive's truth, sigma 0.05 m") in Server(tmp_path).bus.issues
+
+
+def test_a_newer_release_elsewhere_is_said(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    server = Server(tmp_path)
+    on_release = server.service.handlers()["release"]
+    for version, region in ((7, "test"), (6, "test"), (8, "test")):
+        assert "release_behind" not in server.bus.codes()
+        on_release(ReleaseHead(time_ns=MADE_NS, region=region, map_version=version, manifest_sha256="0" * 64))
+    assert "release_behind" in server.bus.codes()
+
+
+def test_the_root_vanishing_changes_no_answer_but_health(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    server = Server(tmp_path)
+    (tmp_path / ROOT_NAME).unlink()
+    server.wait(3.0)
+    assert server.road().status == "known"
+    assert not server.service.healthy()
+
+
+def test_the_page_of_the_service_names_every_setting_and_every_reason() -> None:
+    page = (Path(__file__).parents[3] / "docs/services/map_server.md").read_text("utf-8")
+    own = set(MapServerSettings.model_fields) - set(MapServerSettings.__mro__[1].model_fields)  # type: ignore[attr-defined]
+    reasons = {"no_surface", "levels_ambiguous", "map_stale", "map_missing", "datum_mismatch"}
+    assert {name for name in own | reasons if f"`{name}`" not in page} == set()
+    assert "camber.map_server" in sys.modules
