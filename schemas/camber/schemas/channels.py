@@ -82,7 +82,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("release", _F + "release", fleet.ReleaseHead, ("map_update",), ("map_server",), None, None, "small"),
     Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), SERVICES, None, 1.0, "query",
             reply=health.Health, note="answered by the work loop"),
-    Channel("tick", _V + "replay/tick", health.Tick, ("feeder",), SERVICES, None, None, "barrier"),
+    Channel("tick", _V + "replay/tick/{service}", health.Tick, ("feeder",), SERVICES, None, None, "barrier"),
     Channel("done", _V + "replay/done/{service}", health.Done, SERVICES, (*SERVICES, "feeder"), None, None, "barrier"),
 )  # fmt: skip
 

@@ -37,7 +37,10 @@ class Tick(Message):
     """Replay: everything up to `time_ns` has been published by the feeder."""
 
     index: Count
-    participants: dict[Name, Count] = Field(max_length=32, description="who takes part, and since which tick")
+    participants: dict[Name, Annotated[int, Field(ge=-1, le=2**62)]] = Field(
+        max_length=32, description="who is there → the last tick before this one on which it worked, −1: none yet"
+    )
+    working: tuple[Name, ...] = Field(max_length=32, description="who works on this tick")
     published: dict[Annotated[str, Field(max_length=64)], Count] = Field(
         max_length=64, description="by channel: how many messages the feeder has published so far"
     )

@@ -130,7 +130,9 @@ class ElevationMap:
             return road
         east_m, north_m = radius_m * _LATTICE[0], radius_m * _LATTICE[1]
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
-        points = frame.geodetic_from_east_north_array(np.column_stack((east_m, north_m)), np.zeros(len(east_m)))
+        points = frame.geodetic_from_east_north_array(
+            np.column_stack((east_m, north_m)), np.zeros(len(east_m))
+        )
         found = self.roads(points[0], points[1], links, last_surface_id)
         if found.ambiguous.any():
             # A surface of another level within reach: where exactly the vehicle is decides which one it is on.

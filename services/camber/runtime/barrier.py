@@ -1,10 +1,11 @@
 """The replay barrier of one service: when may a tick be worked on, and with which messages?
 
 The feeder publishes a tick after everything up to its time. A service works on tick i when it has all messages that the
-feeder and the services before it have published for it up to i (for looped channels: up to i − 1); then it says
-*done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any speed. A service that has
-died leaves the tick's list of participants and nobody waits for it; one that returns listens until it has heard every
-participant and every participant has heard it, and only then is put on the list.
+feeder and the services before it have published for it up to i (for looped channels: up to the tick before i); then it
+says *done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any speed. A service works
+only on the ticks that bring it something (the feeder says which), or on which a second has passed. One that has died
+leaves the tick's list of participants and nobody waits for it; one that returns listens until it has heard every
+participant before it and every participant behind it has heard it, and only then is put on the list.
 
 Pure: messages go in, decisions come out.
 """
@@ -125,7 +126,7 @@ class Barrier:
         for channel in self.inputs:
             waiting = self._waiting[channel.name]
             limit = self._counts(channel, tick)
-            while waiting and (limit is None or waiting[0].sequence < limit):
+            while waiting and (limit is None or waiting[0].sequence < limit):  # None: died, this is all of it
                 taken.append((channel.name, waiting.popleft()))
         taken.sort(key=lambda item: (item[1].message.time_ns, _ORDER[item[0]], item[1].sequence))
         return tick, taken
@@ -145,19 +146,18 @@ class Barrier:
         producer = channel.producers[0]
         if producer == "vehicle":
             return True
-        if producer not in tick.participants:
-            return False
-        # The first tick of a service has nothing before it to be waited for.
-        return not (channel.looped and tick.index <= tick.participants[producer])
+        if channel.looped:
+            return tick.participants.get(producer, -1) >= 0
+        return producer in tick.working
 
     def _counts(self, channel: Channel, tick: Tick) -> int | None:
         producer = channel.producers[0]
         if producer == "vehicle":
             return tick.published.get(channel.name, 0)
-        counts = self._done.get(producer, {})
-        wanted = tick.index - 1 if channel.looped else tick.index
-        if wanted in counts:
-            return counts[wanted].get(channel.name, 0)
-        if channel.looped and tick.index <= tick.participants.get(producer, -1):
-            return 0
-        return None
+        if producer not in tick.participants:
+            return None
+        if not self._expects(channel, tick):
+            return 0  # it has published nothing for this tick; what waits is for a later one
+        wanted = tick.participants[producer] if channel.looped else tick.index
+        counts = self._done.get(producer, {}).get(wanted)
+        return None if counts is None else counts.get(channel.name, 0)

@@ -43,6 +43,11 @@ _PRIORITY = {
 }
 
 
+def _direct(callback: Any) -> Any:
+    """A callback in the thread that received: it only queues, so the hand-over to a thread of its own is saved."""
+    return zenoh.handlers.Callback(callback, indirect=False)
+
+
 class QueryFailed(RuntimeError):
     """A question that got no usable answer; `reason` says why."""
 
@@ -91,13 +96,14 @@ class Bus:
         """GPS time now; in a replay the time of the tick."""
         return self._clock.now_ns()
 
-    def publish(self, name: str, message: Message) -> None:
-        """Send `message` on a channel that the table gives this service."""
-        sequence = self.published[name]
+    def publish(self, name: str, message: Message, *, to: str | None = None) -> None:
+        """Send `message` on a channel that the table gives this service (to one service, where it has keys for each)."""
+        port = name if to is None else f"{name}.{to}"
+        sequence = self.published[port]
         data = encode(message, source=self.service, sequence=sequence)
-        publisher = self._publishers.get(name) or self._declare_publisher(BY_NAME[name])
+        publisher = self._publishers.get(port) or self._declare_publisher(BY_NAME[name], to)
         publisher.put(data)
-        self.published[name] = sequence + 1
+        self.published[port] = sequence + 1
 
     def ask(self, name: str, request: Message) -> Any:
         """Ask over a query channel and return the reply.
@@ -173,7 +179,7 @@ class Bus:
                 events.put(("message", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", of or self.service)
-        self._entities.append(self._session.declare_subscriber(key, arrived))
+        self._entities.append(self._session.declare_subscriber(key, _direct(arrived)))
 
     def answer(self, channel: Channel) -> None:
         """Queue the questions that arrive on a query channel."""
@@ -189,7 +195,7 @@ class Bus:
             events.put(("query", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
-        self._entities.append(self._session.declare_queryable(key, asked))
+        self._entities.append(self._session.declare_queryable(key, _direct(asked)))
 
     def announce(self) -> None:
         """Declare this service alive, and watch who else is."""
@@ -245,16 +251,16 @@ class Bus:
             entity.undeclare()
         self._session.close()
 
-    def _declare_publisher(self, channel: Channel) -> zenoh.Publisher:
+    def _declare_publisher(self, channel: Channel, to: str | None) -> zenoh.Publisher:
         blocking = self._replay or channel.delivery == "barrier"
         publisher = self._session.declare_publisher(
-            channel.key_for(self.settings.vehicle).replace("{service}", self.service),
+            channel.key_for(self.settings.vehicle).replace("{service}", to or self.service),
             encoding=encoding_of(channel.message),
             congestion_control=zenoh.CongestionControl.BLOCK if blocking else zenoh.CongestionControl.DROP,
             priority=_PRIORITY[channel.delivery],
             express=channel.delivery != "bulk",
         )
-        self._publishers[channel.name] = publisher
+        self._publishers[channel.name if to is None else f"{channel.name}.{to}"] = publisher
         return publisher
 
     def _declare_querier(self, channel: Channel) -> zenoh.Querier:

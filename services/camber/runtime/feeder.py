@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import zenoh
 
@@ -16,13 +16,16 @@ from camber.runtime.clock import ReplayClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
-from camber.schemas.channels import SERVICES
+from camber.schemas.channels import SERVICES, inputs_of
 from camber.schemas.codec import decode
 from camber.schemas.health import Done, Tick
 
 AHEAD = 4
 """Ticks published beyond the slowest service; the order of work does not depend on it, only the speed."""
 _STUCK_S = 20.0
+HEARTBEAT_NS = 1_000_000_000
+"""At least this often everybody works on a tick."""
+_INPUTS = {service: tuple(c for c in inputs_of(service) if not c.looped) for service in SERVICES}
 _PRODUCERS = {service: frozenset(producers_for(service)) for service in SERVICES}
 
 Observer = Callable[[str, bytes, str, int], None]
@@ -36,8 +39,8 @@ class ReplayStuck(RuntimeError):
 @dataclass(slots=True)
 class _Peer:
     index: int = -2  # −2: not heard of, −1: listens, else the last tick done
+    worked: int = -1  # the last tick on which it was to work
     heard: frozenset[str] = frozenset()
-    published: dict[str, int] = field(default_factory=dict)
 
 
 class Feeder:
@@ -47,12 +50,14 @@ class Feeder:
         self._settings = settings
         self._session = open_session(settings.zenoh)
         self._bus = Bus(self._session, settings, "vehicle", ReplayClock())
-        self._bus.published |= {"tick": 0}
+        self._bus.published |= {f"tick.{name}": 0 for name in SERVICES}
         self._peers: dict[str, _Peer] = {}
         self._changed = threading.Condition()
         self._outstanding: deque[Tick] = deque()
-        self._participants: dict[str, int] = {}
+        self._participants: frozenset[str] = frozenset()
         self._index = 0
+        self._fed: set[str] = set()
+        self._beat_ns = 0
         prefix = f"camber/v1/{settings.vehicle}"
         self._entities: list[object] = [
             self._session.declare_subscriber(f"{prefix}/replay/done/*", self._done),
@@ -77,7 +82,7 @@ class Feeder:
     @property
     def participants(self) -> frozenset[str]:
         """Who takes part now."""
-        return frozenset(self._participants)
+        return self._participants
 
     def assemble(self, names: Iterable[str], *, time_ns: int, timeout_s: float = 30.0) -> None:
         """Wait until all services have heard one another; raises ReplayStuck after the timeout."""
@@ -87,81 +92,112 @@ class Feeder:
             if time.monotonic() > deadline:
                 missing = sorted(name for name in wanted if not self._joined(name, wanted))
                 raise ReplayStuck(f"not on the bus after {timeout_s:.0f} s: {', '.join(missing)}")
-            self._publish_tick(Tick(time_ns=time_ns, index=0, participants={}, published={}))
+            for name in list(self._peers):
+                self._send(name, Tick(time_ns=time_ns, index=0, participants={}, working=(), published={}))
             with self._changed:
                 self._changed.wait(0.05)
-        self._participants = dict.fromkeys(sorted(wanted), 0)
+        self._participants = wanted
 
     def publish(self, name: str, message: Message) -> None:
         """Publish one of the vehicle's messages."""
         self._bus.publish(name, message)
+        self._fed.add(name)
 
     def tick(self, time_ns: int, *, last: bool = False) -> None:
-        """Everything up to `time_ns` has been published; waits while the slowest service is AHEAD ticks behind."""
+        """Everything up to `time_ns` has been published; waits while AHEAD ticks are not done."""
         self._admit()
-        published = {name: n for name, n in self._bus.published.items() if name != "tick"}
-        participants = dict(sorted(self._participants.items()))
-        tick = Tick(time_ns=time_ns, index=self._index, participants=participants, published=published, last=last)
+        beat = last or time_ns - self._beat_ns >= HEARTBEAT_NS
+        if beat:
+            self._beat_ns = time_ns
+        working = self._participants if beat else self._touched()
+        self._fed.clear()
+        published = {name: n for name, n in self._bus.published.items() if not name.startswith("tick.")}
+        with self._changed:
+            present = {name: self._peers[name].worked for name in sorted(self._participants) if name in self._peers}
+            for name in working & present.keys():
+                self._peers[name].worked = self._index
+        tick = Tick(
+            time_ns=time_ns,
+            index=self._index,
+            participants=present,
+            working=tuple(sorted(working & present.keys())),
+            published=published,
+            last=last,
+        )
         self._outstanding.append(tick)
-        self._publish_tick(tick)
         self._index += 1
+        self._hand_out(tick)
         self.wait(behind=0 if last else AHEAD)
 
     def wait(self, *, behind: int = 0) -> None:
-        """Wait until every participant is at most `behind` ticks behind; drop those who die meanwhile."""
+        """Wait until at most `behind` ticks are not done; drop those who die meanwhile."""
         deadline = time.monotonic() + _STUCK_S
         while True:
-            slowest = self._dismiss()
-            while self._outstanding and self._outstanding[0].index <= slowest:
-                self._outstanding.popleft()
-            if self._index - 1 - slowest <= behind:
-                return
-            if time.monotonic() > deadline:
-                late = sorted(n for n, peer in self._peers.items() if n in self._participants and peer.index <= slowest)
-                raise ReplayStuck(f"tick {slowest + 1} not done after {_STUCK_S:.0f} s by {', '.join(late)}")
+            self._dismiss()
             with self._changed:
-                if self._slowest() == slowest:
+                while self._outstanding and not self._late(self._outstanding[0]):
+                    self._outstanding.popleft()
+                if len(self._outstanding) <= behind:
+                    return
+                late = self._late(self._outstanding[0])
+                if self._participants <= self._peers.keys():
                     self._changed.wait(0.5)
+            if time.monotonic() > deadline:
+                tick = self._outstanding[0].index
+                raise ReplayStuck(f"tick {tick} not done after {_STUCK_S:.0f} s by {', '.join(late)}")
+
+    def _touched(self) -> frozenset[str]:
+        """Who gets something in this tick: from the vehicle, or from a service before it that works on it."""
+        touched: set[str] = set()
+        for service in SERVICES:  # in the order of work
+            sources = {c.name if c.producers == ("vehicle",) else c.producers[0] for c in _INPUTS[service]}
+            if sources & (self._fed | touched):
+                touched.add(service)
+        return self._participants & touched
+
+    def _late(self, tick: Tick) -> list[str]:
+        """Who has not done this tick; called with the lock held."""
+        return [n for n in tick.working if n in self._peers and n in self._participants and self._peers[n].index < tick.index]
 
     def _joined(self, name: str, others: frozenset[str]) -> bool:
         peer = self._peers.get(name)
         return peer is not None and peer.index >= -1 and peer.heard >= others & _PRODUCERS[name]
 
     def _admit(self) -> None:
-        """Put on the list who listens, has heard everybody and was heard by everybody."""
-        for name, peer in list(self._peers.items()):
-            if name in self._participants or peer.index != -1:
-                continue
-            consumers = {other for other in self._participants if name in _PRODUCERS[other]}
-            heard_by_all = all(name in self._peers[other].heard for other in consumers)
-            if heard_by_all and peer.heard >= self._participants.keys() & _PRODUCERS[name]:
-                self._participants[name] = self._index
-                peer.index = self._index - 1
-
-    def _slowest(self) -> int | None:
-        """The last tick that all participants have done; None: one of them has died. Called with the lock held."""
-        if not self._participants.keys() <= self._peers.keys():
-            return None
-        return min((self._peers[name].index for name in self._participants), default=self._index - 1)
-
-    def _dismiss(self) -> int:
-        """Take those off the list who have died, and say so for the ticks that wait for them; return the slowest."""
+        """Put on the list who listens, has heard whom it needs and was heard by whom needs it."""
         with self._changed:
-            dead = self._participants.keys() - self._peers.keys()
-            for name in dead:
-                del self._participants[name]
-            slowest = self._slowest()
-        assert slowest is not None
-        if not dead:
-            return slowest
-        for position, tick in enumerate(self._outstanding):
-            remaining = {name: since for name, since in tick.participants.items() if name not in dead}
-            self._outstanding[position] = tick.model_copy(update={"participants": remaining})
-            self._publish_tick(self._outstanding[position])
-        return slowest
+            for name, peer in self._peers.items():
+                if name in self._participants or peer.index != -1:
+                    continue
+                consumers = {other for other in self._participants if name in _PRODUCERS[other]}
+                known = {other for other in consumers if other in self._peers and name in self._peers[other].heard}
+                if known == consumers and peer.heard >= self._participants & _PRODUCERS[name]:
+                    self._participants |= {name}
+                    self._beat_ns = 0  # the next tick is everybody's: it starts with what it needs
+                    peer.worked = -1
 
-    def _publish_tick(self, tick: Tick) -> None:
-        self._bus.publish("tick", tick)
+    def _dismiss(self) -> None:
+        """Take those off the list who have died, and say so for the ticks that wait for them."""
+        with self._changed:
+            dead = self._participants - self._peers.keys()
+            self._participants -= dead
+        if not dead:
+            return
+        for position, tick in enumerate(self._outstanding):
+            remaining = {name: worked for name, worked in tick.participants.items() if name not in dead}
+            working = tuple(name for name in tick.working if name not in dead)
+            self._outstanding[position] = tick.model_copy(update={"participants": remaining, "working": working})
+            self._hand_out(self._outstanding[position])
+
+    def _hand_out(self, tick: Tick) -> None:
+        """To those who work on it, and to those who are there but not on the list: they answer that they listen."""
+        for name in list(self._peers):
+            if name in tick.working or name not in tick.participants:
+                self._send(name, tick)
+
+    def _send(self, name: str, tick: Tick) -> None:
+        if name in SERVICES:
+            self._bus.publish("tick", tick, to=name)
 
     def _done(self, sample: zenoh.Sample) -> None:
         done = decode(Done, sample.payload.to_bytes(), str(sample.encoding)).message
@@ -169,7 +205,8 @@ class Feeder:
             peer = self._peers.get(done.service)
             if peer is None:
                 return
-            if not (done.index == -1 and done.service in self._participants):
+            # A late *I listen* of one who is on the list by now says nothing new.
+            if done.index >= 0 or done.service not in self._participants:
                 peer.index = done.index
             peer.heard = frozenset(done.heard)
             self._changed.notify()

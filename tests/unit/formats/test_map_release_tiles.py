@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.formats.map_tiles import (
@@ -61,6 +61,7 @@ def test_the_antimeridian_is_one_line() -> None:
     assert {x for x, _ in tiles_around(0.1, math.pi, 10.0)} == {0, TILES - 1}
 
 
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(LATITUDES, LONGITUDES)
 def test_a_point_lies_within_its_tile(latitude_rad: float, longitude_rad: float) -> None:
     tile = tile_of(latitude_rad, longitude_rad)
@@ -71,6 +72,7 @@ def test_a_point_lies_within_its_tile(latitude_rad: float, longitude_rad: float)
     assert south < tile_frame(*tile).latitude_rad < north
 
 
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(LATITUDES, LONGITUDES)
 def test_one_point_and_many_have_the_same_numbers(latitude_rad: float, longitude_rad: float) -> None:
     x, y = tiles_of([latitude_rad], [longitude_rad])
@@ -81,6 +83,7 @@ def test_one_point_and_many_have_the_same_numbers(latitude_rad: float, longitude
     assert abs(one[1] - int(y[0])) <= 1
 
 
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(LATITUDES, LONGITUDES, st.floats(0.1, 2000.0), st.floats(0.1, 2000.0), st.integers(0, 2**32))
 def test_a_box_finds_every_tile_that_it_touches(
     latitude_rad: float, longitude_rad: float, half_east_m: float, half_north_m: float, seed: int

@@ -214,11 +214,12 @@ def test_messages_of_another_version_are_one_error_and_the_rest_is_read(tmp_path
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-def test_a_full_disk_ends_the_recording_and_not_the_program() -> None:
+@pytest.mark.parametrize("tick", [12, 20_000], ids=["between ticks", "within a tick"])
+def test_a_full_disk_ends_the_recording_and_not_the_program(tick: int) -> None:
     recorder = Recorder(Path("/dev/full"))
     for i in range(20_000):
         recorder.add("motion", encode(motion(i), sequence=i), key=MOTION_KEY, arrival_ns=i)
-        if i % 12 == 11:
+        if i % tick == tick - 1:
             recorder.tick_done()
     recorder.add("motion", encode(motion(0)), key=MOTION_KEY, arrival_ns=0)
     recorder.close()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
@@ -19,7 +19,7 @@ from camber.formats.map_tiles import tile_corners_rad, tile_of
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.pose import Road
-from support.small_map import FRAME, at, link, links, surface, surfaces
+from support.small_map import FRAME, at, link, links, surface, surfaces, write
 
 Rows = Sequence[dict[str, Any]]
 
@@ -68,14 +68,14 @@ def test_a_plane_gives_its_height_slope_and_names() -> None:
     assert (found.surface_id, found.level, found.datum, found.map_version) == (5, 2, "WGS84", 7)
     assert found.elevation_m == pytest.approx(50.6, abs=1e-4)
     assert found.sigma_m == pytest.approx(0.03)
-    assert found.slope_north == pytest.approx(0.05, abs=1e-6)
-    assert found.slope_east == pytest.approx(0.0, abs=1e-6)
+    assert found.slope_north == pytest.approx(0.05, abs=1e-5)
+    assert found.slope_east == pytest.approx(0.0, abs=1e-5)
 
 
 def test_columns_run_from_right_to_left() -> None:
     found = road([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 0.0, 1.0)
     assert found.elevation_m == pytest.approx(50.3, abs=1e-4)  # north is left of a road to the east
-    assert found.slope_north == pytest.approx(0.1, abs=1e-6)
+    assert found.slope_north == pytest.approx(0.1, abs=1e-5)
 
 
 def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> None:
@@ -85,6 +85,7 @@ def test_a_plane_is_good_over_half_the_surface_and_a_curved_grid_less_far() -> N
     assert curved.extent_m == pytest.approx(0.3, rel=1e-3)  # σ 0.03 m against a change of slope of 10 %
 
 
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32), st.floats(-1.3, 1.3), st.floats(-math.pi, math.pi))
 def test_heights_are_those_of_an_independent_interpolation(
     seed: int, latitude_rad: float, longitude_rad: float
@@ -308,6 +309,7 @@ def test_no_height_has_a_say_in_the_choice_of_a_level() -> None:
         assert road(rows, 0.0, 0.0, LINKS, link_ids=[GROUND]).elevation_m == pytest.approx(50.0)
 
 
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     st.integers(0, 2**32),
     st.lists(st.integers(0, 5), max_size=3),
@@ -328,6 +330,45 @@ def test_what_is_known_never_contradicts_the_topology(
             assert found.surface_id is not None
             on_candidate = by_id[found.surface_id]["link_id"] in link_ids
             assert on_candidate or {level_of[i] for i in link_ids if i in level_of} <= {found.level}
+
+
+# -- the road around an uncertain point ------------------------------------------------------------------------------
+
+
+def around(rows: Rows, radius_m: float, east_m: float = 0.0, north_m: float = 0.0, **topology: Any) -> Road:
+    return map_of(rows, LINKS).road_around(*at(east_m, north_m), radius_m, **topology)
+
+
+def test_a_patch_samples_the_road_within_the_radius() -> None:
+    rows = [surface(5, yaw_rad=0.3, heights_m=[[50.0, 50.2], [51.0, 51.2]])]
+    found = around(rows, 5.0)
+    assert found.patch is not None
+    assert np.hypot(found.patch.east_m, found.patch.north_m).max() <= 5.0 + 1e-9
+    assert found.patch.reach_m == pytest.approx(1.0)
+    assert found.elevation_m is not None
+    assert found.slope_east is not None
+    assert found.slope_north is not None
+    plane_m = (
+        found.elevation_m + found.slope_east * found.patch.east_m + found.slope_north * found.patch.north_m
+    )
+    assert np.allclose(found.patch.elevation_m, plane_m, atol=1e-3)
+
+
+def test_without_a_radius_there_is_no_patch() -> None:
+    assert around([surface(5)], 0.0) == road([surface(5)], 0.0, 0.0)
+
+
+def test_beside_the_road_the_nearest_plane_goes_on() -> None:
+    found = around([surface(5, heights_m=[[50.0, 50.4], [50.0, 50.4]])], 5.0, 0.0, 4.0)
+    assert (found.status, found.surface_id, found.extent_m) == ("known", 5, 0.0)
+    assert found.elevation_m == pytest.approx(50.6, abs=1e-3)
+    assert around([surface(5)], 5.0, 0.0, 20.0).reason == "no_surface"
+
+
+def test_another_level_within_the_radius_leaves_the_road_ambiguous() -> None:
+    assert around(OVERPASS, 1.0, 6.0, 0.0).surface_id == 10
+    assert around(OVERPASS, 6.0, 6.0, 0.0).reason == "levels_ambiguous"
+    assert around(OVERPASS, 6.0, 6.0, 0.0, link_ids=[BRIDGE, GROUND]).reason == "levels_ambiguous"
 
 
 # -- many points -----------------------------------------------------------------------------------------------------
@@ -388,8 +429,6 @@ def test_points_of_a_wrong_shape_are_refused() -> None:
 
 
 def test_a_release_on_disk_answers_as_the_tables_it_was_made_of(tmp_path: Path) -> None:
-    from support.small_map import write
-
     write(tmp_path, OVERPASS, LINKS)
     release = read_release(tmp_path)
     on_disk = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -52,9 +53,7 @@ def test_the_distance_is_that_to_the_nearest_point_of_the_line(seed: int) -> Non
     want = []
     for row in rows:
         line_m = FRAME.east_north_from_geodetic_array(*row["vertices"].T, np.zeros(4))
-        samples_m = np.concatenate(
-            [np.linspace(a, b, 20_000) for a, b in zip(line_m, line_m[1:], strict=False)]
-        )
+        samples_m = np.concatenate([np.linspace(a, b, 20_000) for a, b in itertools.pairwise(line_m)])
         if np.hypot(*samples_m.T).min() <= 150.0:
             want.append(row["link_id"])
     assert 3 < len(want) < 27
@@ -77,7 +76,7 @@ def test_a_reply_that_would_be_too_large_is_unknown_and_none_that_is_known_is() 
     circle_m = np.column_stack((20.0 * np.cos(angle), 20.0 * np.sin(angle))).tolist()
     rows = [link(i, (i, i), circle_m) for i in range(60)]
     statuses = []
-    for n in range(1, 61):
+    for n in range(1, 61, 4):
         reply = ask(rows[:n], 100.0)
         statuses.append(reply.status)
         assert len(encode(reply)) <= MAX_REPLY_BYTES

@@ -1,5 +1,6 @@
 """What the store has acknowledged it has, once; what it could not store it has not acknowledged."""
 
+import inspect
 import os
 import random
 import resource
@@ -226,19 +227,22 @@ def test_in_a_damaged_file_what_is_acknowledged_is_there(tmp_path, seed):
         assert {name: found[name] for name in acknowledged} == dict(acknowledged)
 
 
-WRITER = """
+WRITER = f"""
 import os, random, sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[4])
-from test_map_update_store import NOW_NS, contribution, take_all
+import numpy as np
+from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.store import Store
+
+NOW_NS = {NOW_NS}
+{inspect.getsource(contribution)}
 rng, first = random.Random(int(sys.argv[3])), int(sys.argv[2])
 store, number = Store(Path(sys.argv[1])), first
 while True:
-    names = [f"u{n}" for n in range(number, number + rng.choice((1, 5, 40)))] + [f"u{rng.randrange(first, number + 1)}"]
-    group = [contribution(n) for n in names]
-    outcomes = store.commit(group, NOW_NS, take_all)
-    os.write(1, "".join(f"{n} {o.status}\\n" for n, o in zip(names, outcomes)).encode())
+    names = [f"u{{n}}" for n in range(number, number + rng.choice((1, 5, 40)))]
+    names.append(f"u{{rng.randrange(first, number + 1)}}")  # a repetition
+    outcomes = store.commit([contribution(n) for n in names], NOW_NS, lambda _: None)
+    os.write(1, "".join(f"{{n}} {{o.status}}\\n" for n, o in zip(names, outcomes)).encode())
     number += len(names) - 1
 """
 
@@ -248,15 +252,7 @@ def test_a_store_killed_at_any_moment_has_everything_it_acknowledged_once(path):
     acknowledged: Counter[str] = Counter()
     for kill in range(10):
         writer = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                WRITER,
-                str(path),
-                str(kill * 1_000_000),
-                str(kill),
-                os.path.dirname(__file__),
-            ],
+            [sys.executable, "-c", WRITER, str(path), str(kill * 1_000_000), str(kill)],
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
             text=True,

@@ -293,6 +293,17 @@ def test_a_flipped_bit_in_the_head_of_the_file_does_not_stop_the_outbox(path, pl
         assert held(outbox)[-1] == upload(10)
 
 
+@pytest.mark.parametrize("table", [b"upload", b"dead_letter"])
+def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, table):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+    path.write_bytes(path.read_bytes().replace(table, table[:-1] + b"X"))
+    with opened(path) as outbox:
+        outbox.put(*upload(2))
+        assert outbox.notice is not None
+        assert upload(2) in held(outbox)
+
+
 def test_a_file_that_is_no_database_is_set_aside(path):
     path.write_bytes(b"not a database" * 1000)
     with opened(path) as outbox:

@@ -17,6 +17,7 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import Motion
 from camber.tools.evaluate import main
+from camber.tools.report_data import embedded_json
 from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.tools.truth import Truth
 
@@ -166,6 +167,12 @@ def test_texts_from_outside_stay_texts(tmp_path: Path) -> None:
     assert page.elements.count("script") == 2
     assert page.text.count(HOSTILE) >= 3  # title, heading, surrogates
     assert not any("alert(1)" in script for script in page.scripts)
+
+
+def test_embedded_json_cannot_end_the_element_it_stands_in() -> None:
+    text = embedded_json({"a": HOSTILE + "<!--"})
+    assert not {"<", ">", "&"} & set(text)
+    assert json.loads(text) == {"a": HOSTILE + "<!--"}
 
 
 def test_the_report_asks_nobody_for_anything(tmp_path: Path) -> None:

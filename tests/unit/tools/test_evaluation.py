@@ -157,8 +157,9 @@ def test_an_ellipse_is_turned_as_it_says() -> None:
     along = {"semi_major_999_m": 1.0, "semi_minor_999_m": 0.1, "orientation_rad": math.pi / 2}
     drive["position"] = [wrap(position(0, (0.0, 0.7), 1.0, **along))]
     assert run(drive)["coverage"]["rtk"] == {"epochs": 1, "inside_99": 1.0, "inside_999": 1.0}
-    drive["position"] = [wrap(position(0, (0.7, 0.0), 1.0, **along))]
-    assert run(drive)["coverage"]["rtk"] == {"epochs": 1, "inside_99": 0.0, "inside_999": 0.0}
+    for outside in ((0.7, 0.0), (0.0, 1.1)):
+        drive["position"] = [wrap(position(0, outside, 1.0, **along))]
+        assert run(drive)["coverage"]["rtk"] == {"epochs": 1, "inside_99": 0.0, "inside_999": 0.0}
 
 
 def test_latency_is_from_fix_to_verdict_at_the_recorder() -> None:
@@ -257,6 +258,8 @@ def test_a_confirmation_is_not_undone_by_a_later_verdict() -> None:
     s = run(drive)
     assert (s["confirmed"]["wrong"], s["episodes"]["missed"], s["verdicts"]["repeated"]) == (1, 1, 1)
     assert s["tentative"]["fixed"] == 4
+    drive["verdict"].append(wrap(verdict(0, "erroneous", "height_disagrees")))
+    assert run(drive)["right"] == {"count": 2, "kept": 0.5, "erroneous": 1}
 
 
 def test_a_fix_without_a_verdict_is_not_confirmed() -> None:

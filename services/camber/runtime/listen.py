@@ -1,0 +1,97 @@
+"""Hear what Camber publishes: all that a consumer needs of the bus, in one class.
+
+    with Listener("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as listener:
+        position = listener.next(timeout_s=1.0)  # None: nothing that may be used came in that time
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from camber.runtime.clock import SystemClock
+from camber.runtime.inbox import Inbox
+from camber.runtime.session import open_session
+from camber.runtime.settings import ZenohSettings
+from camber.schemas.channels import BY_NAME, Channel
+
+_LIMIT = 4096  # messages waiting for a consumer; then the oldest goes
+
+Sample = tuple[str, bytes, str]
+
+
+class Listener:
+    """Hands out fresh, valid messages of some channels in order of arrival; use as a context, in one thread.
+
+    `connect` names the router, or any process of the vehicle; None: the default of all services. `live=False` is for
+    a replay, whose times are those of the drive: then nothing is refused for its age. Raises BusError.
+    """
+
+    def __init__(
+        self, *names: str, vehicle: str = "vehicle", connect: Sequence[str] | None = None, live: bool = True
+    ) -> None:
+        self._inboxes = {name: Inbox(BY_NAME[name]) for name in names}
+        self._live = live
+        self._clock = SystemClock()
+        self._waiting: queue.Queue[Sample] = queue.Queue(_LIMIT)
+        self._session = open_session(ZenohSettings() if connect is None else ZenohSettings(connect=list(connect)))
+        self._subscribers = [self._subscribe(BY_NAME[name], vehicle) for name in names]
+
+    def __enter__(self) -> Listener:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._session.close()
+
+    @property
+    def refused(self) -> Counter[str]:
+        """How many messages were not handed out, by reason."""
+        return sum((inbox.refused for inbox in self._inboxes.values()), Counter())
+
+    def next(self, timeout_s: float | None = None) -> Any:
+        """The next message that may be used, or None when none came for so long."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left_s = None if deadline is None else deadline - time.monotonic()
+            try:
+                name, data, encoding = self._waiting.get(left_s is None or left_s > 0.0, left_s)
+            except queue.Empty:
+                return None
+            inbox = self._inboxes[name]
+            received = inbox.open(data, encoding)
+            if received is None:
+                continue
+            message = inbox.accept(received, self._clock.now_ns(), judge_age=self._live)
+            if message is not None:
+                return message
+
+    def fresh_for_s(self, name: str, message: Any) -> float | None:
+        """For how long this message may still be used, by the table's age limit; None: there is no limit."""
+        limit_s = BY_NAME[name].max_age_s
+        if limit_s is None:
+            return None
+        age_s = (self._clock.now_ns() - message.time_ns) / 1e9 if self._live else 0.0
+        return max(limit_s - age_s, 0.0)
+
+    def _subscribe(self, channel: Channel, vehicle: str) -> zenoh.Subscriber[Any]:
+        def arrived(sample: zenoh.Sample) -> None:
+            item = (channel.name, sample.payload.to_bytes(), str(sample.encoding))
+            while True:
+                try:
+                    self._waiting.put_nowait(item)
+                    return
+                except queue.Full:
+                    self._drop_oldest()
+
+        return self._session.declare_subscriber(channel.key_for(vehicle), arrived)
+
+    def _drop_oldest(self) -> None:
+        try:
+            self._waiting.get_nowait()
+        except queue.Empty:
+            return

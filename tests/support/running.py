@@ -1,0 +1,111 @@
+"""Starts Camber's commands as real processes, and reads what a replay has left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from camber.formats.recording import Recorded, load_recording
+from camber.simulator.short_drive import START_NS
+
+_NS = 1_000_000_000
+
+
+def environment() -> dict[str, str]:
+    """This process's, so that children find the same code, and without settings of whoever runs the tests."""
+    kept = {
+        name: text for name, text in os.environ.items() if not name.startswith("CAMBER_") or name == "CAMBER_DATA"
+    }
+    return {**kept, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def camber(*arguments: object, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    """`camber …`, to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "camber.cli", *map(str, arguments)],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
+
+
+@contextmanager
+def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """`python …` in the background; asked to end on leaving, killed where that does not help."""
+    process = subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        text=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, **options},
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+def wait_until(what: Callable[[], Any], *, timeout_s: float, why: str) -> Any:
+    """The first true value of `what`; an AssertionError saying `why` after the timeout."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        found = what()
+        if found:
+            return found
+        time.sleep(0.02)
+    raise AssertionError(f"{why}: not within {timeout_s:g} s")
+
+
+def process_ids(out: Path) -> dict[str, int]:
+    """Of the services of a running replay; empty before they are started."""
+    path = out / "processes.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def endpoint_of(out: Path) -> str:
+    """Where a running replay can be listened to."""
+    path = wait_until(
+        lambda: process_ids(out) and out / "config" / "gnss.toml", timeout_s=30.0, why="no services were started"
+    )
+    (endpoint,) = tomllib.loads(path.read_text())["zenoh"]["connect"]
+    return str(endpoint)
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> None:
+    """Send a signal to a process of this test."""
+    os.kill(pid, number)
+
+
+def recorded(out: Path) -> dict[str, list[Recorded[Any]]]:
+    """All that was on the bus, by channel; a damaged recording fails the test."""
+    messages, errors = load_recording(out / "recording.mcap")
+    assert errors == []
+    return messages
+
+
+def summary_of(out: Path) -> dict[str, Any]:
+    """The figures of a replay."""
+    return json.loads((out / "summary.json").read_text())
+
+
+def drive_s(time_ns: int) -> float:
+    """Seconds after the start of the short drive."""
+    return (time_ns - START_NS) / _NS
