@@ -17,6 +17,7 @@ import serial
 _CHUNK = 4096
 _LIMIT_CHUNKS = 1024  # 4 MB wait for a consumer at most; then the oldest goes
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
+_BAUD_RATE = 115_200
 
 
 class Source(Protocol):
@@ -123,19 +124,24 @@ class _Serial:
         self._port.close()
 
 
-def open_stream(url: str, *, arrived: Callable[[], None]) -> ByteStream:
-    """A stream from `file:PATH`, `tcp:HOST:PORT` or `serial:DEVICE[:BAUD]`; ValueError says what was expected.
-
-    `arrived` is called from the stream's thread whenever bytes have come.
-    """
+def source_of(url: str) -> Callable[[], Source]:
+    """What opens `file:PATH`, `tcp:HOST:PORT` or `serial:DEVICE[:BAUD]`; ValueError says what was expected."""
     kind, _, rest = url.partition(":")
     match kind, rest.rsplit(":", 1):
         case "file", _ if rest:
-            return ByteStream(lambda: _File(Path(rest)), arrived=arrived)
-        case "tcp", [host, port] if host and port.isdecimal():
-            return ByteStream(lambda: _Tcp(host, int(port)), arrived=arrived)
-        case "serial", [device, baud] if device and baud.isdecimal():
-            return ByteStream(lambda: _Serial(device, int(baud)), arrived=arrived)
-        case "serial", _ if rest:
-            return ByteStream(lambda: _Serial(rest, 115_200), arrived=arrived)
+            return lambda: _File(Path(rest))
+        case "tcp", [host, port] if host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536:
+            return lambda: _Tcp(host.removeprefix("[").removesuffix("]"), int(port))
+        case "serial", [device, baud] if device and baud.isascii() and baud.isdecimal() and int(baud) > 0:
+            return lambda: _Serial(device, int(baud))
+        case "serial", [device] if device:
+            return lambda: _Serial(device, _BAUD_RATE)
     raise ValueError(f"source {url!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD]")
+
+
+def open_stream(url: str, *, arrived: Callable[[], None]) -> ByteStream:
+    """A stream from a source that `source_of` knows; ValueError where it does not.
+
+    `arrived` is called from the stream's thread whenever bytes have come.
+    """
+    return ByteStream(source_of(url), arrived=arrived)

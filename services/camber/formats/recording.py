@@ -87,7 +87,7 @@ class Recorded(Generic[M]):
 
 # Place of the channel in the table, key, sequence, time, payload: the order in the file.
 # Then arrival, schema, channel.
-_Pending = tuple[int, str, int, int, bytes, int, str, str]
+_Pending = tuple[int, int, str, int, bytes, int, str, str]
 
 
 class Recorder:
@@ -135,13 +135,17 @@ class Recorder:
                 schema, time_ns, sequence = envelope
                 self._pending_bytes += len(payload)
                 self._pending.append(
-                    (_ORDER[channel], key, sequence, time_ns, payload, arrival_ns, schema, channel)
+                    (time_ns, _ORDER[channel], key, sequence, payload, arrival_ns, schema, channel)
                 )
 
-    def tick_done(self) -> None:
-        """Write what came since the last call, in the order that does not depend on arrival."""
+    def tick_done(self, up_to_ns: int | None = None) -> None:
+        """Write what was measured up to a time (None: all that came), in the order that does not depend on arrival."""
         with self._lock:
-            pending, self._pending, self._pending_bytes = self._pending, [], 0
+            pending, self._pending = self._pending, []
+            if up_to_ns is not None:
+                self._pending = [item for item in pending if item[0] > up_to_ns]
+                pending = [item for item in pending if item[0] <= up_to_ns]
+            self._pending_bytes = sum(len(item[4]) for item in self._pending)
         if self.problem is not None:
             self.dropped += len(pending)
             return
@@ -170,7 +174,7 @@ class Recorder:
             self._stop(error)
 
     def _write(self, item: _Pending) -> None:
-        _, key, sequence, time_ns, payload, arrival_ns, schema, channel = item
+        time_ns, _, key, sequence, payload, arrival_ns, schema, channel = item
         number = self._mcap_channels.get((key, schema)) or self._register(channel, key, schema)
         self._writer.add_message(number, time_ns, payload, arrival_ns, sequence & 0xFFFFFFFF)
         self.written += 1
@@ -185,7 +189,7 @@ class Recorder:
 
     def _flush_now_and_then(self, pending: list[_Pending]) -> None:
         # By measured time, so that the file's chunks do not depend on the machine's speed.
-        newest_ns = max((item[3] for item in pending), default=None)
+        newest_ns = max((item[0] for item in pending), default=None)
         if newest_ns is None:
             return
         if self._chunk_began_ns is None:

@@ -26,6 +26,8 @@ _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _REFETCH_SHARE = 0.4  # of the radius: so far may the vehicle go before links are fetched anew
 _PATCH_ABOVE_M = 0.3  # a pose of larger σ gets the road around it too
 _PATCH_SIGMAS = 3.7  # 99.9 % of the places where it can be
+_SAME_ROAD_NS = 500_000_000
+_SAME_PLACE_RAD = 1e-10  # less than a millimetre
 _FETCH_PAUSE_NS = 1_000_000_000  # between two attempts to fetch links
 
 
@@ -43,6 +45,7 @@ class LocalizerService(Service[LocalizerSettings]):
         self._plane: LocalPlane | None = None
         self._links = _Links(settings, bus)
         self._road = Road(status="unknown", reason="no_pose")
+        self._asked: ElevationRequest | None = None
         self._published_ns = 0
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -77,6 +80,7 @@ class LocalizerService(Service[LocalizerSettings]):
             fix.time_ns, east_m, north_m, _horizontal(fix.covariance_enu_m2), self._filter.track
         )
         if pose is not None and self._filter.start(pose):
+            self._links.restart()
             self.bus.count("started_from_fixes")
 
     def _hear_verdict(self, verdict: Verdict) -> None:
@@ -87,6 +91,8 @@ class LocalizerService(Service[LocalizerSettings]):
         plane = self._plane_for(verdict.latitude_rad, verdict.longitude_rad)
         east_m, north_m = plane.east_north(verdict.latitude_rad, verdict.longitude_rad)
         result = self._filter.anchor(verdict.time_ns, east_m, north_m, _horizontal(verdict.covariance_enu_m2))
+        if result.outcome == "recovered":
+            self._links.restart()
         self.bus.count(f"anchor.{result.outcome}")
 
     def advance(self, now_ns: int) -> None:
@@ -146,6 +152,9 @@ class LocalizerService(Service[LocalizerSettings]):
             last_surface_id=self._road.surface_id,
             radius_m=_PATCH_SIGMAS * sigma_m if sigma_m > _PATCH_ABOVE_M else 0.0,
         )
+        if self._same_question(request):
+            return self._road
+        self._asked = None
         try:
             road: Road = self.bus.ask("elevation", request).road
         except QueryFailed as error:
@@ -153,7 +162,22 @@ class LocalizerService(Service[LocalizerSettings]):
             absent = error.reason in ("absent", "timeout")
             return Road(status="unknown", reason="map_server_absent" if absent else "map_missing")
         self._links.seen_version(road.map_version)
+        self._asked = request
         return road
+
+    def _same_question(self, request: ElevationRequest) -> bool:
+        """A vehicle that stands asks the same again and again: the last answer does for half a second."""
+        last = self._asked
+        if last is None or not self.bus.is_alive("map_server"):
+            return False
+        return (
+            0 <= request.time_ns - last.time_ns <= _SAME_ROAD_NS
+            and abs(request.latitude_rad - last.latitude_rad) <= _SAME_PLACE_RAD
+            and abs(request.longitude_rad - last.longitude_rad) <= _SAME_PLACE_RAD
+            and request.link_ids == last.link_ids
+            and (request.radius_m > 0.0) == (last.radius_m > 0.0)
+            and request.radius_m <= last.radius_m * 1.1
+        )
 
     def _follow_links(self, now_ns: int) -> None:
         estimate = self._filter.estimate()
@@ -210,7 +234,12 @@ class _Links:
 
     def forget(self) -> None:
         """The plane has changed: fetch anew."""
-        self._centre = None
+        self._centre, self._tried_ns = None, 0
+
+    def restart(self) -> None:
+        """The pose has jumped: what was known of the links driven says nothing any more."""
+        if self._matcher is not None:
+            self._matcher.reset()
 
     def seen_version(self, map_version: int | None) -> None:
         """The elevations come from this version; links of another one are fetched anew."""

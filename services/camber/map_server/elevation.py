@@ -20,8 +20,8 @@ from camber.schemas.road import LinkTile, SurfaceTile
 T = TypeVar("T")
 M = TypeVar("M")
 
-_LATTICE_STEP = 0.2
-"""Samples of a patch lie this far apart, in units of its radius: about 80 of them."""
+_LATTICE_STEP = 0.25
+"""Samples of a patch lie this far apart, in units of its radius: 49 of them."""
 _STEPS = np.arange(-1.0, 1.0 + 1e-9, _LATTICE_STEP)
 _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]

@@ -11,6 +11,7 @@ from camber.schemas.channels import Channel
 from camber.schemas.codec import DecodeError, Received, decode
 
 _FUTURE_LIMIT_NS = 500_000_000  # beyond this a sender's clock is wrong, not merely ahead
+_SOURCES = 64  # whose last message is remembered: a peer that invents names must not fill the memory
 _NS = 1_000_000_000
 
 
@@ -40,7 +41,8 @@ class Inbox:
 
         A sequence that begins anew with a later time is a producer that was restarted.
         """
-        message, source, sequence = received.message, received.source, received.sequence
+        message: Message = received.message
+        source, sequence = received.source, received.sequence
         if judge_age and self.channel.max_age_s is not None:
             age_ns = now_ns - message.time_ns
             if age_ns > self.channel.max_age_s * _NS:
@@ -50,13 +52,15 @@ class Inbox:
         last_sequence, last_time_ns = self._last.get(source, (-1, 0))
         if sequence == last_sequence and message.time_ns == last_time_ns:
             return self._refuse("repeated", f"number {sequence} came twice")
-        if sequence < last_sequence and message.time_ns <= last_time_ns:
+        if sequence <= last_sequence and message.time_ns <= last_time_ns:
             return self._refuse("out_of_order", f"number {sequence} after {last_sequence}")
-        if len(self._last) >= 64:
-            self._last.clear()  # a peer that invents source names must not fill the memory
+        self._last.pop(source, None)
         self._last[source] = (sequence, message.time_ns)
+        if len(self._last) > _SOURCES:
+            del self._last[next(iter(self._last))]  # who has been silent for longest
         return message
 
-    def _refuse(self, reason: str, detail: str) -> None:
+    def _refuse(self, reason: str, detail: str) -> Message | None:
         self.refused[reason] += 1
         self.last_detail = detail
+        return None

@@ -35,5 +35,5 @@ def main(argv: list[str] | None = None) -> int:
         return 3
     print(f"camber router: {session.zid()} listens on {', '.join(settings.listen)}", file=sys.stderr, flush=True)
     stop.wait()
-    session.close()
+    session.close()  # type: ignore[no-untyped-call]
     return 0

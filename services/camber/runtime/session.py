@@ -14,8 +14,8 @@ class BusError(RuntimeError):
     """The bus could not be joined."""
 
 
-def open_session(settings: ZenohSettings) -> zenoh.Session:
-    """Join the bus; raises BusError.
+def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> zenoh.Session:
+    """Join the bus; raises BusError, with `timeout_s` also where nobody has answered by then.
 
     Departures from Zenoh's defaults: no multicast (what is not configured is not reached), and a router or peer that
     is not there yet is tried again for ever, at most 0.5 s apart (a default client fails at once).
@@ -28,8 +28,9 @@ def open_session(settings: ZenohSettings) -> zenoh.Session:
     put("mode", settings.mode)
     put("connect/endpoints", settings.connect)
     put("listen/endpoints", [] if settings.mode == "client" else settings.listen)
-    put("connect/timeout_ms", -1 if settings.mode == "client" else 0)
-    put("connect/exit_on_failure", False)
+    waits_ms = round(1000 * timeout_s) if timeout_s is not None else -1 if settings.mode == "client" else 0
+    put("connect/timeout_ms", waits_ms)
+    put("connect/exit_on_failure", timeout_s is not None)
     put("connect/retry", {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5})
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", True)

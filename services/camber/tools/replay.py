@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import signal
 import socket
 import sys
@@ -11,10 +12,12 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import takewhile
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from camber.formats.errors import FormatError
@@ -24,6 +27,7 @@ from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import CHANNELS, SERVICES
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.schemas.gnss import ReceiverBytes
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
 from camber.tools.evaluate import evaluate_folder, headline
 from camber.tools.processes import Processes
@@ -31,6 +35,7 @@ from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.tools.truth import Truth
 
 _SUPERVISE_EVERY_S = 0.05
+_RECORD_LAG_NS = 5_000_000_000  # longer than the feeder runs ahead, so that the recording's order is that of the times
 
 
 class _Stopped(Exception):  # noqa: N818  (asked to, not failed)
@@ -65,7 +70,8 @@ def replay(manifest: DriveManifest, out: Path, *, speed: float, quiet: bool = Fa
     folder = RunFolder(out)
     facts = _facts(manifest, inputs)
     folder.write_drive(facts, _truth(inputs))
-    _forget(out / "state")
+    for left_over in ("state", "logs"):  # what an earlier run has learnt would change this one's verdicts
+        shutil.rmtree(out / left_over, ignore_errors=True)
     endpoint = _free_endpoint()
     processes = Processes(out, _configs(manifest, inputs, out, endpoint))
     with Recorder(folder.recording_path) as recorder:
@@ -117,6 +123,7 @@ def _run(
 
 def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: float, quiet: bool) -> float:
     first_ns, last_ns = inputs.tick_times_ns[0], inputs.tick_times_ns[-1]
+    greeting = _Greeting(inputs)
     began = time.monotonic()
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
@@ -124,13 +131,30 @@ def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: flo
                 due = began + (tick.time_ns - first_ns) / 1e9 / speed
                 time.sleep(max(due - time.monotonic(), 0.0))
             for name, message in _messages(tick):
-                feeder.publish(name, message)
+                feeder.publish(name, greeting.before(message, feeder) if name == "receiver_bytes" else message)
             feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
-            recorder.tick_done()
+            recorder.tick_done(tick.time_ns - _RECORD_LAG_NS)
             bar.update()
     elapsed = time.monotonic() - began
     time.sleep(0.1)  # the observer's queue, which the barrier does not wait for
     return elapsed
+
+
+class _Greeting:
+    """A receiver says the header of its `.pos` stream to whoever connects: a gnss that returns must hear it again."""
+
+    def __init__(self, inputs: DriveInputs) -> None:
+        first = b"".join(arrival.message.payload.tobytes() for arrival in inputs.receiver[:1])
+        header = takewhile(lambda line: line.startswith(b"%"), first.splitlines(keepends=True))
+        self._header = np.frombuffer(b"".join(header), np.uint8)
+        self._connected = True
+
+    def before(self, message: ReceiverBytes, feeder: Feeder) -> ReceiverBytes:
+        """The message, with the header in front where gnss has just come back."""
+        was_connected, self._connected = self._connected, "gnss" in feeder.participants
+        if was_connected or not self._connected or not self._header.size:
+            return message
+        return message.model_copy(update={"payload": np.concatenate((self._header, message.payload))})
 
 
 def _messages(tick: Tick) -> Iterator[tuple[str, Any]]:
@@ -199,9 +223,7 @@ def _facts(manifest: DriveManifest, inputs: DriveInputs) -> DriveFacts:
         )
     return DriveFacts(
         drive=manifest.name,
-        surrogates=tuple(manifest.surrogates.inputs) + tuple(
-            f"smaller error than allowed: {name}" for name in manifest.surrogates.smaller_errors
-        ),
+        surrogates=manifest.surrogate_notes(),
         truth=inputs.truth is not None,
         offset_enu_m=offset,
         alert_limit_m=manifest.alert_limit_m,
@@ -218,13 +240,6 @@ def _truth(inputs: DriveInputs) -> Truth | None:
         longitude_rad=table.longitude_rad,
         height_m=table.height_m,
     )
-
-
-def _forget(state: Path) -> None:
-    """A replay begins with nothing learnt: what an earlier one left would change its verdicts."""
-    for path in sorted(state.rglob("*"), reverse=True) if state.exists() else ():
-        if path.is_file():
-            path.unlink()
 
 
 def _free_endpoint() -> str:

@@ -165,10 +165,10 @@ def test_where_there_is_no_surface_nothing_is_known() -> None:
 @pytest.mark.parametrize(
     ("east_m", "north_m", "status"),
     [
-        (10.49, 0.0, "known"),
-        (10.51, 0.0, "unknown"),
-        (0.0, 2.49, "known"),
-        (0.0, -2.51, "unknown"),
+        (10.499, 0.0, "known"),
+        (10.501, 0.0, "unknown"),
+        (0.0, 2.499, "known"),
+        (0.0, -2.501, "unknown"),
         (10.35, 2.35, "known"),
         (10.45, 2.45, "unknown"),  # beyond a corner the distance counts, not each side
     ],
