@@ -27,6 +27,7 @@ from camber.schemas.channels import BY_NAME
 from camber.simulator.short_drive import RATE_HZ, SCHEDULE, write_short_drive
 
 SPEED = 2.0
+END_S = 90.0
 RETURN_S = 5.0  # of right fixes
 REASON = {
     "gnss": "gnss_absent",
@@ -113,7 +114,9 @@ def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_whe
     drive = drive_without_given_pose(tmp_path / "drive")
     out = tmp_path / "out"
     with (
-        started("-m", "camber.cli", "replay", drive, "--out", out, "--speed", SPEED, "--quiet") as replay,
+        started(
+            "-m", "camber.cli", "replay", drive, "--out", out, "--speed", SPEED, "--set", f"end_s={END_S}", "--quiet"
+        ) as replay,
         Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
         saboteur = Saboteur(out, listener)

@@ -12,8 +12,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Channel as McapChannel
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader
+
 from camber.formats.recording import Recorded, load_recording
 from camber.simulator.short_drive import START_NS
+
+MACHINE = frozenset({"latency_ms", "speed_factor", "wall_s"})
+"""What of a summary depends on the machine and its load; nothing else may."""
 
 _NS = 1_000_000_000
 
@@ -109,3 +116,21 @@ def summary_of(out: Path) -> dict[str, Any]:
 def drive_s(time_ns: int) -> float:
     """Seconds after the start of the short drive."""
     return (time_ns - START_NS) / _NS
+
+
+def payloads(out: Path) -> dict[str, list[bytes]]:
+    """The bytes of every message as they were on the bus, by key, in the file's order."""
+    topics: dict[int, str] = {}
+    by_key: dict[str, list[bytes]] = {}
+    with (out / "recording.mcap").open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, McapChannel):
+                topics[record.id] = record.topic
+            elif isinstance(record, McapMessage):
+                by_key.setdefault(topics[record.channel_id], []).append(record.data)
+    return by_key
+
+
+def figures(out: Path) -> dict[str, Any]:
+    """The summary without what depends on the machine: latency and speed."""
+    return {name: value for name, value in summary_of(out).items() if name not in MACHINE}

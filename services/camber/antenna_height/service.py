@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from pydantic import ValidationError
+
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.antenna_height.ways import disagree, fixed_height, stroke_height
 from camber.runtime.bus import Bus
@@ -24,6 +26,7 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         super().__init__(settings, bus)
         self._suspension: Suspension | None = None
         self._published_ns = 0
+        self._known = False
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
@@ -34,12 +37,16 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
 
     def advance(self, now_ns: int) -> None:
         """Publish, when it is time."""
-        due_ns = self._published_ns + int(self.settings.publish_period_s * 1e9)
+        if now_ns <= 0:
+            return
         fresh = self._suspension is not None and self._suspension.time_ns > self._published_ns
-        if now_ns <= 0 or (now_ns < due_ns and not fresh):
+        # A clock that was set back is no reason to fall silent.
+        if not fresh and 0 <= now_ns - self._published_ns < self.settings.publish_period_s * 1e9:
             return
         self._published_ns = now_ns
-        self.bus.publish("antenna_height", self._height(now_ns))
+        height = self._height(now_ns)
+        self._known = height.status == "known"
+        self.bus.publish("antenna_height", height)
 
     def _height(self, now_ns: int) -> AntennaHeight:
         settings = self.settings
@@ -49,22 +56,29 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         if settings.way == "fixed":
             return _known(now_ns, fixed, None, "fixed_height_m is not set")
         stroke = self._stroke(now_ns)
-        return _known(now_ns, stroke, fixed, "no fresh stroke height")
+        return _known(now_ns, stroke, fixed, "no fresh and plausible stroke height")
 
     def _stroke(self, now_ns: int) -> HeightByWay | None:
         suspension, limit_s = self._suspension, BY_NAME["suspension"].max_age_s
         if suspension is None or limit_s is None or now_ns - suspension.time_ns > limit_s * 1e9:
             return None
-        return stroke_height(
-            suspension,
-            suspension_to_antenna_m=self.settings.suspension_to_antenna_m,
-            tyre_radius_m=self.settings.tyre_radius_m,
-            stored_sigma_m=self.settings.stored_sigma_m,
-        )
+        settings = self.settings
+        if settings.suspension_to_antenna_m is None or settings.tyre_radius_m is None:
+            return None
+        try:
+            return stroke_height(
+                suspension,
+                suspension_to_antenna_m=settings.suspension_to_antenna_m,
+                tyre_radius_m=settings.tyre_radius_m,
+                stored_sigma_m=settings.stored_sigma_m,
+            )
+        except ValidationError as error:
+            self.bus.issue("implausible_height", f"stroke: {error.errors(include_url=False)[0]['msg']}")
+            return None
 
     def healthy(self) -> bool:
         """Without a height nothing can be confirmed."""
-        return self._published_ns > 0
+        return self._known
 
 
 def _known(now_ns: int, chosen: HeightByWay | None, other: HeightByWay | None, reason: str) -> AntennaHeight:

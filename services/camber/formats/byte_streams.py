@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -15,13 +14,16 @@ from typing import Protocol
 import serial
 
 _CHUNK = 4096
-_LIMIT_CHUNKS = 1024  # 4 MB wait for a consumer at most; then the oldest goes
+LIMIT_BYTES = 4 << 20
+"""So much waits for a consumer at most. Then the oldest goes, but a file is read no further: it does not run away."""
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 10.0
 _BAUD_RATE = 115_200
 
 
 class Source(Protocol):
-    """An open connection."""
+    """An open connection. One that `waits` is read only as fast as it is consumed."""
+
+    waits: bool
 
     def read(self) -> bytes:
         """Some bytes; empty where nothing came for a while. Raises OSError when the other side has gone."""
@@ -31,21 +33,29 @@ class Source(Protocol):
 
 
 class ByteStream:
-    """Reads a source in the background. `take()` hands out what has come; `problem` is why nothing comes, or None."""
+    """Reads a source in the background. `take()` hands out what has come; `problem` is why nothing comes, or None.
+
+    `failures` counts connections that failed or were lost, `lost_bytes` what nobody took in time.
+    """
 
     def __init__(self, open_source: Callable[[], Source], *, arrived: Callable[[], None]) -> None:
         self.problem: str | None = "not connected yet"
-        self.reconnects = 0
+        self.failures = 0
+        self.lost_bytes = 0
         self._open = open_source
         self._arrived = arrived
-        self._chunks: deque[bytes] = deque(maxlen=_LIMIT_CHUNKS)
+        self._bytes = bytearray()
+        self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="byte-stream", daemon=True)
         self._thread.start()
 
     def take(self) -> bytes:
         """All bytes that have come since the last call."""
-        return b"".join(self._chunks.popleft() for _ in range(len(self._chunks)))
+        with self._lock:
+            data = bytes(self._bytes)
+            self._bytes.clear()
+        return data
 
     def close(self) -> None:
         """Stop reading."""
@@ -62,22 +72,37 @@ class ByteStream:
                     self._pump(source)
                 finally:
                     source.close()
-            except (OSError, serial.SerialException) as error:
-                self.problem = str(error)[:300]
-                self.reconnects += 1
+            except (
+                Exception
+            ) as error:  # a port may fail in many ways; none of them may end the reading for good
+                self.problem = (str(error) or type(error).__name__)[:300]
+                self.failures += 1
             self._stop.wait(pause_s)
             pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
 
     def _pump(self, source: Source) -> None:
         while not self._stop.is_set():
+            if source.waits and len(self._bytes) > LIMIT_BYTES - _CHUNK:
+                self._stop.wait(0.01)
+                continue
             data = source.read()
             if data:
-                self._chunks.append(data)
+                self._keep(data)
                 self._arrived()
+
+    def _keep(self, data: bytes) -> None:
+        with self._lock:
+            self._bytes += data
+            excess = len(self._bytes) - LIMIT_BYTES
+            if excess > 0:
+                del self._bytes[:excess]
+                self.lost_bytes += excess
 
 
 class _File:
     """A file, from its beginning; at its end it is watched for more."""
+
+    waits = True
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
@@ -94,6 +119,8 @@ class _File:
 
 
 class _Tcp:
+    waits = False
+
     def __init__(self, host: str, port: int) -> None:
         self._name = f"{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
@@ -113,6 +140,8 @@ class _Tcp:
 
 
 class _Serial:
+    waits = False
+
     def __init__(self, device: str, baud_rate: int) -> None:
         self._port = serial.Serial(device, baud_rate, timeout=0.2)
 
@@ -134,8 +163,10 @@ def source_of(url: str) -> Callable[[], Source]:
             return lambda: _Tcp(host.removeprefix("[").removesuffix("]"), int(port))
         case "serial", [device, baud] if device and baud.isascii() and baud.isdecimal() and int(baud) > 0:
             return lambda: _Serial(device, int(baud))
-        case "serial", [device] if device:
-            return lambda: _Serial(device, _BAUD_RATE)
+        case "serial", [*_, last] if (
+            rest and not last.isdecimal()
+        ):  # names below /dev/serial/by-path have colons
+            return lambda: _Serial(rest, _BAUD_RATE)
     raise ValueError(f"source {url!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD]")
 
 

@@ -8,7 +8,7 @@
     publish_time      when the recorder received it, wall clock, Unix nanoseconds
     sequence          the sender's, modulo 2**32
 
-`Recorder.tick_done` writes what came since the last tick in the order of the channel table, key and sequence:
+`Recorder.tick_done` writes what came in the order of time of measurement, channel table, key and sequence:
 two replays of one drive differ in nothing but `publish_time`. Source: MCAP 1.0 specification, mcap.dev.
 """
 

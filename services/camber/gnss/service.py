@@ -33,6 +33,7 @@ class GnssService(Service[GnssSettings]):
         self._decoders: dict[str, PosDecoder | NmeaDecoder] = {}
         self._last_ns: int | None = None
         self._stream: ByteStream | None = None
+        self._failures = self._lost_bytes = 0
         if settings.source != "bus":
             self._stream = open_stream(settings.source, arrived=bus.wake)
 
@@ -48,8 +49,14 @@ class GnssService(Service[GnssSettings]):
         """Read what the stream has brought."""
         if self._stream is None:
             return
-        if self._stream.problem is not None:
+        if self._stream.failures > self._failures:
+            self._failures = self._stream.failures
             self.bus.issue("source_lost", f"{self.settings.source}: {self._stream.problem}")
+        if self._stream.lost_bytes > self._lost_bytes:
+            self.bus.issue(
+                "source_overflow", f"{self._stream.lost_bytes - self._lost_bytes} bytes came too fast"
+            )
+            self._lost_bytes = self._stream.lost_bytes
         data = self._stream.take()
         if data:
             self._feed(self.settings.protocol, data)

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from camber.formats.byte_streams import source_of
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 
@@ -24,6 +25,6 @@ class GnssSettings(ServiceSettings):
     @field_validator("source")
     @classmethod
     def _known_source(cls, value: str) -> str:
-        if value != "bus" and value.partition(":")[0] not in ("file", "tcp", "serial"):
-            raise ValueError("expected bus, file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD]")
+        if value != "bus":
+            source_of(value)
         return value

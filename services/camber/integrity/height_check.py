@@ -15,10 +15,13 @@ from camber.schemas.pose import Road, RoadPatch
 
 @dataclass(frozen=True, slots=True)
 class RoadPoint:
-    """The road at one point: elevation `h_m` and its σ, in metres."""
+    """The road at one point: elevation `h_m` and its σ in metres, slope to east and north, which surface it is."""
 
     elevation_m: float
     sigma_m: float
+    slope_east: float = 0.0
+    slope_north: float = 0.0
+    surface_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,20 +55,25 @@ def road_at(road: Road, east_m: float, north_m: float) -> RoadPoint | None:
         return _sampled(road.patch, east_m, north_m)
     if road.slope_east is None or road.slope_north is None or road.extent_m is None:
         return None
-    if math.hypot(east_m, north_m) > road.extent_m:
+    if not math.hypot(east_m, north_m) <= road.extent_m:
         return None
     elevation_m = road.elevation_m + road.slope_east * east_m + road.slope_north * north_m
-    return RoadPoint(elevation_m, road.sigma_m)
+    return RoadPoint(elevation_m, road.sigma_m, road.slope_east, road.slope_north, road.surface_id)
 
 
 def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | None:
     """The plane of the nearest sample, where one is in reach."""
+    if not len(patch.east_m):
+        return None
     east, north = east_m - patch.east_m, north_m - patch.north_m
     k = int(np.argmin(east**2 + north**2))
     if not math.hypot(east[k], north[k]) <= patch.reach_m:
         return None
-    rise_m = float(patch.slope_east[k] * east[k] + patch.slope_north[k] * north[k])
-    return RoadPoint(float(patch.elevation_m[k]) + rise_m, float(patch.sigma_m[k]))
+    slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
+    elevation_m = float(patch.elevation_m[k]) + slope_east * float(east[k]) + slope_north * float(north[k])
+    return RoadPoint(
+        elevation_m, float(patch.sigma_m[k]), slope_east, slope_north, int(patch.surface_id[k])
+    )
 
 
 def determine(
@@ -82,5 +90,5 @@ def determine(
     Anything not finite disagrees.
     """
     difference_m = height_difference_m(road.elevation_m, antenna_m, correction_m, receiver_m)
-    sigma_m = math.sqrt(road.sigma_m**2 + antenna_sigma_m**2 + receiver_sigma_m**2)
+    sigma_m = math.hypot(road.sigma_m, antenna_sigma_m, receiver_sigma_m)
     return Determination(difference_m, sigma_m, tolerance_m, abs(difference_m) <= tolerance_m)

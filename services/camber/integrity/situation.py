@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from camber.integrity.rules import Rules
+from camber.integrity.pose_gate import can_move_on, claimed_sigma_m, pose_sigma_m
+from camber.integrity.rules import SAME_EPOCH_S, Rules
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Reason
@@ -24,38 +25,37 @@ _ROAD_REASONS: dict[str, Reason] = {
 
 
 def age_s(time_ns: int, now_ns: int) -> float:
-    """Seconds since `time_ns`."""
+    """Seconds since `time_ns`; negative for what is dated ahead."""
     return (now_ns - time_ns) / 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """The newest of each input at the time of a judgement, and which services are on the bus."""
+    """The inputs nearest to the time of a judgement, and which services are on the bus."""
 
     pose: Pose | None
     antenna: AntennaHeight | None
     alive: frozenset[str]
 
     def missing_pose(self, at_ns: int, rules: Rules) -> Reason | None:
-        """No pose, an old one, one of no use?"""
-        if self.pose is None or abs(age_s(self.pose.time_ns, at_ns)) > rules.pose_max_age_s:
+        """No pose, one of another time, one of no use?"""
+        pose = self.pose
+        if pose is None or not abs(age_s(pose.time_ns, at_ns)) <= rules.pose_max_age_s:
             if "localizer" not in self.alive:
                 return "localizer_absent"
-            return "pose_missing" if self.pose is None else "pose_stale"
-        if self.pose.mode == "none" or self.pose.covariance_east_north_yaw is None:
+            return "pose_missing" if pose is None else "pose_stale"
+        if pose.mode == "none" or pose.provenance == "none":
             return "pose_missing"
-        return None
-
-    def missing_road(self, rules: Rules) -> Reason | None:
-        """No road under the pose?"""
-        assert self.pose is not None
-        road = self.pose.road
-        return None if road.status == "known" else _ROAD_REASONS.get(road.reason, "road_unknown")
+        if pose.latitude_rad is None or pose.longitude_rad is None or pose.covariance_east_north_yaw is None:
+            return "pose_missing"
+        if not abs(age_s(pose.time_ns, at_ns)) <= SAME_EPOCH_S and not can_move_on(pose):
+            return "pose_stale"
+        return None if pose_sigma_m(pose) <= rules.pose_sigma_limit_m else "pose_too_uncertain"
 
     def missing_antenna(self, at_ns: int, rules: Rules) -> Reason | None:
-        """No antenna height, an old one, or ways that contradict one another?"""
+        """No antenna height, one of another time, or ways that contradict one another?"""
         antenna = self.antenna
-        if antenna is None or age_s(antenna.time_ns, at_ns) > rules.antenna_max_age_s:
+        if antenna is None or not abs(age_s(antenna.time_ns, at_ns)) <= rules.antenna_max_age_s:
             if "antenna_height" not in self.alive:
                 return "antenna_height_absent"
             return "antenna_height_missing" if antenna is None else "antenna_height_stale"
@@ -65,23 +65,29 @@ class Situation:
             return "antenna_height_missing"
         return None
 
+    def missing_road(self) -> Reason | None:
+        """No road under the pose, or one that does not say in which datum its heights are?"""
+        if self.pose is None:
+            return "pose_missing"
+        road = self.pose.road
+        if road.status != "known":
+            return _ROAD_REASONS.get(road.reason, "road_unknown")
+        if road.elevation_m is None or road.sigma_m is None:
+            return "road_unknown"
+        return "datum_mismatch" if road.datum is None else None
+
     def missing(self, at_ns: int, rules: Rules) -> Reason | None:
         """The first thing missing for a verdict on a fix at this time."""
-        return (
-            self.missing_pose(at_ns, rules)
-            or self.missing_antenna(at_ns, rules)
-            or self.missing_road(rules)
-        )
+        return self.missing_pose(at_ns, rules) or self.missing_antenna(at_ns, rules) or self.missing_road()
 
 
-def unusable_fix(fix: Fix, last: Fix | None, now_ns: int, rules: Rules) -> Reason | None:
-    """Why a fix is not judged at all."""
+def unusable_fix(fix: Fix, rules: Rules) -> Reason | None:
+    """Why a solution is no fix that could be confirmed, whatever the road says.
+
+    Resolved integers make centimetres: one that claims less by its own account is none.
+    """
     if fix.quality != "fixed":
         return "not_a_fix"
     if fix.covariance_enu_m2 is None:
         return "fix_implausible"
-    if last is not None and fix.time_ns <= last.time_ns:
-        return "fix_repeated" if fix.time_ns == last.time_ns else "fix_out_of_order"
-    if abs(age_s(fix.time_ns, now_ns)) > rules.fix_max_age_s:
-        return "fix_implausible" if fix.time_ns > now_ns else "gnss_stale"
-    return None
+    return None if claimed_sigma_m(fix.covariance_enu_m2) <= rules.fix_sigma_limit_m else "fix_implausible"

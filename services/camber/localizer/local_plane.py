@@ -13,6 +13,8 @@ from camber.schemas.road import LinksReply
 MOVE_AFTER_M = 2000.0
 """The plane is laid anew beyond this distance: at 2 km its north is off by 0.01° at 35° latitude."""
 
+_EARTH_RADIUS_M = 6.371e6
+
 
 class LocalPlane:
     """A plane about a point; heights do not enter it."""
@@ -32,6 +34,16 @@ class LocalPlane:
     def too_far(self, east_m: float, north_m: float) -> bool:
         """Is it time for another plane?"""
         return math.hypot(east_m, north_m) > MOVE_AFTER_M
+
+    def reaches(self, latitude_rad: float, longitude_rad: float) -> bool:
+        """Is a point near enough to compute in this plane? Its coordinates do not say: the antipode's are zero."""
+        here = self._frame
+        half_chord = math.hypot(
+            math.sin(0.5 * (latitude_rad - here.latitude_rad)),
+            math.sin(0.5 * (longitude_rad - here.longitude_rad))
+            * math.sqrt(math.cos(latitude_rad) * math.cos(here.latitude_rad)),
+        )
+        return 2.0 * _EARTH_RADIUS_M * half_chord < MOVE_AFTER_M
 
     def links(self, reply: LinksReply) -> list[Link]:
         """The links of a reply in this plane."""

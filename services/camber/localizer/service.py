@@ -73,12 +73,13 @@ class LocalizerService(Service[LocalizerSettings]):
         if not self._filter.accepts_fixes:
             self._start.reset()
             return
+        covariance = self._horizontal(fix.covariance_enu_m2)
+        if covariance is None:
+            return
         east_m, north_m = self._plane_for(fix.latitude_rad, fix.longitude_rad).east_north(
             fix.latitude_rad, fix.longitude_rad
         )
-        pose = self._start.add(
-            fix.time_ns, east_m, north_m, _horizontal(fix.covariance_enu_m2), self._filter.track
-        )
+        pose = self._start.add(fix.time_ns, east_m, north_m, covariance, self._filter.track)
         if pose is not None and self._filter.start(pose):
             self._links.restart()
             self.bus.count("started_from_fixes")
@@ -88,12 +89,25 @@ class LocalizerService(Service[LocalizerSettings]):
             return
         if verdict.latitude_rad is None or verdict.longitude_rad is None:
             return
+        covariance = self._horizontal(verdict.covariance_enu_m2)
+        if covariance is None:
+            return
         plane = self._plane_for(verdict.latitude_rad, verdict.longitude_rad)
         east_m, north_m = plane.east_north(verdict.latitude_rad, verdict.longitude_rad)
-        result = self._filter.anchor(verdict.time_ns, east_m, north_m, _horizontal(verdict.covariance_enu_m2))
+        result = self._filter.anchor(verdict.time_ns, east_m, north_m, covariance)
         if result.outcome == "recovered":
             self._links.restart()
         self.bus.count(f"anchor.{result.outcome}")
+
+    def _horizontal(self, covariance_enu_m2: tuple[float, ...]) -> Any:
+        """The part for east and north, (2, 2); None where it says that there is no error, or is no covariance."""
+        ee, en, _, nn, _, _ = covariance_enu_m2
+        if not (ee > 0.0 and ee * nn > en * en):
+            self.bus.issue(
+                "unusable_covariance", f"ee {ee:g}, en {en:g}, nn {nn:g} m²: not positive definite"
+            )
+            return None
+        return np.array([[ee, en], [en, nn]])
 
     def advance(self, now_ns: int) -> None:
         """Publish the pose of the newest motion sample, once."""
@@ -106,7 +120,9 @@ class LocalizerService(Service[LocalizerSettings]):
         if estimate is None or self._plane is None:
             road = Road(status="unknown", reason="no_pose")
             reason = "not started: no given pose, and no fixes in a row that agree with the motion"
-            self.bus.publish("pose", Pose(time_ns=time_ns, mode="none", provenance="none", reason=reason, road=road))
+            self.bus.publish(
+                "pose", Pose(time_ns=time_ns, mode="none", provenance="none", reason=reason, road=road)
+            )
             return
         self.bus.publish("pose", self._pose(estimate, self._plane))
 
@@ -197,13 +213,26 @@ class LocalizerService(Service[LocalizerSettings]):
         self.bus.count(f"link.{result.outcome}")
 
     def _plane_for(self, latitude_rad: float, longitude_rad: float) -> LocalPlane:
-        if self._plane is None:
-            self._plane = LocalPlane(latitude_rad, longitude_rad)
+        """The plane; laid anew where there is no pose in it yet: a first fix may have been anywhere."""
+        if self._plane is None or (
+            self._filter.mode == "none" and not self._plane.reaches(latitude_rad, longitude_rad)
+        ):
+            self._lay_plane(LocalPlane(latitude_rad, longitude_rad))
+        assert self._plane is not None
         return self._plane
+
+    def _lay_plane(self, plane: LocalPlane) -> None:
+        self._plane = plane
+        self._start.reset()
+        self._links.forget()
 
     def _move_plane(self) -> None:
         estimate = self._filter.estimate()
-        if estimate is None or self._plane is None or not self._plane.too_far(estimate.east_m, estimate.north_m):
+        if (
+            estimate is None
+            or self._plane is None
+            or not self._plane.too_far(estimate.east_m, estimate.north_m)
+        ):
             return
         self._plane = LocalPlane(*self._plane.geodetic(estimate.east_m, estimate.north_m))
         self._filter.shifted(estimate.east_m, estimate.north_m)
@@ -212,13 +241,18 @@ class LocalizerService(Service[LocalizerSettings]):
 
     def _begin_given(self, given: GivenPose, time_ns: int) -> None:
         latitude_rad, longitude_rad = math.radians(given.latitude_deg), math.radians(given.longitude_deg)
-        plane = self._plane_for(latitude_rad, longitude_rad)
+        plane = LocalPlane(
+            latitude_rad, longitude_rad
+        )  # about the given place, whatever fixes have said before
+        self._lay_plane(plane)
         east_m, north_m = plane.east_north(latitude_rad, longitude_rad)
         yaw_rad = math.radians(given.yaw_deg)
         lever = lever_arm(yaw_rad, self.settings.antenna_x_m, self.settings.antenna_y_m)
         position, yaw = given.horizontal_sigma_m**2, math.radians(given.yaw_sigma_deg) ** 2
         covariance = moved_by_lever(np.diag([position, position, yaw]), -lever[0], -lever[1])
-        self._filter.start(StartPose(time_ns, east_m - lever[0], north_m - lever[1], yaw_rad, covariance, "given"))
+        self._filter.start(
+            StartPose(time_ns, east_m - lever[0], north_m - lever[1], yaw_rad, covariance, "given")
+        )
 
 
 class _Links:
@@ -269,17 +303,16 @@ class _Links:
         if reply.status != "known":
             self._bus.issue("no_links", reply.reason or "unknown")
             return
-        network = LinkNetwork(plane.links(reply))
+        try:
+            network = LinkNetwork(plane.links(reply))
+        except ValueError as error:
+            self._bus.issue("unusable_links", str(error))
+            return
         if self._matcher is None:
             self._matcher = LinkMatcher(network)
         else:
             self._matcher.replace_network(network)
         self._centre, self._version = here, reply.map_version
-
-
-def _horizontal(covariance_enu_m2: tuple[float, ...]) -> Any:
-    ee, en, _, nn, _, _ = covariance_enu_m2
-    return np.array([[ee, en], [en, nn]])
 
 
 def _upper(covariance: Any) -> tuple[float, float, float, float, float, float]:

@@ -17,7 +17,9 @@ class GivenPose(BaseModel):
     model_config = ConfigDict(extra="forbid")
     latitude_deg: float = Field(ge=-90.0, le=90.0, description="latitude of the antenna")
     longitude_deg: float = Field(ge=-180.0, le=180.0, description="longitude of the antenna")
-    yaw_deg: float = Field(ge=-360.0, le=360.0, description="direction of the vehicle's x, counter-clockwise from east")
+    yaw_deg: float = Field(
+        ge=-360.0, le=360.0, description="direction of the vehicle's x, counter-clockwise from east"
+    )
     horizontal_sigma_m: float = Field(gt=0.0, le=1000.0, description="σ in east and in north")
     yaw_sigma_deg: float = Field(gt=0.0, le=180.0, description="σ of yaw_deg")
 
@@ -27,7 +29,9 @@ class LocalizerSettings(ServiceSettings):
 
     SERVICE: ClassVar[str] = "localizer"
 
-    antenna_x_m: float = Field(0.0, ge=-50.0, le=50.0, description="antenna forward of the rear axle's middle")
+    antenna_x_m: float = Field(
+        0.0, ge=-50.0, le=50.0, description="antenna forward of the rear axle's middle"
+    )
     antenna_y_m: float = Field(0.0, ge=-50.0, le=50.0, description="antenna left of it")
     wheelbase_m: float = Field(2.7, gt=0.1, le=20.0, description="for the bicycle model of the steering")
     a_rate_sensor: Literal["yaw_rate", "steering"] = Field(
@@ -35,7 +39,9 @@ class LocalizerSettings(ServiceSettings):
     )
     couple_links: bool = Field(True, description="couple dead reckoning to the map's links")
     links_radius_m: float = Field(600.0, ge=100.0, le=2000.0, description="links are fetched this far around")
-    road_sigma_limit_m: float = Field(15.0, gt=0.0, description="beyond this σ no road is named under the pose")
+    road_sigma_limit_m: float = Field(
+        15.0, gt=0.0, le=27.0, description="beyond this σ no road is named under the pose"
+    )
     initial_pose: GivenPose | None = Field(None, description="a given pose at the start")
 
     def model(self) -> PoseModel:

@@ -1,7 +1,7 @@
 """`python -m camber.map_server`."""
 
-from camber.map_server.service import MapServerService
+from camber.map_server.service import SERVICE
 from camber.runtime.run import run
 
 if __name__ == "__main__":
-    raise SystemExit(run(MapServerService))
+    raise SystemExit(run(SERVICE))

@@ -134,8 +134,9 @@ class ElevationMap:
             np.column_stack((east_m, north_m)), np.zeros(len(east_m))
         )
         found = self.roads(points[0], points[1], links, last_surface_id)
-        if found.ambiguous.any():
-            # A surface of another level within reach: where exactly the vehicle is decides which one it is on.
+        undecided = not links and len(np.unique(found.level)) > 1
+        if undecided or found.ambiguous.any():
+            # Surfaces of several levels within reach: where exactly the vehicle is would decide which one it is on.
             return LEVELS_AMBIGUOUS
         if len(found.known) == 0:
             return road

@@ -199,3 +199,6 @@ class MapServerService(Service[MapServerSettings]):
 def _due(now_ns: int, last_ns: int, every_s: float) -> bool:
     """Has the time passed, or the clock been set back?"""
     return not 0 <= now_ns - last_ns < every_s * 1e9
+
+
+SERVICE = MapServerService

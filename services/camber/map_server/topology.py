@@ -28,7 +28,7 @@ def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
 
     1. Surfaces of candidate links; among them, or where no candidates were given, those connected to the last surface.
     2. Where that leaves none: all, provided that nothing that is known of the topology is on another level.
-    3. What is left must be on one level.
+    3. What is left must be on one level, or all connected to the last surface: where a road changes its level.
     4. Of that level those that contain the point (else those within the tolerance), which must agree within their σ;
        the one whose centre line is nearest.
 
@@ -38,13 +38,15 @@ def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
     if plausible or not topology.candidates:
         plausible = [hit for hit in plausible or hits if hit.link_id in topology.connected] or plausible
     left = plausible or hits
-    level = left[0].level
-    if any(hit.level != level for hit in left):
+    levels = {hit.level for hit in left}
+    if len(levels) > 1 and any(hit.link_id not in topology.connected for hit in left):
         return None
-    if not plausible and topology.levels - {level}:
+    if not plausible and topology.levels - levels:
         return None
     left = [hit for hit in left if hit.inside] or left
     chosen = min(left, key=lambda hit: (round(hit.offset_m / _TIE_M), hit.surface_id))
-    if any(abs(hit.height_m - chosen.height_m) > hit.sigma_m + chosen.sigma_m for hit in left):
-        return None
-    return chosen
+    return chosen if _agree(left, chosen) else None
+
+
+def _agree(hits: Sequence[Hit], with_hit: Hit) -> bool:
+    return all(abs(hit.height_m - with_hit.height_m) <= hit.sigma_m + with_hit.sigma_m for hit in hits)

@@ -15,7 +15,13 @@ from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 
 
 def ask_once(
-    settings: ServiceSettings, name: str, request: Message, *, service: str, timeout_s: float, source: str = "tools"
+    settings: ServiceSettings,
+    name: str,
+    request: Message,
+    *,
+    service: str,
+    timeout_s: float,
+    source: str = "tools",
 ) -> Any:
     """Join the bus, ask `service` over the query channel `name`, leave; returns the reply.
 

@@ -15,9 +15,13 @@ from camber.runtime.settings import ZenohSettings
 def main(argv: list[str] | None = None) -> int:
     """Route until SIGTERM or SIGINT."""
     parser = argparse.ArgumentParser(prog="camber router", description=__doc__)
-    parser.add_argument("--listen", action="append", metavar="ENDPOINT", help="default tcp/127.0.0.1:7447; repeatable")
+    parser.add_argument(
+        "--listen", action="append", metavar="ENDPOINT", help="default tcp/127.0.0.1:7447; repeatable"
+    )
     parser.add_argument("--connect", action="append", metavar="ENDPOINT", help="another router; repeatable")
-    parser.add_argument("--config-file", type=Path, metavar="FILE", help="Zenoh configuration (json5) to start from")
+    parser.add_argument(
+        "--config-file", type=Path, metavar="FILE", help="Zenoh configuration (json5) to start from"
+    )
     args = parser.parse_args(argv)
     settings = ZenohSettings(
         mode="router",
@@ -33,7 +37,9 @@ def main(argv: list[str] | None = None) -> int:
     except BusError as error:
         print(f"camber router: {error}", file=sys.stderr)
         return 3
-    print(f"camber router: {session.zid()} listens on {', '.join(settings.listen)}", file=sys.stderr, flush=True)
+    print(
+        f"camber router: {session.zid()} listens on {', '.join(settings.listen)}", file=sys.stderr, flush=True
+    )
     stop.wait()
     session.close()  # type: ignore[no-untyped-call]
     return 0

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import re
 import sys
 import tomllib
+from datetime import date
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, NoReturn, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_settings import (
@@ -41,23 +44,32 @@ class ZenohSettings(BaseModel):
         default_factory=lambda: ["tcp/127.0.0.1:0"],
         description="endpoints on which other peers may reach this one; a client listens on none",
     )
-    config_file: Path | None = Field(None, description="a Zenoh configuration (json5) to start from: TLS, access control")
+    config_file: Path | None = Field(
+        None, description="a Zenoh configuration (json5) to start from: TLS, access control"
+    )
 
 
 class ServiceSettings(BaseSettings):
     """What every service can be told."""
 
-    model_config = SettingsConfigDict(extra="forbid", env_nested_delimiter="__", nested_model_default_partial_update=True)
+    model_config = SettingsConfigDict(
+        extra="forbid", env_nested_delimiter="__", nested_model_default_partial_update=True
+    )
     SERVICE: ClassVar[str] = "service"
 
     vehicle: Name = Field("vehicle", description="name of the vehicle, second part of every key")
     zenoh: ZenohSettings = Field(default_factory=ZenohSettings)
     clock: Literal["system", "replay"] = Field(
-        "system", description="system: GPS time from this machine's clock; replay: the time of the feeder's ticks"
+        "system",
+        description="system: GPS time from this machine's clock; replay: the time of the feeder's ticks",
     )
-    period_s: float = Field(0.05, gt=0.0, le=10.0, description="longest time between two rounds of the work loop")
+    period_s: float = Field(
+        0.05, gt=0.0, le=10.0, description="longest time between two rounds of the work loop"
+    )
     state_dir: Path | None = Field(None, description="where the service keeps what must survive a restart")
-    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level that is logged")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="least level that is logged"
+    )
     log_format: Literal["json", "text"] = Field("text", description="one JSON object a line, or for people")
 
     @classmethod
@@ -70,31 +82,43 @@ class ServiceSettings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """The order above; the TOML table comes as init settings, lowest."""
-        env = EnvSettingsSource(settings_cls, env_prefix=f"CAMBER_{cls.SERVICE.upper()}_")
+        env = EnvSettingsSource(settings_cls, env_prefix=_environment_prefix(cls))
         return env, init_settings
 
 
 def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Namespace]:
     """Read the settings of `cls`, or raise ConfigError. Returns them and the flags `--check`, `--print-config`."""
-    flags = argparse.ArgumentParser(prog=prog, add_help=False, allow_abbrev=False)
+    flags = _Parser(prog=prog, add_help=False, allow_abbrev=False)
     flags.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings")
-    flags.add_argument("--check", action="store_true", help="read the settings, say whether they are right, and end")
-    flags.add_argument("--print-config", action="store_true", help="print the settings in force as TOML, and end")
+    flags.add_argument(
+        "--check", action="store_true", help="read the settings, say whether they are right, and end"
+    )
+    flags.add_argument(
+        "--print-config", action="store_true", help="print the settings in force as TOML, and end"
+    )
     args, rest = flags.parse_known_args(argv)
     table = _read_toml(args.config) if args.config else {}
+    for name in table.keys() - cls.model_fields.keys():
+        raise ConfigError(f"{args.config}: {name}: unknown setting")
+    _refuse_unknown_environment(cls)
     summary = (cls.__doc__ or "").strip().splitlines()[0]
-    parser = argparse.ArgumentParser(prog=prog, parents=[flags], description=summary, allow_abbrev=False)
+    parser = _Parser(prog=prog, parents=[flags], description=summary, allow_abbrev=False)
     # A source of its own, so that the order holds: pydantic-settings puts it above environment and file.
     source: Any = CliSettingsSource(
-        cls, root_parser=parser, cli_kebab_case=True, cli_implicit_flags=True, cli_avoid_json=False, cli_prog_name=prog
+        cls,
+        root_parser=parser,
+        cli_kebab_case=True,
+        cli_implicit_flags=True,
+        cli_avoid_json=False,
+        cli_prog_name=prog,
     )
     try:
         cli = source(args=rest)
         return cls(_cli_settings_source=cli, **table), args
     except ValidationError as error:
         raise ConfigError(_one_line(error, args.config, table)) from None
-    except SettingsError as error:
-        raise ConfigError(f"command line: {str(error).splitlines()[0]}") from None
+    except SettingsError as error:  # a list or a table that cannot be parsed
+        raise ConfigError(_not_json(error)) from None
 
 
 def to_toml(settings: BaseModel) -> str:
@@ -102,6 +126,26 @@ def to_toml(settings: BaseModel) -> str:
     lines: list[str] = []
     _emit(settings, "", lines)
     return "\n".join(lines) + "\n"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the list of all options."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(message)
+
+
+def _environment_prefix(cls: type[ServiceSettings]) -> str:
+    return f"CAMBER_{cls.SERVICE.upper()}_"
+
+
+def _refuse_unknown_environment(cls: type[ServiceSettings]) -> None:
+    """A misspelt variable must not pass in silence; pydantic-settings looks only for those that it knows."""
+    prefix = _environment_prefix(cls)
+    for variable in sorted(os.environ):
+        name = variable.upper().removeprefix(prefix)
+        if name != variable.upper() and name.partition("__")[0].lower() not in cls.model_fields:
+            raise ConfigError(f"environment: {variable}: unknown setting")
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -116,12 +160,32 @@ def _read_toml(path: Path) -> dict[str, Any]:
 def _one_line(error: ValidationError, path: Path | None, table: dict[str, Any]) -> str:
     first = error.errors(include_url=False)[0]
     field = ".".join(str(part) for part in first["loc"])
-    where = f"{path}: " if path is not None and str(first["loc"][0] if first["loc"] else "") in table else ""
+    where = f"{path}: " if path is not None and _stands_in(table, first["loc"]) else ""
+    if first["type"] == "value_error":  # a rule of ours, which says what it met
+        rule = first["msg"].removeprefix("Value error, ")
+        return f"{where}{field}: {rule}" if field else f"{where}{rule}"
     if first["type"] == "extra_forbidden":
         return f"{where}{field}: unknown setting"
     if first["type"] == "missing":
         return f"{where}{field}: missing; this setting has no default"
     return f"{where}{field}: {first['msg']} (got {str(first['input'])[:60]!r})"
+
+
+def _not_json(error: SettingsError) -> str:
+    text = str(error).splitlines()[0]
+    name = re.search(r'field "(\w+)" from source "EnvSettingsSource"', text)
+    if name is None:
+        return f"command line: {text}"
+    return f"environment: {name[1]}: expected JSON for a list or a table: {error.__cause__}"
+
+
+def _stands_in(table: dict[str, Any], loc: tuple[int | str, ...]) -> bool:
+    value: Any = table
+    for part in loc:
+        if not isinstance(value, dict) or part not in value:
+            return isinstance(value, list)  # an item of a list that stands there
+        value = value[part]
+    return True
 
 
 def _emit(model: BaseModel, prefix: str, lines: list[str]) -> None:
@@ -131,7 +195,7 @@ def _emit(model: BaseModel, prefix: str, lines: list[str]) -> None:
         if isinstance(value, BaseModel):
             tables.append((name, value))
             continue
-        comment = f"  # {info.description}" if info.description else ""
+        comment = f"  # {' '.join(info.description.split())}" if info.description else ""
         lines.append(f"# {name} ={comment}" if value is None else f"{name} = {_toml(value)}{comment}")
     for name, value in tables:
         lines += ["", f"[{prefix}{name}]"]
@@ -143,7 +207,10 @@ def _toml(value: Any) -> str:
         value = str(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return json.dumps(value)  # strings, numbers and booleans read alike in TOML
+    if isinstance(value, date | float):  # 2023-07-11, 0.05, 1e-09, inf
+        return str(value)
+    # Strings, integers and booleans read alike in JSON and TOML, but for one character.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def load_or_exit(cls: type[S], argv: list[str], *, prog: str) -> S:

@@ -91,12 +91,22 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("service", choices=(*SERVICES, ROUTER), metavar="SERVICE", help="which one, or router")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints")
+    parser.add_argument(
+        "service", choices=(*SERVICES, ROUTER), metavar="SERVICE", help="which one, or router"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints"
+    )
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
-    parser.add_argument("--connect", action="append", metavar="ENDPOINT", help="router to ask through; repeatable")
-    parser.add_argument("--timeout", type=_timeout, default=3.0, metavar="S", help="seconds to wait (default 3)")
-    parser.add_argument("--json", action="store_true", help="one JSON object with counters and texts of issues")
+    parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="router to ask through; repeatable"
+    )
+    parser.add_argument(
+        "--timeout", type=_timeout, default=3.0, metavar="S", help="seconds to wait (default 3)"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object with counters and texts of issues"
+    )
     return parser
 
 

@@ -70,7 +70,8 @@ class Processes:
         logs.mkdir(parents=True, exist_ok=True)
         # The drive's settings alone count: an operator's environment must not change a replay.
         environ = {key: value for key, value in os.environ.items() if not key.startswith("CAMBER_")}
-        environ["OMP_NUM_THREADS"] = environ["OPENBLAS_NUM_THREADS"] = "1"  # small matrices gain nothing from more
+        # Small matrices gain nothing from more threads.
+        environ["OMP_NUM_THREADS"] = environ["OPENBLAS_NUM_THREADS"] = "1"
         config = self.folder / "config" / f"{name}.toml"
         with (logs / f"{name}.log").open("ab") as log:
             return subprocess.Popen(
@@ -102,4 +103,4 @@ def _toml(table: Mapping[str, Any], prefix: str = "") -> str:
 
 
 def _value(value: Any) -> str:
-    return json.dumps(str(value) if isinstance(value, Path) else value)
+    return json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)

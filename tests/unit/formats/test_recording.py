@@ -133,9 +133,10 @@ def test_order_within_a_tick_does_not_depend_on_arrival(tmp_path: Path) -> None:
             recorder.tick_done()
         files.append(path.read_bytes())
     assert len(set(files)) == 1
-    found = [(i.channel, i.key, i.sequence) for i in read_recording(path) if isinstance(i, Recorded)]
+    recorded = [i for i in read_recording(path) if isinstance(i, Recorded)]
+    found = [(i.message.time_ns, i.channel, i.key, i.sequence) for i in recorded]
     order = {channel.name: place for place, channel in enumerate(CHANNELS)}
-    assert found == sorted(found, key=lambda item: (order[item[0]], item[1], item[2]))
+    assert found == sorted(found, key=lambda item: (item[0], order[item[1]], item[2], item[3]))
     assert len(found) == len(sent)
 
 

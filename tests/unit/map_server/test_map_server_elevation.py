@@ -344,7 +344,7 @@ def test_a_patch_samples_the_road_within_the_radius() -> None:
     found = around(rows, 5.0)
     assert found.patch is not None
     assert np.hypot(found.patch.east_m, found.patch.north_m).max() <= 5.0 + 1e-9
-    assert found.patch.reach_m == pytest.approx(1.0)
+    assert found.patch.reach_m == pytest.approx(1.25)
     assert found.elevation_m is not None
     assert found.slope_east is not None
     assert found.slope_north is not None

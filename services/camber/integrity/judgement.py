@@ -1,0 +1,64 @@
+"""What the judge says of one fix, with all that it rests on, and the verdict that is published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from camber.integrity.height_check import Determination, RoadPoint
+from camber.integrity.true_sigma import TrueSigma, with_true_sigma
+from camber.schemas.antenna import AntennaHeight
+from camber.schemas.gnss import Fix
+from camber.schemas.integrity import Evidence, Reason, Verdict, VerdictWord
+from camber.schemas.pose import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """The one judgement of a fix; `pose`, `antenna`, `road` and `determination` as far as it came."""
+
+    fix: Fix
+    word: VerdictWord
+    reason: Reason
+    detail: str = ""
+    evidence: tuple[Evidence, ...] = ()
+    determination: Determination | None = None
+    correction_m: float = 0.0
+    road: RoadPoint | None = None
+    pose: Pose | None = None
+    antenna: AntennaHeight | None = None
+
+    @property
+    def confirmed(self) -> bool:
+        """May a consumer use the position?"""
+        return self.word in ("confirmed", "confirmed_after_verification")
+
+
+def verdict_of(judgement: Judgement, sigma: TrueSigma) -> Verdict:
+    """The message; it has a position only where that is confirmed."""
+    fix, outcome, point = judgement.fix, judgement.determination, judgement.road
+    road = judgement.pose.road if judgement.pose is not None else None
+    surface_id = point.surface_id if point is not None else road.surface_id if road is not None else None
+    verdict = Verdict(
+        time_ns=fix.time_ns,
+        fix_id=fix.fix_id,
+        verdict=judgement.word,
+        reason=judgement.reason,
+        detail=judgement.detail,
+        evidence=judgement.evidence,
+        height_difference_m=outcome.difference_m if outcome is not None else None,
+        tolerance_m=outcome.tolerance_m if outcome is not None else None,
+        correction_m=judgement.correction_m,
+        trials=1,
+        surface_id=surface_id,
+        map_version=road.map_version if road is not None else None,
+    )
+    if not judgement.confirmed or fix.covariance_enu_m2 is None:
+        return verdict
+    return verdict.model_copy(
+        update={
+            "latitude_rad": fix.latitude_rad,
+            "longitude_rad": fix.longitude_rad,
+            "height_m": fix.height_m,
+            "covariance_enu_m2": with_true_sigma(fix.covariance_enu_m2, sigma),
+        }
+    )

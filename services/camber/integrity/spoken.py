@@ -1,0 +1,53 @@
+"""What consumers have been told last, and so whether they must be told now: silence is never an answer."""
+
+from __future__ import annotations
+
+from camber.integrity.rules import SAME_EPOCH_S
+
+_REPEAT_NS = 100_000_000  # without an epoch of its own, a word is repeated this often
+_SAME_EPOCH_NS = round(SAME_EPOCH_S * 1e9)
+
+
+class Spoken:
+    """Times of the last words; 0: none yet."""
+
+    def __init__(self) -> None:
+        self._verdict_at_ns = 0  # when it was published
+        self._none_at_ns = 0  # when the word that there is no position was published
+        self._position_ns = 0  # of which time the newest position is
+        self._rtk_ns = 0  # of which time the newest confirmed position is
+
+    def verdict(self, now_ns: int) -> None:
+        """A verdict has been published."""
+        self._verdict_at_ns = now_ns
+
+    def rtk(self, time_ns: int) -> None:
+        """A confirmed position has been published."""
+        self._rtk_ns = max(self._rtk_ns, time_ns)
+        self._position_ns = max(self._position_ns, time_ns)
+
+    def position(self, time_ns: int) -> None:
+        """Another position, or the word that the pose gives none, has been published."""
+        self._position_ns = max(self._position_ns, time_ns)
+
+    def no_position(self, now_ns: int) -> None:
+        """The word that there is no pose has been published."""
+        self._none_at_ns = now_ns
+
+    def pose_is_due(self, pose_ns: int) -> bool:
+        """Is this pose news, and not of an epoch that has a confirmed position?"""
+        return pose_ns > self._position_ns and pose_ns > self._rtk_ns + _SAME_EPOCH_NS
+
+    def verdict_is_due(self, now_ns: int) -> bool:
+        """Has there been no verdict for a while?"""
+        return not 0 <= now_ns - self._verdict_at_ns < _REPEAT_NS
+
+    def position_is_due(self, now_ns: int, max_age_s: float) -> bool:
+        """Is the newest position too old, and has that not just been said?"""
+        fresh = 0 <= now_ns - self._position_ns <= max_age_s * 1e9
+        return not fresh and not 0 <= now_ns - self._none_at_ns < _REPEAT_NS
+
+    def forget_after(self, limit_ns: int) -> None:
+        """The clock was set back: nothing can have been said of later than this."""
+        if max(self._position_ns, self._rtk_ns) > limit_ns:
+            self._position_ns = self._rtk_ns = 0

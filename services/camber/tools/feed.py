@@ -1,0 +1,196 @@
+"""`camber feed`: a recorded drive, live: at its own pace, dated now, onto the bus of services that are running.
+
+What the vehicle's sensors said goes out as they said it, with times moved to the present. The receiver's solutions
+are written anew as RTKLIB lines, because the times are in them. With `--loop` the vehicle drives to the end, back in
+reverse gear, and so on: it never jumps from the end to the beginning, which no vehicle does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.nmea import NmeaDecoder
+from camber.formats.receiver_solution import ReceiverSolution
+from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.session import BusError, open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.base import Message
+from camber.schemas.drive import ManifestError, load_manifest
+from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.motion import Motion
+from camber.simulator.drive_inputs import DriveInputs, prepare_drive
+
+_PROG = "camber feed"
+_NS = 1_000_000_000
+_LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """What arrives at one time: solutions of the receiver, and samples of other sensors by channel."""
+
+    time_ns: int
+    solutions: tuple[ReceiverSolution, ...]
+    samples: tuple[tuple[str, Message], ...]
+
+    def moved(self, offset_ns: int) -> Epoch:
+        """The same, `offset_ns` later."""
+        return Epoch(
+            self.time_ns + offset_ns,
+            tuple(replace(solution, time_ns=solution.time_ns + offset_ns) for solution in self.solutions),
+            tuple((name, _dated(message, message.time_ns + offset_ns)) for name, message in self.samples),
+        )
+
+    def messages(self) -> Iterator[tuple[str, Message]]:
+        """What goes onto the bus: channel and message."""
+        if self.solutions:
+            payload = np.frombuffer(b"".join(_pos_lines(solution) for solution in self.solutions), np.uint8)
+            yield "receiver_bytes", ReceiverBytes(time_ns=self.time_ns, protocol="pos", payload=payload)
+        yield from self.samples
+
+
+def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
+    """The drive, with the receiver's bytes read; lines that say nothing are left out."""
+    receiver = inputs.manifest.receiver
+    date = None if receiver is None else receiver.utc_date
+    decoders: dict[str, PosDecoder | NmeaDecoder] = {
+        "pos": PosDecoder("receiver"),
+        "nmea": NmeaDecoder("receiver", utc_date=date),
+    }
+    epochs = []
+    for tick in inputs.ticks():
+        read = [
+            item for part in tick.receiver for item in decoders[part.protocol].feed(part.payload.tobytes())
+        ]
+        samples = (
+            *(("motion", sample) for sample in tick.motion),
+            *(("suspension", sample) for sample in tick.suspension),
+            *(("ranging", sample) for sample in tick.ranging),
+        )
+        solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
+        epochs.append(Epoch(tick.time_ns, solutions, samples))
+    return tuple(epochs)
+
+
+def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
+    """The same way in reverse gear, from the end to the beginning, in the same period of time."""
+    span_ns = epochs[0].time_ns + epochs[-1].time_ns
+    return tuple(
+        Epoch(
+            span_ns - epoch.time_ns,
+            tuple(_backward_solution(solution, span_ns) for solution in reversed(epoch.solutions)),
+            tuple((name, _backward_sample(message, span_ns)) for name, message in reversed(epoch.samples)),
+        )
+        for epoch in reversed(epochs)
+    )
+
+
+def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
+    """There; with `loop` also back, there, back, for ever."""
+    yield epochs
+    backward = reversed_drive(epochs) if loop else ()
+    while loop:
+        yield backward
+        yield epochs
+
+
+def main(argv: Sequence[str]) -> int:
+    """Feed one drive; 0 done or stopped, 2 the drive cannot be used, 3 the bus cannot be joined."""
+    args = _parser().parse_args(argv)
+    try:
+        manifest = load_manifest(args.drive, args.set)
+        epochs = epochs_of(prepare_drive(manifest, args.drive.parent))
+        settings = ServiceSettings(
+            vehicle=args.vehicle or manifest.vehicle,
+            zenoh=ZenohSettings(mode="client", connect=args.connect or ["tcp/127.0.0.1:7447"]),
+        )
+        bus = Bus(open_session(settings.zenoh), settings, "vehicle", SystemClock())
+    except (ManifestError, FormatError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except BusError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 3
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        _feed(passes(epochs, loop=args.loop), bus, stop, manifest.name)
+    finally:
+        bus.close()
+    return 0
+
+
+def _feed(ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str) -> None:
+    start_ns = bus.now_ns()
+    for number, way in enumerate(ways, start=1):
+        duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
+        print(f"{_PROG}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
+        start_ns = _feed_pass(way, bus, stop, start_ns)
+        if stop.is_set():
+            return
+
+
+def _feed_pass(way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int) -> int:
+    """Publish each epoch when its time has come; returns when the next pass may start."""
+    # Whole milliseconds: more decimals of a time than that are not in an RTKLIB line.
+    offset_ns = (start_ns - way[0].time_ns) // 1_000_000 * 1_000_000
+    for epoch in way:
+        early_ns = epoch.time_ns + offset_ns - bus.now_ns()
+        if early_ns < -_LATE_NS:
+            offset_ns -= early_ns // 1_000_000 * 1_000_000
+        elif stop.wait(max(early_ns, 0) / _NS):
+            break
+        for name, message in epoch.moved(offset_ns).messages():
+            bus.publish(name, message)
+    step_ns = (way[-1].time_ns - way[0].time_ns) // max(len(way) - 1, 1)
+    return way[-1].time_ns + offset_ns + step_ns
+
+
+def _pos_lines(solution: ReceiverSolution) -> bytes:
+    """The solution with the header before it: a gnss that starts later must be able to read it too."""
+    velocity = solution.velocity_enu_m_s is not None
+    return format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
+
+
+def _dated(message: Message, time_ns: int) -> Message:
+    return message.model_copy(update={"time_ns": time_ns})
+
+
+def _backward_solution(solution: ReceiverSolution, span_ns: int) -> ReceiverSolution:
+    velocity = solution.velocity_enu_m_s
+    backward = None if velocity is None else (-velocity[0], -velocity[1], -velocity[2])
+    return replace(solution, time_ns=span_ns - solution.time_ns, velocity_enu_m_s=backward)
+
+
+def _backward_sample(message: Message, span_ns: int) -> Message:
+    dated = _dated(message, span_ns - message.time_ns)
+    if not isinstance(dated, Motion):
+        return dated
+    readings = {"wheel_speed_m_s": dated.wheel_speed_m_s, "yaw_rate_rad_s": dated.yaw_rate_rad_s}
+    return dated.model_copy(update={name: -value for name, value in readings.items() if value is not None})
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
+    parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="router; default tcp/127.0.0.1:7447"
+    )
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
+    parser.add_argument("--loop", action="store_true", help="there and back again, until stopped")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
+    )
+    return parser
