@@ -7,9 +7,14 @@ away, and how many epochs with a right fix pass from its return to the first con
 import signal
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+
+from camber.runtime.listen import Listener
+from camber.schemas.channels import BY_NAME
+from camber.simulator.short_drive import RATE_HZ, SCHEDULE, write_short_drive
 from support.running import (
     camber,
     drive_s,
@@ -21,10 +26,6 @@ from support.running import (
     summary_of,
     wait_until,
 )
-
-from camber.runtime.listen import Listener
-from camber.schemas.channels import BY_NAME
-from camber.simulator.short_drive import RATE_HZ, SCHEDULE, write_short_drive
 
 SPEED = 2.0
 END_S = 90.0
@@ -156,7 +157,7 @@ def away(event: Kill, verdicts) -> tuple[float, float]:
     if event.service in REASON:
         missed = [drive_s(v.time_ns) for v in verdicts if v.reason == REASON[event.service]]
         return min(missed), max(missed)
-    gaps = [(a, b) for a, b in zip(times, times[1:], strict=False) if b - a > 2.0 * EPOCH_S]
+    gaps = [(a, b) for a, b in pairwise(times) if b - a > 2.0 * EPOCH_S]
     return gaps[0] if gaps and event.service == "integrity" else (event.last_heard_s, event.last_heard_s)
 
 

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+
 from support.running import camber, figures, payloads, summary_of
 
 DRIVE = Path(__file__).with_name("nagoya.toml")

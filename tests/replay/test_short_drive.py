@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from support.running import camber, figures, payloads, summary_of
 
 from camber.simulator.short_drive import write_short_drive
+from support.running import camber, figures, payloads, summary_of
 
 SPEEDS = ("max", "20")
 SEEDS = (1, 2, 3)

@@ -167,7 +167,7 @@ def source_of(url: str) -> Callable[[], Source]:
             rest and not last.isdecimal()
         ):  # names below /dev/serial/by-path have colons
             return lambda: _Serial(rest, _BAUD_RATE)
-    raise ValueError(f"source {url!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD]")
+    raise ValueError(f"{url!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD]")
 
 
 def open_stream(url: str, *, arrived: Callable[[], None]) -> ByteStream:

@@ -22,7 +22,9 @@ def east_north_between(
     middle = 0.5 * (from_latitude_rad + to_latitude_rad)
     east = (prime_vertical_radius_m(middle) + height_m) * math.cos(middle)
     north = meridian_radius_m(middle) + height_m
-    return east * wrap_pi(to_longitude_rad - from_longitude_rad), north * (to_latitude_rad - from_latitude_rad)
+    return east * wrap_pi(to_longitude_rad - from_longitude_rad), north * (
+        to_latitude_rad - from_latitude_rad
+    )
 
 
 def geodetic_at_offset(

@@ -71,9 +71,7 @@ def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | Non
         return None
     slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
     elevation_m = float(patch.elevation_m[k]) + slope_east * float(east[k]) + slope_north * float(north[k])
-    return RoadPoint(
-        elevation_m, float(patch.sigma_m[k]), slope_east, slope_north, int(patch.surface_id[k])
-    )
+    return RoadPoint(elevation_m, float(patch.sigma_m[k]), slope_east, slope_north, int(patch.surface_id[k]))
 
 
 def determine(

@@ -1,6 +1,6 @@
 """The judge: from fix, pose with road, and antenna height to one verdict per fix (H, parts 140 and 150).
 
-Pure: messages and times go in, a judgement comes out. The order of the tests is that of the page
+Pure: messages and times go in, a judgement comes out. The order of the tests is that of the table in
 `docs/services/integrity.md`; every way out names its reason.
 """
 
@@ -8,62 +8,45 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.offsets import east_north_between
-from camber.integrity.height_check import Determination, RoadPoint, determine, road_at
+from camber.integrity.fix_order import FixOrder
+from camber.integrity.height_check import RoadPoint, determine, road_at
+from camber.integrity.judgement import Judgement
 from camber.integrity.learning import Correction, learn
+from camber.integrity.pose_gate import distance2, offset_from_pose, pose_sigma_m
+from camber.integrity.position import is_provisional
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation, age_s, unusable_fix
-from camber.integrity.start import StartCount
+from camber.integrity.start import StartCount, StartFix
 from camber.integrity.time_series import Link, continues, next_link
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Evidence, Reason, VerdictWord
+from camber.schemas.integrity import Evidence, Reason
 from camber.schemas.pose import Pose
 
-_CONFIRMED = ("confirmed", "confirmed_after_verification")
-
-
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """One verdict with all it rests on; `road` and `antenna_m` are given wherever they were known."""
-
-    fix: Fix
-    word: VerdictWord
-    reason: Reason
-    detail: str = ""
-    evidence: tuple[Evidence, ...] = ()
-    determination: Determination | None = None
-    correction_m: float = 0.0
-    road: RoadPoint | None = None
-    pose: Pose | None = None
-    antenna: AntennaHeight | None = None
-
-    @property
-    def confirmed(self) -> bool:
-        """May a consumer use the position?"""
-        return self.word in _CONFIRMED
+_POSES = 64  # a second or more at any rate of the pose
+_NEAR_S = 0.5  # the pose by which a displacement is told is at most so far from the fix
 
 
 class Judge:
     """Holds what was heard last and the little it remembers: the correction, the chain of right fixes, the start."""
 
-    def __init__(self, rules: Rules, correction: Correction = Correction()) -> None:  # noqa: B008 (frozen)
+    def __init__(self, rules: Rules, correction: Correction | None = None) -> None:
         self.rules = rules
-        self.correction = correction
-        self._poses: deque[Pose] = deque(maxlen=64)
+        self.correction = correction if correction is not None else Correction()
+        self._poses: deque[Pose] = deque(maxlen=_POSES)
         self._antenna: AntennaHeight | None = None
         self._speed: tuple[int, float] | None = None
-        self._last_fix: Fix | None = None
+        self._fixes = FixOrder()
         self._chain: Link | None = None
         self._start = StartCount()
 
     @property
     def last_fix_ns(self) -> int | None:
         """Time of the last solution heard, of whatever quality."""
-        return None if self._last_fix is None else self._last_fix.time_ns
+        return self._fixes.last_ns
 
     @property
     def pose(self) -> Pose | None:
@@ -84,44 +67,87 @@ class Judge:
         if speed_m_s is not None:
             self._speed = (time_ns, speed_m_s)
 
+    def forget_future(self, now_ns: int) -> None:
+        """Drop what is dated ahead: from a clock that is wrong, or from before ours was set back.
+
+        Kept, it would stay the newest for as long as the clock was off, and all that is true would count as old.
+        """
+        limit_ns = now_ns + round(self.rules.future_limit_s * 1e9)
+        while self._poses and self._poses[-1].time_ns > limit_ns:
+            self._poses.pop()
+        if self._antenna is not None and self._antenna.time_ns > limit_ns:
+            self._antenna = None
+        if self._chain is not None and self._chain.time_ns > limit_ns:
+            self._chain = None
+        self._fixes.forget_after(limit_ns)
+
     def situation(self, at_ns: int, alive: frozenset[str]) -> Situation:
         """What is known for a judgement at this time: the pose nearest to it."""
         pose = min(self._poses, key=lambda p: abs(p.time_ns - at_ns), default=None)
         return Situation(pose, self._antenna, alive)
 
-    def judge(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> Judgement:
-        """The one verdict on a fix; what is learnt from it is learnt here."""
-        reason = unusable_fix(fix, self._last_fix, now_ns, self.rules)
-        if self._last_fix is None or fix.time_ns > self._last_fix.time_ns:
-            self._last_fix = fix
+    def judge(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> Judgement | None:
+        """The one verdict on a fix, None where it has had it; what is learnt from it is learnt here."""
+        if self._fixes.has_verdict(fix):
+            return None
+        reason = self._fixes.misplaced(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
         if reason is not None:
             return Judgement(fix, "unknown", reason)
         situation = self.situation(fix.time_ns, alive)
+        draft = Judgement(
+            fix,
+            "unknown",
+            "none",
+            correction_m=self.correction.correction_m,
+            pose=situation.pose,
+            antenna=situation.antenna,
+        )
         reason = situation.missing(fix.time_ns, self.rules)
         if reason is not None:
-            return Judgement(fix, "unknown", reason, pose=situation.pose, antenna=situation.antenna)
-        return self._determine(fix, situation)
-
-    def _determine(self, fix: Fix, situation: Situation) -> Judgement:
-        pose, antenna = situation.pose, situation.antenna
-        assert pose is not None and antenna is not None and fix.covariance_enu_m2 is not None
-        assert antenna.height_m is not None and antenna.sigma_m is not None
-        draft = Judgement(
-            fix, "unknown", "none", pose=pose, antenna=antenna, correction_m=self.correction.correction_m
-        )
-        if pose.road.datum is not None and pose.road.datum != fix.datum:
-            return replace(draft, reason="datum_mismatch", detail=f"fix {fix.datum}, map {pose.road.datum}")
-        east_m, north_m = _offset_from_pose(fix, pose, fix.time_ns)
-        distance2, pose_sigma_m = _mahalanobis2(east_m, north_m, pose, fix, self.rules.pose_sigma_floor_m)
-        if pose_sigma_m > self.rules.pose_sigma_limit_m:
-            return replace(draft, reason="pose_too_uncertain", detail=f"σ {pose_sigma_m:.1f} m")
-        if not distance2 <= self.rules.gate:
             self._start = StartCount()
-            detail = f"{math.hypot(east_m, north_m):.2f} m from the pose of σ {pose_sigma_m:.2f} m"
+            return replace(draft, reason=reason)
+        return self._locate(draft)
+
+    def _locate(self, draft: Judgement) -> Judgement:
+        """Can the fix be where the pose is, and is there a road below it?"""
+        fix, pose = draft.fix, draft.pose
+        assert pose is not None
+        assert pose.covariance_east_north_yaw is not None
+        assert fix.covariance_enu_m2 is not None
+        if pose.road.datum != fix.datum:
+            return replace(draft, reason="datum_mismatch", detail=f"fix {fix.datum}, map {pose.road.datum}")
+        east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
+        distance = distance2(
+            east_m,
+            north_m,
+            pose.covariance_east_north_yaw,
+            fix.covariance_enu_m2,
+            self.rules.pose_sigma_floor_m,
+        )
+        if not distance <= self.rules.gate:
+            self._start = StartCount()
+            detail = f"{math.hypot(east_m, north_m):.2f} m from the pose of σ {pose_sigma_m(pose):.2f} m"
             return replace(draft, reason="position_disagrees", detail=detail)
-        road = road_at(pose.road, *_offset_from_pose(fix, pose, pose.time_ns))
+        # The road's planes are told from where the pose was when it was made.
+        road = road_at(pose.road, *offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, pose.time_ns))
         if road is None:
             return replace(draft, reason="pose_too_uncertain", detail="the fix is beyond the surface's plane")
+        return self._determine(replace(draft, road=road), road)
+
+    def _determine(self, draft: Judgement, road: RoadPoint) -> Judgement:
+        """The height check, where the height is known well enough to check anything by it."""
+        fix, antenna, tolerance_m = draft.fix, draft.antenna, self.rules.tolerance_m
+        assert antenna is not None
+        assert antenna.height_m is not None
+        assert antenna.sigma_m is not None
+        assert fix.covariance_enu_m2 is not None
+        model_sigma_m = math.hypot(road.sigma_m, antenna.sigma_m)
+        if not model_sigma_m <= tolerance_m:
+            worse: Reason = (
+                "road_unknown" if not road.sigma_m <= antenna.sigma_m else "antenna_height_missing"
+            )
+            detail = f"σ {model_sigma_m:.2f} m of road and antenna, expected at most the tolerance, {tolerance_m} m"
+            return replace(draft, reason=worse, detail=detail)
         outcome = determine(
             road,
             antenna.height_m,
@@ -129,32 +155,37 @@ class Judge:
             self.correction.correction_m,
             fix.height_m,
             math.sqrt(fix.covariance_enu_m2[5]),
-            self.rules.tolerance_m,
+            tolerance_m,
         )
-        return self._conclude(replace(draft, determination=outcome, road=road), outcome.agrees)
+        if not math.isfinite(outcome.difference_m):
+            return replace(draft, reason="road_unknown", detail="the height difference is not a number")
+        return self._conclude(replace(draft, determination=outcome), road)
 
-    def _conclude(self, draft: Judgement, agrees: bool) -> Judgement:
+    def _conclude(self, draft: Judgement, road: RoadPoint) -> Judgement:
         """Start rule, verification, learning."""
         assert draft.pose is not None
-        starting = draft.pose.provenance == "fixes"
-        if starting:
-            self._start = self._start.after(draft.fix.time_ns, agrees=agrees, rules=self.rules.start)
-            if agrees and not self._start.enough(self.rules.start):
-                detail = f"{self._start.fixes} agree in a row; {self.rules.start.fixes} are needed"
-                return replace(draft, reason="starting", detail=detail)
+        assert draft.determination is not None
+        agrees, starting = draft.determination.agrees, is_provisional(draft.pose)
+        self._start = self._start_after(draft.fix) if starting and agrees else StartCount()
+        if starting and agrees and not self._start.enough(self.rules.start):
+            detail = f"{self._start.fixes} in a row agree, {self.rules.start.fixes} are needed"
+            return replace(draft, reason="starting", detail=detail)
         if agrees:
             evidence: tuple[Evidence, ...] = ("height", "track") if starting else ("height",)
-            return self._right(replace(draft, word="confirmed", reason="height_agrees", evidence=evidence))
-        if not starting and self._continues(draft.fix):
             return self._right(
-                replace(
-                    draft,
-                    word="confirmed_after_verification",
-                    reason="height_disagrees",
-                    evidence=("time_series",),
-                )
+                replace(draft, word="confirmed", reason="height_agrees", evidence=evidence), road
             )
-        return replace(draft, word="erroneous", reason="height_disagrees")
+        wrong = replace(draft, word="erroneous", reason="height_disagrees")
+        if starting or not self._continues(draft.fix):
+            return wrong
+        return self._right(
+            replace(wrong, word="confirmed_after_verification", evidence=("time_series",)), road
+        )
+
+    def _start_after(self, fix: Fix) -> StartCount:
+        speed_m_s = self._speed_at(fix.time_ns)
+        start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, fix.height_m, speed_m_s)
+        return self._start.after(start, self.rules.start)
 
     def _continues(self, fix: Fix) -> bool:
         last = self._chain
@@ -166,39 +197,40 @@ class Judge:
         moved = east_north_between(
             last.latitude_rad, last.longitude_rad, fix.latitude_rad, fix.longitude_rad, fix.height_m
         )
-        east_before, north_before = _offset_of(last.latitude_rad, last.longitude_rad, before, last.time_ns)
-        east_now, north_now = _offset_from_pose(fix, now, fix.time_ns)
-        # What the vehicle moved is what the fix moved, less what the fix moved against the pose.
-        vehicle = (moved[0] - (east_now - east_before), moved[1] - (north_now - north_before))
+        east_before, north_before = offset_from_pose(
+            last.latitude_rad, last.longitude_rad, before, last.time_ns
+        )
+        east_now, north_now = offset_from_pose(fix.latitude_rad, fix.longitude_rad, now, fix.time_ns)
         return continues(
             last,
             self.rules.series,
             time_ns=fix.time_ns,
             moved_east_m=moved[0],
             moved_north_m=moved[1],
-            vehicle_east_m=vehicle[0],
-            vehicle_north_m=vehicle[1],
+            # What the vehicle moved is what the fix moved, less what the fix moved against the pose.
+            vehicle_east_m=moved[0] - (east_now - east_before),
+            vehicle_north_m=moved[1] - (north_now - north_before),
             height_m=fix.height_m,
         )
 
     def _pose_near(self, time_ns: int) -> Pose | None:
         pose = min(self._poses, key=lambda p: abs(p.time_ns - time_ns), default=None)
-        if pose is None or pose.latitude_rad is None or abs(age_s(pose.time_ns, time_ns)) > 0.5:
+        if pose is None or pose.latitude_rad is None or not abs(age_s(pose.time_ns, time_ns)) <= _NEAR_S:
             return None
         return pose
 
-    def _right(self, judgement: Judgement) -> Judgement:
+    def _right(self, judgement: Judgement, road: RoadPoint) -> Judgement:
         """Remember a position found right: as head of the chain, and for the correction."""
-        fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
-        assert pose is not None and antenna is not None and road is not None
+        fix, antenna = judgement.fix, judgement.antenna
+        assert antenna is not None
         assert antenna.height_m is not None
         link = Link(
             fix.time_ns,
             fix.latitude_rad,
             fix.longitude_rad,
             fix.height_m,
-            pose.road.slope_east or 0.0,
-            pose.road.slope_north or 0.0,
+            road.slope_east,
+            road.slope_north,
         )
         self._chain = next_link(link, self._chain, verified=judgement.word != "confirmed")
         self.correction = learn(
@@ -212,36 +244,6 @@ class Judge:
         return judgement
 
     def _speed_at(self, time_ns: int) -> float | None:
-        if self._speed is None or abs(age_s(self._speed[0], time_ns)) > self.rules.motion_max_age_s:
+        if self._speed is None or not abs(age_s(self._speed[0], time_ns)) <= self.rules.motion_max_age_s:
             return None
         return self._speed[1]
-
-
-def _offset_from_pose(fix: Fix, pose: Pose, at_ns: int) -> tuple[float, float]:
-    return _offset_of(fix.latitude_rad, fix.longitude_rad, pose, at_ns)
-
-
-def _offset_of(latitude_rad: float, longitude_rad: float, pose: Pose, at_ns: int) -> tuple[float, float]:
-    """East and north metres from the pose's antenna, moved on to `at_ns` with its velocity, to a point."""
-    assert pose.latitude_rad is not None and pose.longitude_rad is not None
-    east_m, north_m = east_north_between(pose.latitude_rad, pose.longitude_rad, latitude_rad, longitude_rad)
-    travelled_m = (pose.speed_m_s or 0.0) * age_s(pose.time_ns, at_ns)
-    if travelled_m and pose.yaw_rad is not None:
-        east_m -= travelled_m * math.cos(pose.yaw_rad)
-        north_m -= travelled_m * math.sin(pose.yaw_rad)
-    return east_m, north_m
-
-
-def _mahalanobis2(
-    east_m: float, north_m: float, pose: Pose, fix: Fix, floor_m: float
-) -> tuple[float, float]:
-    """Squared distance of the fix from the pose in units of both covariances, and the pose's largest σ (m)."""
-    assert pose.covariance_east_north_yaw is not None and fix.covariance_enu_m2 is not None
-    pee, pen, _, pnn, _, _ = pose.covariance_east_north_yaw
-    fee, fen, _, fnn, _, _ = fix.covariance_enu_m2
-    ee, en, nn = pee + fee + floor_m**2, pen + fen, pnn + fnn + floor_m**2
-    determinant = ee * nn - en * en
-    if not determinant > 0.0:
-        return math.inf, math.inf
-    distance2 = (nn * east_m**2 - 2.0 * en * east_m * north_m + ee * north_m**2) / determinant
-    return distance2, math.sqrt(max(eigenvalues_m2((pee, pen, pnn))))

@@ -15,7 +15,9 @@ def can_move_on(pose: Pose) -> bool:
     return pose.speed_m_s is not None and (pose.yaw_rad is not None or pose.speed_m_s == 0.0)
 
 
-def offset_from_pose(latitude_rad: float, longitude_rad: float, pose: Pose, at_ns: int) -> tuple[float, float]:
+def offset_from_pose(
+    latitude_rad: float, longitude_rad: float, pose: Pose, at_ns: int
+) -> tuple[float, float]:
     """East and north metres to a point from the pose's antenna, moved on to `at_ns` where it says how it moves.
 
     Raises ValueError for a pose without a position.
@@ -43,9 +45,7 @@ def claimed_sigma_m(covariance_enu_m2: Covariance3) -> float:
     return max(_largest_sigma_m(ee, en, nn), math.sqrt(uu)) if uu >= 0.0 else math.inf
 
 
-def distance2(
-    east_m: float, north_m: float, pose: Covariance3, fix: Covariance3, floor_m: float
-) -> float:
+def distance2(east_m: float, north_m: float, pose: Covariance3, fix: Covariance3, floor_m: float) -> float:
     """Squared Mahalanobis distance of a fix from a pose, in units of both covariances and a floor in each axis.
 
     `pose` is (ee, en, eψ, nn, nψ, ψψ), `fix` (ee, en, eu, nn, nu, uu). Infinite where their sum is no covariance.

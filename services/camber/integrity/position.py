@@ -51,7 +51,8 @@ def pose_position(situation: Situation, correction_m: float, rules: Rules) -> Po
         return no_position(pose.time_ns, reason, rules)
     if is_provisional(pose):
         return no_position(pose.time_ns, "pose_provisional", rules)
-    assert pose.latitude_rad is not None and pose.longitude_rad is not None
+    assert pose.latitude_rad is not None
+    assert pose.longitude_rad is not None
     height_m, variance_m2 = _height_on_road(situation, correction_m, rules)
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
@@ -80,14 +81,18 @@ def no_position(time_ns: int, reason: Reason, rules: Rules) -> Position:
 def _height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:
     """Height of the antenna on the road below it, and its variance with the slope's share of the pose's error."""
     pose, antenna = situation.pose, situation.antenna
-    assert pose is not None and pose.covariance_east_north_yaw is not None
+    assert pose is not None
+    assert pose.covariance_east_north_yaw is not None
     road = pose.road
     if situation.missing_road() is not None or situation.missing_antenna(pose.time_ns, rules) is not None:
         return None, _UNKNOWN_HEIGHT_M2
     if road.slope_east is None or road.slope_north is None:
         return None, _UNKNOWN_HEIGHT_M2
-    assert road.elevation_m is not None and road.sigma_m is not None
-    assert antenna is not None and antenna.height_m is not None and antenna.sigma_m is not None
+    assert road.elevation_m is not None
+    assert road.sigma_m is not None
+    assert antenna is not None
+    assert antenna.height_m is not None
+    assert antenna.sigma_m is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     se, sn = road.slope_east, road.slope_north
     slope_m2 = se * se * ee + 2.0 * se * sn * en + sn * sn * nn

@@ -44,7 +44,7 @@ class Spoken:
 
     def position_is_due(self, now_ns: int, max_age_s: float) -> bool:
         """Is the newest position too old, and has that not just been said?"""
-        fresh = 0 <= now_ns - self._position_ns <= max_age_s * 1e9
+        fresh = now_ns - self._position_ns <= max_age_s * 1e9
         return not fresh and not 0 <= now_ns - self._none_at_ns < _REPEAT_NS
 
     def forget_after(self, limit_ns: int) -> None:

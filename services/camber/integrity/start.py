@@ -1,9 +1,9 @@
 """The start without an anchor: how many fixes in a row must agree before the first is confirmed.
 
-Until a pose is supported by something else, its only evidence is the fixes themselves. One fix that agrees with the road
-says little (a wrong one does so by chance in up to one case of ten); several in a row, each as far from the one before
-as the wheels say that the vehicle has come, say more. A wrong one among them begins the count anew, and so does a jump of
-the fixes that the pose has followed. See docs/decisions/0002-start-without-an-anchor.md.
+Until a pose is supported by something else, its only evidence is the fixes themselves. One fix that agrees with the
+road says little (a wrong one does so by chance in up to one case of ten); several in a row, each as far from the one
+before as the wheels say that the vehicle has come, say more. A wrong one among them begins the count anew, and so does
+a jump of the fixes that the pose has followed. See docs/decisions/0002-start-without-an-anchor.md.
 """
 
 from __future__ import annotations

@@ -61,7 +61,9 @@ def batch_of(uploads: Sequence[ElevationUpload]) -> UploadBatch:
     """
     headings = {(upload.vehicle, upload.datum, upload.map_version) for upload in uploads}
     if len(headings) != 1:
-        raise ValueError(f"{len(uploads)} uploads of {len(headings)} vehicles, datums or map versions, expected one")
+        raise ValueError(
+            f"{len(uploads)} uploads of {len(headings)} vehicles, datums or map versions, expected one"
+        )
     (vehicle, datum, map_version), last = headings.pop(), uploads[-1]
 
     def column(name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -99,7 +101,11 @@ class Collector:
         """Take one; returns the batch that ends before it, if one does."""
         first = self._rows[0] if self._rows else upload
         same = (upload.datum, upload.map_version) == (first.datum, first.map_version)
-        full = len(self._rows) >= MOST_ROWS or not same or self._stretch(upload.time_ns) != self._stretch(first.time_ns)
+        full = (
+            len(self._rows) >= MOST_ROWS
+            or not same
+            or self._stretch(upload.time_ns) != self._stretch(first.time_ns)
+        )
         batch = self.take() if full else None
         self._rows.append(upload)
         return batch

@@ -1,1 +1,1 @@
-"""How a service lives: settings, bus, inboxes, queries, replay barrier, health, orderly end. Alone in importing zenoh."""
+"""How a service lives: settings, bus, inboxes, replay barrier, health, an orderly end. Alone in importing zenoh."""

@@ -1,11 +1,12 @@
 """The replay barrier of one service: when may a tick be worked on, and with which messages?
 
-The feeder publishes a tick after everything up to its time. A service works on tick i when it has all messages that the
-feeder and the services before it have published for it up to i (for looped channels: up to the tick before i); then it
-says *done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any speed. A service works
-only on the ticks that bring it something (the feeder says which), or on which a second has passed. One that has died
-leaves the tick's list of participants and nobody waits for it; one that returns listens until it has heard every
-participant before it and every participant behind it has heard it, and only then is put on the list.
+The feeder publishes a tick after everything up to its time. A service works on tick i when it has all messages
+that the feeder and the services before it have published for it up to i (for looped channels: up to the tick
+before i); then it says *done to i*. Counts, not arrival order, decide: so the same drive gives the same bytes at any
+speed. A service works only on the ticks that bring it something (the feeder says which), or on which a second has
+passed. One that has died leaves the tick's list of participants and nobody waits for it; one that returns listens
+until it has heard every participant before it and every participant behind it has heard it, and only then is put on
+the list.
 
 Pure: messages go in, decisions come out.
 """
@@ -93,8 +94,7 @@ class Barrier:
         for channel in self.inputs:
             counts = self._counts(channel, tick)
             if counts is not None:
-                self._next[channel.name] = max(self._next[channel.name], counts)
-            self._waiting[channel.name].clear()
+                self._count_from(channel, counts)
         self._joining = True
 
     def ready(self) -> bool:
@@ -140,7 +140,14 @@ class Barrier:
         for channel in self.inputs:
             counts = self._done.get(channel.producers[0], {})
             base = [published.get(channel.name, 0) for index, published in counts.items() if index < tick.index]
-            self._next[channel.name] = max([self._next[channel.name], *base])
+            self._count_from(channel, max(base, default=0))
+
+    def _count_from(self, channel: Channel, base: int) -> None:
+        """What was published before number `base` is of no use; what is here already of later ticks is kept."""
+        self._next[channel.name] = max(self._next[channel.name], base)
+        waiting = self._waiting[channel.name]
+        while waiting and waiting[0].sequence < base:
+            waiting.popleft()
 
     def _expects(self, channel: Channel, tick: Tick) -> bool:
         producer = channel.producers[0]

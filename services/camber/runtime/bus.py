@@ -7,9 +7,11 @@ thread. A callback that works would block the receive thread and lose other topi
 from __future__ import annotations
 
 import queue
+import re
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -29,6 +31,10 @@ _QUERY_LIMIT = 256
 FEEDER = "feeder"
 _REPLAY_QUERY_TIMEOUT_S = 10.0
 _LOG_EVERY_S = 10.0
+# What health can carry; a service that met more must still be able to say how it is.
+MAX_ISSUES, MAX_COUNTERS, MAX_TEXT = 64, 192, 512
+_OTHERS = "others"
+_NO_NAME = re.compile(r"[^A-Za-z0-9_.:@+-]")
 
 # Why each departs from Zenoh's default (drop when congested, priority `data`, batching):
 # small: goes at once (express), ahead of bulk; dropped when congested because a consumer judges freshness anyway.
@@ -48,7 +54,14 @@ def _direct(callback: Any) -> Any:
     return zenoh.handlers.Callback(callback, indirect=False)
 
 
-class QueryFailed(RuntimeError):
+def _bounded(name: str, known: Mapping[str, object], limit: int) -> str:
+    """`name` as health can carry it; the one of all others where there are too many, so that none goes uncounted."""
+    name = _NO_NAME.sub("_", name)[:64]
+    name = name if name[:1].isalnum() else f"x{name}"[:64]
+    return name if name in known or len(known) < limit - 1 else _OTHERS
+
+
+class QueryFailed(RuntimeError):  # noqa: N818 (the name says what is the matter)
     """A question that got no usable answer; `reason` says why."""
 
     def __init__(self, reason: Literal["absent", "timeout", "refused", "invalid"], detail: str = "") -> None:
@@ -97,7 +110,7 @@ class Bus:
         return self._clock.now_ns()
 
     def publish(self, name: str, message: Message, *, to: str | None = None) -> None:
-        """Send `message` on a channel that the table gives this service (to one service, where it has keys for each)."""
+        """Send on a channel that the table gives this service; `to` one service, where there is a key for each."""
         port = name if to is None else f"{name}.{to}"
         sequence = self.published[port]
         data = encode(message, source=self.service, sequence=sequence)
@@ -143,8 +156,10 @@ class Bus:
 
     def issue(self, code: str, text: str) -> None:
         """Something an operator should know: counted, shown in health, logged once in a while."""
+        code = _bounded(code, self._issues, MAX_ISSUES)
+        text = text.encode("utf-8", "backslashreplace").decode()[:MAX_TEXT]  # a file's name may be no UTF-8
         _, count = self._issues.get(code, ("", 0))
-        self._issues[code] = (text[:512], count + 1)
+        self._issues[code] = (text, count + 1)
         now = time.monotonic()
         if now - self._logged.get(code, -_LOG_EVERY_S) >= _LOG_EVERY_S:
             self._logged[code] = now
@@ -152,7 +167,7 @@ class Bus:
 
     def count(self, name: str, n: int = 1) -> None:
         """Add to a counter that health shows."""
-        self.counters[name] += n
+        self.counters[_bounded(name, self.counters, MAX_COUNTERS)] += max(n, 0)
 
     def issues(self) -> tuple[Issue, ...]:
         """All issues so far."""
@@ -249,7 +264,7 @@ class Bus:
         """Leave the bus."""
         for entity in self._entities:
             entity.undeclare()
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _declare_publisher(self, channel: Channel, to: str | None) -> zenoh.Publisher:
         blocking = self._replay or channel.delivery == "barrier"

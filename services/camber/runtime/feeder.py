@@ -32,7 +32,7 @@ Observer = Callable[[str, bytes, str, int], None]
 """Key, bytes, encoding and wall-clock arrival (ns) of every message on the vehicle's keys."""
 
 
-class ReplayStuck(RuntimeError):
+class ReplayStuck(RuntimeError):  # noqa: N818 (the name says what is the matter)
     """A service on the list neither finishes its tick nor leaves the bus."""
 
 
@@ -157,7 +157,8 @@ class Feeder:
 
     def _late(self, tick: Tick) -> list[str]:
         """Who has not done this tick; called with the lock held."""
-        return [n for n in tick.working if n in self._peers and n in self._participants and self._peers[n].index < tick.index]
+        there = [name for name in tick.working if name in self._participants and name in self._peers]
+        return [name for name in there if self._peers[name].index < tick.index]
 
     def _joined(self, name: str, others: frozenset[str]) -> bool:
         peer = self._peers.get(name)

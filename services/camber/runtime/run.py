@@ -12,7 +12,7 @@ import threading
 import time
 import traceback
 from types import FrameType
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
@@ -23,6 +23,7 @@ from camber.runtime.inbox import Inbox
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
+from camber.schemas.base import EARLIEST_NS, LATEST_NS
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.health import Done, Health, Tick
@@ -30,6 +31,7 @@ from camber.schemas.health import Done, Health, Tick
 VERSION = "0.1.0"
 STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
+_FEEDER_WAIT_S = 60.0
 
 
 class Loop:
@@ -109,7 +111,7 @@ class Loop:
         if channel is self._health:
             replies: Any = [self.health()] * len(asked)
         else:
-            replies = self._guard(self._answers[name], [request for _, request in asked])
+            replies = self._replies(name, [request for _, request in asked])
         for (query, _), reply in zip(asked, replies or [None] * len(asked), strict=True):
             with query:
                 try:
@@ -119,6 +121,16 @@ class Loop:
                         self.bus.reply(query, reply)
                 except zenoh.ZError as error:  # the asker has gone
                     self.bus.issue("reply_failed", str(error))
+
+    def _replies(self, name: str, requests: list[Any]) -> Any:
+        """In a replay at the asker's time: a service before it may not have reached that tick, or be beyond it."""
+        if not isinstance(self._clock, ReplayClock):
+            return self._guard(self._answers[name], requests)
+        tick_ns = self._clock.now_ns()
+        self._clock.set(max(request.time_ns for request in requests))
+        replies = self._guard(self._answers[name], requests)
+        self._clock.set(tick_ns)
+        return replies
 
     def _request(self, channel: Channel, query: zenoh.Query) -> Any:
         payload = query.payload
@@ -133,19 +145,22 @@ class Loop:
             return None
 
     def health(self) -> Health:
-        """How this service is, as its own work loop sees it."""
+        """How this service is, as its own work loop sees it; whatever it has met, it can say so."""
         now = time.monotonic()
-        status = "failing" if self._failed else "ok" if self.service.healthy() else "degraded"
         return Health(
-            time_ns=SystemClock().now_ns(),
+            time_ns=min(max(SystemClock().now_ns(), EARLIEST_NS), LATEST_NS),
             service=self.service.NAME,
             version=VERSION,
-            status=status,
+            status=self._status(),
             uptime_s=now - self._started,
             loop_age_s=now - self._round,
             issues=self.bus.issues(),
             counters=dict(self.bus.counters),
         )
+
+    def _status(self) -> Literal["ok", "degraded", "failing"]:
+        healthy = self._guard(lambda _: self.service.healthy(), None)
+        return "failing" if self._failed else "ok" if healthy else "degraded"
 
     def replay(self) -> None:
         """Work by the feeder's ticks."""
@@ -160,6 +175,9 @@ class Loop:
         while not self.stopping and not self.bus.feeder_gone:
             event = self.bus.next_event(_STUCK_S)
             if event is None:
+                if barrier.index < 0 and time.monotonic() - self._started > _FEEDER_WAIT_S:
+                    self.bus.log.error("no_feeder", detail=f"nobody has fed this replay for {_FEEDER_WAIT_S:.0f} s")
+                    return
                 if barrier.ticks:
                     waited = time.monotonic() - waiting_since
                     self.bus.issue("barrier_waits", f"{waited:.0f} s for {', '.join(barrier.missing())}")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from camber.runtime.outbox import Outbox, OutboxError, Upload
@@ -12,24 +14,26 @@ from camber.runtime.sender import Reply, SenderThread
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
 
-_QUEUE_LIMIT = 10_000  # waiting for the disk; beyond it the newest is dropped and counted
+_QUEUE_LIMIT = 10_000  # waiting for the disk; beyond it the newest is dropped, and `problems` says so
+_GROUP = 1_000  # uploads that share one flush
+_RETRY_S = 1.0  # a disk that is full or locked is tried again this often
+_STORE_LIMIT_S = 1.0  # at the end, for the disk to take what was handed over
+
+Problem = tuple[str, str]
+"""A code and a text, as `Bus.issue` takes them."""
 
 
 class Uploader:
-    """Durable outbox and sender behind a queue. `report(code, text)` is called from the writer's thread."""
+    """Durable outbox and sender behind a queue. `put`, `problems` and `close` are called from the work loop."""
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        source: str,
-        limit_bytes: int,
-        ask: Callable[[str, bytes], Reply],
-        report: Callable[[str, str], None],
+        self, path: Path, *, source: str, limit_bytes: int, ask: Callable[[str, bytes], Reply]
     ) -> None:
         self._source = source
-        self._report = report
         self._queue: queue.Queue[Upload | None] = queue.Queue(_QUEUE_LIMIT)
+        self._ended = threading.Event()
+        self._problems: queue.SimpleQueue[Problem] = queue.SimpleQueue()
+        self._told: Counter[str] = Counter()
         self.outbox = Outbox(path, limit_bytes=limit_bytes)
         self.sender = SenderThread(self.outbox, ask)
         self._writer = threading.Thread(target=self._write, name="outbox", daemon=True)
@@ -40,24 +44,56 @@ class Uploader:
         try:
             self._queue.put_nowait(Upload(upload_id, channel, encode(message, source=self._source)))
         except queue.Full:
-            self._report("upload_dropped", f"{_QUEUE_LIMIT} uploads wait for the disk")
+            self._problems.put(("upload_dropped", f"{_QUEUE_LIMIT} uploads wait for the disk"))
+
+    def problems(self) -> list[Problem]:
+        """What has happened beside the work loop since this was last asked."""
+        found = [self._problems.get() for _ in range(self._problems.qsize())]
+        sender = self.sender.sender
+        for code, count, text in (
+            ("outbox_damaged", int(self.outbox.notice is not None), self.outbox.notice or ""),
+            ("upload_unanswered", sender.counts["failed"], sender.last_failure),
+            ("upload_refused", sender.counts["refused"], f"{sender.counts['refused']} are dead letters"),
+        ):
+            if count > self._told[code]:
+                self._told[code] = count
+                found.append((code, text))
+        return found
 
     def close(self) -> None:
         """Make durable what was handed over, send no more."""
-        self._queue.put(None)
-        self._writer.join(1.0)
+        self._ended.set()
+        with suppress(queue.Full):
+            self._queue.put_nowait(None)  # ends the writer's wait
+        self._writer.join(_STORE_LIMIT_S)
+        if self._writer.is_alive():
+            self._problems.put(("upload_lost", f"the disk hangs; {self._queue.qsize()} uploads or more"))
         self.sender.close(0.3)
         self.outbox.close()
 
     def _write(self) -> None:
-        ended = False
-        while not ended:
-            uploads = [self._queue.get()]
-            while not self._queue.empty() and len(uploads) < 1000:
-                uploads.append(self._queue.get())
-            ended = None in uploads
+        while not (self._ended.is_set() and self._queue.empty()):
+            group = [self._queue.get()]
+            while not self._queue.empty() and len(group) < _GROUP:
+                group.append(self._queue.get())
+            self._store([upload for upload in group if upload is not None])
+
+    def _store(self, group: list[Upload]) -> None:
+        """Make a group durable, however often that takes; only the end of the service gives it up."""
+        while group:
             try:
-                self.outbox.put_many(upload for upload in uploads if upload is not None)
+                self.outbox.put_many(group)
+                self.sender.wake()
+                return
+            except ValueError as error:  # one of them has the id of another upload
+                if len(group) == 1:
+                    self._problems.put(("upload_lost", str(error)))
+                    return
+                for upload in group:
+                    self._store([upload])
+                return
             except OutboxError as error:
-                self._report("upload_not_stored", str(error))
-            self.sender.wake()
+                self._problems.put(("upload_not_stored", str(error)))
+                if self._ended.wait(_RETRY_S):
+                    self._problems.put(("upload_lost", f"{len(group)} uploads: {error}"))
+                    return

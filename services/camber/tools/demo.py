@@ -9,7 +9,7 @@ from pathlib import Path
 
 from camber.schemas.drive import load_manifest
 from camber.simulator.short_drive import write_short_drive
-from camber.tools.replay import replay
+from camber.tools.replay import in_words, replay, speed_factor
 
 
 def main(argv: Sequence[str]) -> int:
@@ -20,9 +20,14 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the drive")
     parser.add_argument(
-        "--speed", type=float, default=math.inf, help="times real time (default: as fast as it goes)"
+        "--speed", type=speed_factor, default=math.inf, help="times real time, or max (default)"
     )
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
-    manifest = load_manifest(write_short_drive(args.out / "drive", args.seed))
-    return replay(manifest, args.out, speed=args.speed)
+
+    def work() -> int:
+        args.out.mkdir(parents=True, exist_ok=True)
+        return replay(
+            load_manifest(write_short_drive(args.out / "drive", args.seed)), args.out, speed=args.speed
+        )
+
+    return in_words("camber demo", args.out, work)

@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import takewhile
 from pathlib import Path
@@ -35,7 +35,8 @@ from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.tools.truth import Truth
 
 _SUPERVISE_EVERY_S = 0.05
-_RECORD_LAG_NS = 5_000_000_000  # longer than the feeder runs ahead, so that the recording's order is that of the times
+# Longer than the feeder runs ahead, so that the recording's order is that of the times.
+_RECORD_LAG_NS = 5_000_000_000
 
 
 class _Stopped(Exception):  # noqa: N818  (asked to, not failed)
@@ -46,20 +47,28 @@ def main(argv: Sequence[str]) -> int:
     """Replay one drive; 0 done, 1 a service got stuck, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
     overrides = [*args.set, *([f"surrogates.seed={args.seed}"] if args.seed is not None else [])]
+
+    def work() -> int:
+        return replay(load_manifest(args.drive, overrides), args.out, speed=args.speed, quiet=args.quiet)
+
+    return in_words("camber replay", args.out, work)
+
+
+def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
+    """The exit code of `work`, or a line that says what went wrong and the code for that."""
     try:
-        manifest = load_manifest(args.drive, overrides)
-        return replay(manifest, args.out, speed=args.speed, quiet=args.quiet)
+        return work()
     except (ManifestError, FormatError) as error:
-        print(f"camber replay: {error}", file=sys.stderr)
+        print(f"{prog}: {error}", file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"camber replay: {error.filename or args.out}: {error.strerror}", file=sys.stderr)
+        print(f"{prog}: {error.filename or out}: {error.strerror or error}", file=sys.stderr)
         return 2
     except (ReplayStuck, BusError) as error:
-        print(f"camber replay: {error}; see {args.out / 'logs'}", file=sys.stderr)
+        print(f"{prog}: {error}; see {out / 'logs'}", file=sys.stderr)
         return 1
     except _Stopped:
-        print("camber replay: interrupted", file=sys.stderr)
+        print(f"{prog}: interrupted", file=sys.stderr)
         return 130
 
 
@@ -131,7 +140,9 @@ def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: flo
                 due = began + (tick.time_ns - first_ns) / 1e9 / speed
                 time.sleep(max(due - time.monotonic(), 0.0))
             for name, message in _messages(tick):
-                feeder.publish(name, greeting.before(message, feeder) if name == "receiver_bytes" else message)
+                feeder.publish(
+                    name, greeting.before(message, feeder) if name == "receiver_bytes" else message
+                )
             feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
             recorder.tick_done(tick.time_ns - _RECORD_LAG_NS)
             bar.update()
@@ -184,7 +195,9 @@ def _configs(
 
     antenna, height, start = manifest.lever_arms.antenna, manifest.antenna_height, inputs.initial_pose
     if height.way not in ("fixed", "stroke"):
-        raise ManifestError(f"{manifest.name}: antenna_height.way {height.way!r}, expected fixed or stroke by now")
+        raise ManifestError(
+            f"{manifest.name}: antenna_height.way {height.way!r}, expected fixed or stroke by now"
+        )
     optional = {
         "fixed_height_m": height.height_m,
         "fixed_sigma_m": height.sigma_m,
@@ -195,7 +208,9 @@ def _configs(
     return {
         "gnss": config("gnss", source="bus", datum=manifest.datum),
         "map_server": config(
-            "map_server", release=(inputs.map_release or out / "work" / "no-map").resolve(), datum=manifest.datum
+            "map_server",
+            release=(inputs.map_release or out / "work" / "no-map").resolve(),
+            datum=manifest.datum,
         ),
         "localizer": config(
             "localizer",
@@ -205,7 +220,9 @@ def _configs(
             **given,
         ),
         "antenna_height": config(
-            "antenna_height", way=height.way, **{key: value for key, value in optional.items() if value is not None}
+            "antenna_height",
+            way=height.way,
+            **{key: value for key, value in optional.items() if value is not None},
         ),
         "integrity": config("integrity", alert_limit_m=manifest.alert_limit_m),
         "map_update": config("map_update"),
@@ -282,7 +299,8 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _speed(text: str) -> float:
+def speed_factor(text: str) -> float:
+    """A number above 0, or infinity for `max`; ValueError and ArgumentTypeError are argparse's."""
     if text == "max":
         return math.inf
     value = float(text)
@@ -294,9 +312,15 @@ def _speed(text: str) -> float:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="camber replay", description=__doc__)
     parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
-    parser.add_argument("--speed", type=_speed, default=math.inf, help="times real time, or max (default)")
-    parser.add_argument("--out", type=Path, default=Path("out/replay"), metavar="DIR", help="where everything goes")
+    parser.add_argument(
+        "--speed", type=speed_factor, default=math.inf, help="times real time, or max (default)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/replay"), metavar="DIR", help="where everything goes"
+    )
     parser.add_argument("--seed", type=int, help="seed of the surrogates")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar, no headline")
     return parser

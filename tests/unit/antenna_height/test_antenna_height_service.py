@@ -1,0 +1,161 @@
+"""The service says the height it was told to use, or that there is none; never a height that nobody measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any, cast
+
+import pytest
+
+from camber.antenna_height.service import SERVICE, AntennaHeightService
+from camber.antenna_height.settings import AntennaHeightSettings
+from camber.runtime.bus import Bus
+from camber.runtime.settings import ConfigError, load
+from camber.schemas.antenna import AntennaHeight
+from camber.schemas.channels import BY_NAME
+from camber.schemas.codec import encode
+from camber.schemas.motion import Suspension
+
+NS = 1_000_000_000
+START_NS = 1_300_000_000 * NS
+STROKE = {"way": "stroke", "suspension_to_antenna_m": 0.92, "tyre_radius_m": 0.31}
+
+
+class FakeBus:
+    def __init__(self) -> None:
+        self.published: list[AntennaHeight] = []
+        self.issues: Counter[str] = Counter()
+
+    def publish(self, name: str, message: AntennaHeight) -> None:
+        assert name == "antenna_height"
+        encode(message)
+        self.published.append(message)
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues[code] += 1
+
+
+class Running:
+    """The service on a fake bus; times are seconds since the start."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.bus = FakeBus()
+        self.service = AntennaHeightService(AntennaHeightSettings(**settings), cast(Bus, self.bus))
+
+    def stroke(self, at_s: float, height_m: float = 0.45, sigma_m: float = 0.01) -> None:
+        time_ns = START_NS + round(at_s * NS)
+        handler = self.service.handlers()["suspension"]
+        handler(Suspension(time_ns=time_ns, stroke_height_m=height_m, stroke_sigma_m=sigma_m))
+
+    def advance(self, at_s: float) -> AntennaHeight | None:
+        """What is published at this time, if anything."""
+        before = len(self.bus.published)
+        self.service.advance(START_NS + round(at_s * NS))
+        assert len(self.bus.published) - before <= 1
+        return self.bus.published[-1] if len(self.bus.published) > before else None
+
+
+def said(height: AntennaHeight | None) -> AntennaHeight:
+    assert height is not None
+    return height
+
+
+def test_a_fixed_height_is_repeated_every_period() -> None:
+    running = Running(fixed_height_m=1.8, fixed_sigma_m=0.02)
+    height = said(running.advance(0.0))
+    assert (height.status, height.way, height.height_m, height.sigma_m) == ("known", "fixed", 1.8, 0.02)
+    assert height.time_ns == START_NS
+    assert running.advance(0.1) is None
+    assert said(running.advance(0.2)).time_ns == START_NS + NS // 5
+    assert running.service.healthy()
+
+
+def test_where_nothing_is_configured_the_height_is_unknown() -> None:
+    running = Running()
+    height = said(running.advance(0.0))
+    assert (height.status, height.way, height.height_m, height.sigma_m) == ("unknown", None, None, None)
+    assert height.reason == "fixed_height_m is not set"
+    assert not running.service.healthy()
+
+
+def test_stroke_heights_are_passed_on_as_they_come() -> None:
+    running = Running(**STROKE, stored_sigma_m=0.0)
+    for n in range(3):
+        running.stroke(n / 10, height_m=0.4 + n / 10)
+        height = said(running.advance(n / 10))
+        assert (height.status, height.way, height.sigma_m) == ("known", "stroke", 0.01)
+        assert height.height_m == pytest.approx(0.92 + 0.31 + 0.4 + n / 10)
+        assert height.others == ()
+
+
+def test_a_stroke_height_that_is_too_old_is_no_height() -> None:
+    limit_s = BY_NAME["suspension"].max_age_s
+    assert limit_s is not None
+    running = Running(**STROKE)
+    running.stroke(0.0)
+    assert said(running.advance(limit_s)).status == "known"
+    stale = said(running.advance(limit_s + 0.2))
+    assert (stale.status, stale.height_m) == ("unknown", None)
+    assert "stroke" in stale.reason
+    assert not running.service.healthy()
+
+
+def test_the_fixed_height_does_not_stand_in_for_a_stale_stroke_but_is_told() -> None:
+    running = Running(**STROKE, fixed_height_m=1.68)
+    height = said(running.advance(0.0))
+    assert (height.status, height.height_m) == ("unknown", None)
+    assert [other.way for other in height.others] == ["fixed"]
+
+
+def test_ways_that_agree_give_the_chosen_one_and_the_other_beside_it() -> None:
+    running = Running(**STROKE, fixed_height_m=1.70)
+    running.stroke(0.0)
+    height = said(running.advance(0.0))
+    assert (height.status, height.way) == ("known", "stroke")
+    assert height.height_m == pytest.approx(1.68)
+    assert [(other.way, other.height_m) for other in height.others] == [("fixed", 1.70)]
+
+
+def test_ways_that_contradict_one_another_give_no_height() -> None:
+    running = Running(**STROKE, fixed_height_m=1.80)
+    running.stroke(0.0)
+    height = said(running.advance(0.0))
+    assert (height.status, height.way, height.height_m) == ("disagreement", None, None)
+    assert height.reason == "stroke 1.680 m, fixed 1.800 m"
+    assert [other.way for other in height.others] == ["stroke", "fixed"]
+    assert not running.service.healthy()
+
+
+def test_an_implausible_height_is_unknown_and_an_issue() -> None:
+    running = Running(way="stroke", suspension_to_antenna_m=-5.0, tyre_radius_m=0.3)
+    running.stroke(0.0)
+    assert said(running.advance(0.0)).status == "unknown"
+    assert running.bus.issues == {"implausible_height": 1}
+
+
+def test_a_clock_that_is_set_back_does_not_silence_the_service() -> None:
+    running = Running(fixed_height_m=1.8)
+    assert running.advance(3600.0) is not None
+    assert running.advance(0.0) is not None
+    assert running.advance(0.1) is None
+
+
+def test_before_the_first_tick_nothing_is_said() -> None:
+    running = Running(fixed_height_m=1.8)
+    running.service.advance(0)
+    assert running.bus.published == []
+    assert not running.service.healthy()
+
+
+@pytest.mark.parametrize("missing", ["suspension_to_antenna_m", "tyre_radius_m"])
+def test_the_way_stroke_needs_what_was_measured_of_the_vehicle(missing: str) -> None:
+    argv = ["--way", "stroke"]
+    for name in {"suspension_to_antenna_m", "tyre_radius_m"} - {missing}:
+        argv += [f"--{name.replace('_', '-')}", "0.3"]
+    with pytest.raises(ConfigError, match="way stroke needs suspension_to_antenna_m and tyre_radius_m"):
+        load(AntennaHeightSettings, argv, prog="camber antenna_height")
+
+
+def test_it_listens_to_what_the_table_gives_it_and_to_nothing_else() -> None:
+    assert SERVICE is AntennaHeightService
+    assert set(Running().service.handlers()) == {"suspension"}

@@ -1,0 +1,327 @@
+"""Bytes of a receiver become fixes: every epoch once, in order; garbage costs itself and is named."""
+
+from __future__ import annotations
+
+import math
+import os
+import pty
+import time
+import tty
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from random import Random
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from camber.formats.nmea import format_gga, format_gst, format_rmc
+from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.rtklib_pos import format_pos_header, format_pos_line
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.gnss.service import SERVICE, GnssService
+from camber.gnss.settings import GnssSettings
+from camber.runtime.bus import Bus
+from camber.runtime.settings import ConfigError, load
+from camber.schemas.codec import encode
+from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes
+
+NS = 1_000_000_000
+START_NS = gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 30))
+PATIENCE_S = 20.0
+
+
+class FakeBus:
+    def __init__(self) -> None:
+        self.time_ns = START_NS + 3600 * NS
+        self.fixes: list[Fix] = []
+        self.issues: list[tuple[str, str]] = []
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def publish(self, name: str, message: Fix) -> None:
+        assert name == "fix"
+        encode(message)
+        self.fixes.append(message)
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues.append((code, text))
+
+    def wake(self) -> None:
+        pass
+
+    def codes(self) -> Counter[str]:
+        return Counter(code for code, _ in self.issues)
+
+    def epochs(self) -> list[int]:
+        """Tenths of seconds since the start."""
+        return [(fix.time_ns - START_NS) * 10 // NS for fix in self.fixes]
+
+
+def make(**settings: Any) -> tuple[GnssService, FakeBus]:
+    bus = FakeBus()
+    return GnssService(GnssSettings(**settings), cast(Bus, bus)), bus
+
+
+def hear(service: GnssService, data: bytes, protocol: Any = "pos") -> None:
+    payload = np.frombuffer(data, np.uint8)
+    service.handlers()["receiver_bytes"](ReceiverBytes(time_ns=START_NS, protocol=protocol, payload=payload))
+
+
+def solution(tenths: int, **changed: Any) -> ReceiverSolution:
+    base = ReceiverSolution(
+        time_ns=START_NS + tenths * NS // 10,
+        latitude_rad=math.radians(35.17),
+        longitude_rad=math.radians(136.9),
+        height_m=40.0 + tenths / 100,
+        quality=SolutionQuality.FIX,
+        satellites=15,
+        covariance_enu_m2=(1e-4, 0.0, 0.0, 1e-4, 0.0, 4e-4),
+        age_s=1.0,
+        ratio=5.0,
+    )
+    return replace(base, **changed)
+
+
+def pos(*tenths: int, header: bool = True, **changed: Any) -> bytes:
+    lines = [format_pos_line(solution(n, **changed)) for n in tenths]
+    return b"".join([format_pos_header()] * header + lines)
+
+
+def nmea(*tenths: int, date_sentence: bool = True, **changed: Any) -> bytes:
+    sentences = []
+    for n in tenths:
+        here = solution(n, **changed)
+        sentences += [format_rmc(here)] * date_sentence
+        sentences += [format_gga(here, geoid_separation_m=37.5), format_gst(here)]
+    return b"".join(sentences)
+
+
+def test_a_pos_stream_becomes_fixes() -> None:
+    service, bus = make(datum="JGD2011")
+    hear(service, pos(0, 1, 2))
+    assert bus.epochs() == [0, 1, 2]
+    assert bus.issues == []
+    fix = bus.fixes[1]
+    assert (fix.quality, fix.origin, fix.datum, fix.satellites, fix.ratio) == (
+        "fixed",
+        "receiver",
+        "JGD2011",
+        15,
+        5.0,
+    )
+    assert fix.height_m == pytest.approx(40.01, abs=1e-4)
+    assert math.degrees(fix.latitude_rad) == pytest.approx(35.17, abs=1e-9)
+
+
+def test_an_nmea_stream_becomes_fixes_above_the_ellipsoid() -> None:
+    service, bus = make()
+    hear(service, nmea(*range(10)), "nmea")
+    assert bus.epochs() == list(range(10))
+    assert bus.issues == []
+    assert [fix.height_m for fix in bus.fixes] == pytest.approx([40.0 + n / 100 for n in range(10)], abs=1e-3)
+    assert all(fix.covariance_enu_m2 is not None for fix in bus.fixes)
+
+
+def test_an_nmea_stream_without_a_date_needs_one_in_the_settings() -> None:
+    service, bus = make()
+    hear(service, nmea(0, 1, 2, date_sentence=False), "nmea")
+    assert bus.fixes == []
+    assert set(bus.codes()) == {"unreadable_input"}
+    service, bus = make(nmea_date=date(2023, 7, 11))
+    hear(service, nmea(0, 1, 2, 3, date_sentence=False), "nmea")
+    assert bus.epochs()[:3] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("protocol", ["pos", "nmea"])
+def test_how_the_bytes_were_cut_makes_no_difference(protocol: str) -> None:
+    data = pos(*range(20)) if protocol == "pos" else nmea(*range(20))
+    whole, expected = make()
+    hear(whole, data, protocol)
+    random = Random(3)
+    service, bus = make()
+    while data:
+        size = random.randint(1, 90)
+        hear(service, data[:size], protocol)
+        data = data[size:]
+    assert bus.fixes == expected.fixes
+    assert len(bus.fixes) == 20
+
+
+@pytest.mark.parametrize("protocol", ["pos", "nmea"])
+def test_garbage_costs_itself_only(protocol: str) -> None:
+    begin, end = (pos(0, 1), pos(2, 3, header=False)) if protocol == "pos" else (nmea(0, 1), nmea(2, 3))
+    random = Random(11)
+    print("seed 11")
+    for _ in range(20):
+        garbage = bytes(random.randrange(256) for _ in range(random.randint(0, 3000)))
+        service, bus = make()
+        hear(service, begin + b"\n" + garbage + b"\r\n" + end, protocol)
+        assert bus.epochs() == [0, 1, 2, 3]
+        assert set(bus.codes()) <= {"unreadable_input"}
+
+
+def test_a_line_that_cannot_be_read_is_named() -> None:
+    service, bus = make()
+    hear(service, pos(0) + b"2023/07/11 06:04:31.000 far away\n")
+    ((code, text),) = bus.issues
+    assert code == "unreadable_input"
+    assert text.startswith("bus:4: columns is ")
+
+
+def test_every_epoch_passes_once_and_in_order() -> None:
+    service, bus = make()
+    hear(service, pos(5, 5, 3, 6))
+    assert bus.epochs() == [5, 6]
+    assert bus.codes() == {"repeated_epoch": 1, "out_of_order_epoch": 1}
+
+
+def test_a_fix_in_2089_stops_nothing() -> None:
+    service, bus = make()
+    century = gps_ns_from_utc(CalendarTime(2089, 1, 1, 0, 0, 0))
+    hear(service, pos(0))
+    hear(service, pos(0, header=False, time_ns=century))
+    hear(service, pos(1, header=False))
+    assert bus.epochs() == [0, 1]
+    assert bus.codes() == {"epoch_from_the_future": 1}
+
+
+def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:
+    service, bus = make()
+    bus.time_ns = START_NS
+    hear(service, pos(5, 6))
+    assert bus.epochs() == [5]
+    assert bus.codes() == {"epoch_from_the_future": 1}
+
+
+def test_a_receiver_that_began_in_the_past_is_followed_once_it_knows_the_time() -> None:
+    service, bus = make()
+    rolled_over = START_NS - 1024 * 7 * 86_400 * NS
+    hear(service, pos(0, time_ns=rolled_over) + pos(0, 1, header=False))
+    assert bus.epochs()[1:] == [0, 1]
+    assert bus.issues == []
+
+
+def test_an_epoch_before_any_plausible_time_is_refused_and_the_next_one_passes() -> None:
+    service, bus = make()
+    hear(service, pos(0, time_ns=gps_ns_from_utc(CalendarTime(1999, 8, 22, 0, 0, 0))) + pos(0, header=False))
+    assert bus.epochs() == [0]
+    assert bus.codes() == {"implausible_epoch": 1}
+    assert bus.issues[0][1].startswith("time_ns: ")
+
+
+def test_after_a_restart_an_epoch_has_the_same_id() -> None:
+    first, before = make()
+    hear(first, pos(0, 1))
+    second, after = make()
+    hear(second, pos(1, 2))
+    assert before.fixes[1] == after.fixes[0]
+
+
+@pytest.mark.parametrize("quality", SolutionQuality)
+def test_quality_words_come_through_the_pos_format(quality: SolutionQuality) -> None:
+    service, bus = make()
+    hear(service, pos(0, quality=quality))
+    words = {1: "fixed", 2: "float", 3: "sbas", 4: "dgps", 5: "single", 6: "ppp", 7: "estimated"}
+    assert bus.fixes[0].quality == words[int(quality)]
+
+
+@pytest.mark.parametrize("protocol", ["ubx", "rtcm", "mixed"])
+def test_a_protocol_that_is_not_read_yet_is_named(protocol: str) -> None:
+    service, bus = make()
+    hear(service, b"\xb5\x62", protocol)
+    assert bus.issues == [("protocol_unknown", f"{protocol}: expected pos or nmea")]
+
+
+def test_a_receivers_own_solution_has_no_other_estimates() -> None:
+    service, _ = make()
+    requests = [EstimatesRequest(time_ns=START_NS, fix_id=n) for n in (7, 8)]
+    replies: Sequence[Any] = service.answers()["estimates"](requests)
+    assert [reply.fix_id for reply in replies] == [7, 8]
+    for reply in replies:
+        assert isinstance(reply, Estimates)
+        assert (reply.status, reply.candidates, reply.trials) == ("unavailable", (), 0)
+        assert reply.reason
+
+
+def test_it_is_healthy_while_epochs_come() -> None:
+    service, bus = make()
+    assert not service.healthy()
+    bus.time_ns = START_NS
+    hear(service, pos(0))
+    assert service.healthy()
+    bus.time_ns = START_NS + 5 * NS
+    assert not service.healthy()
+
+
+def until(service: GnssService, bus: FakeBus, epochs: list[int]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while bus.epochs() != epochs:
+        assert time.monotonic() < deadline, (bus.epochs(), bus.issues)
+        time.sleep(0.005)
+        service.advance(bus.now_ns())
+
+
+def test_a_file_of_its_own_is_read_while_it_grows_and_the_bus_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "rover.pos"
+    path.write_bytes(pos(0, 1))
+    service, bus = make(source=f"file:{path}", protocol="pos")
+    try:
+        assert service.handlers() == {}
+        until(service, bus, [0, 1])
+        with path.open("ab") as file:
+            file.write(pos(2, header=False))
+        until(service, bus, [0, 1, 2])
+        assert bus.issues == []
+    finally:
+        service.close()
+
+
+def test_a_serial_port_of_its_own_is_read() -> None:
+    ours, theirs = pty.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    service, bus = make(source=f"serial:{os.ttyname(theirs)}", protocol="nmea")
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while service._stream is None or service._stream.problem is not None:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        os.write(ours, nmea(0, 1, 2, 3))
+        until(service, bus, [0, 1, 2, 3])
+    finally:
+        service.close()
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_a_source_that_is_lost_is_an_issue_once_for_each_loss(tmp_path: Path) -> None:
+    service, bus = make(source=f"file:{tmp_path / 'nothing.pos'}", protocol="pos")
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while not bus.issues:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+            service.advance(bus.now_ns())
+        for _ in range(100):
+            service.advance(bus.now_ns())
+        assert service._stream is not None
+        assert 1 <= len(bus.issues) <= service._stream.failures
+        code, text = bus.issues[0]
+        assert code == "source_lost"
+        assert text.startswith(f"file:{tmp_path / 'nothing.pos'}: ")
+    finally:
+        service.close()
+
+
+def test_a_source_that_is_none_is_refused_before_anything_starts() -> None:
+    with pytest.raises(ConfigError, match=r"^source: 'tcp:host': expected file:PATH, tcp:HOST:PORT or serial:"):
+        load(GnssSettings, ["--source", "tcp:host"], prog="camber gnss")
+
+
+def test_the_service_is_what_the_command_line_runs() -> None:
+    assert SERVICE is GnssService

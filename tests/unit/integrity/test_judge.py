@@ -1,0 +1,465 @@
+"""The judge says *confirmed* only where everything is known, fresh and in agreement; each way out has its reason."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose, provisional, road
+
+from camber.integrity.judge import Judge
+from camber.integrity.learning import Correction
+from camber.integrity.rules import Rules
+from camber.schemas.gnss import Fix
+
+
+def judge_with(*, poses=(), antenna_height=None, correction=None, rules=None):
+    judge = Judge(rules or Rules(), correction)
+    for one in poses:
+        judge.hear_pose(one)
+    if antenna_height is not None:
+        judge.hear_antenna(antenna_height)
+    return judge
+
+
+def judged(the_fix=None, *, now=0.0, alive=ALL, the_pose=None, the_antenna=None, **others):
+    """The judgement of one fix, with everything there and right but for what is given."""
+    poses = [the_pose if the_pose is not None else pose()]
+    judge = judge_with(poses=poses, antenna_height=the_antenna or antenna(), **others)
+    judgement = judge.judge(the_fix or fix(), at(now), alive)
+    assert judgement is not None
+    return judgement
+
+
+def word_and_reason(judgement):
+    return judgement.word, judgement.reason
+
+
+class Drive:
+    """A judge along a drive: each epoch a pose and a fix."""
+
+    def __init__(self, *, rules=None, correction=None, speed_m_s=10.0):
+        self.judge = Judge(rules or Rules(), correction)
+        self.speed_m_s = speed_m_s
+
+    def epoch(self, k, the_fix=None, the_pose=None):
+        self.judge.hear_pose(the_pose or pose(k))
+        self.judge.hear_antenna(antenna(k))
+        self.judge.hear_speed(at(k), self.speed_m_s)
+        judgement = self.judge.judge(the_fix or fix(k), at(k), ALL)
+        assert judgement is not None
+        return judgement
+
+
+# --- one fix -----------------------------------------------------------------------------------------------------
+
+
+def test_a_fix_on_road_and_antenna_near_the_pose_is_confirmed():
+    judgement = judged()
+    assert judgement.confirmed
+    assert word_and_reason(judgement) == ("confirmed", "height_agrees")
+    assert judgement.evidence == ("height",)
+    assert judgement.road is not None
+    assert judgement.road.surface_id == 7
+
+
+def test_a_fix_off_the_height_is_erroneous():
+    judgement = judged(fix(up_m=0.21))
+    assert not judgement.confirmed
+    assert word_and_reason(judgement) == ("erroneous", "height_disagrees")
+    assert judgement.determination is not None
+    assert judgement.determination.difference_m == pytest.approx(-0.21)
+
+
+def no_road():
+    return road(status="unknown", reason="no_surface")
+
+
+REJECTIONS = [
+    ("fix_implausible", {"the_fix": fix(3), "now": 0.0}),
+    ("gnss_stale", {"now": 2.6}),
+    ("not_a_fix", {"the_fix": fix(quality="float")}),
+    ("fix_implausible", {"the_fix": fix(covariance_enu_m2=None)}),
+    ("fix_implausible", {"the_fix": fix(covariance_enu_m2=(0.3, 0.0, 0.0, 0.3, 0.0, 0.3))}),
+    ("localizer_absent", {"the_pose": pose(-2), "alive": ALL - {"localizer"}}),
+    ("pose_stale", {"the_pose": pose(-2)}),
+    ("pose_stale", {"the_pose": pose(2)}),
+    ("pose_missing", {"the_pose": pose(mode="none", provenance="none")}),
+    ("pose_too_uncertain", {"the_pose": pose(sigma_m=20.0)}),
+    ("antenna_height_absent", {"the_antenna": antenna(-11), "alive": ALL - {"antenna_height"}}),
+    ("antenna_height_stale", {"the_antenna": antenna(-11)}),
+    ("antenna_height_stale", {"the_antenna": antenna(11)}),
+    ("antenna_height_disagrees", {"the_antenna": antenna(status="disagreement")}),
+    ("antenna_height_missing", {"the_antenna": antenna(status="unknown")}),
+    ("map_server_absent", {"the_pose": pose(road=road(status="unknown", reason="map_server_absent"))}),
+    ("levels_ambiguous", {"the_pose": pose(road=road(status="unknown", reason="levels_ambiguous"))}),
+    ("road_unknown", {"the_pose": pose(road=no_road())}),
+    ("datum_mismatch", {"the_pose": pose(road=road(datum=None))}),
+    ("datum_mismatch", {"the_fix": fix(datum="JGD2011")}),
+    ("position_disagrees", {"the_fix": fix(east_m=1.0)}),
+    ("position_disagrees", {"the_fix": fix(north_m=-1.0)}),
+    ("pose_too_uncertain", {"the_fix": fix(east_m=21.0), "the_pose": pose(sigma_m=10.0)}),
+    ("road_unknown", {"the_pose": pose(road=road(sigma_m=0.25))}),
+    ("antenna_height_missing", {"the_antenna": antenna(sigma_m=0.25)}),
+    ("starting", {"the_pose": provisional()}),
+]
+
+
+@pytest.mark.parametrize(("reason", "changes"), REJECTIONS, ids=[f"{i} {r}" for i, (r, _) in enumerate(REJECTIONS)])
+def test_every_row_of_the_rejection_table_is_unknown_with_its_reason(reason, changes):
+    assert word_and_reason(judged(**changes)) == ("unknown", reason)
+
+
+@pytest.mark.parametrize(("reason", "changes"), REJECTIONS, ids=[f"{i} {r}" for i, (r, _) in enumerate(REJECTIONS)])
+def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes):
+    drive = Drive()
+    for k in range(-5, 0):
+        assert drive.epoch(k).confirmed
+    drive.judge.hear_antenna(changes.get("the_antenna") or antenna())
+    drive.judge._poses.clear()  # the last known pose is the one given
+    drive.judge.hear_pose(changes.get("the_pose") or pose())
+    judgement = drive.judge.judge(changes.get("the_fix") or fix(), at(changes.get("now", 0.0)), changes.get("alive", ALL))
+    assert judgement is not None
+    assert judgement.word == "unknown"
+
+
+def test_without_any_pose_or_antenna_height_there_is_no_verdict():
+    nothing = judge_with().judge(fix(), at(0), ALL)
+    assert nothing is not None
+    assert word_and_reason(nothing) == ("unknown", "pose_missing")
+    no_antenna = judge_with(poses=[pose()]).judge(fix(), at(0), ALL)
+    assert no_antenna is not None
+    assert word_and_reason(no_antenna) == ("unknown", "antenna_height_missing")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    "where", ["height_m", "latitude_rad", "longitude_rad", "elevation_m", "slope_east", "antenna", "sigma_m", "pose"]
+)
+def test_what_is_not_a_number_is_never_confirmed(where, value):
+    """Messages refuse such values; the judge does not rely on it."""
+    the_fix, the_road, the_pose, the_antenna = fix(), road(), pose(), antenna()
+    if where in ("height_m", "latitude_rad", "longitude_rad"):
+        the_fix = the_fix.model_copy(update={where: value})
+    elif where == "antenna":
+        the_antenna = the_antenna.model_copy(update={"height_m": value})
+    elif where == "pose":
+        the_pose = the_pose.model_copy(update={"covariance_east_north_yaw": (value, 0.0, 0.0, value, 0.0, 0.0)})
+    else:
+        the_road = the_road.model_copy(update={where: value})
+    if where != "pose":
+        the_pose = the_pose.model_copy(update={"road": the_road})
+    drive = Drive()
+    for k in range(-5, 0):
+        assert drive.epoch(k).confirmed
+    drive.judge.hear_antenna(the_antenna)
+    drive.judge.hear_pose(the_pose)
+    judgement = drive.judge.judge(the_fix, at(0), ALL)
+    assert judgement is not None
+    assert judgement.word == "unknown"
+
+
+def test_the_road_is_taken_where_the_fix_is_not_where_the_pose_is():
+    steep = pose(sigma_m=2.0, road=road(slope_east=0.1))
+    assert judged(fix(east_m=4.0, up_m=0.4), the_pose=steep).confirmed
+    assert not judged(fix(east_m=4.0), the_pose=steep).confirmed
+
+
+def test_a_pose_of_the_epoch_before_is_moved_on_for_the_gate_and_not_for_the_road():
+    climbing = pose(-1, road=road(slope_east=0.1))
+    assert judged(fix(0, up_m=0.2), the_pose=climbing).confirmed  # 2 m driven, 0.2 m climbed
+
+
+def test_of_several_poses_the_nearest_in_time_counts():
+    judge = judge_with(poses=[pose(-1, east_m=50.0), pose(0), pose(1, east_m=50.0)], antenna_height=antenna())
+    judgement = judge.judge(fix(), at(0.5), ALL)
+    assert judgement is not None
+    assert judgement.confirmed
+
+
+def test_an_older_pose_does_not_replace_a_newer():
+    judge = judge_with(poses=[pose(0), pose(-1), pose(0, east_m=50.0)])
+    assert judge.pose == pose(0)
+    assert Judge(Rules()).pose is None
+
+
+# --- one verdict each, in order ----------------------------------------------------------------------------------
+
+
+def test_a_fix_is_judged_once():
+    drive = Drive()
+    assert drive.epoch(0).confirmed
+    assert drive.judge.judge(fix(0), at(0), ALL) is None
+    assert drive.judge.judge(fix(0, up_m=5.0), at(1), ALL) is None
+
+
+def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
+    drive = Drive()
+    drive.epoch(1)
+    repeated = drive.judge.judge(fix(1, fix_id=1), at(1), ALL)
+    earlier = drive.judge.judge(fix(0), at(1), ALL)
+    assert repeated is not None
+    assert earlier is not None
+    assert word_and_reason(repeated) == ("unknown", "fix_repeated")
+    assert word_and_reason(earlier) == ("unknown", "fix_out_of_order")
+    assert drive.judge.last_fix_ns == at(1)
+
+
+def test_what_is_dated_ahead_blocks_nothing_once_it_is_forgotten():
+    drive = Drive()
+    drive.epoch(0)
+    drive.judge.hear_pose(pose(1000))
+    drive.judge.hear_antenna(antenna(1000))
+    drive.judge.forget_future(at(1))
+    assert drive.judge.pose == pose(0)
+    without = drive.judge.judge(fix(1), at(1), ALL)
+    assert without is not None
+    assert without.reason == "antenna_height_missing"
+    assert drive.epoch(2).confirmed
+
+
+def test_after_the_clock_was_set_back_the_judge_goes_on():
+    drive = Drive()
+    for k in range(1000, 1003):
+        drive.epoch(k)
+    drive.judge.forget_future(at(0))
+    assert drive.judge.pose is None
+    assert drive.judge.last_fix_ns is None
+    assert drive.epoch(0).confirmed
+    assert drive.epoch(1, fix(1, up_m=0.25)).word == "erroneous"  # the chain of later fixes is forgotten: height + 0.25
+
+
+def test_what_is_current_is_not_forgotten():
+    drive = Drive()
+    drive.epoch(0)
+    drive.judge.forget_future(at(0))
+    assert drive.judge.pose == pose(0)
+    assert drive.judge.last_fix_ns == at(0)
+    assert drive.epoch(1).confirmed
+    Judge(Rules()).forget_future(at(0))
+
+
+# --- verification ------------------------------------------------------------------------------------------------
+
+
+def off_map(k, height_m=0.3):
+    """A pose above which the map is wrong from here on."""
+    return pose(k, road=road(elevation_m=ROAD_M - height_m))
+
+
+def test_where_the_map_is_wrong_the_time_series_carries_a_right_fix():
+    drive = Drive()
+    assert drive.epoch(0).confirmed
+    judgement = drive.epoch(1, the_pose=off_map(1))
+    assert judgement.confirmed
+    assert word_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
+    assert judgement.evidence == ("time_series",)
+
+
+def test_but_not_one_that_jumps_itself():
+    drive = Drive()
+    assert drive.epoch(0).confirmed
+    assert drive.epoch(1, fix(1, up_m=0.3)).word == "erroneous"
+
+
+def test_nor_one_that_moved_otherwise_than_the_vehicle():
+    drive = Drive()
+    assert drive.epoch(0).confirmed
+    assert drive.epoch(1, fix(1, north_m=0.2), off_map(1)).word == "erroneous"
+
+
+def test_nor_after_a_second_without_a_right_fix():
+    drive = Drive()
+    assert drive.epoch(0).confirmed
+    assert drive.epoch(6, the_pose=off_map(6)).word == "erroneous"
+
+
+def test_nor_without_a_right_fix_before():
+    assert Drive().epoch(0, the_pose=off_map(0)).word == "erroneous"
+
+
+def test_nor_where_no_pose_tells_the_way_since():
+    drive = Drive()
+    drive.epoch(0)
+    drive.judge._poses.clear()
+    assert drive.epoch(4, the_pose=off_map(4)).word == "erroneous"
+
+
+def test_the_chain_of_verified_fixes_ends():
+    drive = Drive()
+    drive.epoch(0)
+    words = [drive.epoch(k, the_pose=off_map(k)).word for k in range(1, 28)]
+    assert words == ["confirmed_after_verification"] * 25 + ["erroneous"] * 2
+
+
+def test_a_provisional_pose_verifies_nothing():
+    drive = Drive()
+    drive.epoch(0)
+    wrong_map = provisional(1, road=road(elevation_m=ROAD_M - 0.3))
+    assert drive.epoch(1, the_pose=wrong_map).word == "erroneous"
+
+
+# --- start -------------------------------------------------------------------------------------------------------
+
+
+def test_from_fixes_alone_the_fifth_in_a_row_is_confirmed():
+    drive = Drive()
+    judgements = [drive.epoch(k, the_pose=provisional(k)) for k in range(5)]
+    assert [j.word for j in judgements] == ["unknown"] * 4 + ["confirmed"]
+    assert {j.reason for j in judgements[:4]} == {"starting"}
+    assert judgements[4].evidence == ("height", "track")
+
+
+@pytest.mark.parametrize("odd_pose", [provisional, lambda k: provisional(k, mode="anchored")])
+@pytest.mark.parametrize(
+    "odd",
+    [
+        lambda drive: drive.epoch(4, fix(4, up_m=1.0), provisional(4)),
+        lambda drive: drive.epoch(4, fix(4, north_m=2.0), provisional(4)),
+        lambda drive: drive.epoch(4, the_pose=pose(4, mode="none", provenance="none")),
+        lambda drive: drive.epoch(4, the_pose=provisional(4, road=no_road())),
+    ],
+    ids=["height", "position", "no pose", "no road"],
+)
+def test_one_that_does_not_agree_begins_the_count_anew(odd, odd_pose):
+    drive = Drive()
+    for k in range(4):
+        drive.epoch(k, the_pose=odd_pose(k))
+    assert not odd(drive).confirmed
+    words = [drive.epoch(k, the_pose=odd_pose(k)).word for k in range(5, 10)]
+    assert words == ["unknown"] * 4 + ["confirmed"]
+
+
+def test_a_restart_of_the_pose_elsewhere_begins_the_count_anew():
+    """The localizer was killed or lost, and starts again from other fixes: theirs is another row."""
+    drive = Drive()
+    for k in range(4):
+        drive.epoch(k, the_pose=provisional(k))
+    elsewhere = [drive.epoch(k, fix(k, east_m=30.0), provisional(k, east_m=30.0)) for k in range(4, 9)]
+    assert [j.word for j in elsewhere] == ["unknown"] * 4 + ["confirmed"]
+
+
+def test_after_an_anchored_pose_was_lost_the_start_begins_at_nought():
+    drive = Drive()
+    for k in range(5):
+        drive.epoch(k, the_pose=provisional(k))
+    assert drive.epoch(5).confirmed
+    assert word_and_reason(drive.epoch(6, the_pose=provisional(6))) == ("unknown", "starting")
+
+
+def test_without_a_wheel_speed_nothing_starts():
+    drive = Drive(speed_m_s=None)
+    assert {drive.epoch(k, the_pose=provisional(k)).reason for k in range(20)} == {"starting"}
+
+
+def test_a_stale_wheel_speed_starts_nothing():
+    drive = Drive(speed_m_s=None)
+    drive.judge.hear_speed(at(0), 10.0)
+    words = [drive.epoch(k, the_pose=provisional(k)).word for k in range(20)]
+    assert "confirmed" not in words
+
+
+# --- learning ----------------------------------------------------------------------------------------------------
+
+
+def test_right_positions_teach_the_correction_and_later_fixes_are_judged_by_it():
+    drive = Drive()
+    for k in range(300):
+        assert drive.epoch(k, fix(k, up_m=0.15)).confirmed
+    assert drive.judge.correction.correction_m == pytest.approx(0.15, abs=0.01)
+    assert drive.judge.correction.samples == 300
+    assert drive.epoch(300, fix(300, up_m=0.3)).confirmed
+
+
+def test_a_position_verified_against_the_height_teaches_too():
+    drive = Drive()
+    drive.epoch(0)
+    drive.epoch(1, the_pose=off_map(1))
+    assert drive.judge.correction.correction_m == pytest.approx(0.01 * 0.3)
+
+
+def test_others_teach_nothing():
+    drive = Drive()
+    drive.epoch(0, fix(0, up_m=0.5))
+    drive.epoch(1, the_pose=provisional(1))
+    drive.epoch(2, the_pose=pose(2, road=no_road()))
+    assert drive.judge.correction == Correction()
+
+
+def test_a_vehicle_that_stands_teaches_nothing():
+    drive = Drive(speed_m_s=0.0)
+    assert drive.epoch(0, fix(0, up_m=0.1)).confirmed
+    assert drive.judge.correction.samples == 0
+
+
+def test_the_correction_in_force_is_told_with_the_verdict():
+    kept = Correction(0.1, 9)
+    assert judged(fix(up_m=0.25), correction=kept).confirmed
+    assert judged(fix(up_m=0.25), correction=kept).correction_m == 0.1
+
+
+# --- properties --------------------------------------------------------------------------------------------------
+
+TRUST = {"erroneous": 0, "unknown": 0, "confirmed_after_verification": 1, "confirmed": 2}
+
+
+@given(
+    near_m=st.floats(0.0, 5.0),
+    farther_m=st.floats(0.0, 5.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+    history=st.integers(0, 6),
+)
+def test_a_larger_height_contradiction_never_raises_trust(near_m, farther_m, sign, history):
+    def trust(up_m):
+        drive = Drive()
+        for k in range(history):
+            drive.epoch(k)
+        return TRUST[drive.epoch(history, fix(history, up_m=sign * up_m)).word]
+
+    assert trust(near_m + farther_m) <= trust(near_m)
+
+
+@given(near_m=st.floats(0.0, 5.0), farther_m=st.floats(0.0, 5.0))
+def test_a_larger_distance_from_the_pose_never_raises_trust(near_m, farther_m):
+    assert TRUST[judged(fix(north_m=near_m + farther_m)).word] <= TRUST[judged(fix(north_m=near_m)).word]
+
+
+ages_epochs = st.floats(-30.0, 30.0)
+
+
+@given(pose_age=ages_epochs, antenna_age=ages_epochs, fix_age=ages_epochs)
+def test_stale_or_missing_input_never_gives_confirmation(pose_age, antenna_age, fix_age):
+    judgement = judged(
+        fix(0), now=fix_age, the_pose=pose(-pose_age), the_antenna=antenna(-antenna_age)
+    )
+    fresh = abs(pose_age) <= 1.5 and abs(antenna_age) <= 10.0 and -2.5 <= fix_age <= 2.5
+    assert judgement.confirmed is fresh
+
+
+@settings(max_examples=300)
+@given(
+    st.sampled_from(["float", "dgps", "single", "ppp", "sbas", "estimated", "none"]),
+    st.floats(-1.0, 1.0),
+)
+def test_nothing_but_a_fix_is_ever_confirmed(quality, up_m):
+    assert not judged(fix(quality=quality, up_m=up_m)).confirmed
+
+
+@given(st.lists(st.sampled_from(["right", "high", "aside", "float", "no_pose", "no_road"]), max_size=30))
+def test_along_any_provisional_drive_only_a_fix_that_agrees_is_confirmed(events):
+    drive = Drive()
+    for k, event in enumerate(events):
+        the_fix: Fix = {
+            "high": fix(k, up_m=1.0),
+            "aside": fix(k, north_m=3.0),
+            "float": fix(k, quality="float"),
+        }.get(event, fix(k))
+        the_pose = {
+            "no_pose": pose(k, mode="none", provenance="none"),
+            "no_road": provisional(k, road=no_road()),
+        }.get(event, provisional(k))
+        judgement = drive.epoch(k, the_fix, the_pose)
+        if judgement.confirmed:
+            assert events[max(0, k - 4) : k + 1].count("right") == 5 or "float" in events[max(0, k - 5) : k]
+            assert event == "right"
+            assert judgement.fix.height_m == pytest.approx(ROAD_M + ANTENNA_M)

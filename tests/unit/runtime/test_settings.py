@@ -1,0 +1,266 @@
+"""Settings: command line > environment > TOML > default; what is wrong is one clear line and exit code 2."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import tomllib
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from camber.gnss.settings import GnssSettings
+from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, load_or_exit, to_toml
+from camber.schemas.channels import SERVICES
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    length_m: float = Field(1.0, gt=0.0, description="a length")
+    name: str = "inner"
+
+
+class Sample(ServiceSettings):
+    """Settings to try."""
+
+    SERVICE: ClassVar[str] = "sample"
+    width_m: float = Field(2.0, gt=0.0, description="a width,\nsaid in two lines")
+    enabled: bool = True
+    folder: Path | None = None
+    inner: Inner = Field(default_factory=Inner)
+    start: Inner | None = None
+
+
+@pytest.fixture(autouse=True)
+def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if name.startswith("CAMBER_")]:
+        monkeypatch.delenv(name)
+
+
+def toml(folder: Path, text: str) -> list[str]:
+    path = folder / "camber.toml"
+    path.write_text(text, "utf-8")
+    return ["--config", str(path)]
+
+
+def read(cls: type[ServiceSettings], argv: list[str]) -> Any:
+    return load(cls, argv, prog="camber sample")[0]
+
+
+def complaint(cls: type[ServiceSettings], argv: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line that a process would say, without its name."""
+    with pytest.raises(SystemExit) as ended:
+        load_or_exit(cls, argv, prog="camber sample")
+    assert ended.value.code == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    return line.removeprefix("camber sample: ")
+
+
+def test_every_level_overrules_those_below_it_for_a_plain_field(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert read(Sample, []).width_m == 2.0
+    argv = toml(tmp_path, "width_m = 3.0")
+    assert read(Sample, argv).width_m == 3.0
+    monkeypatch.setenv("CAMBER_SAMPLE_WIDTH_M", "4.0")
+    assert read(Sample, argv).width_m == 4.0
+    assert read(Sample, [*argv, "--width-m", "5.0"]).width_m == 5.0
+    assert read(Sample, ["--width-m=5.0", *argv]).width_m == 5.0
+
+
+def test_every_level_overrules_those_below_it_for_a_nested_field(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    argv = toml(tmp_path, "[inner]\nlength_m = 3.0\nname = 'file'")
+    assert read(Sample, argv).inner == Inner(length_m=3.0, name="file")
+    monkeypatch.setenv("CAMBER_SAMPLE_INNER__LENGTH_M", "4.0")
+    assert read(Sample, argv).inner == Inner(length_m=4.0, name="file")
+    assert read(Sample, [*argv, "--inner.length-m", "5.0"]).inner == Inner(length_m=5.0, name="file")
+    assert read(Sample, ["--inner.name", "typed"]).inner == Inner(length_m=4.0, name="typed")
+
+
+def test_the_levels_meet_in_one_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    argv = toml(tmp_path, "vehicle = 'file'\n[zenoh]\nmode = 'client'")
+    monkeypatch.setenv("CAMBER_SAMPLE_ZENOH__CONNECT", '["tcp/a:1", "tcp/b:2"]')
+    settings = read(Sample, [*argv, "--log-level", "debug"])
+    assert (settings.vehicle, settings.log_level) == ("file", "debug")
+    assert settings.zenoh == ZenohSettings(mode="client", connect=["tcp/a:1", "tcp/b:2"])
+
+
+def test_a_table_that_is_optional_can_be_given_at_every_level(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert read(Sample, []).start is None
+    assert read(Sample, toml(tmp_path, "[start]\nlength_m = 3.0")).start == Inner(length_m=3.0)
+    assert read(Sample, ["--start.length-m", "5"]).start == Inner(length_m=5.0)
+    monkeypatch.setenv("CAMBER_SAMPLE_START__NAME", "four")
+    assert read(Sample, []).start == Inner(name="four")
+
+
+def test_a_switch_has_a_yes_and_a_no() -> None:
+    assert read(Sample, ["--no-enabled"]).enabled is False
+    assert read(Sample, ["--enabled"]).enabled is True
+
+
+def test_the_environment_of_another_service_is_nobodys_business(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAMBER_GNSS_WIDTH_M", "4.0")
+    monkeypatch.setenv("CAMBER_DATA", "/recordings")
+    monkeypatch.setenv("WIDTH_M", "4.0")
+    assert read(Sample, []).width_m == 2.0
+
+
+def test_an_unknown_key_of_the_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = toml(tmp_path, "widht_m = 3.0")
+    assert complaint(Sample, argv, capsys) == f"{argv[1]}: widht_m: unknown setting"
+    argv = toml(tmp_path, "[inner]\nlenght_m = 3.0")
+    assert complaint(Sample, argv, capsys) == f"{argv[1]}: inner.lenght_m: unknown setting"
+    argv = toml(tmp_path, "_cli_settings_source = 1")
+    assert complaint(Sample, argv, capsys) == f"{argv[1]}: _cli_settings_source: unknown setting"
+
+
+def test_an_unknown_option_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert complaint(Sample, ["--widht-m", "3"], capsys) == "unrecognized arguments: --widht-m 3"
+    assert complaint(Sample, ["--width", "3"], capsys) == "unrecognized arguments: --width 3"  # nor abbreviated
+    assert complaint(Sample, ["--config"], capsys) == "argument --config: expected one argument"
+
+
+@pytest.mark.parametrize("name", ["CAMBER_SAMPLE_WIDHT_M", "CAMBER_SAMPLE_INER__LENGTH_M"])
+def test_an_unknown_variable_is_named(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(name, "3.0")
+    assert complaint(Sample, [], capsys) == f"environment: {name}: unknown setting"
+
+
+def test_an_unknown_nested_variable_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CAMBER_SAMPLE_INNER__LENGHT_M", "3.0")
+    assert complaint(Sample, [], capsys) == "inner.lenght_m: unknown setting"
+
+
+def test_a_unit_in_a_value_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = toml(tmp_path, "width_m = '20 cm'")
+    said = complaint(Sample, argv, capsys)
+    assert said.startswith(f"{argv[1]}: width_m: ")
+    assert "valid number" in said
+    assert said.endswith("(got '20 cm')")
+
+
+def test_a_value_out_of_range_is_named_with_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert complaint(Sample, ["--inner.length-m", "-1"], capsys).startswith("inner.length_m: ")
+    argv = toml(tmp_path, "width_m = 3.0")
+    said = complaint(Sample, [*argv, "--width-m", "-1"], capsys)
+    assert said.startswith("width_m: ") or said.startswith(f"{argv[1]}: width_m: ")
+    assert said.endswith("(got '-1')")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"), [(b"width_m = ", "not TOML"), (b"\xff", "not TOML"), (None, "No such file")]
+)
+def test_a_file_that_cannot_be_read_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | None, expected: str
+) -> None:
+    path = tmp_path / "camber.toml"
+    if content is not None:
+        path.write_bytes(content)
+    said = complaint(Sample, ["--config", str(path)], capsys)
+    assert said.startswith(f"{path}: ")
+    assert expected in said
+
+
+def test_a_folder_is_no_file_of_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert complaint(Sample, ["--config", str(tmp_path)], capsys) == f"{tmp_path}: Is a directory"
+
+
+@pytest.mark.parametrize("name", ["CAMBER_SAMPLE_ZENOH", "CAMBER_SAMPLE_ZENOH__CONNECT"])
+def test_a_list_that_is_not_json_is_named(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(name, "[tcp/a:1")
+    said = complaint(Sample, [], capsys)
+    assert said.startswith("environment: zenoh: expected JSON for a list or a table")
+
+
+def test_a_list_on_the_command_line_that_is_not_one_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    said = complaint(Sample, ["--zenoh.connect", "[1"], capsys)
+    assert said.startswith("command line: ")
+    assert "zenoh.connect" in said
+
+
+@pytest.mark.parametrize("vehicle", ["", "a/b", "*", "a b", "v" * 65])
+def test_a_vehicles_name_is_a_part_of_a_key(vehicle: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert complaint(Sample, ["--vehicle", vehicle], capsys).startswith("vehicle: ")
+
+
+def test_check_says_that_the_settings_are_right_and_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        load_or_exit(Sample, ["--check"], prog="camber sample")
+    assert ended.value.code == 0
+    assert capsys.readouterr() == ("", "camber sample: settings are right\n")
+
+
+def test_without_check_the_settings_are_returned() -> None:
+    assert load_or_exit(Sample, ["--width-m", "3"], prog="camber sample").width_m == 3.0
+
+
+def test_print_config_gives_toml_that_is_read_as_the_same_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = ["--width-m", "0.1", "--folder", "/tmp/ü\x7f😀\"'\\", "--inner.name", "日本", "--start.length-m", "1e-9"]
+    before = read(Sample, argv)
+    with pytest.raises(SystemExit) as ended:
+        load_or_exit(Sample, [*argv, "--print-config"], prog="camber sample")
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert read(Sample, toml(tmp_path, text)) == before
+    assert "width_m = 0.1  # a width, said in two lines" in text
+
+
+def test_a_date_and_an_infinity_survive_being_printed(tmp_path: Path) -> None:
+    gnss = read(GnssSettings, ["--nmea-date", "2023-07-11"])
+    assert read(GnssSettings, toml(tmp_path, to_toml(gnss))) == gnss
+    wide = read(Sample, ["--width-m", "inf"])
+    assert read(Sample, toml(tmp_path, to_toml(wide))) == wide
+
+
+NEEDED = {"map_server": ["--release", "/map"]}
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_every_services_settings_survive_being_printed(service: str, tmp_path: Path) -> None:
+    cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
+    before = read(cls, NEEDED.get(service, []))
+    text = to_toml(before)
+    tomllib.loads(text)
+    assert read(cls, toml(tmp_path, text)) == before
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_every_services_setting_is_described_and_its_environment_is_its_own(service: str) -> None:
+    cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
+    assert service == cls.SERVICE
+    plain = [name for name, info in cls.model_fields.items() if not info.description and name != "zenoh"]
+    assert not plain
+    others = [f"CAMBER_{other.upper()}_" for other in SERVICES if other != service]
+    assert not any(prefix.startswith(f"CAMBER_{service.upper()}_") for prefix in others)
+
+
+def test_help_lists_every_setting_of_a_service(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        load_or_exit(GnssSettings, ["--help"], prog="camber gnss")
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    for name in GnssSettings.model_fields:
+        assert f"--{name.replace('_', '-')}" in said
+
+
+def test_load_raises_what_load_or_exit_says() -> None:
+    with pytest.raises(ConfigError, match="unrecognized arguments"):
+        load(Sample, ["--nothing"], prog="camber sample")
