@@ -12,7 +12,7 @@ help:
 	@echo "make test    all tests; what needs recordings or a container engine skips visibly"
 	@echo "make check   lint, types, import rules, generated pages, tests: what CI runs"
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
-	@echo "make image   container image camber"
+	@echo "make image   container image camber, with everything for any service"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
 
@@ -55,7 +55,8 @@ docs: setup
 	$(BIN)/python -m camber.tools.data_flow
 
 image:
-	docker build --file deploy/Dockerfile --tag camber .
+	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL \
+		--build-arg EXTRAS=engine,localizer,map,fleet,web --tag camber .
 
 clean:
 	rm -rf $(OUT) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

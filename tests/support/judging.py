@@ -28,7 +28,9 @@ def place(epoch: float, east_m: float = 0.0, north_m: float = 0.0) -> tuple[floa
     return geodetic_at_offset(LATITUDE_RAD, LONGITUDE_RAD, driven_m + east_m, north_m, ROAD_M + ANTENNA_M)
 
 
-def fix(epoch: float = 0, *, up_m: float = 0.0, east_m: float = 0.0, north_m: float = 0.0, **changes: Any) -> Fix:
+def fix(
+    epoch: float = 0, *, up_m: float = 0.0, east_m: float = 0.0, north_m: float = 0.0, **changes: Any
+) -> Fix:
     """A fix of an epoch, right but for the metres given."""
     latitude_rad, longitude_rad = place(epoch, east_m, north_m)
     fields: dict[str, Any] = {

@@ -6,6 +6,7 @@ answers is the reason published, so the reason nearest to the cause comes first.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from camber.integrity.pose_gate import can_move_on, claimed_sigma_m, pose_sigma_m
@@ -88,6 +89,7 @@ def unusable_fix(fix: Fix, rules: Rules) -> Reason | None:
     """
     if fix.quality != "fixed":
         return "not_a_fix"
-    if fix.covariance_enu_m2 is None:
+    place_is_known = all(map(math.isfinite, (fix.latitude_rad, fix.longitude_rad, fix.height_m)))
+    if fix.covariance_enu_m2 is None or not place_is_known:
         return "fix_implausible"
     return None if claimed_sigma_m(fix.covariance_enu_m2) <= rules.fix_sigma_limit_m else "fix_implausible"

@@ -158,6 +158,7 @@ class LocalizerService(Service[LocalizerSettings]):
     ) -> Road:
         sigma_m = estimate.horizontal_sigma_m
         if sigma_m > self.settings.road_sigma_limit_m:
+            self._asked = None
             return Road(status="unknown", reason="pose_too_uncertain")
         candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
         request = ElevationRequest(

@@ -39,7 +39,7 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise BusError(f"cannot join the bus ({settings.mode}, {settings.connect}): {str(error)[:300]}") from None
+        raise BusError(f"cannot join the bus ({settings.mode}, {settings.connect}): {_reason(error)}") from None
 
 
 def _base(config_file: Path | None) -> zenoh.Config:
@@ -48,4 +48,9 @@ def _base(config_file: Path | None) -> zenoh.Config:
     try:
         return zenoh.Config.from_file(str(config_file))
     except zenoh.ZError as error:
-        raise BusError(f"{config_file}: {str(error)[:300]}") from None
+        raise BusError(f"{config_file}: {_reason(error)}") from None
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """What Zenoh says, without the place in its source that it adds."""
+    return str(error).partition(" at /")[0][:300]

@@ -87,7 +87,10 @@ class ServiceSettings(BaseSettings):
 
 
 def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Namespace]:
-    """Read the settings of `cls`, or raise ConfigError. Returns them and the flags `--check`, `--print-config`."""
+    """Read the settings of `cls`, or raise ConfigError. Returns them and the flags `--check`, `--print-config`.
+
+    A class that says `extra="ignore"` reads its part of the settings of a service, and no other class does.
+    """
     flags = _Parser(prog=prog, add_help=False, allow_abbrev=False)
     flags.add_argument("--config", type=Path, metavar="FILE", help="TOML file with settings")
     flags.add_argument(
@@ -98,9 +101,10 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
     )
     args, rest = flags.parse_known_args(argv)
     table = _read_toml(args.config) if args.config else {}
-    for name in table.keys() - cls.model_fields.keys():
-        raise ConfigError(f"{args.config}: {name}: unknown setting")
-    _refuse_unknown_environment(cls)
+    if cls.model_config["extra"] != "ignore":
+        for name in table.keys() - cls.model_fields.keys():
+            raise ConfigError(f"{args.config}: {name}: unknown setting")
+        _refuse_unknown_environment(cls)
     summary = (cls.__doc__ or "").strip().splitlines()[0]
     parser = _Parser(prog=prog, parents=[flags], description=summary, allow_abbrev=False)
     # A source of its own, so that the order holds: pydantic-settings puts it above environment and file.

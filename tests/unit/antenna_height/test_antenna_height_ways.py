@@ -23,7 +23,9 @@ def test_a_fixed_height_is_as_it_was_measured() -> None:
     assert (way.way, way.height_m, way.sigma_m) == ("fixed", 1.8, 0.02)
 
 
-@pytest.mark.parametrize(("gap_m", "contradict"), [(0.0, False), (0.199, False), (0.201, True), (-0.201, True)])
+@pytest.mark.parametrize(
+    ("gap_m", "contradict"), [(0.0, False), (0.199, False), (0.201, True), (-0.201, True)]
+)
 def test_heights_contradict_beyond_four_sigmas_of_their_difference(gap_m: float, contradict: bool) -> None:
     a, b = fixed_height(1.8, 0.03), fixed_height(1.8 + gap_m, 0.04)
     assert disagree(a, b) is contradict

@@ -123,7 +123,9 @@ def test_of_a_server_that_nobody_takes_from_the_newest_bytes_stay(
 ) -> None:
     monkeypatch.setattr(byte_streams, "LIMIT_BYTES", 10_000)
     content = b"".join(b"%09d\n" % n for n in range(20_000))
-    with closing(open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)) as stream:
+    with closing(
+        open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)
+    ) as stream:
         with server.accept()[0] as peer:
             peer.sendall(content)
             wait_for(lambda: stream.lost_bytes + len(stream._bytes) == len(content))

@@ -319,7 +319,9 @@ def test_a_source_that_is_lost_is_an_issue_once_for_each_loss(tmp_path: Path) ->
 
 
 def test_a_source_that_is_none_is_refused_before_anything_starts() -> None:
-    with pytest.raises(ConfigError, match=r"^source: 'tcp:host': expected file:PATH, tcp:HOST:PORT or serial:"):
+    with pytest.raises(
+        ConfigError, match=r"^source: 'tcp:host': expected file:PATH, tcp:HOST:PORT or serial:"
+    ):
         load(GnssSettings, ["--source", "tcp:host"], prog="camber gnss")
 
 

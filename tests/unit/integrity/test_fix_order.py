@@ -1,10 +1,10 @@
 """Each fix is judged once, and only forward in time."""
 
 import pytest
-from support.judging import at, fix
 
 from camber.integrity.fix_order import FixOrder
 from camber.integrity.rules import Rules
+from support.judging import at, fix
 
 RULES = Rules()
 

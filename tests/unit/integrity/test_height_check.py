@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.judging import ROAD_M, road
 
 from camber.integrity.height_check import RoadPoint, determine, height_difference_m, road_at
 from camber.schemas.pose import RoadPatch
+from support.judging import ROAD_M, road
 
 metres = st.floats(-50.0, 50.0)
 
@@ -39,7 +39,9 @@ def test_an_antenna_at_its_height_above_the_road_agrees():
     assert outcome.tolerance_m == 0.2
 
 
-@pytest.mark.parametrize(("receiver_m", "agrees"), [(41.99, True), (42.01, False), (41.61, True), (41.59, False)])
+@pytest.mark.parametrize(
+    ("receiver_m", "agrees"), [(41.99, True), (42.01, False), (41.61, True), (41.59, False)]
+)
 def test_the_tolerance_holds_upwards_and_downwards(receiver_m, agrees):
     assert check(receiver_m).agrees is agrees
 

@@ -5,7 +5,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.judging import SPEED_M_S, at, place, pose
 
 from camber.integrity.pose_gate import (
     can_move_on,
@@ -14,6 +13,7 @@ from camber.integrity.pose_gate import (
     offset_from_pose,
     pose_sigma_m,
 )
+from support.judging import SPEED_M_S, at, place, pose
 
 POSE = (0.04, 0.01, 0.0, 0.09, 0.0, 0.01)
 FIX = (0.0001, 0.0, 0.0, 0.0001, 0.0, 0.0004)

@@ -4,11 +4,11 @@ import math
 import typing
 
 import pytest
-from support.judging import ALL, antenna, at, fix, pose, road
 
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation, age_s, unusable_fix
 from camber.schemas.pose import RoadReason
+from support.judging import ALL, antenna, at, fix, pose, road
 
 RULES = Rules()
 NO_COVARIANCE = (1.0, 2.0, 0.0, 1.0, 0.0, 0.0)
@@ -55,7 +55,9 @@ def test_with_all_there_nothing_is_missing():
     assert missing() is None
 
 
-@pytest.mark.parametrize(("changes", "reason"), ROWS, ids=[f"{i} {reason}" for i, (_, reason) in enumerate(ROWS)])
+@pytest.mark.parametrize(
+    ("changes", "reason"), ROWS, ids=[f"{i} {reason}" for i, (_, reason) in enumerate(ROWS)]
+)
 def test_what_is_missing_is_named(changes, reason):
     assert missing(**changes) == reason
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.judging import ROAD_M, SPEED_M_S, at, place
 
 from camber.integrity.start import StartCount, StartFix, StartRules, follows
+from support.judging import ROAD_M, SPEED_M_S, at, place
 
 RULES = StartRules(fixes=5, duration_s=0.8, longest_gap_s=1.0, distance_m=0.3, distance_share=0.02)
 

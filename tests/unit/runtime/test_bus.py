@@ -121,9 +121,7 @@ def test_a_text_that_is_no_unicode_is_shown_all_the_same() -> None:
 
 
 @pytest.mark.parametrize("unix_s", [5, 946_000_000, 5_000_000_000])
-def test_a_machine_without_the_right_time_still_answers(
-    monkeypatch: pytest.MonkeyPatch, unix_s: int
-) -> None:
+def test_a_machine_without_the_right_time_still_answers(monkeypatch: pytest.MonkeyPatch, unix_s: int) -> None:
     monkeypatch.setattr(time, "time_ns", lambda: unix_s * 1_000_000_000)
     assert health_of(make_bus()).status == "ok"
 

@@ -124,7 +124,9 @@ def test_an_unknown_key_of_the_file_is_named(tmp_path: Path, capsys: pytest.Capt
 
 def test_an_unknown_option_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert complaint(Sample, ["--widht-m", "3"], capsys) == "unrecognized arguments: --widht-m 3"
-    assert complaint(Sample, ["--width", "3"], capsys) == "unrecognized arguments: --width 3"  # nor abbreviated
+    assert (
+        complaint(Sample, ["--width", "3"], capsys) == "unrecognized arguments: --width 3"
+    )  # nor abbreviated
     assert complaint(Sample, ["--config"], capsys) == "argument --config: expected one argument"
 
 
@@ -213,7 +215,16 @@ def test_without_check_the_settings_are_returned() -> None:
 def test_print_config_gives_toml_that_is_read_as_the_same_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    argv = ["--width-m", "0.1", "--folder", "/tmp/ü\x7f😀\"'\\", "--inner.name", "日本", "--start.length-m", "1e-9"]
+    argv = [
+        "--width-m",
+        "0.1",
+        "--folder",
+        "/tmp/ü\x7f😀\"'\\",
+        "--inner.name",
+        "日本",
+        "--start.length-m",
+        "1e-9",
+    ]
     before = read(Sample, argv)
     with pytest.raises(SystemExit) as ended:
         load_or_exit(Sample, [*argv, "--print-config"], prog="camber sample")

@@ -1,0 +1,46 @@
+"""Prints where the vehicle is, and *unknown* where nobody can say.
+
+    python examples/consumer.py --vehicle car --connect tcp/127.0.0.1:7447
+
+Unknown means: drive as without satellites. It is unknown when the position says so (`usable` is false, and `reason`
+says why), and also when no position comes any more: one older than the table's age limit says nothing about now.
+"""
+
+import argparse
+import math
+
+from camber.runtime.listen import Listener
+from camber.schemas.integrity import Position
+
+
+def line(position: Position) -> str:
+    """One position for people; coordinates only where they may be used."""
+    if not position.usable or position.latitude_rad is None or position.longitude_rad is None:
+        return f"unknown ({position.reason})"
+    latitude, longitude = math.degrees(position.latitude_rad), math.degrees(position.longitude_rad)
+    return f"{latitude:.8f} {longitude:.8f} within {position.semi_major_999_m:.2f} m by {position.source}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--vehicle", default="vehicle")
+    parser.add_argument("--connect", action="append", metavar="ENDPOINT", help="router, or any process of the vehicle")
+    parser.add_argument("--replay", action="store_true", help="times are those of a drive, not of this machine")
+    args = parser.parse_args()
+    with Listener("position", vehicle=args.vehicle, connect=args.connect, live=not args.replay) as listener:
+        valid_s = 0.0
+        while True:
+            position = listener.next(valid_s or None)
+            if position is None:
+                print("unknown (nothing new: the last position is too old)", flush=True)
+                valid_s = 0.0
+            else:
+                print(line(position), flush=True)
+                valid_s = listener.fresh_for_s("position", position)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        pass

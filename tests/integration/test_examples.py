@@ -1,0 +1,62 @@
+"""The examples do what they say, beside a real replay."""
+
+import re
+import signal
+import time
+from pathlib import Path
+
+from camber.schemas.channels import BY_NAME
+from camber.simulator.short_drive import write_short_drive
+from support.running import endpoint_of, kill, process_ids, started
+
+CONSUMER = Path(__file__).parents[2] / "examples" / "consumer.py"
+USABLE = re.compile(r"3[45]\.\d{8} 13[67]\.\d{8} within \d+\.\d\d m by (rtk|sensors)")
+SILENCE = "unknown (nothing new: the last position is too old)"
+
+
+def test_a_consumer_prints_positions_and_says_unknown_when_there_are_none(tmp_path):
+    drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
+    printed = tmp_path / "consumer.txt"
+    with started(
+        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 4, "--set", "end_s=24", "--quiet"
+    ) as replay:
+        endpoint = endpoint_of(out)
+        with (
+            printed.open("w") as file,
+            started(CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file) as consumer,
+        ):
+            assert replay.wait(60.0) == 0
+            time.sleep(BY_NAME["position"].max_age_s + 0.5)
+            assert consumer.poll() is None, "it waits for the vehicle to come back"
+            consumer.send_signal(signal.SIGINT)
+            consumer.wait(10.0)
+    lines = printed.read_text().splitlines()
+    assert sum(USABLE.fullmatch(line) is not None for line in lines) > 30
+    assert all(USABLE.fullmatch(line) or line.startswith("unknown (") for line in lines), lines
+    assert lines[-1] == SILENCE
+    assert lines.count(SILENCE) == 1
+
+
+def test_a_consumer_stops_trusting_the_last_position_when_the_judge_is_gone(tmp_path):
+    drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
+    printed = tmp_path / "consumer.txt"
+    with started(
+        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 2, "--set", "end_s=24", "--quiet"
+    ) as replay:
+        endpoint = endpoint_of(out)
+        with (
+            printed.open("w") as file,
+            started(CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file) as consumer,
+        ):
+            deadline = time.monotonic() + 30.0
+            while "by rtk" not in printed.read_text():
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            kill(process_ids(out)["integrity"], signal.SIGSTOP)
+            while SILENCE not in printed.read_text():
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            kill(process_ids(out)["integrity"], signal.SIGCONT)
+            replay.wait(60.0)
+            consumer.send_signal(signal.SIGINT)
+            consumer.wait(10.0)

@@ -1,0 +1,143 @@
+"""What goes to the fleet: road heights free of the map, whatever the verdict, in batches named by their contents."""
+
+import numpy as np
+import pytest
+
+from camber.integrity.height_check import RoadPoint
+from camber.integrity.judgement import Judgement
+from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, upload_for
+from camber.map_update.contribution import VERDICTS
+from support.judging import ROAD_M, antenna, at, fix, pose, road
+
+POINT = RoadPoint(ROAD_M, 0.03, surface_id=7)
+EVERY_S = 5.0  # 25 epochs, and START_NS is on the grid
+
+
+def judgement(epoch=0, word="confirmed", **changes):
+    fields = {"pose": pose(epoch), "antenna": antenna(epoch), "road": POINT, "fix": fix(epoch)} | changes
+    return Judgement(word=word, reason="none", **fields)
+
+
+def upload(epoch=0, **changes):
+    found = upload_for(judgement(epoch, **changes), "car")
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("word", VERDICTS)
+def test_every_verdict_is_uploaded_with_its_word(word):
+    assert upload(word=word).verdict == word
+
+
+def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
+    found = upload(fix=fix(up_m=0.5), road=RoadPoint(99.0, 0.03, surface_id=8))
+    assert found.road_height_m == pytest.approx(ROAD_M + 0.5)
+    assert found.road_height_sigma_m == pytest.approx((1e-4 + 0.02**2) ** 0.5)
+    assert found.surface_id == 8
+    assert found.map_version == 3
+    assert found.epoch_year == pytest.approx(2023.5, abs=0.1)
+
+
+def test_the_same_fix_has_the_same_id_and_another_has_not():
+    assert upload().upload_id == upload(word="erroneous").upload_id
+    assert len({upload(k).upload_id for k in range(50)}) == 50
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"pose": None},
+        {"road": None},
+        {"antenna": None},
+        {"road": RoadPoint(ROAD_M, 0.03)},
+        {"pose": pose(road=road(map_version=None))},
+        {"fix": fix(quality="float")},
+        {"fix": fix(covariance_enu_m2=None)},
+        {"fix": fix(covariance_enu_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 101.0))},
+        {"antenna": antenna(sigma_m=None)},
+        {"antenna": antenna(height_m=None)},
+        {"antenna": antenna(height_m=-0.5)},
+        {"antenna": antenna(sigma_m=0.0), "fix": fix(covariance_enu_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0))},
+    ],
+    ids=str,
+)
+def test_what_no_fusion_can_use_stays_here(changes):
+    assert upload_for(judgement(**changes), "car") is None
+
+
+def test_a_batch_has_a_row_for_each_in_order():
+    uploads = [upload(k, word=word) for k, word in enumerate(VERDICTS)]
+    batch = batch_of(uploads)
+    assert batch.time_ns == uploads[-1].time_ns
+    assert (batch.vehicle, batch.datum, batch.map_version) == ("car", "WGS84", 3)
+    assert batch.positioning_time_ns.tolist() == [at(k) for k in range(4)]
+    assert [VERDICTS[v] for v in batch.verdict] == list(VERDICTS)
+    for name in ("latitude_rad", "longitude_rad", "road_height_m", "road_height_sigma_m", "antenna_height_m"):
+        assert getattr(batch, name).tolist() == [getattr(u, name) for u in uploads]
+    assert batch.surface_id.tolist() == [7] * 4
+
+
+def test_the_id_of_a_batch_is_made_of_its_contents():
+    ids = [
+        batch_of([upload(0), upload(1)]).batch_id,
+        batch_of([upload(0), upload(1)]).batch_id,
+        batch_of([upload(1)]).batch_id,
+        batch_of([upload(0), upload(1, word="erroneous")]).batch_id,
+    ]
+    assert ids[0] == ids[1]
+    assert len(set(ids)) == 3
+
+
+@pytest.mark.parametrize(
+    "uploads",
+    [
+        [],
+        [upload(), upload(1, pose=pose(1, road=road(map_version=4)))],
+        [upload(), upload(1, fix=fix(1, datum="ITRF2020"))],
+    ],
+    ids=["none", "map versions", "datums"],
+)
+def test_what_does_not_go_together_is_refused(uploads):
+    with pytest.raises(ValueError, match="expected one"):
+        batch_of(uploads)
+
+
+def collected(uploads):
+    collector = Collector(EVERY_S)
+    batches = [*(collector.add(one) for one in uploads), collector.take()]
+    return [len(batch.surface_id) for batch in batches if batch is not None]
+
+
+def test_a_stretch_of_time_makes_a_batch():
+    assert collected([upload(k) for k in range(60)]) == [25, 25, 10]
+
+
+def test_a_batch_is_full_at_64_rows():
+    assert collected([upload(k / 10) for k in range(150)]) == [MOST_ROWS, MOST_ROWS, 22]
+
+
+def test_a_new_map_begins_a_new_batch():
+    new_map = [upload(k, pose=pose(k, road=road(map_version=4))) for k in (2, 3)]
+    assert collected([upload(0), upload(1), *new_map]) == [2, 2]
+
+
+def test_each_upload_is_in_exactly_one_batch():
+    collector, rows = Collector(EVERY_S), []
+    for k in range(200):
+        batch = collector.add(upload(k / 4))
+        rows += batch.positioning_time_ns.tolist() if batch is not None else []
+        due = collector.due(at(k / 4))
+        rows += due.positioning_time_ns.tolist() if due is not None else []
+    last = collector.take()
+    assert last is not None
+    assert np.array_equal([*rows, *last.positioning_time_ns], [at(k / 4) for k in range(200)])
+
+
+def test_a_batch_is_due_when_its_stretch_is_over():
+    collector = Collector(EVERY_S)
+    assert collector.due(at(100)) is None
+    collector.add(upload(0))
+    assert collector.due(at(24)) is None
+    assert collector.due(at(25)) is not None
+    assert collector.due(at(50)) is None
+    assert collector.take() is None

@@ -1,0 +1,633 @@
+"""The localizer's process: no unconfirmed fix in the pose, and a reason wherever the road is not known."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable
+from random import Random
+from typing import Any, cast, get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.localizer.service import SERVICE, LocalizerService
+from camber.localizer.settings import LocalizerSettings
+from camber.runtime.bus import Bus, QueryFailed
+from camber.schemas.codec import encode
+from camber.schemas.gnss import Fix
+from camber.schemas.integrity import Verdict, VerdictWord
+from camber.schemas.motion import Motion
+from camber.schemas.pose import Pose, Road
+from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest
+from support.small_map import at
+
+NS = 1_000_000_000
+START_NS = 1_300_000_000 * NS
+SPEED = 10.0
+STEP_S = 0.1
+SMALL = (4e-4, 0.0, 0.0, 4e-4, 0.0, 1e-3)
+GIVEN = {
+    "latitude_deg": math.degrees(at(0.0, 0.0)[0]),
+    "longitude_deg": math.degrees(at(0.0, 0.0)[1]),
+    "yaw_deg": 0.0,
+    "horizontal_sigma_m": 0.5,
+    "yaw_sigma_deg": 1.0,
+}
+WORDS_THAT_ARE_NO_TRUST = set(get_args(VerdictWord)) - {"confirmed", "confirmed_after_verification"}
+
+
+class FakeMap:
+    """A straight road to the east, flat at 50 m, cut into links of 400 m; may be absent, slow, or have nothing."""
+
+    def __init__(self) -> None:
+        self.version = 1
+        self.failure: str | None = None
+        self.road: Road | None = None
+        self.broken_link = False
+        self.asked: list[ElevationRequest | LinksRequest] = []
+
+    def ask(self, name: str, request: Any) -> Any:
+        encode(request)
+        self.asked.append(request)
+        if self.failure is not None:
+            raise QueryFailed(cast(Any, self.failure), "said the test")
+        return self.elevation(request) if name == "elevation" else self.links(request)
+
+    def elevation(self, request: ElevationRequest) -> ElevationReply:
+        road = self.road or Road(
+            status="known",
+            surface_id=11,
+            level=0,
+            elevation_m=50.0,
+            sigma_m=0.02,
+            slope_east=0.0,
+            slope_north=0.0,
+            extent_m=5.0,
+            datum="WGS84",
+            map_version=self.version,
+        )
+        return ElevationReply(time_ns=request.time_ns, road=road)
+
+    def links(self, request: LinksRequest) -> LinksReply:
+        nodes = range(-4, 26)
+        points = [
+            at(400.0 * n + 400.0 * step * (not self.broken_link), 0.0) for n in nodes for step in (0, 1)
+        ]
+        count = len(nodes)
+        return LinksReply(
+            time_ns=request.time_ns,
+            status="known",
+            map_version=self.version,
+            link_id=np.arange(count, dtype=np.int64) + 100,
+            start_node=np.arange(count, dtype=np.int64),
+            end_node=np.arange(count, dtype=np.int64) + 1,
+            level=np.zeros(count, dtype=np.int32),
+            sigma_m=np.full(count, 0.5),
+            first_vertex=np.arange(0, 2 * count + 2, 2, dtype=np.int32),
+            latitude_rad=np.array([point[0] for point in points]),
+            longitude_rad=np.array([point[1] for point in points]),
+        )
+
+    def count(self, kind: type) -> int:
+        return sum(isinstance(request, kind) for request in self.asked)
+
+    def last_elevation(self) -> ElevationRequest:
+        return [request for request in self.asked if isinstance(request, ElevationRequest)][-1]
+
+
+class FakeBus:
+    def __init__(self, map_server: FakeMap) -> None:
+        self.map = map_server
+        self.poses: list[Pose] = []
+        self.issues: list[tuple[str, str]] = []
+        self.counters: Counter[str] = Counter()
+
+    def ask(self, name: str, request: Any) -> Any:
+        return self.map.ask(name, request)
+
+    def is_alive(self, service: str) -> bool:
+        assert service == "map_server"
+        return self.map.failure != "absent"
+
+    def publish(self, name: str, message: Pose) -> None:
+        assert name == "pose"
+        self.poses.append(message)
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues.append((code, text))
+
+    def count(self, name: str, n: int = 1) -> None:
+        self.counters[name] += n
+
+
+def fix_at(tenth: int, east_m: float, north_m: float = 0.0, **changed: Any) -> Fix:
+    latitude, longitude = at(east_m, north_m)
+    values: dict[str, Any] = {
+        "time_ns": START_NS + tenth * NS // 10,
+        "fix_id": tenth,
+        "origin": "receiver",
+        "quality": "fixed",
+        "latitude_rad": latitude,
+        "longitude_rad": longitude,
+        "height_m": 52.0,
+        "covariance_enu_m2": SMALL,
+    }
+    return Fix(**values | changed)
+
+
+def verdict_at(tenth: int, word: Any, east_m: float, north_m: float = 0.0, **changed: Any) -> Verdict:
+    latitude, longitude = at(east_m, north_m)
+    values: dict[str, Any] = {
+        "time_ns": START_NS + tenth * NS // 10,
+        "fix_id": tenth,
+        "verdict": word,
+        "reason": "none",
+        "latitude_rad": latitude,
+        "longitude_rad": longitude,
+        "height_m": 52.0,
+        "covariance_enu_m2": SMALL,
+    }
+    return Verdict(**values | changed)
+
+
+class Drive:
+    """A vehicle that drives east at 10 m/s from the origin, ten samples a second."""
+
+    def __init__(self, **settings_: Any) -> None:
+        self.map = FakeMap()
+        self.bus = FakeBus(self.map)
+        self.service = LocalizerService(LocalizerSettings(**settings_), cast(Bus, self.bus))
+        self.handlers: dict[str, Callable[[Any], None]] = self.service.handlers()
+        self.tenth = -1
+        self.speed_m_s = SPEED
+        self.east_m = 0.0
+
+    def step(self, *others: Fix | Verdict) -> Pose | None:
+        """One tick: the motion sample, then fixes and verdicts, then the pose of this tick."""
+        self.tenth += 1
+        now_ns = START_NS + self.tenth * NS // 10
+        if self.tenth:
+            self.east_m += self.speed_m_s * STEP_S
+        before = len(self.bus.poses)
+        self.handlers["motion"](Motion(time_ns=now_ns, wheel_speed_m_s=self.speed_m_s, yaw_rate_rad_s=0.0))
+        for message in others:
+            self.handlers["fix" if isinstance(message, Fix) else "verdict"](message)
+        self.service.advance(now_ns)
+        assert len(self.bus.poses) - before <= 1
+        return self.bus.poses[-1] if len(self.bus.poses) > before else None
+
+    def run(self, steps: int) -> Pose:
+        for _ in range(steps):
+            pose = self.step()
+        assert pose is not None
+        return pose
+
+    def start_by_fixes(self, steps: int = 25) -> Pose:
+        for _ in range(steps):
+            tenth = self.tenth + 1
+            pose = self.step(fix_at(tenth, tenth * SPEED * STEP_S))
+        assert pose is not None
+        return pose
+
+    def off_m(self, pose: Pose) -> float:
+        """How far the pose is from where the vehicle is."""
+        here = at(self.east_m, 0.0)
+        assert pose.latitude_rad is not None
+        assert pose.longitude_rad is not None
+        return math.hypot(
+            (pose.latitude_rad - here[0]) * 6.36e6,
+            (pose.longitude_rad - here[1]) * 6.37e6 * math.cos(here[0]),
+        )
+
+    def codes(self) -> Counter[str]:
+        return Counter(code for code, _ in self.bus.issues)
+
+
+def bytes_of(poses: Iterable[Pose]) -> list[bytes]:
+    return [encode(pose) for pose in poses]
+
+
+# Starting
+
+
+def test_without_a_start_there_is_no_pose_and_the_reason_is_said() -> None:
+    drive = Drive()
+    pose = drive.run(5)
+    assert (pose.mode, pose.provenance, pose.latitude_rad, pose.covariance_east_north_yaw) == (
+        "none",
+        "none",
+        None,
+        None,
+    )
+    assert pose.reason
+    assert (pose.road.status, pose.road.reason) == ("unknown", "no_pose")
+    assert drive.map.asked == []
+    assert not drive.service.healthy()
+
+
+def test_fixes_that_agree_with_the_motion_start_a_provisional_pose() -> None:
+    drive = Drive()
+    pose = drive.start_by_fixes()
+    assert (pose.mode, pose.provenance, pose.anchor_time_ns) == ("provisional", "fixes", None)
+    assert drive.off_m(pose) < 0.5
+    assert pose.yaw_rad == pytest.approx(0.0, abs=0.02)
+    assert pose.road.status == "known"
+    assert drive.service.healthy()
+
+
+def test_a_provisional_pose_stays_provisional_however_many_fixes_agree() -> None:
+    drive = Drive()
+    assert drive.start_by_fixes(200).mode == "provisional"
+
+
+@pytest.mark.parametrize("quality", ["float", "dgps", "single", "ppp", "sbas", "estimated", "none"])
+def test_only_fixes_that_claim_to_be_fixed_start_anything(quality: str) -> None:
+    drive = Drive()
+    for tenth in range(50):
+        pose = drive.step(fix_at(tenth, tenth * 1.0, quality=quality))
+    assert pose is not None
+    assert pose.mode == "none"
+
+
+def test_fixes_that_do_not_follow_the_motion_start_nothing() -> None:
+    drive = Drive()
+    for tenth in range(60):
+        pose = drive.step(fix_at(tenth, tenth * 1.2))
+    assert pose is not None
+    assert pose.mode == "none"
+
+
+@pytest.mark.parametrize("covariance", [None, (0.0,) * 6, (1.0, 2.0, 0.0, 1.0, 0.0, 1.0)])
+def test_a_fix_without_a_usable_covariance_starts_nothing_and_breaks_nothing(covariance: Any) -> None:
+    drive = Drive()
+    for tenth in range(30):
+        pose = drive.step(fix_at(tenth, tenth * 1.0, covariance_enu_m2=covariance))
+    assert pose is not None
+    assert pose.mode == "none"
+    assert set(drive.codes()) == (set() if covariance is None else {"unusable_covariance"})
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (-0.61, -0.752), (1.2, 2.3)])
+def test_a_first_fix_anywhere_on_earth_does_not_prevent_the_start(latitude: float, longitude: float) -> None:
+    drive = Drive()
+    drive.step(fix_at(0, 0.0, latitude_rad=latitude, longitude_rad=longitude))
+    pose = drive.start_by_fixes(30)
+    assert pose.mode == "provisional"
+    assert drive.off_m(pose) < 0.5
+
+
+def test_a_given_pose_starts_at_once_and_is_not_provisional() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    pose = drive.step()
+    assert pose is not None
+    assert (pose.mode, pose.provenance) == ("dead_reckoning", "given")
+    assert drive.off_m(pose) < 0.01
+    covariance = pose.covariance_east_north_yaw
+    assert covariance is not None
+    assert math.sqrt(covariance[0]) == pytest.approx(0.5, rel=0.01)
+    assert math.sqrt(covariance[5]) == pytest.approx(math.radians(1.0), rel=0.01)
+
+
+def test_a_given_pose_is_that_of_the_antenna() -> None:
+    drive = Drive(initial_pose=GIVEN | {"yaw_deg": 90.0}, antenna_x_m=1.5, antenna_y_m=-0.5)
+    pose = drive.step()
+    assert pose is not None
+    assert drive.off_m(pose) < 0.01
+
+
+def test_a_wild_fix_before_a_given_pose_moves_nothing() -> None:
+    plain, disturbed = Drive(initial_pose=GIVEN), Drive(initial_pose=GIVEN)
+    disturbed.handlers["fix"](fix_at(0, 0.0, latitude_rad=-0.2, longitude_rad=0.4))
+    for drive in (plain, disturbed):
+        drive.run(100)
+    assert bytes_of(plain.bus.poses) == bytes_of(disturbed.bus.poses)
+
+
+# Anchors
+
+
+@pytest.mark.parametrize("word", ["confirmed", "confirmed_after_verification"])
+def test_a_confirmed_position_anchors_the_pose(word: str) -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(20)
+    anchor = verdict_at(drive.tenth, word, drive.east_m)
+    pose = drive.step(anchor)
+    assert pose is not None
+    assert (pose.mode, pose.provenance, pose.anchor_time_ns) == ("anchored", "confirmed", anchor.time_ns)
+    covariance = pose.covariance_east_north_yaw
+    assert covariance is not None
+    assert math.sqrt(covariance[0]) < 0.2
+    assert drive.bus.counters["anchor.accepted"] == 1
+
+
+@pytest.mark.parametrize("word", sorted(WORDS_THAT_ARE_NO_TRUST))
+def test_no_other_word_ever_anchors(word: str) -> None:
+    plain, told = Drive(initial_pose=GIVEN), Drive(initial_pose=GIVEN)
+    for tenth in range(60):
+        plain.step()
+        told.step(verdict_at(tenth, word, tenth + 3.0))
+    assert bytes_of(plain.bus.poses) == bytes_of(told.bus.poses)
+    assert not any(name.startswith("anchor") for name in told.bus.counters)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"latitude_rad": None}, {"longitude_rad": None}, {"covariance_enu_m2": None}],
+)
+def test_a_confirmation_without_a_whole_position_anchors_nothing(changed: dict[str, Any]) -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(10)
+    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, **changed))
+    assert pose is not None
+    assert pose.provenance == "given"
+
+
+def test_a_confirmation_of_a_covariance_that_is_none_anchors_nothing_and_breaks_nothing() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(10)
+    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, covariance_enu_m2=(0.0,) * 6))
+    assert pose is not None
+    assert pose.provenance == "given"
+    assert drive.codes() == {"unusable_covariance": 1}
+
+
+def test_a_confirmed_position_far_from_a_given_pose_is_kept_out() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(10)
+    pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m, 40.0))
+    assert pose is not None
+    assert drive.off_m(pose) < 1.0
+    assert drive.bus.counters["anchor.outside_gate"] == 1
+
+
+# Independence
+
+
+def arbitrary_fix(random: Random, tenth: int) -> Fix:
+    far = random.random() < 0.3
+    position = (
+        {"latitude_rad": random.uniform(-1.5, 1.5), "longitude_rad": random.uniform(-3.1, 3.1)} if far else {}
+    )
+    sigma2 = 10.0 ** random.uniform(-8, 2)
+    return fix_at(
+        tenth,
+        tenth * 1.0 + random.gauss(0.0, 5.0),
+        random.gauss(0.0, 5.0),
+        quality=random.choice(["fixed", "fixed", "float", "single"]),
+        covariance_enu_m2=random.choice([(sigma2, 0.0, 0.0, sigma2, 0.0, sigma2), None]),
+        height_m=random.uniform(-100.0, 3000.0),
+        fix_id=random.randrange(10**9),
+        **position,
+    )
+
+
+def wandering_fix(tenth: int) -> Fix:
+    """What would start a pose anywhere else: fixes that agree with the motion, twelve metres beside it."""
+    return fix_at(tenth, tenth * 1.0 - 5.0, 12.0)
+
+
+@pytest.mark.parametrize("start", ["given", "confirmed", "given and confirmed"])
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(["arbitrary", "wandering", "many"]))
+def test_no_unconfirmed_fix_changes_a_single_bit_of_a_pose_that_was_given_or_anchored(
+    start: str, seed: int, kind: str
+) -> None:
+    random = Random(seed)
+    poses = []
+    for disturbed in (False, True):
+        drive = Drive(**({"initial_pose": GIVEN} if "given" in start else {}))
+        if start == "confirmed":
+            drive.start_by_fixes(20)
+            drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m))
+        begun = len(drive.bus.poses)
+        for _ in range(60):
+            tenth = drive.tenth + 1
+            others: list[Fix | Verdict] = []
+            if disturbed:
+                if kind == "wandering":
+                    others = [wandering_fix(tenth)]
+                else:
+                    others = [arbitrary_fix(random, tenth) for _ in range(3 if kind == "many" else 1)]
+            if "confirmed" in start and tenth % 25 == 24:
+                others.insert(len(others) // 2, verdict_at(tenth - 1, "confirmed", (tenth - 1) * 1.0, 0.01))
+            drive.step(*others)
+        poses.append(bytes_of(drive.bus.poses[begun:]))
+    assert len(poses[0]) >= 60
+    assert poses[0] == poses[1]
+
+
+def test_a_fix_does_change_a_provisional_pose_so_the_test_above_can_fail() -> None:
+    plain, disturbed = Drive(), Drive()
+    for drive in (plain, disturbed):
+        drive.start_by_fixes(20)
+    for _ in range(30):
+        plain.step()
+        disturbed.step(wandering_fix(disturbed.tenth + 1))
+    assert bytes_of(plain.bus.poses[-5:]) != bytes_of(disturbed.bus.poses[-5:])
+
+
+# The road
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        ("absent", "map_server_absent"),
+        ("timeout", "map_server_absent"),
+        ("refused", "map_missing"),
+        ("invalid", "map_missing"),
+    ],
+)
+def test_without_an_answer_the_road_is_unknown_and_the_reason_is_said(failure: str, reason: str) -> None:
+    drive = Drive(initial_pose=GIVEN)
+    assert drive.run(5).road.status == "known"
+    drive.map.failure = failure
+    pose = drive.run(5)
+    assert pose.mode == "dead_reckoning"
+    assert (pose.road.status, pose.road.reason, pose.road.elevation_m) == ("unknown", reason, None)
+    assert drive.codes()["no_elevation"] == 5
+    drive.map.failure = None
+    assert drive.run(1).road.status == "known"
+
+
+def test_what_the_map_does_not_know_is_passed_on() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.map.road = Road(status="unknown", reason="levels_ambiguous")
+    assert drive.run(3).road == drive.map.road
+
+
+def test_beyond_the_limit_of_sigma_no_road_is_asked_for() -> None:
+    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 16.0}, couple_links=False)
+    pose = drive.run(3)
+    assert (pose.road.status, pose.road.reason) == ("unknown", "pose_too_uncertain")
+    assert drive.map.count(ElevationRequest) == 0
+
+
+def test_the_road_is_asked_for_under_the_antenna_with_links_and_the_last_surface() -> None:
+    drive = Drive(initial_pose=GIVEN, antenna_x_m=1.5)
+    pose = drive.run(100)
+    request = drive.map.last_elevation()
+    assert (request.latitude_rad, request.longitude_rad) == (pose.latitude_rad, pose.longitude_rad)
+    assert request.last_surface_id == 11
+    assert pose.link_id == 104
+    assert 104 in request.link_ids
+
+
+def test_after_an_unknown_road_no_old_surface_is_named() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(3)
+    drive.map.failure = "timeout"
+    drive.run(1)
+    drive.map.failure = None
+    drive.run(1)
+    assert drive.map.last_elevation().last_surface_id is None
+
+
+def test_an_uncertain_pose_gets_the_road_around_it_and_a_certain_one_does_not() -> None:
+    drive = Drive(initial_pose=GIVEN, couple_links=False)
+    drive.run(1)
+    assert drive.map.last_elevation().radius_m == pytest.approx(3.7 * 0.5, rel=0.05)
+    for _ in range(3):
+        drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m))
+    assert drive.map.last_elevation().radius_m == 0.0
+
+
+def standing() -> Drive:
+    drive = Drive(initial_pose=GIVEN)
+    drive.speed_m_s = 0.0
+    return drive
+
+
+def test_a_vehicle_that_stands_asks_for_its_road_twice_a_second() -> None:
+    drive = standing()
+    assert drive.run(100).road.status == "known"
+    assert 100 / 7 <= drive.map.count(ElevationRequest) <= 100 / 4
+
+
+def test_a_vehicle_that_stands_learns_within_half_a_second_what_has_become_of_its_road() -> None:
+    drive = standing()
+    drive.run(10)
+    drive.map.road = Road(status="unknown", reason="map_stale")
+    assert drive.run(6).road.reason == "map_stale"
+    drive.map.road = None
+    assert drive.run(6).road.status == "known"
+
+
+def test_a_vehicle_that_stands_learns_at_once_that_the_map_server_has_gone() -> None:
+    drive = standing()
+    drive.run(10)
+    drive.map.failure = "absent"
+    assert drive.run(1).road.reason == "map_server_absent"
+
+
+def test_a_pose_that_has_become_certain_gets_its_road_at_once() -> None:
+    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 14.999}, couple_links=False)
+    drive.speed_m_s = 0.0
+    assert drive.run(1).road.status == "known"
+    drive.service.settings.road_sigma_limit_m = 10.0
+    assert drive.run(1).road.reason == "pose_too_uncertain"
+    drive.service.settings.road_sigma_limit_m = 15.0
+    assert drive.run(1).road.status == "known"
+
+
+# Links
+
+
+def test_links_are_fetched_once_and_again_where_the_vehicle_has_driven_on() -> None:
+    drive = Drive(initial_pose=GIVEN, links_radius_m=200.0)
+    drive.run(70)
+    assert drive.map.count(LinksRequest) == 1
+    drive.run(30)
+    assert drive.map.count(LinksRequest) == 2
+
+
+def test_links_are_fetched_again_when_the_map_has_changed() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(20)
+    drive.map.version = 2
+    drive.run(5)
+    assert drive.map.count(LinksRequest) == 2
+    drive.run(40)
+    assert drive.map.count(LinksRequest) == 2
+
+
+@pytest.mark.parametrize("failure", ["absent", "timeout"])
+def test_links_that_could_not_be_had_are_asked_for_once_a_second(failure: str) -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.map.failure = failure
+    pose = drive.run(41)
+    assert pose.link_id is None
+    assert drive.codes()["no_links"] == drive.map.count(LinksRequest)
+    assert 4 <= drive.map.count(LinksRequest) <= 5
+    drive.map.failure = None
+    assert drive.run(60).link_id is not None
+
+
+def test_links_that_are_none_are_an_issue_and_not_a_fault() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.map.broken_link = True
+    pose = drive.run(20)
+    assert pose.mode == "dead_reckoning"
+    assert pose.link_id is None
+    assert drive.codes()["unusable_links"] >= 1
+
+
+def test_the_plane_moves_with_the_vehicle_and_the_pose_does_not_jump() -> None:
+    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 0.05, "yaw_sigma_deg": 0.05})
+    previous = drive.run(1)
+    farthest = 0.0
+    planes = set()
+    for _ in range(2300):  # 2.3 km
+        pose = drive.step()
+        assert pose is not None
+        assert pose.longitude_rad is not None
+        assert previous.longitude_rad is not None
+        step_m = (pose.longitude_rad - previous.longitude_rad) * 6.37e6 * math.cos(at(0.0, 0.0)[0])
+        farthest = max(farthest, abs(step_m - SPEED * STEP_S))
+        previous = pose
+        planes.add(id(drive.service._plane))
+    assert len(planes) >= 2
+    assert farthest < 0.2  # a coupling with a link may move it a little
+    assert previous.link_id is not None
+    assert previous.link_id >= 109
+
+
+# The rest
+
+
+def test_one_pose_per_motion_sample() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    drive.run(10)
+    drive.service.advance(START_NS + drive.tenth * NS // 10 + NS // 20)
+    assert len(drive.bus.poses) == 10
+    assert [pose.time_ns for pose in drive.bus.poses] == [START_NS + n * NS // 10 for n in range(10)]
+    assert all(pose.motion_time_ns == pose.time_ns for pose in drive.bus.poses)
+
+
+def test_motion_that_goes_back_in_time_is_an_issue_and_moves_nothing() -> None:
+    drive = Drive(initial_pose=GIVEN)
+    pose = drive.run(10)
+    drive.handlers["motion"](Motion(time_ns=START_NS, wheel_speed_m_s=30.0, yaw_rate_rad_s=1.0))
+    drive.handlers["motion"](Motion(time_ns=pose.time_ns, wheel_speed_m_s=30.0, yaw_rate_rad_s=1.0))
+    drive.service.advance(pose.time_ns)
+    assert drive.bus.poses[-1] is pose
+    assert drive.codes() == {"motion_backwards": 1, "motion_repeated": 1}
+
+
+def test_the_same_drive_gives_the_same_bytes() -> None:
+    runs = []
+    for _ in range(2):
+        drive = Drive(antenna_x_m=0.7)
+        drive.start_by_fixes(30)
+        drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m + 0.7))
+        drive.run(50)
+        runs.append(bytes_of(drive.bus.poses))
+    assert runs[0] == runs[1]
+
+
+def test_it_listens_to_what_it_should() -> None:
+    assert SERVICE is LocalizerService
+    assert set(Drive().handlers) == {"motion", "fix", "verdict"}

@@ -1,0 +1,177 @@
+"""`camber feed`: what goes onto the bus is the drive, dated now; the way back is the way there in reverse gear."""
+
+from __future__ import annotations
+
+import math
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
+from camber.formats.receiver_solution import ReceiverSolution
+from camber.formats.rtklib_pos import PosDecoder, read_pos
+from camber.schemas.base import Message
+from camber.schemas.drive import load_manifest
+from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.motion import Motion
+from camber.simulator.drive_inputs import prepare_drive
+from camber.simulator.short_drive import write_short_drive
+from camber.tools import feed
+from camber.tools.feed import Epoch, epochs_of, passes, reversed_drive
+
+_NS = 1_000_000_000
+_START_NS = 1_500_000_000 * _NS
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_short_drive(tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module")
+def epochs(drive: Path) -> tuple[Epoch, ...]:
+    return epochs_of(prepare_drive(load_manifest(drive), drive.parent))
+
+
+def motions(epochs: Any) -> list[Motion]:
+    return [message for epoch in epochs for _, message in epoch.samples if isinstance(message, Motion)]
+
+
+class FakeBus:
+    """A clock that stands until somebody waits; keeps what is published, and when."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.now = now_ns
+        self.sent: list[tuple[int, str, Message]] = []
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def publish(self, name: str, message: Message) -> None:
+        self.sent.append((self.now, name, message))
+
+
+class FakeStop(threading.Event):
+    """Waiting moves the bus's clock; `sleeps` are waits from which the machine wakes later."""
+
+    def __init__(self, bus: FakeBus, sleeps: dict[int, float] | None = None) -> None:
+        super().__init__()
+        self.bus, self.sleeps, self.waits = bus, sleeps or {}, 0
+
+    def wait(self, timeout: float | None = None) -> bool:
+        assert timeout is not None
+        self.bus.now += math.ceil((timeout + self.sleeps.get(self.waits, 0.0)) * _NS)
+        self.waits += 1
+        return self.is_set()
+
+
+def test_every_solution_and_every_sample_of_the_drive_is_fed(drive: Path, epochs: tuple[Epoch, ...]) -> None:
+    native = [item for item in read_pos(drive.parent / "receiver.pos") if isinstance(item, ReceiverSolution)]
+    assert [solution for epoch in epochs for solution in epoch.solutions] == native
+    assert len(motions(epochs)) == len((drive.parent / "motion.csv").read_text().splitlines()) - 1
+
+
+def test_each_message_can_be_read_by_itself_and_says_what_the_receiver_said(
+    epochs: tuple[Epoch, ...],
+) -> None:
+    offset_ns = 123_456 * 1_000_000
+    for epoch in epochs:
+        for name, message in epoch.moved(offset_ns).messages():
+            if not isinstance(message, ReceiverBytes):
+                continue
+            assert (name, message.protocol, message.time_ns) == (
+                "receiver_bytes",
+                "pos",
+                epoch.time_ns + offset_ns,
+            )
+            (read,) = PosDecoder("fed").feed(message.payload.tobytes())
+            (native,) = epoch.solutions
+            assert isinstance(read, ReceiverSolution)
+            assert read.time_ns == native.time_ns + offset_ns
+            assert read.quality == native.quality
+            assert read.latitude_rad == pytest.approx(native.latitude_rad, abs=1e-11)
+            assert read.height_m == pytest.approx(native.height_m, abs=1e-4)
+
+
+def test_the_way_back_ends_where_the_drive_began(epochs: tuple[Epoch, ...]) -> None:
+    back = reversed_drive(epochs)
+    assert [epoch.time_ns for epoch in back] == sorted(epoch.time_ns for epoch in back)
+    assert (back[0].time_ns, back[-1].time_ns) == (epochs[0].time_ns, epochs[-1].time_ns)
+    assert back[-1].solutions[0].latitude_rad == epochs[0].solutions[0].latitude_rad
+    there = [(m.wheel_speed_m_s, m.yaw_rate_rad_s, m.steering_angle_rad) for m in motions(epochs)]
+    again = [(m.wheel_speed_m_s, m.yaw_rate_rad_s, m.steering_angle_rad) for m in motions(back)]
+    assert again == [(-speed, -rate, steering) for speed, rate, steering in reversed(there)]  # type: ignore[operator]
+
+
+def test_reversed_twice_is_the_drive(epochs: tuple[Epoch, ...]) -> None:
+    assert reversed_drive(reversed_drive(epochs)) == epochs
+
+
+def test_a_sensor_that_gave_nothing_gives_nothing_on_the_way_back() -> None:
+    epoch = Epoch(_START_NS, (), (("motion", Motion(time_ns=_START_NS, wheel_speed_m_s=1.0)),))
+    (back,) = motions(reversed_drive([epoch]))
+    assert (back.wheel_speed_m_s, back.yaw_rate_rad_s) == (-1.0, None)
+
+
+def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: tuple[Epoch, ...]) -> None:
+    assert [*passes(epochs, loop=False)] == [epochs]
+    ways = passes(epochs, loop=True)
+    back = reversed_drive(epochs)
+    assert [next(ways) for _ in range(4)] == [epochs, back, epochs, back]
+
+
+def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch, ...]) -> None:
+    bus = FakeBus(_START_NS)
+    next_ns = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS)  # type: ignore[arg-type]
+    assert [
+        at - message.time_ns for at, _, message in bus.sent if abs(at - message.time_ns) > 1_000_000
+    ] == []
+    times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
+    assert times == [_START_NS + n * _NS // 5 for n in range(50)]
+    assert next_ns == _START_NS + 10 * _NS
+
+
+def test_after_a_machine_slept_the_drive_goes_on_from_where_it_was(epochs: tuple[Epoch, ...]) -> None:
+    bus = FakeBus(_START_NS)
+    feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 30.0}), _START_NS)  # type: ignore[arg-type]
+    moved = [message for _, name, message in bus.sent if name == "motion"]
+    assert len(moved) == 50
+    late = [at - message.time_ns for at, name, message in bus.sent if name == "motion"]
+    assert sum(delay > _NS // 2 for delay in late) == 1  # the one that was being waited for
+    assert moved[-1].time_ns > _START_NS + 39 * _NS
+
+
+def test_it_stops_when_told_to(epochs: tuple[Epoch, ...]) -> None:
+    bus = FakeBus(_START_NS)
+    stop = FakeStop(bus)
+    stop.set()
+    feed._feed(passes(epochs, loop=True), bus, stop, "drive")  # type: ignore[arg-type]
+    assert bus.sent == []
+
+
+def test_sentences_of_a_receiver_are_fed_in_the_epoch_of_their_own(drive: Path, tmp_path: Path) -> None:
+    native = [item for item in read_pos(drive.parent / "receiver.pos") if isinstance(item, ReceiverSolution)][
+        :40
+    ]
+    sentences = [format_rmc(s) + format_gst(s) + format_gga(s, geoid_separation_m=37.0) for s in native]
+    (tmp_path / "receiver.nmea").write_bytes(b"".join(sentences))
+    manifest = tmp_path / "drive.toml"
+    manifest.write_text(
+        'name = "sentences"\nvehicle = "demo"\nsimulated = true\ndatum = "WGS84"\n'
+        '[receiver]\nformat = "nmea"\nfile = "receiver.nmea"\n'
+        '[antenna_height]\nway = "fixed"\nheight_m = 1.6\nsigma_m = 0.02\n'
+    )
+    epochs = epochs_of(prepare_drive(load_manifest(manifest), tmp_path))
+    fed = [(epoch.time_ns, solution) for epoch in epochs for solution in epoch.solutions]
+    # The first epoch shows which sentence is an epoch's last; from then on none waits for the next.
+    assert [solution.time_ns for _, solution in fed[2:]] == [at for at, _ in fed[2:]]
+    assert len(fed) >= len(native) - 1
+
+
+def test_a_drive_that_cannot_be_used_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert feed.main([str(tmp_path / "none.toml")]) == 2
+    assert capsys.readouterr().err.startswith("camber feed: ")
