@@ -7,6 +7,7 @@ says why), and also when no position comes any more: one older than the table's 
 """
 
 import argparse
+import contextlib
 import math
 
 from camber.runtime.listen import Listener
@@ -22,25 +23,30 @@ def line(position: Position) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Listen for ever."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--vehicle", default="vehicle")
-    parser.add_argument("--connect", action="append", metavar="ENDPOINT", help="router, or any process of the vehicle")
-    parser.add_argument("--replay", action="store_true", help="times are those of a drive, not of this machine")
+    parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="router, or any process of the vehicle"
+    )
+    parser.add_argument(
+        "--replay", action="store_true", help="times are those of a drive, not of this machine"
+    )
     args = parser.parse_args()
     with Listener("position", vehicle=args.vehicle, connect=args.connect, live=not args.replay) as listener:
-        valid_s = 0.0
+        valid_s = None
         while True:
-            position = listener.next(valid_s or None)
+            position = listener.next(timeout_s=valid_s)
             if position is None:
                 print("unknown (nothing new: the last position is too old)", flush=True)
-                valid_s = 0.0
+                valid_s = None
             else:
                 print(line(position), flush=True)
                 valid_s = listener.fresh_for_s("position", position)
 
 
 if __name__ == "__main__":
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         main()
-    except KeyboardInterrupt:
-        pass

@@ -5,6 +5,8 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 from camber.schemas.channels import BY_NAME
 from camber.simulator.short_drive import write_short_drive
 from support.running import endpoint_of, kill, process_ids, started
@@ -14,16 +16,21 @@ USABLE = re.compile(r"3[45]\.\d{8} 13[67]\.\d{8} within \d+\.\d\d m by (rtk|sens
 SILENCE = "unknown (nothing new: the last position is too old)"
 
 
+pytestmark = pytest.mark.slow
+
+
 def test_a_consumer_prints_positions_and_says_unknown_when_there_are_none(tmp_path):
     drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
     printed = tmp_path / "consumer.txt"
     with started(
-        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 4, "--set", "end_s=24", "--quiet"
+        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 4, "--set", "end_s=12", "--quiet"
     ) as replay:
         endpoint = endpoint_of(out)
         with (
             printed.open("w") as file,
-            started(CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file) as consumer,
+            started(
+                CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file
+            ) as consumer,
         ):
             assert replay.wait(60.0) == 0
             time.sleep(BY_NAME["position"].max_age_s + 0.5)
@@ -31,7 +38,7 @@ def test_a_consumer_prints_positions_and_says_unknown_when_there_are_none(tmp_pa
             consumer.send_signal(signal.SIGINT)
             consumer.wait(10.0)
     lines = printed.read_text().splitlines()
-    assert sum(USABLE.fullmatch(line) is not None for line in lines) > 30
+    assert sum(USABLE.fullmatch(line) is not None for line in lines) > 10
     assert all(USABLE.fullmatch(line) or line.startswith("unknown (") for line in lines), lines
     assert lines[-1] == SILENCE
     assert lines.count(SILENCE) == 1
@@ -41,12 +48,14 @@ def test_a_consumer_stops_trusting_the_last_position_when_the_judge_is_gone(tmp_
     drive, out = write_short_drive(tmp_path / "drive"), tmp_path / "out"
     printed = tmp_path / "consumer.txt"
     with started(
-        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 2, "--set", "end_s=24", "--quiet"
+        "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 3, "--set", "end_s=20", "--quiet"
     ) as replay:
         endpoint = endpoint_of(out)
         with (
             printed.open("w") as file,
-            started(CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file) as consumer,
+            started(
+                CONSUMER, "--vehicle", "demo", "--connect", endpoint, "--replay", stdout=file
+            ) as consumer,
         ):
             deadline = time.monotonic() + 30.0
             while "by rtk" not in printed.read_text():

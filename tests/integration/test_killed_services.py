@@ -116,7 +116,17 @@ def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_whe
     out = tmp_path / "out"
     with (
         started(
-            "-m", "camber.cli", "replay", drive, "--out", out, "--speed", SPEED, "--set", f"end_s={END_S}", "--quiet"
+            "-m",
+            "camber.cli",
+            "replay",
+            drive,
+            "--out",
+            out,
+            "--speed",
+            SPEED,
+            "--set",
+            f"end_s={END_S}",
+            "--quiet",
         ) as replay,
         Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
@@ -195,7 +205,9 @@ def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a localizer that is started again believes the pose given for the start")
+@pytest.mark.xfail(
+    strict=True, reason="a localizer that is started again believes the pose given for the start"
+)
 def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_in_mid_drive(tmp_path):
     drive = write_short_drive(tmp_path / "drive")
     out = tmp_path / "out"
@@ -216,7 +228,14 @@ def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_
 def test_a_service_that_cannot_start_ends_the_replay_with_a_line_that_names_it(tmp_path):
     drive = write_short_drive(tmp_path / "drive")
     done = camber(
-        "replay", drive, "--out", tmp_path / "out", "--quiet", "--set", "antenna_height.sigma_m=5.0", timeout_s=90.0
+        "replay",
+        drive,
+        "--out",
+        tmp_path / "out",
+        "--quiet",
+        "--set",
+        "antenna_height.sigma_m=5.0",
+        timeout_s=90.0,
     )
     assert done.returncode in (1, 2), done.stderr
     assert "antenna_height" in done.stderr.splitlines()[-1]

@@ -134,7 +134,11 @@ class Vehicle:
             command = ["-m", "camber.cli", name, "--config", str(self.config(name))]
         with (self.folder / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(
-                [sys.executable, *command], env=environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                [sys.executable, *command],
+                env=environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
             )
 
     def listen(self, *names: str) -> Listener:
@@ -181,7 +185,11 @@ def test_a_right_position_is_confirmed_and_a_wrong_one_is_not(vehicle):
         vehicle.receiver.height_error_m = 1.0
         try:
             wait_for(OnlyVerdicts(listener), "erroneous", timeout_s=10.0)
-            words = {verdict.verdict for verdict in (OnlyVerdicts(listener).next(1.0) for _ in range(20)) if verdict}
+            words = {
+                verdict.verdict
+                for verdict in (OnlyVerdicts(listener).next(1.0) for _ in range(20))
+                if verdict
+            }
         finally:
             vehicle.receiver.height_error_m = 0.0
         assert words == {"erroneous"}
@@ -206,7 +214,9 @@ class OnlyVerdicts:
 @pytest.mark.parametrize("service", SERVICES)
 def test_every_service_says_how_it_is(vehicle, service):
     settings = ServiceSettings(vehicle="car", zenoh=ZenohSettings(connect=[vehicle.endpoint]))
-    health = ask_once(settings, "health", HealthRequest(time_ns=CLOCK.now_ns()), service=service, timeout_s=5.0)
+    health = ask_once(
+        settings, "health", HealthRequest(time_ns=CLOCK.now_ns()), service=service, timeout_s=5.0
+    )
     assert health.service == service
     assert health.status == "ok", health.issues
     assert health.loop_age_s < 1.0
@@ -251,7 +261,9 @@ def test_a_receiver_that_reboots_is_read_again(vehicle):
         before.ended.set()
         before.join()
         wait_until(
-            lambda: (v := listener.next(1.0)) is not None and v.reason == "gnss_stale", timeout_s=5.0, why="not stale"
+            lambda: (v := listener.next(1.0)) is not None and v.reason == "gnss_stale",
+            timeout_s=5.0,
+            why="not stale",
         )
         vehicle.receiver = Receiver(before.port)
         vehicle.receiver.start()
@@ -310,7 +322,9 @@ def test_sigterm_ends_each_service_and_the_router(vehicle):
     """The last test of this file: nothing runs after it."""
     for name in (*SERVICES, "router"):
         process = vehicle.processes[name]
-        assert process.poll() is None, f"{name} has ended: {(vehicle.folder / f'{name}.log').read_text()[-500:]}"
+        assert process.poll() is None, (
+            f"{name} has ended: {(vehicle.folder / f'{name}.log').read_text()[-500:]}"
+        )
         asked = time.monotonic()
         process.terminate()
         try:

@@ -23,7 +23,9 @@ pytestmark = [
 def twice(tmp_path_factory) -> tuple[Path, Path]:
     outs = tuple(tmp_path_factory.mktemp("nagoya") / name for name in ("first", "second"))
     for out in outs:
-        done = camber("replay", DRIVE, "--speed", "max", "--seed", 1, "--out", out, "--quiet", timeout_s=TIMEOUT_S)
+        done = camber(
+            "replay", DRIVE, "--speed", "max", "--seed", 1, "--out", out, "--quiet", timeout_s=TIMEOUT_S
+        )
         assert done.returncode == 0, done.stderr
     return outs
 
@@ -51,6 +53,8 @@ def test_the_same_drive_gives_the_same_figures(twice):
 
 def test_the_same_drive_gives_the_same_bytes_on_every_key(twice):
     first, second = map(payloads, twice)
-    assert {key: len(found) for key, found in first.items()} == {key: len(found) for key, found in second.items()}
+    assert {key: len(found) for key, found in first.items()} == {
+        key: len(found) for key, found in second.items()
+    }
     for key, found in first.items():
         assert found == second[key], f"{key} differs"

@@ -36,6 +36,8 @@ def test_speed_changes_no_figure(outs):
 
 def test_speed_changes_no_byte_on_any_key(outs):
     fast, slow = payloads(outs["max"]), payloads(outs["20"])
-    assert {key: len(found) for key, found in fast.items()} == {key: len(found) for key, found in slow.items()}
+    assert {key: len(found) for key, found in fast.items()} == {
+        key: len(found) for key, found in slow.items()
+    }
     for key, found in fast.items():
         assert found == slow[key], f"{key} differs"

@@ -28,7 +28,9 @@ _NS = 1_000_000_000
 def environment() -> dict[str, str]:
     """This process's, so that children find the same code, and without settings of whoever runs the tests."""
     kept = {
-        name: text for name, text in os.environ.items() if not name.startswith("CAMBER_") or name == "CAMBER_DATA"
+        name: text
+        for name, text in os.environ.items()
+        if not name.startswith("CAMBER_") or name == "CAMBER_DATA"
     }
     return {**kept, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
 
@@ -90,7 +92,9 @@ def process_ids(out: Path) -> dict[str, int]:
 def endpoint_of(out: Path) -> str:
     """Where a running replay can be listened to."""
     path = wait_until(
-        lambda: process_ids(out) and out / "config" / "gnss.toml", timeout_s=30.0, why="no services were started"
+        lambda: process_ids(out) and out / "config" / "gnss.toml",
+        timeout_s=30.0,
+        why="no services were started",
     )
     (endpoint,) = tomllib.loads(path.read_text())["zenoh"]["connect"]
     return str(endpoint)

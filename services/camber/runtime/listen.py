@@ -1,7 +1,7 @@
 """Hear what Camber publishes: all that a consumer needs of the bus, in one class.
 
-    with Listener("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as listener:
-        position = listener.next(timeout_s=1.0)  # None: nothing that may be used came in that time
+with Listener("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as listener:
+    position = listener.next(timeout_s=1.0)  # None: nothing that may be used came in that time
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ class Listener:
         self._live = live
         self._clock = SystemClock()
         self._waiting: queue.Queue[Sample] = queue.Queue(_LIMIT)
-        self._session = open_session(ZenohSettings() if connect is None else ZenohSettings(connect=list(connect)))
+        self._session = open_session(
+            ZenohSettings() if connect is None else ZenohSettings(connect=list(connect))
+        )
         self._subscribers = [self._subscribe(BY_NAME[name], vehicle) for name in names]
 
     def __enter__(self) -> Listener:

@@ -35,11 +35,15 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", True)
     put("transport/link/tx/lease", 2000)  # a frozen peer is gone after 2 s, not 10
-    put("transport/shared_memory/enabled", False)  # small messages gain nothing, containers do not share /dev/shm
+    put(
+        "transport/shared_memory/enabled", False
+    )  # small messages gain nothing, containers do not share /dev/shm
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise BusError(f"cannot join the bus ({settings.mode}, {settings.connect}): {_reason(error)}") from None
+        raise BusError(
+            f"cannot join the bus ({settings.mode}, {settings.connect}): {_reason(error)}"
+        ) from None
 
 
 def _base(config_file: Path | None) -> zenoh.Config:

@@ -133,6 +133,7 @@ def _run(
 def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: float, quiet: bool) -> float:
     first_ns, last_ns = inputs.tick_times_ns[0], inputs.tick_times_ns[-1]
     greeting = _Greeting(inputs)
+    written_ns = first_ns
     began = time.monotonic()
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
@@ -144,7 +145,9 @@ def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: flo
                     name, greeting.before(message, feeder) if name == "receiver_bytes" else message
                 )
             feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
-            recorder.tick_done(tick.time_ns - _RECORD_LAG_NS)
+            if tick.time_ns - written_ns >= 2 * _RECORD_LAG_NS:
+                written_ns = tick.time_ns - _RECORD_LAG_NS
+                recorder.tick_done(written_ns)
             bar.update()
     elapsed = time.monotonic() - began
     time.sleep(0.1)  # the observer's queue, which the barrier does not wait for

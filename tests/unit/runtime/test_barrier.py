@@ -272,6 +272,19 @@ def test_a_joiner_that_nobody_publishes_for_does_not_wait_for_the_past() -> None
     assert numbers(barrier) == []
 
 
+def test_a_joiner_keeps_what_has_come_of_the_tick_that_it_joins_on() -> None:
+    barrier = barrier_of("localizer")
+    barrier.add_message("motion", message(39, 4))
+    barrier.add_message("motion", message(40, 5))
+    barrier.add_message("verdict", message(12, 3))
+    barrier.add_tick(tick(4, {"gnss": 3, "integrity": 3}, ("gnss",), {"motion": 40}))
+    barrier.skip()
+    barrier.add_done(done("gnss", 4, fix=31))
+    barrier.add_done(done("integrity", 4, verdict=13))
+    barrier.add_tick(tick(5, {"localizer": -1, "integrity": 4}, ("localizer",), {"motion": 41}))
+    assert numbers(barrier) == [("motion", 40)]
+
+
 @pytest.mark.xfail(strict=False, reason="add_tick queues a tick of the past behind a later one")
 def test_a_joiner_is_not_put_back_by_a_tick_that_it_has_listened_to() -> None:
     """When somebody dies just after a joiner was put on the list, the feeder says the ticks before again."""
