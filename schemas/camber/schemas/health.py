@@ -38,7 +38,8 @@ class Tick(Message):
 
     index: Count
     participants: dict[Name, Annotated[int, Field(ge=-1, le=2**62)]] = Field(
-        max_length=32, description="who is there → the last tick before this one on which it worked, −1: none yet"
+        max_length=32,
+        description="who is there → the last tick before this one on which it worked, −1: none yet",
     )
     working: tuple[Name, ...] = Field(max_length=32, description="who works on this tick")
     published: dict[Annotated[str, Field(max_length=64)], Count] = Field(

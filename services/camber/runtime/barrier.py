@@ -139,7 +139,9 @@ class Barrier:
         """What was published before this service listened will not come: count from what was heard of last."""
         for channel in self.inputs:
             counts = self._done.get(channel.producers[0], {})
-            base = [published.get(channel.name, 0) for index, published in counts.items() if index < tick.index]
+            base = [
+                published.get(channel.name, 0) for index, published in counts.items() if index < tick.index
+            ]
             self._count_from(channel, max(base, default=0))
 
     def _count_from(self, channel: Channel, base: int) -> None:

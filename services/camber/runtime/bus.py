@@ -289,4 +289,3 @@ class Bus:
         )
         self._queriers[channel.name] = querier
         return querier
-

@@ -68,7 +68,9 @@ class Feeder:
         if observer is not None:
 
             def observe(sample: zenoh.Sample) -> None:
-                observer(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding), time.time_ns())
+                observer(
+                    str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding), time.time_ns()
+                )
 
             for kind in ("vehicle", *SERVICES):  # all but the barrier's own keys
                 self._entities.append(self._session.declare_subscriber(f"{prefix}/{kind}/*", observe))
@@ -113,7 +115,9 @@ class Feeder:
         self._fed.clear()
         published = {name: n for name, n in self._bus.published.items() if not name.startswith("tick.")}
         with self._changed:
-            present = {name: self._peers[name].worked for name in sorted(self._participants) if name in self._peers}
+            present = {
+                name: self._peers[name].worked for name in sorted(self._participants) if name in self._peers
+            }
             for name in working & present.keys():
                 self._peers[name].worked = self._index
         tick = Tick(
@@ -171,7 +175,9 @@ class Feeder:
                 if name in self._participants or peer.index != -1:
                     continue
                 consumers = {other for other in self._participants if name in _PRODUCERS[other]}
-                known = {other for other in consumers if other in self._peers and name in self._peers[other].heard}
+                known = {
+                    other for other in consumers if other in self._peers and name in self._peers[other].heard
+                }
                 if known == consumers and peer.heard >= self._participants & _PRODUCERS[name]:
                     self._participants |= {name}
                     self._beat_ns = 0  # the next tick is everybody's: it starts with what it needs
@@ -187,7 +193,9 @@ class Feeder:
         for position, tick in enumerate(self._outstanding):
             remaining = {name: worked for name, worked in tick.participants.items() if name not in dead}
             working = tuple(name for name in tick.working if name not in dead)
-            self._outstanding[position] = tick.model_copy(update={"participants": remaining, "working": working})
+            self._outstanding[position] = tick.model_copy(
+                update={"participants": remaining, "working": working}
+            )
             self._hand_out(self._outstanding[position])
 
     def _hand_out(self, tick: Tick) -> None:
@@ -220,5 +228,3 @@ class Feeder:
             else:
                 self._peers.pop(name, None)
             self._changed.notify()
-
-

@@ -48,7 +48,7 @@ class Listener:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     @property
     def refused(self) -> Counter[str]:

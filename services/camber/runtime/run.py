@@ -164,7 +164,9 @@ class Loop:
 
     def replay(self) -> None:
         """Work by the feeder's ticks."""
-        barrier = Barrier(self.service.NAME, tuple(c for c in inputs_of(self.service.NAME) if c.name in self._inboxes))
+        barrier = Barrier(
+            self.service.NAME, tuple(c for c in inputs_of(self.service.NAME) if c.name in self._inboxes)
+        )
         tick_channel, done_channel = BY_NAME["tick"], BY_NAME["done"]
         self.bus.published.setdefault("done", 0)
         self.bus.subscribe(tick_channel)
@@ -176,7 +178,9 @@ class Loop:
             event = self.bus.next_event(_STUCK_S)
             if event is None:
                 if barrier.index < 0 and time.monotonic() - self._started > _FEEDER_WAIT_S:
-                    self.bus.log.error("no_feeder", detail=f"nobody has fed this replay for {_FEEDER_WAIT_S:.0f} s")
+                    self.bus.log.error(
+                        "no_feeder", detail=f"nobody has fed this replay for {_FEEDER_WAIT_S:.0f} s"
+                    )
                     return
                 if barrier.ticks:
                     waited = time.monotonic() - waiting_since
@@ -235,7 +239,8 @@ class Loop:
         counts = {name: n for name, n in self.bus.published.items() if name != "done"}
         heard = tuple(sorted(barrier.heard))
         self.bus.publish(
-            "done", Done(time_ns=time_ns, service=self.service.NAME, index=index, published=counts, heard=heard)
+            "done",
+            Done(time_ns=time_ns, service=self.service.NAME, index=index, published=counts, heard=heard),
         )
 
     def _guard(self, function: Any, argument: Any) -> Any:
@@ -254,7 +259,9 @@ class Loop:
 def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int:
     """Run one service until SIGTERM or SIGINT; returns the exit code."""
     prog = f"camber {service_class.NAME}"
-    settings: ServiceSettings = load_or_exit(service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog)
+    settings: ServiceSettings = load_or_exit(
+        service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
+    )
     sys.setswitchinterval(0.0005)  # the receive threads hand over to the work loop within half a millisecond
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
     try:
