@@ -14,7 +14,7 @@ from camber.localizer.settings import GivenPose
 from camber.runtime.settings import ServiceSettings
 from support.tree import ROOT
 
-PAGES = ("gnss", "antenna_height", "localizer")
+PAGES = ("gnss", "antenna_height", "localizer", "integrity")
 
 
 def page_of(service: str) -> str:

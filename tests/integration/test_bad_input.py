@@ -153,9 +153,6 @@ def test_damaged_lines_cost_their_own_epochs_and_no_other(drive, tmp_path, usual
         assert issue in log
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the replay's time follows one epoch whose clock runs ahead by less than a day"
-)
 @pytest.mark.parametrize("ahead", ["17:16:", "23:53:"], ids=["minutes", "hours"])
 def test_one_epoch_whose_clock_runs_ahead_does_not_hold_up_the_rest(drive, tmp_path, usual, ahead):
     """As one does whose clock has taken leap seconds, a second base, or a bit, wrongly."""
@@ -164,9 +161,6 @@ def test_one_epoch_whose_clock_runs_ahead_does_not_hold_up_the_rest(drive, tmp_p
     assert found == {time_s: word for time_s, word in usual.items() if time_s != 12.0}
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the report fails where there is truth, but none at the time of any fix"
-)
 def test_a_receiver_whose_clock_is_an_hour_off_all_along_is_never_confirmed(drive, tmp_path):
     path = drive / "receiver.pos"
     path.write_bytes(path.read_bytes().replace(b" 16:5", b" 17:5"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ class LocalizerService(Service[LocalizerSettings]):
         super().__init__(settings, bus)
         self._filter = PoseFilter(settings.model())
         self._start = FixTrackStart(settings.antenna_x_m, settings.antenna_y_m)
-        self._given = settings.initial_pose
+        self._given = _not_used_before(settings)
         self._plane: LocalPlane | None = None
         self._links = _Links(settings, bus)
         self._road = Road(status="unknown", reason="no_pose")
@@ -64,6 +65,7 @@ class LocalizerService(Service[LocalizerSettings]):
         if self._given is not None:
             self._begin_given(self._given, motion.time_ns)
             self._given = None
+            self._remember_given()
         self._follow_links(motion.time_ns)
 
     def _hear_fix(self, fix: Fix) -> None:
@@ -240,6 +242,17 @@ class LocalizerService(Service[LocalizerSettings]):
         self._start.shift(estimate.east_m, estimate.north_m)
         self._links.forget()
 
+    def _remember_given(self) -> None:
+        """A given pose is believed once: the vehicle has moved since when this service is started again."""
+        path = _given_path(self.settings)
+        if path is None:
+            return
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(_text_of(self.settings.initial_pose), "utf-8")
+        except OSError as error:
+            self.bus.issue("given_pose_not_kept", f"{path}: {error.strerror}")
+
     def _begin_given(self, given: GivenPose, time_ns: int) -> None:
         latitude_rad, longitude_rad = math.radians(given.latitude_deg), math.radians(given.longitude_deg)
         plane = LocalPlane(
@@ -254,6 +267,24 @@ class LocalizerService(Service[LocalizerSettings]):
         self._filter.start(
             StartPose(time_ns, east_m - lever[0], north_m - lever[1], yaw_rad, covariance, "given")
         )
+
+
+def _given_path(settings: LocalizerSettings) -> Path | None:
+    return settings.state_dir / "given_pose.json" if settings.state_dir else None
+
+
+def _text_of(given: GivenPose | None) -> str:
+    return "" if given is None else given.model_dump_json()
+
+
+def _not_used_before(settings: LocalizerSettings) -> GivenPose | None:
+    """The given pose, unless an earlier run of this service has started from the same one."""
+    path = _given_path(settings)
+    try:
+        used = path.read_text("utf-8") if path is not None else ""
+    except (OSError, UnicodeDecodeError):
+        used = ""
+    return None if used and used == _text_of(settings.initial_pose) else settings.initial_pose
 
 
 class _Links:

@@ -42,7 +42,7 @@ class LocalizerSettings(ServiceSettings):
     road_sigma_limit_m: float = Field(
         15.0, gt=0.0, le=27.0, description="beyond this σ no road is named under the pose"
     )
-    initial_pose: GivenPose | None = Field(None, description="a given pose at the start")
+    initial_pose: GivenPose | None = Field(None, description="a given pose at the start, believed once")
 
     def model(self) -> PoseModel:
         """The filter's model."""

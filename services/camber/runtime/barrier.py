@@ -64,7 +64,8 @@ class Barrier:
             if waiting.index == tick.index:
                 self.ticks[position] = tick
                 return
-        if tick.index > self.index:
+        # One of the past is sent again when somebody has died; for a service that came later it is over.
+        if tick.index > self.index and (not self.ticks or tick.index > self.ticks[-1].index):
             self.ticks.append(tick)
 
     def add_done(self, done: Done) -> None:

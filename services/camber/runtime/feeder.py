@@ -57,6 +57,7 @@ class Feeder:
         self._participants: frozenset[str] = frozenset()
         self._index = 0
         self._fed: set[str] = set()
+        self._died: set[str] = set()  # since the last look: who is back already has still left the tick
         self._beat_ns = 0
         prefix = f"camber/v1/{settings.vehicle}"
         self._entities: list[object] = [
@@ -96,8 +97,8 @@ class Feeder:
                 raise ReplayStuck(f"not on the bus after {timeout_s:.0f} s: {', '.join(missing)}")
             for name in list(self._peers):
                 self._send(name, Tick(time_ns=time_ns, index=0, participants={}, working=(), published={}))
-            with self._changed:
-                self._changed.wait(0.05)
+            with self._changed:  # not after each answer: every call is answered, and would bring the next
+                self._changed.wait_for(lambda: all(self._joined(name, wanted) for name in wanted), 0.05)
         self._participants = wanted
 
     def publish(self, name: str, message: Message) -> None:
@@ -144,7 +145,7 @@ class Feeder:
                 if len(self._outstanding) <= behind:
                     return
                 late = self._late(self._outstanding[0])
-                if self._participants <= self._peers.keys():
+                if not self._died:
                     self._changed.wait(0.5)
             if time.monotonic() > deadline:
                 tick = self._outstanding[0].index
@@ -186,7 +187,8 @@ class Feeder:
     def _dismiss(self) -> None:
         """Take those off the list who have died, and say so for the ticks that wait for them."""
         with self._changed:
-            dead = self._participants - self._peers.keys()
+            dead = self._participants & self._died
+            self._died.clear()
             self._participants -= dead
         if not dead:
             return
@@ -227,4 +229,5 @@ class Feeder:
                 self._peers[name] = _Peer()
             else:
                 self._peers.pop(name, None)
+                self._died.add(name)
             self._changed.notify()

@@ -35,9 +35,8 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", True)
     put("transport/link/tx/lease", 2000)  # a frozen peer is gone after 2 s, not 10
-    put(
-        "transport/shared_memory/enabled", False
-    )  # small messages gain nothing, containers do not share /dev/shm
+    # Small messages gain nothing by shared memory, and containers do not share /dev/shm.
+    put("transport/shared_memory/enabled", False)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

@@ -17,6 +17,9 @@ from camber.schemas.drive import ReceiverFile
 
 _NMEA_TIME = re.compile(rb"^\$..(?:GGA|RMC|GST|GNS),(\d\d)(\d\d)(\d\d)(?:\.(\d{1,9}))?,")
 
+_AROUND = 3  # epochs before and after, of which most must be sound
+_AHEAD_NS = 60 * NS_PER_SECOND  # a recording may have gaps; a clock that is wrong is wrong by more than the few around
+
 
 @dataclass(frozen=True, slots=True)
 class TimedBytes:
@@ -62,15 +65,19 @@ def read_receiver_file(receiver: ReceiverFile) -> tuple[bytes, list[TimedBytes]]
 def receive_times(time_ns: Sequence[int]) -> list[int]:
     """When each arrived, were it sent at once: the running maximum of the times measured.
 
-    A time more than a day off the median is a fault of the sender's clock: it arrives with the one before it.
+    A time far ahead of the epochs around it is a fault of the sender's clock: it arrives with the one before it. So is
+    one more than a day off the median of all.
     """
     if not time_ns:
         return []
-    middle = int(np.median(np.array(time_ns, dtype=np.int64)))
-    believed = [t if abs(t - middle) <= NS_PER_DAY else 0 for t in time_ns]
-    first = next(t for t in believed if t)
-    running = np.maximum.accumulate(np.maximum(np.array(believed, dtype=np.int64), first))
-    return [int(t) for t in running]
+    times = np.array(time_ns, dtype=np.int64)
+    around = min(_AROUND, len(times) - 1)
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(times, around, mode="reflect"), 2 * around + 1)
+    expected = np.median(near, axis=1)
+    believed = (times <= expected + _AHEAD_NS) & (np.abs(times - np.median(times)) <= NS_PER_DAY)
+    first = times[np.argmax(believed)] if believed.any() else np.median(times).astype(np.int64)
+    running = np.maximum.accumulate(np.where(believed, times, first))
+    return [int(t) for t in np.maximum(running, first)]
 
 
 def _pos_times(source_name: str, lines: Sequence[bytes]) -> list[int | None]:

@@ -250,6 +250,8 @@ def _episodes_note(summary: dict[str, Any]) -> str:
     if not summary["truth"]:
         return _NO_TRUTH
     cautious = summary["episodes"]["cautious"]
+    if cautious is None:
+        return "No fix has a truth beside it."
     return (
         f"{summary['episodes']['n']} episodes with gaps of up to {EPISODE_GAP_S:g} s, "
         f"{cautious['n']} with gaps of up to {cautious['gap_s']:g} s: the more cautious count of independent "

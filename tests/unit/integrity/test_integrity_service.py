@@ -295,7 +295,8 @@ def test_after_the_clock_was_set_back_there_is_no_silence(rig):
     rig.epoch(10_000)
     sent = rig.advance(0)
     assert words(sent) == [("unknown", "gnss_stale")]
-    assert words(rig.epoch(1)) == [("confirmed", "height_agrees")]
+    assert [p.source for p in of(rig.epoch(1, fix=None), "position")] == ["sensors"]
+    assert words(rig.epoch(2)) == [("confirmed", "height_agrees")]
 
 
 # --- uploads -----------------------------------------------------------------------------------------------------

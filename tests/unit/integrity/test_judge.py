@@ -167,6 +167,14 @@ def test_what_is_not_a_number_is_never_confirmed(where, value):
     assert judgement.word == "unknown"
 
 
+@pytest.mark.parametrize(
+    ("north_m", "confirmed"), [(0.60, True), (0.61, False), (-0.60, True), (-0.61, False)]
+)
+def test_the_gate_is_that_of_the_rules(north_m, confirmed):
+    assert math.sqrt(18.42 * (0.1**2 + 0.1**2 + 2.5e-5)) == pytest.approx(0.607, abs=1e-3)
+    assert judged(fix(north_m=north_m)).confirmed is confirmed
+
+
 def test_the_road_is_taken_where_the_fix_is_not_where_the_pose_is():
     steep = pose(sigma_m=2.0, road=road(slope_east=0.1))
     assert judged(fix(east_m=4.0, up_m=0.4), the_pose=steep).confirmed

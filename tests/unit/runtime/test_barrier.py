@@ -285,7 +285,6 @@ def test_a_joiner_keeps_what_has_come_of_the_tick_that_it_joins_on() -> None:
     assert numbers(barrier) == [("motion", 40)]
 
 
-@pytest.mark.xfail(strict=False, reason="add_tick queues a tick of the past behind a later one")
 def test_a_joiner_is_not_put_back_by_a_tick_that_it_has_listened_to() -> None:
     """When somebody dies just after a joiner was put on the list, the feeder says the ticks before again."""
     barrier = barrier_of("localizer")
