@@ -209,7 +209,7 @@ def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_
     out = tmp_path / "out"
     with (
         started(
-            "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 4, "--set", "end_s=48", "--quiet"
+            "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 3, "--set", "end_s=63", "--quiet"
         ) as replay,
         Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
@@ -218,4 +218,4 @@ def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_
         assert replay.returncode == 0, output
     verdicts = [item.message for item in recorded(out)["verdict"]]
     last_s = max(drive_s(v.time_ns) for v in verdicts if v.verdict == "confirmed")
-    assert last_s > 45.0
+    assert last_s > 60.0

@@ -49,7 +49,7 @@ _PRIORITY = {
 }
 
 
-def _direct(callback: Any) -> Any:
+def direct(callback: Any) -> Any:
     """A callback in the thread that received: it only queues, so the hand-over to a thread of its own is saved."""
     return zenoh.handlers.Callback(callback, indirect=False)
 
@@ -194,7 +194,7 @@ class Bus:
                 events.put(("message", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", of or self.service)
-        self._entities.append(self._session.declare_subscriber(key, _direct(arrived)))
+        self._entities.append(self._session.declare_subscriber(key, direct(arrived)))
 
     def answer(self, channel: Channel) -> None:
         """Queue the questions that arrive on a query channel."""
@@ -210,7 +210,7 @@ class Bus:
             events.put(("query", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
-        self._entities.append(self._session.declare_queryable(key, _direct(asked)))
+        self._entities.append(self._session.declare_queryable(key, direct(asked)))
 
     def announce(self) -> None:
         """Declare this service alive, and watch who else is."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import zenoh
 
 from camber.runtime.barrier import producers_for
-from camber.runtime.bus import FEEDER, Bus
+from camber.runtime.bus import FEEDER, Bus, direct
 from camber.runtime.clock import ReplayClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
@@ -20,7 +20,7 @@ from camber.schemas.channels import SERVICES, inputs_of
 from camber.schemas.codec import decode
 from camber.schemas.health import Done, Tick
 
-AHEAD = 4
+AHEAD = 16
 """Ticks published beyond the slowest service; the order of work does not depend on it, only the speed."""
 _STUCK_S = 20.0
 HEARTBEAT_NS = 1_000_000_000
@@ -61,7 +61,7 @@ class Feeder:
         self._beat_ns = 0
         prefix = f"camber/v1/{settings.vehicle}"
         self._entities: list[object] = [
-            self._session.declare_subscriber(f"{prefix}/replay/done/*", self._done),
+            self._session.declare_subscriber(f"{prefix}/replay/done/*", direct(self._done)),
             self._session.liveliness().declare_subscriber(f"{prefix}/*/alive", self._alive, history=True),
         ]
         # Services of a replay end when this token goes: they never outlive their feeder.
@@ -74,7 +74,7 @@ class Feeder:
                 )
 
             for kind in ("vehicle", *SERVICES):  # all but the barrier's own keys
-                self._entities.append(self._session.declare_subscriber(f"{prefix}/{kind}/*", observe))
+                self._entities.append(self._session.declare_subscriber(f"{prefix}/{kind}/*", direct(observe)))
 
     def __enter__(self) -> Feeder:
         return self
