@@ -20,9 +20,10 @@ from camber.schemas.channels import SERVICES, inputs_of
 from camber.schemas.codec import decode
 from camber.schemas.health import Done, Tick
 
-AHEAD = 16
+AHEAD = 4
 """Ticks published beyond the slowest service; the order of work does not depend on it, only the speed."""
 _STUCK_S = 20.0
+_ASK_AGAIN_S = 3.0  # a tick that was lost on a bus just coming up is sent again
 HEARTBEAT_NS = 1_000_000_000
 """At least this often everybody works on a tick."""
 _INPUTS = {service: tuple(c for c in inputs_of(service) if not c.looped) for service in SERVICES}
@@ -136,7 +137,7 @@ class Feeder:
 
     def wait(self, *, behind: int = 0) -> None:
         """Wait until at most `behind` ticks are not done; drop those who die meanwhile."""
-        deadline = time.monotonic() + _STUCK_S
+        deadline, ask_again = time.monotonic() + _STUCK_S, time.monotonic() + _ASK_AGAIN_S
         while True:
             self._dismiss()
             with self._changed:
@@ -147,6 +148,9 @@ class Feeder:
                 late = self._late(self._outstanding[0])
                 if not self._died:
                     self._changed.wait(0.5)
+            if time.monotonic() > ask_again:
+                ask_again = time.monotonic() + _ASK_AGAIN_S
+                self._hand_out(self._outstanding[0])  # who has done it ignores it
             if time.monotonic() > deadline:
                 tick = self._outstanding[0].index
                 raise ReplayStuck(f"tick {tick} not done after {_STUCK_S:.0f} s by {', '.join(late)}")

@@ -262,7 +262,6 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     settings: ServiceSettings = load_or_exit(
         service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
     )
-    sys.setswitchinterval(0.0005)  # the receive threads hand over to the work loop within half a millisecond
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
     try:
         session = open_session(settings.zenoh)

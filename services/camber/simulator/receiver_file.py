@@ -18,7 +18,9 @@ from camber.schemas.drive import ReceiverFile
 _NMEA_TIME = re.compile(rb"^\$..(?:GGA|RMC|GST|GNS),(\d\d)(\d\d)(\d\d)(?:\.(\d{1,9}))?,")
 
 _AROUND = 3  # epochs before and after, of which most must be sound
-_AHEAD_NS = 60 * NS_PER_SECOND  # a recording may have gaps; a clock that is wrong is wrong by more than the few around
+_AHEAD_NS = (
+    60 * NS_PER_SECOND
+)  # a recording may have gaps; a clock that is wrong is wrong by more than the few around
 
 
 @dataclass(frozen=True, slots=True)

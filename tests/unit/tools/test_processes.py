@@ -93,6 +93,7 @@ def test_one_that_does_not_end_when_asked_is_killed(tmp_path, processes):
     processes.start()
     (pid,) = pids(tmp_path).values()
     os.kill(pid, signal.SIGSTOP)
+    wait_for(lambda: Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
     processes.stop(timeout_s=0.3)
     assert not is_running(pid)
     assert processes.notes == ["map_update did not end within 0 s and was killed"]
