@@ -117,8 +117,9 @@ class LocalizerService(Service[LocalizerSettings]):
         if time_ns is None or time_ns <= self._published_ns:
             return
         self._published_ns = time_ns
-        self._move_plane()
         estimate = self._filter.estimate()
+        if estimate is not None and self._plane is not None:
+            estimate = self._near_origin(estimate, self._plane)
         if estimate is None or self._plane is None:
             road = Road(status="unknown", reason="no_pose")
             reason = "not started: no given pose, and no fixes in a row that agree with the motion"
@@ -229,18 +230,15 @@ class LocalizerService(Service[LocalizerSettings]):
         self._start.reset()
         self._links.forget()
 
-    def _move_plane(self) -> None:
-        estimate = self._filter.estimate()
-        if (
-            estimate is None
-            or self._plane is None
-            or not self._plane.too_far(estimate.east_m, estimate.north_m)
-        ):
-            return
-        self._plane = LocalPlane(*self._plane.geodetic(estimate.east_m, estimate.north_m))
+    def _near_origin(self, estimate: PoseEstimate, plane: LocalPlane) -> PoseEstimate | None:
+        """The estimate; in another plane, laid about it, where it is too far from the origin of this one."""
+        if not plane.too_far(estimate.east_m, estimate.north_m):
+            return estimate
+        self._plane = LocalPlane(*plane.geodetic(estimate.east_m, estimate.north_m))
         self._filter.shifted(estimate.east_m, estimate.north_m)
         self._start.shift(estimate.east_m, estimate.north_m)
         self._links.forget()
+        return self._filter.estimate()
 
     def _remember_given(self) -> None:
         """A given pose is believed once: the vehicle has moved since when this service is started again."""

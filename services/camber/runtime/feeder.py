@@ -26,7 +26,15 @@ _STUCK_S = 20.0
 _ASK_AGAIN_S = 3.0  # a tick that was lost on a bus just coming up is sent again
 HEARTBEAT_NS = 1_000_000_000
 """At least this often everybody works on a tick."""
-_INPUTS = {service: tuple(c for c in inputs_of(service) if not c.looped) for service in SERVICES}
+_SOURCES = {
+    service: {
+        channel.name if channel.producers == ("vehicle",) else channel.producers[0]
+        for channel in inputs_of(service)
+        if not channel.looped
+    }
+    for service in SERVICES
+}
+"""What brings a service something: channels of the vehicle, and services that work before it."""
 _PRODUCERS = {service: frozenset(producers_for(service)) for service in SERVICES}
 
 Observer = Callable[[str, bytes, str, int], None]
@@ -159,8 +167,7 @@ class Feeder:
         """Who gets something in this tick: from the vehicle, or from a service before it that works on it."""
         touched: set[str] = set()
         for service in SERVICES:  # in the order of work
-            sources = {c.name if c.producers == ("vehicle",) else c.producers[0] for c in _INPUTS[service]}
-            if sources & (self._fed | touched):
+            if _SOURCES[service] & (self._fed | touched):
                 touched.add(service)
         return self._participants & touched
 
