@@ -32,6 +32,7 @@ class Channel:
     delivery: Delivery
     reply: type[Message] | None = None
     looped: bool = False  # consumed one epoch later: the loops that the documents ask for
+    made_from: str = ""  # the vehicle's channel without which there is nothing on this one
     note: str = ""
 
     def key_for(self, vehicle: str) -> str:
@@ -42,6 +43,7 @@ class Channel:
 _V = "camber/v1/{vehicle}/"
 _F = "camber/v1/fleet/"
 VEHICLE_SERVICES = ("gnss", "map_server", "antenna_height", "localizer", "integrity")
+FEEDER = "feeder"
 SERVICES = (*VEHICLE_SERVICES, "map_update")
 """In the order of work within one epoch of a replay."""
 
@@ -70,7 +72,7 @@ CHANNELS: tuple[Channel, ...] = (
             10, 2.0, "small"),
     Channel("pose", _V + "localizer/pose", pose.Pose, ("localizer",), ("integrity",), 10, 0.3, "small"),
     Channel("scan_match", _V + "localizer/match", pose.ScanMatch, ("localizer",), ("antenna_height", "integrity"), 10,
-            0.5, "small", looped=True),
+            0.5, "small", looped=True, made_from="sweep"),
     Channel("verdict", _V + "integrity/verdict", integrity.Verdict, ("integrity",), ("localizer", "consumers"), 10, 1.0,
             "small", looped=True, note="confirmed positions anchor the localizer's next pose"),
     Channel("position", _V + "integrity/position", integrity.Position, ("integrity",), ("consumers",), 10, 1.0,
@@ -82,8 +84,8 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("release", _F + "release", fleet.ReleaseHead, ("map_update",), ("map_server",), None, None, "small"),
     Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), SERVICES, None, 1.0, "query",
             reply=health.Health, note="answered by the work loop"),
-    Channel("tick", _V + "replay/tick/{service}", health.Tick, ("feeder",), SERVICES, None, None, "barrier"),
-    Channel("done", _V + "replay/done/{service}", health.Done, SERVICES, (*SERVICES, "feeder"), None, None, "barrier"),
+    Channel("tick", _V + "replay/tick/{service}", health.Tick, (FEEDER,), SERVICES, None, None, "barrier"),
+    Channel("done", _V + "replay/done/{service}", health.Done, SERVICES, (*SERVICES, FEEDER), None, None, "barrier"),
 )  # fmt: skip
 
 BY_NAME: dict[str, Channel] = {channel.name: channel for channel in CHANNELS}

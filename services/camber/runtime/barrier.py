@@ -17,7 +17,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from camber.schemas.channels import CHANNELS, Channel, inputs_of
+from camber.schemas.channels import CHANNELS, FEEDER, SERVICES, Channel, inputs_of, outputs_of
 from camber.schemas.codec import Received
 from camber.schemas.health import Done, Tick
 
@@ -28,6 +28,11 @@ _KEEP = 64  # ticks of which the counts are kept; far more than any feeder runs 
 def producers_for(service: str) -> tuple[str, ...]:
     """The services whose *done* this one needs to hear, by the table."""
     return tuple(sorted({channel.producers[0] for channel in inputs_of(service)} - {"vehicle", service}))
+
+
+def _made(channel: Channel, tick: Tick) -> bool:
+    """May there be something on this channel in this drive at all?"""
+    return not channel.made_from or channel.made_from in tick.published
 
 
 @dataclass(slots=True)
@@ -118,6 +123,20 @@ class Barrier:
                 waits.append(channel.name)
         return waits
 
+    def waiting_for_done(self, tick: Tick) -> set[str]:
+        """Who must hear this service's *done* of a tick: the feeder, and who consumes what it publishes.
+
+        While somebody is missing on the list, all of them: who comes back must hear everybody first.
+        """
+        everybody = len(tick.participants) < len(SERVICES)
+        consumers = {
+            consumer
+            for channel in outputs_of(self.service)
+            if everybody or _made(channel, tick)
+            for consumer in channel.consumers
+        }
+        return {FEEDER} | consumers & set(SERVICES)
+
     def take(self) -> tuple[Tick, list[tuple[str, Received[Any]]]]:
         """The oldest tick with its messages in total order: by time, then the table's order, then the sequence."""
         tick = self.ticks.popleft()
@@ -156,6 +175,8 @@ class Barrier:
         producer = channel.producers[0]
         if producer == "vehicle":
             return True
+        if not _made(channel, tick):
+            return False
         if channel.looped:
             return tick.participants.get(producer, -1) >= 0
         return producer in tick.working

@@ -11,9 +11,9 @@ import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import zenoh
 
@@ -21,14 +21,13 @@ from camber.runtime.clock import Clock, ReplayClock
 from camber.runtime.log import make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
-from camber.schemas.channels import BY_NAME, Channel, outputs_of
+from camber.schemas.channels import BY_NAME, FEEDER, Channel, outputs_of
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 from camber.schemas.health import Issue
 
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
 _QUERY_LIMIT = 256
-FEEDER = "feeder"
 _REPLAY_QUERY_TIMEOUT_S = 10.0
 _LOG_EVERY_S = 10.0
 # What health can carry; a service that met more must still be able to say how it is.
@@ -69,12 +68,28 @@ class QueryFailed(RuntimeError):  # noqa: N818 (the name says what is the matter
         self.reason = reason
 
 
+class Arrived(NamedTuple):
+    """A message as it came: its bytes, its encoding, and in a replay what the barrier has to say with it."""
+
+    data: bytes
+    encoding: str
+    rider: bytes | None
+
+
+class _Held(NamedTuple):
+    """A message that waits for the end of the tick."""
+
+    channel: Channel
+    publisher: zenoh.Publisher
+    data: bytes
+
+
 @dataclass(slots=True)
 class _Port:
     """One subscribed channel: its bounded queue and how many were pushed out of it."""
 
     channel: Channel
-    items: deque[tuple[bytes, str]]
+    items: deque[Arrived]
     overflow: int = 0
 
 
@@ -97,6 +112,7 @@ class Bus:
         self._entities: list[Any] = []
         self._ports: dict[str, _Port] = {}
         self._queries: dict[str, deque[zenoh.Query]] = {}
+        self._held: list[_Held] = []
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._issues: dict[str, tuple[str, int]] = {}
         self._logged: dict[str, float] = {}
@@ -109,14 +125,40 @@ class Bus:
         """GPS time now; in a replay the time of the tick."""
         return self._clock.now_ns()
 
-    def publish(self, name: str, message: Message, *, to: str | None = None) -> None:
-        """Send on a channel that the table gives this service; `to` one service, where there is a key for each."""
+    def publish(self, name: str, message: Message, *, to: str | None = None) -> bytes:
+        """Send on a channel that the table gives this service; `to` one service, where there is a key for each.
+
+        In a replay it goes with `flush`, at the end of the tick. Returns the bytes.
+        """
         port = name if to is None else f"{name}.{to}"
         sequence = self.published[port]
         data = encode(message, source=self.service, sequence=sequence)
-        publisher = self._publishers.get(port) or self._declare_publisher(BY_NAME[name], to)
-        publisher.put(data)
+        channel = BY_NAME[name]
+        publisher = self._publishers.get(port) or self._declare_publisher(channel, to)
+        if self._replay and channel.delivery != "barrier":
+            self._held.append(_Held(channel, publisher, data))
+        else:
+            publisher.put(data)
         self.published[port] = sequence + 1
+        return data
+
+    def flush(self, rider: Message, wanted_by: Set[str]) -> set[str]:
+        """Send what was published in this tick of a replay, and `rider` with it.
+
+        The rider travels with the last message of as many channels as it takes to reach those it is wanted by;
+        returns those that it does not reach.
+        """
+        held, self._held = self._held, []
+        unreached, attachment = set(wanted_by), encode(rider, source=self.service)
+        last = {item.channel.name: position for position, item in enumerate(held)}
+        for position, (channel, publisher, data) in enumerate(held):
+            hear = {FEEDER, *channel.consumers} & unreached
+            if hear and last[channel.name] == position:
+                publisher.put(data, attachment=attachment)
+                unreached -= hear
+            else:
+                publisher.put(data)
+        return unreached
 
     def ask(self, name: str, request: Message) -> Any:
         """Ask over a query channel and return the reply.
@@ -187,7 +229,14 @@ class Bus:
 
         def arrived(sample: zenoh.Sample) -> None:
             full = len(items) == limit
-            items.append((sample.payload.to_bytes(), str(sample.encoding)))
+            rider = sample.attachment
+            items.append(
+                Arrived(
+                    sample.payload.to_bytes(),
+                    str(sample.encoding),
+                    None if rider is None else rider.to_bytes(),
+                )
+            )
             if full:
                 port.overflow += 1
             else:
@@ -242,7 +291,7 @@ class Bus:
         except queue.Empty:
             return None
 
-    def pop(self, name: str) -> tuple[bytes, str] | None:
+    def pop(self, name: str) -> Arrived | None:
         """The oldest bytes queued on a channel."""
         port = self._ports[name]
         if port.overflow:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import zenoh
 
 from camber.runtime.barrier import producers_for
-from camber.runtime.bus import FEEDER, Bus, direct
+from camber.runtime.bus import Bus, direct
 from camber.runtime.clock import ReplayClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
-from camber.schemas.channels import SERVICES, inputs_of
-from camber.schemas.codec import decode
+from camber.schemas.channels import BY_NAME, FEEDER, SERVICES, inputs_of
+from camber.schemas.codec import decode, encoding_of
 from camber.schemas.health import Done, Tick
 
 AHEAD = 4
@@ -55,11 +55,15 @@ class _Peer:
 class Feeder:
     """Feeds a drive to the services of one vehicle; use as a context."""
 
-    def __init__(self, settings: ServiceSettings, *, observer: Observer | None = None) -> None:
+    def __init__(
+        self, settings: ServiceSettings, channels: Iterable[str], *, observer: Observer | None = None
+    ) -> None:
+        """`channels` are those of the vehicle's that this drive has."""
         self._settings = settings
+        self._observer = observer
         self._session = open_session(settings.zenoh)
         self._bus = Bus(self._session, settings, "vehicle", ReplayClock())
-        self._bus.published |= {f"tick.{name}": 0 for name in SERVICES}
+        self._bus.published = {name: 0 for name in (*channels, *(f"tick.{name}" for name in SERVICES))}
         self._peers: dict[str, _Peer] = {}
         self._changed = threading.Condition()
         self._outstanding: deque[Tick] = deque()
@@ -70,20 +74,15 @@ class Feeder:
         self._beat_ns = 0
         prefix = f"camber/v1/{settings.vehicle}"
         self._entities: list[object] = [
-            self._session.declare_subscriber(f"{prefix}/replay/done/*", direct(self._done)),
+            self._session.declare_subscriber(f"{prefix}/replay/done/*", direct(self._hear_done)),
             self._session.liveliness().declare_subscriber(f"{prefix}/*/alive", self._alive, history=True),
         ]
         # Services of a replay end when this token goes: they never outlive their feeder.
         self._entities.append(self._session.liveliness().declare_token(f"{prefix}/{FEEDER}/alive"))
-        if observer is not None:
-
-            def observe(sample: zenoh.Sample) -> None:
-                observer(
-                    str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding), time.time_ns()
-                )
-
-            for kind in ("vehicle", *SERVICES):  # all but the barrier's own keys
-                self._entities.append(self._session.declare_subscriber(f"{prefix}/{kind}/*", direct(observe)))
+        for service in SERVICES:
+            self._entities.append(
+                self._session.declare_subscriber(f"{prefix}/{service}/*", direct(self._hear_message))
+            )
 
     def __enter__(self) -> Feeder:
         return self
@@ -111,9 +110,12 @@ class Feeder:
         self._participants = wanted
 
     def publish(self, name: str, message: Message) -> None:
-        """Publish one of the vehicle's messages."""
-        self._bus.publish(name, message)
+        """Publish one of the vehicle's messages, with the next tick."""
+        data = self._bus.publish(name, message)
         self._fed.add(name)
+        if self._observer is not None:
+            key, encoding = BY_NAME[name].key_for(self._settings.vehicle), encoding_of(type(message))
+            self._observer(key, data, encoding, time.time_ns())
 
     def tick(self, time_ns: int, *, last: bool = False) -> None:
         """Everything up to `time_ns` has been published; waits while AHEAD ticks are not done."""
@@ -140,7 +142,8 @@ class Feeder:
         )
         self._outstanding.append(tick)
         self._index += 1
-        self._hand_out(tick)
+        for name in self._bus.flush(tick, self._workers(tick)):
+            self._send(name, tick)
         self.wait(behind=0 if last else AHEAD)
 
     def wait(self, *, behind: int = 0) -> None:
@@ -212,17 +215,30 @@ class Feeder:
             self._hand_out(self._outstanding[position])
 
     def _hand_out(self, tick: Tick) -> None:
-        """To those who work on it, and to those who are there but not on the list: they answer that they listen."""
-        for name in list(self._peers):
-            if name in tick.working or name not in tick.participants:
-                self._send(name, tick)
+        """Anew, on its own."""
+        for name in self._workers(tick):
+            self._send(name, tick)
+
+    def _workers(self, tick: Tick) -> set[str]:
+        """Who works on it, and who is there but not on the list: they answer that they listen."""
+        return {name for name in list(self._peers) if name in tick.working or name not in tick.participants}
 
     def _send(self, name: str, tick: Tick) -> None:
         if name in SERVICES:
             self._bus.publish("tick", tick, to=name)
 
-    def _done(self, sample: zenoh.Sample) -> None:
-        done = decode(Done, sample.payload.to_bytes(), str(sample.encoding)).message
+    def _hear_done(self, sample: zenoh.Sample) -> None:
+        self._add_done(decode(Done, sample.payload.to_bytes(), str(sample.encoding)).message)
+
+    def _hear_message(self, sample: zenoh.Sample) -> None:
+        """Something a service has published: for the observer; its *done* may travel with it."""
+        arrival_ns, rider = time.time_ns(), sample.attachment
+        if self._observer is not None:
+            self._observer(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding), arrival_ns)
+        if rider is not None:
+            self._add_done(decode(Done, rider.to_bytes()).message)
+
+    def _add_done(self, done: Done) -> None:
         with self._changed:
             peer = self._peers.get(done.service)
             if peer is None:

@@ -83,7 +83,7 @@ class Loop:
             return False
         item = self.bus.pop(name)
         inbox = self._inboxes[name]
-        received = inbox.open(*item) if item else None
+        received = inbox.open(item.data, item.encoding) if item else None
         message = inbox.accept(received, self._clock.now_ns()) if received else None
         if message is not None:
             self._guard(self._handlers[name], message)
@@ -191,7 +191,7 @@ class Loop:
                 if not barrier.participates():
                     tick = barrier.ticks[0]
                     barrier.skip()
-                    self._say_done(tick.time_ns, -1, barrier)
+                    self._say_done(tick, -1, barrier)
                 elif barrier.ready():
                     self._work(barrier)
                     waiting_since = time.monotonic()
@@ -206,17 +206,24 @@ class Loop:
         item = self.bus.pop(name) if kind == "message" else None
         if item is None:
             return
-        data, encoding = item
+        data, encoding, rider = item
         if name == "tick":
             barrier.add_tick(decode(Tick, data, encoding).message)
-        elif name.startswith("done."):
+            return
+        if name.startswith("done."):
             barrier.add_done(decode(Done, data, encoding).message)
+            return
+        received = self._inboxes[name].open(data, encoding)
+        if received is None:
+            self.refused(self._inboxes[name])
         else:
-            received = self._inboxes[name].open(data, encoding)
-            if received is None:
-                self.refused(self._inboxes[name])
-            else:
-                barrier.add_message(name, received)
+            barrier.add_message(name, received)
+        if rider is None:
+            return
+        if BY_NAME[name].producers == ("vehicle",):
+            barrier.add_tick(decode(Tick, rider).message)
+        else:
+            barrier.add_done(decode(Done, rider).message)
 
     def _work(self, barrier: Barrier) -> None:
         tick, messages = barrier.take()
@@ -232,16 +239,20 @@ class Loop:
             else:
                 self._guard(self._handlers[name], message)
         self._guard(self.service.advance, tick.time_ns)
-        self._say_done(tick.time_ns, tick.index, barrier)
+        self._say_done(tick, tick.index, barrier)
         barrier.left(tick)
 
-    def _say_done(self, time_ns: int, index: int, barrier: Barrier) -> None:
-        counts = {name: n for name, n in self.bus.published.items() if name != "done"}
-        heard = tuple(sorted(barrier.heard))
-        self.bus.publish(
-            "done",
-            Done(time_ns=time_ns, service=self.service.NAME, index=index, published=counts, heard=heard),
+    def _say_done(self, tick: Tick, index: int, barrier: Barrier) -> None:
+        """It travels with what was published in this tick, and on its own to whom that does not reach."""
+        done = Done(
+            time_ns=tick.time_ns,
+            service=self.service.NAME,
+            index=index,
+            published={name: n for name, n in self.bus.published.items() if name != "done"},
+            heard=tuple(sorted(barrier.heard)),
         )
+        if self.bus.flush(done, barrier.waiting_for_done(tick)) or index < 0:
+            self.bus.publish("done", done)
 
     def _guard(self, function: Any, argument: Any) -> Any:
         """A fault while working on one input must not end the service; it makes it `failing`, visibly."""

@@ -72,6 +72,17 @@ class DriveInputs:
     truth: TruthTable | None
     initial_pose: InitialPose | None
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The vehicle's channels on which there is something in this drive."""
+        columns = {
+            "receiver_bytes": self.receiver,
+            "motion": self.motion,
+            "suspension": self.suspension,
+            "ranging": self.ranging,
+        }
+        return tuple(name for name, arrivals in columns.items() if arrivals)
+
     def ticks(self) -> Iterator[Tick]:
         """The drive, tick by tick."""
         columns = [

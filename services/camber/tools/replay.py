@@ -118,7 +118,7 @@ def _run(
     settings = ServiceSettings(
         vehicle=manifest.vehicle, clock="replay", zenoh=ZenohSettings(connect=[], listen=[endpoint])
     )
-    with _interruptible(), Feeder(settings, observer=observe) as feeder:
+    with _interruptible(), Feeder(settings, inputs.channels, observer=observe) as feeder:
         supervisor = _Supervisor(processes)
         try:
             processes.start()

@@ -351,6 +351,7 @@ def write_script(service: str, random: Random, ticks: int) -> Script:
             taken[name] = max(taken[name], limit)
         script.expected.append((index, [(name, number) for _, _, number, name in sorted(items)]))
 
+    has_sweeps = random.random() < 0.7
     for index in range(ticks):
         beat = index % 7 == 0
         working = {producer for producer in producers if beat or random.random() < 0.6}
@@ -360,6 +361,8 @@ def write_script(service: str, random: Random, ticks: int) -> Script:
         limits = {}
         for channel in channels:
             producer = channel.producers[0]
+            if channel.made_from == "sweep" and not has_sweeps:
+                continue
             if channel.looped:
                 limits[channel.name] = at_last_work.get(producer, {}).get(channel.name, 0)
             elif producer in working:
@@ -369,13 +372,17 @@ def write_script(service: str, random: Random, ticks: int) -> Script:
         if works:
             hand_out(index, limits)
             of_vehicle = {c.name: published[c.name] for c in channels if c.producers == ("vehicle",)}
+            of_vehicle |= {"sweep": 0} if has_sweeps and "sweep" not in of_vehicle else {}
             names = (*sorted(working), service)
             script.streams["tick"].append(("tick", tick(index, dict(worked), names, of_vehicle)))
             worked[service] = index
         for channel in channels:
-            if channel.looped and channel.producers[0] in working:
+            if channel.looped and channel.producers[0] in working and (has_sweeps or not channel.made_from):
                 publish(channel, index)
         for producer in sorted(working):
+            if not has_sweeps and all(c.made_from for c in channels if c.producers == (producer,)):
+                worked[producer] = index  # nothing to hear of, nothing said
+                continue
             counts = {c.name: published[c.name] for c in channels if c.producers == (producer,)}
             script.streams[producer].append(("done", done(producer, index, **counts)))
             at_last_work[producer] = counts
