@@ -140,6 +140,22 @@ def _with_field(line: bytes, place: int, value: bytes) -> bytes:
     return b" ".join(fields) + b"\n"
 
 
+def test_a_value_that_a_service_refuses_is_its_one_line_at_once(drive, tmp_path):
+    done = camber(
+        "replay",
+        drive / "drive.toml",
+        "--out",
+        tmp_path / "out",
+        "--set",
+        "antenna_height.sigma_m=5.0",
+        timeout_s=25.0,
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].endswith(
+        "antenna_height.toml: fixed_sigma_m: Input should be less than or equal to 1 (got '5.0')"
+    )
+
+
 def test_damaged_lines_cost_their_own_epochs_and_no_other(drive, tmp_path, usual):
     path = drive / "receiver.pos"
     lines, lost_s = damaged_receiver_file(path.read_bytes().splitlines(keepends=True))

@@ -30,6 +30,7 @@ from camber.schemas.base import (
     Latitude,
     Longitude,
     Message,
+    Model,
     Name,
     Text,
     UInt8,
@@ -42,6 +43,37 @@ ZOOM = 16
 Layer = Literal["surfaces", "links", "environment_cloud", "road_cloud"]
 LAYERS: tuple[Layer, ...] = ("surfaces", "links", "environment_cloud", "road_cloud")
 TileNumber = Annotated[int, Field(ge=0, lt=1 << ZOOM)]
+
+
+MAX_PLACES = 1024
+
+
+class Places(Model):
+    """Places near a point, in its tangent plane at height zero."""
+
+    east_m: Annotated[Float64, ArrayOf("<f8", ("places",), ge=-200.0, le=200.0)]
+    north_m: Annotated[Float64, ArrayOf("<f8", ("places",), ge=-200.0, le=200.0)]
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> Self:
+        if len(self.east_m) > MAX_PLACES:
+            raise ValueError(f"{len(self.east_m)} places, expected at most {MAX_PLACES}")
+        return self
+
+
+class RoadsAhead(Model):
+    """The roads at those of the places asked for where one is known, as columns; all of one map version and datum."""
+
+    place: Annotated[Int32, ArrayOf("<i4", ("known",), ge=0, le=MAX_PLACES - 1)] = Field(
+        description="number of the place in the request, ascending"
+    )
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("known",), ge=0)]
+    level: Annotated[Int32, ArrayOf("<i4", ("known",), ge=-20, le=20)]
+    elevation_m: Annotated[Float64, ArrayOf("<f8", ("known",), ge=-20_000.0, le=100_000.0)]
+    sigma_m: Annotated[Float64, ArrayOf("<f8", ("known",), ge=0.0)]
+    slope_east: Annotated[Float64, ArrayOf("<f8", ("known",), ge=-2.0, le=2.0)]
+    slope_north: Annotated[Float64, ArrayOf("<f8", ("known",), ge=-2.0, le=2.0)]
+    extent_m: Annotated[Float64, ArrayOf("<f8", ("known",), ge=0.0)]
 
 
 class ElevationRequest(Message):
@@ -58,12 +90,16 @@ class ElevationRequest(Message):
     radius_m: Annotated[float, Field(ge=0.0, le=100.0)] = Field(
         default=0.0, description="how far the point may be off: above 0 the reply has a patch of that radius"
     )
+    ahead: Places | None = Field(
+        default=None, description="where the vehicle will be next, about the point: saves it some questions"
+    )
 
 
 class ElevationReply(Message):
     """The road there, or why it is not known."""
 
     road: Road
+    ahead: RoadsAhead | None = Field(default=None, description="where it was asked for and the road is known")
 
 
 class LinksRequest(Message):

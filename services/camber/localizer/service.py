@@ -13,6 +13,7 @@ from camber.localizer.dead_reckoning import MotionSample
 from camber.localizer.link_matching import LinkMatch, LinkMatcher, LinkNetwork
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.pose_filter import PoseEstimate, PoseFilter
+from camber.localizer.road_ahead import RoadAhead, places_ahead
 from camber.localizer.settings import GivenPose, LocalizerSettings
 from camber.localizer.start import FixTrackStart, StartPose, lever_arm, moved_by_lever
 from camber.runtime.bus import Bus, QueryFailed
@@ -21,14 +22,12 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
-from camber.schemas.road import ElevationRequest, LinksRequest
+from camber.schemas.road import ElevationReply, ElevationRequest, LinksRequest
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _REFETCH_SHARE = 0.4  # of the radius: so far may the vehicle go before links are fetched anew
 _PATCH_ABOVE_M = 0.3  # a pose of larger σ gets the road around it too
 _PATCH_SIGMAS = 3.7  # 99.9 % of the places where it can be
-_SAME_ROAD_NS = 500_000_000
-_SAME_PLACE_RAD = 1e-10  # less than a millimetre
 _FETCH_PAUSE_NS = 1_000_000_000  # between two attempts to fetch links
 
 
@@ -46,7 +45,7 @@ class LocalizerService(Service[LocalizerSettings]):
         self._plane: LocalPlane | None = None
         self._links = _Links(settings, bus)
         self._road = Road(status="unknown", reason="no_pose")
-        self._asked: ElevationRequest | None = None
+        self._ahead: RoadAhead | None = None
         self._published_ns = 0
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -161,43 +160,34 @@ class LocalizerService(Service[LocalizerSettings]):
     ) -> Road:
         sigma_m = estimate.horizontal_sigma_m
         if sigma_m > self.settings.road_sigma_limit_m:
-            self._asked = None
             return Road(status="unknown", reason="pose_too_uncertain")
         candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
+        link_ids = tuple(int(link) for link in candidates)[:16]
+        certain = sigma_m <= _PATCH_ABOVE_M
+        if certain and self._ahead is not None and self.bus.is_alive("map_server"):
+            known = self._ahead.under(estimate.time_ns, latitude_rad, longitude_rad, link_ids)
+            if known is not None:
+                return known
+        self._ahead = None
+        ahead = places_ahead(estimate.yaw_rad, estimate.speed_m_s or 0.0, estimate.yaw_rate_rad_s or 0.0)
         request = ElevationRequest(
             time_ns=estimate.time_ns,
             latitude_rad=latitude_rad,
             longitude_rad=longitude_rad,
-            link_ids=tuple(int(link) for link in candidates)[:16],
+            link_ids=link_ids,
             last_surface_id=self._road.surface_id,
-            radius_m=_PATCH_SIGMAS * sigma_m if sigma_m > _PATCH_ABOVE_M else 0.0,
+            radius_m=0.0 if certain else _PATCH_SIGMAS * sigma_m,
+            ahead=ahead if certain else None,
         )
-        if self._same_question(request):
-            return self._road
-        self._asked = None
         try:
-            road: Road = self.bus.ask("elevation", request).road
+            reply: ElevationReply = self.bus.ask("elevation", request)
         except QueryFailed as error:
             self.bus.issue("no_elevation", str(error))
             absent = error.reason in ("absent", "timeout")
             return Road(status="unknown", reason="map_server_absent" if absent else "map_missing")
-        self._links.seen_version(road.map_version)
-        self._asked = request
-        return road
-
-    def _same_question(self, request: ElevationRequest) -> bool:
-        """A vehicle that stands asks the same again and again: the last answer does for half a second."""
-        last = self._asked
-        if last is None or not self.bus.is_alive("map_server"):
-            return False
-        return (
-            0 <= request.time_ns - last.time_ns <= _SAME_ROAD_NS
-            and abs(request.latitude_rad - last.latitude_rad) <= _SAME_PLACE_RAD
-            and abs(request.longitude_rad - last.longitude_rad) <= _SAME_PLACE_RAD
-            and request.link_ids == last.link_ids
-            and (request.radius_m > 0.0) == (last.radius_m > 0.0)
-            and request.radius_m <= last.radius_m * 1.1
-        )
+        self._links.seen_version(reply.road.map_version)
+        self._ahead = RoadAhead.of(request, reply)
+        return reply.road
 
     def _follow_links(self, now_ns: int) -> None:
         estimate = self._filter.estimate()

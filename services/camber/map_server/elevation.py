@@ -15,7 +15,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.tile_index import Hits, TileIndex
 from camber.map_server.topology import Topology, choose
 from camber.schemas.pose import Road, RoadPatch
-from camber.schemas.road import LinkTile, SurfaceTile
+from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
 
 T = TypeVar("T")
 M = TypeVar("M")
@@ -170,6 +170,30 @@ class ElevationMap:
             extent_m=0.0,
             datum=self.datum,
             map_version=self.map_version,
+        )
+
+    def roads_ahead(
+        self,
+        latitude_rad: float,
+        longitude_rad: float,
+        places: Places,
+        link_ids: Iterable[int] = (),
+        last_surface_id: int | None = None,
+    ) -> RoadsAhead:
+        """`roads` at places about a point."""
+        frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
+        plane_m = np.column_stack((places.east_m, places.north_m))
+        points = frame.geodetic_from_east_north_array(plane_m, np.zeros(len(plane_m)))
+        found = self.roads(points[0], points[1], link_ids, last_surface_id)
+        return RoadsAhead(
+            place=found.known.astype(np.int32),
+            surface_id=found.surface_id,
+            level=found.level.astype(np.int32),
+            elevation_m=found.elevation_m,
+            sigma_m=found.sigma_m,
+            slope_east=found.slope_east,
+            slope_north=found.slope_north,
+            extent_m=found.extent_m,
         )
 
     def roads(

@@ -22,6 +22,7 @@ from camber.schemas.road import (
     ElevationRequest,
     LinksReply,
     LinksRequest,
+    RoadsAhead,
     TileReply,
     TileRequest,
 )
@@ -67,19 +68,18 @@ class MapServerService(Service[MapServerSettings]):
         now_ns = self.bus.now_ns()
         reason = self._why_unknown(now_ns)
         road = Road(status="unknown", reason=reason or "map_missing")
+        ahead: RoadsAhead | None = None
         if reason is None and self._elevation is not None:
+            point = request.latitude_rad, request.longitude_rad
+            topology = request.link_ids, request.last_surface_id
             try:
-                road = self._elevation.road_around(
-                    request.latitude_rad,
-                    request.longitude_rad,
-                    request.radius_m,
-                    request.link_ids,
-                    request.last_surface_id,
-                )
+                road = self._elevation.road_around(*point, request.radius_m, *topology)
+                if request.ahead is not None and road.status == "known":
+                    ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
             except ReleaseError as error:
                 self._report_unreadable(error)
         self.bus.count(f"elevation.{road.status if road.status == 'known' else road.reason}")
-        return ElevationReply(time_ns=now_ns, road=road)
+        return ElevationReply(time_ns=now_ns, road=road, ahead=ahead)
 
     def links(self, request: LinksRequest) -> LinksReply:
         """The links around a point."""

@@ -63,7 +63,7 @@ class Feeder:
         self._observer = observer
         self._session = open_session(settings.zenoh)
         self._bus = Bus(self._session, settings, "vehicle", ReplayClock())
-        self._bus.published = {name: 0 for name in (*channels, *(f"tick.{name}" for name in SERVICES))}
+        self._bus.published = dict.fromkeys((*channels, *(f"tick.{name}" for name in SERVICES)), 0)
         self._peers: dict[str, _Peer] = {}
         self._changed = threading.Condition()
         self._outstanding: deque[Tick] = deque()
@@ -95,11 +95,22 @@ class Feeder:
         """Who takes part now."""
         return self._participants
 
-    def assemble(self, names: Iterable[str], *, time_ns: int, timeout_s: float = 30.0) -> None:
-        """Wait until all services have heard one another; raises ReplayStuck after the timeout."""
+    def assemble(
+        self,
+        names: Iterable[str],
+        *,
+        time_ns: int,
+        meanwhile: Callable[[], None] = lambda: None,
+        timeout_s: float = 30.0,
+    ) -> None:
+        """Wait until all services have heard one another.
+
+        Raises ReplayStuck after the timeout, and whatever `meanwhile` raises, called again and again.
+        """
         wanted = frozenset(names)
         deadline = time.monotonic() + timeout_s
         while not all(self._joined(name, wanted) for name in wanted):
+            meanwhile()
             if time.monotonic() > deadline:
                 missing = sorted(name for name in wanted if not self._joined(name, wanted))
                 raise ReplayStuck(f"not on the bus after {timeout_s:.0f} s: {', '.join(missing)}")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import importlib
+import pkgutil
 import re
 import sys
 import typing
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
 
+import camber.schemas
 from camber.schemas.base import ArrayOf, Message, Model
 from camber.schemas.channels import CHANNELS, Channel
 
@@ -64,7 +67,7 @@ def page() -> str:
         "## Messages",
     ]
     on_the_bus = _models(message for channel in CHANNELS for message in (channel.message, channel.reply))
-    in_files = [model for model in _models(Message.__subclasses__()) if model not in on_the_bus]
+    in_files = [model for model in _models(_all_messages()) if model not in on_the_bus]
     parts += [_model(model) for model in on_the_bus]
     parts += ["## Messages in files", *(_model(model) for model in in_files)]
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
@@ -131,11 +134,20 @@ def _link(model: type[Model]) -> str:
     return f"[{model.__name__}](#{model.__name__.lower()})"
 
 
+def _all_messages() -> Iterator[type[Message]]:
+    """By module and there in the order of the file, whatever else has been imported."""
+    for module in sorted(module.name for module in pkgutil.iter_modules(camber.schemas.__path__)):
+        name = f"camber.schemas.{module}"
+        for value in vars(importlib.import_module(name)).values():
+            if isinstance(value, type) and issubclass(value, Message) and value.__module__ == name:
+                yield value
+
+
 def _models(messages: Iterable[type[Message] | None]) -> list[type[Model]]:
     """Messages in their order, each followed by its parts, each once."""
     found: dict[type[Model], None] = {}
     for message in messages:
-        if message is not None and message.__module__.startswith("camber.schemas."):
+        if message is not None and message is not Message:
             found |= dict.fromkeys([message, *_parts(message)])
     return list(found)
 

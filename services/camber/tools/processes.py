@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from camber.schemas.drive import ManifestError
+
+_REFUSES = 2  # a service's exit code where its settings are wrong
 _RESTARTS = 20  # of one service in one run; beyond that it stays down
 
 
@@ -44,12 +47,19 @@ class Processes:
         """Start again what has ended without being asked to, and note it."""
         for name, child in self._children.items():
             code = child.process.poll()
-            if code is None or child.restarts >= _RESTARTS:
+            if code is None or code == _REFUSES or child.restarts >= _RESTARTS:
                 continue
             child.restarts += 1
             self.notes.append(f"{name} ended ({_how(code)}) and was started again")
             child.process = self._spawn(name)
             self._write_pids()
+
+    def complain(self) -> None:
+        """Raise ManifestError with the last words of a service that cannot use its settings, if there is one."""
+        for name, child in self._children.items():
+            if child.process.poll() == _REFUSES:
+                words = (self.folder / "logs" / f"{name}.log").read_text("utf-8", "replace").splitlines()
+                raise ManifestError(words[-1] if words else f"{name} refuses its settings")
 
     def stop(self, timeout_s: float = 5.0) -> None:
         """SIGTERM to all, SIGKILL to who has not ended by then."""

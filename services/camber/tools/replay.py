@@ -123,7 +123,7 @@ def _run(
         try:
             processes.start()
             supervisor.start()
-            feeder.assemble(SERVICES, time_ns=inputs.tick_times_ns[0])
+            feeder.assemble(SERVICES, time_ns=inputs.tick_times_ns[0], meanwhile=processes.complain)
             return _feed(inputs, feeder, recorder, speed=speed, quiet=quiet)
         finally:
             supervisor.stop()

@@ -21,7 +21,7 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict, VerdictWord
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
-from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest
+from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest, Places, RoadsAhead
 from support.small_map import at
 
 NS = 1_000_000_000
@@ -37,6 +37,20 @@ GIVEN = {
     "yaw_sigma_deg": 1.0,
 }
 WORDS_THAT_ARE_NO_TRUST = set(get_args(VerdictWord)) - {"confirmed", "confirmed_after_verification"}
+
+
+def flat(places: Places) -> RoadsAhead:
+    n = len(places.east_m)
+    return RoadsAhead(
+        place=np.arange(n, dtype=np.int32),
+        surface_id=np.full(n, 11),
+        level=np.zeros(n, np.int32),
+        elevation_m=np.full(n, 50.0),
+        sigma_m=np.full(n, 0.02),
+        slope_east=np.zeros(n),
+        slope_north=np.zeros(n),
+        extent_m=np.full(n, 5.0),
+    )
 
 
 class FakeMap:
@@ -69,7 +83,9 @@ class FakeMap:
             datum="WGS84",
             map_version=self.version,
         )
-        return ElevationReply(time_ns=request.time_ns, road=road)
+        return ElevationReply(
+            time_ns=request.time_ns, road=road, ahead=None if request.ahead is None else flat(request.ahead)
+        )
 
     def links(self, request: LinksRequest) -> LinksReply:
         nodes = range(-4, 26)
@@ -495,29 +511,34 @@ def test_an_uncertain_pose_gets_the_road_around_it_and_a_certain_one_does_not() 
     assert drive.map.last_elevation().radius_m == 0.0
 
 
-def standing() -> Drive:
-    drive = Drive(initial_pose=GIVEN)
-    drive.speed_m_s = 0.0
+def certain(speed_m_s: float = 10.0) -> Drive:
+    """A vehicle that knows where it is, and so asks for the road ahead too."""
+    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 0.1, "yaw_sigma_deg": 0.1}, couple_links=False)
+    drive.speed_m_s = speed_m_s
+    drive.run(1)
     return drive
 
 
-def test_a_vehicle_that_stands_asks_for_its_road_twice_a_second() -> None:
-    drive = standing()
-    assert drive.run(100).road.status == "known"
-    assert 100 / 7 <= drive.map.count(ElevationRequest) <= 100 / 4
+@pytest.mark.parametrize("speed_m_s", [0.0, 10.0])
+def test_a_certain_pose_asks_for_its_road_every_two_seconds(speed_m_s: float) -> None:
+    drive = certain(speed_m_s)
+    for step in range(100):
+        pose = drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m))
+        assert pose.road.status == "known", step
+    assert 100 / 25 <= drive.map.count(ElevationRequest) <= 100 / 12
 
 
-def test_a_vehicle_that_stands_learns_within_half_a_second_what_has_become_of_its_road() -> None:
-    drive = standing()
+def test_what_has_become_of_the_road_is_learnt_within_two_seconds() -> None:
+    drive = certain(0.0)
     drive.run(10)
     drive.map.road = Road(status="unknown", reason="map_stale")
-    assert drive.run(6).road.reason == "map_stale"
+    assert drive.run(21).road.reason == "map_stale"
     drive.map.road = None
-    assert drive.run(6).road.status == "known"
+    assert drive.run(1).road.status == "known"
 
 
 def test_a_vehicle_that_stands_learns_at_once_that_the_map_server_has_gone() -> None:
-    drive = standing()
+    drive = certain(0.0)
     drive.run(10)
     drive.map.failure = "absent"
     assert drive.run(1).road.reason == "map_server_absent"

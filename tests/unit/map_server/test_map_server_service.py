@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
@@ -20,7 +21,15 @@ from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
 from camber.schemas.fleet import ReleaseHead
 from camber.schemas.pose import Road
-from camber.schemas.road import ElevationRequest, Layer, LinksReply, LinksRequest, TileReply, TileRequest
+from camber.schemas.road import (
+    ElevationRequest,
+    Layer,
+    LinksReply,
+    LinksRequest,
+    Places,
+    TileReply,
+    TileRequest,
+)
 from support.small_map import DAY_NS, FRAME, MADE_NS, at, link, surface, write
 
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
@@ -116,6 +125,23 @@ def test_questions_that_wait_together_are_answered_in_their_order(tmp_path: Path
     requests = [ElevationRequest(time_ns=MADE_NS, latitude_rad=p[0], longitude_rad=p[1]) for p in points]
     replies = server.answers["elevation"](requests)
     assert [cast(Any, reply).road.surface_id for reply in replies] == [6, 5]
+
+
+def test_places_ahead_are_answered_where_the_road_is_known(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5), surface(6, 20.0, heights_m=50.04)])
+    server = Server(tmp_path)
+    point = at(0.0, 0.0)
+    places = Places(east_m=np.array([20.0, 190.0, 1.0]), north_m=np.zeros(3))
+    request = ElevationRequest(time_ns=MADE_NS, latitude_rad=point[0], longitude_rad=point[1], ahead=places)
+    (reply,) = server.answers["elevation"]([request])
+    ahead = cast(Any, reply).ahead
+    assert ahead.place.tolist() == [0, 2]
+    assert ahead.surface_id.tolist() == [6, 5]
+    assert ahead.elevation_m == pytest.approx([50.04, 50.0], abs=1e-4)
+    beside = request.model_copy(update={"latitude_rad": at(0.0, 300.0)[0]})
+    (reply,) = server.answers["elevation"]([beside])
+    assert cast(Any, reply).road.status == "unknown"
+    assert cast(Any, reply).ahead is None
 
 
 def test_without_a_release_nothing_is_known_until_it_comes(tmp_path: Path) -> None:

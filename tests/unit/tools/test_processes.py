@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from camber.schemas.drive import ManifestError
 from camber.tools.processes import Processes
 
 ENDPOINT = "tcp/127.0.0.1:9"  # nobody listens there; a service waits for it and does nothing else
@@ -79,13 +80,16 @@ def test_one_that_runs_is_left_alone(tmp_path, processes):
     assert processes.notes == []
 
 
-def test_a_service_with_wrong_settings_says_so_in_its_log(tmp_path):
+def test_a_service_with_wrong_settings_says_so_and_is_not_tried_again(tmp_path):
     processes = Processes(tmp_path, {"map_update": config(tmp_path, colour="red")})
     processes.start()
     log = tmp_path / "logs" / "map_update.log"
     wait_for(lambda: "colour: unknown setting" in log.read_text())
-    wait_for(lambda: processes.supervise() or processes.notes)
-    assert processes.notes[0] == "map_update ended (exit code 2) and was started again"
+    with pytest.raises(ManifestError, match="colour: unknown setting"):
+        wait_for(processes.complain)
+    (pid,) = pids(tmp_path).values()
+    processes.supervise()
+    assert (list(pids(tmp_path).values()), processes.notes) == ([pid], [])
     processes.stop()
 
 
