@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from camber.formats.map_tiles import TILES, Tile, tile_of, tiles_of
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.tile_index import Hits, TileIndex
-from camber.map_server.topology import Topology, choose
+from camber.map_server.topology import Topology, choose, choose_each
 from camber.schemas.pose import Road, RoadPatch
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
 
@@ -224,7 +224,7 @@ class ElevationMap:
                 latitude[points], longitude[points], np.zeros(len(points))
             )
             hits = index.hits_of(plane_m[:, 0], plane_m[:, 1])
-            chosen = _choose_each(index, hits, self._topology(tile, links, last_surface_id))
+            chosen = choose_each(index, hits, self._topology(tile, links, last_surface_id))
             ambiguous[points[hits.point]] = True
             ambiguous[points[hits.point[chosen]]] = False
             pieces.append(_piece(points, index, hits, chosen))
@@ -265,24 +265,6 @@ def _neighbours(tile: Tile) -> list[Tile]:
     x, y = tile
     steps = [(0, 0)] + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
     return [((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES]
-
-
-def _choose_each(index: TileIndex, hits: Hits, topology: Topology) -> NDArray[np.int64]:
-    """For each point that has hits the one chosen, as a number into `hits`; points that are ambiguous are left out."""
-    _, first, count = np.unique(hits.point, return_index=True, return_counts=True)
-    # A single surface is taken or not whatever the point is, so each row is asked once.
-    single = first[count == 1]
-    rows, where = np.unique(hits.row[single], return_index=True)
-    taken = [
-        row for row, k in zip(rows, where, strict=True) if choose([index.hit(hits, single[k])], topology)
-    ]
-    chosen = single[np.isin(hits.row[single], taken)].tolist()
-    for begin, n in zip(first[count > 1].tolist(), count[count > 1].tolist(), strict=True):
-        here = [index.hit(hits, k) for k in range(begin, begin + n)]
-        hit = choose(here, topology)
-        if hit is not None:
-            chosen.append(begin + here.index(hit))
-    return np.array(sorted(chosen), np.int64)
 
 
 def _piece(

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camber.map_server.tile_index import Hit
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.map_server.tile_index import Hit, Hits, TileIndex
 
 _TIE_M = 1e-6  # centre lines this near to one another are equally near: the smaller id is taken
 
@@ -50,3 +53,39 @@ def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
 
 def _agree(hits: Sequence[Hit], with_hit: Hit) -> bool:
     return all(abs(hit.height_m - with_hit.height_m) <= hit.sigma_m + with_hit.sigma_m for hit in hits)
+
+
+def choose_each(index: TileIndex, hits: Hits, topology: Topology) -> NDArray[np.int64]:
+    """`choose` for each point that has hits: ascending numbers into `hits`, without the points that are ambiguous."""
+    if not len(hits.point):
+        return np.zeros(0, np.int64)
+    _, first, count = np.unique(hits.point, return_index=True, return_counts=True)
+    group = np.repeat(np.arange(len(first)), count)
+
+    def any_of(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """For each hit: is it so for any hit of its point?"""
+        of_group: NDArray[np.bool_] = np.logical_or.reduceat(mask, first)[group]
+        return of_group
+
+    def those(mask: NDArray[np.bool_], otherwise: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.where(any_of(mask), mask, otherwise)
+
+    link, level = index.link_id[hits.row], index.level[hits.row]
+    sigma_m, surface = index.sigma_m[hits.row], index.surface_id[hits.row]
+    connected = np.isin(link, list(topology.connected))
+    plausible = np.isin(link, list(topology.candidates))
+    everything = np.ones(len(link), bool)
+    plausible = those(plausible & connected, plausible) if topology.candidates else connected
+    left = those(plausible, everything)
+    low = np.minimum.reduceat(np.where(left, level, np.iinfo(np.int64).max), first)[group]
+    high = np.maximum.reduceat(np.where(left, level, np.iinfo(np.int64).min), first)[group]
+    ambiguous = (low != high) & any_of(left & ~connected)
+    for known_level in topology.levels:
+        ambiguous |= ~any_of(plausible) & ~any_of(left & (level == known_level))
+    left = those(left & hits.inside, left)
+    tie = np.rint(hits.offset_m / _TIE_M).astype(np.int64)
+    order = np.lexsort((surface, tie, ~left, group))
+    best = order[np.searchsorted(group[order], np.arange(len(first)))]
+    disagree = np.abs(hits.height_m - hits.height_m[best][group]) > sigma_m + sigma_m[best][group]
+    ambiguous |= any_of(left & disagree)
+    return np.sort(best[~ambiguous[first]])
