@@ -25,7 +25,7 @@ $(BIN)/python:
 	@touch $@
 
 .venv/.development: .venv/.runtime
-	$(PIP) -e '.[engine,localizer,map,fleet,web,dev]'
+	$(PIP) -e '.[engine,localizer,map,fleet,web,simulator,dev]'
 	@touch $@
 
 setup: .venv/.development
@@ -56,7 +56,7 @@ docs: setup
 
 image:
 	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL \
-		--build-arg EXTRAS=engine,localizer,map,fleet,web --tag camber .
+		--build-arg EXTRAS=engine,localizer,map,fleet,web,simulator --tag camber .
 
 clean:
 	rm -rf $(OUT) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

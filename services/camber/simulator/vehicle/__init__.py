@@ -1,0 +1,1 @@
+"""How a vehicle moves along a path, and what its sensors say."""
