@@ -85,7 +85,8 @@ class Ephemeris:
 
     Angles in rad, rates in rad/s, `sqrt_a` in √m. `toe_ns`, `toc_ns`, `transmission_ns` are GPS time, whatever the
     system's own. `clock` is (af0 s, af1 s/s, af2 s/s²). `other` holds what only one system has, by RINEX 3.04's name
-    in snake case: `tgd_s`, `iodc`, `fit_interval_h`, `bgd_e5a_s`, `bgd_e5b_s`, `data_sources`, `tgd1_s`, `tgd2_s`, `aodc`.
+    in snake case: `tgd_s`, `iodc`, `fit_interval_h`, `bgd_e5a_s`, `bgd_e5b_s`, `data_sources`, `tgd1_s`, `tgd2_s`,
+    `aodc`.
     """
 
     satellite: int
