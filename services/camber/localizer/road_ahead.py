@@ -63,9 +63,14 @@ class RoadAhead:
         return cls(request, reply.road, known, places.east_m[known.place], places.north_m[known.place])
 
     def under(
-        self, time_ns: int, latitude_rad: float, longitude_rad: float, link_ids: tuple[int, ...]
+        self,
+        time_ns: int,
+        latitude_rad: float,
+        longitude_rad: float,
+        link_ids: tuple[int, ...],
+        radius_m: float,
     ) -> Road | None:
-        """The road under a point by this answer, good near the place it is from; None: ask the map."""
+        """The road under a point by this answer, a plane that is good within `radius_m`; None: ask the map."""
         request, known = self.request, self.known
         if not 0 <= time_ns - request.time_ns <= _VALID_NS or link_ids != request.link_ids:
             return None
@@ -75,6 +80,9 @@ class RoadAhead:
         away_m = np.hypot(east_m - self.east_m, north_m - self.north_m)
         k = int(np.argmin(away_m))
         if not away_m[k] <= _REACH_M or known.level[k] != self.road.level:
+            return None
+        extent_m = float(known.extent_m[k]) - float(away_m[k])
+        if not extent_m >= radius_m:
             return None
         slope_east, slope_north = float(known.slope_east[k]), float(known.slope_north[k])
         rise_m = slope_east * (east_m - float(self.east_m[k])) + slope_north * (
@@ -88,7 +96,7 @@ class RoadAhead:
             sigma_m=float(known.sigma_m[k]),
             slope_east=slope_east,
             slope_north=slope_north,
-            extent_m=max(float(known.extent_m[k]) - float(away_m[k]), 0.0),
+            extent_m=extent_m,
             datum=self.road.datum,
             map_version=self.road.map_version,
         )

@@ -165,7 +165,8 @@ class LocalizerService(Service[LocalizerSettings]):
         link_ids = tuple(int(link) for link in candidates)[:16]
         certain = sigma_m <= _PATCH_ABOVE_M
         if certain and self._ahead is not None and self.bus.is_alive("map_server"):
-            known = self._ahead.under(estimate.time_ns, latitude_rad, longitude_rad, link_ids)
+            place = latitude_rad, longitude_rad
+            known = self._ahead.under(estimate.time_ns, *place, link_ids, _PATCH_SIGMAS * sigma_m)
             if known is not None:
                 return known
         self._ahead = None

@@ -83,7 +83,7 @@ def test_at_any_speed_the_places_are_few_and_fit_into_the_question(speed_m_s: fl
 @given(st.floats(-0.4, 20.0), st.floats(-1.2, 1.2))
 def test_it_says_what_the_map_would_say_there(along_m: float, across_m: float) -> None:
     point = at(along_m, across_m)
-    found, asked = ask().under(NS + SECOND_NS, *point, (1,)), MAP.road(*point, (1,))
+    found, asked = ask().under(NS + SECOND_NS, *point, (1,), 0.5), MAP.road(*point, (1,))
     assert found is not None
     assert (found.status, found.level, found.datum, found.map_version) == ("known", 0, "WGS84", 7)
     assert found.elevation_m == pytest.approx(asked.elevation_m, abs=1e-3)
@@ -99,26 +99,26 @@ def test_it_says_what_the_map_would_say_there(along_m: float, across_m: float) -
     ("along_m", "across_m"), [(-1.5, 0.0), (23.0, 0.0), (10.0, 1.6), (10.0, -1.6), (5e3, 0.0)]
 )
 def test_off_the_places_it_says_nothing(along_m: float, across_m: float) -> None:
-    assert ask().under(NS, *at(along_m, across_m), (1,)) is None
+    assert ask().under(NS, *at(along_m, across_m), (1,), 0.5) is None
 
 
 def test_it_is_good_for_two_seconds_and_never_for_the_past() -> None:
     answer, here = ask(), at(1.0, 0.0)
-    assert answer.under(NS + 2 * SECOND_NS, *here, (1,)) is not None
-    assert answer.under(NS + 2 * SECOND_NS + 1, *here, (1,)) is None
-    assert answer.under(NS - 1, *here, (1,)) is None
+    assert answer.under(NS + 2 * SECOND_NS, *here, (1,), 0.5) is not None
+    assert answer.under(NS + 2 * SECOND_NS + 1, *here, (1,), 0.5) is None
+    assert answer.under(NS - 1, *here, (1,), 0.5) is None
 
 
 def test_with_other_links_in_question_it_says_nothing() -> None:
-    assert ask().under(NS, *at(1.0, 0.0), (1, 2)) is None
-    assert ask().under(NS, *at(1.0, 0.0), ()) is None
+    assert ask().under(NS, *at(1.0, 0.0), (1, 2), 0.5) is None
+    assert ask().under(NS, *at(1.0, 0.0), (), 0.5) is None
 
 
 def test_beyond_the_end_of_the_road_it_says_nothing() -> None:
     answer = ask(80.0)
-    assert answer.under(NS, *at(89.0, 0.0), (1,)) is not None
+    assert answer.under(NS, *at(89.0, 0.0), (1,), 0.5) is not None
     # The bridge is another link and another level, where the candidates are on this one: ambiguous to the map.
-    assert answer.under(NS, *at(91.5, 0.0), (1,)) is None
+    assert answer.under(NS, *at(91.5, 0.0), (1,), 0.5) is None
 
 
 def test_a_level_other_than_the_one_it_was_asked_from_is_asked_for_anew() -> None:
@@ -126,7 +126,7 @@ def test_a_level_other_than_the_one_it_was_asked_from_is_asked_for_anew() -> Non
     upstairs = answer.road.model_copy(update={"level": 1})
     assert (
         RoadAhead(answer.request, upstairs, answer.known, answer.east_m, answer.north_m).under(
-            NS, *at(81.0, 0.0), (1,)
+            NS, *at(81.0, 0.0), (1,), 0.5
         )
         is None
     )
@@ -140,3 +140,16 @@ def test_an_answer_that_knows_nothing_or_names_places_never_asked_for_is_none() 
     assert RoadAhead.of(answer.request, reply.model_copy(update={"road": unknown})) is None
     fewer = answer.request.model_copy(update={"ahead": places_ahead(0.0, 1.0, 0.0)})
     assert RoadAhead.of(fewer, reply) is None
+
+
+def test_where_its_plane_does_not_hold_as_far_as_it_must_it_says_nothing() -> None:
+    answer, here = ask(), at(1.25, 0.0)
+    extent_m = 10.0  # half the diagonal of a surface, or a little more
+    assert answer.under(NS, *here, (1,), extent_m - 0.5) is not None
+    assert answer.under(NS, *here, (1,), extent_m + 1.0) is None
+    found = answer.under(NS, *here, (1,), 0.0)
+    assert found is not None
+    assert found.extent_m is not None
+    assert (
+        found.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
+    )  # measured from the place sampled, a quarter metre away
