@@ -7,21 +7,17 @@ named again in the summary of every figure that rests on it. `docs/drive.md` exp
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
     Field,
     PrivateAttr,
-    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -30,6 +26,7 @@ from pydantic_core import PydanticCustomError
 
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.motion import LeverArm
+from camber.schemas.toml_file import FileError, Overrides, load_toml
 
 SurrogateInput = Literal["wheel_speed", "yaw_rate", "steering", "links", "road_surfaces", "initial_pose"]
 MOTION_SURROGATES = frozenset({"wheel_speed", "yaw_rate", "steering"})
@@ -51,7 +48,7 @@ LEAST_ERRORS: dict[str, float] = {
 """A surrogate made from truth flatters whoever uses it; no published figure may rest on smaller errors than these."""
 
 
-class ManifestError(ValueError):
+class ManifestError(FileError):
     """The manifest cannot be used; one clear line with the file, the field and what was expected."""
 
 
@@ -415,91 +412,12 @@ class DriveManifest(Model):
 
 
 def load_manifest(
-    path: Path, overrides: Mapping[str, Any] | Sequence[str] = (), *, environ: Mapping[str, str] | None = None
+    path: Path, overrides: Overrides = (), *, environ: Mapping[str, str] | None = None
 ) -> DriveManifest:
-    """Read a manifest; raises ManifestError with one line.
-
-    `overrides` are `{"surrogates.map_sigma_m": 0.1}` or `["surrogates.map_sigma_m=0.10"]`; in the latter a value
-    is read as TOML, and what is no TOML value is text. `environ` stands for the process's environment in tests.
-    """
-    try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise ManifestError(f"{path}: {error.strerror or error}, expected a drive manifest") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ManifestError(f"{path}: not TOML: {error}") from None
-    changes = (
-        dict(overrides)
-        if isinstance(overrides, Mapping)
-        else dict(_parse_override(text) for text in overrides)
-    )
-    for field, value in changes.items():
-        _set(table, field, value)
+    """Read a manifest; raises ManifestError with one line. `environ` stands for the process's environment in tests."""
     context = {"folder": path.parent, "environ": os.environ if environ is None else environ}
-    try:
-        manifest = DriveManifest.model_validate(table, context=context)
-    except ValidationError as error:
-        raise ManifestError(_one_line(error, path, frozenset(changes))) from None
-    manifest._overrides = tuple(f"{field}={value}" for field, value in changes.items())
+    manifest, changes = load_toml(
+        DriveManifest, path, overrides, context=context, error=ManifestError, what="a drive manifest"
+    )
+    manifest._overrides = changes
     return manifest
-
-
-def _parse_override(text: str) -> tuple[str, Any]:
-    field, equals, value = text.partition("=")
-    field = field.strip()
-    if not equals or not field:
-        raise ManifestError(f"--set {text!r}: expected field=value, such as surrogates.map_sigma_m=0.10")
-    try:
-        parsed = tomllib.loads(f"value = {value.strip()}")
-    except tomllib.TOMLDecodeError:
-        return field, value.strip()
-    # A value with a newline in it could bring further keys along.
-    return field, parsed["value"] if set(parsed) == {"value"} else value.strip()
-
-
-def _set(table: dict[str, Any], field: str, value: Any) -> None:
-    *parents, last = field.split(".")
-    for depth, parent in enumerate(parents):
-        below = table.setdefault(parent, {})
-        if not isinstance(below, dict):
-            raise ManifestError(f"--set {field}: {'.'.join(parents[: depth + 1])} is no table, expected one")
-        table = below
-    table[last] = value
-
-
-def _one_line(error: ValidationError, path: Path, changed: frozenset[str]) -> str:
-    first = error.errors(include_url=False, include_context=False)[0]
-    location = first["loc"]
-    field = ".".join(str(part) for part in location)
-    where = f"{path}: --set" if any(f"{field}.".startswith(f"{name}.") for name in changed) else f"{path}:"
-    if not location:
-        return f"{where} {first['msg']}"
-    names, expected = _known_at(location)
-    if first["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(location[-1]), names, n=1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        return f"{where} {field} is not known; {hint}expected one of {', '.join(names)}"
-    if first["type"] == "missing":
-        return f"{where} {field} is missing, expected {expected}"
-    shown = "" if isinstance(first["input"], dict) else f" is {str(first['input'])[:60]!r}"
-    message = first["msg"].removeprefix("Input ").removeprefix("Value ")
-    return f"{where} {field}{shown}: {message}" + (f" ({expected})" if expected else "")
-
-
-def _known_at(location: tuple[int | str, ...]) -> tuple[list[str], str]:
-    """The keys that are known beside the last part of `location`, and the description of that part."""
-    model: type[BaseModel] = DriveManifest
-    description = ""
-    for part in location[:-1]:
-        info = model.model_fields.get(str(part))
-        below = [a for a in (info.annotation, *get_args(info.annotation)) if _is_model(a)] if info else []
-        description = info.description or "" if info else description
-        if not below:
-            return [], description
-        model = below[0]
-    info = model.model_fields.get(str(location[-1]))
-    return list(model.model_fields), (info.description or "") if info else ""
-
-
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
