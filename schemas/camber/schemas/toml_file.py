@@ -103,19 +103,32 @@ def _one_line(cls: type[Model], error: ValidationError, path: Path, changed: fro
 
 
 def _known_at(cls: type[Model], location: tuple[int | str, ...]) -> tuple[list[str], str]:
-    """The keys that are known beside the last part of `location`, and the description of that part."""
-    model: type[BaseModel] = cls
+    """The keys that are known beside the last part of `location`, and the description of the nearest field."""
+    models: list[type[BaseModel]] = [cls]
     description = ""
     for part in location[:-1]:
-        info = model.model_fields.get(str(part))
-        below = [a for a in (info.annotation, *get_args(info.annotation)) if _is_model(a)] if info else []
-        description = info.description or "" if info else description
-        if not below:
+        tagged = [model for model in models if part in _tags(model)]
+        info = next((model.model_fields[part] for model in models if part in model.model_fields), None)
+        if tagged:
+            models = tagged
+        elif info is not None:
+            models, description = _models_in(info.annotation), info.description or ""
+        elif not isinstance(part, int):
             return [], description
-        model = below[0]
-    info = model.model_fields.get(str(location[-1]))
-    return list(model.model_fields), (info.description or "") if info else ""
+    names = [name for model in models for name in model.model_fields]
+    info = next(
+        (m.model_fields[str(location[-1])] for m in models if str(location[-1]) in m.model_fields), None
+    )
+    return names, description if info is None else info.description or ""
 
 
-def _is_model(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
+    """The words by which a model is chosen among others."""
+    kind = model.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models_in(part)]

@@ -1,0 +1,165 @@
+"""What goes wrong in a simulated drive, when and by how much; each fault's onset and end stand in the truth.
+
+Times are seconds after the first epoch. A fault acts from its onset (inclusive) to its end (exclusive); without an
+end, to the end of the drive.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from camber.schemas.base import Model
+from camber.schemas.channels import SERVICES
+
+Metres = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
+
+
+class _Timed(Model):
+    onset_s: Annotated[float, Field(ge=0.0, le=86_400.0)] = Field(description="from here, seconds")
+    end_s: Annotated[float, Field(gt=0.0, le=86_400.0)] | None = Field(
+        default=None, description="to here, seconds; unset: to the end"
+    )
+
+    @model_validator(mode="after")
+    def _ends_after_its_onset(self) -> Self:
+        if self.end_s is not None and self.end_s <= self.onset_s:
+            raise PydanticCustomError("order", "end_s is not after onset_s, expected a later time")
+        return self
+
+    def acts(self, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """At which of these times it acts."""
+        end_s = np.inf if self.end_s is None else self.end_s
+        acts: NDArray[np.bool_] = (time_s >= self.onset_s) & (time_s < end_s)
+        return acts
+
+
+class WrongBase(_Timed):
+    """The base station's coordinates are wrong: all fixes are off alike."""
+
+    kind: Literal["wrong_base"]
+    east_m: Metres = 0.0
+    north_m: Metres = 0.0
+    up_m: Metres = 0.0
+
+
+class WrongMap(_Timed):
+    """The map's heights are wrong by this much where the vehicle drives in this time."""
+
+    kind: Literal["wrong_map"]
+    offset_m: Annotated[float, Field(ge=-10.0, le=10.0)] = Field(description="map less road, metres")
+
+
+class ChangedRoad(_Timed):
+    """The road has been raised or lowered since the survey where the vehicle drives in this time."""
+
+    kind: Literal["changed_road"]
+    offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = Field(description="road now less road then, metres")
+
+
+class ChangedTyre(_Timed):
+    """Another tyre, or one that loses air."""
+
+    kind: Literal["changed_tyre"]
+    radius_change_m: Annotated[float, Field(ge=-0.1, le=0.1)] = Field(description="metres")
+
+
+class ChangedLoad(_Timed):
+    """The vehicle is loaded: the suspension settles."""
+
+    kind: Literal["changed_load"]
+    settles_m: Annotated[float, Field(ge=0.0, le=0.2)] = Field(description="metres, downwards")
+
+
+class WheelSlip(_Timed):
+    """The wheels turn faster than the vehicle drives, or slide."""
+
+    kind: Literal["wheel_slip"]
+    factor: Annotated[float, Field(ge=0.0, le=3.0)] = Field(description="wheel speed by speed over ground")
+
+
+class BlockedLidar(_Timed):
+    """Something stands before the surround sensor."""
+
+    kind: Literal["blocked_lidar"]
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = Field(description="of its directions")
+
+
+class SymmetricScene(_Timed):
+    """The surround sensor sees the road only, as between featureless walls."""
+
+    kind: Literal["symmetric_scene"]
+
+
+class Spoofing(_Timed):
+    """A counterfeit sky leads the receiver away, slowly."""
+
+    kind: Literal["spoofing"]
+    east_m_s: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
+    north_m_s: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
+    up_m_s: Annotated[float, Field(ge=-10.0, le=10.0)] = 0.0
+
+
+class Jamming(_Timed):
+    """Noise drowns the satellites."""
+
+    kind: Literal["jamming"]
+    loss_db: Annotated[float, Field(gt=0.0, le=60.0)] = Field(description="of C/N0")
+
+
+class TimeJump(_Timed):
+    """The receiver's clock is off by this much."""
+
+    kind: Literal["time_jump"]
+    offset_s: Annotated[float, Field(ge=-86_400.0, le=86_400.0)] = Field(description="receiver less GPS time")
+
+
+class RepeatedEpochs(_Timed):
+    """The receiver says each epoch twice."""
+
+    kind: Literal["repeated_epochs"]
+
+
+class MissingEpochs(_Timed):
+    """The receiver says nothing."""
+
+    kind: Literal["missing_epochs"]
+
+
+class DroppedProcess(_Timed):
+    """A service of the vehicle is killed at the onset. A replay does it; files do not show it."""
+
+    kind: Literal["dropped_process"]
+    service: Literal["gnss", "map_server", "antenna_height", "localizer", "integrity", "map_update"] = Field(
+        description="one of " + ", ".join(SERVICES)
+    )
+
+
+Fault = Annotated[
+    WrongBase
+    | WrongMap
+    | ChangedRoad
+    | ChangedTyre
+    | ChangedLoad
+    | WheelSlip
+    | BlockedLidar
+    | SymmetricScene
+    | Spoofing
+    | Jamming
+    | TimeJump
+    | RepeatedEpochs
+    | MissingEpochs
+    | DroppedProcess,
+    Field(discriminator="kind"),
+]
+
+F = TypeVar("F", bound=_Timed)
+
+
+def of_kind(faults: tuple[Fault, ...], kind: type[F]) -> tuple[F, ...]:
+    """Those of one kind, in their order."""
+    return tuple(fault for fault in faults if isinstance(fault, kind))

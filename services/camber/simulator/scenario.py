@@ -1,0 +1,140 @@
+"""The scenario file of the simulator: where, when, what drives, what is recorded, what goes wrong.
+
+`docs/simulator.md` explains it for people; scenarios that come with Camber are in `scenarios/`.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal, Self, get_args
+
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
+from camber.schemas.base import Model, Name, Text
+from camber.schemas.toml_file import FileError, Overrides, load_toml
+from camber.simulator.faults import Fault
+
+_FOLDER = Path(__file__).parent / "scenarios"
+
+DistrictKind = Literal["open-sky", "city", "canyon", "overpass", "tunnel"]
+Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
+
+
+class ScenarioError(FileError):
+    """The scenario cannot be used; one clear line."""
+
+
+def _without_zone(value: datetime) -> datetime:
+    if value.tzinfo is not None:
+        raise PydanticCustomError(
+            "time", "expected a date and time of GPS time, without a zone, such as 2026-03-20T01:30:00"
+        )
+    return value
+
+
+class Place(Model):
+    """The district."""
+
+    kind: DistrictKind = Field(description="one of " + ", ".join(get_args(DistrictKind)))
+    latitude_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = Field(
+        default=35.17, description="of the district's origin"
+    )
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = Field(
+        default=136.88, description="the same"
+    )
+    heading_deg: Annotated[float, Field(ge=0.0, lt=360.0)] | None = Field(
+        default=None, description="of the street, clockwise from north; where there is one street only"
+    )
+    changed_roads: bool = Field(
+        default=False, description="have roads been raised or lowered since the survey?"
+    )
+
+
+class Lidar(Model):
+    """The surround sensor."""
+
+    beams: Literal[32, 64] = Field(default=64, description="32 or 64")
+    traffic: Annotated[int, Field(ge=0, le=100)] = Field(default=6, description="moving vehicles around")
+
+
+class Satellites(Model):
+    """What the sky and the receiver give."""
+
+    systems: Annotated[str, Field(pattern="^[GJEC]+$")] = Field(
+        default="GJEC", description="letters of GPS, QZSS (J), Galileo (E), BeiDou (C)"
+    )
+    rate_hz: Literal[1, 2, 5, 10] = Field(default=10, description="epochs a second: 1, 2, 5 or 10")
+    base_distance_m: Annotated[float, Field(ge=100.0, le=20_000.0)] = Field(
+        default=3_000.0, description="of the base station, to the north-east"
+    )
+    streams: bool = Field(default=True, description="RTCM and UBX streams beside the RINEX files")
+
+
+class Fleet(Model):
+    """Many vehicles over one district, by what they would upload."""
+
+    vehicles: Annotated[int, Field(ge=1, le=100_000)] = Field(default=100, description="how many")
+    drives_each: Annotated[int, Field(ge=1, le=1_000)] = Field(
+        default=3, description="drives of each of them"
+    )
+    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
+        default=5.0, description="records a second of driving"
+    )
+    attackers: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
+        default=0.0, description="share of vehicles that upload a made-up height"
+    )
+
+
+class Scenario(Model):
+    """One simulated drive, or a fleet's."""
+
+    name: Name = Field(description="name: letters, digits and _ . : @ + -")
+    description: Text = Field(default="", description="for people")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(default=1, description="seed of all that is random")
+    start: Annotated[datetime, AfterValidator(_without_zone)] = Field(
+        default=datetime(2026, 3, 20, 1, 30),
+        description="GPS time of the first epoch, such as 2026-03-20T01:30:00",
+    )
+    duration_s: Seconds = Field(default=120.0, description="of driving")
+    vehicle: Literal["car", "robot"] = Field(default="car", description="car or robot")
+    place: Place = Field(description="table with the district")
+    satellites: Satellites | None = Field(default=Satellites(), description="table of what is received")
+    lidar: Lidar | None = Field(default=None, description="table of the surround sensor")
+    fleet: Fleet | None = Field(default=None, description="table of a fleet; then nothing else is made")
+    faults: Annotated[tuple[Fault, ...], Field(strict=False)] = Field(
+        default=(), max_length=64, description="list of what goes wrong, and when"
+    )
+
+    @model_validator(mode="after")
+    def _faults_happen(self) -> Self:
+        for number, fault in enumerate(self.faults):
+            if fault.onset_s >= self.duration_s:
+                raise PydanticCustomError(
+                    "late",
+                    "faults.{number}: onset_s is {onset_s}, expected one before the end, {duration_s} s",
+                    {"number": number, "onset_s": fault.onset_s, "duration_s": self.duration_s},
+                )
+        return self
+
+    @property
+    def start_ns(self) -> int:
+        """GPS time of the first epoch."""
+        t = self.start
+        calendar = CalendarTime(t.year, t.month, t.day, t.hour, t.minute, t.second, 1000 * t.microsecond)
+        return gps_ns_from_gpst(calendar)
+
+
+def shipped() -> tuple[str, ...]:
+    """Names of the scenarios that come with Camber."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
+
+
+def load_scenario(name_or_path: str, overrides: Overrides = ()) -> Scenario:
+    """A shipped scenario by its name, or one from a file; raises ScenarioError with one line."""
+    path = _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped() else Path(name_or_path)
+    what = f"a scenario file or one of {', '.join(shipped())}"
+    scenario, _ = load_toml(Scenario, path, overrides, context={}, error=ScenarioError, what=what)
+    return scenario

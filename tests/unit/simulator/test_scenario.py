@@ -1,0 +1,98 @@
+"""A scenario is one file; what is wrong with it is one line; what comes with Camber can be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.simulator.faults import Jamming, WrongBase, of_kind
+from camber.simulator.scenario import ScenarioError, load_scenario, shipped
+
+
+def test_the_scenarios_that_the_readme_names_come_with_camber() -> None:
+    assert shipped() == (
+        "canyon",
+        "changed-road",
+        "city",
+        "faults",
+        "fleet",
+        "open-sky",
+        "overpass",
+        "tunnel-950s",
+    )
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_can_be_loaded_and_is_called_as_its_file(name: str) -> None:
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    assert scenario.description
+
+
+def test_every_kind_of_fault_is_in_the_scenario_of_faults_once_and_they_do_not_overlap() -> None:
+    faults = load_scenario("faults").faults
+    assert len({fault.kind for fault in faults}) == len(faults) == 14
+    ends = [fault.end_s if fault.end_s is not None else np.inf for fault in faults]
+    assert all(end < after.onset_s for end, after in zip(ends, faults[1:], strict=False))
+
+
+def test_a_file_of_ones_own_is_read_and_values_can_be_overridden(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine"\nstart = 2026-01-02T03:04:05\n[place]\nkind = "canyon"\n')
+    scenario = load_scenario(str(path), ["seed=7", "place.heading_deg=12.5", "lidar.beams=32"])
+    assert (scenario.name, scenario.seed, scenario.place.heading_deg) == ("mine", 7, 12.5)
+    assert scenario.lidar is not None
+    # 2026-01-02 is day 5 of GPS week 2399.
+    assert scenario.start_ns == ((2399 * 7 + 5) * 86_400 + 3 * 3600 + 4 * 60 + 5) * 10**9
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        (
+            "place.kind=town",
+            "place.kind is 'town': should be 'open-sky', 'city', 'canyon', 'overpass' or 'tunnel'",
+        ),
+        ("place.colour=1", "place.colour is not known; expected one of kind, latitude_deg"),
+        ("start=2026-03-20T01:30:00Z", "expected a date and time of GPS time, without a zone"),
+        ("satellites.rate_hz=3", "satellites.rate_hz is '3'"),
+        ('faults=[{kind="quake", onset_s=1.0}]', "faults.0"),
+        ('faults=[{kind="jamming", onset_s=1.0}]', "faults.0.jamming.loss_db is missing"),
+        ('faults=[{kind="wrong_base", onset_s=1.0, east=3.0}]', "did you mean east_m?"),
+        ('faults=[{kind="wrong_base", onset_s=9.0, end_s=9.0}]', "end_s is not after onset_s"),
+        (
+            'faults=[{kind="wrong_base", onset_s=120.0}]',
+            "faults.0: onset_s is 120.0, expected one before the end",
+        ),
+    ],
+)
+def test_what_is_wrong_is_one_line_that_names_it(override: str, said: str) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        load_scenario("city", [override])
+    assert said in str(refused.value)
+    assert "city.toml" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_scenario_that_is_not_there_is_told_which_are() -> None:
+    with pytest.raises(ScenarioError, match="expected a scenario file or one of canyon, changed-road, city"):
+        load_scenario("nowhere")
+
+
+def test_a_fault_acts_from_its_onset_until_before_its_end() -> None:
+    time_s = np.array([0.9, 1.0, 1.9, 2.0])
+    assert Jamming(kind="jamming", onset_s=1.0, end_s=2.0, loss_db=3.0).acts(time_s).tolist() == [
+        False,
+        True,
+        True,
+        False,
+    ]
+    assert WrongBase(kind="wrong_base", onset_s=1.0).acts(time_s).tolist() == [False, True, True, True]
+
+
+def test_faults_are_found_by_their_kind() -> None:
+    faults = load_scenario("faults").faults
+    (base,) = of_kind(faults, WrongBase)
+    assert base.east_m == 12.0
