@@ -1,17 +1,20 @@
 """Where an antenna really was: Camber's own `truth.csv`, and the layout of the Nagoya reference.
 
     camber  time_ns,latitude_deg,longitude_deg,height_m,roll_deg,pitch_deg,heading_deg,
-            velocity_east_m_s,velocity_north_m_s,velocity_up_m_s,fix_wrong
+            velocity_east_m_s,velocity_north_m_s,velocity_up_m_s,fix_wrong[,more …]
     nagoya  GPS TOW (s),GPS Week,Latitude (deg),…, as MatRTKLIB's example has it
 
 Positions are of the antenna, heights ellipsoidal, headings clockwise from north, pitch
 positive with the nose down (Nagoya: up). `fix_wrong` is 1 where a simulator made
 the receiver's fix wrong, 0 where it made it right, empty where it gave none; no recording has it.
+A simulator adds columns of numbers, named with their unit and empty where there is nothing to say.
 """
 
 import csv
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -39,6 +42,7 @@ _TEXT_OF_STATE: dict[FixState, str] = {"right": "0", "wrong": "1", "none": ""}
 _STATE_OF_TEXT = {text: FIX_STATES.index(state) for state, text in _TEXT_OF_STATE.items()}
 _NAGOYA_FLOATS = (2, 3, 4, 8, 9, 10, 11, 12, 13)
 _CAMBER_FLOATS = tuple(range(1, 10))
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,7 @@ class TruthTable:
 
     Attitude as in `camber.geodesy.se3`: `yaw_rad` counter-clockwise from east, in (−π, π], `pitch_rad` positive
     with the nose down, `roll_rad` with the left side up. `fix_state`, where a simulator says it, indexes
-    FIX_STATES.
+    FIX_STATES. `more` are further columns (n,) by name, NaN where there is nothing to say.
     """
 
     time_ns: npt.NDArray[np.int64]
@@ -59,6 +63,7 @@ class TruthTable:
     yaw_rad: Array
     velocity_enu_m_s: Array
     fix_state: npt.NDArray[np.int8] | None = None
+    more: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -75,6 +80,7 @@ class TruthTable:
             self.yaw_rad[selection],
             self.velocity_enu_m_s[selection],
             None if self.fix_state is None else self.fix_state[selection],
+            {name: column[selection] for name, column in self.more.items()},
         )
 
 
@@ -83,7 +89,9 @@ def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.reader(file)
         header = tuple(name.strip() for name in next(rows, []))
-        columns = _CAMBER if layout == "camber" else _NAGOYA
+        columns: tuple[str, ...] = _CAMBER if layout == "camber" else _NAGOYA
+        if layout == "camber" and header[: len(columns)] == columns and _are_more(header[len(columns) :]):
+            columns = header
         if header != columns:
             raise FormatError(path.name, "header", ",".join(columns), found=",".join(header), line_number=1)
         numbered = [(number, row) for number, row in enumerate(rows, start=2) if row]
@@ -93,13 +101,17 @@ def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
                 path.name, "columns", f"{len(columns)} fields", found=f"{len(row)} fields", line_number=number
             )
     values = _floats(path.name, numbered, columns, _CAMBER_FLOATS if layout == "camber" else _NAGOYA_FLOATS)
+    more = range(len(_CAMBER), len(columns)) if layout == "camber" else range(0)
+    further = _floats(path.name, numbered, columns, more, may_be_empty=True)
     time_ns = np.array([_time(path.name, number, row, layout) for number, row in numbered], dtype=np.int64)
     late = np.flatnonzero(np.diff(time_ns) <= 0)
     if len(late):
         raise FormatError(
             path.name, "time", "later than in the row before", line_number=numbered[late[0] + 1][0]
         )
-    states = [_state(path.name, number, row[-1]) for number, row in numbered] if layout == "camber" else None
+    states = None
+    if layout == "camber":
+        states = [_state(path.name, number, row[len(_CAMBER) - 1]) for number, row in numbered]
     # The Nagoya reference gives pitch with the nose up positive: it rises with the grade.
     pitch_sign = 1.0 if layout == "camber" else -1.0
     return TruthTable(
@@ -112,12 +124,15 @@ def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
         wrap_pi_array(0.5 * np.pi - np.deg2rad(values[:, 5])),
         values[:, 6:9],
         None if states is None else np.array(states, dtype=np.int8),
+        {columns[column]: further[:, place] for place, column in enumerate(more)},
     )
 
 
 def write_truth(path: Path, truth: TruthTable) -> None:
     """Write Camber's layout: positions to 0.1 mm, angles to 1e-7 degrees; the same truth gives the same bytes."""
-    lines = [",".join(_CAMBER)]
+    lines = [",".join((*_CAMBER, *truth.more))]
+    if not _are_more(tuple(truth.more)):
+        raise ValueError(f"further columns are {', '.join(truth.more)}, expected new names, each once")
     for i in range(len(truth)):
         heading_deg = np.rad2deg(wrap_two_pi(0.5 * np.pi - float(truth.yaw_rad[i])))
         velocity = ",".join(f"{component:.5f}" for component in truth.velocity_enu_m_s[i])
@@ -127,23 +142,46 @@ def write_truth(path: Path, truth: TruthTable) -> None:
             f"{truth.height_m[i]:.5f},{np.rad2deg(truth.roll_rad[i]) + 0.0:.7f},"
             f"{np.rad2deg(truth.pitch_rad[i]) + 0.0:.7f},"
             f"{heading_deg:.7f},{velocity},{_TEXT_OF_STATE[state]}"
+            + "".join(f",{_number(column[i])}" for column in truth.more.values())
         )
     path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
 
 
+def _are_more(names: tuple[str, ...]) -> bool:
+    return len({*_CAMBER, *names}) == len(_CAMBER) + len(names) and all(map(_NAME.fullmatch, names))
+
+
+def _number(value: float) -> str:
+    """To a micrometre and the like; whole numbers as such, nothing for NaN."""
+    if math.isnan(value):
+        return ""
+    return str(int(value)) if value == int(value) else f"{value:.6f}"
+
+
 def _floats(
-    source_name: str, numbered: Sequence[tuple[int, list[str]]], columns: Sequence[str], wanted: Sequence[int]
+    source_name: str,
+    numbered: Sequence[tuple[int, list[str]]],
+    columns: Sequence[str],
+    wanted: Sequence[int],
+    *,
+    may_be_empty: bool = False,
 ) -> Array:
+    """Columns of finite numbers; NaN where a field is empty and may be."""
     values = np.empty((len(numbered), len(wanted)))
+    left_out = np.zeros(values.shape, bool)
     for row_index, (number, row) in enumerate(numbered):
         for column_index, column in enumerate(wanted):
+            if may_be_empty and not row[column].strip():
+                left_out[row_index, column_index] = True
+                continue
             try:
                 values[row_index, column_index] = float(row[column])
             except ValueError:
                 raise FormatError(
                     source_name, columns[column], "a number", found=row[column], line_number=number
                 ) from None
-    bad = np.argwhere(~np.isfinite(values))
+    values[left_out] = math.nan
+    bad = np.argwhere(~np.isfinite(values) & ~left_out)
     if len(bad):
         number, row = numbered[bad[0, 0]]
         column = wanted[bad[0, 1]]
