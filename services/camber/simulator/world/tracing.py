@@ -1,0 +1,388 @@
+"""Rays against the shapes of a district: what a LiDAR's beams hit, and what stands before a satellite.
+
+Each ray walks the cells of a plane grid (Amanatides & Woo 1987, "A fast voxel traversal algorithm for ray tracing")
+until a surface is nearer than the end of the cell. All loops are compiled and run without the interpreter's lock, so
+two threads may ask the same tracer.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.compiled import compiled, compiled_without_gil
+from camber.simulator.scene import Hits, Material, Shapes
+from camber.simulator.world.ray_shapes import (
+    box_normal,
+    box_span,
+    crown_normal,
+    crown_span,
+    cylinder_normal,
+    cylinder_span,
+    triangle_distance,
+    triangle_normal,
+)
+from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, CellLists, ShapeGrid, shape_grid
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+CELL_M = 6.0
+_NEAREST_M = 1.0e-6
+"""A surface nearer than this is the one that a ray starts from."""
+_NOTHING, _TRIANGLE = -1, 3
+
+_Lists = tuple[Integers, Integers, Floats, Floats]
+_Place = tuple[float, float, float, int, int]
+_Solids = tuple[Integers, Integers, Floats, Floats, Floats]
+
+
+class ShapeTracer:
+    """The Tracer of `scene`. A ray that starts inside a solid meets that solid's surface from inside."""
+
+    def __init__(self, shapes: Shapes, cell_m: float = CELL_M) -> None:
+        grid = shape_grid(shapes, cell_m)
+        self._crowns = len(shapes.crowns_m)
+        self._place = _place(grid)
+        self._solid_lists = _lists(grid.solids)
+        self._triangle_lists = _lists(grid.triangles)
+        boxes = shapes.boxes_m
+        rows = np.column_stack((boxes[:, :6], np.cos(boxes[:, 6]), np.sin(boxes[:, 6])))
+        self._solids: _Solids = (
+            grid.solid_kind.astype(np.int64),
+            grid.solid_row.astype(np.int64),
+            np.ascontiguousarray(rows),
+            np.ascontiguousarray(shapes.cylinders_m),
+            np.ascontiguousarray(shapes.crowns_m),
+        )
+        corner = shapes.triangles_m
+        self._triangles = np.ascontiguousarray(
+            np.concatenate((corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        )
+        crowns = np.full(len(shapes.crowns_m), int(Material.TREE), np.int64)
+        self._solid_material = np.concatenate((shapes.boxes_material, shapes.cylinders_material, crowns))
+        self._triangle_material = shapes.triangles_material
+
+    def first_hits(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Hits:
+        """The first surface along each ray; origin (n, 3), direction (n, 3), unit."""
+        origin, towards = _rays(origin_m, direction)
+        distance = np.full(len(origin), np.inf)
+        material = np.full(len(origin), -1, np.int64)
+        normal = np.zeros((len(origin), 3))
+        _first_hits(
+            origin,
+            towards,
+            max_range_m,
+            self._place,
+            self._solid_lists,
+            self._triangle_lists,
+            self._solids,
+            self._triangles,
+            self._solid_material,
+            self._triangle_material,
+            distance,
+            material,
+            normal,
+        )
+        return Hits(distance, material, normal)
+
+    def blocked(self, origin_m: Floats, direction: Floats, max_range_m: float) -> NDArray[np.bool_]:
+        """Is there anything but a tree's crown along each ray? (n,)"""
+        origin, towards = _rays(origin_m, direction)
+        result = np.zeros(len(origin), np.bool_)
+        _blocked(
+            origin,
+            towards,
+            max_range_m,
+            self._place,
+            self._solid_lists,
+            self._triangle_lists,
+            self._solids,
+            self._triangles,
+            result,
+        )
+        return result
+
+    def through_crowns_m(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Floats:
+        """How many metres of tree crowns each ray passes, (n,); where crowns overlap, once. Walls do not end it."""
+        origin, towards = _rays(origin_m, direction)
+        result = np.zeros(len(origin))
+        if self._crowns:
+            spans = np.empty((self._crowns + 1, 2))
+            _through_crowns(
+                origin, towards, max_range_m, self._place, self._solid_lists, self._solids, spans, result
+            )
+        return result
+
+
+def _rays(origin_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    origin = np.ascontiguousarray(origin_m, np.float64)
+    towards = np.ascontiguousarray(direction, np.float64)
+    if origin.ndim != 2 or origin.shape[1] != 3 or origin.shape != towards.shape:
+        raise ValueError(f"origin {origin.shape} and direction {towards.shape}, expected both (n, 3)")
+    return origin, towards
+
+
+def _place(grid: ShapeGrid) -> _Place:
+    return grid.west_m, grid.south_m, grid.cell_m, grid.columns, grid.rows
+
+
+def _lists(lists: CellLists) -> _Lists:
+    return lists.first, lists.shape, lists.span_m, lists.cell_span_m
+
+
+@compiled
+def _into_grid(place: _Place, x: float, y: float, dx: float, dy: float, max_m: float) -> tuple[float, float]:
+    """The part of a ray, from t to t, above the grid."""
+    west, south, cell, columns, rows = place
+    t0, t1 = 0.0, max_m
+    for origin, step, low, high in (
+        (x, dx, west, west + columns * cell),
+        (y, dy, south, south + rows * cell),
+    ):
+        if step == 0.0:
+            if origin < low or origin >= high:
+                return 1.0, 0.0
+        else:
+            a, b = (low - origin) / step, (high - origin) / step
+            t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
+    return t0, t1
+
+
+@compiled
+def _walk(
+    place: _Place, x: float, y: float, dx: float, dy: float, t0: float
+) -> tuple[int, int, int, int, float, float, float, float]:
+    """Column and row of the first cell, the steps, and t to the next column and row and from one to the next."""
+    west, south, cell, columns, rows = place
+    column = min(max(int((x + t0 * dx - west) / cell), 0), columns - 1)
+    row = min(max(int((y + t0 * dy - south) / cell), 0), rows - 1)
+    step_c, next_c, every_c = 0, math.inf, math.inf
+    if dx > 0.0:
+        step_c, next_c, every_c = 1, (west + (column + 1) * cell - x) / dx, cell / dx
+    elif dx < 0.0:
+        step_c, next_c, every_c = -1, (west + column * cell - x) / dx, -cell / dx
+    step_r, next_r, every_r = 0, math.inf, math.inf
+    if dy > 0.0:
+        step_r, next_r, every_r = 1, (south + (row + 1) * cell - y) / dy, cell / dy
+    elif dy < 0.0:
+        step_r, next_r, every_r = -1, (south + row * cell - y) / dy, -cell / dy
+    return column, row, step_c, step_r, next_c, next_r, every_c, every_r
+
+
+@compiled
+def _solid_span(
+    solids: _Solids, k: int, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> tuple[float, float]:
+    kind, row, boxes, cylinders, crowns = solids
+    if kind[k] == BOX:
+        return box_span(boxes, row[k], x, y, z, dx, dy, dz)
+    if kind[k] == CYLINDER:
+        return cylinder_span(cylinders, row[k], x, y, z, dx, dy, dz)
+    return crown_span(crowns, row[k], x, y, z, dx, dy, dz)
+
+
+@compiled
+def _nearest(
+    place: _Place,
+    solid_lists: _Lists,
+    triangle_lists: _Lists,
+    solids: _Solids,
+    triangles: Floats,
+    with_crowns: bool,
+    any_will_do: bool,
+    ray: tuple[float, float, float, float, float, float],
+    max_m: float,
+) -> tuple[float, int, int]:
+    """Distance to the nearest surface, which sort of shape it is (solid 0, triangle 3, nothing −1) and its number."""
+    x, y, z, dx, dy, dz = ray
+    best, sort, number = max_m, _NOTHING, -1
+    t, end = _into_grid(place, x, y, dx, dy, max_m)
+    if t > end:
+        return math.inf, _NOTHING, -1
+    column, row, step_c, step_r, next_c, next_r, every_c, every_r = _walk(place, x, y, dx, dy, t)
+    columns, rows = place[3], place[4]
+    s_first, s_shape, s_span, s_cell = solid_lists
+    t_first, t_shape, t_span, t_cell = triangle_lists
+    while True:
+        leave = min(next_c, next_r, end)
+        z0, z1 = z + t * dz, z + leave * dz
+        low, high = (z0, z1) if z0 < z1 else (z1, z0)
+        cell = row * columns + column
+        if low <= t_cell[cell, 1] and high >= t_cell[cell, 0]:
+            for j in range(t_first[cell], t_first[cell + 1]):
+                if low <= t_span[j, 1] and high >= t_span[j, 0]:
+                    at = triangle_distance(triangles, t_shape[j], x, y, z, dx, dy, dz)
+                    if _NEAREST_M < at < best:
+                        best, sort, number = at, _TRIANGLE, t_shape[j]
+        if low <= s_cell[cell, 1] and high >= s_cell[cell, 0]:
+            for j in range(s_first[cell], s_first[cell + 1]):
+                if low <= s_span[j, 1] and high >= s_span[j, 0]:
+                    k = s_shape[j]
+                    if not with_crowns and solids[0][k] == CROWN:
+                        continue
+                    enter, out = _solid_span(solids, k, x, y, z, dx, dy, dz)
+                    if enter <= out:
+                        at = enter if enter > _NEAREST_M else out
+                        if _NEAREST_M < at < best:
+                            best, sort, number = at, 0, k
+        if sort != _NOTHING and (any_will_do or best <= leave):
+            return best, sort, number
+        if leave >= end:
+            break
+        t = leave
+        if next_c < next_r:
+            column += step_c
+            next_c += every_c
+            if column < 0 or column >= columns:
+                break
+        else:
+            row += step_r
+            next_r += every_r
+            if row < 0 or row >= rows:
+                break
+    if sort == _NOTHING:
+        return math.inf, _NOTHING, -1
+    return best, sort, number
+
+
+@compiled_without_gil
+def _first_hits(
+    origin: Floats,
+    towards: Floats,
+    max_m: float,
+    place: _Place,
+    solid_lists: _Lists,
+    triangle_lists: _Lists,
+    solids: _Solids,
+    triangles: Floats,
+    solid_material: Integers,
+    triangle_material: Integers,
+    distance: Floats,
+    material: Integers,
+    normal: Floats,
+) -> None:
+    kind, row_of, boxes, cylinders, crowns = solids
+    for i in range(len(origin)):
+        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
+        dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
+        at, sort, k = _nearest(
+            place,
+            solid_lists,
+            triangle_lists,
+            solids,
+            triangles,
+            True,
+            False,
+            (x, y, z, dx, dy, dz),
+            max_m,
+        )
+        if sort == _NOTHING:
+            continue
+        distance[i] = at
+        px, py, pz = x + at * dx, y + at * dy, z + at * dz
+        if sort == _TRIANGLE:
+            material[i] = triangle_material[k]
+            nx, ny, nz = triangle_normal(triangles, k)
+        else:
+            material[i] = solid_material[k]
+            if kind[k] == BOX:
+                nx, ny, nz = box_normal(boxes, row_of[k], px, py, pz)
+            elif kind[k] == CYLINDER:
+                nx, ny, nz = cylinder_normal(cylinders, row_of[k], px, py, pz)
+            else:
+                nx, ny, nz = crown_normal(crowns, row_of[k], px, py, pz)
+        side = -1.0 if nx * dx + ny * dy + nz * dz > 0.0 else 1.0
+        normal[i, 0], normal[i, 1], normal[i, 2] = side * nx, side * ny, side * nz
+
+
+@compiled_without_gil
+def _blocked(
+    origin: Floats,
+    towards: Floats,
+    max_m: float,
+    place: _Place,
+    solid_lists: _Lists,
+    triangle_lists: _Lists,
+    solids: _Solids,
+    triangles: Floats,
+    result: NDArray[np.bool_],
+) -> None:
+    for i in range(len(origin)):
+        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
+        dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
+        ray = (x, y, z, dx, dy, dz)
+        _, sort, _ = _nearest(place, solid_lists, triangle_lists, solids, triangles, False, True, ray, max_m)
+        result[i] = sort != _NOTHING
+
+
+@compiled_without_gil
+def _through_crowns(
+    origin: Floats,
+    towards: Floats,
+    max_m: float,
+    place: _Place,
+    solid_lists: _Lists,
+    solids: _Solids,
+    spans: Floats,
+    result: Floats,
+) -> None:
+    first, shape, span_m, cell_span = solid_lists
+    columns, rows = place[3], place[4]
+    kind, row_of, _, _, crowns = solids
+    for i in range(len(origin)):
+        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
+        dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
+        t, end = _into_grid(place, x, y, dx, dy, max_m)
+        if t > end:
+            continue
+        column, row, step_c, step_r, next_c, next_r, every_c, every_r = _walk(place, x, y, dx, dy, t)
+        used = 0
+        while True:
+            leave = min(next_c, next_r, end)
+            z0, z1 = z + t * dz, z + leave * dz
+            low, high = (z0, z1) if z0 < z1 else (z1, z0)
+            cell = row * columns + column
+            if low <= cell_span[cell, 1] and high >= cell_span[cell, 0]:
+                for j in range(first[cell], first[cell + 1]):
+                    k = shape[j]
+                    if kind[k] == CROWN and low <= span_m[j, 1] and high >= span_m[j, 0]:
+                        a, b = crown_span(crowns, row_of[k], x, y, z, dx, dy, dz)
+                        a, b = max(a, 0.0), min(b, max_m)
+                        if a < b:
+                            used = _joined(spans, used, a, b)
+            if leave >= end:
+                break
+            t = leave
+            if next_c < next_r:
+                column += step_c
+                next_c += every_c
+                if column < 0 or column >= columns:
+                    break
+            else:
+                row += step_r
+                next_r += every_r
+                if row < 0 or row >= rows:
+                    break
+        total = 0.0
+        for j in range(used):
+            total += spans[j, 1] - spans[j, 0]
+        result[i] = total
+
+
+@compiled
+def _joined(spans: Floats, used: int, a: float, b: float) -> int:
+    """Add a span to those that do not touch one another; a crown met in two cells is met once. Returns how many."""
+    j = 0
+    while j < used:
+        if spans[j, 0] <= b and a <= spans[j, 1]:
+            a, b = min(a, spans[j, 0]), max(b, spans[j, 1])
+            used -= 1
+            spans[j, 0], spans[j, 1] = spans[used, 0], spans[used, 1]
+            j = 0
+        else:
+            j += 1
+    spans[used, 0], spans[used, 1] = a, b
+    return used + 1
