@@ -1,0 +1,48 @@
+"""Rotations of many moments at once: R = Rz(yaw) Ry(pitch) Rx(roll), as in `camber.geodesy.se3`, as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camber.simulator.scene import Floats
+
+
+def rotations(roll_rad: Floats, pitch_rad: Floats, yaw_rad: Floats) -> Floats:
+    """World from vehicle (n, 3, 3)."""
+    sr, cr = np.sin(roll_rad), np.cos(roll_rad)
+    sp, cp = np.sin(pitch_rad), np.cos(pitch_rad)
+    sy, cy = np.sin(yaw_rad), np.cos(yaw_rad)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def turned(rotation: Floats, point: tuple[float, float, float]) -> Floats:
+    """A point of the vehicle frame in world axes (n, 3)."""
+    moved: Floats = rotation @ np.array(point)
+    return moved
+
+
+def angular_velocity(
+    pitch_rad: Floats, yaw_rad: Floats, roll_rate: Floats, pitch_rate: Floats, yaw_rate: Floats
+) -> Floats:
+    """ω in world axes [rad/s] (n, 3) of the rates of the three angles: about up, the turned y, the body's x."""
+    sp, cp = np.sin(pitch_rad), np.cos(pitch_rad)
+    sy, cy = np.sin(yaw_rad), np.cos(yaw_rad)
+    return np.column_stack(
+        (
+            -sy * pitch_rate + cy * cp * roll_rate,
+            cy * pitch_rate + sy * cp * roll_rate,
+            yaw_rate - sp * roll_rate,
+        )
+    )
+
+
+def body_yaw_rate(
+    roll_rad: Floats, pitch_rad: Floats, pitch_rate_rad_s: Floats, yaw_rate_rad_s: Floats
+) -> Floats:
+    """What a rate sensor fixed to the body measures about its own z [rad/s] (n,)."""
+    return np.cos(pitch_rad) * np.cos(roll_rad) * yaw_rate_rad_s - np.sin(roll_rad) * pitch_rate_rad_s
