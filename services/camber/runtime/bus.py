@@ -145,15 +145,18 @@ class Bus:
     def flush(self, rider: Message, wanted_by: Set[str]) -> set[str]:
         """Send what was published in this tick of a replay, and `rider` with it.
 
-        The rider travels with the last message of as many channels as it takes to reach those it is wanted by;
-        returns those that it does not reach.
+        The rider travels with the last message of as many channels as it takes to reach those it is wanted by, and
+        with the very last one for the feeder: when it has that, it has them all. Returns those that it does not reach.
         """
         held, self._held = self._held, []
         unreached, attachment = set(wanted_by), encode(rider, source=self.service)
         last = {item.channel.name: position for position, item in enumerate(held)}
+        of_vehicle = [position for position, item in enumerate(held) if "{vehicle}" in item.channel.key]
         for position, (channel, publisher, data) in enumerate(held):
-            hear = {FEEDER, *channel.consumers} & unreached
-            if hear and last[channel.name] == position:
+            hear = set(channel.consumers) & unreached if last[channel.name] == position else set()
+            if of_vehicle[-1:] == [position]:
+                hear |= {FEEDER} & unreached
+            if hear:
                 publisher.put(data, attachment=attachment)
                 unreached -= hear
             else:

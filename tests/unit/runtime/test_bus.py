@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -18,7 +19,7 @@ from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode
-from camber.schemas.health import Health
+from camber.schemas.health import Health, HealthRequest
 
 
 class Plain(Service[ServiceSettings]):
@@ -140,3 +141,49 @@ def test_in_a_replay_who_is_alive_is_what_the_tick_says() -> None:
     bus.participants = frozenset({"map_server"})
     assert bus.is_alive("map_server")
     assert not bus.is_alive("localizer")
+
+
+class Wire:
+    """What goes out: key, and whom the rider would reach."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, bool]] = []
+
+    def declare_publisher(self, key: str, **_: Any) -> Any:
+        return SimpleNamespace(
+            put=lambda data, attachment=None: self.sent.append((key, attachment is not None))
+        )
+
+
+def flushed(
+    service: str, published: list[str], wanted_by: set[str]
+) -> tuple[list[tuple[str, bool]], set[str]]:
+    wire = Wire()
+    bus = Bus(cast(Any, wire), ServiceSettings(log_level="error"), service, ReplayClock())
+    for name in published:
+        bus.publish(name, HealthRequest(time_ns=10**18))
+    assert wire.sent == [], "before the end of the tick nothing goes"
+    rider = HealthRequest(time_ns=10**18)
+    left = bus.flush(rider, wanted_by)
+    assert bus.flush(rider, set()) == set()
+    return [(key.rsplit("/", 1)[-1], ridden) for key, ridden in wire.sent], left
+
+
+def test_the_rider_travels_with_the_last_message_of_as_few_channels_as_reach_all() -> None:
+    sent, left = flushed("gnss", ["fix", "fix", "velocity"], {"localizer", "integrity"})
+    assert sent == [("fix", False), ("fix", True), ("velocity", False)]
+    assert left == set()
+
+
+def test_for_the_feeder_it_travels_with_the_very_last_message() -> None:
+    sent, left = flushed("integrity", ["verdict", "position"], {"localizer", "feeder"})
+    assert sent == [("verdict", True), ("position", True)]
+    assert left == set()
+
+
+def test_whom_it_does_not_reach_is_told() -> None:
+    assert flushed("localizer", ["pose"], {"integrity", "antenna_height", "feeder"})[1] == {"antenna_height"}
+    assert flushed("localizer", [], {"integrity", "feeder"})[1] == {"integrity", "feeder"}
+    # A fleet's key is not among those that the feeder of a vehicle hears.
+    sent, left = flushed("map_update", ["release"], {"map_server", "feeder"})
+    assert (sent, left) == ([("release", True)], {"feeder"})
