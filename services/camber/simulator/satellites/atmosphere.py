@@ -1,0 +1,119 @@
+"""Delays by ionosphere and troposphere, many at a time.
+
+Sources: IS-GPS-200N, 20.3.3.5.2.5 and figure 20-4 (Klobuchar's model); J. Saastamoinen, "Contributions to the theory of
+atmospheric refraction", Bulletin géodésique 105-107 (1972-73), with the standard atmosphere as in RTKLIB manual 2.4.2,
+E.5 (1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+from camber.simulator.random_streams import stream
+from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+KLOBUCHAR_ALPHA = (1.118e-08, 2.235e-08, -5.96e-08, -1.192e-07)
+KLOBUCHAR_BETA = (1.167e05, 1.802e05, -1.311e05, -4.588e05)
+"""Broadcast by GPS on a day of moderate activity; s, s/semicircle, …"""
+
+_SHELL_M = 350e3
+_EARTH_M = 6371e3
+
+
+def klobuchar_m(
+    time_ns: Integers, latitude_rad: Floats, longitude_rad: Floats, azimuth_rad: Floats, elevation_rad: Floats
+) -> Floats:
+    """Delay of code on L1 [m]: time, latitude, longitude (n,), azimuth and elevation (n, m) → (n, m)."""
+    semicircle = 1.0 / np.pi
+    el = elevation_rad * semicircle
+    psi = 0.0137 / (el + 0.11) - 0.022
+    lat = np.clip(latitude_rad[:, None] * semicircle + psi * np.cos(azimuth_rad), -0.416, 0.416)
+    lon = longitude_rad[:, None] * semicircle + psi * np.sin(azimuth_rad) / np.cos(lat * np.pi)
+    magnetic = lat + 0.064 * np.cos((lon - 1.617) * np.pi)
+    tow = (time_ns % NS_PER_WEEK)[:, None] / NS_PER_SECOND
+    local = (4.32e4 * lon + tow) % 86400.0
+    powers = magnetic[..., None] ** np.arange(4)
+    amplitude = np.maximum(powers @ np.array(KLOBUCHAR_ALPHA), 0.0)
+    period = np.maximum(powers @ np.array(KLOBUCHAR_BETA), 72000.0)
+    x = 2.0 * np.pi * (local - 50400.0) / period
+    slant = 1.0 + 16.0 * (0.53 - el) ** 3
+    day = np.where(np.abs(x) < 1.57, amplitude * (1.0 - x**2 / 2.0 + x**4 / 24.0), 0.0)
+    delay: Floats = SPEED_OF_LIGHT_M_S * slant * (5.0e-9 + day)
+    return delay
+
+
+def saastamoinen_m(latitude_rad: Floats, height_m: Floats, elevation_rad: Floats, humidity: float) -> Floats:
+    """Delay of the standard atmosphere [m]: latitude, ellipsoidal height (n,), elevation (n, m) → (n, m)."""
+    height = np.maximum(height_m, 0.0)
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * height) ** 5.2568
+    kelvin = 15.0 - 6.5e-3 * height + 273.16
+    vapour = 6.108 * humidity * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    zenith = 0.5 * np.pi - elevation_rad
+    dry = 0.0022768 * pressure / (1.0 - 0.00266 * np.cos(2.0 * latitude_rad) - 0.00028 * height * 1e-3)
+    wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
+    total: Floats = (dry + wet)[:, None] / np.cos(zenith)
+    return total
+
+
+def shell_mapping(elevation_rad: Floats) -> Floats:
+    """Slant to vertical in a thin shell at 350 km: 1 / cos z′."""
+    ratio = _EARTH_M / (_EARTH_M + _SHELL_M) * np.cos(elevation_rad)
+    mapping: Floats = 1.0 / np.sqrt(1.0 - ratio**2)
+    return mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Atmosphere:
+    """The atmosphere of one day about a place; rover and base share it.
+
+    `ionosphere_scale`: the true delay against the broadcast model's. `gradient_m_per_m`: vertical delay on L1 towards
+    east and north beyond the model's. `humidity`, `wet_zenith_m`: the troposphere against the standard one, and
+    `wet_gradient_m_per_m`.
+    """
+
+    ionosphere_scale: float
+    gradient_m_per_m: tuple[float, float]
+    humidity: float
+    wet_zenith_m: float
+    wet_gradient_m_per_m: tuple[float, float]
+
+    @classmethod
+    def drawn(cls, seed: int, ionosphere_mm_per_km: float = 1.0, wet_mm_per_km: float = 0.3) -> Atmosphere:
+        """From a seed; gradients of one standard deviation as given."""
+        draw = stream(seed, "satellites/atmosphere").normal(size=6)
+        return cls(
+            float(np.clip(1.0 + 0.2 * draw[0], 0.4, 1.6)),
+            (float(draw[1]) * ionosphere_mm_per_km * 1e-6, float(draw[2]) * ionosphere_mm_per_km * 1e-6),
+            0.7,
+            0.05 * float(draw[3]),
+            (float(draw[4]) * wet_mm_per_km * 1e-6, float(draw[5]) * wet_mm_per_km * 1e-6),
+        )
+
+    def delays_m(
+        self,
+        time_ns: Integers,
+        latitude_rad: Floats,
+        longitude_rad: Floats,
+        height_m: Floats,
+        east_north_m: Floats,
+        azimuth_rad: Floats,
+        elevation_rad: Floats,
+    ) -> tuple[Floats, Floats]:
+        """Ionosphere of code on L1 and troposphere [m], (n, m) each; `east_north_m` (n, 2) from the frame's origin."""
+        el = np.maximum(elevation_rad, np.deg2rad(2.0))
+        ionosphere = self.ionosphere_scale * klobuchar_m(
+            time_ns, latitude_rad, longitude_rad, azimuth_rad, el
+        )
+        ionosphere = ionosphere + (east_north_m @ np.array(self.gradient_m_per_m))[:, None] * shell_mapping(
+            el
+        )
+        wet = self.wet_zenith_m + east_north_m @ np.array(self.wet_gradient_m_per_m)
+        troposphere = saastamoinen_m(latitude_rad, height_m, el, self.humidity) + wet[:, None] / np.sin(el)
+        return ionosphere, troposphere

@@ -1,0 +1,270 @@
+"""GPS, QZSS, Galileo and BeiDou in their nominal constellations, as the broadcast ephemerides of some hours.
+
+Sources: GPS SPS Performance Standard, 5th edition, tables 3.2-1 and 3.2-2 (slots, without the drift of the planes since
+their epoch); Galileo OS Service Definition Document 1.3, annex on the reference constellation (24/3/1 and its epoch);
+BDS-OS-PS 3.0, 2.2 (24/3/1, inclined and geostationary satellites); IS-QZSS-PNT-004, 4 (eccentric inclined orbits over
+Japan); S. Aoki et al., "The new definition of universal time", A&A 105 (1982) (sidereal time).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from camber.formats.observations import Ephemeris, satellite_number
+from camber.geodesy.gps_time import NS_PER_DAY, NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
+from camber.simulator.random_streams import stream
+from camber.simulator.satellites.orbits import (
+    BDT_MINUS_GPS_NS,
+    SPEED_OF_LIGHT_M_S,
+    gravity_m3_s2,
+    is_geostationary,
+    rotation_rad_s,
+)
+
+_HOUR_NS = 3600 * NS_PER_SECOND
+_STEP_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": _HOUR_NS // 2, "C": _HOUR_NS}
+_SYNCHRONOUS_S = 86164.0905
+_GPS_NODES_DEG = (272.847, 332.847, 32.847, 92.847, 152.847, 212.847)
+_GPS_SLOTS_DEG = (
+    (268.126, 161.786, 11.676, 41.806),
+    (94.916, 66.356, 173.336, 309.976, 204.376),
+    (111.876, 11.796, 339.666, 241.556),
+    (135.226, 282.676, 257.976, 35.156, 167.356),
+    (197.046, 302.596, 66.066, 333.686),
+    (238.886, 0.456, 334.016, 105.206, 135.346),
+)
+_GPS_SURPLUS_DEG = ((0, 100.0), (2, 60.0), (3, 90.0), (4, 15.0))  # plane, argument of latitude
+_GALILEO_PRN = (
+    2, 3, 4, 5, 7, 8, 9, 10, 11, 12, 13, 15, 16, 19, 21, 23, 24, 25, 26, 27, 29, 30, 31, 33, 34, 36,
+)  # fmt: skip
+_BEIDOU_MEO_PRN = (
+    19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 32, 33, 34, 35, 36, 37, 41, 42, 43, 44, 45, 46,
+)  # fmt: skip
+_BEIDOU_IGSO = ((38, 118.0, 0.0), (39, 118.0, 120.0), (40, 118.0, 240.0))  # number, longitude, phase
+_BEIDOU_GEO = ((1, 140.0), (2, 84.0), (3, 110.5))
+_QZSS = ((2, 0.0), (3, 230.0), (4, 130.0))  # number, phase of the figure of eight over 135° E
+_QZSS_GEO = (7, 127.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Orbit:
+    """An orbit at a time: the node's longitude in ECEF (of a GEO its own longitude), the argument of latitude."""
+
+    satellite: int
+    semi_major_m: float
+    eccentricity: float
+    inclination_deg: float
+    node_deg: float
+    perigee_deg: float
+    mean_argument_deg: float
+
+
+def true_ephemerides(begin_ns: int, end_ns: int, seed: int) -> list[Ephemeris]:
+    """Sets that cover `begin_ns` to `end_ns`, all sets of one satellite describing one and the same orbit.
+
+    Their ages stay within what receivers accept (GPS, QZSS 2 h, Galileo 4 h, BeiDou 6 h), Galileo's and BeiDou's
+    toe lies before the time of use. The constellation at a time is nominal with small deviations drawn from the seed.
+    Raises ValueError where `end_ns` lies before `begin_ns`.
+    """
+    if end_ns < begin_ns:
+        raise ValueError(f"end_ns {end_ns} lies before begin_ns {begin_ns}")
+    reference_ns = begin_ns // NS_PER_DAY * NS_PER_DAY
+    sets: list[Ephemeris] = []
+    for orbit in _orbits(reference_ns, seed):
+        system = chr(orbit.satellite >> 8)
+        step_ns = _STEP_NS[system]
+        shift_ns = BDT_MINUS_GPS_NS if system == "C" else 0
+        # The newest set that has begun before; GPS and QZSS send toe up to two hours ahead.
+        first = (begin_ns + shift_ns) // step_ns - (0 if system in "GJ" else 1)
+        last = (end_ns + shift_ns) // step_ns + (1 if system in "GJ" else 0)
+        base = _reference_set(orbit, reference_ns, seed)
+        sets += [_moved(base, k * step_ns - shift_ns, reference_ns, k) for k in range(first, last + 1)]
+    return sets
+
+
+def broadcast_ephemerides(true: Sequence[Ephemeris], seed: int) -> list[Ephemeris]:
+    """What the satellites say: the true sets with each set's own errors of orbit (1 m along, 0.3 m across) and clock.
+
+    (Montenbruck, Steigenberger, Hauschild, "Broadcast versus precise ephemerides", GPS Solutions 19 (2015).)
+    """
+    said = []
+    for e in true:
+        draw = stream(seed, f"satellites/broadcast/{e.satellite}/{e.toe_ns}").normal(size=4)
+        radius_m = e.sqrt_a**2
+        said.append(
+            replace(
+                e,
+                mean_anomaly_rad=e.mean_anomaly_rad + 1.0 / radius_m * draw[0],
+                inclination_rad=e.inclination_rad + 0.3 / radius_m * draw[1],
+                ascending_node_rad=e.ascending_node_rad + 0.3 / radius_m * draw[2],
+                clock=(e.clock[0] + 0.5 / SPEED_OF_LIGHT_M_S * draw[3], e.clock[1], e.clock[2]),
+            )
+        )
+    return said
+
+
+def _orbits(time_ns: int, seed: int) -> list[_Orbit]:
+    turned_deg = _sidereal_deg(time_ns)
+    orbits: list[_Orbit] = []
+
+    def add(
+        name: str,
+        period_s: float,
+        e: float,
+        i_deg: float,
+        node_deg: float,
+        perigee_deg: float,
+        argument_deg: float,
+    ) -> None:
+        draw = stream(seed, f"satellites/orbit/{name}").normal(size=4)
+        a = (gravity_m3_s2(name[0]) * (period_s / (2.0 * math.pi)) ** 2) ** (1.0 / 3.0)
+        number = satellite_number(name)
+        geo = is_geostationary(number)
+        orbits.append(
+            _Orbit(
+                number,
+                a,
+                e * (1.0 + 0.2 * float(np.clip(draw[0], -2.0, 2.0))),
+                i_deg + (0.0 if geo else 0.3 * draw[1]),
+                node_deg + (0.0 if geo else 0.3 * draw[2]),
+                perigee_deg,
+                argument_deg + 0.5 * draw[3] * (0.05 if geo else 1.0),
+            )
+        )
+
+    epoch = gps_ns_from_gpst(CalendarTime(1993, 7, 1, 0, 0, 0))
+    period = 0.5 * _SYNCHRONOUS_S
+    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    slots = [(p, u) for p, plane in enumerate(_GPS_SLOTS_DEG) for u in plane] + list(_GPS_SURPLUS_DEG)
+    for prn, (plane, u) in enumerate(slots, start=1):
+        perigee = 360.0 * ((prn * 0.381966) % 1.0)
+        add(f"G{prn:02d}", period, 0.008, 55.0, _GPS_NODES_DEG[plane] - turned_deg, perigee, u + since)
+
+    epoch = gps_ns_from_gpst(CalendarTime(2016, 11, 21, 0, 0, 0))
+    period = 2.0 * math.pi * math.sqrt(29599801.0**3 / gravity_m3_s2("E"))
+    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    for k, prn in enumerate(_GALILEO_PRN):
+        plane, slot = (k // 8, float(k % 8)) if k < 24 else (k - 24, 3.5)
+        u = 225.153 + 15.0 * plane + 45.0 * slot + since
+        add(f"E{prn:02d}", period, 0.0002, 56.0, 317.632 + 120.0 * plane - turned_deg, 40.0, u)
+
+    period = _SYNCHRONOUS_S * 7.0 / 13.0
+    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    for k, prn in enumerate(_BEIDOU_MEO_PRN):
+        plane, slot = divmod(k, 8)
+        u = 15.0 * plane + 45.0 * slot + since
+        add(f"C{prn:02d}", period, 0.0007, 55.0, 25.0 + 120.0 * plane - turned_deg, 20.0, u)
+    for prn, longitude, phase in _BEIDOU_IGSO:
+        u = turned_deg + phase
+        add(f"C{prn:02d}", _SYNCHRONOUS_S, 0.002, 55.0, longitude - u, 190.0, u)
+    for prn, longitude in _BEIDOU_GEO:
+        add(f"C{prn:02d}", 2.0 * math.pi / rotation_rad_s("C"), 0.0003, 0.0, longitude, 0.0, 0.0)
+    for prn, phase in _QZSS:
+        u = turned_deg + phase
+        add(f"J{prn:02d}", _SYNCHRONOUS_S, 0.075, 41.0, 135.0 - u, 270.0, u)
+    prn, longitude = _QZSS_GEO
+    add(f"J{prn:02d}", _SYNCHRONOUS_S, 0.0003, 0.5, longitude - turned_deg, 0.0, turned_deg)
+    return orbits
+
+
+def _sidereal_deg(time_ns: int) -> float:
+    """Greenwich mean sidereal time, UT1 taken as GPS time: planes turn by 0.08° of it."""
+    days = (time_ns - gps_ns_from_gpst(CalendarTime(2000, 1, 1, 12, 0, 0))) / NS_PER_DAY
+    return (280.46061837 + 360.98564736629 * days) % 360.0
+
+
+def _reference_set(orbit: _Orbit, reference_ns: int, seed: int) -> Ephemeris:
+    """The orbit with toe at the reference time."""
+    number = orbit.satellite
+    system = chr(number >> 8)
+    geo = is_geostationary(number)
+    rng = stream(seed, f"satellites/elements/{number}")
+    h = rng.normal(size=6) * (0.0 if geo else 1.0)
+    clock = rng.normal(size=2)
+    delays = rng.normal(size=2)
+    tilt = math.radians(5.0)
+    # In the tilted frame an equatorial orbit has inclination 5° and its node at 180°, where longitude is u − 180°.
+    perigee = math.radians(orbit.perigee_deg + (180.0 + orbit.node_deg if geo else 0.0))
+    argument = math.radians(orbit.mean_argument_deg + (180.0 + orbit.node_deg if geo else 0.0))
+    synchronous = orbit.semi_major_m > 4.0e7
+    return Ephemeris(
+        satellite=number,
+        toe_ns=reference_ns,
+        toc_ns=reference_ns,
+        transmission_ns=reference_ns,
+        iode=0,
+        clock=(2.0e-4 * float(clock[0]), 3.0e-12 * float(clock[1]), 0.0),
+        sqrt_a=math.sqrt(orbit.semi_major_m),
+        eccentricity=orbit.eccentricity,
+        inclination_rad=tilt if geo else math.radians(orbit.inclination_deg),
+        inclination_rate_rad_s=0.0 if geo else 1.0e-10 * float(h[5]),
+        ascending_node_rad=math.pi if geo else math.radians(orbit.node_deg),
+        ascending_node_rate_rad_s=0.0 if synchronous else -8.0e-9 if system == "G" else -5.5e-9,
+        perigee_rad=perigee,
+        mean_anomaly_rad=argument - perigee,
+        mean_motion_difference_rad_s=0.0 if synchronous else 4.0e-9,
+        cuc=2.0e-6 * float(h[0]),
+        cus=6.0e-6 * float(h[1]),
+        crc_m=0.0 if geo else 200.0 + 60.0 * float(h[2]),
+        crs_m=40.0 * float(h[3]),
+        cic=1.0e-7 * float(h[4]),
+        cis=1.0e-7 * float(h[0]),
+        accuracy_m=3.12 if system == "E" else 2.0,
+        health=0,
+        other=_other(system, delays),
+    )
+
+
+def _other(system: str, delays: np.ndarray[tuple[int], np.dtype[np.float64]]) -> dict[str, float]:
+    first, second = 4.0e-9 * float(delays[0]), 4.0e-9 * float(delays[1])
+    if system in "GJ":
+        return {"tgd_s": first, "fit_interval_h": 4.0 if system == "G" else 2.0, "iodc": 0.0}
+    if system == "E":
+        # I/NAV from E1-B and E5b-I, clock for E5b, E1 (RINEX 3.04, table A8: bits 0, 2, 9).
+        return {"bgd_e5a_s": first, "bgd_e5b_s": 1.15 * first, "data_sources": 517.0}
+    return {"tgd1_s": first, "tgd2_s": second, "aodc": 1.0}
+
+
+def _moved(e: Ephemeris, toe_ns: int, reference_ns: int, number: int) -> Ephemeris:
+    """The same orbit with another toe: the node counts from the week's beginning, IS-GPS-200 table 20-IV."""
+    system = chr(e.satellite >> 8)
+    rotation = rotation_rad_s(system)
+    since_s = (toe_ns - reference_ns) / NS_PER_SECOND
+    shift_ns = BDT_MINUS_GPS_NS if system == "C" else 0
+    of_week_s = ((toe_ns + shift_ns) % NS_PER_WEEK) / NS_PER_SECOND
+    n = math.sqrt(gravity_m3_s2(system) / e.sqrt_a**6) + e.mean_motion_difference_rad_s
+    if is_geostationary(e.satellite):
+        # Its frame stands with the earth at toe: in it the perigee goes backwards.
+        node = e.ascending_node_rad + rotation * of_week_s
+        perigee = e.perigee_rad - rotation * since_s
+    else:
+        node = (
+            e.ascending_node_rad + (e.ascending_node_rate_rad_s - rotation) * since_s + rotation * of_week_s
+        )
+        perigee = e.perigee_rad
+    iode = {"G": number % 240, "J": number % 240, "E": number % 1024, "C": 1}[system]
+    other = dict(e.other)
+    if "iodc" in other:
+        other["iodc"] = float(iode)
+    delay_ns = {"G": -2 * _HOUR_NS, "J": -2 * _HOUR_NS, "E": _HOUR_NS // 6, "C": 30 * NS_PER_SECOND}[system]
+    return replace(
+        e,
+        toe_ns=toe_ns,
+        toc_ns=toe_ns,
+        transmission_ns=toe_ns + delay_ns,
+        iode=iode,
+        clock=(e.clock[0] + e.clock[1] * since_s, e.clock[1], 0.0),
+        inclination_rad=e.inclination_rad + e.inclination_rate_rad_s * since_s,
+        ascending_node_rad=_wrapped(node),
+        perigee_rad=_wrapped(perigee),
+        mean_anomaly_rad=_wrapped(e.mean_anomaly_rad + n * since_s),
+        other=other,
+    )
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi

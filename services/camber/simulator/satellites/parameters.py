@@ -1,0 +1,89 @@
+"""Everything that shapes simulated observations, with defaults under which RTKLIB behaves as on the road."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+SIGNALS: Mapping[str, tuple[str, str]] = {
+    "G": ("1C", "2L"),
+    "J": ("1C", "2L"),
+    "E": ("1X", "7X"),
+    "C": ("2I", "7I"),
+}
+"""By system: the two signals a receiver tracks. GPS may be 1C and 2W, Galileo 1C and 7Q."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignalParameters:
+    """Noise, obstruction and tracking. Probabilities are shares of time, `…_time_s` how long things last."""
+
+    signals: Mapping[str, tuple[str, str]] = field(default_factory=lambda: dict(SIGNALS))
+    lowest_elevation_deg: float = 5.0
+
+    # Carrier to noise density: zenith, less by elevation, of the first and second frequency.
+    zenith_cn0_dbhz: float = 49.0
+    horizon_cn0_loss_db: float = 13.0
+    second_cn0_loss_db: float = 2.0
+    cn0_noise_db: float = 0.7
+    code_tracked_above_dbhz: float = 24.0
+    phase_tracked_above_dbhz: float = 29.0
+
+    # One standard deviation at 45 dB-Hz, growing as 10^(−ΔC/N0 / 20).
+    code_noise_m: float = 0.30
+    second_code_factor: float = 0.7
+    phase_noise_m: float = 1.5e-3
+    doppler_noise_m_s: float = 0.03
+    noise_factor: float = 1.0
+
+    # What antenna and ground reflect: correlated, and larger as 1 / sin elevation.
+    background_code_m: float = 0.2
+    background_phase_m: float = 1.0e-3
+    background_time_s: float = 8.0
+
+    # Reflections of a signal that also comes directly: amplitude against it, its spread, how far one drives in one.
+    reflection_amplitude: float = 0.2
+    reflection_spread: float = 0.5
+    reflection_length_m: float = 1.5
+    reflection_time_s: float = 60.0
+    reflection_reach_m: float = 100.0
+    code_envelope_m: float = 15.0
+
+    # Signals that come only by a wall.
+    reflected_tracked: float = 0.3
+    reflected_time_s: float = 4.0
+    reflected_cn0_loss_db: float = 8.0
+    reflected_phase_absent: float = 0.9
+
+    # Signals bent over an edge.
+    diffraction_reach_deg: float = 6.0
+    diffraction_code_m: float = 1.5
+    diffraction_phase_m: float = 0.12
+
+    # The second frequency is lost first: share of time between walls, none in the open.
+    second_absent: float = 0.4
+    second_absent_time_s: float = 3.0
+    second_absent_enclosure: float = 0.4
+
+    # Crowns of trees (Goldhirsh and Vogel, NASA RP-1274: about 1.3 dB/m at L band, saturating).
+    crown_loss_db_per_m: float = 1.3
+    crown_loss_most_db: float = 20.0
+    crown_code_m_per_db: float = 0.05
+    crown_phase_m_per_db: float = 5.0e-4
+
+    # Breaks of the phase, at 45 dB-Hz per second and signal, ten times as many every 10 dB lower.
+    slips_per_s: float = 2.0e-4
+    slip_unseen: float = 0.02
+    half_cycle_after_lock: float = 0.03
+    half_cycle_unseen: float = 0.02
+    half_cycle_time_s: float = 2.0
+
+    # The receiver's own clock: what is left of it after steering, and its drift.
+    clock_bias_s: float = 2.0e-5
+    clock_drift_s_s: float = 1.0e-8
+    clock_walk_s_per_root_s: float = 1.0e-10
+
+
+ROVER = SignalParameters()
+BASE = SignalParameters(noise_factor=0.7, clock_bias_s=1.0e-7, clock_drift_s_s=1.0e-10)
+"""A base station's antenna and receiver are better: noise and background by 0.7."""

@@ -1,0 +1,140 @@
+"""Which ways the signals take to the antenna: directly, over an edge, by a wall, through crowns of trees, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.reflections import reflections
+from camber.simulator.scene import Tracer, Walls
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+
+_SKY_M = 1000.0
+_BISECTIONS = 5
+_ENCLOSURE_EVERY_M = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """What stands around: the shapes that rays are traced through, and the walls that reflect."""
+
+    tracer: Tracer
+    walls: Walls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Propagation:
+    """Per epoch and satellite (n, m).
+
+    `direct`: nothing but crowns in between. `bent_rad`: how far below an edge the satellite stands, where the signal
+    comes over it, else NaN; `edge_m` how far away that edge is. `crown_m`: metres of crowns on the straight line.
+    `excess_m`: how much longer the shortest way by a wall is, NaN where there is none, and
+    `excess_per_m` (n, m, 3) what it grows by with the antenna's motion. `enclosure` (n,): the share of
+    the sky between 10° and 60° that is built up.
+    """
+
+    direct: Booleans
+    bent_rad: Floats
+    edge_m: Floats
+    crown_m: Floats
+    excess_m: Floats
+    excess_per_m: Floats
+    enclosure: Floats
+
+
+def open_sky(n: int, m: int) -> Propagation:
+    """Nothing around."""
+    none = np.full((n, m), np.nan)
+    return Propagation(
+        np.ones((n, m), np.bool_), none, none, np.zeros((n, m)), none, np.zeros((n, m, 3)), np.zeros(n)
+    )
+
+
+def propagation(
+    antenna_m: Floats,
+    direction: Floats,
+    elevation_rad: Floats,
+    around: Surroundings,
+    parameters: SignalParameters,
+) -> Propagation:
+    """Of antenna positions (n, 3) and directions to satellites (n, m, 3), both in the world frame.
+
+    Satellites below the lowest elevation are not looked at: not direct and without any other way.
+    """
+    n, m = direction.shape[:2]
+    direct = np.zeros((n, m), np.bool_)
+    bent, edge = np.full((n, m), np.nan), np.full((n, m), np.nan)
+    crown = np.zeros((n, m))
+    epoch, satellite = np.nonzero(elevation_rad >= np.deg2rad(parameters.lowest_elevation_deg))
+    origin, towards = antenna_m[epoch], direction[epoch, satellite]
+    blocked = around.tracer.blocked(origin, towards, _SKY_M)
+    direct[epoch, satellite] = ~blocked
+    e, s = epoch[blocked], satellite[blocked]
+    bent[e, s], edge[e, s] = _over_an_edge(
+        origin[blocked], towards[blocked], around.tracer, np.deg2rad(parameters.diffraction_reach_deg)
+    )
+    comes = ~blocked
+    comes[blocked] = np.isfinite(bent[e, s])
+    crown[epoch[comes], satellite[comes]] = around.tracer.through_crowns_m(
+        origin[comes], towards[comes], _SKY_M
+    )
+    by_wall = reflections(
+        antenna_m, direction, around.walls, around.tracer, parameters.reflection_reach_m, _SKY_M
+    )
+    excess = by_wall.excess_m
+    excess[elevation_rad < np.deg2rad(parameters.lowest_elevation_deg)] = np.nan
+    return Propagation(
+        direct, bent, edge, crown, excess, by_wall.excess_per_m, _enclosure(antenna_m, around.tracer)
+    )
+
+
+def _over_an_edge(
+    origin_m: Floats, direction: Floats, tracer: Tracer, reach_rad: float
+) -> tuple[Floats, Floats]:
+    """How far the direction must be raised to be free, NaN where more than the reach; and the edge's distance."""
+    count = len(origin_m)
+    bent, edge = np.full(count, np.nan), np.full(count, np.nan)
+    if not count:
+        return bent, edge
+    near = np.nonzero(~tracer.blocked(origin_m, _raised(direction, np.full(count, reach_rad)), _SKY_M))[0]
+    low, high = np.zeros(len(near)), np.full(len(near), reach_rad)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        hidden = tracer.blocked(origin_m[near], _raised(direction[near], middle), _SKY_M)
+        low, high = np.where(hidden, middle, low), np.where(hidden, high, middle)
+    bent[near] = high
+    hits = tracer.first_hits(origin_m[near], _raised(direction[near], low), _SKY_M)
+    edge[near] = np.where(np.isfinite(hits.distance_m), hits.distance_m, _SKY_M)
+    return bent, edge
+
+
+def _raised(direction: Floats, by_rad: Floats) -> Floats:
+    """Directions (n, 3) with elevations higher by (n,), not beyond the zenith."""
+    across = np.hypot(direction[:, 0], direction[:, 1])
+    elevation = np.minimum(np.arctan2(direction[:, 2], across) + by_rad, 0.5 * np.pi - 1e-6)
+    scale = np.cos(elevation) / np.maximum(across, 1e-12)
+    return np.column_stack((direction[:, 0] * scale, direction[:, 1] * scale, np.sin(elevation)))
+
+
+def _enclosure(antenna_m: Floats, tracer: Tracer) -> Floats:
+    """The share of 72 directions that is blocked, every few metres of the way, in between by interpolation."""
+    n = len(antenna_m)
+    if n == 0:
+        return np.zeros(0)
+    step = np.sqrt(np.sum(np.diff(antenna_m, axis=0) ** 2, axis=1))
+    way = np.concatenate(([0.0], np.cumsum(step)))
+    cells = np.floor(way / _ENCLOSURE_EVERY_M).astype(np.int64)
+    chosen = np.unique(np.concatenate((np.nonzero(np.diff(cells, prepend=-1))[0], [n - 1])))
+    azimuth, elevation = np.meshgrid(np.arange(0.0, 360.0, 20.0), np.array([10.0, 25.0, 40.0, 55.0]))
+    az, el = np.deg2rad(azimuth.ravel()), np.deg2rad(elevation.ravel())
+    rays = np.column_stack((np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)))
+    origins = np.repeat(antenna_m[chosen], len(rays), axis=0)
+    blocked = tracer.blocked(origins, np.tile(rays, (len(chosen), 1)), _SKY_M)
+    share = np.mean(blocked.reshape(len(chosen), len(rays)), axis=1)
+    enclosure: Floats = np.interp(way, way[chosen], share)
+    return enclosure

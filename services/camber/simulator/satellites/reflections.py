@@ -1,0 +1,136 @@
+"""Signals that come by a wall: mirror geometry.
+
+The satellite's direction s, mirrored in a wall of normal n, is s′ = s − 2 (s·n) n; an antenna at distance d in front of
+the wall meets the wall along s′ after d / (s·n), and the way by the wall is longer by 2 d (s·n).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.compiled import compiled
+from camber.simulator.scene import Tracer, Walls
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+
+CANDIDATES = 3
+_OFF_WALL_M = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflections:
+    """Per epoch and satellite (n, m): the shortest way by one wall.
+
+    `excess_m`, NaN where there is none; `excess_per_m` (n, m, 3): how the excess grows with the antenna's motion.
+    """
+
+    excess_m: Floats
+    excess_per_m: Floats
+
+
+def reflections(
+    antenna_m: Floats, direction: Floats, walls: Walls, tracer: Tracer, reach_m: float, sky_m: float
+) -> Reflections:
+    """The shortest free way by one wall: antenna (n, 3), directions to satellites (n, m, 3), in the world frame.
+
+    Walls further than `reach_m` away from the antenna are left out; `sky_m` is how far what blocks may stand.
+    """
+    n, m = direction.shape[:2]
+    best = np.full((n, m), np.nan)
+    slope = np.zeros((n, m, 3))
+    if not len(walls.length_m) or not n or not m:
+        return Reflections(best, slope)
+    excess, distance, wall = _mirrored(
+        np.ascontiguousarray(antenna_m), np.ascontiguousarray(direction), walls.foot_m, walls.along,
+        walls.length_m, walls.height_m, walls.normal, reach_m,
+    )  # fmt: skip
+    for k in range(CANDIDATES):
+        epoch, satellite = np.nonzero((wall[..., k] >= 0) & np.isnan(best))
+        if not len(epoch):
+            continue
+        s = direction[epoch, satellite]
+        normal = np.zeros_like(s)
+        normal[:, :2] = walls.normal[wall[epoch, satellite, k]]
+        mirrored = s - 2.0 * np.sum(s * normal, axis=1)[:, None] * normal
+        far = distance[epoch, satellite, k]
+        at_wall = antenna_m[epoch] + far[:, None] * mirrored + _OFF_WALL_M * normal
+        # From the wall back to the antenna, then on to the satellite: both must be free.
+        back = antenna_m[epoch] - at_wall
+        length = np.sqrt(np.sum(back**2, axis=1))
+        back /= length[:, None]
+        free = ~_blocked_within(tracer, at_wall, back, length - _OFF_WALL_M)
+        free[free] = ~tracer.blocked(at_wall[free], s[free], sky_m)
+        best[epoch[free], satellite[free]] = excess[epoch[free], satellite[free], k]
+        grows = 2.0 * np.sum(s * normal, axis=1)[:, None] * normal
+        slope[epoch[free], satellite[free]] = grows[free]
+    return Reflections(best, slope)
+
+
+def _blocked_within(tracer: Tracer, origin_m: Floats, direction: Floats, length_m: Floats) -> Booleans:
+    """Rays of their own lengths: what is blocked within the longest is looked at again by its distance."""
+    if not len(length_m):
+        return np.zeros(0, np.bool_)
+    blocked = tracer.blocked(origin_m, direction, float(np.max(length_m))).copy()
+    again = np.nonzero(blocked)[0]
+    if len(again):
+        hits = tracer.first_hits(origin_m[again], direction[again], float(np.max(length_m)))
+        blocked[again] = hits.distance_m < length_m[again]
+    return blocked
+
+
+@compiled
+def _mirrored(
+    antenna: Floats,
+    direction: Floats,
+    foot: Floats,
+    along: Floats,
+    length: Floats,
+    height: Floats,
+    normal: Floats,
+    reach: float,
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    n, m = direction.shape[0], direction.shape[1]
+    excess = np.full((n, m, CANDIDATES), np.inf)
+    distance = np.full((n, m, CANDIDATES), np.inf)
+    wall = np.full((n, m, CANDIDATES), -1, np.int64)
+    near = np.empty(len(length), np.int64)
+    for i in range(n):
+        count = 0
+        for w in range(len(length)):
+            x, y = antenna[i, 0] - foot[w, 0], antenna[i, 1] - foot[w, 1]
+            d = x * normal[w, 0] + y * normal[w, 1]
+            t = x * along[w, 0] + y * along[w, 1]
+            if 0.05 < d < reach and -reach < t < length[w] + reach:
+                near[count] = w
+                count += 1
+        for j in range(m):
+            for q in range(count):
+                w = near[q]
+                c = direction[i, j, 0] * normal[w, 0] + direction[i, j, 1] * normal[w, 1]
+                if c < 0.02:
+                    continue
+                x, y = antenna[i, 0] - foot[w, 0], antenna[i, 1] - foot[w, 1]
+                d = x * normal[w, 0] + y * normal[w, 1]
+                far = d / c
+                side = (
+                    x * along[w, 0] + y * along[w, 1]
+                    + far * (direction[i, j, 0] * along[w, 0] + direction[i, j, 1] * along[w, 1])
+                )  # fmt: skip
+                up = antenna[i, 2] - foot[w, 2] + far * direction[i, j, 2]
+                if side < 0.0 or side > length[w] or up < 0.0 or up > height[w]:
+                    continue
+                value = 2.0 * d * c
+                k = CANDIDATES - 1
+                if value >= excess[i, j, k]:
+                    continue
+                while k > 0 and value < excess[i, j, k - 1]:
+                    excess[i, j, k] = excess[i, j, k - 1]
+                    distance[i, j, k] = distance[i, j, k - 1]
+                    wall[i, j, k] = wall[i, j, k - 1]
+                    k -= 1
+                excess[i, j, k], distance[i, j, k], wall[i, j, k] = value, far, w
+    return excess, distance, wall
