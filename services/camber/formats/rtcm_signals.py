@@ -1,0 +1,85 @@
+"""The numbers that RTCM 3 MSM messages give to systems, satellites and signals.
+
+Source: RTCM 10403.3, tables 3.5-76 (messages), 3.5-91, 3.5-99, 3.5-105, 3.5-108 (signal ids); BeiDou's newer signals by
+amendment 1. Carriers by the interface documents of the systems, as in RINEX 3.04, tables 4 to 9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.observations import Floats, Integers, signal_number
+
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+METRES_PER_MS = SPEED_OF_LIGHT_M_S * 1e-3
+BDT_BEHIND_GPS_NS = 14_000_000_000
+"""BeiDou time has not had a leap second since 2006-01-01: BDS-SIS-ICD 3.2."""
+
+_CARRIER_OF_BAND_HZ = {
+    "G": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6},
+    "E": {"1": 1575.42e6, "5": 1176.45e6, "6": 1278.75e6, "7": 1207.14e6, "8": 1191.795e6},
+    "J": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6, "6": 1278.75e6},
+    "C": {"1": 1575.42e6, "2": 1561.098e6, "5": 1176.45e6, "6": 1268.52e6, "7": 1207.14e6},
+}
+_SIGNAL_IDS = {
+    "G": "2:1C 3:1P 4:1W 8:2C 9:2P 10:2W 15:2S 16:2L 17:2X 22:5I 23:5Q 24:5X 30:1S 31:1L 32:1X",
+    "E": "2:1C 3:1A 4:1B 5:1X 6:1Z 8:6C 9:6A 10:6B 11:6X 12:6Z 14:7I 15:7Q 16:7X 18:8I 19:8Q 20:8X 22:5I 23:5Q 24:5X",
+    "J": "2:1C 9:6S 10:6L 11:6X 15:2S 16:2L 17:2X 22:5I 23:5Q 24:5X 30:1S 31:1L 32:1X",
+    "C": "2:2I 3:2Q 4:2X 8:6I 9:6Q 10:6X 14:7I 15:7Q 16:7X 22:5D 23:5P 24:5X 25:7D 30:1D 31:1P 32:1X",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MsmSystem:
+    """One system: its letter, the number of its MSM7 message, how many satellites the mask may name."""
+
+    letter: str
+    message: int
+    satellites: int
+    behind_gps_ns: int = 0
+
+
+MSM_SYSTEMS = (
+    MsmSystem("G", 1077, 63),
+    MsmSystem("E", 1097, 50),
+    MsmSystem("J", 1117, 10),
+    MsmSystem("C", 1127, 63, BDT_BEHIND_GPS_NS),
+)
+"""In the order in which their messages are sent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MsmSignals:
+    """The signals of all systems by rising `keys` (letter × 65536 + signal): place of the system, id, carrier."""
+
+    keys: Integers
+    system: Integers
+    ids: Integers
+    carriers_hz: Floats
+
+    def places(self, satellite: Integers, signal: Integers) -> tuple[Integers, NDArray[np.bool_]]:
+        """Where each signal of a satellite stands in the columns, and whether it is there at all."""
+        key = (satellite >> 8 << 16) + signal
+        place = np.minimum(np.searchsorted(self.keys, key), self.keys.size - 1)
+        return place, self.keys[place] == key
+
+
+def _signals() -> MsmSignals:
+    rows = sorted(
+        (
+            (ord(system.letter) << 16) + signal_number(name),
+            place,
+            int(number),
+            _CARRIER_OF_BAND_HZ[system.letter][name[0]],
+        )
+        for place, system in enumerate(MSM_SYSTEMS)
+        for number, name in (entry.split(":") for entry in _SIGNAL_IDS[system.letter].split())
+    )
+    keys, systems, ids, carriers = zip(*rows, strict=True)
+    return MsmSignals(np.array(keys), np.array(systems), np.array(ids), np.array(carriers))
+
+
+MSM_SIGNALS = _signals()
