@@ -69,10 +69,10 @@ class ChangedTyre(_Timed):
 
 
 class ChangedLoad(_Timed):
-    """The vehicle is loaded: the suspension settles."""
+    """The vehicle is loaded: the suspension sinks, the tyres too."""
 
     kind: Literal["changed_load"]
-    settles_m: Annotated[float, Field(ge=0.0, le=0.2)] = Field(description="metres, downwards")
+    load_kg: Annotated[float, Field(ge=0.0, le=2_000.0)] = Field(description="kilograms in the boot")
 
 
 class WheelSlip(_Timed):
