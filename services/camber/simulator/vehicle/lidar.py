@@ -1,0 +1,242 @@
+"""Sweeps of a rotating LiDAR on a moving vehicle, as measured: motion, noise, drop-outs and other traffic in them.
+
+Every ray leaves from where the sensor truly is at its own time. What a surface sends back falls with the angle of
+incidence (Lambert) and the square of the range, σ = ρ cos α (100 m / r)²; a return is noticed with probability
+1 − exp(−σ / σ₀), and a small share is lost regardless: panes and puddles. Crowns of trees let rays in by some
+decimetres. Random numbers are drawn for each sweep from a stream of its own, so sweeps may be made in any order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.compiled import compiled_without_gil
+from camber.schemas.lidar import Sweep
+from camber.simulator.random_streams import stream
+from camber.simulator.scene import Floats, Integers, Material, Tracer
+from camber.simulator.vehicle.beam_pattern import BeamPattern
+from camber.simulator.vehicle.pose_track import PoseTrack
+from camber.simulator.vehicle.traffic import Traffic, hit_traffic
+
+_REFLECTIVITY = {
+    Material.ROAD: 0.17,
+    Material.GROUND: 0.25,
+    Material.BUILDING: 0.45,
+    Material.POLE: 0.55,
+    Material.TREE: 0.35,
+    Material.VEHICLE: 0.50,
+    Material.TUNNEL: 0.30,
+}
+"""Of near infrared: common values for asphalt, soil, plaster, galvanised steel, leaves, paint, concrete."""
+_LOST_SHARE = {Material.BUILDING: 0.06, Material.VEHICLE: 0.12}
+"""Panes send back nothing; other surfaces lose `_LOST_ELSEWHERE`."""
+_LOST_ELSEWHERE = 0.005
+_NOTICED = 0.05
+"""σ₀: asphalt is seen to some 45 m by a sensor 2 m above it."""
+_INTO_CROWN_M = 0.25
+_FULL_INTENSITY = 255.0
+
+
+@dataclass(frozen=True, slots=True)
+class LidarFault:
+    """From `onset_s` to `end_s` after the first sweep's beginning: `blocked_share` of the directions, from straight
+    ahead to both sides, see nothing; `road_only`: what is not road or ground sends nothing back."""
+
+    onset_s: float
+    end_s: float = math.inf
+    blocked_share: float = 0.0
+    road_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LidarClock:
+    """The sensor's own: what it stamps is true time + `offset_ns` + `drift` of the time since the first sweep."""
+
+    offset_ns: int = 0
+    drift: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """A sweep as the sensor gives it, with the truth: of what each point is (points,), and when the turn ended."""
+
+    sweep: Sweep
+    material: NDArray[np.int8]
+    true_end_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lidar:
+    """A sensor on a vehicle in a place. `track` is that of the sensor's origin."""
+
+    pattern: BeamPattern
+    track: PoseTrack
+    tracer: Tracer
+    seed: int
+    traffic: Traffic | None = None
+    clock: LidarClock = field(default_factory=LidarClock)
+    faults: tuple[LidarFault, ...] = ()
+
+    def scans(self, threads: int = 2) -> Iterator[Scan]:
+        """One scan a turn for as long as the track lasts, in order; as many at a time as there are threads."""
+        start_ns = int(self.track.time_ns[0])
+        turns = (int(self.track.time_ns[-1]) - start_ns) // self.pattern.turn_ns
+        beams = _Beams.of(self.pattern)
+        waiting: deque[Future[Scan]] = deque()
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for turn in range(turns):
+                    waiting.append(pool.submit(self._scan, beams, start_ns, turn))
+                    if len(waiting) > threads:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def _scan(self, beams: _Beams, start_ns: int, turn: int) -> Scan:
+        pattern = self.pattern
+        begin_ns = start_ns + turn * pattern.turn_ns
+        end_ns = begin_ns + pattern.turn_ns
+        origin, direction = beams.rays(self.track, begin_ns)
+        hits = self.tracer.first_hits(origin, direction, pattern.most_range_m)
+        distance, material, normal = hits.distance_m.copy(), hits.material.copy(), hits.normal.copy()
+        if self.traffic is not None:
+            first, last, half = self.traffic.near(begin_ns, end_ns, origin[0], pattern.most_range_m)
+            hit_traffic(origin, direction, beams.share, first, last, half, distance, material, normal)
+        passed_s = (begin_ns - start_ns) / 1e9
+        for fault in self.faults:
+            if fault.onset_s <= passed_s < fault.end_s:
+                distance[_unseen(fault, beams.in_sensor, material)] = np.inf
+        rng = stream(self.seed, f"{pattern.name} sweep {turn}")
+        chance = rng.random((2, pattern.rays), np.float32)
+        noise = rng.standard_normal(pattern.rays, np.float32)
+        points, intensity, offset, kind = _measured(
+            beams.in_sensor,
+            beams.offset_ns,
+            direction,
+            distance,
+            material,
+            normal,
+            chance,
+            noise,
+            _SURFACES,
+            np.array(
+                [pattern.least_range_m, pattern.most_range_m, pattern.range_sigma_m, pattern.range_step_m]
+            ),
+        )
+        stamp_ns = end_ns + self.clock.offset_ns + round(self.clock.drift * (end_ns - start_ns))
+        sweep = Sweep(
+            time_ns=stamp_ns, sensor=pattern.name, points_m=points, intensity=intensity, offset_ns=offset
+        )
+        return Scan(sweep, kind, end_ns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Beams:
+    """What is the same in every turn: directions in the sensor (rays, 3), offsets and shares of the turn (rays,)."""
+
+    pattern: BeamPattern
+    in_sensor: Floats
+    offset_ns: NDArray[np.int32]
+    share: Floats
+
+    @classmethod
+    def of(cls, pattern: BeamPattern) -> _Beams:
+        offset = pattern.offsets_ns()
+        share = 1.0 + offset / pattern.turn_ns
+        return cls(pattern, pattern.directions(), offset.astype(np.int32), share)
+
+    def rays(self, track: PoseTrack, begin_ns: int) -> tuple[Floats, Floats]:
+        """Origins and directions (rays, 3) in the world, for the turn that begins then."""
+        columns = self.pattern.columns
+        ticks = np.rint(np.arange(columns + 1) * (self.pattern.turn_ns / columns)).astype(np.int64)
+        position, rotation = track.at(begin_ns + ticks)
+        return _rays(self.in_sensor, self.share * columns, position, np.ascontiguousarray(rotation))
+
+
+def _unseen(fault: LidarFault, in_sensor: Floats, material: Integers) -> NDArray[np.bool_]:
+    azimuth = np.abs(np.arctan2(in_sensor[:, 1], in_sensor[:, 0]))
+    unseen: NDArray[np.bool_] = azimuth < fault.blocked_share * np.pi
+    if fault.road_only:
+        unseen |= (material != Material.ROAD) & (material != Material.GROUND)
+    return unseen
+
+
+_SURFACES = np.array([(_REFLECTIVITY[m], _LOST_SHARE.get(m, _LOST_ELSEWHERE)) for m in Material])
+
+
+@compiled_without_gil
+def _rays(
+    in_sensor: Floats, column_share: Floats, position: Floats, rotation: Floats
+) -> tuple[Floats, Floats]:
+    """Each ray from the pose between the columns' (columns + 1,), elements changing evenly within 56 µs."""
+    origin, direction = np.empty_like(in_sensor), np.empty_like(in_sensor)
+    for i in range(len(in_sensor)):
+        k = min(int(column_share[i]), len(position) - 2)
+        b = column_share[i] - k
+        for row in range(3):
+            origin[i, row] = position[k, row] + b * (position[k + 1, row] - position[k, row])
+            value = 0.0
+            for column in range(3):
+                r0, r1 = rotation[k, row, column], rotation[k + 1, row, column]
+                value += (r0 + b * (r1 - r0)) * in_sensor[i, column]
+            direction[i, row] = value
+    return origin, direction
+
+
+@compiled_without_gil
+def _measured(
+    in_sensor: Floats,
+    offset_ns: NDArray[np.int32],
+    direction: Floats,
+    distance: Floats,
+    material: Integers,
+    normal: Floats,
+    chance: NDArray[np.float32],
+    noise: NDArray[np.float32],
+    surfaces: Floats,
+    limits: Floats,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.int8]]:
+    """What comes back and is noticed: points (m, 3) in the sensor, intensity, offsets, materials (m,)."""
+    n = len(distance)
+    points = np.empty((n, 3), np.float32)
+    intensity = np.empty(n, np.float32)
+    offset = np.empty(n, np.int32)
+    kind = np.empty(n, np.int8)
+    least, most, sigma, step = limits[0], limits[1], limits[2], limits[3]
+    m = 0
+    for i in range(n):
+        r = distance[i]
+        if not least <= r <= most:
+            continue
+        facing = 0.0
+        for j in range(3):
+            facing += normal[i, j] * direction[i, j]
+        reflectivity, lost = surfaces[material[i], 0], surfaces[material[i], 1]
+        returned = reflectivity * abs(facing)
+        signal = returned * (100.0 / r) ** 2
+        if chance[0, i] >= (1.0 - lost) * (1.0 - math.exp(-signal / _NOTICED)):
+            continue
+        if material[i] == _TREE:
+            r -= _INTO_CROWN_M * abs(facing) * math.log(1.0 - chance[1, i])  # no further than it is thick
+        r = step * round((r + sigma * noise[i]) / step)
+        for j in range(3):
+            points[m, j] = r * in_sensor[i, j]
+        brightness = returned * (0.95 + 0.1 * chance[1, i])
+        intensity[m] = math.floor(_FULL_INTENSITY * min(brightness, 1.0))
+        offset[m] = offset_ns[i]
+        kind[m] = material[i]
+        m += 1
+    return points[:m].copy(), intensity[:m].copy(), offset[:m].copy(), kind[:m].copy()
+
+
+_TREE = int(Material.TREE)
