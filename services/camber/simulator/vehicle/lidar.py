@@ -23,6 +23,7 @@ from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Material, Tracer
 from camber.simulator.vehicle.beam_pattern import BeamPattern
 from camber.simulator.vehicle.pose_track import PoseTrack
+from camber.simulator.vehicle.sensor_clock import SensorClock
 from camber.simulator.vehicle.traffic import Traffic, hit_traffic
 
 _REFLECTIVITY = {
@@ -55,14 +56,6 @@ class LidarFault:
     road_only: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LidarClock:
-    """The sensor's own: what it stamps is true time + `offset_ns` + `drift` of the time since the first sweep."""
-
-    offset_ns: int = 0
-    drift: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
     """A sweep as the sensor gives it, with the truth: of what each point is (points,), and when the turn ended."""
@@ -81,7 +74,7 @@ class Lidar:
     tracer: Tracer
     seed: int
     traffic: Traffic | None = None
-    clock: LidarClock = field(default_factory=LidarClock)
+    clock: SensorClock = field(default_factory=SensorClock)
     faults: tuple[LidarFault, ...] = ()
 
     def scans(self, threads: int = 2) -> Iterator[Scan]:
@@ -133,7 +126,7 @@ class Lidar:
                 [pattern.least_range_m, pattern.most_range_m, pattern.range_sigma_m, pattern.range_step_m]
             ),
         )
-        stamp_ns = end_ns + self.clock.offset_ns + round(self.clock.drift * (end_ns - start_ns))
+        stamp_ns = int(self.clock.stamps(np.array([end_ns]), start_ns)[0])
         sweep = Sweep(
             time_ns=stamp_ns, sensor=pattern.name, points_m=points, intensity=intensity, offset_ns=offset
         )

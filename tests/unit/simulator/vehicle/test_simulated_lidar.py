@@ -9,9 +9,10 @@ import pytest
 from camber.simulator.scene import Floats, Material, Shapes, Trajectory
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64, PATTERNS, BeamPattern
 from camber.simulator.vehicle.body import CAR
-from camber.simulator.vehicle.lidar import Lidar, LidarClock, LidarFault, Scan
+from camber.simulator.vehicle.lidar import Lidar, LidarFault, Scan
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack, points_in_world, undo_motion
+from camber.simulator.vehicle.sensor_clock import SensorClock
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
 from camber.simulator.world.tracing import ShapeTracer
 from support.simulated_paths import flat, path_over
@@ -213,7 +214,7 @@ def test_the_same_seed_gives_the_same_bytes_in_any_number_of_threads() -> None:
 
 
 def test_a_sensor_stamps_by_its_own_clock() -> None:
-    plain, late = (scans(standing(), clock=clock) for clock in (LidarClock(), LidarClock(3_000_000, 1e-3)))
+    plain, late = (scans(standing(), clock=clock) for clock in (SensorClock(), SensorClock(3_000_000, 1e-3)))
     for turn, (a, b) in enumerate(zip(plain, late, strict=True), start=1):
         assert a.sweep.time_ns == a.true_end_ns == b.true_end_ns == START_NS + turn * 100_000_000
         assert b.sweep.time_ns - a.sweep.time_ns == 3_000_000 + turn * 100_000

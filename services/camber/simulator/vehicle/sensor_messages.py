@@ -1,0 +1,61 @@
+"""Readings of a vehicle's sensors as the messages that services hear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.simulator.scene import Integers
+from camber.simulator.vehicle.body import VehicleBody
+from camber.simulator.vehicle.sensor_clock import Readings
+from camber.simulator.vehicle.sensors import SensorSet, VehicleReadings
+
+OLDEST_NS = 100_000_000
+
+
+def motion_messages(readings: VehicleReadings, oldest_ns: int = OLDEST_NS) -> list[Motion]:
+    """One message a reading of the yaw rate, by its stamp, with the newest that the others have said by then.
+
+    So a vehicle's gateway puts together what comes from several units. What is older than `oldest_ns` is None.
+    """
+    time_ns = readings.yaw_rate.time_ns
+    wheel = _newest(readings.wheel_speed, time_ns, oldest_ns)
+    steering = _newest(readings.steering, time_ns, oldest_ns)
+    columns = zip(time_ns.tolist(), wheel, readings.yaw_rate.value.tolist(), steering, strict=True)
+    return [
+        Motion(time_ns=t, wheel_speed_m_s=w, yaw_rate_rad_s=r, steering_angle_rad=s) for t, w, r, s in columns
+    ]
+
+
+def suspension_messages(readings: VehicleReadings, sensors: SensorSet) -> list[Suspension]:
+    """One a reading of the stroke sensor; none for a rigid body."""
+    if readings.stroke is None:
+        return []
+    sigma_m = sensors.stroke.stated_sigma_m
+    return [
+        Suspension(time_ns=t, stroke_height_m=height_m, stroke_sigma_m=sigma_m)
+        for t, height_m in _said(readings.stroke)
+    ]
+
+
+def ranging_messages(readings: VehicleReadings, sensors: SensorSet, body: VehicleBody) -> list[Ranging]:
+    """One a distance that was measured; what was lost is left out. The angle is the nominal one."""
+    sigma_m, angle_rad = sensors.ranging.stated_sigma_m, body.ranging_angle_rad
+    return [
+        Ranging(time_ns=t, distance_m=distance_m, beam_angle_rad=angle_rad, distance_sigma_m=sigma_m)
+        for t, distance_m in _said(readings.ranging)
+    ]
+
+
+def _said(readings: Readings) -> list[tuple[int, float]]:
+    pairs = zip(readings.time_ns.tolist(), readings.value.tolist(), strict=True)
+    return [(t, value) for t, value in pairs if not math.isnan(value)]
+
+
+def _newest(readings: Readings, time_ns: Integers, oldest_ns: int) -> list[float | None]:
+    k = np.searchsorted(readings.time_ns, time_ns, side="right") - 1
+    fresh = (k >= 0) & (time_ns - readings.time_ns[k] <= oldest_ns)
+    values = readings.value[k].tolist()
+    return [value if new else None for value, new in zip(values, fresh.tolist(), strict=True)]

@@ -1,0 +1,242 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
+from camber.simulator.scene import Path, Trajectory
+from camber.simulator.vehicle.body import CAR, ROBOT
+from camber.simulator.vehicle.motion import drive
+from camber.simulator.vehicle.sensor_clock import SensorClock
+from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_messages, suspension_messages
+from camber.simulator.vehicle.sensors import (
+    RangingSensor,
+    RateSensor,
+    SensorSet,
+    SteeringSensor,
+    StrokeSensor,
+    WheelSensor,
+    distance_to_road_m,
+    read_sensors,
+)
+from camber.simulator.vehicle.wheel_pulses import edge_times, speed_of_edges
+from support.simulated_paths import flat, hilly, path_over, sloping, winding
+
+START_NS = 1_400_000_000 * 1_000_000_000
+PERFECT = SensorSet(
+    WheelSensor(scale_sigma=0.0, edge_sigma=0.0, step_m_s=0.0),
+    RateSensor(bias_sigma_rad_s=0.0, walk_rad_s_sqrt_s=0.0, noise_rad_s=0.0, scale_sigma=0.0, step_rad_s=0.0),
+    SteeringSensor(bias_sigma_rad=0.0, noise_rad=0.0, step_rad=0.0),
+    StrokeSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0),
+    RangingSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0, angle_sigma_rad=0.0, lost_share=0.0),
+    clock_offset_sigma_s=0.0,
+    clock_drift_sigma=0.0,
+)
+
+
+@pytest.fixture(scope="module")
+def path() -> Path:
+    return path_over(hilly, winding(800), stops={300: 4.0})
+
+
+@pytest.fixture(scope="module")
+def trajectory(path: Path) -> Trajectory:
+    return drive(path, CAR, start_ns=START_NS)
+
+
+def true(trajectory: Trajectory, name: str, time_ns: np.ndarray) -> np.ndarray:
+    passed = (time_ns - START_NS) / 1e9
+    return np.interp(passed, (trajectory.time_ns - START_NS) / 1e9, getattr(trajectory, name))
+
+
+def test_without_errors_the_sensors_say_the_truth(path: Path, trajectory: Trajectory) -> None:
+    said = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1)
+    for readings, name in ((said.steering, "steering_rad"), (said.stroke, "stroke_m")):
+        assert readings is not None
+        np.testing.assert_array_equal(readings.time_ns, readings.true_time_ns)
+        np.testing.assert_allclose(readings.value, true(trajectory, name, readings.time_ns), atol=1e-12)
+    wheel = said.wheel_speed
+    middle = wheel.true_time_ns - 10_000_000  # of the window
+    off = wheel.value - true(trajectory, "wheel_speed_m_s", middle)
+    assert np.abs(off[wheel.value > 1.0]).max() < 0.05
+    assert np.abs(off[wheel.value > 1.0].mean()) < 0.01
+
+
+def test_the_rate_sensor_turns_with_the_body(path: Path, trajectory: Trajectory) -> None:
+    said = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1).yaw_rate
+    # Another way to the same: the skew part of Rᵀ dR/dt, by differences of rotations.
+    angles = [true(trajectory, name, trajectory.time_ns) for name in ("roll_rad", "pitch_rad", "yaw_rad")]
+    at = np.array([rotation_from_roll_pitch_yaw(*a) for a in np.column_stack(angles)])
+    turned = np.einsum("nki,nkj->nij", at[:-2], at[2:])[:, 1, 0] / 0.02
+    expected = np.interp(said.true_time_ns[1:-1] - START_NS, trajectory.time_ns[1:-1] - START_NS, turned)
+    np.testing.assert_allclose(said.value[1:-1], expected, atol=1e-4)
+    plain = true(trajectory, "yaw_rate_rad_s", said.true_time_ns)
+    assert np.abs(said.value - plain).max() > 5e-4  # the hills show
+
+
+def test_the_wheel_sensor_says_nothing_below_its_least_speed(path: Path, trajectory: Trajectory) -> None:
+    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 3).wheel_speed
+    moving = said.value > 0.0
+    assert said.value[moving].min() >= 0.35 - 1e-9
+    speed = true(trajectory, "wheel_speed_m_s", said.true_time_ns)
+    assert (said.value[speed == 0.0] == 0.0).mean() > 0.98  # but for the last edge before a stop
+    assert (said.value[speed > 0.5] > 0.0).all()
+    np.testing.assert_allclose(said.value / 0.01, np.round(said.value / 0.01), atol=1e-6)
+    # The distance it counts is the true one but for its scale and what it does not say.
+    counted = said.value.sum() / 50.0
+    driven = trajectory.wheel_speed_m_s.sum() / 100.0
+    assert counted == pytest.approx(driven, rel=0.02)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.floats(0.4, 30.0), st.floats(0.005, 0.2), st.floats(0.005, 0.1))
+def test_edges_at_an_even_speed_give_that_speed(speed: float, pitch: float, window: float) -> None:
+    time_s = np.linspace(0.0, 10.0, 1001)
+    edges = edge_times(time_s, np.full(1001, speed), pitch * (np.arange(70_000) + 0.3))
+    np.testing.assert_allclose(np.diff(edges), pitch / speed, rtol=1e-6)
+    assert len(edges) == math.floor(10.0 * speed / pitch - 0.3 + 1e-9) + 1
+    late = np.linspace(6.0, edges[-1], 50)
+    np.testing.assert_allclose(speed_of_edges(edges, late, window, pitch), speed, rtol=1e-6)
+    # When no more edges come, the speed runs out like pitch over waiting time.
+    waited = edges[-1] + np.array([1.0, 2.0])
+    assert (speed_of_edges(edges, waited, window, pitch) <= pitch / np.array([1.0, 2.0]) + 1e-9).all()
+
+
+def test_an_edge_never_falls_into_a_standstill() -> None:
+    time_s = np.arange(0.0, 30.0, 0.01)
+    speed = np.where((time_s > 10.0) & (time_s < 20.0), 0.0, 2.0)
+    edges = edge_times(time_s, speed, 0.0173 * np.arange(5_000))
+    assert len(edges) > 2_000
+    assert not ((edges > 10.01) & (edges < 19.99)).any()
+
+
+def test_the_beam_meets_a_plane_road_where_the_closed_form_says() -> None:
+    slopes = (0.09, -0.04)
+    path = path_over(sloping(*slopes), winding(400))
+    t = drive(path, CAR, start_ns=START_NS)
+    distance = distance_to_road_m(t, CAR, path.surface_m, t.time_ns, CAR.ranging_angle_rad)
+    normal = np.array([-slopes[0], -slopes[1], 1.0])
+    for k in range(0, len(t.time_ns), 97):
+        turn = rotation_from_roll_pitch_yaw(t.roll_rad[k], t.pitch_rad[k], t.yaw_rad[k])
+        origin = t.antenna_m[k] + turn @ (np.array(CAR.ranging) - np.array(CAR.antenna))
+        angle = CAR.ranging_angle_rad
+        beam = turn @ np.array([-math.cos(angle), 0.0, -math.sin(angle)])
+        expected = (np.array([0.0, 0.0, 40.0]) - origin) @ normal / (beam @ normal)
+        assert distance[k] == pytest.approx(expected, abs=1e-7)
+
+
+def test_at_rest_on_flat_road_the_distance_gives_the_antenna_s_height() -> None:
+    # H (6) and (7): h_a = d sin θ + h_sa.
+    for body in (CAR, ROBOT):
+        path = path_over(flat, np.zeros(100))
+        t = drive(path, body, start_ns=START_NS)
+        d = distance_to_road_m(t, body, path.surface_m, t.time_ns[:1], body.ranging_angle_rad)
+        height = d[0] * math.sin(body.ranging_angle_rad) + body.sensor_to_antenna_m
+        assert height == pytest.approx(t.antenna_height_m[0], abs=1e-9)
+
+
+def test_where_no_road_is_known_the_ranging_sensor_says_nothing() -> None:
+    path = path_over(flat, np.zeros(100), surface=False)
+    t = drive(path, CAR, start_ns=START_NS)
+    said = read_sensors(t, CAR, path.surface_m, SensorSet(), 1)
+    assert np.isnan(said.ranging.value).all()
+    assert ranging_messages(said, SensorSet(), CAR) == []
+
+
+def test_errors_are_as_large_as_said() -> None:
+    path = path_over(flat, np.zeros(200))
+    t = drive(path, CAR, start_ns=START_NS, duration_s=120.0)
+    sensors = SensorSet()
+    last = []
+    for seed in range(40):
+        said = read_sensors(t, CAR, path.surface_m, sensors, seed)
+        assert said.stroke is not None
+        last.append([x.value[-2000:].mean() for x in (said.yaw_rate, said.steering)])
+        if seed == 0:
+            spread = [x.value[-2000:].std() for x in (said.yaw_rate, said.steering, said.stroke)]
+            noise = (sensors.yaw_rate.noise_rad_s, sensors.steering.noise_rad, sensors.stroke.noise_m)
+            np.testing.assert_allclose(spread, noise, rtol=0.1)
+            distance = said.ranging.value[-400:]
+            assert 0.0 < np.isnan(distance).mean() < 0.05
+            assert np.nanstd(distance) == pytest.approx(sensors.ranging.noise_m, rel=0.25)
+    # Within what 40 draws of a normal distribution allow (χ², 99.9 %).
+    bias = np.std(last, axis=0) / (sensors.yaw_rate.bias_sigma_rad_s, sensors.steering.bias_sigma_rad)
+    assert ((bias > 0.65) & (bias < 1.4)).all()
+
+
+def test_each_sensor_lives_by_its_own_clock(path: Path, trajectory: Trajectory) -> None:
+    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 5)
+    assert said.stroke is not None
+    off = [r.time_ns - r.true_time_ns for r in (said.wheel_speed, said.yaw_rate, said.steering, said.stroke)]
+    assert len({int(o[0]) for o in off}) == 4
+    assert all(abs(int(o[0])) < 15_000_000 for o in off)
+    assert all(int(np.ptp(o)) > 1_000 for o in off)  # and drifts
+    assert all(
+        np.ptp(np.diff(r.time_ns)) <= 2 for r in (said.wheel_speed, said.yaw_rate)
+    )  # even by its own clock
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(st.integers(-(10**8), 10**8), st.floats(-1e-3, 1e-3), st.floats(1.0, 200.0))
+def test_a_clock_samples_by_its_own_time(offset: int, drift: float, rate: float) -> None:
+    true_ns, stamps = SensorClock(offset, drift).sampling(START_NS, START_NS + 20_000_000_000, rate)
+    assert true_ns[0] == START_NS
+    assert true_ns[-1] <= START_NS + 20_000_000_000
+    assert stamps[0] - START_NS == offset
+    np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=3.0)
+    assert len(true_ns) == pytest.approx(20.0 * rate * (1.0 + drift) + 1, abs=1.0)
+
+
+def test_messages_hold_what_was_said_last(path: Path, trajectory: Trajectory) -> None:
+    said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 6)
+    messages = motion_messages(said)
+    assert [m.time_ns for m in messages] == said.yaw_rate.time_ns.tolist()
+    for m in messages[5::200]:
+        held = np.flatnonzero(said.wheel_speed.time_ns <= m.time_ns)[-1]
+        assert m.wheel_speed_m_s == said.wheel_speed.value[held]
+        assert m.steering_angle_rad is not None
+    # A unit that has fallen silent is not known, not repeated.
+    silent = dataclasses.replace(
+        said,
+        wheel_speed=dataclasses.replace(
+            said.wheel_speed,
+            time_ns=said.wheel_speed.time_ns[:100],
+            true_time_ns=said.wheel_speed.true_time_ns[:100],
+            value=said.wheel_speed.value[:100],
+        ),
+    )
+    assert motion_messages(silent)[-1].wheel_speed_m_s is None
+    assert len(suspension_messages(said, SensorSet())) == len(said.stroke.time_ns)  # type: ignore[union-attr]
+    assert len(ranging_messages(said, SensorSet(), CAR)) == int(np.isfinite(said.ranging.value).sum())
+
+
+def test_a_robot_has_no_stroke() -> None:
+    path = path_over(flat, np.zeros(100))
+    t = drive(path, ROBOT, start_ns=START_NS)
+    said = read_sensors(t, ROBOT, path.surface_m, SensorSet(), 1)
+    assert said.stroke is None
+    assert suspension_messages(said, SensorSet()) == []
+
+
+def test_the_same_seed_gives_the_same_readings_another_seed_others(
+    path: Path, trajectory: Trajectory
+) -> None:
+    one, same, other = (read_sensors(trajectory, CAR, path.surface_m, SensorSet(), s) for s in (1, 1, 2))
+    for name in ("wheel_speed", "yaw_rate", "steering", "stroke", "ranging"):
+        a, b, c = (getattr(x, name) for x in (one, same, other))
+        assert a.value.tobytes() == b.value.tobytes()
+        assert a.time_ns.tobytes() == b.time_ns.tobytes()
+        assert a.value.tobytes() != c.value.tobytes()
+
+
+def test_to_change_one_error_leaves_the_others(path: Path, trajectory: Trajectory) -> None:
+    changed = dataclasses.replace(SensorSet(), yaw_rate=RateSensor(noise_rad_s=0.1))
+    a, b = (read_sensors(trajectory, CAR, path.surface_m, s, 1) for s in (SensorSet(), changed))
+    assert a.wheel_speed.value.tobytes() == b.wheel_speed.value.tobytes()
+    assert a.steering.value.tobytes() == b.steering.value.tobytes()
+    assert a.yaw_rate.value.tobytes() != b.yaw_rate.value.tobytes()
