@@ -50,7 +50,7 @@ def lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[in
         *(((count + 1) % _TOW_COUNTS_PER_WEEK, 17), (0b01, 2), (subframe, 3), (0, 2)),
     ]
     bits, width = joined([*head, *_BODIES[subframe - 1](chr(ephemeris.satellite >> 8), integers), (0, 2)])
-    return _with_parity([bits >> width - 24 * (place + 1) & 0xFFFFFF for place in range(10)])
+    return words_with_parity([bits >> width - 24 * (place + 1) & 0xFFFFFF for place in range(10)])
 
 
 def parity(data: int, before: int) -> int:
@@ -62,12 +62,14 @@ def parity(data: int, before: int) -> int:
     return value
 
 
-def _with_parity(data: list[int]) -> list[int]:
+def words_with_parity(data: list[int]) -> list[int]:
+    """Ten words as in `lnav_subframe` of ten times 24 data bits; bits 23 and 24 of words 2 and 10 are solved for."""
     words, before = list[int](), 0
     for place, meant in enumerate(data):
         if place in (1, 9):
             # Bits 23 and 24 are such that D29 and D30 become zero.
-            meant = next(meant | solved for solved in range(4) if parity(meant | solved, before) & 0b11 == 0)
+            meant &= ~0b11
+            meant = next(meant | two for two in range(4) if parity(meant | two, before) & 0b11 == 0)
         check = parity(meant, before)
         inverted = before & 1
         as_sent = before << 30 | (meant ^ (0xFFFFFF if inverted else 0)) << 6 | check

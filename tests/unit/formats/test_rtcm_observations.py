@@ -1,0 +1,322 @@
+"""MSM7: pyrtcm reads every message and gives the observations back within the resolution of each field."""
+
+import math
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyrtcm import RTCMReader
+from pyrtcm.rtcmtables import BEIDOU_SIG_MAP, GALILEO_SIG_MAP, GPS_SIG_MAP, QZSS_SIG_MAP
+
+from camber.formats.bit_fields import crc24q
+from camber.formats.observations import (
+    CARRIER_HZ,
+    ObservationEpoch,
+    satellite_number,
+    signal_name,
+    signal_number,
+)
+from camber.formats.phase_counts import PhaseCounts
+from camber.formats.rtcm_msm import lock_indicator
+from camber.formats.rtcm_signals import MSM_SIGNALS
+from camber.formats.rtcm_writing import format_observations
+from support.random_observations import COMMON, LIGHT_M_S, MOST, SECOND_NS, WEEK_NS, random_epoch
+
+LIGHT_MS_M = LIGHT_M_S * 1e-3
+LETTERS = {"1077": "G", "1097": "E", "1117": "J", "1127": "C"}
+TIMES = st.one_of(
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS),
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS - 1_000_000),
+    # Around the beginning of BeiDou's week, and the end of a day.
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS + 14 * SECOND_NS),
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS + 14 * SECOND_NS - 1_000_000),
+    st.integers(1, 6).map(lambda day: 2300 * WEEK_NS + day * 86_400 * SECOND_NS - 1_000_000),
+    st.integers(1000 * 604_800_000, 4000 * 604_800_000).map(lambda ms: ms * 1_000_000),
+)
+
+
+# Table 3.5-75: of each 32 indicators from 64 on, 2^n · i − this.
+SUBTRACTED = (
+    *(64, 256, 768, 2048, 5120, 12288, 28672, 65536, 147456, 327680, 720896, 1572864, 3407872, 7340032),
+    *(15728640, 33554432, 71303168, 150994944, 318767104, 671088640),
+)
+
+
+def minimum_lock_ms(indicator: int) -> int:
+    if indicator < 64:
+        return indicator
+    if indicator == 704:
+        return 67_108_864
+    row = (indicator - 64) // 32
+    return 2 ** (row + 1) * indicator - SUBTRACTED[row]
+
+
+@given(st.floats(0.0, 90_000.0))
+@settings(derandomize=True, max_examples=300)
+def test_the_lock_indicator_is_the_greatest_whose_time_has_passed(lock_s):
+    indicator = int(lock_indicator(np.array([lock_s]))[0])
+    assert minimum_lock_ms(indicator) <= lock_s * 1e3 + 1e-5
+    assert indicator == 704 or minimum_lock_ms(indicator + 1) > lock_s * 1e3
+
+
+def test_every_indicator_is_reached_by_its_own_minimum():
+    minimum = np.array([minimum_lock_ms(i) for i in range(705)])
+    assert lock_indicator(minimum * 1e-3).tolist() == list(range(705))
+
+
+def read_with_pyrtcm(frames):
+    """(letter, number, signal) → (pseudorange m, phase m, rate m/s, C/N0, lock ms, half cycle), and the headers."""
+    cells, headers = {}, []
+    for frame in frames:
+        message = RTCMReader.parse(frame)
+        letter = LETTERS[message.identity]
+        time_ms = next(
+            getattr(message, n) for n in ("DF004", "DF248", "DF428", "DF427") if hasattr(message, n)
+        )
+        headers.append((letter, time_ms, message.DF003, message.DF393, message.NSat * message.NSig))
+        rough = {}
+        for i in range(1, message.NSat + 1):
+            at = f"_{i:02d}"
+            whole = getattr(message, "DF397" + at)
+            range_ms = math.nan if whole == 255 else whole + getattr(message, "DF398" + at)
+            rate = getattr(message, "DF399" + at)
+            rough[getattr(message, "PRN" + at)] = range_ms, math.nan if rate == -8192 else rate
+        for i in range(1, message.NCell + 1):
+            at = f"_{i:02d}"
+            prn = getattr(message, "CELLPRN" + at)
+            range_ms, rate = rough[prn]
+            code, phase, fine_rate = (getattr(message, name + at) for name in ("DF405", "DF406", "DF404"))
+            cn0 = getattr(message, "DF408" + at)
+            key = letter, int(prn) - (192 if letter == "J" else 0), getattr(message, "CELLSIG" + at)
+            assert key not in cells
+            cells[key] = (
+                math.nan if code == -(2.0**-10) else (range_ms + code) * LIGHT_MS_M,
+                math.nan if phase == -(2.0**-8) else (range_ms + phase) * LIGHT_MS_M,
+                math.nan if fine_rate == pytest.approx(-1.6384) else rate + fine_rate,
+                math.nan if cn0 == 0 else cn0,
+                minimum_lock_ms(getattr(message, "DF407" + at)),
+                bool(getattr(message, "DF420" + at)),
+            )
+    return cells, headers
+
+
+def carrier_hz(letter, signal):
+    return COMMON[letter][signal] if signal in COMMON[letter] else CARRIER_HZ[letter, signal]
+
+
+def assert_same(epoch: ObservationEpoch, cells):
+    assert len(cells) == epoch.satellite.size
+    for row in range(epoch.satellite.size):
+        letter, number = chr(epoch.satellite[row] >> 8), int(epoch.satellite[row] & 255)
+        signal = signal_name(int(epoch.signal[row]))
+        wavelength = LIGHT_M_S / carrier_hz(letter, signal)
+        code, phase, rate, cn0, lock_ms, half = cells[letter, number, signal]
+        # Half a step of DF405, DF406, DF404 and DF408; doubles of 8e7 m add some 1e-8 m.
+        for found, given_, step in (
+            (code, epoch.pseudorange_m[row], LIGHT_MS_M * 2.0**-29),
+            (phase, epoch.carrier_phase_cycles[row] * wavelength, LIGHT_MS_M * 2.0**-31),
+            (rate, -epoch.doppler_hz[row] * wavelength, 1e-4),
+            (cn0, epoch.cn0_dbhz[row], 2.0**-4),
+        ):
+            assert math.isnan(found) == math.isnan(given_)
+            assert math.isnan(found) or abs(found - given_) <= 0.5 * step + 1e-7
+        lock_s = epoch.lock_time_s[row]
+        if math.isnan(lock_s):
+            assert lock_ms == 0
+        else:
+            assert lock_ms <= lock_s * 1e3 + 1e-5
+            assert lock_ms >= min(lock_s * 1e3 * 32 / 33 - 1, 67_108_864)
+        assert half == epoch.half_cycle[row]
+
+
+@given(st.integers(0, 2**32), TIMES, st.integers(0, 4095), st.sampled_from([0.0, 0.15, 0.6, 1.0]))
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_pyrtcm_gives_the_observations_back(seed, time_ns, station_id, missing):
+    epoch = random_epoch(np.random.default_rng(seed), time_ns, missing=missing)
+    frames = format_observations(epoch, station_id=station_id)
+    cells, headers = read_with_pyrtcm(frames)
+    assert_same(epoch, cells)
+    assert [letter for letter, *_ in headers] == sorted((h[0] for h in headers), key="GEJC".index)
+    for place, (letter, time_ms, station, more, mask_bits) in enumerate(headers):
+        behind_ns = 14 * SECOND_NS if letter == "C" else 0
+        assert time_ms == (time_ns - behind_ns) % WEEK_NS // 1_000_000
+        assert station == station_id
+        assert more == (place < len(headers) - 1)
+        assert mask_bits <= 64
+
+
+@given(st.integers(0, 2**32))
+@settings(derandomize=True, max_examples=8, deadline=None)
+def test_as_many_satellites_as_the_mask_names_are_split_over_messages(seed):
+    epoch = random_epoch(np.random.default_rng(seed), 2300 * WEEK_NS, satellites=63, missing=0.05)
+    frames = format_observations(epoch, station_id=1, more_follow=True)
+    cells, headers = read_with_pyrtcm(frames)
+    assert_same(epoch, cells)
+    assert all(more for _, _, _, more, _ in headers)
+    of_system = defaultdict(int)
+    for letter, *_ in headers:
+        of_system[letter] += 1
+    for letter, count in of_system.items():
+        satellites = np.unique(epoch.satellite[epoch.satellite >> 8 == ord(letter)]).size
+        assert count == math.ceil(satellites / (64 // len(COMMON[letter]))) or count < satellites
+
+
+def test_an_epoch_without_observations_is_no_message():
+    nothing = random_epoch(np.random.default_rng(0), 0, satellites=0)
+    assert format_observations(nothing, station_id=0) == []
+
+
+def test_signal_ids_and_carriers_are_those_of_other_tables():
+    """pyrtcm's tables and those of RINEX in this project."""
+    tables = zip("GEJC", (GPS_SIG_MAP, GALILEO_SIG_MAP, QZSS_SIG_MAP, BEIDOU_SIG_MAP), strict=True)
+    theirs = {(letter, name): number for letter, table in tables for number, (_, name) in table.items()}
+    ours = {
+        (chr(key >> 16), signal_name(key & 0xFFFF)): number
+        for key, number in zip(MSM_SIGNALS.keys.tolist(), MSM_SIGNALS.ids.tolist(), strict=True)
+    }
+    assert ours == theirs
+    for (letter, name), carrier in CARRIER_HZ.items():
+        key = np.array([signal_number(name)])
+        place, known = MSM_SIGNALS.places(np.array([ord(letter) * 256 + 1]), key)
+        assert known[0]
+        assert MSM_SIGNALS.carriers_hz[place[0]] == carrier
+
+
+def one(**changes) -> ObservationEpoch:
+    values = {
+        "time_ns": 2300 * WEEK_NS,
+        "satellite": np.array([satellite_number("G05")] * 2),
+        "signal": np.array([signal_number("1C"), signal_number("2L")]),
+        "pseudorange_m": np.array([2.2e7, 2.2e7]),
+        "carrier_phase_cycles": np.array([2.2e7 * 1575.42e6 / LIGHT_M_S, 2.2e7 * 1227.6e6 / LIGHT_M_S]),
+        "doppler_hz": np.array([1000.0, 1000.0 * 1227.6 / 1575.42]),
+        "cn0_dbhz": np.array([45.0, 40.0]),
+        "lock_time_s": np.array([3.0, 3.0]),
+        "loss_of_lock": np.zeros(2, np.bool_),
+        "half_cycle": np.zeros(2, np.bool_),
+    }
+    return ObservationEpoch(**(values | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"pseudorange_m": np.array([8e7, 8e7])},
+            r"G05 1C: range is 80000000.0000 m, expected 0.0000 to 7644",
+        ),
+        ({"pseudorange_m": np.array([-1e3, -1e3])}, r"G05 1C: range is -1000.0000 m, expected 0"),
+        ({"pseudorange_m": np.array([2.2e7, 2.2e7 + 800.0])}, r"pseudorange from the rough range is -\d+"),
+        ({"pseudorange_m": np.array([np.inf, 2.2e7])}, "pseudorange is infinite"),
+        ({"carrier_phase_cycles": np.array([1e8, np.nan])}, r"G05 1C: phase from the rough range is -"),
+        (
+            {"doppler_hz": np.array([5e4, 4e4])},
+            r"rough phase range rate is -9\d\d\d\.\d+ m/s, expected -8191",
+        ),
+        ({"doppler_hz": np.array([1000.0, 1000.0])}, "phase range rate from the rough rate"),
+        ({"cn0_dbhz": np.array([64.0, 40.0])}, r"C/N0 is 64.0000 dB-Hz, expected 0.0625 to 63.9375"),
+        ({"cn0_dbhz": np.array([0.0, 40.0])}, r"C/N0 is 0.0000"),
+        ({"lock_time_s": np.array([-1.0, 0.0])}, r"lock time is -1.0000 s"),
+        ({"time_ns": 2300 * WEEK_NS + 1}, "expected whole milliseconds"),
+        ({"satellite": np.array([satellite_number("R05")] * 2)}, "R05 1C has no number in MSM messages"),
+        ({"satellite": np.array([satellite_number("G64")] * 2)}, "G64 1C .* expected satellites 1 to 63"),
+        ({"satellite": np.array([satellite_number("J00")] * 2)}, "J00 1C .* expected satellites 1 to 10"),
+        ({"signal": np.array([signal_number("1C"), signal_number("2I")])}, "G05 2I has no number"),
+        ({"signal": np.array([signal_number("1C")] * 2)}, "G05 1C: observed twice"),
+    ],
+)
+def test_what_the_message_cannot_hold_is_refused_with_field_and_range(changes, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        format_observations(one(**changes), station_id=1)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("station_id", [-1, 4096])
+def test_a_station_id_of_more_than_twelve_bits_is_refused(station_id):
+    with pytest.raises(ValueError, match="station id"):
+        format_observations(one(), station_id=station_id)
+
+
+@pytest.mark.parametrize("most", MOST.items())
+def test_the_last_satellite_of_each_system_is_named(most):
+    letter, number = most
+    signal = next(iter(COMMON[letter]))
+    satellite = np.array([satellite_number(f"{letter}{number}")] * 2)
+    epoch = one(satellite=satellite, signal=np.array([signal_number(signal), signal_number("5Q")]))
+    if letter == "C":
+        epoch = replace(epoch, signal=np.array([signal_number("2I"), signal_number("5P")]))
+    epoch = replace(epoch, doppler_hz=np.zeros(2), carrier_phase_cycles=np.full(2, np.nan))
+    cells, _ = read_with_pyrtcm(format_observations(epoch, station_id=0))
+    assert {(letter_, number_) for letter_, number_, _ in cells} == {(letter, number)}
+
+
+@given(st.integers(0, 2**32))
+@settings(derandomize=True, max_examples=10, deadline=None)
+def test_a_damaged_frame_fails_its_check(seed):
+    rng = np.random.default_rng(seed)
+    for frame in format_observations(random_epoch(rng, 2300 * WEEK_NS), station_id=5):
+        for _ in range(20):
+            damaged = bytearray(frame)
+            damaged[int(rng.integers(0, len(frame)))] ^= 1 << int(rng.integers(0, 8))
+            assert crc24q(bytes(damaged[:-3])) != int.from_bytes(damaged[-3:], "big")
+        assert crc24q(frame[:-3]) == int.from_bytes(frame[-3:], "big")
+
+
+def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until_it_breaks():
+    rng = np.random.default_rng(4)
+    counts = PhaseCounts()
+    wavelength = np.array([LIGHT_M_S / 1575.42e6, LIGHT_M_S / 1227.6e6])
+    ambiguity = np.array([400_000.0, -333_333.5])
+    told = []
+    for k in range(40):
+        if k == 20:
+            ambiguity = ambiguity + np.array([0.0, 77_777.0])
+        lock_s = np.array([5.0 + k, 5.0 + k if k < 20 else k - 20.0])
+        pseudorange = 2.2e7 + 700.0 * k + rng.normal(size=2)
+        if k in (7, 20):
+            pseudorange[0] = np.nan
+        phase = (2.2e7 + 700.0 * k) / wavelength + ambiguity
+        epoch = one(
+            time_ns=2300 * WEEK_NS + k * SECOND_NS,
+            pseudorange_m=pseudorange,
+            carrier_phase_cycles=phase,
+            lock_time_s=lock_s,
+        )
+        aligned = counts.near_pseudorange(epoch)
+        format_observations(aligned, station_id=1)
+        told.append(phase - aligned.carrier_phase_cycles)
+    off = np.array(told)
+    assert np.all(off == np.rint(off))
+    assert np.unique(off[:, 0]).size == 1
+    assert np.unique(off[:20, 1]).size == np.unique(off[20:, 1]).size == 1
+    assert abs(off[20, 1] - off[19, 1] - 77_777.0) < 40
+
+
+def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
+    counts = PhaseCounts()
+    started = None
+    for k in range(300):
+        epoch = one(
+            time_ns=2300 * WEEK_NS + k * SECOND_NS,
+            carrier_phase_cycles=one().carrier_phase_cycles + 50.0 * k,
+            lock_time_s=np.full(2, 100.0 + k),
+        )
+        aligned = counts.near_pseudorange(epoch)
+        format_observations(aligned, station_id=1)
+        if started is None and aligned.loss_of_lock[0]:
+            started = k
+            assert k * 50.0 * LIGHT_M_S / 1575.42e6 > 700.0
+        if started is not None and not aligned.loss_of_lock[0]:
+            assert aligned.lock_time_s[0] < 100.0
+    assert started is not None
+
+
+def test_a_phase_without_any_pseudorange_is_left_out_until_there_is_one():
+    counts = PhaseCounts()
+    without = one(pseudorange_m=np.array([np.nan, 2.2e7]))
+    assert np.isnan(counts.near_pseudorange(without).carrier_phase_cycles).tolist() == [True, False]
+    later = one(time_ns=one().time_ns + SECOND_NS)
+    assert not np.isnan(counts.near_pseudorange(later).carrier_phase_cycles).any()
