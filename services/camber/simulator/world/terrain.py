@@ -1,0 +1,78 @@
+"""The ground of a district as a closed form: waves and hills, smooth everywhere, the same on every machine."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.compiled import compiled
+from camber.simulator.random_streams import stream
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terrain:
+    """Ellipsoidal height of the ground over east and north of the world frame.
+
+    `waves` (n, 4): amplitude [m], wave number east and north [rad/m], phase [rad]. `hills` (n, 5): height [m], east,
+    north of the top [m], widths east and north [m]: height · exp(−(Δe/width)² − (Δn/width)²), whose steepest slope is
+    0.858 height / width.
+    """
+
+    base_m: float
+    waves: Floats
+    hills: Floats
+
+    def height_m(self, east_m: Floats, north_m: Floats) -> Floats:
+        """Heights at places of any shape."""
+        east = np.ascontiguousarray(east_m, np.float64)
+        north = np.ascontiguousarray(north_m, np.float64)
+        result = np.empty(east.shape)
+        _heights(self.base_m, self.waves, self.hills, east.ravel(), north.ravel(), result.ravel())
+        return result
+
+
+@compiled
+def ground_height(base: float, waves: Floats, hills: Floats, e: float, n: float) -> float:
+    """Height at one place; arguments as the fields of Terrain."""
+    height = base
+    for i in range(len(waves)):
+        height += waves[i, 0] * math.sin(waves[i, 1] * e + waves[i, 2] * n + waves[i, 3])
+    for i in range(len(hills)):
+        u = (e - hills[i, 1]) / hills[i, 3]
+        v = (n - hills[i, 2]) / hills[i, 4]
+        height += hills[i, 0] * math.exp(-u * u - v * v)
+    return height
+
+
+@compiled
+def _heights(base: float, waves: Floats, hills: Floats, east: Floats, north: Floats, result: Floats) -> None:
+    for i in range(len(east)):
+        result[i] = ground_height(base, waves, hills, east[i], north[i])
+
+
+def rolling_terrain(
+    seed: int,
+    *,
+    base_m: float,
+    slope: float,
+    hills: list[tuple[float, float, float, float, float]] | None = None,
+) -> Terrain:
+    """Three waves of 500 to 1,300 m in drawn directions whose slopes add up to at most `slope`, and given hills."""
+    rng = stream(seed, "terrain")
+    length_m = rng.uniform(500.0, 1300.0, 3)
+    direction = rng.uniform(0.0, 2.0 * math.pi, 3)
+    number = 2.0 * math.pi / length_m
+    waves = np.column_stack(
+        (
+            slope / 3.0 / number,
+            number * np.cos(direction),
+            number * np.sin(direction),
+            rng.uniform(0.0, 2.0 * math.pi, 3),
+        )
+    )
+    return Terrain(base_m, waves, np.array(hills or [], np.float64).reshape(-1, 5))
