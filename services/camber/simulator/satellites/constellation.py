@@ -44,8 +44,20 @@ _GALILEO_PRN = (
 _BEIDOU_MEO_PRN = (
     19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 32, 33, 34, 35, 36, 37, 41, 42, 43, 44, 45, 46,
 )  # fmt: skip
-_BEIDOU_IGSO = ((38, 118.0, 0.0), (39, 118.0, 120.0), (40, 118.0, 240.0))  # number, longitude, phase
-_BEIDOU_GEO = ((1, 140.0), (2, 84.0), (3, 110.5))
+# Number, longitude of the figure of eight, phase: of the third generation and of the second one, still in use.
+_BEIDOU_IGSO = (
+    (38, 118.0, 0.0),
+    (39, 118.0, 120.0),
+    (40, 118.0, 240.0),
+    (6, 118.0, 60.0),
+    (7, 118.0, 180.0),
+    (8, 118.0, 300.0),
+    (9, 95.0, 20.0),
+    (10, 95.0, 140.0),
+    (13, 95.0, 260.0),
+    (16, 112.0, 330.0),
+)
+_BEIDOU_GEO = ((1, 140.0), (2, 84.0), (3, 110.5), (4, 160.0), (5, 58.75))
 _QZSS = ((2, 0.0), (3, 230.0), (4, 130.0))  # number, phase of the figure of eight over 135° E
 _QZSS_GEO = (7, 127.0)
 

@@ -98,9 +98,10 @@ def levels(
     phase += late
     rate = np.where(by_wall, np.einsum("nmk,nk->nm", ways.excess_per_m, velocity_m_s), 0.0)
 
-    depth = np.where(bent, np.nan_to_num(ways.bent_rad) / np.deg2rad(p.diffraction_reach_deg), 0.0)
+    depth = np.where(bent, np.nan_to_num(ways.bent_rad) / max(np.deg2rad(p.diffraction_reach_deg), 1e-9), 0.0)
+    # The way over an edge at distance d is longer by d θ² / 2; far edges bend less than that, many being before them.
     detour = np.minimum(
-        0.5 * np.nan_to_num(ways.edge_m) * np.nan_to_num(ways.bent_rad) ** 2, p.diffraction_phase_m
+        0.5 * np.nan_to_num(ways.edge_m) * np.nan_to_num(ways.bent_rad) ** 2, p.diffraction_phase_m * depth**2
     )
     scatter = np.tanh(np.abs(gauss_markov(rng("edge").normal(size=(n, m)), memory)))
     code += (depth * scatter * p.diffraction_code_m)[..., None]

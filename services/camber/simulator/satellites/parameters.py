@@ -27,7 +27,7 @@ class SignalParameters:
     second_cn0_loss_db: float = 2.0
     cn0_noise_db: float = 0.7
     code_tracked_above_dbhz: float = 24.0
-    phase_tracked_above_dbhz: float = 29.0
+    phase_tracked_above_dbhz: float = 33.0
 
     # One standard deviation at 45 dB-Hz, growing as 10^(−ΔC/N0 / 20).
     code_noise_m: float = 0.30
@@ -55,7 +55,7 @@ class SignalParameters:
     reflected_cn0_loss_db: float = 8.0
     reflected_phase_absent: float = 0.9
 
-    # Signals bent over an edge.
+    # Signals bent over an edge: how far below it, and the errors there; code grows with the depth, phase as its square.
     diffraction_reach_deg: float = 6.0
     diffraction_code_m: float = 1.5
     diffraction_phase_m: float = 0.12
