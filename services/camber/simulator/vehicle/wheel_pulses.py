@@ -14,7 +14,9 @@ def edge_times(time_s: Floats, wheel_speed_m_s: Floats, edge_m: Floats) -> Float
     """
     speed = np.abs(wheel_speed_m_s)
     rolled = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s)))
-    return np.interp(edge_m[edge_m <= rolled[-1]], rolled, time_s)  # an edge never lies within a standstill
+    # An edge never lies within a standstill: equal distances there have no width.
+    times: Floats = np.interp(edge_m[edge_m <= rolled[-1]], rolled, time_s)
+    return times
 
 
 def speed_of_edges(edge_s: Floats, time_s: Floats, window_s: float, pitch_m: float) -> Floats:
