@@ -1,0 +1,75 @@
+"""A release of the map as a survey of a district makes it: on the survey day, with a survey's errors.
+
+Whoever drives on the drive day finds vehicles parked elsewhere, trees grown and some roads resurfaced since.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from camber.formats.map_release import write_release
+from camber.geodesy.gps_time import gpst_from_gps_ns
+from camber.schemas.road import ReleaseRoot
+from camber.simulator.world.district import District
+from camber.simulator.world.survey_clouds import surveyed_clouds
+from camber.simulator.world.survey_links import surveyed_links
+from camber.simulator.world.survey_surfaces import surveyed_surfaces
+from camber.simulator.world.tracing import ShapeTracer
+
+DATUM = "WGS84"
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyErrors:
+    """How good the survey is. `clouds`: False leaves the point clouds out, which take nearly all of the time."""
+
+    height_sigma_m: float = 0.03
+    height_correlation_m: float = 20.0
+    link_deviation_m: float = 6.0
+    scan_spacing_m: float = 5.0
+    voxel_m: float = 0.10
+    clouds: bool = True
+
+
+def write_survey(
+    folder: Path,
+    district: District,
+    time_ns: int,
+    errors: SurveyErrors | None = None,
+    *,
+    seed: int | None = None,
+    map_version: int = 1,
+) -> ReleaseRoot:
+    """Write the release of a district as surveyed at `time_ns`; the seed is the district's where none is given.
+
+    Raises ReleaseError and OSError as `write_release`.
+    """
+    errors = errors or SurveyErrors()
+    seed = district.seed if seed is None else seed
+    roads = district.roads("survey")
+    surfaces = surveyed_surfaces(
+        roads, district.frame, seed, errors.height_sigma_m, errors.height_correlation_m, time_ns
+    )
+    clouds = []
+    if errors.clouds:
+        tracer = ShapeTracer(district.shapes("survey"))
+        clouds = surveyed_clouds(
+            roads, tracer, district.frame, seed, errors.scan_spacing_m, errors.voxel_m, time_ns
+        )
+    day = gpst_from_gps_ns(time_ns)
+    return write_release(
+        folder,
+        region=district.kind,
+        map_version=map_version,
+        datum=DATUM,
+        epoch_year=round(day.year + (day.month - 0.5) / 12.0, 2),
+        time_ns=time_ns,
+        surfaces=surfaces,
+        links=surveyed_links(roads, district.frame, seed, errors.link_deviation_m),
+        clouds=clouds,
+        surrogate=(
+            f"simulated survey of district {district.kind}, seed {seed}: heights with {errors.height_sigma_m:g} m of "
+            f"noise (correlation {errors.height_correlation_m:g} m), links up to {errors.link_deviation_m:g} m off"
+        ),
+    )
