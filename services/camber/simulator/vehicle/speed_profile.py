@@ -18,6 +18,8 @@ import numpy as np
 from camber.geodesy.compiled import compiled
 from camber.simulator.scene import Floats
 
+_STRAIGHT = 1.0e-9  # 1/m, less is no curve
+
 
 @dataclass(frozen=True, slots=True)
 class Driver:
@@ -87,8 +89,7 @@ def progress_along(
     the longest `stop_s` of it. Raises ValueError for a path that allows no speed at all.
     """
     limit, stop_at_s = _limits_and_stops(speed_limit_m_s, stop_s)
-    with np.errstate(divide="ignore"):
-        in_curves = np.sqrt(driver.lateral_acceleration_m_s2 / np.abs(curvature))
+    in_curves = np.sqrt(driver.lateral_acceleration_m_s2 / np.maximum(np.abs(curvature), _STRAIGHT))
     limit = np.minimum(limit, in_curves)
     # Midpoints, so that there is room to move between two stops at neighbouring samples.
     s = np.interp(np.arange(2 * len(distance_m) - 1) / 2.0, np.arange(len(distance_m)), distance_m)
