@@ -117,55 +117,38 @@ def _cells(epoch: ObservationEpoch) -> _Cells:
     pseudorange_ms = epoch.pseudorange_m[rows] / METRES_PER_MS
     phase_ms = epoch.carrier_phase_cycles[rows] * wavelength_m / METRES_PER_MS
     rate_m_s = -epoch.doppler_hz[rows] * wavelength_m
-    cn0, lock_s = epoch.cn0_dbhz[rows], epoch.lock_time_s[rows]
+    cn0, lock_ms = epoch.cn0_dbhz[rows] * CN0_PER_DBHZ, epoch.lock_time_s[rows] * 1e3
+    for name, values in (("pseudorange", pseudorange_ms), ("phase", phase_ms), ("Doppler", rate_m_s)):
+        if np.isinf(values).any():
+            row = int(rows[np.flatnonzero(np.isinf(values))[0]])
+            raise ValueError(f"{_name(epoch, row)}: {name} is infinite, expected a number")
 
     middle_ms = _middle(pseudorange_ms, first)
-    rough = np.rint(np.where(np.isnan(middle_ms), _middle(phase_ms, first), middle_ms) * ROUGH_PER_MS)
-    rough_rate = np.rint(_middle(rate_m_s, first))
+    middle = np.where(np.isnan(middle_ms), _middle(phase_ms, first), middle_ms) * ROUGH_PER_MS
+    middle_rate = _middle(rate_m_s, first)
+    rough, rough_rate = np.rint(middle), np.rint(middle_rate)
     rough_ms = (rough / ROUGH_PER_MS)[of_satellite]
     from_rough = (pseudorange_ms - rough_ms) * PSEUDORANGE_PER_MS
     phase_from_rough = (phase_ms - rough_ms) * PHASE_PER_MS
     rate_from_rough = (rate_m_s - rough_rate[of_satellite]) * RATE_PER_M_S
-
-    _check_ranges(
-        epoch,
-        rows,
-        # What it is, its unit, in steps, how large a step is, the least and the greatest.
-        (
-            "range",
-            "m",
-            (rough_ms * ROUGH_PER_MS),
-            METRES_PER_MS / ROUGH_PER_MS,
-            0,
-            (INVALID_ROUGH_MS << 10) - 1,
-        ),
-        (
-            "pseudorange from the rough range",
-            "m",
-            from_rough,
-            METRES_PER_MS / PSEUDORANGE_PER_MS,
-            -524287,
-            524287,
-        ),
-        (
-            "phase from the rough range",
-            "m",
-            phase_from_rough,
-            METRES_PER_MS / PHASE_PER_MS,
-            -8388607,
-            8388607,
-        ),
-        ("rough phase range rate", "m/s", rough_rate[of_satellite], 1.0, -8191, 8191),
-        ("phase range rate from the rough rate", "m/s", rate_from_rough, 1e-4, -16383, 16383),
-        ("C/N0", "dB-Hz", cn0 * CN0_PER_DBHZ, 1.0 / CN0_PER_DBHZ, 1, MOST_CN0),
-        ("lock time", "s", lock_s * 1e3, 1e-3, 0, 1_000_000_000_000),
+    # What it is, in steps, how large a step is, its unit, the least and the greatest.
+    quantities: tuple[_Quantity, ...] = (
+        ("range", middle[of_satellite], _M / ROUGH_PER_MS, "m", 0, (INVALID_ROUGH_MS << 10) - 1),
+        ("pseudorange from the rough range", from_rough, _M / PSEUDORANGE_PER_MS, "m", -524287, 524287),
+        ("phase from the rough range", phase_from_rough, _M / PHASE_PER_MS, "m", -8388607, 8388607),
+        ("rough phase range rate", middle_rate[of_satellite], 1.0, "m/s", -8191, 8191),
+        ("phase range rate from the rough rate", rate_from_rough, 1e-4, "m/s", -16383, 16383),
+        ("C/N0", cn0, 1.0 / CN0_PER_DBHZ, "dB-Hz", 1, MOST_CN0),
+        ("lock time", lock_ms, 1e-3, "s", 0, 1_000_000_000_000),
     )
+    for quantity in quantities:
+        _check_range(epoch, rows, quantity)
     columns = (
         _whole(from_rough, PSEUDORANGE_INVALID),
         _whole(phase_from_rough, PHASE_INVALID),
-        lock_indicator(lock_s),
+        lock_indicator(epoch.lock_time_s[rows]),
         epoch.half_cycle[rows].astype(np.int64),
-        _whole(cn0 * CN0_PER_DBHZ, 0),
+        _whole(cn0, 0),
         _whole(rate_from_rough, RATE_INVALID),
     )
     return _Cells(
@@ -180,17 +163,19 @@ def _cells(epoch: ObservationEpoch) -> _Cells:
     )
 
 
-def _check_ranges(
-    epoch: ObservationEpoch, rows: Integers, *quantities: tuple[str, str, Floats, float, int, int]
-) -> None:
-    for name, unit, steps, step, low, high in quantities:
-        outside = (steps <= low - 0.5) | (steps >= high + 0.5)
-        if outside.any():
-            place = int(np.flatnonzero(outside)[0])
-            raise ValueError(
-                f"{_name(epoch, int(rows[place]))}: {name} is {steps[place] * step:.4f} {unit},"
-                f" expected {low * step:.4f} to {high * step:.4f} {unit}"
-            )
+_M = METRES_PER_MS
+_Quantity = tuple[str, Floats, float, str, int, int]
+
+
+def _check_range(epoch: ObservationEpoch, rows: Integers, quantity: _Quantity) -> None:
+    name, steps, step, unit, low, high = quantity
+    outside = (steps <= low - 0.5) | (steps >= high + 0.5)
+    if outside.any():
+        place = int(np.flatnonzero(outside)[0])
+        raise ValueError(
+            f"{_name(epoch, int(rows[place]))}: {name} is {steps[place] * step:.4f} {unit},"
+            f" expected {low * step:.4f} to {high * step:.4f} {unit}"
+        )
 
 
 def _sorted_rows(
