@@ -1,0 +1,227 @@
+"""RTCM 3.3 out of a byte stream: reference stations, observations (MSM4 to MSM7), ephemerides.
+
+Source: RTCM 10403.3, 4.2 (frame). Whatever the bytes are, nothing is raised: what cannot be read is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from camber.formats.bit_fields import crc24q
+from camber.formats.ephemeris_fields import FIELDS, ephemeris_from_integers
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.rtcm_ephemerides import EPHEMERIS_MESSAGES
+from camber.formats.rtcm_msm_reading import Bits, MsmMessage, is_msm, msm_header, read_msm
+from camber.formats.rtcm_writing import PREAMBLE
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+
+_MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
+# RINEX 3.04, table A8: F/NAV from E5a with the clock of E5a, E1; I/NAV from E1-B, E5b with that of E5b, E1.
+_DATA_SOURCES = {1045: 258.0, 1046: 517.0}
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceStation:
+    """Message 1005 or 1006: the antenna reference point, and (1006) its height above the marker."""
+
+    station_id: int
+    position_ecef_m: tuple[float, float, float]
+    antenna_height_m: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationEpoch:
+    """All observations of one epoch. Not `complete`: another epoch began before the last message of this one."""
+
+    station_id: int
+    epoch: ObservationEpoch
+    complete: bool
+
+
+RtcmResult = ReferenceStation | StationEpoch | Ephemeris
+
+
+class RtcmDecoder:
+    """Reads a stream piece by piece; the results do not depend on how it is cut.
+
+    RTCM does not say the week: `near_ns` (GPS time) must be within half a week of the first epoch, later ones follow
+    the stream. `loss_of_lock` of the observations is set where the lock time says that the phase broke since the
+    signal's last epoch. An ephemeris' `transmission_ns` is the last epoch's time.
+    """
+
+    def __init__(self, near_ns: int) -> None:
+        self.bytes_skipped = 0
+        """Bytes that belong to no frame with a right CRC."""
+        self.failed_checks = 0
+        """Things that began like a frame and had a wrong CRC."""
+        self.malformed = 0
+        """Frames with a right CRC whose content contradicts itself or is cut short."""
+        self.not_read = 0
+        """Messages of other kinds or systems."""
+        self.unknown_signals = 0
+        """Cells of signals without a number in the standard's tables."""
+        self.incomplete = 0
+        """Epochs whose last message did not come."""
+        self._buffer = bytearray()
+        self._near_ns = near_ns
+        self._parts: dict[int, list[MsmMessage]] = {}
+        self._locks: dict[int, dict[int, tuple[int, float]]] = {}
+
+    def feed(self, data: bytes) -> list[RtcmResult]:
+        """What the bytes complete, in order."""
+        self._buffer += data
+        return self._scan(last=False)
+
+    def finish(self) -> list[RtcmResult]:
+        """Call at the end of the stream: what is left, an epoch without its last message among it."""
+        results = self._scan(last=True)
+        for station in sorted(self._parts):
+            results += self._flush(station, complete=False)
+        return results
+
+    def _scan(self, *, last: bool) -> list[RtcmResult]:
+        buffer, results, place = self._buffer, list[RtcmResult](), 0
+        while True:
+            start = buffer.find(PREAMBLE, place)
+            if start < 0:
+                start = len(buffer)
+            self.bytes_skipped += start - place
+            place = start
+            left = len(buffer) - start
+            # Six reserved bits follow the preamble, and they are zero.
+            if left >= 2 and buffer[start + 1] & 0xFC:
+                self.bytes_skipped += 1
+                place += 1
+                continue
+            size = 6 + (buffer[start + 1] << 8 | buffer[start + 2]) if left >= 3 else 6
+            if left < size:
+                if not last or not left:
+                    break
+                self.bytes_skipped += 1
+                place += 1
+                continue
+            frame = bytes(buffer[start : start + size])
+            if crc24q(frame[:-3]) != int.from_bytes(frame[-3:], "big"):
+                self.failed_checks += 1
+                self.bytes_skipped += 1
+                place += 1
+                continue
+            place += size
+            try:
+                results += self._message(frame[3:-3])
+            except ValueError:
+                self.malformed += 1
+        del buffer[:place]
+        return results
+
+    def _message(self, payload: bytes) -> list[RtcmResult]:
+        if len(payload) < 2:
+            raise ValueError(f"message of {len(payload)} bytes, expected a number")
+        number = payload[0] << 4 | payload[1] >> 4
+        if is_msm(number):
+            return self._observations(np.unpackbits(np.frombuffer(payload, np.uint8)), number)
+        if number in EPHEMERIS_MESSAGES:
+            return [_ephemeris(payload, number, self._near_ns)]
+        if number in (1005, 1006):
+            return [_reference_station(payload, number)]
+        self.not_read += 1
+        return []
+
+    def _observations(self, bits: Bits, number: int) -> list[RtcmResult]:
+        message = read_msm(bits, number, self._near_ns)
+        if message is None:
+            # Of other systems too the last message ends the epoch.
+            self.not_read += 1
+            station, more = msm_header(bits)
+            return [] if more or station not in self._parts else self._flush(station, complete=True)
+        self.unknown_signals += message.unknown_signals
+        station, results = message.station_id, list[RtcmResult]()
+        begun = self._parts.get(station)
+        if begun and begun[0].epoch.time_ns != message.epoch.time_ns:
+            results += self._flush(station, complete=False)
+        self._near_ns = message.epoch.time_ns
+        self._parts.setdefault(station, []).append(message)
+        return results if message.more_follow else results + self._flush(station, complete=True)
+
+    def _flush(self, station: int, *, complete: bool) -> list[RtcmResult]:
+        parts = self._parts.pop(station)
+        self.incomplete += not complete
+        columns = {
+            field.name: np.concatenate([getattr(part.epoch, field.name) for part in parts])
+            for field in fields(ObservationEpoch)
+            if field.name != "time_ns"
+        }
+        # A station may send one signal in two kinds of messages: the first one counts.
+        keys = (columns["satellite"] << 16) + columns["signal"]
+        rows = np.sort(np.unique(keys, return_index=True)[1])
+        epoch = ObservationEpoch(
+            parts[0].epoch.time_ns, **{name: column[rows] for name, column in columns.items()}
+        )
+        most_s = np.concatenate([part.most_lock_s for part in parts])[rows]
+        lost = self._lost(station, epoch, keys[rows].tolist(), most_s.tolist())
+        return [StationEpoch(station, replace(epoch, loss_of_lock=np.array(lost, np.bool_)), complete)]
+
+    def _lost(
+        self, station: int, epoch: ObservationEpoch, keys: list[int], most_s: list[float]
+    ) -> list[bool]:
+        """Shorter than before, or certainly shorter than the time since then."""
+        locks, lost = self._locks.setdefault(station, {}), list[bool]()
+        has_phase = (~np.isnan(epoch.carrier_phase_cycles)).tolist()
+        for key, has, lock_s, at_most_s in zip(
+            keys, has_phase, epoch.lock_time_s.tolist(), most_s, strict=True
+        ):
+            before = locks.get(key)
+            since_s = 0.0 if before is None else (epoch.time_ns - before[0]) / NS_PER_SECOND
+            lost.append(has and before is not None and (lock_s < before[1] or at_most_s <= since_s))
+            if has:
+                locks[key] = epoch.time_ns, lock_s
+        return lost
+
+
+class _Fields:
+    """Takes integers one after another."""
+
+    def __init__(self, payload: bytes) -> None:
+        self._bits = int.from_bytes(payload, "big")
+        self._left = 8 * len(payload)
+
+    def take(self, width: int, *, signed: bool = False) -> int:
+        self._left -= width
+        if self._left < 0:
+            raise ValueError("message is cut short")
+        value = self._bits >> self._left & (1 << width) - 1
+        return value - (1 << width) if signed and value >> (width - 1) else value
+
+
+def _reference_station(payload: bytes, number: int) -> ReferenceStation:
+    bits = _Fields(payload)
+    bits.take(12)
+    station_id = bits.take(12)
+    bits.take(6 + 4)
+    x = bits.take(38, signed=True)
+    bits.take(2)
+    y = bits.take(38, signed=True)
+    bits.take(2)
+    z = bits.take(38, signed=True)
+    height_m = bits.take(16) * 1e-4 if number == 1006 else None
+    return ReferenceStation(station_id, (x * 1e-4, y * 1e-4, z * 1e-4), height_m)
+
+
+def _ephemeris(payload: bytes, number: int, near_ns: int) -> Ephemeris:
+    system, layout, _ = EPHEMERIS_MESSAGES[number]
+    bits = _Fields(payload)
+    bits.take(12)
+    integers = {
+        name: bits.take(FIELDS[system][name].width, signed=FIELDS[system][name].signed) for name in layout
+    }
+    if not 1 <= integers["satellite"] <= _MOST_SATELLITES[system]:
+        raise ValueError(f"satellite {integers['satellite']} of {system}")
+    for time in ("toe_s", "toc_s"):
+        if integers[time] * FIELDS[system][time].resolution * NS_PER_SECOND >= NS_PER_WEEK:
+            raise ValueError(f"{time} is after the end of the week")
+    ephemeris = ephemeris_from_integers(system, integers, near_ns)
+    if number in _DATA_SOURCES:
+        return replace(ephemeris, other={**ephemeris.other, "data_sources": _DATA_SOURCES[number]})
+    return ephemeris
