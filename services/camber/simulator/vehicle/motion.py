@@ -8,7 +8,8 @@ roll follow the road and the specific force through springs and dampers (`spring
 H (1), h_a = h_ba + h_s + h_t, is exact at rest on flat road. Otherwise it is off by no more than
 |θ| |Δx| + |φ| |Δy| + (h_a + |l|) (1 / cos α − 1 + (|θ| + |φ|)² + |sin α| (|θ| + |φ|)) + the road's unevenness, with
 θ, φ the body's pitch and roll against the road, (Δx, Δy) from the suspension to the antenna, l from the body's centre
-to the antenna and α the road's steepest slope: a height is upright, a stroke is square to the road.
+to the antenna and α the road's steepest slope: a height is upright, a stroke is square to the road. `roughness` counts
+as unevenness: the wheels stand on the road's texture, its height is without.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations, turned
 from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
+from camber.simulator.vehicle.roughness import Roughness
 from camber.simulator.vehicle.speed_profile import Driver, Progress, progress_along
 from camber.simulator.vehicle.springs import sprung
 from camber.simulator.vehicle.vehicle_faults import VehicleFault, effect
@@ -39,10 +41,12 @@ def drive(
     driver: Driver | None = None,
     faults: Sequence[VehicleFault] = (),
     duration_s: float | None = None,
+    roughness: Roughness | None = None,
 ) -> Trajectory:
     """The motion along a path from rest to rest, at even steps from `start_ns`.
 
-    `duration_s`: cut there, or stand at the end until then. Raises ValueError for a rate that does not divide 100 Hz
+    `duration_s`: cut there, or stand at the end until then. `roughness`: texture under the wheels, beyond the surface
+    of the path; None: there is none. Raises ValueError for a rate that does not divide 100 Hz
     and for paths that cannot be driven (fewer than four samples, standing still, no speed allowed).
     """
     if not 1 <= rate_hz <= INNER_RATE_HZ or INNER_RATE_HZ % rate_hz:
@@ -51,7 +55,7 @@ def drive(
     progress = _progress(way, driver or Driver())
     lasts_s = progress.duration_s if duration_s is None else duration_s
     time_s = np.arange(int(np.floor(lasts_s * INNER_RATE_HZ + 1e-6)) + 1) / INNER_RATE_HZ
-    rolling = _rolling(way, body, progress, time_s)
+    rolling = _rolling(way, Contact.of(way, body, roughness), progress, time_s)
     posed = _posed(body, rolling, faults, time_s)
     return _trajectory(way, body, rolling, posed, faults, time_s, start_ns, INNER_RATE_HZ // rate_hz)
 
@@ -90,12 +94,12 @@ def _progress(way: Way, driver: Driver) -> Progress:
     return progress_along(way.distance_m, turn, path.speed_limit_m_s, path.stop_s, driver)
 
 
-def _rolling(way: Way, body: VehicleBody, progress: Progress, time_s: Floats) -> _Rolling:
+def _rolling(way: Way, contact: Contact, progress: Progress, time_s: Floats) -> _Rolling:
     s, v, a = progress.at(time_s)
     origin, first, second = way.curve.at(s)
     yaw, turn = way.yaw_and_turn(s)
     stretch = np.linalg.norm(first, axis=1)  # one, but for the spline's own error
-    road, road_slope, _ = Contact.of(way, body).curve.at(s)
+    road, road_slope, _ = contact.curve.at(s)
     along = a * stretch + v**2 * np.einsum("ij,ij->i", first, second) / stretch
     normal_turn = body_yaw_rate(road[:, 3], road[:, 2], road_slope[:, 2], turn)
     return _Rolling(

@@ -11,6 +11,7 @@ from camber.simulator.scene import Floats, Integers, Path
 from camber.simulator.vehicle.attitude import rotations
 from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.cubic_curve import CubicCurve
+from camber.simulator.vehicle.roughness import Roughness
 
 _CONTACT_STEPS = 3  # each shrinks the error by about grade × unevenness
 
@@ -76,19 +77,25 @@ class Contact:
     curve: CubicCurve
 
     @classmethod
-    def of(cls, way: Way, body: VehicleBody) -> Self:
-        """From the road under the wheels' contact points, where the tilted vehicle has them."""
+    def of(cls, way: Way, body: VehicleBody, roughness: Roughness | None = None) -> Self:
+        """From the road under the wheels' contact points, where the tilted vehicle has them, and its texture."""
         path, s = way.path, way.distance_m
         length, half = body.wheelbase_m, 0.5 * body.track_m
         wheels = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [length, half, 0.0], [length, -half, 0.0]])
         yaw, _ = way.yaw_and_turn(s)
         pitch = -np.arctan(path.grade)
         roll = np.arctan(path.crossfall * np.cos(pitch))
+        texture = np.zeros((4, len(s)))
+        if roughness is not None:
+            for w in range(4):
+                side = "left" if wheels[w, 1] > 0.0 else "right"
+                texture[w] = roughness.height_m(side, s + wheels[w, 0])
         rear = front = np.zeros(len(s))
         for _ in range(_CONTACT_STEPS):
             at = rotations(roll, pitch, yaw) @ wheels.T
             east, north = path.east_m[:, None] + at[:, 0], path.north_m[:, None] + at[:, 1]
-            height = [way.road_m(east[:, w], north[:, w], s + wheels[w, 0]) for w in range(4)]
+            smooth = [way.road_m(east[:, w], north[:, w], s + wheels[w, 0]) for w in range(4)]
+            height = smooth + texture
             rear, front = 0.5 * (height[0] + height[1]), 0.5 * (height[2] + height[3])
             across = 0.5 * (height[0] - height[1] + height[2] - height[3])
             pitch = np.arcsin(np.clip((rear - front) / length, -0.9, 0.9))

@@ -4,11 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive
+from camber.simulator.vehicle.roughness import Roughness
 from camber.simulator.vehicle.speed_profile import Driver
 from camber.simulator.vehicle.vehicle_faults import VehicleFault
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
@@ -219,3 +221,29 @@ def test_what_cannot_be_driven_is_refused() -> None:
         drive(path_over(flat, np.zeros(3)), CAR, start_ns=START_NS)
     with pytest.raises(ValueError, match="end_s"):
         VehicleFault("load", 10.0, 5.0, 5.5)
+
+
+@BODIES
+def test_a_rough_road_shakes_the_antenna_and_the_truth_stays_consistent(body: VehicleBody) -> None:
+    path = path_over(flat, np.zeros(2000), step_m=0.1)
+    plain, shaken, same, other = (
+        drive(path, body, start_ns=START_NS, roughness=r)
+        for r in (None, Roughness(1), Roughness(1), Roughness(2))
+    )
+    shake = shaken.antenna_height_m - plain.antenna_height_m
+    assert 3e-4 < shake.std() < 5e-3
+    np.testing.assert_allclose(shaken.road_height_m, 40.0, atol=1e-9)  # the texture is not the road's height
+    integrated = shaken.antenna_m[0] + integral(shaken.antenna_velocity_m_s)
+    # A rigid body's jolts lie between the samples: what the trapezium rule misses is noise, no drift.
+    assert np.abs(integrated - shaken.antenna_m).max() < (2e-3 if body is ROBOT else 2e-4)
+    assert shaken.antenna_m.tobytes() == same.antenna_m.tobytes()
+    assert shaken.antenna_m.tobytes() != other.antenna_m.tobytes()
+
+
+def test_the_road_s_texture_has_the_standard_s_spectrum() -> None:
+    rough = Roughness(3, 64.0e-6)
+    track = rough.height_m("left", 0.05 * np.arange(200_000))
+    frequency, power = signal.welch(track, 20.0, nperseg=4096)
+    for n in (0.3, 0.5, 1.0):  # between the surface's waves and those that the contact averages
+        measured = power[(frequency > 0.8 * n) & (frequency < 1.2 * n)].mean()
+        assert measured == pytest.approx(64.0e-6 * (n / 0.1) ** -2, rel=0.25)
