@@ -26,7 +26,8 @@ MOST_MEASUREMENTS = 255
 _GNSS_IDS = {"G": 0, "E": 2, "C": 3, "J": 5}
 _SIGNAL_IDS = {
     "G": {"1C": 0, "2L": 3, "2S": 4, "5I": 6, "5Q": 7},
-    "E": {"1C": 0, "1B": 1, "5I": 3, "5Q": 4, "7I": 5, "7Q": 6},
+    # There is no id for data and pilot together: what is tracked so is told as the pilot.
+    "E": {"1C": 0, "1X": 0, "1B": 1, "5I": 3, "5Q": 4, "5X": 4, "7I": 5, "7Q": 6, "7X": 6},
     "C": {"2I": 0, "7I": 2, "6I": 4, "1P": 5, "1D": 6, "5P": 7, "5D": 8},
     "J": {"1C": 0, "1Z": 1, "2S": 4, "2L": 5, "5I": 8, "5Q": 9},
 }
@@ -89,7 +90,7 @@ def format_raw_measurements(
     above; where not given they are those of a receiver with 0.3 m, 0.004 cycles and 0.1 Hz at 45 dB-Hz and noise that
     goes with 10^(−C/N0 / 20).
 
-    Raises ValueError for what has no number at u-blox, over 255 measurements, or values out of range.
+    Raises ValueError for what has no number at u-blox or comes twice, over 255 measurements, or values out of range.
     """
     count = epoch.satellite.size
     if count > MOST_MEASUREMENTS:
@@ -163,6 +164,10 @@ def _ids(epoch: ObservationEpoch) -> tuple[Integers, Integers, Integers]:
         signal_id = np.where(
             (system == ord("C")) & ((satellite <= 5) | (satellite >= 59)) & (signal_id == d1), d2, signal_id
         )
+    named = (system << 16) + (satellite << 8) + signal_id
+    again = np.ones(named.size, np.bool_)
+    again[np.unique(named, return_index=True)[1]] = False
+    _check(epoch, again, "observed twice in one epoch")
     gnss = np.zeros(128, np.int64)
     gnss[[ord(letter) for letter in _GNSS_IDS]] = list(_GNSS_IDS.values())
     return gnss[system], satellite, signal_id

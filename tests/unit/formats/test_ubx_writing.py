@@ -183,6 +183,16 @@ def test_what_the_message_cannot_hold_is_refused(changes, message):
         format_raw_measurements(one_signal(**changes))
 
 
+def test_data_and_pilot_together_are_told_as_the_pilot_and_a_signal_only_once():
+    epoch = one_signal(satellite=satellite_number("E07"), signal=signal_number("7X"))
+    message = parsed(format_raw_measurements(epoch))
+    assert (message.gnssId_01, message.svId_01, message.sigId_01) == (2, 7, 6)
+    columns = {name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"}
+    twice = replace(epoch, **columns | {"signal": np.array([signal_number("7X"), signal_number("7Q")])})
+    with pytest.raises(ValueError, match="E07 7Q: observed twice in one epoch"):
+        format_raw_measurements(twice)
+
+
 def test_more_than_255_measurements_are_refused():
     epoch = random_epoch(np.random.default_rng(5), 2300 * WEEK_NS, carriers=CARRIERS, satellites=63)
     while epoch.satellite.size <= 255:
