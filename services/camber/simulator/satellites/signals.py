@@ -130,7 +130,13 @@ def simulate_signals(
     wavelength = SPEED_OF_LIGHT_M_S / carrier
     phase = (common[..., None] - dispersive + arriving.phase_error_m) / wavelength + held.ambiguity_cycles
     rate = geometry.rate_m_s + SPEED_OF_LIGHT_M_S * (drift[:, None] - geometry.clock_rate)
-    doppler = -(rate[..., None] + arriving.rate_error_m_s) / wavelength
+    if len(time_ns) > 1:
+        # What the atmosphere changes by: low satellites' troposphere, centimetres a second.
+        since_s = (time_ns - time_ns[0]) / NS_PER_SECOND
+        air_rate = np.gradient(troposphere[..., None] - dispersive, since_s, axis=0)
+    else:
+        air_rate = np.zeros_like(dispersive)
+    doppler = -(rate[..., None] + air_rate + arriving.rate_error_m_s) / wavelength
     return SimulatedSignals(
         time_ns, running, clock, table.satellite, signal, carrier, code, phase, doppler, geometry, ways, arriving, held
     )  # fmt: skip
@@ -189,5 +195,6 @@ def _receiver_clock(
     dt = np.diff(time_ns, prepend=time_ns[:1]) / NS_PER_SECOND
     walk = np.cumsum(parameters.clock_walk_s_per_root_s * np.sqrt(dt) * rng.normal(size=len(dt)))
     drift = parameters.clock_drift_s_s * rng.normal() + walk
-    bias = parameters.clock_bias_s * rng.normal() + np.cumsum(drift * dt)
+    mean = 0.5 * (drift + np.concatenate((drift[:1], drift[:-1])))
+    bias = parameters.clock_bias_s * rng.normal() + np.cumsum(mean * dt)
     return bias, drift

@@ -1,0 +1,136 @@
+"""The receiver's own solution: what is right, what is wrong, and that the truth beside it says so."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import norm
+
+from camber.formats.receiver_solution import SolutionQuality
+from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.simulator.satellites.constellation import true_ephemerides
+from camber.simulator.satellites.differenced_geometry import differenced_geometry
+from camber.simulator.satellites.parameters import BASE, ROVER
+from camber.simulator.satellites.receiver_solution import receiver_solutions
+from camber.simulator.satellites.signals import simulate_signals
+from camber.simulator.satellites.track import AntennaTrack, static_track
+from camber.simulator.satellites.wrong_integers import shift_of, wrong_integers
+from support.canyon_statistics import BASE_M, FRAME, canyon_run
+
+BEGIN_NS = 1_461_000_000 * NS_PER_SECOND
+CANYONS = [canyon_run(seed, 1) for seed in range(1, 9)]
+
+
+def test_in_the_open_all_is_fixed_and_right():
+    n = 60
+    track = AntennaTrack(
+        BEGIN_NS + np.arange(n, dtype=np.int64) * NS_PER_SECOND,
+        np.tile([10.0, 20.0, 60.0], (n, 1)),
+        np.zeros((n, 3)),
+    )
+    true = true_ephemerides(BEGIN_NS, int(track.time_ns[-1]), 1)
+    rover = simulate_signals(track, FRAME, true, ROVER, 1, "rover")
+    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, 1, "base")
+    found = receiver_solutions(rover, base, track, FRAME, 1)
+    assert np.all(found.quality == SolutionQuality.FIX)
+    assert not found.wrong.any()
+    assert np.max(np.abs(found.error_m)) < 0.03
+
+
+def test_in_canyons_wrong_fixes_come_in_episodes_that_the_truth_dates():
+    fixed = wrong = episodes = 0
+    for seed, (track, rover, base) in enumerate(CANYONS, start=1):
+        found = receiver_solutions(rover, base, track, FRAME, seed)
+        horizontal = np.hypot(found.error_m[:, 0], found.error_m[:, 1])
+        right = (found.quality == SolutionQuality.FIX) & ~found.wrong
+        assert np.all(horizontal[right] < 0.5)
+        assert np.all(found.quality[found.wrong] == SolutionQuality.FIX)
+        assert np.all((found.wrong_since_ns >= 0) == found.wrong)
+        for since in np.unique(found.wrong_since_ns[found.wrong]):
+            rows = np.nonzero(found.wrong_since_ns == since)[0]
+            assert track.time_ns[rows[0]] == since
+            assert np.all(np.diff(rows) == 1)
+            episodes += 1
+        fixed += int(np.sum(found.quality == SolutionQuality.FIX))
+        wrong += int(np.sum(found.wrong))
+    assert 0.1 < fixed / (8 * 120) < 0.8
+    assert episodes >= 3
+    assert 0.01 < wrong / fixed < 0.3
+
+
+def test_solutions_carry_the_errors_that_the_truth_names():
+    track, rover, base = CANYONS[0]
+    found = receiver_solutions(rover, base, track, FRAME, 1)
+    rows = np.nonzero(found.quality)[0]
+    assert [s.time_ns for s in found.solutions] == track.time_ns[rows].tolist()
+    place = FRAME.east_north_from_geodetic_array(
+        [s.latitude_rad for s in found.solutions], [s.longitude_rad for s in found.solutions],
+        [s.height_m for s in found.solutions],
+    )  # fmt: skip
+    height = np.array([s.height_m for s in found.solutions])
+    said = np.column_stack((place, height)) - track.antenna_m[rows]
+    assert np.max(np.abs(said - found.error_m[rows])) < 1e-6
+    again = receiver_solutions(rover, base, track, FRAME, 1)
+    assert again.solutions == found.solutions
+
+
+def test_wrong_integers_move_the_position_as_the_double_differences_say():
+    """Oracle: integers that are wrong by δ put into explicit double differences with their covariance."""
+    tried = 0
+    for _, rover, base in CANYONS:
+        geometry = differenced_geometry(rover, base, 0.6, 0.006, np.deg2rad(15.0), 5.0, 0.04)
+        for k in np.nonzero(geometry.ambiguities >= 8)[0][::10]:
+            used, directions = geometry.phase_used[k], rover.geometry.direction[k]
+            new = wrong_integers(
+                directions, used, geometry.group, geometry.wavelength_m, geometry.code_normal[k], np.zeros(3), 0.6,
+                0.006, np.random.default_rng(int(k)),
+            )  # fmt: skip
+            if new is None:
+                continue
+            assert new.offset_cycles.any()
+            assert np.all(new.offset_cycles == np.rint(new.offset_cycles))
+            assert not new.offset_cycles[~used].any()
+            rows, covariance, right = [], [], []
+            for g in np.unique(geometry.group[used]):
+                sat, freq = np.nonzero(used & (geometry.group == g))
+                d = np.hstack((-np.ones((len(sat) - 1, 1)), np.eye(len(sat) - 1)))
+                rows.append(d @ -directions[sat])
+                covariance.append(d @ d.T)
+                right.append(d @ (new.offset_cycles[sat, freq] * geometry.wavelength_m[sat, freq]))
+            size = sum(map(len, right))
+            weight = np.zeros((size, size))
+            at = 0
+            for c in covariance:
+                weight[at : at + len(c), at : at + len(c)] = np.linalg.inv(c)
+                at += len(c)
+            a, y = np.vstack(rows), np.concatenate(right)
+            expected = np.linalg.solve(a.T @ weight @ a, a.T @ weight @ y)
+            shift = shift_of(new.offset_cycles, directions, used, geometry.group, geometry.wavelength_m)
+            assert shift == pytest.approx(expected, abs=1e-9)
+            tried += 1
+    assert tried >= 10
+
+
+def double_differences(directions, used, group, unit_m):
+    """Explicit ones: design matrix and covariance, both in units of `unit_m` (m, 2) for undifferenced noise of 1 m."""
+    rows, noise = [], []
+    for g in np.unique(group[used]):
+        sat, freq = np.nonzero(used & (group == g))
+        d = np.hstack((-np.ones((len(sat) - 1, 1)), np.eye(len(sat) - 1)))
+        unit = unit_m[sat[0], freq[0]]
+        rows.append(d @ -directions[sat] / unit)
+        noise.append(d @ d.T / unit**2)
+    return np.vstack(rows), block_diag(*noise)
+
+
+def test_the_success_rate_is_that_of_explicit_double_differences():
+    _, rover, base = CANYONS[1]
+    geometry = differenced_geometry(rover, base, 0.6, 0.006, np.deg2rad(15.0))
+    for k in np.nonzero(geometry.ambiguities >= 5)[0][::15]:
+        directions, group, waves = rover.geometry.direction[k], geometry.group, geometry.wavelength_m
+        code, q_code = double_differences(directions, geometry.code_used[k], group, np.ones(waves.shape))
+        phase, q_phase = double_differences(directions, geometry.phase_used[k], group, waves)
+        q_x = np.linalg.inv(code.T @ np.linalg.inv(q_code * 0.6**2) @ code)
+        q_a = q_phase * 0.006**2 + phase @ q_x @ phase.T
+        adop = np.exp(np.linalg.slogdet(q_a)[1] / (2 * len(q_a)))
+        assert len(q_a) == geometry.ambiguities[k]
+        assert geometry.success[k] == pytest.approx((2 * norm.cdf(0.5 / adop) - 1) ** len(q_a), abs=1e-4)

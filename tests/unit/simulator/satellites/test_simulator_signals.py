@@ -1,0 +1,124 @@
+"""Observations of a simulated receiver: consistent with each other, repeatable, hurt by faults as they should be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camber.formats.observations import ObservationEpoch
+from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
+from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.satellites.constellation import true_ephemerides
+from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
+from camber.simulator.satellites.parameters import ROVER
+from camber.simulator.satellites.radio_faults import Jamming, RadioFaults, Restart, Spoofing
+from camber.simulator.satellites.signals import SimulatedSignals, simulate_signals
+from camber.simulator.satellites.track import AntennaTrack
+
+BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 6, 0, 0))
+FRAME = LocalFrame(np.deg2rad(35.17), np.deg2rad(136.9), 0.0)
+TRUE = true_ephemerides(BEGIN_NS, BEGIN_NS + 60 * NS_PER_SECOND, 3)
+RATE_HZ = 5
+QUIET = replace(
+    ROVER, code_noise_m=0.0, phase_noise_m=0.0, background_code_m=0.0, background_phase_m=0.0, doppler_noise_m_s=0.0,
+    slips_per_s=0.0, half_cycle_after_lock=0.0,
+)  # fmt: skip
+
+
+def drive(seconds: int = 40) -> AntennaTrack:
+    n = seconds * RATE_HZ
+    s = np.arange(n) / RATE_HZ
+    velocity = np.tile([9.0, -4.0, 0.2], (n, 1))
+    place = np.array([50.0, 20.0, 60.0]) + s[:, None] * velocity
+    return AntennaTrack(BEGIN_NS + (s * NS_PER_SECOND).astype(np.int64), place, velocity)
+
+
+def simulated(faults: RadioFaults | None = None, parameters=ROVER, seed: int = 3) -> SimulatedSignals:
+    return simulate_signals(drive(), FRAME, TRUE, parameters, seed, "rover", faults=faults)
+
+
+def as_bytes(epochs: list[ObservationEpoch]) -> bytes:
+    return b"".join(
+        np.concatenate(
+            (e.satellite, e.pseudorange_m, e.carrier_phase_cycles, e.doppler_hz, e.cn0_dbhz)
+        ).tobytes()
+        for e in epochs
+    )
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
+    first, again, other = (as_bytes(simulated(seed=s).epochs()) for s in (3, 3, 4))
+    assert first == again
+    assert first != other
+
+
+def test_phase_changes_as_doppler_says():
+    signals = simulated(parameters=QUIET)
+    change = np.diff(signals.carrier_phase_cycles, axis=0) * RATE_HZ
+    mean = -0.5 * (signals.doppler_hz[1:] + signals.doppler_hz[:-1])
+    held = (
+        ~signals.locks.loss_of_lock[1:] & signals.levels.phase_tracked[1:] & signals.levels.phase_tracked[:-1]
+    )
+    assert held.mean() > 0.7
+    assert np.max(np.abs(change - mean)[held]) < 0.01
+
+
+def test_code_minus_phase_is_twice_the_ionosphere_and_a_whole_number_of_wavelengths():
+    signals = simulated(parameters=QUIET)
+    code, wave = signals.pseudorange_m, SPEED_OF_LIGHT_M_S / signals.carrier_hz
+    phase = (signals.carrier_phase_cycles - signals.locks.ambiguity_cycles) * wave
+    twice = (code - phase) / (1575.42e6 / signals.carrier_hz) ** 2
+    # Group delays are alike at all times: only the ionosphere's change in 40 s is left.
+    assert np.max(np.ptp(twice, axis=0)) < 0.2
+    assert np.median(twice) > 2.0
+    assert np.all(signals.locks.ambiguity_cycles == np.rint(signals.locks.ambiguity_cycles))
+
+
+def test_noise_at_45_dbhz_is_what_the_parameters_say():
+    parameters = replace(ROVER, background_code_m=0.0, background_phase_m=0.0)
+    signals = simulated(parameters=parameters)
+    near = np.abs(signals.levels.cn0_dbhz - 45.0) < 0.5
+    code = signals.levels.code_error_m[..., 0][near[..., 0]]
+    assert np.std(code) == pytest.approx(0.30, rel=0.1)
+    assert np.std(signals.levels.code_error_m[..., 1][near[..., 1]]) == pytest.approx(0.21, rel=0.1)
+    assert np.std(signals.levels.phase_error_m[near]) == pytest.approx(1.5e-3, rel=0.1)
+
+
+def test_a_restart_leaves_a_gap_and_breaks_every_lock():
+    restart = Restart(BEGIN_NS + 10 * NS_PER_SECOND, BEGIN_NS + 15 * NS_PER_SECOND)
+    epochs = simulated(RadioFaults(restarts=(restart,))).epochs()
+    times = np.array([e.time_ns for e in epochs])
+    assert len(times) == 35 * RATE_HZ
+    assert not np.any((times >= restart.begin_ns) & (times < restart.end_ns))
+    after = epochs[int(np.argmax(times >= restart.end_ns))]
+    has_phase = np.isfinite(after.carrier_phase_cycles)
+    assert has_phase.any()
+    assert np.all(after.loss_of_lock[has_phase])
+    assert np.all(after.lock_time_s == 0.0)
+
+
+def test_jamming_lowers_carrier_to_noise_only_while_it_lasts():
+    jam = Jamming(BEGIN_NS + 10 * NS_PER_SECOND, BEGIN_NS + 20 * NS_PER_SECOND, 15.0, ramp_s=1.0)
+    plain, jammed = simulated(), simulated(RadioFaults(jamming=(jam,)))
+    loss = np.mean(plain.levels.cn0_dbhz - jammed.levels.cn0_dbhz, axis=(1, 2))
+    since = (plain.time_ns - BEGIN_NS) / NS_PER_SECOND
+    assert np.allclose(loss[(since >= 11.0) & (since <= 19.0)], 15.0)
+    assert np.allclose(loss[(since < 10.0) | (since > 20.0)], 0.0)
+    inside = (since >= 11.0) & (since <= 19.0)
+    assert jammed.levels.phase_tracked[inside].mean() < 0.2 * plain.levels.phase_tracked[inside].mean()
+
+
+def test_spoofed_ranges_are_those_of_the_place_that_drifts_off():
+    drift = (0.3, -0.2, 0.0)  # level: the troposphere changes with height
+    begin = BEGIN_NS + 10 * NS_PER_SECOND
+    spoof = Spoofing(begin, BEGIN_NS + 60 * NS_PER_SECOND, drift)
+    plain, spoofed = simulated(), simulated(RadioFaults(spoofing=(spoof,)))
+    since = np.maximum((plain.time_ns - begin) / NS_PER_SECOND, 0.0)
+    expected = -np.einsum("nmk,k->nm", plain.geometry.direction, np.array(drift)) * since[:, None]
+    assert np.max(np.abs((spoofed.pseudorange_m - plain.pseudorange_m)[..., 0] - expected)) < 2e-3
+
+
+def test_a_track_without_rising_times_is_refused():
+    track = drive()
+    with pytest.raises(ValueError, match="rising"):
+        simulate_signals(replace(track, time_ns=track.time_ns[::-1].copy()), FRAME, TRUE, ROVER, 3, "rover")
