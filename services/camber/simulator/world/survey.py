@@ -10,7 +10,7 @@ from pathlib import Path
 
 from camber.formats.map_release import write_release
 from camber.geodesy.gps_time import gpst_from_gps_ns
-from camber.schemas.road import ReleaseRoot
+from camber.schemas.road import CloudTile, ReleaseRoot
 from camber.simulator.world.district import District
 from camber.simulator.world.survey_clouds import surveyed_clouds
 from camber.simulator.world.survey_links import surveyed_links
@@ -40,10 +40,12 @@ def write_survey(
     *,
     seed: int | None = None,
     map_version: int = 1,
+    scanned_route: str | None = None,
 ) -> ReleaseRoot:
     """Write the release of a district as surveyed at `time_ns`; the seed is the district's where none is given.
 
-    Raises ReleaseError and OSError as `write_release`.
+    With `scanned_route` the clouds are scanned from the links of that route only: enough for a drive along it, and
+    faster. Raises ReleaseError and OSError as `write_release`, KeyError for a route that the district does not have.
     """
     errors = errors or SurveyErrors()
     seed = district.seed if seed is None else seed
@@ -51,11 +53,20 @@ def write_survey(
     surfaces = surveyed_surfaces(
         roads, district.frame, seed, errors.height_sigma_m, errors.height_correlation_m, time_ns
     )
-    clouds = []
+    clouds: list[CloudTile] = []
     if errors.clouds:
-        tracer = ShapeTracer(district.shapes("survey"))
+        links = list(range(len(roads.link_id)))
+        if scanned_route is not None:
+            links = sorted({leg.link for leg in district.layout.routes[scanned_route].legs})
         clouds = surveyed_clouds(
-            roads, tracer, district.frame, seed, errors.scan_spacing_m, errors.voxel_m, time_ns
+            roads,
+            links,
+            ShapeTracer(district.shapes("survey")),
+            district.frame,
+            seed=seed,
+            spacing_m=errors.scan_spacing_m,
+            voxel_m=errors.voxel_m,
+            seen_ns=time_ns,
         )
     day = gpst_from_gps_ns(time_ns)
     return write_release(

@@ -7,12 +7,13 @@ in one voxel the first is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tiles import MARGIN_M, tile_frame, tiles_of_boxes
+from camber.formats.map_tiles import MARGIN_M, TILES, tile_frame, tiles_of_boxes
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.road import CloudTile, Layer
 from camber.simulator.random_streams import stream
@@ -29,16 +30,27 @@ _RANGE_M = 80.0
 _RANGE_SIGMA_M = 0.01
 _RESOLUTION_M = 0.005
 _SWEEPS_AT_ONCE = 40
+_THREADS = 2
+_NODES_M = 25.0
 _KEY_HALF = 1 << 20
 _LAYERS: tuple[tuple[Layer, bool], ...] = (("environment_cloud", False), ("road_cloud", True))
 
 
 def surveyed_clouds(
-    roads: Roads, tracer: Tracer, frame: LocalFrame, seed: int, spacing_m: float, voxel_m: float, seen_ns: int
+    roads: Roads,
+    links: Sequence[int],
+    tracer: Tracer,
+    frame: LocalFrame,
+    *,
+    seed: int,
+    spacing_m: float,
+    voxel_m: float,
+    seen_ns: int,
 ) -> list[CloudTile]:
-    """Two clouds of each tile: the roads' surfaces, and all else."""
+    """Two clouds of each tile, scanned from some links (row numbers): the roads' surfaces, and all else."""
     tiles: list[CloudTile] = []
-    points, on_road = _scanned(roads, tracer, seed, spacing_m, voxel_m)
+    stations = _stations(roads, links, spacing_m)
+    points, on_road = _scanned(stations, tracer, seed, voxel_m)
     for layer, road in _LAYERS:
         kept = points[on_road == road]
         kept = kept[_first_of_voxels(kept, voxel_m)]
@@ -47,43 +59,46 @@ def surveyed_clouds(
 
 
 def _scanned(
-    roads: Roads, tracer: Tracer, seed: int, spacing_m: float, voxel_m: float
+    stations: Iterator[tuple[Floats, Floats]], tracer: Tracer, seed: int, voxel_m: float
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Points (n, 3) in the world frame, and which of them lie on a road."""
-    found, on_road = [np.zeros((0, 3))], [np.zeros(0, bool)]
-    rng = stream(seed, "survey scans")
-    for place, yaw in _stations(roads, spacing_m):
-        azimuth = (
-            yaw[:, None]
-            + rng.uniform(0.0, 2.0 * math.pi / _AZIMUTHS, len(yaw))[:, None]
-            + np.arange(_AZIMUTHS) * 2.0 * math.pi / _AZIMUTHS
-        )
-        flat = np.cos(_ELEVATIONS_RAD)[None, :, None]
-        direction = np.stack(
-            np.broadcast_arrays(
-                flat * np.cos(azimuth)[:, None, :],
-                flat * np.sin(azimuth)[:, None, :],
-                np.sin(_ELEVATIONS_RAD)[None, :, None],
-            ),
-            axis=3,
-        ).reshape(-1, 3)
-        origin = np.repeat(place, len(direction) // len(place), axis=0)
-        hits = tracer.first_hits(origin, direction, _RANGE_M)
-        met = np.isfinite(hits.distance_m)
-        distance = hits.distance_m[met] + _RANGE_SIGMA_M * rng.standard_normal(int(met.sum()))
-        points = origin[met] + distance[:, None] * direction[met]
-        road = hits.material[met] == Material.ROAD
-        thin = _first_of_voxels(
-            points, voxel_m
-        )  # scans near one another: most of what is thinned out is theirs
-        found.append(points[thin])
-        on_road.append(road[thin])
-    return np.concatenate(found), np.concatenate(on_road)
+
+    def scan(numbered: tuple[int, tuple[Floats, Floats]]) -> tuple[Floats, NDArray[np.bool_]]:
+        number, (place_m, yaw_rad) = numbered
+        points, road = _scan(tracer, place_m, yaw_rad, stream(seed, f"survey scans {number}"))
+        # Scans near one another: most of what is thinned out is theirs.
+        thin = _first_of_voxels(points, voxel_m)
+        return points[thin], road[thin]
+
+    # Tracing holds no lock of the interpreter; results come in the order of the stations, whichever is done first.
+    with ThreadPoolExecutor(_THREADS) as pool:
+        parts = list(pool.map(scan, enumerate(stations)))
+    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
-def _stations(roads: Roads, spacing_m: float) -> Iterator[tuple[Floats, Floats]]:
+def _scan(
+    tracer: Tracer, place_m: Floats, yaw_rad: Floats, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """What scans at places (n, 3) hit, and whether it is road."""
+    step = 2.0 * math.pi / _AZIMUTHS
+    azimuth = (yaw_rad + rng.uniform(0.0, step, len(yaw_rad)))[:, None] + np.arange(_AZIMUTHS) * step
+    flat = np.cos(_ELEVATIONS_RAD)[None, :, None]
+    axes = (
+        flat * np.cos(azimuth)[:, None, :],
+        flat * np.sin(azimuth)[:, None, :],
+        np.sin(_ELEVATIONS_RAD)[None, :, None],
+    )
+    direction = np.stack(np.broadcast_arrays(*axes), axis=3).reshape(-1, 3)
+    origin = np.repeat(place_m, len(direction) // len(place_m), axis=0)
+    hits = tracer.first_hits(origin, direction, _RANGE_M)
+    met = np.isfinite(hits.distance_m)
+    distance = hits.distance_m[met] + _RANGE_SIGMA_M * rng.standard_normal(int(met.sum()))
+    return origin[met] + distance[:, None] * direction[met], hits.material[met] == Material.ROAD
+
+
+def _stations(roads: Roads, links: Sequence[int], spacing_m: float) -> Iterator[tuple[Floats, Floats]]:
     """Places (n, 3) and yaws (n,) of the scanner, some at a time; never more of one link than fit."""
-    for link in range(len(roads.link_id)):
+    for link in links:
         length = float(roads.length_m[link])
         s = np.linspace(0.0, length, max(2, math.ceil(length / spacing_m) + 1))[:-1] + 0.5 * spacing_m
         s = s[s < length]
@@ -108,17 +123,23 @@ def _first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
 def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> list[CloudTile]:
     if not len(points_m):
         return []
-    latitude, longitude, _ = frame.geodetic_from_east_north_array(points_m[:, :2], np.zeros(len(points_m)))
+    nodes = _NodeGrid(points_m)
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, np.zeros(len(nodes.plane_m)))
+    at_latitude, at_longitude = nodes.between(latitude), nodes.between(longitude)
     margin = np.full(len(points_m), MARGIN_M)
-    row, x, y = tiles_of_boxes(latitude, longitude, margin, margin)
+    row, x, y = tiles_of_boxes(at_latitude, at_longitude, margin, margin)
     tiles = []
-    for tile_x, tile_y in np.unique(np.column_stack((x, y)), axis=0).tolist():
-        rows = np.sort(row[(x == tile_x) & (y == tile_y)])
+    number = x * TILES + y
+    for tile in np.unique(number).tolist():
+        tile_x, tile_y = divmod(tile, TILES)
+        rows = np.sort(row[number == tile])
         own = tile_frame(tile_x, tile_y)
-        plane = own.east_north_from_geodetic_array(latitude[rows], longitude[rows], np.zeros(len(rows)))
+        plane = own.east_north_from_geodetic_array(latitude, longitude, np.zeros(len(latitude)))
         height = points_m[rows, 2]
         base = float(np.round(np.median(height)))
-        about = np.column_stack((plane, height - base))
+        about = np.column_stack(
+            (nodes.between(plane[:, 0])[rows], nodes.between(plane[:, 1])[rows], height - base)
+        )
         tiles.append(
             CloudTile(
                 time_ns=seen_ns,
@@ -131,3 +152,30 @@ def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> l
             )
         )
     return tiles
+
+
+class _NodeGrid:
+    """Nodes every 25 m under some points: what is known at the nodes is bilinear between them.
+
+    From one tangent plane to another the second derivatives are those of the earth's curvature, 1 / R, so that this
+    misses by 25² / 8 R = 12 µm, for a fraction of the time.
+    """
+
+    def __init__(self, points_m: Floats) -> None:
+        low = points_m[:, :2].min(axis=0)
+        at = (points_m[:, :2] - low) / _NODES_M
+        self._cell = at.astype(np.int64)
+        self._share = at - self._cell
+        self._columns, self._rows = (self._cell.max(axis=0) + 2).tolist()
+        e, n = np.meshgrid(np.arange(self._columns), np.arange(self._rows), indexing="ij")
+        self.plane_m: Floats = low + _NODES_M * np.column_stack((e.ravel(), n.ravel()))
+
+    def between(self, at_nodes: Floats) -> Floats:
+        """Values (n,) at the points, from those at the nodes."""
+        value = at_nodes.reshape(self._columns, self._rows)
+        i, j = self._cell.T
+        u, v = self._share.T
+        lower = (1.0 - u) * value[i, j] + u * value[i + 1, j]
+        upper = (1.0 - u) * value[i, j + 1] + u * value[i + 1, j + 1]
+        result: Floats = (1.0 - v) * lower + v * upper
+        return result
