@@ -39,8 +39,8 @@ _Writer = Callable[[Ephemeris, int, int], list[int]]
 def subframes_between(ephemeris: Ephemeris, from_ns: int, to_ns: int) -> list[Subframe]:
     """All parts of the ephemeris whose transmission ends at `from_ns` or later and before `to_ns`, in order.
 
-    GPS and QZSS: LNAV subframes 1 to 3 of each frame of 30 s. Galileo: I/NAV words 1 to 5 on E1-B. BeiDou: D1 subframes
-    1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. Almanacs, ionosphere and UTC are not sent. Raises
+    GPS and QZSS: LNAV subframes 1 to 3 of each frame of 30 s. Galileo: I/NAV words 1 to 6 on E1-B. BeiDou: D1 subframes
+    1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. Almanacs and ionosphere are not sent. Raises
     ValueError as `broadcast_integers` does.
     """
     system = satellite_name(ephemeris.satellite)[0]

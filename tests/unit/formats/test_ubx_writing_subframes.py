@@ -11,6 +11,7 @@ from pyubx2 import UBXReader
 from camber.formats.lnav_words import words_with_parity
 from camber.formats.ubx_subframes import subframes_between
 from camber.formats.ubx_writing import format_subframe
+from camber.geodesy.gps_time import gps_minus_utc_s
 from support.random_observations import SECOND_NS, WEEK_NS, random_ephemeris
 
 PI = math.pi
@@ -215,7 +216,7 @@ def crc24q(bits: int, width: int) -> int:
 def inav_word(words):
     """The 128 data bits of a nominal page, its CRC checked."""
     even = joined_bits(words[:4], 32, (1, 120))
-    odd = joined_bits(words[4:], 32, (1, 120))
+    odd = joined_bits(words[4:8], 32, (1, 120))
     assert even >> 118 == 0b00
     assert odd >> 118 == 0b10
     assert even & 63 == odd & 63 == 0
@@ -231,12 +232,12 @@ def test_inav_pages_are_read_back(seed, name, week, second):
     ephemeris = random_ephemeris(rng, name, week * WEEK_NS + 600 * SECOND_NS)
     pages = {}
     for end_ns, message, words in all_of(ephemeris, week * WEEK_NS + second * SECOND_NS):
-        assert (message.gnssId, message.sigId, message.numWords) == (2, 1, 8)
+        assert (message.gnssId, message.sigId, message.numWords) == (2, 1, 9)
         page = inav_word(words)
         pages[page >> 122] = page, end_ns - 2 * SECOND_NS
     # Table 38: the words of E1-B begin at these seconds of the subframe.
     seconds = {word: start % (30 * SECOND_NS) // SECOND_NS for word, (_, start) in pages.items()}
-    assert seconds == {2: 1, 4: 3, 1: 21, 3: 23, 5: 25}
+    assert seconds == {2: 1, 4: 3, 6: 5, 1: 21, 3: 23, 5: 25}
 
     def u(word, first, bits):
         return pages[word][0] >> 128 - first + 1 - bits & (1 << bits) - 1
@@ -279,6 +280,10 @@ def test_inav_pages_are_read_back(seed, name, week, second):
     start_ns = pages[5][1]
     assert u(5, 74, 12) == (start_ns // WEEK_NS - 1024) % 4096
     assert u(5, 86, 20) == start_ns % WEEK_NS // SECOND_NS
+    # Word 6: A0, A1 are zero, GST is the leap seconds before UTC, now and announced.
+    assert u(6, 7, 56) == 0
+    assert u(6, 63, 8) == u(6, 98, 8) == gps_minus_utc_s(pages[6][1])
+    assert u(6, 106, 20) == pages[6][1] % WEEK_NS // SECOND_NS
 
 
 # --- BeiDou: BDS-SIS-ICD-B1I, 5.1, 5.2, 5.3 ---------------------------------------------------------------------------
