@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.simulator.scene import Material
-from camber.simulator.world.roads import HALF_WIDTH, RESURFACED, Roads
+from camber.simulator.world.roads import (
+    FLAT_END,
+    FLAT_START,
+    HALF_WIDTH,
+    RESURFACED,
+    RESURFACING_FADE_M,
+    Roads,
+)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -62,8 +69,7 @@ def _across(roads: Roads, link: int, s: Floats, y: Floats) -> tuple[Floats, Floa
 
 def _link(roads: Roads, link: int) -> list[Mesh]:
     length, half = float(roads.length_m[link]), float(roads.shape[link, HALF_WIDTH])
-    step = _STEP_M if roads.shape[link, RESURFACED] == 0.0 else 0.5 * _STEP_M
-    s = np.linspace(0.0, length, max(2, int(np.ceil(length / step)) + 1))
+    s = _sections(roads, link)
     east, north = _across(roads, link, s, np.array([-half, 0.0, half]))
     up = roads.link_height_m(np.array(link), east, north)
     meshes = [_of(_sheet(np.stack((east, north, up), axis=2)), Material.ROAD)]
@@ -80,6 +86,17 @@ def _link(roads: Roads, link: int) -> list[Mesh]:
         meshes.append(_of(_plate(roads, link, covered, CEILING_M), Material.TUNNEL))
         meshes += [_portal(roads, link, float(end)) for end in covered if 0.0 < end < length]
     return meshes
+
+
+def _sections(roads: Roads, link: int) -> Floats:
+    """Where sections stand, s; twice as many where a new surface begins and ends."""
+    length = float(roads.length_m[link])
+    s = np.linspace(0.0, length, max(2, int(np.ceil(length / _STEP_M)) + 1))
+    if roads.shape[link, RESURFACED] == 0.0:
+        return s
+    flat = roads.shape[link, [FLAT_START, FLAT_END]] + RESURFACING_FADE_M
+    middle = 0.5 * (s[1:] + s[:-1])
+    return np.sort(np.concatenate((s, middle[(middle < flat[0]) | (middle > length - flat[1])])))
 
 
 def _verge(roads: Roads, link: int, s: Floats, y: float) -> Floats:

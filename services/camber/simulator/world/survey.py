@@ -5,7 +5,8 @@ Whoever drives on the drive day finds vehicles parked elsewhere, trees grown and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from camber.formats.map_release import write_release
@@ -22,7 +23,10 @@ DATUM = "WGS84"
 
 @dataclass(frozen=True, slots=True)
 class SurveyErrors:
-    """How good the survey is. `clouds`: False leaves the point clouds out, which take nearly all of the time."""
+    """How good the survey is. `clouds`: False leaves the point clouds out, which take nearly all of the time.
+
+    `wrong_m`: link id → metres by which the heights of its surfaces are wrong, without the map knowing.
+    """
 
     height_sigma_m: float = 0.03
     height_correlation_m: float = 20.0
@@ -30,6 +34,7 @@ class SurveyErrors:
     scan_spacing_m: float = 5.0
     voxel_m: float = 0.10
     clouds: bool = True
+    wrong_m: Mapping[int, float] = field(default_factory=dict)
 
 
 def write_survey(
@@ -52,6 +57,10 @@ def write_survey(
     roads = district.roads("survey")
     surfaces = surveyed_surfaces(
         roads, district.frame, seed, errors.height_sigma_m, errors.height_correlation_m, time_ns
+    )
+    off_m = [errors.wrong_m.get(link, 0.0) for link in surfaces.link_id.tolist()]
+    surfaces = replace(
+        surfaces, heights_m=[h + off for h, off in zip(surfaces.heights_m, off_m, strict=True)]
     )
     clouds: list[CloudTile] = []
     if errors.clouds:

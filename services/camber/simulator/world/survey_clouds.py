@@ -125,7 +125,8 @@ def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> l
         return []
     nodes = _NodeGrid(points_m)
     latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, np.zeros(len(nodes.plane_m)))
-    at_latitude, at_longitude = nodes.between(latitude), nodes.between(longitude)
+    everything = np.arange(len(points_m))
+    at_latitude, at_longitude = nodes.between(latitude, everything), nodes.between(longitude, everything)
     margin = np.full(len(points_m), MARGIN_M)
     row, x, y = tiles_of_boxes(at_latitude, at_longitude, margin, margin)
     tiles = []
@@ -138,7 +139,7 @@ def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> l
         height = points_m[rows, 2]
         base = float(np.round(np.median(height)))
         about = np.column_stack(
-            (nodes.between(plane[:, 0])[rows], nodes.between(plane[:, 1])[rows], height - base)
+            (nodes.between(plane[:, 0], rows), nodes.between(plane[:, 1], rows), height - base)
         )
         tiles.append(
             CloudTile(
@@ -170,11 +171,11 @@ class _NodeGrid:
         e, n = np.meshgrid(np.arange(self._columns), np.arange(self._rows), indexing="ij")
         self.plane_m: Floats = low + _NODES_M * np.column_stack((e.ravel(), n.ravel()))
 
-    def between(self, at_nodes: Floats) -> Floats:
-        """Values (n,) at the points, from those at the nodes."""
+    def between(self, at_nodes: Floats, rows: Integers) -> Floats:
+        """Values (k,) at some of the points, from those at the nodes."""
         value = at_nodes.reshape(self._columns, self._rows)
-        i, j = self._cell.T
-        u, v = self._share.T
+        i, j = self._cell[rows].T
+        u, v = self._share[rows].T
         lower = (1.0 - u) * value[i, j] + u * value[i + 1, j]
         upper = (1.0 - u) * value[i, j + 1] + u * value[i + 1, j + 1]
         result: Floats = (1.0 - v) * lower + v * upper

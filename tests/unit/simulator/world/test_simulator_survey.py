@@ -136,7 +136,8 @@ def test_clouds_are_what_stands_there_on_the_survey_day(tmp_path: Path) -> None:
     assert np.isfinite(up).mean() > 0.98  # some lie a centimetre beside it
     assert np.abs(np.median(off)) < 0.003
     assert np.percentile(np.abs(off), 99) < 0.02
-    # Walls: points from 12 m above, higher than posts and trees, to 30 m above the street lie on the faces of buildings, to the noise of the range.
+    # Points from 12 m above the street, higher than posts and trees, to 30 m lie on the faces of buildings, to the
+    # noise of the range.
     environment = clouds["environment_cloud"]
     height = environment[:, 2] - roads.terrain.height_m(environment[:, 0], environment[:, 1])
     high = environment[(height > 12.0) & (height < 30.0)]
