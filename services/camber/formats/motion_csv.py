@@ -43,9 +43,23 @@ def read_ranging(path: Path) -> list[Ranging]:
 
 def write_motion(path: Path, samples: Iterable[Motion]) -> None:
     """Write a file that `read_motion` reads to 1e-9 of a unit; the same samples give the same bytes."""
-    lines = [",".join(MOTION_COLUMNS)]
+    _write(path, samples, MOTION_COLUMNS)
+
+
+def write_suspension(path: Path, samples: Iterable[Suspension]) -> None:
+    """As `write_motion`, for stroke heights."""
+    _write(path, samples, SUSPENSION_COLUMNS)
+
+
+def write_ranging(path: Path, samples: Iterable[Ranging]) -> None:
+    """As `write_motion`, for distances to the road."""
+    _write(path, samples, RANGING_COLUMNS)
+
+
+def _write(path: Path, samples: Iterable[Message], columns: tuple[str, ...]) -> None:
+    lines = [",".join(columns)]
     for sample in samples:
-        values = (getattr(sample, name) for name in MOTION_COLUMNS[1:])
+        values = (getattr(sample, name) for name in columns[1:])
         lines.append(
             ",".join((str(sample.time_ns), *("" if value is None else f"{value:.9f}" for value in values)))
         )

@@ -101,7 +101,7 @@ class Scenario(Model):
     duration_s: Seconds = Field(default=120.0, description="of driving")
     vehicle: Literal["car", "robot"] = Field(default="car", description="car or robot")
     place: Place = Field(description="table with the district")
-    satellites: Satellites | None = Field(default=Satellites(), description="table of what is received")
+    satellites: Satellites = Field(default=Satellites(), description="table of what is received")
     lidar: Lidar | None = Field(default=None, description="table of the surround sensor")
     fleet: Fleet | None = Field(default=None, description="table of a fleet; then nothing else is made")
     faults: Annotated[tuple[Fault, ...], Field(strict=False)] = Field(

@@ -1,0 +1,74 @@
+"""`drive.toml` of a simulated drive."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from camber.geodesy.angles import wrap_pi
+from camber.simulator.random_streams import stream
+from camber.simulator.simulated_drive import SimulatedDrive
+
+_POSE_SIGMA_M = 1.0
+_YAW_SIGMA_RAD = math.radians(2.0)
+
+
+def manifest_text(drive: SimulatedDrive) -> str:
+    """The manifest, with a given pose as from a parking place: off by 1 m and 2° (one sigma, in each direction)."""
+    scenario, body = drive.scenario, drive.body
+    tables = [
+        f'''\
+# Simulated: scenario {scenario.name}, seed {scenario.seed}. Nothing in it is evidence of performance on a road.
+name = "{scenario.name}"
+description = "{scenario.description}"
+vehicle = "{body.name}"
+simulated = true
+datum = "WGS84"
+''',
+        """\
+# Raw observations stand beside it, for an engine of one's own:
+# [observations] rover_obs = "rover.obs", base_obs = "base.obs", ephemerides = ["brdc.nav"]
+[receiver]
+format = "pos"
+file = "receiver.pos"
+""",
+        '[motion]\nfile = "motion.csv"\n',
+        '[suspension]\nfile = "suspension.csv"\n' if body.suspension is not None else "",
+        '[ranging]\nfile = "ranging.csv"\n',
+        '[sweeps]\nfolder = "sweeps"\n' if scenario.lidar is not None else "",
+        '[map]\nrelease = "map"\n',
+        '[truth]\nformat = "camber"\nfile = "truth.csv"\n',
+        *(
+            f"[lever_arms.{name}]\nx_m = {x}\ny_m = {y}\nz_m = {z}\n"
+            for name, (x, y, z) in (("antenna", body.antenna), ("lidar", body.lidar), ("wheel", body.wheel))
+        ),
+        _antenna_height(drive),
+        _initial_pose(drive),
+    ]
+    return "\n".join(table for table in tables if table)
+
+
+def _antenna_height(drive: SimulatedDrive) -> str:
+    body = drive.body
+    if body.suspension_to_antenna_m is None:
+        return f'[antenna_height]\nway = "fixed"\nheight_m = {body.antenna[2]}\nsigma_m = 0.01\n'
+    return (
+        f'[antenna_height]\nway = "stroke"\nsuspension_to_antenna_m = {body.suspension_to_antenna_m:.6f}\n'
+        f"tyre_radius_m = {body.tyre_radius_m}\nsensor_to_antenna_m = {body.sensor_to_antenna_m:.6f}\n"
+    )
+
+
+def _initial_pose(drive: SimulatedDrive) -> str:
+    rng = stream(drive.scenario.seed, "given pose")
+    east_m, north_m, up_m = drive.trajectory.antenna_m[0].tolist()
+    off_m = rng.normal(0.0, _POSE_SIGMA_M, 2)
+    latitude, longitude, _ = drive.district.frame.geodetic_from_east_north(
+        east_m + float(off_m[0]), north_m + float(off_m[1]), up_m
+    )
+    yaw_rad = wrap_pi(float(drive.trajectory.yaw_rad[0]) + float(rng.normal(0.0, _YAW_SIGMA_RAD)))
+    return (
+        f"[initial_pose]\nlatitude_deg = {np.degrees(latitude):.9f}\nlongitude_deg = {np.degrees(longitude):.9f}\n"
+        f"yaw_deg = {np.degrees(yaw_rad):.4f}\nhorizontal_sigma_m = {_POSE_SIGMA_M}\n"
+        f"yaw_sigma_deg = {math.degrees(_YAW_SIGMA_RAD):.6g}\n"
+    )

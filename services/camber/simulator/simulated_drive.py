@@ -1,0 +1,289 @@
+"""One drive of a scenario, from the district to what the receiver says: everything but the files.
+
+The district's roads are those that the faults make of them, so a drive is laid out twice where roads have changed under
+it: once to learn which links it takes when.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.faults import (
+    ChangedLoad,
+    ChangedRoad,
+    ChangedTyre,
+    Fault,
+    Jamming,
+    MissingEpochs,
+    RepeatedEpochs,
+    Spoofing,
+    TimeJump,
+    WheelSlip,
+    WrongBase,
+    WrongMap,
+    of_kind,
+)
+from camber.simulator.satellites import radio_faults
+from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.propagation import Surroundings
+from camber.simulator.satellites.receiver_solution import SimulatedSolutions, receiver_solutions
+from camber.simulator.satellites.signals import simulate_signals
+from camber.simulator.satellites.track import AntennaTrack, static_track
+from camber.simulator.scenario import Scenario, ScenarioError
+from camber.simulator.scene import Floats, Integers, Path, Trajectory
+from camber.simulator.vehicle.body import CAR, ROBOT, VehicleBody
+from camber.simulator.vehicle.motion import INNER_RATE_HZ, drive
+from camber.simulator.vehicle.sensors import (
+    RangingSensor,
+    RateSensor,
+    SensorSet,
+    SteeringSensor,
+    StrokeSensor,
+    VehicleReadings,
+    WheelSensor,
+    read_sensors,
+)
+from camber.simulator.vehicle.vehicle_faults import VehicleFault
+from camber.simulator.world.district import District, make_district
+from camber.simulator.world.tracing import ShapeTracer
+
+_NS = 1_000_000_000
+_BODIES = {"car": CAR, "robot": ROBOT}
+# A sensor may sample faster; the bus carries ten samples a second (docs/data-flow.md).
+SENSORS = SensorSet(
+    WheelSensor(rate_hz=10.0),
+    RateSensor(rate_hz=10.0),
+    SteeringSensor(rate_hz=10.0),
+    StrokeSensor(rate_hz=10.0),
+    RangingSensor(rate_hz=10.0),
+)
+_BASE_UP_M = 25.0
+"""The base station stands on a roof: above the highest ground of any district by this much."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Said:
+    """What the receiver says at one time: its raw observations and its own solution, if any; by *its* clock."""
+
+    rover: ObservationEpoch | None
+    solution: ReceiverSolution | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedDrive:
+    """All of a drive.
+
+    `epoch_ns` (n,) are the true times of the receiver's epochs, `of_epoch` (n,) the trajectory's rows then. `said` is
+    in the order of arrival and may hold an epoch twice, or none. `base_offset_m` (n, 3): how far the base station's
+    coordinates are wrong (east, north, up). `map_offset_m`: by link, how far the map is wrong.
+    """
+
+    scenario: Scenario
+    district: District
+    body: VehicleBody
+    path: Path
+    trajectory: Trajectory
+    tracer: ShapeTracer
+    readings: VehicleReadings
+    epoch_ns: Integers
+    of_epoch: Integers
+    said: tuple[Said, ...]
+    solutions: SimulatedSolutions
+    base: tuple[ObservationEpoch, ...]
+    base_m: tuple[float, float, float]
+    base_offset_m: Floats
+    broadcast: tuple[Ephemeris, ...]
+    fix_wrong: NDArray[np.bool_]
+    map_offset_m: dict[int, float]
+
+
+def simulate_drive(scenario: Scenario) -> SimulatedDrive:
+    """Raises ScenarioError where a fault does not fit into the drive."""
+    body = _BODIES[scenario.vehicle]
+    try:
+        district, path, trajectory = _laid_out(scenario, body)
+    except ValueError as error:
+        raise ScenarioError(f"{scenario.name}: {error}") from None
+    sky = scenario.satellites
+    of_epoch = np.arange(0, len(trajectory.time_ns), INNER_RATE_HZ // sky.rate_hz)
+    epoch_ns = trajectory.time_ns[of_epoch]
+    track = AntennaTrack(epoch_ns, trajectory.antenna_m[of_epoch], trajectory.antenna_velocity_m_s[of_epoch])
+    tracer = ShapeTracer(district.shapes("drive"))
+    frame = district.frame
+    true = [
+        e
+        for e in true_ephemerides(int(epoch_ns[0]), int(epoch_ns[-1]), scenario.seed)
+        if chr(e.satellite >> 8) in sky.systems
+    ]
+    radio = _radio_faults(scenario)
+    surroundings = Surroundings(tracer, district.walls())
+    parameters = SignalParameters()
+    rover = simulate_signals(track, frame, true, parameters, scenario.seed, "rover", surroundings, radio)
+    base_m = _base_place(trajectory, sky.base_distance_m)
+    base = simulate_signals(static_track(epoch_ns, base_m), frame, true, parameters, scenario.seed, "base")
+    solutions = receiver_solutions(rover, base, track, frame, scenario.seed)
+    time_s = (epoch_ns - epoch_ns[0]) / _NS
+    base_offset_m = _base_offset(scenario.faults, time_s)
+    led_away_m, _ = radio.antenna_offset_m(epoch_ns)
+    moved = {s.time_ns: s for s in solutions.solutions}
+    for k, at_ns in enumerate(epoch_ns.tolist()):
+        shift_m = led_away_m[k] + (
+            base_offset_m[k] if at_ns in moved and _is_differential(moved[at_ns]) else 0.0
+        )
+        if at_ns in moved and shift_m.any():
+            moved[at_ns] = _shifted(moved[at_ns], shift_m, frame)
+    error_m = solutions.error_m + led_away_m + base_offset_m
+    fixed = solutions.quality == int(SolutionQuality.FIX)
+    return SimulatedDrive(
+        scenario=scenario,
+        district=district,
+        body=body,
+        path=path,
+        trajectory=trajectory,
+        tracer=tracer,
+        readings=read_sensors(trajectory, body, path.surface_m, SENSORS, scenario.seed),
+        epoch_ns=epoch_ns,
+        of_epoch=of_epoch,
+        said=_said(scenario.faults, epoch_ns, rover.epochs(), moved),
+        solutions=solutions,
+        base=tuple(base.epochs()),
+        base_m=base_m,
+        base_offset_m=base_offset_m,
+        broadcast=tuple(broadcast_ephemerides(true, scenario.seed)),
+        fix_wrong=fixed & (np.linalg.norm(error_m, axis=1) > WRONG_M),
+        map_offset_m=_offsets_by_link(of_kind(scenario.faults, WrongMap), trajectory),
+    )
+
+
+WRONG_M = 0.5
+"""A fix that is farther than this from the truth in three dimensions is wrong, as in every summary."""
+
+
+def _laid_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Trajectory]:
+    place = scenario.place
+    changed: dict[int, float] | None = None if place.changed_roads else {}
+    under_way = of_kind(scenario.faults, ChangedRoad)
+
+    def made(changes: dict[int, float] | None) -> tuple[District, Path, Trajectory]:
+        district = make_district(
+            place.kind,
+            scenario.seed,
+            math.radians(place.latitude_deg),
+            math.radians(place.longitude_deg),
+            heading_rad=math.radians(place.heading_deg or 0.0),
+            changed_roads=changes,
+        )
+        path = district.path()
+        trajectory = drive(
+            path,
+            body,
+            start_ns=scenario.start_ns,
+            duration_s=scenario.duration_s,
+            faults=_vehicle_faults(scenario.faults),
+        )
+        return district, path, trajectory
+
+    district, path, trajectory = made(changed)
+    if under_way:
+        district, path, trajectory = made(district.changed_roads | _offsets_by_link(under_way, trajectory))
+    return district, path, trajectory
+
+
+def _offsets_by_link(
+    faults: Sequence[ChangedRoad] | Sequence[WrongMap], trajectory: Trajectory
+) -> dict[int, float]:
+    """By the links that are driven while a fault acts: a link is changed as a whole."""
+    time_s = (trajectory.time_ns - trajectory.time_ns[0]) / _NS
+    return {
+        int(link): fault.offset_m
+        for fault in faults
+        for link in np.unique(trajectory.link_id[fault.acts(time_s)]).tolist()
+    }
+
+
+def _vehicle_faults(faults: tuple[Fault, ...]) -> list[VehicleFault]:
+    found = [
+        *(("tyre_radius", f.radius_change_m, f) for f in of_kind(faults, ChangedTyre)),
+        *(("load", f.load_kg, f) for f in of_kind(faults, ChangedLoad)),
+        *(("wheel_slip", f.factor - 1.0, f) for f in of_kind(faults, WheelSlip)),
+    ]
+    return [
+        VehicleFault(kind, amount, f.onset_s, math.inf if f.end_s is None else f.end_s)  # type: ignore[arg-type]
+        for kind, amount, f in found
+    ]
+
+
+def _radio_faults(scenario: Scenario) -> radio_faults.RadioFaults:
+    def span(fault: Jamming | Spoofing) -> tuple[int, int]:
+        end_s = scenario.duration_s if fault.end_s is None else fault.end_s
+        return scenario.start_ns + round(fault.onset_s * _NS), scenario.start_ns + round(end_s * _NS)
+
+    return radio_faults.RadioFaults(
+        jamming=tuple(radio_faults.Jamming(*span(f), f.loss_db) for f in of_kind(scenario.faults, Jamming)),
+        spoofing=tuple(
+            radio_faults.Spoofing(*span(f), (f.east_m_s, f.north_m_s, f.up_m_s))
+            for f in of_kind(scenario.faults, Spoofing)
+        ),
+    )
+
+
+def _base_place(trajectory: Trajectory, distance_m: float) -> tuple[float, float, float]:
+    east_m, north_m, up_m = trajectory.origin_m[0].tolist()
+    leg_m = distance_m / math.sqrt(2.0)
+    return east_m + leg_m, north_m + leg_m, max(up_m, float(trajectory.origin_m[:, 2].max())) + _BASE_UP_M
+
+
+def _base_offset(faults: tuple[Fault, ...], time_s: Floats) -> Floats:
+    offset_m = np.zeros((len(time_s), 3))
+    for fault in of_kind(faults, WrongBase):
+        offset_m[fault.acts(time_s)] += (fault.east_m, fault.north_m, fault.up_m)
+    return offset_m
+
+
+def _is_differential(solution: ReceiverSolution) -> bool:
+    return solution.quality in (SolutionQuality.FIX, SolutionQuality.FLOAT, SolutionQuality.DGPS)
+
+
+def _shifted(solution: ReceiverSolution, shift_m: Floats, frame: LocalFrame) -> ReceiverSolution:
+    east_m, north_m = frame.east_north_from_geodetic(solution.latitude_rad, solution.longitude_rad, 0.0)
+    east, north, up = shift_m.tolist()
+    latitude, longitude, _ = frame.geodetic_from_east_north(east_m + east, north_m + north, 0.0)
+    return replace(solution, latitude_rad=latitude, longitude_rad=longitude, height_m=solution.height_m + up)
+
+
+def _said(
+    faults: tuple[Fault, ...],
+    epoch_ns: Integers,
+    observed: list[ObservationEpoch],
+    solutions: dict[int, ReceiverSolution],
+) -> tuple[Said, ...]:
+    """In the order of arrival: with a clock that jumps, epochs that are repeated, and some that are missing."""
+    time_s = (epoch_ns - epoch_ns[0]) / _NS
+    rover = {epoch.time_ns: epoch for epoch in observed}
+    jump_ns = np.zeros(len(epoch_ns), np.int64)
+    times = np.ones(len(epoch_ns), np.int64)
+    for jump in of_kind(faults, TimeJump):
+        jump_ns[jump.acts(time_s)] += round(jump.offset_s * _NS)
+    for repeated in of_kind(faults, RepeatedEpochs):
+        times[repeated.acts(time_s)] = 2
+    for missing in of_kind(faults, MissingEpochs):
+        times[missing.acts(time_s)] = 0
+    said: list[Said] = []
+    for at_ns, jumps_ns, count in zip(epoch_ns.tolist(), jump_ns.tolist(), times.tolist(), strict=True):
+        epoch, solution = rover.get(at_ns), solutions.get(at_ns)
+        if epoch is None and solution is None:
+            continue
+        if jumps_ns:
+            epoch = None if epoch is None else replace(epoch, time_ns=at_ns + jumps_ns)
+            solution = None if solution is None else replace(solution, time_ns=at_ns + jumps_ns)
+        said += [Said(epoch, solution)] * count
+    return tuple(said)

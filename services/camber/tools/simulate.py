@@ -1,0 +1,82 @@
+"""`camber simulate`: a scenario becomes a recorded drive with truth beside it, in the files that a vehicle gives."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from camber.simulator.drive_folder import parts_of, write_drive
+from camber.simulator.fleet_folder import write_fleet
+from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
+from camber.simulator.simulated_drive import simulate_drive
+
+_PROG = "camber simulate"
+_MARK = "scenario.json"
+
+
+def main(argv: Sequence[str]) -> int:
+    """Make one drive or one fleet; 0 done, 2 the scenario or the folder cannot be used."""
+    args = _parser().parse_args(argv)
+    overrides = [*args.set, *([f"seed={args.seed}"] if args.seed is not None else [])]
+    try:
+        simulate(load_scenario(args.scenario, overrides), args.out, quiet=args.quiet)
+    except ScenarioError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
+    """Make it, with a progress bar where somebody looks; returns the manifest's path, or the folder of a fleet.
+
+    An earlier simulation in the folder is replaced. Raises ScenarioError, and OSError where a file cannot be written.
+    """
+    _make_room(out)
+    (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
+    began = time.monotonic()
+    hidden = quiet or not sys.stderr.isatty()
+    if scenario.fleet is not None:
+        with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
+            for _ in write_fleet(out, scenario):
+                bar.update()
+        made = out
+    else:
+        drive = simulate_drive(scenario)
+        with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
+            for part in write_drive(out, drive):
+                bar.set_description(part, refresh=False)
+                bar.update()
+        made = out / "drive.toml"
+    if not quiet:
+        print(f"simulated {scenario.name}, seed {scenario.seed}, in {time.monotonic() - began:.0f} s: {made}")
+    return made
+
+
+def _make_room(out: Path) -> None:
+    """A folder that is new, or that held an earlier simulation and nothing else's."""
+    if out.is_dir() and any(out.iterdir()):
+        if not (out / _MARK).is_file():
+            raise ScenarioError(f"{out}: not empty, expected a new folder or one of an earlier simulation")
+        shutil.rmtree(out)
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the drive goes")
+    parser.add_argument("--seed", type=int, help="seed of all that is random")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no last line")
+    return parser
