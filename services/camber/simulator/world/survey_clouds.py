@@ -13,7 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tiles import MARGIN_M, TILES, tile_frame, tiles_of_boxes
+from camber.formats.map_tiles import MARGIN_M, TILES, Tile, tile_corners_rad, tile_frame, tiles_of_boxes
+from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.road import CloudTile, Layer
 from camber.simulator.random_streams import stream
@@ -127,13 +128,20 @@ def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> l
     latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, np.zeros(len(nodes.plane_m)))
     everything = np.arange(len(points_m))
     at_latitude, at_longitude = nodes.between(latitude, everything), nodes.between(longitude, everything)
-    margin = np.full(len(points_m), MARGIN_M)
-    row, x, y = tiles_of_boxes(at_latitude, at_longitude, margin, margin)
     tiles = []
-    number = x * TILES + y
-    for tile in np.unique(number).tolist():
-        tile_x, tile_y = divmod(tile, TILES)
-        rows = np.sort(row[number == tile])
+    for tile_x, tile_y in _tiles_near(latitude, longitude):
+        # What comes within the margin of a tile stands in it too.
+        south, west, north, east = tile_corners_rad(tile_x, tile_y)
+        margin_north = MARGIN_M / meridian_radius_m(0.0)
+        margin_east = MARGIN_M / (prime_vertical_radius_m(0.0) * math.cos(max(abs(south), abs(north))))
+        rows = np.flatnonzero(
+            (at_latitude > south - margin_north)
+            & (at_latitude < north + margin_north)
+            & (at_longitude > west - margin_east)
+            & (at_longitude < east + margin_east)
+        )
+        if not len(rows):
+            continue
         own = tile_frame(tile_x, tile_y)
         plane = own.east_north_from_geodetic_array(latitude, longitude, np.zeros(len(latitude)))
         height = points_m[rows, 2]
@@ -155,8 +163,15 @@ def _tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> l
     return tiles
 
 
+def _tiles_near(latitude: Floats, longitude: Floats) -> list[Tile]:
+    """Tiles that come within two node spacings of the nodes, in order."""
+    reach = np.full(len(latitude), 2.0 * _NODES_M)
+    _, x, y = tiles_of_boxes(latitude, longitude, reach, reach)
+    return [divmod(tile, TILES) for tile in np.unique(x * TILES + y).tolist()]
+
+
 class _NodeGrid:
-    """Nodes every 25 m under some points: what is known at the nodes is bilinear between them.
+    """Nodes every 25 m under some points (not at the antimeridian): what is known there is bilinear between them.
 
     From one tangent plane to another the second derivatives are those of the earth's curvature, 1 / R, so that this
     misses by 25² / 8 R = 12 µm, for a fraction of the time.
