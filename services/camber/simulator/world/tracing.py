@@ -1,13 +1,9 @@
 """Rays against the shapes of a district: what a LiDAR's beams hit, and what stands before a satellite.
 
-Each ray walks the cells of a plane grid (Amanatides & Woo 1987, "A fast voxel traversal algorithm for ray tracing")
-until a surface is nearer than the end of the cell. All loops are compiled and run without the interpreter's lock, so
-two threads may ask the same tracer.
+All loops are compiled and run without the interpreter's lock, so two threads may ask the same tracer.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +12,20 @@ from camber.geodesy.compiled import compiled, compiled_without_gil
 from camber.simulator.scene import Hits, Material, Shapes
 from camber.simulator.world.ray_shapes import (
     box_normal,
-    box_span,
     crown_normal,
     crown_span,
     cylinder_normal,
-    cylinder_span,
-    triangle_distance,
     triangle_normal,
+)
+from camber.simulator.world.ray_walk import (
+    NOTHING,
+    TRIANGLE,
+    Lists,
+    Place,
+    Solids,
+    into_grid,
+    nearest,
+    walk,
 )
 from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, CellLists, ShapeGrid, shape_grid
 
@@ -30,13 +33,6 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CELL_M = 6.0
-_NEAREST_M = 1.0e-6
-"""A surface nearer than this is the one that a ray starts from."""
-_NOTHING, _TRIANGLE = -1, 3
-
-_Lists = tuple[Integers, Integers, Floats, Floats]
-_Place = tuple[float, float, float, int, int]
-_Solids = tuple[Integers, Integers, Floats, Floats, Floats]
 
 
 class ShapeTracer:
@@ -50,7 +46,7 @@ class ShapeTracer:
         self._triangle_lists = _lists(grid.triangles)
         boxes = shapes.boxes_m
         rows = np.column_stack((boxes[:, :6], np.cos(boxes[:, 6]), np.sin(boxes[:, 6])))
-        self._solids: _Solids = (
+        self._solids: Solids = (
             grid.solid_kind.astype(np.int64),
             grid.solid_row.astype(np.int64),
             np.ascontiguousarray(rows),
@@ -125,127 +121,12 @@ def _rays(origin_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
     return origin, towards
 
 
-def _place(grid: ShapeGrid) -> _Place:
+def _place(grid: ShapeGrid) -> Place:
     return grid.west_m, grid.south_m, grid.cell_m, grid.columns, grid.rows
 
 
-def _lists(lists: CellLists) -> _Lists:
+def _lists(lists: CellLists) -> Lists:
     return lists.first, lists.shape, lists.span_m, lists.cell_span_m
-
-
-@compiled
-def _into_grid(place: _Place, x: float, y: float, dx: float, dy: float, max_m: float) -> tuple[float, float]:
-    """The part of a ray, from t to t, above the grid."""
-    west, south, cell, columns, rows = place
-    t0, t1 = 0.0, max_m
-    for origin, step, low, high in (
-        (x, dx, west, west + columns * cell),
-        (y, dy, south, south + rows * cell),
-    ):
-        if step == 0.0:
-            if origin < low or origin >= high:
-                return 1.0, 0.0
-        else:
-            a, b = (low - origin) / step, (high - origin) / step
-            t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
-    return t0, t1
-
-
-@compiled
-def _walk(
-    place: _Place, x: float, y: float, dx: float, dy: float, t0: float
-) -> tuple[int, int, int, int, float, float, float, float]:
-    """Column and row of the first cell, the steps, and t to the next column and row and from one to the next."""
-    west, south, cell, columns, rows = place
-    column = min(max(int((x + t0 * dx - west) / cell), 0), columns - 1)
-    row = min(max(int((y + t0 * dy - south) / cell), 0), rows - 1)
-    step_c, next_c, every_c = 0, math.inf, math.inf
-    if dx > 0.0:
-        step_c, next_c, every_c = 1, (west + (column + 1) * cell - x) / dx, cell / dx
-    elif dx < 0.0:
-        step_c, next_c, every_c = -1, (west + column * cell - x) / dx, -cell / dx
-    step_r, next_r, every_r = 0, math.inf, math.inf
-    if dy > 0.0:
-        step_r, next_r, every_r = 1, (south + (row + 1) * cell - y) / dy, cell / dy
-    elif dy < 0.0:
-        step_r, next_r, every_r = -1, (south + row * cell - y) / dy, -cell / dy
-    return column, row, step_c, step_r, next_c, next_r, every_c, every_r
-
-
-@compiled
-def _solid_span(
-    solids: _Solids, k: int, x: float, y: float, z: float, dx: float, dy: float, dz: float
-) -> tuple[float, float]:
-    kind, row, boxes, cylinders, crowns = solids
-    if kind[k] == BOX:
-        return box_span(boxes, row[k], x, y, z, dx, dy, dz)
-    if kind[k] == CYLINDER:
-        return cylinder_span(cylinders, row[k], x, y, z, dx, dy, dz)
-    return crown_span(crowns, row[k], x, y, z, dx, dy, dz)
-
-
-@compiled
-def _nearest(
-    place: _Place,
-    solid_lists: _Lists,
-    triangle_lists: _Lists,
-    solids: _Solids,
-    triangles: Floats,
-    with_crowns: bool,
-    any_will_do: bool,
-    ray: tuple[float, float, float, float, float, float],
-    max_m: float,
-) -> tuple[float, int, int]:
-    """Distance to the nearest surface, which sort of shape it is (solid 0, triangle 3, nothing −1) and its number."""
-    x, y, z, dx, dy, dz = ray
-    best, sort, number = max_m, _NOTHING, -1
-    t, end = _into_grid(place, x, y, dx, dy, max_m)
-    if t > end:
-        return math.inf, _NOTHING, -1
-    column, row, step_c, step_r, next_c, next_r, every_c, every_r = _walk(place, x, y, dx, dy, t)
-    columns, rows = place[3], place[4]
-    s_first, s_shape, s_span, s_cell = solid_lists
-    t_first, t_shape, t_span, t_cell = triangle_lists
-    while True:
-        leave = min(next_c, next_r, end)
-        z0, z1 = z + t * dz, z + leave * dz
-        low, high = (z0, z1) if z0 < z1 else (z1, z0)
-        cell = row * columns + column
-        if low <= t_cell[cell, 1] and high >= t_cell[cell, 0]:
-            for j in range(t_first[cell], t_first[cell + 1]):
-                if low <= t_span[j, 1] and high >= t_span[j, 0]:
-                    at = triangle_distance(triangles, t_shape[j], x, y, z, dx, dy, dz)
-                    if _NEAREST_M < at < best:
-                        best, sort, number = at, _TRIANGLE, t_shape[j]
-        if low <= s_cell[cell, 1] and high >= s_cell[cell, 0]:
-            for j in range(s_first[cell], s_first[cell + 1]):
-                if low <= s_span[j, 1] and high >= s_span[j, 0]:
-                    k = s_shape[j]
-                    if not with_crowns and solids[0][k] == CROWN:
-                        continue
-                    enter, out = _solid_span(solids, k, x, y, z, dx, dy, dz)
-                    if enter <= out:
-                        at = enter if enter > _NEAREST_M else out
-                        if _NEAREST_M < at < best:
-                            best, sort, number = at, 0, k
-        if sort != _NOTHING and (any_will_do or best <= leave):
-            return best, sort, number
-        if leave >= end:
-            break
-        t = leave
-        if next_c < next_r:
-            column += step_c
-            next_c += every_c
-            if column < 0 or column >= columns:
-                break
-        else:
-            row += step_r
-            next_r += every_r
-            if row < 0 or row >= rows:
-                break
-    if sort == _NOTHING:
-        return math.inf, _NOTHING, -1
-    return best, sort, number
 
 
 @compiled_without_gil
@@ -253,10 +134,10 @@ def _first_hits(
     origin: Floats,
     towards: Floats,
     max_m: float,
-    place: _Place,
-    solid_lists: _Lists,
-    triangle_lists: _Lists,
-    solids: _Solids,
+    place: Place,
+    solid_lists: Lists,
+    triangle_lists: Lists,
+    solids: Solids,
     triangles: Floats,
     solid_material: Integers,
     triangle_material: Integers,
@@ -268,7 +149,7 @@ def _first_hits(
     for i in range(len(origin)):
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
-        at, sort, k = _nearest(
+        at, sort, k = nearest(
             place,
             solid_lists,
             triangle_lists,
@@ -279,11 +160,11 @@ def _first_hits(
             (x, y, z, dx, dy, dz),
             max_m,
         )
-        if sort == _NOTHING:
+        if sort == NOTHING:
             continue
         distance[i] = at
         px, py, pz = x + at * dx, y + at * dy, z + at * dz
-        if sort == _TRIANGLE:
+        if sort == TRIANGLE:
             material[i] = triangle_material[k]
             nx, ny, nz = triangle_normal(triangles, k)
         else:
@@ -303,10 +184,10 @@ def _blocked(
     origin: Floats,
     towards: Floats,
     max_m: float,
-    place: _Place,
-    solid_lists: _Lists,
-    triangle_lists: _Lists,
-    solids: _Solids,
+    place: Place,
+    solid_lists: Lists,
+    triangle_lists: Lists,
+    solids: Solids,
     triangles: Floats,
     result: NDArray[np.bool_],
 ) -> None:
@@ -314,8 +195,8 @@ def _blocked(
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
         ray = (x, y, z, dx, dy, dz)
-        _, sort, _ = _nearest(place, solid_lists, triangle_lists, solids, triangles, False, True, ray, max_m)
-        result[i] = sort != _NOTHING
+        _, sort, _ = nearest(place, solid_lists, triangle_lists, solids, triangles, False, True, ray, max_m)
+        result[i] = sort != NOTHING
 
 
 @compiled_without_gil
@@ -323,9 +204,9 @@ def _through_crowns(
     origin: Floats,
     towards: Floats,
     max_m: float,
-    place: _Place,
-    solid_lists: _Lists,
-    solids: _Solids,
+    place: Place,
+    solid_lists: Lists,
+    solids: Solids,
     spans: Floats,
     result: Floats,
 ) -> None:
@@ -335,10 +216,10 @@ def _through_crowns(
     for i in range(len(origin)):
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
-        t, end = _into_grid(place, x, y, dx, dy, max_m)
+        t, end = into_grid(place, x, y, dx, dy, max_m)
         if t > end:
             continue
-        column, row, step_c, step_r, next_c, next_r, every_c, every_r = _walk(place, x, y, dx, dy, t)
+        column, row, step_c, step_r, next_c, next_r, every_c, every_r = walk(place, x, y, dx, dy, t)
         used = 0
         while True:
             leave = min(next_c, next_r, end)
