@@ -53,12 +53,14 @@ class Pooled:
             for name, (low, high) in bins.items()
             for inside in [(self.satellites >= low) & (self.satellites <= high)]
         }
+        p95 = float(np.quantile(self.horizontal_m[fixed], 0.95)) if fixed.any() else float("nan")
         quartiles = np.quantile(slope, [0.25, 0.5, 0.75]).tolist() if len(slope) else []
         return {
             "runs": len(np.unique(self.run)),
             "epochs": self.epochs,
             "fixed_share": float(np.sum(fixed) / self.epochs),
             "fixed": int(np.sum(fixed)),
+            "fixed_horizontal_p95_m": p95,
             "wrong": int(np.sum(wrong)),
             "wrong_share_of_fixes": float(np.sum(wrong) / max(np.sum(fixed), 1)),
             "wrong_with_six_or_more": float(np.sum(wrong & (self.satellites >= 6)) / max(np.sum(wrong), 1)),
@@ -69,15 +71,20 @@ class Pooled:
 
 
 def canyon_run(
-    seed: int, rate_hz: int, duration_s: float = 120.0, parameters: SignalParameters = ROVER
+    seed: int,
+    rate_hz: int,
+    duration_s: float = 120.0,
+    parameters: SignalParameters = ROVER,
+    open_sky: bool = False,
 ) -> tuple[AntennaTrack, SimulatedSignals, SimulatedSignals]:
     """Track, rover and base of one run; heading and time of day are drawn from the seed."""
     rng = stream(seed, "canyon run")
     canyon = street_canyon(seed, float(rng.uniform(0.0, np.pi)), SPEED_M_S * duration_s)
     begin_ns = FIRST_NS + int(rng.integers(0, 86400)) * NS_PER_SECOND
     track = drive_through(canyon, begin_ns, duration_s, rate_hz)
+    around = None if open_sky else canyon.surroundings()
     true = true_ephemerides(begin_ns, int(track.time_ns[-1]), seed)
-    rover = simulate_signals(track, FRAME, true, parameters, seed, "rover", canyon.surroundings())
+    rover = simulate_signals(track, FRAME, true, parameters, seed, "rover", around)
     base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
     return track, rover, base
 
@@ -88,11 +95,12 @@ def canyon_statistics(
     duration_s: float = 120.0,
     parameters: SignalParameters = ROVER,
     quiet: bool = True,
+    open_sky: bool = False,
 ) -> Pooled:
     parts = []
     epochs = 0
     for seed in tqdm(seeds, disable=quiet):
-        track, rover, base = canyon_run(seed, rate_hz, duration_s, parameters)
+        track, rover, base = canyon_run(seed, rate_hz, duration_s, parameters, open_sky)
         true = true_ephemerides(int(track.time_ns[0]), int(track.time_ns[-1]), seed)
         with tempfile.TemporaryDirectory() as folder:
             found = run_rtklib(
@@ -116,12 +124,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=80)
     parser.add_argument("--rate", type=int, default=1, help="epochs per second")
     parser.add_argument("--first-seed", type=int, default=1)
+    parser.add_argument("--open-sky", action="store_true", help="the same drives without any houses")
     chosen = parser.parse_args()
     if RNX2RTKP is None:
         raise SystemExit("rnx2rtkp is not installed (Debian: rtklib)")
     began = time.monotonic()
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.runs)
-    pooled = canyon_statistics(seeds, chosen.rate, quiet=False)
+    pooled = canyon_statistics(seeds, chosen.rate, quiet=False, open_sky=chosen.open_sky)
     print(json.dumps({**pooled.figures(), "took_s": round(time.monotonic() - began, 1)}, indent=1))
 
 

@@ -62,7 +62,7 @@ def locks(
         taken: Floats = np.take_along_axis(values, began, axis=0)
         return taken
 
-    whole = at_beginning(rng.integers(-500_000, 500_000, tracked.shape).astype(np.float64))
+    whole = at_beginning(rng.integers(-500, 500, tracked.shape).astype(np.float64))
     jumps = np.where(unseen, rng.choice(np.array([-2.0, -1.0, 1.0, 2.0]), tracked.shape), 0.0)
     whole = whole + np.cumsum(jumps, axis=0)
 

@@ -56,7 +56,8 @@ class SolutionParameters:
 class SimulatedSolutions:
     """`solutions` in the order of time, none where the receiver had none; and the truth beside them.
 
-    Columns over all n epochs of the track: `quality` (0: none), `error_m` (n, 3), `wrong` and `wrong_since_ns`, the
+    Columns over all n epochs of the track: `quality` (0: none), `error_m` (n, 3), spoofing
+    included, `wrong` and `wrong_since_ns`, the
     beginning of the episode, −1 where the fix is right or is none.
     """
 
@@ -115,6 +116,7 @@ def receiver_solutions(
         [geometry.phase_solution_m + shift, smooth, single],
         0.0,
     )
+    error = np.where(quality[:, None] > 0, error + rover.antenna_offset_m, 0.0)
     ratio = np.where(
         fixed, p.ratio_to_fix * (1.0 + rng.exponential(np.where(wrong, 0.4, 4.0))), 1.0 + rng.random(n)
     )

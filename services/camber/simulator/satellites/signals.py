@@ -33,12 +33,14 @@ class SimulatedSignals:
     """All that was simulated of one receiver, per epoch, satellite and frequency, tracked or not.
 
     `satellite` (m,), `signal`, `carrier_hz` (m, 2); `pseudorange_m`, `carrier_phase_cycles`, `doppler_hz` (n, m, 2);
-    `receiver_clock_s` (n,); `running` (n,): epochs at which the receiver gives anything.
+    `receiver_clock_s` (n,); `antenna_offset_m` (n, 3): where the signals say the antenna is, off the true one, by
+    spoofing; `running` (n,): epochs at which the receiver gives anything.
     """
 
     time_ns: Integers
     running: NDArray[np.bool_]
     receiver_clock_s: Floats
+    antenna_offset_m: Floats
     satellite: Integers
     signal: Integers
     carrier_hz: Floats
@@ -138,7 +140,8 @@ def simulate_signals(
         air_rate = np.zeros_like(dispersive)
     doppler = -(rate[..., None] + air_rate + arriving.rate_error_m_s) / wavelength
     return SimulatedSignals(
-        time_ns, running, clock, table.satellite, signal, carrier, code, phase, doppler, geometry, ways, arriving, held
+        time_ns, running, clock, offset, table.satellite, signal, carrier, code, phase, doppler, geometry, ways,
+        arriving, held,
     )  # fmt: skip
 
 

@@ -10,9 +10,10 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.differenced_geometry import differenced_geometry
 from camber.simulator.satellites.parameters import BASE, ROVER
+from camber.simulator.satellites.radio_faults import RadioFaults, Spoofing
 from camber.simulator.satellites.receiver_solution import receiver_solutions
 from camber.simulator.satellites.signals import simulate_signals
-from camber.simulator.satellites.track import AntennaTrack, static_track
+from camber.simulator.satellites.track import static_track
 from camber.simulator.satellites.wrong_integers import shift_of, wrong_integers
 from support.canyon_statistics import BASE_M, FRAME, canyon_run
 
@@ -20,20 +21,31 @@ BEGIN_NS = 1_461_000_000 * NS_PER_SECOND
 CANYONS = [canyon_run(seed, 1) for seed in range(1, 9)]
 
 
+def standing(seconds):
+    track = static_track(BEGIN_NS + np.arange(seconds, dtype=np.int64) * NS_PER_SECOND, (10.0, 20.0, 60.0))
+    return track, true_ephemerides(BEGIN_NS, int(track.time_ns[-1]), 1)
+
+
 def test_in_the_open_all_is_fixed_and_right():
-    n = 60
-    track = AntennaTrack(
-        BEGIN_NS + np.arange(n, dtype=np.int64) * NS_PER_SECOND,
-        np.tile([10.0, 20.0, 60.0], (n, 1)),
-        np.zeros((n, 3)),
-    )
-    true = true_ephemerides(BEGIN_NS, int(track.time_ns[-1]), 1)
+    track, true = standing(60)
     rover = simulate_signals(track, FRAME, true, ROVER, 1, "rover")
     base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, 1, "base")
     found = receiver_solutions(rover, base, track, FRAME, 1)
     assert np.all(found.quality == SolutionQuality.FIX)
     assert not found.wrong.any()
     assert np.max(np.abs(found.error_m)) < 0.03
+
+
+def test_a_spoofed_fix_goes_where_the_signals_go_though_its_integers_are_right():
+    track, true = standing(60)
+    begin = BEGIN_NS + 20 * NS_PER_SECOND
+    faults = RadioFaults(spoofing=(Spoofing(begin, BEGIN_NS + 60 * NS_PER_SECOND, (0.1, 0.0, 0.05)),))
+    rover = simulate_signals(track, FRAME, true, ROVER, 1, "rover", faults=faults)
+    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, 1, "base")
+    found = receiver_solutions(rover, base, track, FRAME, 1)
+    since = np.maximum((track.time_ns - begin) / NS_PER_SECOND, 0.0)
+    assert np.max(np.abs(found.error_m - since[:, None] * [0.1, 0.0, 0.05])) < 0.03
+    assert not found.wrong.any()
 
 
 def test_in_canyons_wrong_fixes_come_in_episodes_that_the_truth_dates():
