@@ -8,7 +8,7 @@ OUT := out
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
-	@echo "make demo    a short drive made on the spot, replayed through all services; report in $(OUT)/demo"
+	@echo "make demo    two minutes through a simulated city, replayed through all services; report in $(OUT)/demo"
 	@echo "make test    all tests; what needs recordings or a container engine skips visibly"
 	@echo "make check   lint, types, import rules, generated pages, tests: what CI runs"
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
@@ -21,7 +21,7 @@ $(BIN)/python:
 
 # What running needs; redone when the requirements change.
 .venv/.runtime: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) -e .
+	$(PIP) -e '.[simulator]'
 	@touch $@
 
 .venv/.development: .venv/.runtime

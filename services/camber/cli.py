@@ -17,7 +17,7 @@ TOOLS = {
     "router": ("camber.runtime.router", "a Zenoh router in Python"),
     "replay": ("camber.tools.replay", "run a recorded drive through all processes"),
     "simulate": ("camber.tools.simulate", "make a drive or a fleet from a scenario, with truth"),
-    "demo": ("camber.tools.demo", "make a short drive on the spot and replay it"),
+    "demo": ("camber.tools.demo", "simulate two minutes through a city and replay them"),
     "feed": ("camber.tools.feed", "a recorded drive, live, to services that are running"),
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
     "health": ("camber.tools.health", "ask a running service how it is"),

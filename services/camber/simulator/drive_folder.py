@@ -77,7 +77,7 @@ def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
     yield "map"
     errors = SurveyErrors(clouds=drive.scenario.lidar is not None, wrong_m=drive.map_offset_m)
     surveyed_ns = drive.scenario.start_ns - _SURVEYED_DAYS_BEFORE * _DAY_NS
-    write_survey(folder / "map", drive.district, surveyed_ns, errors)
+    write_survey(folder / "map", drive.district, surveyed_ns, errors, scanned_route="default")
     if drive.scenario.lidar is not None:
         (folder / "sweeps").mkdir(exist_ok=True)
         for scan in scans_of(drive):

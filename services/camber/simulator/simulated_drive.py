@@ -133,15 +133,14 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     solutions = receiver_solutions(rover, base, track, frame, scenario.seed)
     time_s = (epoch_ns - epoch_ns[0]) / _NS
     base_offset_m = _base_offset(scenario.faults, time_s)
-    led_away_m, _ = radio.antenna_offset_m(epoch_ns)
-    moved = {s.time_ns: s for s in solutions.solutions}
-    for k, at_ns in enumerate(epoch_ns.tolist()):
-        shift_m = led_away_m[k] + (
-            base_offset_m[k] if at_ns in moved and _is_differential(moved[at_ns]) else 0.0
-        )
-        if at_ns in moved and shift_m.any():
-            moved[at_ns] = _shifted(moved[at_ns], shift_m, frame)
-    error_m = solutions.error_m + led_away_m + base_offset_m
+    moved = {
+        solution.time_ns: _shifted(solution, base_offset_m[k], frame)
+        if _is_differential(solution)
+        else solution
+        for solution in solutions.solutions
+        for k in [int(np.searchsorted(epoch_ns, solution.time_ns))]
+    }
+    error_m = solutions.error_m + base_offset_m
     fixed = solutions.quality == int(SolutionQuality.FIX)
     return SimulatedDrive(
         scenario=scenario,
@@ -254,6 +253,8 @@ def _is_differential(solution: ReceiverSolution) -> bool:
 
 
 def _shifted(solution: ReceiverSolution, shift_m: Floats, frame: LocalFrame) -> ReceiverSolution:
+    if not shift_m.any():
+        return solution
     east_m, north_m = frame.east_north_from_geodetic(solution.latitude_rad, solution.longitude_rad, 0.0)
     east, north, up = shift_m.tolist()
     latitude, longitude, _ = frame.geodetic_from_east_north(east_m + east, north_m + north, 0.0)

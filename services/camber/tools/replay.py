@@ -28,6 +28,7 @@ from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import CHANNELS, SERVICES
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.toml_file import FileError
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
 from camber.tools.evaluate import evaluate_folder, headline
 from camber.tools.processes import Processes
@@ -58,7 +59,7 @@ def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
     """The exit code of `work`, or a line that says what went wrong and the code for that."""
     try:
         return work()
-    except (ManifestError, FormatError) as error:
+    except (FileError, FormatError) as error:
         print(f"{prog}: {error}", file=sys.stderr)
         return 2
     except OSError as error:

@@ -1,0 +1,54 @@
+"""A simulated drive goes through all processes: every fix is judged, and a wrong one is not passed on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from camber.formats.truth_csv import read_truth
+from camber.simulator.scenario import load_scenario
+from camber.tools.simulate import simulate
+from support.running import camber, recorded, summary_of
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A canyon with a base station that is wrong for a while, replayed."""
+    folder = tmp_path_factory.mktemp("simulated")
+    fault = '{kind = "wrong_base", onset_s = 30.0, end_s = 34.0, east_m = 3.0, up_m = 2.5}'
+    scenario = load_scenario("canyon", ["duration_s=45.0", f"faults=[{fault}]"])
+    manifest = simulate(scenario, folder / "drive", quiet=True)
+    done = camber("replay", manifest, "--out", folder / "out", "--quiet", timeout_s=150.0)
+    assert done.returncode == 0, done.stderr
+    return folder / "out"
+
+
+def test_every_epoch_and_every_sensor_is_on_the_bus(out: Path) -> None:
+    messages = recorded(out)
+    assert len(messages["fix"]) == pytest.approx(451, abs=3)
+    for name in ("motion", "suspension", "ranging", "pose", "antenna_height"):
+        assert len(messages[name]) == pytest.approx(450, abs=5), name
+    verdicts = [item.message for item in messages["verdict"] if item.message.fix_id is not None]
+    assert sorted(v.fix_id for v in verdicts) == sorted(item.message.fix_id for item in messages["fix"])
+
+
+def test_the_summary_says_that_it_is_simulated_and_rests_on_no_surrogate(out: Path) -> None:
+    summary = summary_of(out)
+    assert summary["surrogates"] == []
+    assert summary["truth"] is True
+    assert summary["simulated"] is True
+
+
+def test_right_fixes_are_passed_on_and_those_of_a_wrong_base_are_not(out: Path) -> None:
+    summary = summary_of(out)
+    truth = read_truth(out.parent / "drive" / "truth.csv", "camber")
+    wrong = set(truth.time_ns[truth.fix_state == 1].tolist())
+    assert len(wrong) >= 30
+    words = Counter(
+        item.message.verdict for item in recorded(out)["verdict"] if item.message.time_ns in wrong
+    )
+    assert not words.keys() & {"confirmed", "confirmed_after_verification"}
+    assert summary["confirmed"]["wrong"] == 0
+    assert summary["right"]["kept"] > 0.8
