@@ -34,6 +34,7 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.simulator.drive_manifest import manifest_text
 from camber.simulator.faults import BlockedLidar, SymmetricScene, of_kind
+from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.satellites.orbits import newest_in_use
 from camber.simulator.scene import Floats
 from camber.simulator.simulated_drive import SENSORS, SimulatedDrive
@@ -190,7 +191,9 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     ):
         with (folder / f"{name}.obs").open("w", encoding="ascii", newline="\n") as file:
             file.writelines(observation_lines(epochs, header))
-    (folder / "brdc.nav").write_text(navigation_text(drive.broadcast), "ascii", newline="\n")
+    (folder / "brdc.nav").write_text(
+        navigation_text(drive.broadcast, (KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)), "ascii", newline="\n"
+    )
 
 
 def base_ecef_m(drive: SimulatedDrive, offset_m: Floats | None = None) -> tuple[float, float, float]:

@@ -33,7 +33,7 @@ from camber.simulator.faults import (
 )
 from camber.simulator.satellites import radio_faults
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
-from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.parameters import BASE, ROVER
 from camber.simulator.satellites.propagation import Surroundings
 from camber.simulator.satellites.receiver_solution import SimulatedSolutions, receiver_solutions
 from camber.simulator.satellites.signals import simulate_signals
@@ -126,10 +126,9 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     ]
     radio = _radio_faults(scenario)
     surroundings = Surroundings(tracer, district.walls())
-    parameters = SignalParameters()
-    rover = simulate_signals(track, frame, true, parameters, scenario.seed, "rover", surroundings, radio)
+    rover = simulate_signals(track, frame, true, ROVER, scenario.seed, "rover", surroundings, radio)
     base_m = _base_place(trajectory, sky.base_distance_m)
-    base = simulate_signals(static_track(epoch_ns, base_m), frame, true, parameters, scenario.seed, "base")
+    base = simulate_signals(static_track(epoch_ns, base_m), frame, true, BASE, scenario.seed, "base")
     solutions = receiver_solutions(rover, base, track, frame, scenario.seed)
     time_s = (epoch_ns - epoch_ns[0]) / _NS
     base_offset_m = _base_offset(scenario.faults, time_s)
