@@ -55,3 +55,26 @@ def test_right_fixes_are_passed_on_and_those_of_a_wrong_base_are_not(out: Path) 
     assert not words.keys() & {"confirmed", "confirmed_after_verification"}
     assert summary["confirmed"]["wrong"] == 0
     assert summary["right"]["kept"] > 0.8
+
+
+def test_a_process_that_the_scenario_drops_is_killed_and_comes_back(tmp_path: Path) -> None:
+    fault = '{kind = "dropped_process", onset_s = 12.0, service = "localizer"}'
+    scenario = load_scenario("open-sky", ["duration_s=40.0", f"faults=[{fault}]"])
+    manifest = simulate(scenario, tmp_path / "drive", quiet=True)
+    # At twice its own speed, so that there is time to come back.
+    done = camber("replay", manifest, "--out", tmp_path / "out", "--speed", 2, timeout_s=150.0)
+    assert done.returncode == 0, done.stderr
+    first_ns = scenario.start_ns
+    verdicts = [item.message for item in recorded(tmp_path / "out")["verdict"]]
+    after = [v for v in verdicts if v.time_ns >= first_ns + 12 * 10**9]
+    absent = [k for k, v in enumerate(after) if v.reason == "localizer_absent"]
+    assert absent
+    assert absent[0] < 5
+    assert after[-1].verdict == "confirmed"
+    assert (
+        "localizer ended (signal SIGKILL) and was started again"
+        in done.stdout
+        + done.stderr
+        + str(summary_of(tmp_path / "out"))
+        + (tmp_path / "out" / "run.json").read_text()
+    )

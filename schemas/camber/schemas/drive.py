@@ -199,6 +199,15 @@ class InitialPose(Model):
     )
 
 
+class Kill(Model):
+    """A process that dies on the way, by SIGKILL; the replay starts it again as it does any other that ends."""
+
+    service: Literal["gnss", "map_server", "antenna_height", "localizer", "integrity", "map_update"] = Field(
+        description="which"
+    )
+    at_s: Annotated[float, Field(ge=0.0, le=1e6)] = Field(description="seconds after the drive's first epoch")
+
+
 class Surrogates(Model):
     """Which inputs are made from the truth, and with what errors; an error once drawn holds for the whole drive
     where its name has `bias`, `scale` or `deviation`."""
@@ -311,6 +320,9 @@ class DriveManifest(Model):
     lever_arms: LeverArms = Field(default=LeverArms(), description="table of antenna, lidar, wheel")
     antenna_height: AntennaHeightWay = Field(description="table that says how the antenna's height is known")
     initial_pose: InitialPose | None = Field(default=None, description="table with a given pose at the start")
+    kills: Annotated[tuple[Kill, ...], Field(strict=False)] = Field(
+        default=(), max_length=64, description="list of services that are killed during a replay, and when"
+    )
     surrogates: Surrogates = Field(default=Surrogates(), description="table of inputs made from the truth")
     _overrides: tuple[str, ...] = PrivateAttr(default=())
 

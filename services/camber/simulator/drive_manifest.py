@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from camber.geodesy.angles import wrap_pi
+from camber.simulator.faults import DroppedProcess, of_kind
 from camber.simulator.random_streams import stream
 from camber.simulator.simulated_drive import SimulatedDrive
 
@@ -42,6 +43,10 @@ file = "receiver.pos"
         *(
             f"[lever_arms.{name}]\nx_m = {x}\ny_m = {y}\nz_m = {z}\n"
             for name, (x, y, z) in (("antenna", body.antenna), ("lidar", body.lidar), ("wheel", body.wheel))
+        ),
+        *(
+            f'[[kills]]\nservice = "{fault.service}"\nat_s = {fault.onset_s}\n'
+            for fault in of_kind(scenario.faults, DroppedProcess)
         ),
         _antenna_height(drive),
         _initial_pose(drive),

@@ -131,7 +131,7 @@ class MissingEpochs(_Timed):
 
 
 class DroppedProcess(_Timed):
-    """A service of the vehicle is killed at the onset. A replay does it; files do not show it."""
+    """A service of the vehicle is killed at the onset: in the manifest, for the replay to do."""
 
     kind: Literal["dropped_process"]
     service: Literal["gnss", "map_server", "antenna_height", "localizer", "integrity", "map_update"] = Field(

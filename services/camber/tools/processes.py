@@ -54,6 +54,12 @@ class Processes:
             child.process = self._spawn(name)
             self._write_pids()
 
+    def kill(self, name: str) -> None:
+        """SIGKILL, as a crash is; `supervise` starts it again."""
+        child = self._children[name]
+        if child.process.poll() is None:
+            child.process.kill()
+
     def complain(self) -> None:
         """Raise ManifestError with the last words of a service that cannot use its settings, if there is one."""
         for name, child in self._children.items():

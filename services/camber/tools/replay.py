@@ -125,22 +125,33 @@ def _run(
             processes.start()
             supervisor.start()
             feeder.assemble(SERVICES, time_ns=inputs.tick_times_ns[0], meanwhile=processes.complain)
-            return _feed(inputs, feeder, recorder, speed=speed, quiet=quiet)
+            return _feed(inputs, feeder, recorder, processes, speed=speed, quiet=quiet)
         finally:
             supervisor.stop()
             processes.stop()
 
 
-def _feed(inputs: DriveInputs, feeder: Feeder, recorder: Recorder, *, speed: float, quiet: bool) -> float:
+def _feed(
+    inputs: DriveInputs,
+    feeder: Feeder,
+    recorder: Recorder,
+    processes: Processes,
+    *,
+    speed: float,
+    quiet: bool,
+) -> float:
     first_ns, last_ns = inputs.tick_times_ns[0], inputs.tick_times_ns[-1]
     greeting = _Greeting(inputs)
     written_ns = first_ns
+    kills = sorted(inputs.manifest.kills, key=lambda kill: kill.at_s, reverse=True)
     began = time.monotonic()
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
             if math.isfinite(speed):
                 due = began + (tick.time_ns - first_ns) / 1e9 / speed
                 time.sleep(max(due - time.monotonic(), 0.0))
+            while kills and tick.time_ns >= first_ns + round(kills[-1].at_s * 1e9):
+                processes.kill(kills.pop().service)
             for name, message in _messages(tick):
                 feeder.publish(
                     name, greeting.before(message, feeder) if name == "receiver_bytes" else message
