@@ -108,8 +108,16 @@ def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
     """Share of the epochs whose 99.9 % horizontal radius is below the alert limit; None without epochs."""
     if not len(epoch_time_ns):
         return None
-    available = positions.time_ns[positions.semi_major_999_m < positions.alert_limit_m]
-    return float(np.isin(epoch_time_ns, available).mean())
+    if not len(positions.time_ns):
+        return 0.0
+    # Sensors sample by clocks of their own: the position of an epoch is the nearest one within half a step of it.
+    half_step_ns = float(np.median(np.diff(epoch_time_ns))) / 2.0 if len(epoch_time_ns) > 1 else 0.0
+    after = np.clip(np.searchsorted(positions.time_ns, epoch_time_ns), 1, max(len(positions.time_ns) - 1, 1))
+    pair = np.minimum(np.stack((after, after - 1)), len(positions.time_ns) - 1)
+    away_ns = np.abs(positions.time_ns[pair] - epoch_time_ns)
+    nearest = np.take_along_axis(pair, np.argmin(away_ns, axis=0)[None], axis=0)[0]
+    small = positions.semi_major_999_m < positions.alert_limit_m
+    return float((small[nearest] & (away_ns.min(axis=0) <= half_step_ns)).mean())
 
 
 def coverage(positions: Positions) -> dict[str, Any]:
