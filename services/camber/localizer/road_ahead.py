@@ -51,6 +51,8 @@ class RoadAhead:
     known: RoadsAhead
     east_m: NDArray[np.float64]
     north_m: NDArray[np.float64]
+    row: NDArray[np.int64]
+    """Of all the places asked for: where each is, and its row in `known`, −1 where no road is known."""
 
     @classmethod
     def of(cls, request: ElevationRequest, reply: ElevationReply) -> RoadAhead | None:
@@ -60,7 +62,9 @@ class RoadAhead:
             return None
         if int(known.place.max()) >= len(places.east_m):
             return None
-        return cls(request, reply.road, known, places.east_m[known.place], places.north_m[known.place])
+        row = np.full(len(places.east_m), -1)
+        row[known.place] = np.arange(len(known.place))
+        return cls(request, reply.road, known, places.east_m, places.north_m, row)
 
     def under(
         self,
@@ -78,15 +82,18 @@ class RoadAhead:
             request.latitude_rad, request.longitude_rad, latitude_rad, longitude_rad
         )
         away_m = np.hypot(east_m - self.east_m, north_m - self.north_m)
-        k = int(np.argmin(away_m))
-        if not away_m[k] <= _REACH_M or known.level[k] != self.road.level:
+        place = int(np.argmin(away_m))
+        k = int(
+            self.row[place]
+        )  # the nearest place decides: where it is not known, no neighbour stands for it
+        if not away_m[place] <= _REACH_M or k < 0 or known.level[k] != self.road.level:
             return None
-        extent_m = float(known.extent_m[k]) - float(away_m[k])
+        extent_m = float(known.extent_m[k]) - float(away_m[place])
         if not extent_m >= radius_m:
             return None
         slope_east, slope_north = float(known.slope_east[k]), float(known.slope_north[k])
-        rise_m = slope_east * (east_m - float(self.east_m[k])) + slope_north * (
-            north_m - float(self.north_m[k])
+        rise_m = slope_east * (east_m - float(self.east_m[place])) + slope_north * (
+            north_m - float(self.north_m[place])
         )
         return Road(
             status="known",

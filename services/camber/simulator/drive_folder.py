@@ -33,11 +33,11 @@ from camber.formats.ubx_writing import format_raw_measurements, format_subframe
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.simulator.drive_manifest import manifest_text
-from camber.simulator.faults import BlockedLidar, SymmetricScene, of_kind
+from camber.simulator.faults import BlockedLidar, ChangedRoad, SymmetricScene, WrongMap, of_kind
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.satellites.orbits import newest_in_use
 from camber.simulator.scene import Floats
-from camber.simulator.simulated_drive import SENSORS, SimulatedDrive
+from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by_link
 from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
 from camber.simulator.vehicle.lidar import Lidar, LidarFault, Scan
 from camber.simulator.vehicle.pose_track import PoseTrack
@@ -132,8 +132,7 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
     antenna_m, origin_m = t.antenna_m[rows], t.origin_m[rows]
     latitude, longitude, _ = frame.geodetic_from_east_north_array(antenna_m[:, :2], antenna_m[:, 2])
     at_axle = frame.geodetic_from_east_north_array(origin_m[:, :2], origin_m[:, 2])
-    fixed = drive.solutions.quality == 1
-    states = np.where(fixed, np.where(drive.fix_wrong, "wrong", "right"), "none")
+    states = np.where(drive.fixed, np.where(drive.fix_wrong, "wrong", "right"), "none")
     since = np.where(drive.fix_wrong, _since(drive.fix_wrong, drive.epoch_ns), np.nan)
     time_s = (drive.epoch_ns - drive.epoch_ns[0]) / 1e9
     changed_m = np.array([drive.district.changed_roads.get(link, 0.0) for link in t.link_id[rows].tolist()])
@@ -158,7 +157,11 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
     }
     for fault in drive.scenario.faults:
         name = f"fault_{fault.kind}"
-        more[name] = np.maximum(more.get(name, np.zeros(len(rows))), fault.acts(time_s))
+        if isinstance(fault, ChangedRoad | WrongMap):  # a link is changed as a whole
+            acts = np.isin(t.link_id[rows], list(offsets_by_link([fault], t)))
+        else:
+            acts = fault.acts(time_s)
+        more[name] = np.maximum(more.get(name, np.zeros(len(rows))), acts)
     return TruthTable(
         drive.epoch_ns,
         latitude,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -22,7 +23,7 @@ def manifest_text(drive: SimulatedDrive) -> str:
         f'''\
 # Simulated: scenario {scenario.name}, seed {scenario.seed}. Nothing in it is evidence of performance on a road.
 name = "{scenario.name}"
-description = "{scenario.description}"
+description = {_text(scenario.description)}
 vehicle = "{body.name}"
 simulated = true
 datum = "WGS84"
@@ -49,9 +50,16 @@ file = "receiver.pos"
             for fault in of_kind(scenario.faults, DroppedProcess)
         ),
         _antenna_height(drive),
+        # No input is made up; the table also says how long the vehicle is.
+        f"[surrogates]\nwheelbase_m = {body.wheelbase_m}\n",
         _initial_pose(drive),
     ]
     return "\n".join(table for table in tables if table)
+
+
+def _text(text: str) -> str:
+    """As a TOML string: JSON's, but for the one control character that JSON leaves as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _antenna_height(drive: SimulatedDrive) -> str:

@@ -138,6 +138,19 @@ class DroppedProcess(_Timed):
         description="one of " + ", ".join(SERVICES)
     )
 
+    @model_validator(mode="after")
+    def _has_no_end(self) -> Self:
+        if self.end_s is not None:
+            raise PydanticCustomError(
+                "end", "a process that dropped is started again at once, expected no end_s"
+            )
+        return self
+
+    def acts(self, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """At the first of these times that is not before its onset."""
+        acts: NDArray[np.bool_] = np.arange(len(time_s)) == np.searchsorted(time_s, self.onset_s)
+        return acts
+
 
 Fault = Annotated[
     WrongBase

@@ -36,6 +36,7 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
         scenario.seed,
         math.radians(place.latitude_deg),
         math.radians(place.longitude_deg),
+        heading_rad=math.radians(place.heading_deg or 0.0),
         changed_roads=None if place.changed_roads else {},
     )
     write_survey(

@@ -119,6 +119,23 @@ class Scenario(Model):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _faults_can_act(self) -> Self:
+        kinds = {fault.kind for fault in self.faults}
+        cannot = {
+            "a table lidar": self.lidar is None and kinds & {"blocked_lidar", "symmetric_scene"},
+            "vehicle = 'car': a robot has no springs": self.vehicle == "robot" and kinds & {"changed_load"},
+            "no table fleet": self.fleet is not None and kinds,
+        }
+        for expected, found in cannot.items():
+            if found:
+                raise PydanticCustomError(
+                    "idle",
+                    "fault {kind} cannot act, expected {expected}",
+                    {"kind": min(found), "expected": expected},
+                )
+        return self
+
     @property
     def start_ns(self) -> int:
         """GPS time of the first epoch."""

@@ -84,7 +84,8 @@ class SimulatedDrive:
 
     `epoch_ns` (n,) are the true times of the receiver's epochs, `of_epoch` (n,) the trajectory's rows then. `said` is
     in the order of arrival and may hold an epoch twice, or none. `base_offset_m` (n, 3): how far the base station's
-    coordinates are wrong (east, north, up). `map_offset_m`: by link, how far the map is wrong.
+    coordinates are wrong (east, north, up). `fixed`, `fix_wrong` (n,): did the receiver say a fix of this (true) time,
+    and was it wrong? `map_offset_m`: by link, how far the map is wrong.
     """
 
     scenario: Scenario
@@ -102,6 +103,7 @@ class SimulatedDrive:
     base_m: tuple[float, float, float]
     base_offset_m: Floats
     broadcast: tuple[Ephemeris, ...]
+    fixed: NDArray[np.bool_]
     fix_wrong: NDArray[np.bool_]
     map_offset_m: dict[int, float]
 
@@ -140,7 +142,17 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         for k in [int(np.searchsorted(epoch_ns, solution.time_ns))]
     }
     error_m = solutions.error_m + base_offset_m
-    fixed = solutions.quality == int(SolutionQuality.FIX)
+    said = _said(scenario.faults, epoch_ns, rover.epochs(), moved)
+    if not any(one.rover is not None and len(one.rover.satellite) for one in said):
+        raise ScenarioError(
+            f"{scenario.name}: the receiver says nothing, expected observations at some epoch"
+        )
+    if not any(one.solution is not None for one in said):
+        raise ScenarioError(f"{scenario.name}: the receiver has no solution, expected one at some epoch")
+    missing = [fault.acts(time_s) for fault in of_kind(scenario.faults, MissingEpochs)]
+    fixed = (solutions.quality == int(SolutionQuality.FIX)) & ~np.any(
+        [np.zeros(len(time_s), bool), *missing], axis=0
+    )
     return SimulatedDrive(
         scenario=scenario,
         district=district,
@@ -151,14 +163,15 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         readings=read_sensors(trajectory, body, path.surface_m, SENSORS, scenario.seed),
         epoch_ns=epoch_ns,
         of_epoch=of_epoch,
-        said=_said(scenario.faults, epoch_ns, rover.epochs(), moved),
+        said=said,
         solutions=solutions,
         base=tuple(base.epochs()),
         base_m=base_m,
         base_offset_m=base_offset_m,
         broadcast=tuple(broadcast_ephemerides(true, scenario.seed)),
+        fixed=fixed,
         fix_wrong=fixed & (np.linalg.norm(error_m, axis=1) > WRONG_M),
-        map_offset_m=_offsets_by_link(of_kind(scenario.faults, WrongMap), trajectory),
+        map_offset_m=offsets_by_link(of_kind(scenario.faults, WrongMap), trajectory),
     )
 
 
@@ -192,13 +205,11 @@ def _laid_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Tr
 
     district, path, trajectory = made(changed)
     if under_way:
-        district, path, trajectory = made(district.changed_roads | _offsets_by_link(under_way, trajectory))
+        district, path, trajectory = made(district.changed_roads | offsets_by_link(under_way, trajectory))
     return district, path, trajectory
 
 
-def _offsets_by_link(
-    faults: Sequence[ChangedRoad] | Sequence[WrongMap], trajectory: Trajectory
-) -> dict[int, float]:
+def offsets_by_link(faults: Sequence[ChangedRoad | WrongMap], trajectory: Trajectory) -> dict[int, float]:
     """By the links that are driven while a fault acts: a link is changed as a whole."""
     time_s = (trajectory.time_ns - trajectory.time_ns[0]) / _NS
     return {

@@ -31,20 +31,20 @@ def main(argv: Sequence[str]) -> int:
 
     def work() -> int:
         args.out.mkdir(parents=True, exist_ok=True)
-        make = _short if args.short else _city
-        return replay(load_manifest(make(args.out / "drive", args.seed)), args.out, speed=args.speed)
+        manifest = (_short if args.short else _city)(args.out, args.seed)
+        return replay(load_manifest(manifest), args.out, speed=args.speed)
 
     return in_words("camber demo", args.out, work)
 
 
-def _short(folder: Path, seed: int | None) -> Path:
-    return write_short_drive(folder, 1 if seed is None else seed)
+def _short(out: Path, seed: int | None) -> Path:
+    return write_short_drive(out / "drive", 1 if seed is None else seed)
 
 
-def _city(folder: Path, seed: int | None) -> Path:
+def _city(out: Path, seed: int | None) -> Path:
     # Imported here: the short drive must work where the simulator's extra is not installed.
     from camber.simulator.scenario import load_scenario
     from camber.tools.simulate import simulate
 
     scenario = load_scenario("city", [] if seed is None else [f"seed={seed}"])
-    return simulate(scenario, folder, quiet=False)
+    return simulate(scenario, out / "city", quiet=False)

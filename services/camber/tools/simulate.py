@@ -40,17 +40,18 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
 
     An earlier simulation in the folder is replaced. Raises ScenarioError, and OSError where a file cannot be written.
     """
-    _make_room(out)
-    (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
+    _check_room(out)
     began = time.monotonic()
     hidden = quiet or not sys.stderr.isatty()
     if scenario.fleet is not None:
+        _make_room(out, scenario)
         with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
             for _ in write_fleet(out, scenario):
                 bar.update()
         made = out
     else:
         drive = simulate_drive(scenario)
+        _make_room(out, scenario)
         with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
             for part in write_drive(out, drive):
                 bar.set_description(part, refresh=False)
@@ -61,13 +62,17 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     return made
 
 
-def _make_room(out: Path) -> None:
-    """A folder that is new, or that held an earlier simulation and nothing else's."""
-    if out.is_dir() and any(out.iterdir()):
-        if not (out / _MARK).is_file():
-            raise ScenarioError(f"{out}: not empty, expected a new folder or one of an earlier simulation")
+def _check_room(out: Path) -> None:
+    """The folder is new, or holds an earlier simulation and nothing else's."""
+    if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
+        raise ScenarioError(f"{out}: not empty, expected a new folder or one of an earlier simulation")
+
+
+def _make_room(out: Path, scenario: Scenario) -> None:
+    if out.is_dir():
         shutil.rmtree(out)
-    out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True)
+    (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
 
 
 def _parser() -> argparse.ArgumentParser:

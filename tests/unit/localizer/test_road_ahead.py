@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -124,12 +125,7 @@ def test_beyond_the_end_of_the_road_it_says_nothing() -> None:
 def test_a_level_other_than_the_one_it_was_asked_from_is_asked_for_anew() -> None:
     answer = ask(80.0)
     upstairs = answer.road.model_copy(update={"level": 1})
-    assert (
-        RoadAhead(answer.request, upstairs, answer.known, answer.east_m, answer.north_m).under(
-            NS, *at(81.0, 0.0), (1,), 0.5
-        )
-        is None
-    )
+    assert replace(answer, road=upstairs).under(NS, *at(81.0, 0.0), (1,), 0.5) is None
 
 
 def test_an_answer_that_knows_nothing_or_names_places_never_asked_for_is_none() -> None:
@@ -153,3 +149,12 @@ def test_where_its_plane_does_not_hold_as_far_as_it_must_it_says_nothing() -> No
     assert (
         found.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
     )  # measured from the place sampled, a quarter metre away
+
+
+def test_where_the_nearest_place_is_not_known_no_neighbour_stands_for_it() -> None:
+    answer = ask()
+    at_ten = int(np.argmin(np.hypot(answer.east_m - 10.0, answer.north_m)))
+    assert answer.under(NS, *at(10.1, 0.0), (1,), 0.5) is not None
+    unknown = answer.row.copy()
+    unknown[at_ten] = -1
+    assert replace(answer, row=unknown).under(NS, *at(10.1, 0.0), (1,), 0.5) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -96,3 +97,29 @@ def test_faults_are_found_by_their_kind() -> None:
     faults = load_scenario("faults").faults
     (base,) = of_kind(faults, WrongBase)
     assert base.east_m == 12.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (
+            ['faults=[{kind="blocked_lidar", onset_s=1.0, share=0.5}]'],
+            "blocked_lidar cannot act, expected a table lidar",
+        ),
+        (
+            ['vehicle="robot"', 'faults=[{kind="changed_load", onset_s=1.0, load_kg=10.0}]'],
+            "changed_load cannot act, expected vehicle = 'car'",
+        ),
+        (
+            ["fleet.vehicles=2", 'faults=[{kind="missing_epochs", onset_s=1.0}]'],
+            "missing_epochs cannot act, expected no table fleet",
+        ),
+        (
+            ['faults=[{kind="dropped_process", onset_s=1.0, end_s=2.0, service="gnss"}]'],
+            "started again at once, expected no end_s",
+        ),
+    ],
+)
+def test_a_fault_that_could_not_act_is_refused(overrides: list[str], said: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(said)):
+        load_scenario("open-sky", overrides)

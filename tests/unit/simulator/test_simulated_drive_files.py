@@ -216,3 +216,35 @@ def test_a_fault_that_does_not_fit_is_one_line(tmp_path: Path, capsys: pytest.Ca
     assert code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "wheel_slip" in line
+
+
+def test_epochs_that_are_missing_have_no_fix_in_the_truth(faulty: Path) -> None:
+    truth = read_truth(faulty / "truth.csv", "camber")
+    assert truth.fix_state is not None
+    missing = truth.more["fault_missing_epochs"] == 1.0
+    assert missing.sum() == 20
+    assert (truth.fix_state[missing] == 2).all()
+
+
+def test_a_robot_is_as_long_as_it_is_and_any_description_can_be_read_back(tmp_path: Path) -> None:
+    words = 'a "bad" street, C:\\\\roads'
+    folder = make(tmp_path / "robot", "open-sky", "vehicle=robot", "duration_s=5.0", f"description='{words}'")
+    manifest = load_manifest(folder / "drive.toml")
+    assert manifest.description == words
+    assert manifest.surrogates.wheelbase_m == pytest.approx(0.55)
+    assert manifest.antenna_height.way == "fixed"
+    assert manifest.suspension is None
+
+
+def test_a_receiver_that_says_nothing_is_one_line_and_leaves_an_earlier_drive_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make(tmp_path / "drive", "open-sky", "duration_s=4.0", "satellites.streams=false")
+    before = digest(folder)
+    fault = '{kind = "missing_epochs", onset_s = 0.0}'
+    code = tool.main(
+        ["open-sky", "--out", str(folder), "--set", "duration_s=4.0", "--set", f"faults=[{fault}]"]
+    )
+    assert code == 2
+    assert "the receiver says nothing" in capsys.readouterr().err
+    assert digest(folder) == before
