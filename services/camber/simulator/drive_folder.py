@@ -47,13 +47,11 @@ from camber.simulator.vehicle.sensor_messages import (
     suspension_messages,
 )
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
-from camber.simulator.world.survey import SurveyErrors, write_survey
+from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
 GEOID_SEPARATION_M = 37.0
 """Of NMEA and UBX heights above the sea; about that of Nagoya. Nothing in Camber rests on it."""
 _STATION_ID = 1
-_DAY_NS = 86_400 * 1_000_000_000
-_SURVEYED_DAYS_BEFORE = 120
 _THREADS = 2
 
 
@@ -77,7 +75,7 @@ def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
     write_truth(folder / "truth.csv", truth_of(drive))
     yield "map"
     errors = SurveyErrors(clouds=drive.scenario.lidar is not None, wrong_m=drive.map_offset_m)
-    surveyed_ns = drive.scenario.start_ns - _SURVEYED_DAYS_BEFORE * _DAY_NS
+    surveyed_ns = drive.scenario.start_ns - SURVEYED_BEFORE_NS
     write_survey(folder / "map", drive.district, surveyed_ns, errors, scanned_route="default")
     if drive.scenario.lidar is not None:
         (folder / "sweeps").mkdir(exist_ok=True)

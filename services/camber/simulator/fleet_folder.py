@@ -8,7 +8,6 @@ changes.csv     by link: how much higher the road is than at its survey
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,30 +18,21 @@ from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import encode
 from camber.simulator.fleet import FleetErrors, FleetVehicle, drive_uploads, track_of, vehicles_of
 from camber.simulator.scenario import Scenario
-from camber.simulator.world.district import make_district
-from camber.simulator.world.survey import DATUM, SurveyErrors, write_survey
+from camber.simulator.simulated_drive import district_of, drawn_or_none
+from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
 _DAY_NS = 86_400 * 1_000_000_000
-_SURVEYED_DAYS_BEFORE = 120
 
 
 def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
     """Write all of it, naming each vehicle when its uploads are written. OSError where a file cannot be."""
     fleet = scenario.fleet
     assert fleet is not None
-    place = scenario.place
-    district = make_district(
-        place.kind,
-        scenario.seed,
-        math.radians(place.latitude_deg),
-        math.radians(place.longitude_deg),
-        heading_rad=math.radians(place.heading_deg or 0.0),
-        changed_roads=None if place.changed_roads else {},
-    )
+    district = district_of(scenario, drawn_or_none(scenario))
     write_survey(
         folder / "map",
         district,
-        scenario.start_ns - _SURVEYED_DAYS_BEFORE * _DAY_NS,
+        scenario.start_ns - SURVEYED_BEFORE_NS,
         SurveyErrors(clouds=False),
     )
     release = read_release(folder / "map")

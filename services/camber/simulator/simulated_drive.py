@@ -179,20 +179,30 @@ WRONG_M = 0.5
 """A fix that is farther than this from the truth in three dimensions is wrong, as in every summary."""
 
 
-def _laid_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Trajectory]:
+def drawn_or_none(scenario: Scenario) -> dict[int, float] | None:
+    """What `district_of` is given where no fault changes a road: None leaves it to the district to draw."""
+    return None if scenario.place.changed_roads else {}
+
+
+def district_of(scenario: Scenario, changed_roads: dict[int, float] | None) -> District:
+    """The place of a scenario."""
     place = scenario.place
-    changed: dict[int, float] | None = None if place.changed_roads else {}
+    return make_district(
+        place.kind,
+        scenario.seed,
+        math.radians(place.latitude_deg),
+        math.radians(place.longitude_deg),
+        heading_rad=math.radians(place.heading_deg or 0.0),
+        changed_roads=changed_roads,
+    )
+
+
+def _laid_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Trajectory]:
+    changed = drawn_or_none(scenario)
     under_way = of_kind(scenario.faults, ChangedRoad)
 
     def made(changes: dict[int, float] | None) -> tuple[District, Path, Trajectory]:
-        district = make_district(
-            place.kind,
-            scenario.seed,
-            math.radians(place.latitude_deg),
-            math.radians(place.longitude_deg),
-            heading_rad=math.radians(place.heading_deg or 0.0),
-            changed_roads=changes,
-        )
+        district = district_of(scenario, changes)
         path = district.path()
         trajectory = drive(
             path,

@@ -19,6 +19,8 @@ from camber.simulator.world.survey_surfaces import surveyed_surfaces
 from camber.simulator.world.tracing import ShapeTracer
 
 DATUM = "WGS84"
+SURVEYED_BEFORE_NS = 120 * 86_400 * 1_000_000_000
+"""Between the survey day and the drive day."""
 
 
 @dataclass(frozen=True, slots=True)
