@@ -26,6 +26,8 @@ from camber.geodesy.angles import wrap_pi_array, wrap_two_pi
 from camber.geodesy.gps_time import gps_ns_from_week_tow, nanoseconds_from_decimal
 
 Array = npt.NDArray[np.float64]
+WRONG_M = 0.5
+"""A fix farther than this from the truth, in three dimensions, is wrong: in `fix_wrong` and in every summary."""
 FixState = Literal["right", "wrong", "none"]
 FIX_STATES: tuple[FixState, ...] = ("right", "wrong", "none")
 

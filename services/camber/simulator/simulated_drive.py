@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.truth_csv import WRONG_M
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.faults import (
     ChangedLoad,
@@ -173,10 +174,6 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         fix_wrong=fixed & (np.linalg.norm(error_m, axis=1) > WRONG_M),
         map_offset_m=offsets_by_link(of_kind(scenario.faults, WrongMap), trajectory),
     )
-
-
-WRONG_M = 0.5
-"""A fix that is farther than this from the truth in three dimensions is wrong, as in every summary."""
 
 
 def drawn_or_none(scenario: Scenario) -> dict[int, float] | None:

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from camber.formats.truth_csv import WRONG_M
 from camber.schemas.base import Float64, Int64
 
-WRONG_M = 0.5
 RIGHT_M = 0.2
 EPISODE_GAP_S = 1.0
 CAUTIOUS_GAP_S = 10.0

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from camber.formats.truth_csv import WRONG_M
 from camber.schemas.base import Float64
 from camber.tools.evaluation import Evaluation
-from camber.tools.figures import EPISODE_GAP_S, RIGHT_M, WRONG_M
+from camber.tools.figures import EPISODE_GAP_S, RIGHT_M
 from camber.tools.judged import Judged
 from camber.tools.report_data import chart_data, embedded_json, start_ns_of
 

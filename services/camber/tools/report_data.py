@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from camber.formats.truth_csv import WRONG_M
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.base import Float64, Int64
 from camber.tools.evaluation import Evaluation
-from camber.tools.figures import RIGHT_M, WRONG_M
+from camber.tools.figures import RIGHT_M
 from camber.tools.judged import CONFIRMED_WORDS
 
 
