@@ -16,27 +16,18 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-CARRIER_HZ: dict[tuple[str, str], float] = {
-    ("G", "1C"): 1575.42e6,
-    ("G", "2W"): 1227.60e6,
-    ("G", "2L"): 1227.60e6,
-    ("G", "5Q"): 1176.45e6,
-    ("J", "1C"): 1575.42e6,
-    ("J", "2L"): 1227.60e6,
-    ("J", "5Q"): 1176.45e6,
-    ("E", "1C"): 1575.42e6,
-    ("E", "1X"): 1575.42e6,
-    ("E", "5Q"): 1176.45e6,
-    ("E", "7Q"): 1207.14e6,
-    ("E", "7X"): 1207.14e6,
-    ("C", "2I"): 1561.098e6,
-    ("C", "7I"): 1207.14e6,
-    ("C", "7D"): 1207.14e6,
-    ("C", "6I"): 1268.52e6,
-    ("C", "5P"): 1176.45e6,
-    ("C", "1P"): 1575.42e6,
+CARRIER_OF_BAND_HZ: dict[str, dict[str, float]] = {
+    "G": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6},
+    "J": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6, "6": 1278.75e6},
+    "E": {"1": 1575.42e6, "5": 1176.45e6, "6": 1278.75e6, "7": 1207.14e6, "8": 1191.795e6},
+    "C": {"1": 1575.42e6, "2": 1561.098e6, "5": 1176.45e6, "6": 1268.52e6, "7": 1207.14e6, "8": 1191.795e6},
 }
-"""Carrier frequency by system and signal (RINEX 3.04, tables 4 to 9)."""
+"""Carrier frequency by system and band, the first character of a signal's code (RINEX 3.04, tables 4 to 9)."""
+
+
+def carrier_hz(system: str, signal: str) -> float:
+    """Of a signal such as `1C` of a system letter; KeyError for a band that the system has not got."""
+    return CARRIER_OF_BAND_HZ[system][signal[0]]
 
 
 def satellite_number(name: str) -> int:

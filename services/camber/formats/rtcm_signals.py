@@ -11,19 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Floats, Integers, signal_number
+from camber.formats.observations import Floats, Integers, carrier_hz, signal_number
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 METRES_PER_MS = SPEED_OF_LIGHT_M_S * 1e-3
 BDT_BEHIND_GPS_NS = 14_000_000_000
 """BeiDou time has not had a leap second since 2006-01-01: BDS-SIS-ICD 3.2."""
 
-_CARRIER_OF_BAND_HZ = {
-    "G": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6},
-    "E": {"1": 1575.42e6, "5": 1176.45e6, "6": 1278.75e6, "7": 1207.14e6, "8": 1191.795e6},
-    "J": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6, "6": 1278.75e6},
-    "C": {"1": 1575.42e6, "2": 1561.098e6, "5": 1176.45e6, "6": 1268.52e6, "7": 1207.14e6},
-}
 _SIGNAL_IDS = {
     "G": "2:1C 3:1P 4:1W 8:2C 9:2P 10:2W 15:2S 16:2L 17:2X 22:5I 23:5Q 24:5X 30:1S 31:1L 32:1X",
     "E": "2:1C 3:1A 4:1B 5:1X 6:1Z 8:6C 9:6A 10:6B 11:6X 12:6Z 14:7I 15:7Q 16:7X 18:8I 19:8Q 20:8X 22:5I 23:5Q 24:5X",
@@ -73,7 +67,7 @@ def _signals() -> MsmSignals:
             (ord(system.letter) << 16) + signal_number(name),
             place,
             int(number),
-            _CARRIER_OF_BAND_HZ[system.letter][name[0]],
+            carrier_hz(system.letter, name),
         )
         for place, system in enumerate(MSM_SYSTEMS)
         for number, name in (entry.split(":") for entry in _SIGNAL_IDS[system.letter].split())

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import CARRIER_HZ, Ephemeris, ObservationEpoch, signal_number
+from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_number
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
@@ -169,7 +169,7 @@ def _signals_of(satellite: Integers, parameters: SignalParameters) -> tuple[Inte
     systems = [chr(s >> 8) for s in satellite]
     names = [parameters.signals[s] for s in systems]
     signal = np.array([[signal_number(name) for name in pair] for pair in names], np.int64).reshape(-1, 2)
-    carrier = [[CARRIER_HZ[s, name] for name in pair] for s, pair in zip(systems, names, strict=True)]
+    carrier = [[carrier_hz(s, name) for name in pair] for s, pair in zip(systems, names, strict=True)]
     return signal, np.array(carrier, np.float64).reshape(-1, 2)
 
 
