@@ -6,7 +6,7 @@ before i); then it says *done to i*. Counts, not arrival order, decide: so the s
 speed. A service works only on the ticks that bring it something (the feeder says which), or on which a second has
 passed. One that has died leaves the tick's list of participants and nobody waits for it; one that returns listens
 until it has heard every participant before it and every participant behind it has heard it, and only then is put on
-the list.
+the list. A tick that was lost is seen from the next one, which says when this service worked last.
 
 Pure: messages go in, decisions come out.
 """
@@ -63,15 +63,24 @@ class Barrier:
         self._waiting[name].append(received)
         self._next[name] = received.sequence + 1
 
-    def add_tick(self, tick: Tick) -> None:
-        """The feeder has published a tick, or again with fewer participants because one has died."""
+    def add_tick(self, tick: Tick) -> bool:
+        """The feeder has published a tick, or again: one has died, or it is not done and something may be lost.
+
+        Returns whether it brings this service, which takes part, nothing new: then somebody may be waiting for what
+        this service has said before.
+        """
+        there = self.service in tick.participants
+        if tick.index <= self.index or (there and self.service not in tick.working):
+            return there
         for position, waiting in enumerate(self.ticks):
             if waiting.index == tick.index:
                 self.ticks[position] = tick
-                return
-        # One of the past is sent again when somebody has died; for a service that came later it is over.
-        if tick.index > self.index and (not self.ticks or tick.index > self.ticks[-1].index):
-            self.ticks.append(tick)
+                return there
+        # One before those that wait was lost; but for a service that came later it is over.
+        earlier = sum(waiting.index < tick.index for waiting in self.ticks)
+        if there or earlier == len(self.ticks):
+            self.ticks.insert(earlier, tick)
+        return False
 
     def add_done(self, done: Done) -> None:
         """Another service has finished a tick, or (index −1) has joined and begins to count at zero."""
@@ -110,6 +119,8 @@ class Barrier:
     def missing(self) -> list[str]:
         """What the oldest tick still waits for: names of channels or services."""
         tick = self.ticks[0]
+        if tick.participants.get(self.service, -1) > self.index:
+            return ["tick"]  # the one on which this service was to work before was lost; it comes again
         if self._joining:
             self._take_base(tick)
         waits = []

@@ -23,7 +23,7 @@ from camber.schemas.health import Done, Tick
 AHEAD = 4
 """Ticks published beyond the slowest service; the order of work does not depend on it, only the speed."""
 _STUCK_S = 20.0
-_ASK_AGAIN_S = 3.0  # a tick that was lost on a bus just coming up is sent again
+_ASK_AGAIN_S = 3.0  # what was lost on a bus just coming up, a tick or a done, is sent again
 HEARTBEAT_NS = 1_000_000_000
 """At least this often everybody works on a tick."""
 _SOURCES = {
@@ -74,15 +74,15 @@ class Feeder:
         self._beat_ns = 0
         prefix = f"camber/v1/{settings.vehicle}"
         self._entities: list[object] = [
+            *(
+                self._session.declare_subscriber(f"{prefix}/{service}/*", direct(self._hear_message))
+                for service in SERVICES
+            ),
             self._session.declare_subscriber(f"{prefix}/replay/done/*", direct(self._hear_done)),
             self._session.liveliness().declare_subscriber(f"{prefix}/*/alive", self._alive, history=True),
         ]
         # Services of a replay end when this token goes: they never outlive their feeder.
         self._entities.append(self._session.liveliness().declare_token(f"{prefix}/{FEEDER}/alive"))
-        for service in SERVICES:
-            self._entities.append(
-                self._session.declare_subscriber(f"{prefix}/{service}/*", direct(self._hear_message))
-            )
 
     def __enter__(self) -> Feeder:
         return self
@@ -172,10 +172,12 @@ class Feeder:
                     self._changed.wait(0.5)
             if time.monotonic() > ask_again:
                 ask_again = time.monotonic() + _ASK_AGAIN_S
-                self._hand_out(self._outstanding[0])  # who has done it ignores it
+                for tick in self._outstanding:  # to everybody: who has done it says so again
+                    for name in list(self._peers):
+                        self._send(name, tick)
             if time.monotonic() > deadline:
-                tick = self._outstanding[0].index
-                raise ReplayStuck(f"tick {tick} not done after {_STUCK_S:.0f} s by {', '.join(late)}")
+                index = self._outstanding[0].index
+                raise ReplayStuck(f"tick {index} not done after {_STUCK_S:.0f} s by {', '.join(late)}")
 
     def _touched(self) -> frozenset[str]:
         """Who gets something in this tick: from the vehicle, or from a service before it that works on it."""
@@ -252,7 +254,7 @@ class Feeder:
     def _add_done(self, done: Done) -> None:
         with self._changed:
             peer = self._peers.get(done.service)
-            if peer is None:
+            if peer is None or 0 <= done.index < peer.index:  # said again
                 return
             # A late *I listen* of one who is on the list by now says nothing new.
             if done.index >= 0 or done.service not in self._participants:

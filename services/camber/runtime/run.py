@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import deque
 from types import FrameType
 from typing import Any, Literal
 
@@ -32,6 +33,7 @@ VERSION = "0.1.0"
 STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
 _FEEDER_WAIT_S = 60.0
+_SAID = 8  # dones that are said again: of all ticks that may be under way, and the one before, that loops wait for
 
 
 class Loop:
@@ -53,11 +55,19 @@ class Loop:
         self._health = BY_NAME["health"]
         self._started = self._round = time.monotonic()
         self._failed = 0
+        self._said: deque[Done] = deque(maxlen=_SAID)
 
-    def declare(self) -> None:
-        """Subscribe to all inputs, answer all questions, then say that this service is here."""
+    def declare(self, barrier: Barrier | None = None) -> None:
+        """Subscribe to all inputs, answer all questions, then say that this service is here.
+
+        The barrier's own keys come after the inputs: who is heard on them knows of the inputs too.
+        """
         for name in self._inboxes:
             self.bus.subscribe(BY_NAME[name])
+        if barrier is not None:
+            self.bus.subscribe(BY_NAME["tick"])
+            for producer in barrier.producers:
+                self.bus.subscribe(BY_NAME["done"], of=producer)
         for name in self._answers:
             self.bus.answer(BY_NAME[name])
         self.bus.answer(self._health)
@@ -172,12 +182,8 @@ class Loop:
         barrier = Barrier(
             self.service.NAME, tuple(c for c in inputs_of(self.service.NAME) if c.name in self._inboxes)
         )
-        tick_channel, done_channel = BY_NAME["tick"], BY_NAME["done"]
         self.bus.published.setdefault("done", 0)
-        self.bus.subscribe(tick_channel)
-        for producer in barrier.producers:
-            self.bus.subscribe(done_channel, of=producer)
-        self.declare()
+        self.declare(barrier)
         waiting_since = time.monotonic()
         while not self.stopping and not self.bus.feeder_gone:
             event = self.bus.next_event(_STUCK_S)
@@ -213,7 +219,9 @@ class Loop:
             return
         data, encoding, rider = item
         if name == "tick":
-            barrier.add_tick(decode(Tick, data, encoding).message)
+            if barrier.add_tick(decode(Tick, data, encoding).message):
+                for done in self._said:
+                    self.bus.publish("done", done)
             return
         if name.startswith("done."):
             barrier.add_done(decode(Done, data, encoding).message)
@@ -256,6 +264,10 @@ class Loop:
             published={name: n for name, n in self.bus.published.items() if name != "done"},
             heard=tuple(sorted(barrier.heard)),
         )
+        if index < 0:
+            self._said.clear()
+        else:
+            self._said.append(done)
         if self.bus.flush(done, barrier.waiting_for_done(tick)) or index < 0:
             self.bus.publish("done", done)
 

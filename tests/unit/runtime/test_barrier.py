@@ -390,9 +390,13 @@ def write_script(service: str, random: Random, ticks: int) -> Script:
     return script
 
 
-def play(script: Script, random: Random) -> list[tuple[int, list[tuple[str, int]]]]:
-    """Let the streams arrive in any interleaving, each of them in its own order, and work as the loop does."""
+def play(script: Script, random: Random, lost: float = 0.0) -> list[tuple[int, list[tuple[str, int]]]]:
+    """Let the streams arrive in any interleaving, each of them in its own order, and work as the loop does.
+
+    A share `lost` of the ticks and dones comes only after everything else, once more and in any order.
+    """
     barrier = barrier_of(script.service)
+    again = []
     streams = {name: deque(items) for name, items in script.streams.items() if items}
     weights = {name: random.choice([1, 1, 5, 50]) for name in streams}
     handed_out = []
@@ -404,6 +408,8 @@ def play(script: Script, random: Random) -> list[tuple[int, list[tuple[str, int]
             kind, item = streams[name].popleft()
             if kind == "message":
                 barrier.add_message(name, item)  # type: ignore[arg-type]
+            elif name != "again" and random.random() < lost:
+                again.append((kind, item))
             elif kind == "tick":
                 barrier.add_tick(item)  # type: ignore[arg-type]
             else:
@@ -413,6 +419,9 @@ def play(script: Script, random: Random) -> list[tuple[int, list[tuple[str, int]
                 handed_out.append((taken_tick.index, [(channel, got.sequence) for channel, got in messages]))
         if not streams[name]:
             del streams[name]
+        if not streams and again:
+            random.shuffle(again)
+            streams["again"], weights["again"], again = deque(again), 1, []
     return handed_out
 
 
@@ -422,6 +431,27 @@ def play(script: Script, random: Random) -> list[tuple[int, list[tuple[str, int]
 def test_any_interleaving_of_arrivals_hands_out_the_same(service: str, seed: int, arrival: int) -> None:
     script = write_script(service, Random(seed), ticks=30)
     assert play(script, Random(arrival)) == script.expected
+
+
+@pytest.mark.parametrize("service", SERVICES)
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), arrival=st.integers(0, 2**32 - 1))
+def test_what_comes_only_when_it_is_said_again_changes_nothing(service: str, seed: int, arrival: int) -> None:
+    script = write_script(service, Random(seed), ticks=30)
+    assert play(script, Random(arrival), lost=0.2) == script.expected
+
+
+def test_a_tick_that_brings_nothing_new_asks_for_what_was_said_before() -> None:
+    barrier = barrier_of("antenna_height")
+    own = {"antenna_height": -1, "localizer": -1}
+    first = tick(0, own, ("antenna_height",))
+    assert not barrier.add_tick(first)
+    assert barrier.add_tick(first)
+    numbers(barrier)
+    assert barrier.add_tick(first)
+    assert barrier.add_tick(tick(1, own | {"antenna_height": 0}, ("localizer",)))
+    assert not barrier.add_tick(tick(0, {"localizer": -1}, ("localizer",)))
+    assert not barrier.ticks
 
 
 def test_the_scripts_bring_what_they_should() -> None:

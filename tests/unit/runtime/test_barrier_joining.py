@@ -37,8 +37,8 @@ def assembly() -> Tick:
     return Tick(time_ns=NOW_NS, index=0, participants={}, working=(), published={})
 
 
-def tick(index: int, *, without: str = "") -> Tick:
-    there = {name: index - 1 for name in SERVICES if name != without}
+def tick(index: int, *, without: str = "", returned: str = "") -> Tick:
+    there = {name: -1 if name == returned else index - 1 for name in SERVICES if name != without}
     working = tuple(name for name in ("gnss", "integrity") if name != without)
     return Tick(
         time_ns=NOW_NS + index * STEP_NS, index=index, participants=there, working=working, published={}
@@ -93,5 +93,5 @@ def test_one_that_returns_begins_with_the_tick_that_it_is_on_the_list_of():
     barrier.skip()
     barrier.add_done(done("gnss", 3, fixes=4))
     barrier.add_done(done("localizer", 2))
-    barrier.add_tick(tick(3))
+    barrier.add_tick(tick(3, returned="integrity"))
     assert taken(barrier) == [3]

@@ -1,0 +1,172 @@
+"""What the barrier of a replay says may be lost on a bus that is just coming up: it is said again.
+
+Four services that only pass on what they have seen, over real sessions, in threads of this process; one tick or one
+*done* does not arrive. What each of them publishes depends on all that it was handed and in which order.
+"""
+
+import hashlib
+import socket
+import threading
+import time
+from collections import defaultdict
+from contextlib import ExitStack
+from random import Random
+
+import pytest
+
+from camber.runtime import feeder as feeding
+from camber.runtime.bus import Bus
+from camber.runtime.clock import ReplayClock
+from camber.runtime.feeder import Feeder
+from camber.runtime.run import Loop
+from camber.runtime.service import Service
+from camber.runtime.session import open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.channels import BY_NAME, FEEDER, inputs_of, outputs_of
+from camber.schemas.codec import decode, encode
+from camber.schemas.health import Done, Tick
+from support.messages import build
+
+START_NS = 1_300_000_000 * 1_000_000_000
+STEP_NS = 100_000_000
+TICKS = 18
+NAMES = ("gnss", "antenna_height", "localizer", "integrity")
+FED = {"suspension": 1, "receiver_bytes": 7, "sweep": 8}
+"""Channel of the vehicle → every how many ticks there is something on it."""
+LOST_S = 0.1
+
+
+class PassOn(Service[ServiceSettings]):
+    """Publishes on each of its channels a message made from all that it has seen so far."""
+
+    SETTINGS = ServiceSettings
+
+    def __init__(self, name, bus):
+        super().__init__(bus.settings, bus)
+        self.NAME = name
+        self.seen = hashlib.sha256()
+
+    def handlers(self):
+        return {channel.name: self.see for channel in inputs_of(self.NAME)}
+
+    def see(self, message):
+        self.seen.update(encode(message))
+
+    def advance(self, now_ns):
+        self.seen.update(str(now_ns).encode())
+        for channel in outputs_of(self.NAME):
+            message = build(channel.message, Random(self.seen.hexdigest()))
+            self.bus.publish(channel.name, message.model_copy(update={"time_ns": now_ns}))
+
+
+class Loss:
+    """What a sender says of one tick is lost, on whatever key it comes, until some time after the first."""
+
+    def __init__(self, sender, index):
+        self.what = (sender, index)
+        self.since = None
+
+    def takes(self, what):
+        if what != self.what:
+            return False
+        self.since = self.since or time.monotonic()
+        return time.monotonic() < self.since + LOST_S
+
+
+class Lossy(Bus):
+    """A bus on which something is lost."""
+
+    loss = None
+
+    def pop(self, name):
+        item = super().pop(name)
+        if item is None or self.loss is None:
+            return item
+        if name == "tick" or name.startswith("done."):
+            return None if self.loss.takes(said(item.data)) else item
+        return item._replace(rider=None) if item.rider and self.loss.takes(said(item.rider)) else item
+
+
+def said(data):
+    """Sender and index of a tick or a done."""
+    try:
+        tick = decode(Tick, data).message
+        return (FEEDER, tick.index) if tick.participants else (FEEDER, -1)  # −1: a call to assemble
+    except ValueError:
+        done = decode(Done, data).message
+        return done.service, done.index
+
+
+def settings_of(endpoint):
+    return ServiceSettings(
+        vehicle="lossy", zenoh=ZenohSettings(mode="client", connect=[endpoint], listen=[]), clock="replay"
+    )
+
+
+def replay(endpoint, receiver="", loss=None):
+    """Feed a drive; `receiver` suffers the loss. Returns the bytes of all keys."""
+    recording = defaultdict(list)
+    settings = settings_of(endpoint)
+    with ExitStack() as stack:
+        feeder = stack.enter_context(
+            Feeder(settings, FED, observer=lambda key, data, _encoding, _ns: recording[key].append(data))
+        )
+        if receiver == FEEDER:
+            add = feeder._add_done
+            feeder._add_done = lambda done: None if loss.takes((done.service, done.index)) else add(done)
+        for name in NAMES:
+            bus = Lossy(open_session(settings.zenoh), settings, name, ReplayClock())
+            stack.callback(bus.close)
+            if name == receiver:
+                bus.loss = loss
+            loop = Loop(PassOn(name, bus), bus, bus._clock)
+            thread = threading.Thread(target=loop.replay)
+            stack.callback(thread.join)
+            stack.callback(bus.wake)
+            stack.callback(setattr, loop, "stopping", True)
+            thread.start()
+        feeder.assemble(NAMES, time_ns=START_NS)
+        for number in range(TICKS):
+            time_ns = START_NS + number * STEP_NS
+            for name, every in FED.items():
+                if number % every == 0:
+                    message = build(BY_NAME[name].message, Random(number))
+                    feeder.publish(name, message.model_copy(update={"time_ns": time_ns}))
+            feeder.tick(time_ns, last=number == TICKS - 1)
+    return recording
+
+
+@pytest.fixture(scope="module")
+def endpoint():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = open_session(ZenohSettings(mode="router", connect=[], listen=[address]))
+    yield address
+    router.close()
+
+
+@pytest.fixture(scope="module")
+def undisturbed(endpoint):
+    return replay(endpoint)
+
+
+@pytest.mark.parametrize(
+    ("receiver", "sender", "index"),
+    [
+        pytest.param("integrity", "gnss", 7, id="a done of a service that works on the tick"),
+        pytest.param("localizer", "integrity", 7, id="a done for a loop"),
+        pytest.param("antenna_height", "localizer", 0, id="a done for a loop, its sender not working"),
+        pytest.param(FEEDER, "localizer", 8, id="a done for the feeder"),
+        pytest.param(FEEDER, "integrity", TICKS - 1, id="the last done"),
+        pytest.param("gnss", FEEDER, 0, id="the first tick"),
+        pytest.param("antenna_height", FEEDER, 7, id="a tick, the next one arrives"),
+    ],
+)
+def test_what_was_lost_is_said_again_and_the_bytes_are_the_same(
+    endpoint, undisturbed, monkeypatch, receiver, sender, index
+):
+    monkeypatch.setattr(feeding, "_ASK_AGAIN_S", 0.3)
+    loss = Loss(sender, index)
+    assert replay(endpoint, receiver, loss) == undisturbed
+    assert loss.since is not None, "nothing was lost"
