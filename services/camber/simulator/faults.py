@@ -6,7 +6,7 @@ end, to the end of the drive.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,12 @@ from camber.schemas.base import Model
 from camber.schemas.channels import SERVICES
 
 Metres = Annotated[float, Field(ge=-1_000.0, le=1_000.0)]
+_LIMITS = {"radius_change_m": (-0.1, 0.1), "load_kg": (0.0, 2_000.0), "factor": (0.0, 3.0)}
+
+
+def _limited(name: str, description: str) -> Any:
+    least, most = _LIMITS[name]
+    return Field(ge=least, le=most, description=description)
 
 
 class _Timed(Model):
@@ -65,21 +71,21 @@ class ChangedTyre(_Timed):
     """Another tyre, or one that loses air."""
 
     kind: Literal["changed_tyre"]
-    radius_change_m: Annotated[float, Field(ge=-0.1, le=0.1)] = Field(description="metres")
+    radius_change_m: float = _limited("radius_change_m", "metres")
 
 
 class ChangedLoad(_Timed):
     """The vehicle is loaded: the suspension sinks, the tyres too."""
 
     kind: Literal["changed_load"]
-    load_kg: Annotated[float, Field(ge=0.0, le=2_000.0)] = Field(description="kilograms in the boot")
+    load_kg: float = _limited("load_kg", "kilograms in the boot")
 
 
 class WheelSlip(_Timed):
     """The wheels turn faster than the vehicle drives, or slide."""
 
     kind: Literal["wheel_slip"]
-    factor: Annotated[float, Field(ge=0.0, le=3.0)] = Field(description="wheel speed by speed over ground")
+    factor: float = _limited("factor", "wheel speed by speed over ground")
 
 
 class BlockedLidar(_Timed):
@@ -176,3 +182,26 @@ F = TypeVar("F", bound=_Timed)
 def of_kind(faults: tuple[Fault, ...], kind: type[F]) -> tuple[F, ...]:
     """Those of one kind, in their order."""
     return tuple(fault for fault in faults if isinstance(fault, kind))
+
+
+def refused_sum(faults: tuple[Fault, ...]) -> str | None:
+    """Where several of one kind act at once, the vehicle feels their sum: what is wrong with it, or None.
+
+    The sum keeps the limits of a single one, which leave every tyre a radius.
+    """
+    for kind, name, normal in (
+        ("changed_tyre", "radius_change_m", 0.0),
+        ("changed_load", "load_kg", 0.0),
+        ("wheel_slip", "factor", 1.0),
+    ):
+        found = [fault for fault in faults if fault.kind == kind]
+        least, most = _LIMITS[name]
+        for at_s in sorted({time_s for f in found for time_s in (f.onset_s, f.end_s) if time_s is not None}):
+            acting = [f for f in found if f.acts(np.array([at_s]))[0]]
+            together = normal + sum(getattr(f, name) - normal for f in acting)
+            if not least - 1e-9 <= together <= most + 1e-9:
+                return (
+                    f"{len(acting)} {kind} act at {at_s:g} s with {name} {together:.6g} together, "
+                    f"expected {least:g} to {most:g}"
+                )
+    return None

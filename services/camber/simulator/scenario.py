@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.schemas.base import Model, Name, Text
 from camber.schemas.toml_file import FileError, Overrides, load_toml
-from camber.simulator.faults import Fault
+from camber.simulator.faults import Fault, refused_sum
 
 _FOLDER = Path(__file__).parent / "scenarios"
 
@@ -134,6 +134,13 @@ class Scenario(Model):
                     "fault {kind} cannot act, expected {expected}",
                     {"kind": min(found), "expected": expected},
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _faults_fit_together(self) -> Self:
+        refused = refused_sum(self.faults)
+        if refused is not None:
+            raise PydanticCustomError("together", "faults: {refused}", {"refused": refused})
         return self
 
     @property
