@@ -83,14 +83,20 @@ def write_sweep(folder: Path, sweep: Sweep) -> Path:
     return path
 
 
+def sweep_time_ns(path: Path) -> int:
+    """The time of a sweep's end, by its file's name. Raises FormatError for another name."""
+    time_ns = int(path.stem) if path.stem.isascii() and path.stem.isdecimal() and len(path.stem) < 20 else -1
+    if not EARLIEST_NS <= time_ns <= LATEST_NS:
+        raise FormatError(path.name, "name", "the GPS time of the sweep's end in ns, then .pcd")
+    return time_ns
+
+
 def read_sweep(path: Path, sensor: str) -> Sweep:
     """A sweep by the time in its file's name. Without intensities they are zero; without times it was made at once.
 
     Raises FormatError for another name, a damaged file or offsets above zero, OSError if it cannot be read.
     """
-    time_ns = int(path.stem) if path.stem.isascii() and path.stem.isdecimal() and len(path.stem) < 20 else -1
-    if not EARLIEST_NS <= time_ns <= LATEST_NS:
-        raise FormatError(path.name, "name", "the GPS time of the sweep's end in ns, then .pcd")
+    time_ns = sweep_time_ns(path)
     cloud = read_pcd(path)
     n = len(cloud.points_m)
     intensity = np.zeros(n, np.float32) if cloud.intensity is None else cloud.intensity
@@ -116,11 +122,13 @@ def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
     points = np.empty((header.points, 3), np.float32)
     for axis, name in enumerate("xyz"):
         points[:, axis] = _narrowed(columns[header.names.index(name)], np.float32)
+    intensity = _column(columns, header, "intensity", np.float32)
+    offset = _column(columns, header, "t", np.int32, source_name)
+    if np.isfinite(points).all():
+        return PointCloud(points, intensity, offset)
     if np.isinf(points).any():
         raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
     kept = ~np.isnan(points).any(axis=1)
-    intensity = _column(columns, header, "intensity", np.float32)
-    offset = _column(columns, header, "t", np.int32, source_name)
     return PointCloud(
         np.ascontiguousarray(points[kept]),
         None if intensity is None else intensity[kept],

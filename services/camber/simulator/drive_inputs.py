@@ -2,7 +2,7 @@
 
 Nothing is repaired. Late and repeated epochs arrive where they stand in their file; the time at which something
 arrives is the running maximum of the times measured, and the ticks of a replay are the distinct times of arrival.
-What arrives from the receiver at one tick is one message, byte for byte.
+What arrives from the receiver at one tick is one message, byte for byte. Sweeps are not read before their tick.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.simulator.receiver_file import TimedBytes, read_receiver_file, receive_times
 from camber.simulator.surrogate_map import make_map
 from camber.simulator.surrogates import make_initial_pose, make_motion
+from camber.simulator.sweep_files import SweepFile, sweep_files
 from camber.simulator.truth import interpolate_truth
 
 M = TypeVar("M", bound=Message)
@@ -55,11 +56,15 @@ class Tick:
     motion: tuple[Motion, ...]
     suspension: tuple[Suspension, ...]
     ranging: tuple[Ranging, ...]
+    sweeps: tuple[SweepFile, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class DriveInputs:
-    """One drive in the order of arrival. `map_release` and `sweeps_folder` are folders; None: the drive has none."""
+    """One drive in the order of arrival. `map_release` is a folder; None: the drive has none.
+
+    `notes` are lines on what of the drive was left out.
+    """
 
     manifest: DriveManifest
     tick_times_ns: tuple[int, ...]
@@ -67,10 +72,11 @@ class DriveInputs:
     motion: tuple[Arrival[Motion], ...]
     suspension: tuple[Arrival[Suspension], ...]
     ranging: tuple[Arrival[Ranging], ...]
+    sweeps: tuple[SweepFile, ...]
     map_release: Path | None
-    sweeps_folder: Path | None
     truth: TruthTable | None
     initial_pose: InitialPose | None
+    notes: tuple[str, ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -80,6 +86,7 @@ class DriveInputs:
             "motion": self.motion,
             "suspension": self.suspension,
             "ranging": self.ranging,
+            "sweep": self.sweeps,
         }
         return tuple(name for name, arrivals in columns.items() if arrivals)
 
@@ -88,8 +95,15 @@ class DriveInputs:
         columns = [
             _by_time(arrivals) for arrivals in (self.receiver, self.motion, self.suspension, self.ranging)
         ]
+        sweeps: dict[int, list[SweepFile]] = {}
+        for file in self.sweeps:
+            sweeps.setdefault(file.time_ns, []).append(file)
         for time_ns in self.tick_times_ns:
-            yield Tick(time_ns, *(tuple(column.get(time_ns, ())) for column in columns))
+            yield Tick(
+                time_ns,
+                *(tuple(column.get(time_ns, ())) for column in columns),
+                sweeps=tuple(sweeps.get(time_ns, ())),
+            )
 
 
 def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
@@ -111,14 +125,27 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
     moved = _arrivals(motion)
     suspension = _arrivals([] if manifest.suspension is None else read_suspension(manifest.suspension.file))
     ranging = _arrivals([] if manifest.ranging is None else read_ranging(manifest.ranging.file))
-    first_ns, last_ns = _period(manifest, (receiver, moved, suspension, ranging))
+    sweeps, notes = ([], []) if manifest.sweeps is None else sweep_files(manifest.sweeps.folder)
+    first_ns, last_ns = _period(
+        manifest,
+        [
+            *(
+                (column[0].receive_time_ns, column[-1].receive_time_ns)
+                for column in (receiver, moved, suspension, ranging)
+                if column
+            ),
+            *((column[0].time_ns, column[-1].time_ns) for column in (sweeps,) if column),
+        ],
+    )
     receiver = _starting_with(preamble, receiver, first_ns, last_ns)
     moved, suspension, ranging = (
         _within(moved, first_ns, last_ns),
         _within(suspension, first_ns, last_ns),
         _within(ranging, first_ns, last_ns),
     )
+    swept = tuple(file for file in sweeps if first_ns <= file.time_ns <= last_ns)
     times = {a.receive_time_ns for column in (receiver, moved, suspension, ranging) for a in column}
+    times |= {file.time_ns for file in swept}
     if not times:
         raise ManifestError(
             f"{manifest.name}: nothing lies between start_s and end_s, expected a part of the drive"
@@ -131,10 +158,11 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
         moved,
         suspension,
         ranging,
+        swept,
         _map_release(manifest, truth, work_folder),
-        None if manifest.sweeps is None else manifest.sweeps.folder,
         truth,
         _initial_pose(manifest, truth, tick_times_ns[0]),
+        tuple(notes),
     )
 
 
@@ -183,9 +211,9 @@ def _by_time(arrivals: Sequence[Arrival[M]]) -> dict[int, list[M]]:
     return column
 
 
-def _period(manifest: DriveManifest, columns: Sequence[Sequence[Arrival[Any]]]) -> tuple[int, int]:
-    begin_ns = min(column[0].receive_time_ns for column in columns if column)
-    end_ns = max(column[-1].receive_time_ns for column in columns if column)
+def _period(manifest: DriveManifest, spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """From when to when; `spans` are those of the inputs."""
+    begin_ns, end_ns = min(begin for begin, _ in spans), max(end for _, end in spans)
     first_ns = begin_ns if manifest.start_s is None else begin_ns + round(manifest.start_s * 1e9)
     last_ns = end_ns if manifest.end_s is None else begin_ns + round(manifest.end_s * 1e9)
     return first_ns, last_ns

@@ -1,8 +1,9 @@
 """`camber feed`: a recorded drive, live: at its own pace, dated now, onto the bus of services that are running.
 
 What the vehicle's sensors said goes out as they said it, with times moved to the present. The receiver's solutions
-are written anew as RTKLIB lines, because the times are in them. With `--loop` the vehicle drives to the end, back in
-reverse gear, and so on: it never jumps from the end to the beginning, which no vehicle does.
+are written anew as RTKLIB lines, because the times are in them. Raw observations are not fed: their times are tied to
+the satellites' orbits. With `--loop` the vehicle drives to the end, back in reverse gear, and so on: it never jumps
+from the end to the beginning, which no vehicle does.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,23 +28,51 @@ from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.base import Message
-from camber.schemas.drive import ManifestError, load_manifest
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.simulator.drive_inputs import DriveInputs, prepare_drive
+from camber.simulator.sweep_files import SweepFile, SweepReader
 
 _PROG = "camber feed"
 _NS = 1_000_000_000
+_ROUTER = "tcp/127.0.0.1:7447"
+_ASK_ROUTER_S = 0.5
 _LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
 
 
 @dataclass(frozen=True, slots=True)
+class FedSweep:
+    """A sweep to be read when it is due, fed `moved_ns` after the time of its file; backwards, after minus that."""
+
+    file: SweepFile
+    moved_ns: int = 0
+    backward: bool = False
+
+    def dated(self, sweep: Sweep) -> Sweep:
+        """The sweep at the time at which it is fed. Backwards its points come in reverse, and its begin is its end."""
+        if not self.backward:
+            return sweep.model_copy(update={"time_ns": sweep.time_ns + self.moved_ns})
+        begin_ns = int(sweep.offset_ns.min(initial=0))
+        return sweep.model_copy(
+            update={
+                "time_ns": self.moved_ns - sweep.time_ns - begin_ns,
+                "points_m": sweep.points_m[::-1].copy(),
+                "intensity": sweep.intensity[::-1].copy(),
+                "offset_ns": begin_ns - sweep.offset_ns[::-1],
+            }
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Epoch:
-    """What arrives at one time: solutions of the receiver, and samples of other sensors by channel."""
+    """What arrives at one time: solutions of the receiver, samples of other sensors by channel, sweeps."""
 
     time_ns: int
     solutions: tuple[ReceiverSolution, ...]
     samples: tuple[tuple[str, Message], ...]
+    sweeps: tuple[FedSweep, ...] = ()
 
     def moved(self, offset_ns: int) -> Epoch:
         """The same, `offset_ns` later."""
@@ -50,14 +80,18 @@ class Epoch:
             self.time_ns + offset_ns,
             tuple(replace(solution, time_ns=solution.time_ns + offset_ns) for solution in self.solutions),
             tuple((name, _dated(message, message.time_ns + offset_ns)) for name, message in self.samples),
+            tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
         )
 
-    def messages(self) -> Iterator[tuple[str, Message]]:
-        """What goes onto the bus: channel and message."""
+    def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
+        """What goes onto the bus: channel and message; sweeps are read now."""
         if self.solutions:
             payload = np.frombuffer(b"".join(_pos_lines(solution) for solution in self.solutions), np.uint8)
             yield "receiver_bytes", ReceiverBytes(time_ns=self.time_ns, protocol="pos", payload=payload)
         yield from self.samples
+        for fed in self.sweeps:
+            for sweep in reader.read([fed.file]):
+                yield "sweep", fed.dated(sweep)
 
 
 def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
@@ -71,7 +105,10 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
     epochs = []
     for tick in inputs.ticks():
         read = [
-            item for part in tick.receiver for item in decoders[part.protocol].feed(part.payload.tobytes())
+            item
+            for part in tick.receiver
+            if part.protocol in decoders
+            for item in decoders[part.protocol].feed(part.payload.tobytes())
         ]
         samples = (
             *(("motion", sample) for sample in tick.motion),
@@ -79,21 +116,33 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
             *(("ranging", sample) for sample in tick.ranging),
         )
         solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
-        epochs.append(Epoch(tick.time_ns, solutions, samples))
+        sweeps = tuple(FedSweep(file) for file in tick.sweeps)
+        if solutions or samples or sweeps:
+            epochs.append(Epoch(tick.time_ns, solutions, samples, sweeps))
     return tuple(epochs)
 
 
 def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
-    """The same way in reverse gear, from the end to the beginning, in the same period of time."""
+    """The same way in reverse gear, from the end to the beginning, in the same period of time.
+
+    A sweep comes when the one before it ended, because that is when its own turn began. Of the first nobody knows that.
+    """
     span_ns = epochs[0].time_ns + epochs[-1].time_ns
-    return tuple(
-        Epoch(
-            span_ns - epoch.time_ns,
-            tuple(_backward_solution(solution, span_ns) for solution in reversed(epoch.solutions)),
-            tuple((name, _backward_sample(message, span_ns)) for name, message in reversed(epoch.samples)),
+    back, later = list[Epoch](), tuple[FedSweep, ...]()
+    for epoch in reversed(epochs):
+        due = later if epoch.sweeps else ()
+        later = epoch.sweeps or later
+        back.append(
+            Epoch(
+                span_ns - epoch.time_ns,
+                tuple(_backward_solution(solution, span_ns) for solution in reversed(epoch.solutions)),
+                tuple(
+                    (name, _backward_sample(message, span_ns)) for name, message in reversed(epoch.samples)
+                ),
+                tuple(_backward_sweep(sweep, span_ns) for sweep in reversed(due)),
+            )
         )
-        for epoch in reversed(epochs)
-    )
+    return tuple(back)
 
 
 def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
@@ -110,39 +159,105 @@ def main(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     try:
         manifest = load_manifest(args.drive, args.set)
-        epochs = epochs_of(prepare_drive(manifest, args.drive.parent))
-        settings = ServiceSettings(
-            vehicle=args.vehicle or manifest.vehicle,
-            zenoh=ZenohSettings(mode="client", connect=args.connect or ["tcp/127.0.0.1:7447"]),
-        )
-        bus = Bus(open_session(settings.zenoh), settings, "vehicle", SystemClock())
+        with stopped_by_signals() as stop:
+            feed(
+                manifest,
+                args.drive.parent,
+                stop,
+                connect=args.connect,
+                vehicle=args.vehicle,
+                loop=args.loop,
+                prog=_PROG,
+            )
     except (ManifestError, FormatError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 3
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        _feed(passes(epochs, loop=args.loop), bus, stop, manifest.name)
-    finally:
-        bus.close()
     return 0
 
 
-def _feed(ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str) -> None:
+def feed(
+    manifest: DriveManifest,
+    work_folder: Path,
+    stop: threading.Event,
+    *,
+    connect: Sequence[str] | None,
+    vehicle: str | None,
+    loop: bool = False,
+    prog: str,
+) -> None:
+    """Play a drive onto the bus of a vehicle (None: the manifest's) to its end, or until `stop` is set.
+
+    A router that is not there is waited for. Raises ManifestError, FormatError, BusError, OSError.
+    """
+    inputs = prepare_drive(manifest, work_folder)
+    epochs = epochs_of(inputs)
+    if not epochs:
+        raise ManifestError(
+            f"{manifest.name}: only raw observations, expected something that can be fed live"
+        )
+    for note in inputs.notes:
+        print(f"{prog}: {note}", file=sys.stderr)
+    settings = ServiceSettings(
+        vehicle=vehicle or manifest.vehicle,
+        zenoh=ZenohSettings(mode="client", connect=connect or [_ROUTER]),
+    )
+    bus = _joined(settings, stop, prog)
+    if bus is None:
+        return
+    try:
+        _feed(passes(epochs, loop=loop), bus, stop, manifest.name, prog)
+    finally:
+        bus.close()
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set."""
+    stop = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
+    """The bus, as soon as its router is there; None where `stop` came first. It says once that it waits."""
+    said = False
+    while not stop.is_set():
+        try:
+            session = open_session(settings.zenoh, timeout_s=_ASK_ROUTER_S)
+            return Bus(session, settings, "vehicle", SystemClock())
+        except BusError as error:
+            if not said:
+                print(f"{prog}: {error}; waiting", file=sys.stderr, flush=True)
+            said = True
+    return None
+
+
+def _feed(
+    ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str, prog: str = _PROG
+) -> None:
     start_ns = bus.now_ns()
     for number, way in enumerate(ways, start=1):
         duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
-        print(f"{_PROG}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
-        start_ns = _feed_pass(way, bus, stop, start_ns)
+        print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
+        reader = SweepReader()
+        start_ns = _feed_pass(way, bus, stop, start_ns, reader)
+        for note in reader.notes():
+            print(f"{prog}: {note}", file=sys.stderr, flush=True)
         if stop.is_set():
             return
 
 
-def _feed_pass(way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int) -> int:
+def _feed_pass(
+    way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int, reader: SweepReader
+) -> int:
     """Publish each epoch when its time has come; returns when the next pass may start."""
     # Whole milliseconds: more decimals of a time than that are not in an RTKLIB line.
     offset_ns = (start_ns - way[0].time_ns) // 1_000_000 * 1_000_000
@@ -152,7 +267,7 @@ def _feed_pass(way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: 
             offset_ns -= early_ns // 1_000_000 * 1_000_000
         elif stop.wait(max(early_ns, 0) / _NS):
             break
-        for name, message in epoch.moved(offset_ns).messages():
+        for name, message in epoch.moved(offset_ns).messages(reader):
             bus.publish(name, message)
     step_ns = (way[-1].time_ns - way[0].time_ns) // max(len(way) - 1, 1)
     return way[-1].time_ns + offset_ns + step_ns
@@ -174,6 +289,10 @@ def _backward_solution(solution: ReceiverSolution, span_ns: int) -> ReceiverSolu
     return replace(solution, time_ns=span_ns - solution.time_ns, velocity_enu_m_s=backward)
 
 
+def _backward_sweep(sweep: FedSweep, span_ns: int) -> FedSweep:
+    return replace(sweep, moved_ns=span_ns - sweep.moved_ns, backward=not sweep.backward)
+
+
 def _backward_sample(message: Message, span_ns: int) -> Message:
     dated = _dated(message, span_ns - message.time_ns)
     if not isinstance(dated, Motion):
@@ -182,13 +301,16 @@ def _backward_sample(message: Message, span_ns: int) -> Message:
     return dated.model_copy(update={name: -value for name, value in readings.items() if value is not None})
 
 
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where a drive is fed to: `--connect`, `--vehicle`."""
+    parser.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router; default {_ROUTER}")
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
-    parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="router; default tcp/127.0.0.1:7447"
-    )
-    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
+    add_bus_arguments(parser)
     parser.add_argument("--loop", action="store_true", help="there and back again, until stopped")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"

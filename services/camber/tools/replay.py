@@ -30,6 +30,7 @@ from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.toml_file import FileError
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
+from camber.simulator.sweep_files import SweepReader
 from camber.tools.evaluate import evaluate_folder, headline
 from camber.tools.processes import Processes
 from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
@@ -85,8 +86,14 @@ def replay(manifest: DriveManifest, out: Path, *, speed: float, quiet: bool = Fa
     endpoint = _free_endpoint()
     processes = Processes(out, _configs(manifest, inputs, out, endpoint))
     with Recorder(folder.recording_path) as recorder:
-        wall_s = _run(manifest, inputs, processes, recorder, endpoint, speed=speed, quiet=quiet)
-        notes = [*processes.notes, *([recorder.problem] if recorder.problem else [])]
+        sweeps = SweepReader()
+        wall_s = _run(manifest, inputs, processes, recorder, sweeps, endpoint, speed=speed, quiet=quiet)
+        notes = [
+            *inputs.notes,
+            *sweeps.notes(),
+            *processes.notes,
+            *([recorder.problem] if recorder.problem else []),
+        ]
     driven_s = (inputs.tick_times_ns[-1] - inputs.tick_times_ns[0]) / 1e9
     folder.write_run(RunFacts(speed_factor=driven_s / wall_s, wall_s=wall_s, notes=tuple(notes)))
     evaluation = evaluate_folder(folder)
@@ -103,13 +110,17 @@ def _run(
     inputs: DriveInputs,
     processes: Processes,
     recorder: Recorder,
+    sweeps: SweepReader,
     endpoint: str,
     *,
     speed: float,
     quiet: bool,
 ) -> float:
     """Feed the drive; returns the seconds it took, starting and ending of the processes apart."""
-    channels = {channel.key_for(manifest.vehicle): channel.name for channel in CHANNELS}
+    # Bulk is not recorded: a sweep of 50,000 points has a megabyte, and stands in the drive's own folder.
+    channels = {
+        channel.key_for(manifest.vehicle): channel.name for channel in CHANNELS if channel.delivery != "bulk"
+    }
 
     def observe(key: str, data: bytes, encoding: str, arrival_ns: int) -> None:
         name = channels.get(key)
@@ -125,7 +136,7 @@ def _run(
             processes.start()
             supervisor.start()
             feeder.assemble(SERVICES, time_ns=inputs.tick_times_ns[0], meanwhile=processes.complain)
-            return _feed(inputs, feeder, recorder, processes, speed=speed, quiet=quiet)
+            return _feed(inputs, feeder, recorder, sweeps, processes, speed=speed, quiet=quiet)
         finally:
             supervisor.stop()
             processes.stop()
@@ -135,6 +146,7 @@ def _feed(
     inputs: DriveInputs,
     feeder: Feeder,
     recorder: Recorder,
+    sweeps: SweepReader,
     processes: Processes,
     *,
     speed: float,
@@ -152,7 +164,7 @@ def _feed(
                 time.sleep(max(due - time.monotonic(), 0.0))
             while kills and tick.time_ns >= first_ns + round(kills[-1].at_s * 1e9):
                 processes.kill(kills.pop().service)
-            for name, message in _messages(tick):
+            for name, message in _messages(tick, sweeps):
                 feeder.publish(
                     name, greeting.before(message, feeder) if name == "receiver_bytes" else message
                 )
@@ -181,12 +193,13 @@ class _Greeting:
         return message.model_copy(update={"payload": np.concatenate((self._header, message.payload))})
 
 
-def _messages(tick: Tick) -> Iterator[tuple[str, Any]]:
+def _messages(tick: Tick, sweeps: SweepReader) -> Iterator[tuple[str, Any]]:
     for name, messages in (
         ("receiver_bytes", tick.receiver),
         ("motion", tick.motion),
         ("suspension", tick.suspension),
         ("ranging", tick.ranging),
+        ("sweep", sweeps.read(tick.sweeps)),
     ):
         for message in messages:
             yield name, message

@@ -9,6 +9,7 @@ import pytest
 from camber.formats.errors import FormatError
 from camber.formats.map_release import read_release
 from camber.formats.nmea import format_gga, format_gst, format_rmc
+from camber.formats.pcd import PointCloud, write_pcd
 from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder, read_pos
 from camber.formats.truth_csv import TruthTable, read_truth
@@ -16,6 +17,7 @@ from camber.schemas.drive import DriveManifest, ManifestError, ReceiverFile, loa
 from camber.simulator.drive_inputs import DriveInputs, prepare_drive
 from camber.simulator.receiver_file import read_receiver_file, receive_times
 from camber.simulator.short_drive import START_NS, write_short_drive
+from camber.simulator.sweep_files import SweepReader
 from camber.simulator.truth import interpolate_truth, plane_of
 
 NAGOYA = Path(__file__).parents[2] / "replay" / "nagoya.toml"
@@ -164,6 +166,56 @@ def test_a_receiver_file_without_positions_is_refused(drive: Path, tmp_path: Pat
     manifest = load_manifest(changed(drive, tmp_path / "d", [b"% nothing\n"]))
     with pytest.raises(FormatError, match=r"receiver\.pos: epochs, expected at least one position"):
         prepare_drive(manifest, tmp_path)
+
+
+def swept(folder: Path) -> Path:
+    """The short drive with sweeps of one point that end with its second, third and fourth epoch."""
+    manifest = write_short_drive(folder)
+    (folder / "sweeps").mkdir()
+    for k in (1, 2, 3):
+        cloud = PointCloud(np.full((1, 3), k, np.float32))
+        write_pcd(folder / "sweeps" / f"{START_NS + k * STEP_NS}.pcd", cloud)
+    manifest.write_text(manifest.read_text() + '\n[sweeps]\nfolder = "sweeps"\n')
+    return manifest
+
+
+def test_sweeps_come_at_the_time_of_their_end_and_are_not_read_before(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    assert "sweep" in inputs.channels
+    at = {tick.time_ns: tick.sweeps for tick in inputs.ticks() if tick.sweeps}
+    assert list(at) == [START_NS + k * STEP_NS for k in (1, 2, 3)]
+    (file,) = at[START_NS + 2 * STEP_NS]
+    write_pcd(file.path, PointCloud(np.full((1, 3), 9.0, np.float32)))
+    assert file.read().points_m.tolist() == [[9.0, 9.0, 9.0]]
+
+
+def test_sweeps_outside_of_the_part_of_a_drive_are_left_out(tmp_path: Path) -> None:
+    manifest = load_manifest(swept(tmp_path / "d")).model_copy(update={"end_s": 0.5})
+    inputs = prepare_drive(manifest, tmp_path)
+    assert [file.time_ns for file in inputs.sweeps] == [START_NS + k * STEP_NS for k in (1, 2)]
+
+
+def test_a_point_cloud_whose_name_is_no_time_is_left_out_and_named(tmp_path: Path) -> None:
+    manifest = swept(tmp_path / "d")
+    (tmp_path / "d" / "sweeps" / "first.pcd").write_bytes(b"")
+    inputs = prepare_drive(load_manifest(manifest), tmp_path)
+    assert len(inputs.sweeps) == 3
+    assert inputs.notes == (
+        "a sweep is left out: first.pcd: name, expected the GPS time of the sweep's end in ns, then .pcd",
+    )
+
+
+def test_sweeps_that_are_damaged_or_gone_cost_themselves_and_one_line(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    reader = SweepReader()
+    assert len(list(reader.read(inputs.sweeps))) == 3
+    assert reader.notes() == ()
+    first, second, third = inputs.sweeps
+    first.path.write_bytes(b"no cloud")
+    third.path.unlink()
+    assert [sweep.time_ns for sweep in reader.read(inputs.sweeps)] == [second.time_ns]
+    (line,) = reader.notes()
+    assert line.startswith(f"2 sweeps could not be read and left out, the first: {first.path.name}:1: header")
 
 
 def test_raw_observations_are_refused_until_they_can_be_replayed(drive: Path, tmp_path: Path) -> None:

@@ -7,17 +7,21 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
+from camber.formats.pcd import write_sweep
 from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder, read_pos
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.simulator.drive_inputs import prepare_drive
 from camber.simulator.short_drive import write_short_drive
+from camber.simulator.sweep_files import SweepReader
 from camber.tools import feed
 from camber.tools.feed import Epoch, epochs_of, passes, reversed_drive
 
@@ -78,7 +82,7 @@ def test_each_message_can_be_read_by_itself_and_says_what_the_receiver_said(
 ) -> None:
     offset_ns = 123_456 * 1_000_000
     for epoch in epochs:
-        for name, message in epoch.moved(offset_ns).messages():
+        for name, message in epoch.moved(offset_ns).messages(SweepReader()):
             if not isinstance(message, ReceiverBytes):
                 continue
             assert (name, message.protocol, message.time_ns) == (
@@ -124,7 +128,7 @@ def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: t
 
 def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
-    next_ns = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS)  # type: ignore[arg-type]
+    next_ns = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
     assert [
         at - message.time_ns for at, _, message in bus.sent if abs(at - message.time_ns) > 1_000_000
     ] == []
@@ -135,7 +139,7 @@ def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch,
 
 def test_after_a_machine_slept_the_drive_goes_on_from_where_it_was(epochs: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
-    feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 30.0}), _START_NS)  # type: ignore[arg-type]
+    feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 30.0}), _START_NS, SweepReader())  # type: ignore[arg-type]
     moved = [message for _, name, message in bus.sent if name == "motion"]
     assert len(moved) == 50
     late = [at - message.time_ns for at, name, message in bus.sent if name == "motion"]
@@ -168,6 +172,71 @@ def test_sentences_of_a_receiver_are_fed_in_the_epoch_of_their_own(drive: Path, 
     # The first epoch shows which sentence is an epoch's last; from then on none waits for the next.
     assert [solution.time_ns for _, solution in fed[2:]] == [at for at, _ in fed[2:]]
     assert len(fed) >= len(native) - 1
+
+
+SWEEP_NS = 100_000_000
+
+
+@pytest.fixture
+def swept(drive: Path, tmp_path: Path) -> tuple[Epoch, ...]:
+    """The short drive's first 50 epochs, with sweeps of three points that end 0.3, 0.4, 0.5 s after its start."""
+    write_short_drive(tmp_path)
+    (tmp_path / "sweeps").mkdir()
+    start_ns = epochs_of(prepare_drive(load_manifest(drive), tmp_path))[0].time_ns
+    for k in (3, 4, 5):
+        points = np.arange(9, dtype=np.float32).reshape(3, 3) + k
+        offset_ns = np.array([1 - SWEEP_NS, -SWEEP_NS // 4, 0], np.int32)
+        time_ns = start_ns + k * SWEEP_NS
+        write_sweep(
+            tmp_path / "sweeps",
+            Sweep(
+                time_ns=time_ns, sensor="lidar", points_m=points, intensity=points[:, 0], offset_ns=offset_ns
+            ),
+        )
+    text = (tmp_path / "drive.toml").read_text()
+    (tmp_path / "drive.toml").write_text(text + '\n[sweeps]\nfolder = "sweeps"\n')
+    return epochs_of(prepare_drive(load_manifest(tmp_path / "drive.toml"), tmp_path))[:50]
+
+
+def sweeps_of(bus: FakeBus) -> list[tuple[int, Sweep]]:
+    return [(at, message) for at, _, message in bus.sent if isinstance(message, Sweep)]
+
+
+def test_sweeps_go_out_at_their_time_and_are_dated_so(swept: tuple[Epoch, ...]) -> None:
+    bus = FakeBus(_START_NS)
+    feed._feed_pass(swept, bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    fed = sweeps_of(bus)
+    assert [sweep.time_ns - _START_NS for _, sweep in fed] == [k * SWEEP_NS for k in (3, 4, 5)]
+    assert all(abs(at - sweep.time_ns) <= 1_000_000 for at, sweep in fed)
+    assert [float(sweep.points_m[0, 0]) for _, sweep in fed] == [3.0, 4.0, 5.0]
+
+
+def test_on_the_way_back_a_sweep_turns_the_other_way(swept: tuple[Epoch, ...]) -> None:
+    back = reversed_drive(swept)
+    bus = FakeBus(_START_NS)
+    feed._feed_pass(back, bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    fed = sweeps_of(bus)
+    span_ns = swept[-1].time_ns - swept[0].time_ns
+    # A turn from 0.4 to 0.5 s is one from span − 0.5 to span − 0.4 s, but for the nanosecond of the first point.
+    ends = [span_ns - 4 * SWEEP_NS - 1, span_ns - 3 * SWEEP_NS - 1]
+    assert [sweep.time_ns - _START_NS for _, sweep in fed] == ends
+    assert all(abs(at - sweep.time_ns) <= 1_000_000 for at, sweep in fed)
+    first = fed[0][1]
+    assert first.points_m[:, 0].tolist() == [11.0, 8.0, 5.0]
+    assert first.intensity.tolist() == [11.0, 8.0, 5.0]
+    assert first.offset_ns.tolist() == [1 - SWEEP_NS, 1 - SWEEP_NS * 3 // 4, 0]
+
+
+def test_a_damaged_sweep_costs_itself_and_one_line(
+    swept: tuple[Epoch, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = next(epoch for epoch in swept if epoch.sweeps).sweeps[0].file.path
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    bus = FakeBus(_START_NS)
+    feed._feed(passes(swept, loop=False), bus, FakeStop(bus), "drive")  # type: ignore[arg-type]
+    assert len(sweeps_of(bus)) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "sweep" in line]
+    assert f"1 sweep could not be read and left out, the first: {damaged.name}" in line
 
 
 def test_a_drive_that_cannot_be_used_is_one_line_and_code_2(

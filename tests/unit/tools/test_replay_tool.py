@@ -24,6 +24,7 @@ from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
 from camber.simulator.short_drive import write_short_drive
+from camber.simulator.sweep_files import SweepReader
 from camber.tools import demo, replay
 from camber.tools.processes import Processes
 
@@ -88,7 +89,7 @@ def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
         (Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
         (Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
     )
-    names = [name for name, _ in replay._messages(tick)]
+    names = [name for name, _ in replay._messages(tick, SweepReader())]
     assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
 
 
