@@ -1,0 +1,118 @@
+"""Recorded observation files, every value against a slow reader that follows the standard's columns."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.formats.observations import satellite_name, signal_name
+from camber.formats.rinex_reading import RinexDecoder, read_observations
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
+
+DATA = os.environ.get("CAMBER_DATA")
+FILES = (
+    "rooftop-2024-06-24/rover.obs",
+    "rooftop-2024-06-24/base.obs",
+    "fujisawa-2021-09-22/SEPT265G.21O",
+    "fujisawa-2021-09-22/3034265G.21O",
+)
+ATTRIBUTES = {"C": "pseudorange_m", "L": "carrier_phase_cycles", "D": "doppler_hz", "S": "cn0_dbhz"}
+
+
+def recording(name: str) -> Path:
+    if DATA is None:
+        pytest.skip("CAMBER_DATA is not set")
+    return Path(DATA) / name
+
+
+def slow_reader(text: str):
+    """(time ns, {(satellite, signal): {kind: (value, lli, ssi)}}) of the epochs with flag 0."""
+    lines = iter(text.splitlines())
+    types: dict[str, list[str]] = {}
+    system = ""
+    for line in lines:
+        if line[60:].startswith("SYS / # / OBS TYPES"):
+            system = line[0].strip() or system
+            types.setdefault(system, []).extend(line[7:60].split())
+        if line[60:].startswith("END OF HEADER"):
+            break
+    for head in lines:
+        assert head[0] == ">"
+        assert head[31] == "0"
+        whole, fraction = head[18:29].split(".")
+        fields = (int(head[a:b]) for a, b in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18)))
+        time_ns = gps_ns_from_gpst(CalendarTime(*fields, int(whole), int(fraction) * 100))
+        rows: dict[tuple[str, str], dict[str, tuple[float, str, str]]] = {}
+        for _ in range(int(head[32:35])):
+            line = next(lines)
+            if line[0] not in "GJEC":
+                continue
+            for k, name in enumerate(types[line[0]]):
+                cell = line[3 + 16 * k : 19 + 16 * k].ljust(16)
+                if name[0] in ATTRIBUTES and cell[:14].strip() and float(cell[:14]) != 0.0:
+                    rows.setdefault((line[:3], name[1:]), {})[name[0]] = (
+                        float(cell[:14]),
+                        cell[14].strip(),
+                        cell[15],
+                    )
+        yield time_ns, rows
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_every_value_of_a_recording_is_the_one_that_a_plain_reader_reads(name):
+    path = recording(name)
+    read = read_observations(path)
+    assert read.problem_count == 0
+    expected = list(slow_reader(path.read_text("latin-1")))
+    assert [e.time_ns for e in read.epochs] == [time_ns for time_ns, _ in expected]
+    values = 0
+    for epoch, (_, rows) in zip(read.epochs, expected, strict=True):
+        keys = [
+            (satellite_name(s), signal_name(f)) for s, f in zip(epoch.satellite, epoch.signal, strict=True)
+        ]
+        assert sorted(keys) == sorted(rows)
+        for k, key in enumerate(keys):
+            row = rows[key]
+            for kind, attribute in ATTRIBUTES.items():
+                value = getattr(epoch, attribute)[k]
+                if kind in row:
+                    assert value == row[kind][0]
+                    values += 1
+                else:
+                    assert np.isnan(value)
+            lock = int(row["L"][1] or "0") if "L" in row else 0
+            assert (epoch.loss_of_lock[k], epoch.half_cycle[k]) == (lock & 1 == 1, lock & 2 == 2)
+    assert values > 50_000
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_header_of_a_recording(name):
+    header = read_observations(recording(name)).header
+    assert header.version == 3.04
+    assert header.time_system == "GPS"
+    assert header.delta_hen_m == (0.0, 0.0, 0.0)
+    assert header.position_ecef_m is not None
+    assert np.linalg.norm(header.position_ecef_m) == pytest.approx(6.371e6, rel=2e-3)
+    if name == FILES[0]:
+        assert header.receiver == "SEPT MOSAIC-X5"
+        assert header.interval_s == 1.0
+        assert header.leap_seconds == 18
+        assert header.signals["C"] == ("2I", "7I", "6I")
+        assert header.signals["G"] == ("1C", "2W", "2L", "5Q")
+        assert header.signals["R"] == ()
+
+
+def test_satellites_of_systems_that_are_not_read_are_counted():
+    assert dict(read_observations(recording(FILES[0])).skipped) == {"R": 2408}
+
+
+def test_a_recording_that_comes_epoch_by_epoch_gives_each_with_its_last_byte():
+    data = recording(FILES[0]).read_bytes()
+    begin = data.index(b"\n>") + 1
+    pieces = [b">" + part for part in data[begin:].split(b">")[1:]]
+    decoder = RinexDecoder("rover.obs")
+    assert decoder.feed(data[:begin]) == []
+    for piece in pieces[:20]:
+        assert decoder.feed(piece[:-1]) == []
+        assert len(decoder.feed(piece[-1:])) == 1
