@@ -12,7 +12,7 @@ import warnings
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, cast
 
 from camber.formats.errors import FormatError
 
@@ -30,7 +30,7 @@ def rinex_pieces(path: Path) -> Iterator[bytes]:
         file.seek(0)
         if head.startswith(_GZIP):
             with gzip.open(file) as inner:
-                yield from _pieces(inner, path.name)
+                yield from _pieces(cast(IO[bytes], inner), path.name)
         else:
             yield from _pieces(file, path.name)
 
@@ -50,7 +50,7 @@ def _pieces(file: IO[bytes], name: str) -> Iterator[bytes]:
 
 def _decompressed(data: bytes, name: str) -> Iterator[bytes]:
     try:
-        import hatanaka
+        import hatanaka  # type: ignore[import-untyped]
     except ImportError as error:
         raise FormatError(
             name, "Hatanaka compression", "the package hatanaka to read it: pip install 'camber[engine]'"

@@ -272,10 +272,19 @@ class HeaderReader:
         return value if value is not None and value > 0.0 else None
 
     def _leap_seconds(self) -> int | None:
-        text = self._values.get("LEAP SECONDS", "")[:6].strip()
-        if text and not _is_count(text):
+        text = self._values.get("LEAP SECONDS", "")
+        seconds = leap_seconds_from_text(text)
+        if text.strip() and seconds is None:
             self._fault("LEAP SECONDS", "a number", text)
-        return int(text) if _is_count(text) else None
+        return seconds
+
+
+def leap_seconds_from_text(text: str) -> int | None:
+    """GPS time less UTC, of the first 60 columns of `LEAP SECONDS`; BeiDou's are counted since 2006."""
+    seconds = text[:6].strip()
+    if not _is_count(seconds):
+        return None
+    return int(seconds) + (14 if text[24:27] == "BDS" else 0)
 
 
 _FIELDS = {

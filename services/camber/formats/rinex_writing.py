@@ -8,12 +8,13 @@ cycle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, signal_name
+from camber.formats.observations import Ephemeris, Floats, ObservationEpoch, satellite_name, signal_name
 from camber.geodesy.gps_time import (
     NS_PER_SECOND,
     NS_PER_WEEK,
@@ -72,7 +73,7 @@ def _slots(epochs: Sequence[ObservationEpoch]) -> dict[str, list[int]]:
 def _epoch_text(
     epoch: ObservationEpoch, slot_of: dict[tuple[int, int], int], blanks: dict[int, list[str]]
 ) -> str:
-    strength = np.clip(np.nan_to_num(epoch.cn0_dbhz) // 6.0, 1, 9).astype(np.int64).tolist()
+    strength = _strength(epoch.cn0_dbhz)
     flags = (epoch.loss_of_lock + 2 * epoch.half_cycle).tolist()
     rows: dict[int, list[str]] = {}
     columns = zip(
@@ -101,6 +102,12 @@ def _epoch_text(
     head = f"> {c.year:4d} {c.month:02d} {c.day:02d} {c.hour:02d} {c.minute:02d} {_seconds(c, 7)}  0{len(rows):3d}\n"
     body = [f"{satellite_name(s)}{''.join(row).rstrip()}\n" for s, row in rows.items()]
     return head + "".join(body)
+
+
+def _strength(cn0_dbhz: Floats) -> list[int | str]:
+    """The digits that stand for C/N0, a blank where it is not known."""
+    levels = np.clip(np.nan_to_num(cn0_dbhz) // 6.0, 1, 9).astype(np.int64).tolist()
+    return [level if known else " " for level, known in zip(levels, np.isfinite(cn0_dbhz), strict=True)]
 
 
 def _seconds(c: CalendarTime, decimals: int) -> str:
@@ -200,7 +207,9 @@ def _ephemeris_text(e: Ephemeris) -> str:
         seventh: tuple[float, ...] = (sent_s, fit if system == "G" else float(fit > 2.0))
     elif system == "E":
         fifth = (e.inclination_rate_rad_s, o["data_sources"], float(week), 0.0)
-        sixth = (e.accuracy_m, float(e.health), o["bgd_e5a_s"], o["bgd_e5b_s"])
+        # −1: no accuracy is predicted (table A8).
+        accuracy_m = -1.0 if math.isnan(e.accuracy_m) else e.accuracy_m
+        sixth = (accuracy_m, float(e.health), o["bgd_e5a_s"], o["bgd_e5b_s"])
         seventh = (sent_s,)
     elif system == "C":
         fifth = (e.inclination_rate_rad_s, 0.0, float(week), 0.0)
@@ -227,5 +236,7 @@ def _ephemeris_text(e: Ephemeris) -> str:
 
 
 def _number(value: float) -> str:
-    """D19.12; a negative zero would be a difference that is none."""
+    """D19.12, blanks for what is not known; a negative zero would be a difference that is none."""
+    if math.isnan(value):
+        return " " * 19
     return f"{value + 0.0:19.12E}"
