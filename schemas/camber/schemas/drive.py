@@ -101,13 +101,20 @@ class ReceiverFile(Model):
     utc_date: date | None = Field(
         default=None, description="UTC date of the first NMEA position, if the file has none"
     )
+    arrivals: File | None = Field(
+        default=None, description="CSV file that says when each part of file arrived, as in docs/drive.md"
+    )
 
 
 class RawObservations(Model):
-    """Raw observations for Camber's own engine."""
+    """Raw observations for Camber's own engine; each file may be packed with gzip."""
 
     rover_obs: File = Field(description="observations of the vehicle's antenna (RINEX, UBX or RTCM 3)")
+    rover_arrivals: File | None = Field(
+        default=None, description="CSV file that says when each part of rover_obs arrived"
+    )
     base_obs: File = Field(description="observations of the base station")
+    base_arrivals: File | None = Field(default=None, description="the same for base_obs")
     ephemerides: Annotated[tuple[File, ...], Field(strict=False, min_length=1)] = Field(
         description="files of broadcast ephemerides"
     )
@@ -340,8 +347,8 @@ class DriveManifest(Model):
             self.surrogates.antenna_height_m is None and self.antenna_height.height_m is None
         )
         tests = {
-            "receiver: expected exactly one of the tables receiver and observations": (
-                (self.receiver is None) == (self.observations is None)
+            "receiver: expected a table receiver, a table observations or both": (
+                self.receiver is None and self.observations is None
             ),
             "surrogates.inputs is not empty, expected a table truth to make them from": bool(
                 inputs and self.truth is None

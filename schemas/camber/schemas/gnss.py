@@ -29,12 +29,18 @@ from camber.schemas.base import (
 
 Known = Literal["yes", "no", "unknown"]
 Quality = Literal["fixed", "float", "dgps", "single", "ppp", "sbas", "estimated", "none"]
-Protocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed"]
+Protocol = Literal["pos", "nmea", "ubx", "rtcm", "rinex", "mixed"]
+"""`mixed`: frames and sentences of several protocols, one after another."""
+Stream = Literal["rover", "base", "ephemerides"]
 
 
 class ReceiverBytes(Message):
-    """What a receiver or its file gave, byte for byte; `time_ns` is when it was received."""
+    """What a receiver or its file gave, byte for byte; `time_ns` is when it was received.
 
+    Each stream of one protocol is a stream of bytes of its own. `ephemerides` are whole files, one after another.
+    """
+
+    stream: Stream = "rover"
     protocol: Protocol
     payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
 

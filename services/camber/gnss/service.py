@@ -31,6 +31,7 @@ class GnssService(Service[GnssSettings]):
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         self._decoders: dict[str, PosDecoder | NmeaDecoder] = {}
+        self._left_out: set[str] = set()
         self._last_ns: int | None = None
         self._stream: ByteStream | None = None
         self._failures = self._lost_bytes = 0
@@ -71,19 +72,23 @@ class GnssService(Service[GnssSettings]):
             self._stream.close()
 
     def _hear(self, received: ReceiverBytes) -> None:
-        self._feed(received.protocol, received.payload.tobytes())
+        if received.stream == "rover" and received.protocol in ("pos", "nmea"):
+            self._feed(received.protocol, received.payload.tobytes())
+        else:
+            self._leave_out(f"{received.stream}.{received.protocol}")
+
+    def _leave_out(self, what: str) -> None:
+        """Counted; said once."""
+        if what not in self._left_out:
+            self._left_out.add(what)
+            self.bus.issue("stream_not_used", f"{what}: expected rover.pos or rover.nmea")
+        self.bus.count(f"not_used.{what}")
 
     def _feed(self, protocol: str, data: bytes) -> None:
         decoder = self._decoders.get(protocol)
         if decoder is None:
-            name = self.settings.source
-            if protocol == "pos":
-                decoder = PosDecoder(name)
-            elif protocol == "nmea":
-                decoder = NmeaDecoder(name, utc_date=self.settings.nmea_date)
-            else:
-                self.bus.issue("protocol_unknown", f"{protocol}: expected pos or nmea")
-                return
+            name, date = self.settings.source, self.settings.nmea_date
+            decoder = PosDecoder(name) if protocol == "pos" else NmeaDecoder(name, utc_date=date)
             self._decoders[protocol] = decoder
         for item in decoder.feed(data):
             if isinstance(item, FormatError):

@@ -1,8 +1,9 @@
 """A drive, ready to be fed to the services: what arrived when, the map, the truth.
 
 Nothing is repaired. Late and repeated epochs arrive where they stand in their file; the time at which something
-arrives is the running maximum of the times measured, and the ticks of a replay are the distinct times of arrival.
-What arrives from the receiver at one tick is one message, byte for byte. Sweeps are not read before their tick.
+arrives is what its recorder noted down, or else the running maximum of the times measured; the ticks of a replay are
+the distinct times of arrival. What arrives from one stream of a receiver at one tick is one message, byte for byte.
+Sweeps are not read before their tick.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from camber.schemas.drive import (
     ManifestError,
     Surrogates,
 )
-from camber.schemas.gnss import Protocol, ReceiverBytes
+from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.motion import Motion, Ranging, Suspension
-from camber.simulator.receiver_file import TimedBytes, read_receiver_file, receive_times
+from camber.simulator.receiver_file import receive_times
+from camber.simulator.receiver_streams import read_streams, whole_files
 from camber.simulator.surrogate_map import make_map
 from camber.simulator.surrogates import make_initial_pose, make_motion
 from camber.simulator.sweep_files import SweepFile, sweep_files
@@ -63,12 +65,14 @@ class Tick:
 class DriveInputs:
     """One drive in the order of arrival. `map_release` is a folder; None: the drive has none.
 
-    `notes` are lines on what of the drive was left out.
+    `greeting` is what a receiver's streams say to whoever connects later: headers, ephemerides. `notes` are lines on
+    what of the drive was left out.
     """
 
     manifest: DriveManifest
     tick_times_ns: tuple[int, ...]
     receiver: tuple[Arrival[ReceiverBytes], ...]
+    greeting: tuple[ReceiverBytes, ...]
     motion: tuple[Arrival[Motion], ...]
     suspension: tuple[Arrival[Suspension], ...]
     ranging: tuple[Arrival[Ranging], ...]
@@ -92,17 +96,19 @@ class DriveInputs:
 
     def ticks(self) -> Iterator[Tick]:
         """The drive, tick by tick."""
-        columns = [
-            _by_time(arrivals) for arrivals in (self.receiver, self.motion, self.suspension, self.ranging)
-        ]
+        receiver, motion = _by_time(self.receiver), _by_time(self.motion)
+        suspension, ranging = _by_time(self.suspension), _by_time(self.ranging)
         sweeps: dict[int, list[SweepFile]] = {}
         for file in self.sweeps:
             sweeps.setdefault(file.time_ns, []).append(file)
         for time_ns in self.tick_times_ns:
             yield Tick(
                 time_ns,
-                *(tuple(column.get(time_ns, ())) for column in columns),
-                sweeps=tuple(sweeps.get(time_ns, ())),
+                tuple(receiver.get(time_ns, ())),
+                tuple(motion.get(time_ns, ())),
+                tuple(suspension.get(time_ns, ())),
+                tuple(ranging.get(time_ns, ())),
+                tuple(sweeps.get(time_ns, ())),
             )
 
 
@@ -111,14 +117,10 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
 
     Raises ManifestError or FormatError, one line each, OSError where a file cannot be read or written.
     """
-    if manifest.receiver is None:
-        raise ManifestError(f"{manifest.name}: observations are not replayed yet, expected a table receiver")
     truth = None if manifest.truth is None else read_truth(manifest.truth.file, manifest.truth.format)
     if truth is not None and len(truth) == 0:
         raise ManifestError(f"{manifest.name}: truth.file has no epochs, expected at least one")
     errors = manifest.surrogates
-    preamble, epochs = read_receiver_file(manifest.receiver)
-    receiver = _receiver(manifest.receiver.format, epochs)
     motion = [] if manifest.motion is None else read_motion(manifest.motion.file)
     if truth is not None and MOTION_SURROGATES & set(errors.inputs):
         motion = make_motion(truth, errors)
@@ -126,23 +128,31 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
     suspension = _arrivals([] if manifest.suspension is None else read_suspension(manifest.suspension.file))
     ranging = _arrivals([] if manifest.ranging is None else read_ranging(manifest.ranging.file))
     sweeps, notes = ([], []) if manifest.sweeps is None else sweep_files(manifest.sweeps.folder)
+    # RTCM does not say its week; whatever else there is does.
+    dated = [
+        *(sample.time_ns for sample in motion[:1]),
+        *([] if truth is None else truth.time_ns[:1].tolist()),
+    ]
+    streams = read_streams(manifest, dated[0] if dated else None)
     first_ns, last_ns = _period(
         manifest,
         [
-            *(
-                (column[0].receive_time_ns, column[-1].receive_time_ns)
-                for column in (receiver, moved, suspension, ranging)
-                if column
-            ),
-            *((column[0].time_ns, column[-1].time_ns) for column in (sweeps,) if column),
+            # A base station's file may begin and end long before and after the drive.
+            *((s.parts[0].time_ns, s.parts[-1].time_ns) for s in streams if s.stream == "rover"),
+            *((c[0].receive_time_ns, c[-1].receive_time_ns) for c in (moved, suspension, ranging) if c),
+            *((sweeps[0].time_ns, sweeps[-1].time_ns) for _ in sweeps[:1]),
         ],
     )
-    receiver = _starting_with(preamble, receiver, first_ns, last_ns)
     moved, suspension, ranging = (
         _within(moved, first_ns, last_ns),
         _within(suspension, first_ns, last_ns),
         _within(ranging, first_ns, last_ns),
     )
+    receiver = [
+        Arrival(message.time_ns, message)
+        for stream in streams
+        for message in stream.messages(first_ns, last_ns)
+    ]
     swept = tuple(file for file in sweeps if first_ns <= file.time_ns <= last_ns)
     times = {a.receive_time_ns for column in (receiver, moved, suspension, ranging) for a in column}
     times |= {file.time_ns for file in swept}
@@ -151,10 +161,14 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
             f"{manifest.name}: nothing lies between start_s and end_s, expected a part of the drive"
         )
     tick_times_ns = tuple(sorted(times))
+    whole = whole_files(manifest, tick_times_ns[0])
+    receiver = [Arrival(message.time_ns, message) for message in whole] + receiver
+    receiver.sort(key=lambda arrival: arrival.receive_time_ns)
     return DriveInputs(
         manifest,
         tick_times_ns,
-        receiver,
+        tuple(receiver),
+        (*whole, *(said for stream in streams for said in stream.greeting(tick_times_ns[0]))),
         moved,
         suspension,
         ranging,
@@ -163,35 +177,6 @@ def prepare_drive(manifest: DriveManifest, work_folder: Path) -> DriveInputs:
         truth,
         _initial_pose(manifest, truth, tick_times_ns[0]),
         tuple(notes),
-    )
-
-
-def _receiver(protocol: Protocol, epochs: Sequence[TimedBytes]) -> tuple[Arrival[ReceiverBytes], ...]:
-    """One message a time of arrival: what came then, in the file's order."""
-    together: dict[int, list[bytes]] = {}
-    for at_ns, epoch in zip(receive_times([epoch.time_ns for epoch in epochs]), epochs, strict=True):
-        together.setdefault(at_ns, []).append(epoch.payload)
-    return tuple(
-        Arrival(at_ns, _receiver_bytes(at_ns, protocol, b"".join(parts))) for at_ns, parts in together.items()
-    )
-
-
-def _receiver_bytes(time_ns: int, protocol: Protocol, payload: bytes) -> ReceiverBytes:
-    return ReceiverBytes(time_ns=time_ns, protocol=protocol, payload=np.frombuffer(payload, np.uint8))
-
-
-def _starting_with(
-    preamble: bytes, receiver: tuple[Arrival[ReceiverBytes], ...], first_ns: int, last_ns: int
-) -> tuple[Arrival[ReceiverBytes], ...]:
-    """The part of a period. What the file says before its first epoch, its header, comes with the part's first."""
-    kept = _within(receiver, first_ns, last_ns)
-    if not kept or not preamble:
-        return kept
-    head = kept[0].message
-    payload = preamble + head.payload.tobytes()
-    return (
-        Arrival(kept[0].receive_time_ns, _receiver_bytes(head.time_ns, head.protocol, payload)),
-        *kept[1:],
     )
 
 

@@ -28,13 +28,8 @@ vehicle = "{body.name}"
 simulated = true
 datum = "WGS84"
 ''',
-        """\
-# Raw observations stand beside it, for an engine of one's own:
-# [observations] rover_obs = "rover.obs", base_obs = "base.obs", ephemerides = ["brdc.nav"]
-[receiver]
-format = "pos"
-file = "receiver.pos"
-""",
+        '[receiver]\nformat = "pos"\nfile = "receiver.pos"\n',
+        '[observations]\nrover_obs = "rover.obs"\nbase_obs = "base.obs"\nephemerides = ["brdc.nav"]\n',
         '[motion]\nfile = "motion.csv"\n',
         '[suspension]\nfile = "suspension.csv"\n' if body.suspension is not None else "",
         '[ranging]\nfile = "ranging.csv"\n',

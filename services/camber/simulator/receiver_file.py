@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder
 from camber.geodesy.gps_time import NS_PER_DAY, NS_PER_SECOND, utc_from_gps_ns
 from camber.schemas.drive import ReceiverFile
+from camber.simulator.arrivals import TimedBytes
 
 _NMEA_TIME = re.compile(rb"^\$..(?:GGA|RMC|GST|GNS),(\d\d)(\d\d)(\d\d)(?:\.(\d{1,9}))?,")
 
@@ -21,14 +21,6 @@ _AROUND = 3  # epochs before and after, of which most must be sound
 _AHEAD_NS = (
     60 * NS_PER_SECOND
 )  # a recording may have gaps; a clock that is wrong is wrong by more than the few around
-
-
-@dataclass(frozen=True, slots=True)
-class TimedBytes:
-    """Bytes and the GPS time of measurement that they carry."""
-
-    time_ns: int
-    payload: bytes
 
 
 def read_receiver_file(receiver: ReceiverFile) -> tuple[bytes, list[TimedBytes]]:

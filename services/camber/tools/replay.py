@@ -12,12 +12,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import takewhile
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from camber.formats.errors import FormatError
@@ -164,10 +162,10 @@ def _feed(
                 time.sleep(max(due - time.monotonic(), 0.0))
             while kills and tick.time_ns >= first_ns + round(kills[-1].at_s * 1e9):
                 processes.kill(kills.pop().service)
+            for message in greeting.now(tick.time_ns, feeder.participants):
+                feeder.publish("receiver_bytes", message)
             for name, message in _messages(tick, sweeps):
-                feeder.publish(
-                    name, greeting.before(message, feeder) if name == "receiver_bytes" else message
-                )
+                feeder.publish(name, message)
             feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
             if tick.time_ns - written_ns >= 2 * _RECORD_LAG_NS:
                 written_ns = tick.time_ns - _RECORD_LAG_NS
@@ -177,20 +175,18 @@ def _feed(
 
 
 class _Greeting:
-    """A receiver says the header of its `.pos` stream to whoever connects: a gnss that returns must hear it again."""
+    """A receiver tells whoever connects the header of its stream: a gnss that returns must hear it again."""
 
     def __init__(self, inputs: DriveInputs) -> None:
-        first = b"".join(arrival.message.payload.tobytes() for arrival in inputs.receiver[:1])
-        header = takewhile(lambda line: line.startswith(b"%"), first.splitlines(keepends=True))
-        self._header = np.frombuffer(b"".join(header), np.uint8)
+        self._said = inputs.greeting
         self._connected = True
 
-    def before(self, message: ReceiverBytes, feeder: Feeder) -> ReceiverBytes:
-        """The message, with the header in front where gnss has just come back."""
-        was_connected, self._connected = self._connected, "gnss" in feeder.participants
-        if was_connected or not self._connected or not self._header.size:
-            return message
-        return message.model_copy(update={"payload": np.concatenate((self._header, message.payload))})
+    def now(self, time_ns: int, participants: frozenset[str]) -> Iterator[ReceiverBytes]:
+        """What is said before all else where gnss has just come back."""
+        was_connected, self._connected = self._connected, "gnss" in participants
+        if self._connected and not was_connected:
+            for message in self._said:
+                yield message.model_copy(update={"time_ns": time_ns})
 
 
 def _messages(tick: Tick, sweeps: SweepReader) -> Iterator[tuple[str, Any]]:

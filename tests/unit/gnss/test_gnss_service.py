@@ -39,6 +39,7 @@ class FakeBus:
         self.time_ns = START_NS + 3600 * NS
         self.fixes: list[Fix] = []
         self.issues: list[tuple[str, str]] = []
+        self.counters: Counter[str] = Counter()
 
     def now_ns(self) -> int:
         return self.time_ns
@@ -50,6 +51,9 @@ class FakeBus:
 
     def issue(self, code: str, text: str) -> None:
         self.issues.append((code, text))
+
+    def count(self, name: str) -> None:
+        self.counters[name] += 1
 
     def wake(self) -> None:
         pass
@@ -230,11 +234,20 @@ def test_quality_words_come_through_the_pos_format(quality: SolutionQuality) -> 
     assert bus.fixes[0].quality == words[int(quality)]
 
 
-@pytest.mark.parametrize("protocol", ["ubx", "rtcm", "mixed"])
-def test_a_protocol_that_is_not_read_yet_is_named(protocol: str) -> None:
+@pytest.mark.parametrize(
+    ("stream", "protocol"),
+    [("rover", "ubx"), ("rover", "rinex"), ("rover", "mixed"), ("base", "rtcm"), ("base", "nmea")],
+)
+def test_a_stream_that_is_not_used_is_named_once_and_counted(stream: Any, protocol: Any) -> None:
     service, bus = make()
-    hear(service, b"\xb5\x62", protocol)
-    assert bus.issues == [("protocol_unknown", f"{protocol}: expected pos or nmea")]
+    payload = np.frombuffer(b"\xb5\x62", np.uint8)
+    message = ReceiverBytes(time_ns=START_NS, stream=stream, protocol=protocol, payload=payload)
+    for _ in range(3):
+        service.handlers()["receiver_bytes"](message)
+    assert bus.issues == [("stream_not_used", f"{stream}.{protocol}: expected rover.pos or rover.nmea")]
+    assert bus.counters == {f"not_used.{stream}.{protocol}": 3}
+    hear(service, pos(0))
+    assert len(bus.fixes) == 1
 
 
 def test_a_receivers_own_solution_has_no_other_estimates() -> None:

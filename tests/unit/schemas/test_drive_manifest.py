@@ -145,12 +145,14 @@ def test_a_missing_table_is_named(folder: Path) -> None:
                                                   .replace("height_m = 1.8\nsigma_m = 0.02", ""))  # fmt: skip
 
 
-def test_receiver_and_raw_observations_exclude_one_another(folder: Path) -> None:
-    raw = (
-        TEXT
-        + '\n[observations]\nrover_obs = "rover.pos"\nbase_obs = "rover.pos"\nephemerides = ["rover.pos"]\n'
+def test_a_receiver_raw_observations_or_both_are_needed(folder: Path) -> None:
+    raw = '\n[observations]\nrover_obs = "rover.pos"\nbase_obs = "rover.pos"\nephemerides = ["rover.pos"]\n'
+    both = load(folder, TEXT + raw)
+    assert both.receiver is not None
+    assert both.observations is not None
+    assert "expected a table receiver, a table observations or both" in refusal(
+        folder, TEXT.replace("[receiver]", "[motion]").replace('format = "pos"\n', "")
     )
-    assert "exactly one of the tables receiver and observations" in refusal(folder, raw)
 
 
 def test_surrogates_need_a_truth(folder: Path) -> None:

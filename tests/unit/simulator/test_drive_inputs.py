@@ -1,5 +1,6 @@
 """A drive comes as its files have it: in their order, late and repeated epochs too, byte for byte."""
 
+import gzip
 import os
 from pathlib import Path
 
@@ -11,14 +12,18 @@ from camber.formats.map_release import read_release
 from camber.formats.nmea import format_gga, format_gst, format_rmc
 from camber.formats.pcd import PointCloud, write_pcd
 from camber.formats.receiver_solution import ReceiverSolution
+from camber.formats.rinex_writing import StationHeader, observation_text
 from camber.formats.rtklib_pos import PosDecoder, read_pos
 from camber.formats.truth_csv import TruthTable, read_truth
-from camber.schemas.drive import DriveManifest, ManifestError, ReceiverFile, load_manifest
-from camber.simulator.drive_inputs import DriveInputs, prepare_drive
+from camber.schemas.drive import DriveManifest, ReceiverFile, load_manifest
+from camber.schemas.gnss import ReceiverBytes
+from camber.simulator.drive_inputs import Arrival, DriveInputs, prepare_drive
 from camber.simulator.receiver_file import read_receiver_file, receive_times
 from camber.simulator.short_drive import START_NS, write_short_drive
 from camber.simulator.sweep_files import SweepReader
 from camber.simulator.truth import interpolate_truth, plane_of
+from camber.tools.replay import _Greeting
+from support.random_observations import random_epoch
 
 NAGOYA = Path(__file__).parents[2] / "replay" / "nagoya.toml"
 STEP_NS = 200_000_000
@@ -218,10 +223,115 @@ def test_sweeps_that_are_damaged_or_gone_cost_themselves_and_one_line(tmp_path: 
     assert line.startswith(f"2 sweeps could not be read and left out, the first: {first.path.name}:1: header")
 
 
-def test_raw_observations_are_refused_until_they_can_be_replayed(drive: Path, tmp_path: Path) -> None:
-    manifest = load_manifest(drive).model_copy(update={"receiver": None})
-    with pytest.raises(ManifestError, match="not replayed yet"):
-        prepare_drive(manifest, tmp_path)
+def raw(folder: Path, *, receiver: bool = True) -> Path:
+    """The short drive with raw observations at its first ten epochs, and a base that began earlier."""
+    manifest = write_short_drive(folder)
+    rng = np.random.default_rng(3)
+    times = [START_NS + k * STEP_NS for k in range(10)]
+    for name, first in (("rover", times), ("base", [START_NS - 10**9, *times])):
+        station = StationHeader(name, (-3_850_000.0, 3_430_000.0, 3_740_000.0))
+        text = observation_text([random_epoch(rng, t, satellites=4) for t in first], station)
+        (folder / f"{name}.obs.gz").write_bytes(gzip.compress(text.encode("ascii")))
+    (folder / "brdc.nav").write_text(
+        "     3.04           N: GNSS NAV DATA".ljust(60) + "RINEX VERSION / TYPE\n" * 4000
+    )
+    table = (
+        '\n[observations]\nrover_obs = "rover.obs.gz"\nbase_obs = "base.obs.gz"\nephemerides = ["brdc.nav"]\n'
+    )
+    text = manifest.read_text() + table
+    if not receiver:
+        text = text.replace('[receiver]\nformat = "pos"\nfile = "receiver.pos"\n', "")
+    manifest.write_text(text)
+    return manifest
+
+
+def said(inputs: DriveInputs, stream: str, protocol: str = "rinex") -> list[Arrival[ReceiverBytes]]:
+    return [a for a in inputs.receiver if (a.message.stream, a.message.protocol) == (stream, protocol)]
+
+
+def joined(arrivals: list[Arrival[ReceiverBytes]]) -> bytes:
+    return b"".join(arrival.message.payload.tobytes() for arrival in arrivals)
+
+
+@pytest.mark.parametrize("receiver", [True, False])
+def test_raw_observations_come_epoch_by_epoch_beside_the_receivers_own_solutions(
+    tmp_path: Path, receiver: bool
+) -> None:
+    inputs = prepare_drive(load_manifest(raw(tmp_path / "d", receiver=receiver)), tmp_path)
+    rover, base = said(inputs, "rover"), said(inputs, "base")
+    assert joined(rover) == gzip.decompress((tmp_path / "d" / "rover.obs.gz").read_bytes())
+    assert [a.receive_time_ns for a in rover] == [START_NS + k * STEP_NS for k in range(10)]
+    # What the base said before the drive began is not heard, but for its header.
+    assert [a.receive_time_ns for a in base] == [a.receive_time_ns for a in rover]
+    assert joined(base).startswith(b"     3.04           OBSERVATION DATA")
+    assert bool(said(inputs, "rover", "pos")) == receiver
+    first = next(inputs.ticks())
+    order = [(m.stream, m.protocol) for m in first.receiver]
+    whole = [("ephemerides", "rinex")] * 2
+    assert order == [*whole, ("base", "rinex"), ("rover", "rinex"), *([("rover", "pos")] if receiver else [])]
+    assert all(len(m.payload) <= 64_000 for m in first.receiver[:2])
+    assert joined(said(inputs, "ephemerides")) == (tmp_path / "d" / "brdc.nav").read_bytes()
+
+
+def test_who_connects_later_is_told_headers_and_ephemerides(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(raw(tmp_path / "d")), tmp_path)
+    told = {(m.stream, m.protocol): m.payload.tobytes() for m in inputs.greeting}
+    assert set(told) == {
+        ("ephemerides", "rinex"), ("base", "rinex"), ("rover", "rinex"), ("rover", "pos")
+    }  # fmt: skip
+    assert told["rover", "rinex"].splitlines()[-1].rstrip().endswith(b"END OF HEADER")
+    assert told["rover", "pos"].startswith(b"%")
+    greeting = _Greeting(inputs)
+    everybody, nobody = frozenset({"gnss"}), frozenset[str]()
+    assert list(greeting.now(START_NS, everybody)) == []
+    assert list(greeting.now(START_NS, nobody)) == []
+    again = list(greeting.now(START_NS + 7, everybody))
+    assert [m.payload.tobytes() for m in again] == [m.payload.tobytes() for m in inputs.greeting]
+    assert {m.time_ns for m in again} == {START_NS + 7}
+    assert list(greeting.now(START_NS + 8, everybody)) == []
+
+
+def noted(folder: Path, rows: list[str]) -> DriveManifest:
+    """The short drive, whose receiver's file has arrivals noted down."""
+    manifest = write_short_drive(folder)
+    (folder / "arrivals.csv").write_text("arrival_time_ns,end_byte\n" + "".join(f"{row}\n" for row in rows))
+    text = manifest.read_text()
+    manifest.write_text(
+        text.replace('file = "receiver.pos"\n', 'file = "receiver.pos"\narrivals = "arrivals.csv"\n')
+    )
+    return load_manifest(manifest)
+
+
+def test_bytes_arrive_when_their_recorder_noted_them_down(drive: Path, tmp_path: Path) -> None:
+    data = (drive.parent / "receiver.pos").read_bytes()
+    header = len(b"".join(line for line in lines_of(drive) if line.startswith(b"%")))
+    ends = [10, header + 5, header + 700, len(data)]
+    rows = [f"{START_NS + 40 * k},{end}" for k, end in enumerate(ends)]
+    inputs = prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+    arrived = [(a.receive_time_ns - START_NS, len(a.message.payload)) for a in inputs.receiver]
+    assert arrived == [(40, header + 5), (80, 695), (120, len(data) - ends[2])]
+    assert payload(inputs) == data
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (["x,5"], "arrivals.csv:2: row is 'x,5', expected two whole numbers"),
+        ([f"{START_NS},5,6"], "arrivals.csv:2: row is"),
+        ([f"{START_NS},50", f"{START_NS - 1},60"], "arrivals.csv:3: arrival_time_ns is"),
+        (["5,50"], "arrivals.csv:2: arrival_time_ns is '5,50', expected a GPS time in ns"),
+        ([f"{START_NS},50", f"{START_NS},50"], "arrivals.csv:3: end_byte is"),
+        ([f"{START_NS},5000000"], "arrivals.csv:2: end_byte is"),
+        ([f"{START_NS},50"], "arrivals.csv: end_byte is '50', expected the file's"),
+        ([], "arrivals.csv: end_byte is '0', expected the file's"),
+    ],
+)
+def test_arrivals_that_do_not_fit_the_file_are_one_line(
+    tmp_path: Path, rows: list[str], expected: str
+) -> None:
+    with pytest.raises(FormatError) as caught:
+        prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+    assert str(caught.value).startswith(expected)
 
 
 def test_a_surrogate_map_is_written_and_says_how_it_was_made(drive: Path, tmp_path: Path) -> None:
