@@ -65,7 +65,11 @@ class Observations(Message):
 
 
 class ReceiverIntegrity(Message):
-    """What the receiver says of its own integrity, carried as it is and never mixed with ours."""
+    """What the receiver says of its own integrity, carried as it is and never mixed with ours.
+
+    `integrity_risk` is the probability, per epoch and axis, that an error exceeds its protection level. RAIM has failed
+    where a satellite is named as failed, whether or not the position still uses it.
+    """
 
     horizontal_protection_level_m: Sigma | None = None
     vertical_protection_level_m: Sigma | None = None
@@ -73,6 +77,17 @@ class ReceiverIntegrity(Message):
     jamming: Literal["none", "warning", "critical", "unknown"] = "unknown"
     spoofing: Literal["none", "indicated", "affirmed", "unknown"] = "unknown"
     raim: Literal["passed", "failed", "unknown"] = "unknown"
+    fix_within_masks: Known = Field(
+        default="unknown", description="the fix keeps the receiver's own limits of dilution and accuracy"
+    )
+    authenticated: Known = Field(
+        default="unknown", description="the fix rests on authenticated navigation messages only"
+    )
+    expected_error_enu_m: Vector3 | None = Field(default=None, description="of the position, by RAIM")
+    suspect_satellite: Name | None = Field(default=None, description="most likely to have failed: `G05`")
+    suspect_bias_m: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
+    suspect_bias_sigma_m: Sigma | None = None
+    missed_detection_probability: Probability | None = None
 
 
 class Fix(Message):

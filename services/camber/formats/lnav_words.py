@@ -1,12 +1,17 @@
-"""GPS and QZSS LNAV subframes 1 to 3 as ten words with parity.
+"""GPS and QZSS LNAV subframes as ten words with parity: 1 to 3 written and read, the ionosphere read.
 
-Source: IS-GPS-200, 20.3.3 (subframes), table 20-XIV (parity); IS-QZSS-PNT, 4.1 (QZSS, alike).
+Source: IS-GPS-200, 20.3.3 (subframes), 20.3.3.5.1.7 (ionosphere), table 20-XIV (parity); IS-QZSS-PNT, 4.1 (QZSS,
+alike).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from camber.formats.bit_fields import joined
+from camber.formats.bit_layouts import BitLayout, laid_out, taken_apart
 from camber.formats.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.ionosphere_coefficients import IONOSPHERE_FIELDS
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND
 
@@ -27,7 +32,26 @@ _MASKS = tuple(
     sum(1 << 24 - bit for bit in bits) | (1 << 24 if adds_d30 else 1 << 25)
     for bits, adds_d30 in zip(_PARITY_BITS, _ADDS_D30, strict=True)
 )
-_Fields = list[tuple[int, int]]
+_BODY_BITS = 240 - 48
+BODIES: dict[int, BitLayout] = {
+    1: (
+        *("week", "codes_on_l2", "accuracy", "health", "iodc>8", "l2_p_data", 23 + 24 + 24 + 16),
+        *("tgd_s", "iodc<8", "toc_s", "af2", "af1", "af0_s"),
+    ),
+    2: (
+        *("iode", "crs_m", "mean_motion_difference_rad_s", "mean_anomaly_rad", "cuc", "eccentricity", "cus"),
+        *("sqrt_a", "toe_s", "fit"),
+    ),
+    3: (
+        *("cic", "ascending_node_rad", "cis", "inclination_rad", "crc_m", "perigee_rad"),
+        *("ascending_node_rate_rad_s", "iode", "inclination_rate_rad_s"),
+    ),
+}
+"""What follows the first two words of each subframe."""
+# The age of data offset is not used: 27900 s, binary 11111, says so.
+_NO_OFFSET = (0b11111, 5)
+# Subframe 4, page 18 (table 20-V: SV id 56), after the data id.
+_IONOSPHERE_PAGE = 56
 
 
 def lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
@@ -49,8 +73,34 @@ def lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[in
         # The count is that of the next subframe's start. No alert; anti-spoofing is on.
         *(((count + 1) % _TOW_COUNTS_PER_WEEK, 17), (0b01, 2), (subframe, 3), (0, 2)),
     ]
-    bits, width = joined([*head, *_BODIES[subframe - 1](chr(ephemeris.satellite >> 8), integers), (0, 2)])
+    body = laid_out(BODIES[subframe], FIELDS[chr(ephemeris.satellite >> 8)], integers)
+    bits, width = joined([*head, *body, *([_NO_OFFSET] if subframe == 2 else []), (0, 2)])
     return words_with_parity([bits >> width - 24 * (place + 1) & 0xFFFFFF for place in range(10)])
+
+
+def read_lnav_subframe(words: Sequence[int]) -> tuple[int, dict[str, int]]:
+    """Number and content of a subframe: parts of `FIELDS` of 1 to 3, `IONOSPHERE_FIELDS` of page 18 of 4, else none.
+
+    Words as in `lnav_subframe`; whether the receiver has inverted the parity bits too, and what it puts before the
+    data, does not matter. Raises ValueError where a parity, the preamble or the number of words is wrong.
+    """
+    if len(words) != 10:
+        raise ValueError(f"{len(words)} words, expected 10")
+    bits, before = 0, 0
+    for word in words:
+        data = word >> 6 & 0xFFFFFF
+        check = parity(data, before)
+        if word & 0b111111 not in (check, check ^ 0b111111):
+            raise ValueError(f"parity of word {word:08x} is wrong")
+        bits, before = bits << 24 | data, check & 0b11
+    if bits >> 232 != _PREAMBLE:
+        raise ValueError(f"preamble is {bits >> 232:02x}, expected {_PREAMBLE:02x}")
+    number = bits >> _BODY_BITS + 2 & 0b111
+    if number in BODIES:
+        return number, taken_apart(bits, _BODY_BITS, BODIES[number], FIELDS["G"])
+    if number == 4 and bits >> _BODY_BITS - 8 & 0b111111 == _IONOSPHERE_PAGE:
+        return number, taken_apart(bits, _BODY_BITS - 8, tuple(IONOSPHERE_FIELDS), IONOSPHERE_FIELDS)
+    return number, {}
 
 
 def parity(data: int, before: int) -> int:
@@ -76,40 +126,3 @@ def words_with_parity(data: list[int]) -> list[int]:
         words.append(as_sent ^ (0xFFFFFFFF if inverted else 0))
         before = check & 0b11
     return words
-
-
-def _clock(system: str, integers: dict[str, int]) -> _Fields:
-    fields = FIELDS[system]
-
-    def named(name: str) -> tuple[int, int]:
-        return integers[name], fields[name].width
-
-    return [
-        *(named(name) for name in ("week", "codes_on_l2", "accuracy", "health")),
-        (integers["iodc"] >> 8, 2),
-        named("l2_p_data"),
-        (0, 23 + 24 + 24 + 16),
-        named("tgd_s"),
-        (integers["iodc"] & 255, 8),
-        *(named(name) for name in ("toc_s", "af2", "af1", "af0_s")),
-    ]
-
-
-def _orbit(system: str, integers: dict[str, int]) -> _Fields:
-    names = (
-        *("iode", "crs_m", "mean_motion_difference_rad_s", "mean_anomaly_rad", "cuc", "eccentricity", "cus"),
-        *("sqrt_a", "toe_s", "fit"),
-    )
-    # The age of data offset is not used: 27900 s, binary 11111, says so.
-    return [*((integers[name], FIELDS[system][name].width) for name in names), (0b11111, 5)]
-
-
-def _plane(system: str, integers: dict[str, int]) -> _Fields:
-    names = (
-        *("cic", "ascending_node_rad", "cis", "inclination_rad", "crc_m", "perigee_rad"),
-        *("ascending_node_rate_rad_s", "iode", "inclination_rate_rad_s"),
-    )
-    return [(integers[name], FIELDS[system][name].width) for name in names]
-
-
-_BODIES = (_clock, _orbit, _plane)

@@ -1,4 +1,4 @@
-"""NMEA 0183 position streams: GGA with GST and a date, put together epoch by epoch.
+"""NMEA 0183 position streams: GGA with GST and a date, put together epoch by epoch, and GBS.
 
 A GGA sentence says neither its date nor its uncertainty nor the height above the ellipsoid in one number, so:
 
@@ -12,6 +12,8 @@ emitted, with the sentence kind that usually comes last (`last_sentence`; learne
 that ended two epochs in a row), so without delay. Until that is learned, and whenever that sentence fails to
 come, the solution is emitted with the first sentence of the next epoch: a delay of one epoch. At the end of a
 stream `finish` emits what is left. Nothing depends on a clock.
+
+A GBS sentence comes out at once, as what the receiver says of its integrity at that time.
 """
 
 from collections.abc import Iterator
@@ -21,13 +23,24 @@ from pathlib import Path
 from typing import Literal
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea_framing import Sentence, SentenceBuffer
-from camber.formats.nmea_sentences import NS_PER_HOUR, READERS, Gga, Gst, SentenceFields, UtcDate
+from camber.formats.nmea_framing import Sentence, sentence_of
+from camber.formats.nmea_sentences import NS_PER_HOUR, READERS, Gbs, Gga, Gst, SentenceFields, UtcDate
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.receiver_solution import ReceiverSolution
-from camber.geodesy.gps_time import NS_PER_DAY, NS_PER_SECOND, CalendarTime, gps_ns_from_utc
+from camber.formats.receiver_statements import ReceiverStatements
+from camber.formats.stream_frames import FrameBuffer
+from camber.geodesy.gps_time import (
+    NS_PER_DAY,
+    NS_PER_SECOND,
+    CalendarTime,
+    gps_ns_from_utc,
+    utc_from_gps_ns,
+)
+from camber.schemas.gnss import ReceiverIntegrity
 
-__all__ = ["LastSentence", "NmeaDecoder", "format_gga", "format_gst", "format_rmc", "read_nmea"]
+NmeaResult = ReceiverSolution | ReceiverIntegrity | FormatError
+
+__all__ = ["LastSentence", "NmeaDecoder", "NmeaResult", "format_gga", "format_gst", "format_rmc", "read_nmea"]
 
 LastSentence = Literal["GGA", "GST", "RMC"]
 
@@ -53,14 +66,21 @@ class NmeaDecoder:
     """
 
     def __init__(
-        self, source_name: str, *, utc_date: date | None = None, last_sentence: LastSentence | None = None
+        self,
+        source_name: str,
+        *,
+        utc_date: date | None = None,
+        last_sentence: LastSentence | None = None,
+        statements: ReceiverStatements | None = None,
     ) -> None:
         self.source_name = source_name
         self.epochs_without_position = 0
         """GGA sentences in which the receiver said that it has no position."""
         self.late_sentences = 0
         """GGA and GST sentences that came after their epoch had been emitted, and were lost."""
-        self._sentences = SentenceBuffer(source_name)
+        self._frames = FrameBuffer("nmea")
+        self._broken_bytes = 0
+        self._statements = ReceiverStatements() if statements is None else statements
         self._fixed_last = last_sentence
         self._last: str | None = last_sentence
         self._previous_last: str | None = None
@@ -71,26 +91,38 @@ class NmeaDecoder:
     @property
     def bytes_skipped(self) -> int:
         """Bytes that belong to no sentence: other protocols on the same port, and broken sentences."""
-        return self._sentences.bytes_skipped
+        return self._frames.bytes_skipped + self._broken_bytes
 
-    def feed(self, data: bytes) -> list[ReceiverSolution | FormatError]:
+    def feed(self, data: bytes) -> list[NmeaResult]:
         """What `data` completes. Never raises; keeps one partial sentence and one epoch at most."""
-        return self._handle(self._sentences.feed(data))
+        return [
+            result for frame in self._frames.feed(data) for result in self.take(frame.data, frame.byte_offset)
+        ]
 
-    def finish(self) -> list[ReceiverSolution | FormatError]:
+    def finish(self) -> list[NmeaResult]:
         """Call when the stream ended or the receiver has fallen silent: emits the epoch that is waiting."""
-        return self._handle(self._sentences.finish()) + self._close()
+        frames = self._frames.finish()
+        results = [result for frame in frames for result in self.take(frame.data, frame.byte_offset)]
+        return results + self._close()
 
-    def _handle(self, sentences: list[Sentence | FormatError]) -> list[ReceiverSolution | FormatError]:
-        results: list[ReceiverSolution | FormatError] = []
-        for sentence in sentences:
-            if isinstance(sentence, FormatError):
-                results.append(sentence)
-            elif sentence.kind in READERS and not sentence.talker.startswith("P"):
-                results += self._sentence(sentence)
-        return results
+    def take(self, text: bytes, byte_offset: int) -> list[NmeaResult]:
+        """What one sentence completes, from its `$` on without the line end, for who has found it already."""
+        sentence = sentence_of(self.source_name, text, byte_offset)
+        if isinstance(sentence, FormatError):
+            self._broken_bytes += len(text)
+            return [sentence]
+        if sentence.kind in READERS and not sentence.talker.startswith("P"):
+            return self._sentence(sentence)
+        return []
 
-    def _sentence(self, sentence: Sentence) -> list[ReceiverSolution | FormatError]:
+    def date_near(self, time_ns: int) -> None:
+        """The date from elsewhere, as GPS time, for as long as the stream has not said one."""
+        if self._day is None:
+            utc = utc_from_gps_ns(time_ns)
+            self._day = date(utc.year, utc.month, utc.day)
+            self._day_time_of_day_ns = (utc.hour * 3600 + utc.minute * 60 + utc.second) * NS_PER_SECOND
+
+    def _sentence(self, sentence: Sentence) -> list[NmeaResult]:
         fields = SentenceFields(self.source_name, sentence)
         if sentence.kind != "ZDA" and not fields.text(0):
             # Receivers send empty sentences until they know the time.
@@ -106,6 +138,8 @@ class NmeaDecoder:
                 self._day, self._day_time_of_day_ns = content.day, content.time_of_day_ns
             return []
         assert content is not None
+        if isinstance(content, Gbs):
+            return self._integrity(content, sentence.byte_offset)
         time_of_day_ns = content if isinstance(content, int) else content.time_of_day_ns
         results = self._begin(time_of_day_ns, sentence.kind)
         assert self._epoch is not None
@@ -115,7 +149,16 @@ class NmeaDecoder:
             results += self._emit(self._epoch)
         return results
 
-    def _begin(self, time_of_day_ns: int, kind: str) -> list[ReceiverSolution | FormatError]:
+    def _integrity(self, gbs: Gbs, byte_offset: int) -> list[NmeaResult]:
+        day = self._day_at(gbs.time_of_day_ns)
+        time_ns = None if day is None else _gps_ns(day, gbs.time_of_day_ns)
+        if time_ns is None:
+            expected = "a date, from an RMC or ZDA sentence before it or given, on which there is this time"
+            return [FormatError(self.source_name, "GBS date", expected, byte_offset=byte_offset)]
+        self._statements.say_fault_detection(time_ns, gbs)
+        return [*self._statements.at(time_ns)]
+
+    def _begin(self, time_of_day_ns: int, kind: str) -> list[NmeaResult]:
         if self._epoch is not None and self._epoch.time_of_day_ns == time_of_day_ns:
             return []
         results = self._close()
@@ -124,7 +167,7 @@ class NmeaDecoder:
 
     def _store(
         self, epoch: _Epoch, sentence: Sentence, content: Gga | Gst | UtcDate | int
-    ) -> list[ReceiverSolution | FormatError]:
+    ) -> list[NmeaResult]:
         if isinstance(content, UtcDate):
             epoch.day = content.day
             self._day, self._day_time_of_day_ns = content.day, content.time_of_day_ns
@@ -147,7 +190,7 @@ class NmeaDecoder:
             # Learned wrongly: wait for whole epochs and learn again.
             self._last = self._previous_last = None
 
-    def _close(self) -> list[ReceiverSolution | FormatError]:
+    def _close(self) -> list[NmeaResult]:
         """End the epoch that is open, and learn from its last sentence."""
         epoch, self._epoch = self._epoch, None
         if epoch is None:
@@ -158,7 +201,7 @@ class NmeaDecoder:
             self._previous_last = epoch.last_kind
         return self._emit(epoch)
 
-    def _emit(self, epoch: _Epoch) -> list[ReceiverSolution | FormatError]:
+    def _emit(self, epoch: _Epoch) -> list[NmeaResult]:
         gga = epoch.gga
         if gga is None or epoch.emitted:
             return []
@@ -168,9 +211,8 @@ class NmeaDecoder:
             return [
                 self._epoch_error(gga, "date", "an RMC or ZDA sentence before this position, or a given date")
             ]
-        try:
-            time_ns = gps_ns_from_utc(_calendar(day, epoch.time_of_day_ns))
-        except ValueError:
+        time_ns = _gps_ns(day, epoch.time_of_day_ns)
+        if time_ns is None:
             return [self._epoch_error(gga, "time", "a UTC time that exists, from 1980-01-06 on")]
         self._day, self._day_time_of_day_ns = day, epoch.time_of_day_ns
         return [
@@ -203,13 +245,20 @@ class NmeaDecoder:
 
 def read_nmea(
     path: Path, *, utc_date: date | None = None, last_sentence: LastSentence | None = None
-) -> Iterator[ReceiverSolution | FormatError]:
+) -> Iterator[NmeaResult]:
     """Solutions and errors of a recorded stream. Raises OSError if it cannot be opened or read."""
     decoder = NmeaDecoder(path.name, utc_date=utc_date, last_sentence=last_sentence)
     with path.open("rb") as file:
         while data := file.read(_CHUNK_BYTES):
             yield from decoder.feed(data)
     yield from decoder.finish()
+
+
+def _gps_ns(day: date, time_of_day_ns: int) -> int | None:
+    try:
+        return gps_ns_from_utc(_calendar(day, time_of_day_ns))
+    except ValueError:
+        return None
 
 
 def _calendar(day: date, time_of_day_ns: int) -> CalendarTime:

@@ -1,4 +1,4 @@
-"""What the fields of GGA, GST, RMC and ZDA sentences mean.
+"""What the fields of GGA, GST, GBS, RMC and ZDA sentences mean.
 
 Source: NMEA 0183 v4.11, 6.3. Values are read from the text itself and not through a typed parser: those
 round, take minutes over 59, an absent hemisphere or a leap second as they come, and refuse a position because
@@ -40,6 +40,7 @@ _DATE = re.compile(r"(\d\d)(\d\d)(\d\d)", re.ASCII)
 _HEIGHT_LIMIT_M = 1.0e5
 _DEVIATION_LIMIT_M = 1.0e6
 _AGE_LIMIT_S = 1.0e6
+_BIAS_LIMIT_M = 1.0e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,21 @@ class Gst:
 
 
 @dataclass(frozen=True, slots=True)
+class Gbs:
+    """Fault detection (RAIM): the errors expected in the position, and the satellite most likely to have failed.
+
+    `satellite` is `G05`, or the sentence's own number where its system is not known. What is empty is None.
+    """
+
+    time_of_day_ns: int
+    expected_error_enu_m: tuple[float, float, float] | None
+    satellite: str | None
+    missed_detection_probability: float | None
+    bias_m: float | None
+    bias_sigma_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class UtcDate:
     """From RMC or ZDA: the UTC date at a UTC time of day."""
 
@@ -83,6 +99,11 @@ class SentenceFields:
     def byte_offset(self) -> int:
         """Where the sentence begins in the stream."""
         return self._sentence.byte_offset
+
+    @property
+    def talker(self) -> str:
+        """The two letters before the kind."""
+        return self._sentence.talker
 
     def text(self, index: int) -> str:
         """The field without blanks around it; empty where there is none."""
@@ -213,6 +234,45 @@ def read_gst(fields: SentenceFields) -> Gst:
     return Gst(time_of_day_ns, covariance_enu_m2)
 
 
+# The letter by GNSS system id (4.10 on), else by talker; what is taken off numbers beyond the system's own.
+_SYSTEMS = {"1": "G", "2": "R", "3": "E", "4": "C", "5": "J", "6": "I"}
+_TALKER_SYSTEMS = {"GP": "G", "GL": "R", "GA": "E", "GB": "C", "BD": "C", "GQ": "J", "GI": "I"}
+_OFFSETS = {"R": (64,), "E": (300,), "C": (100, 200, 400), "J": (192,)}
+
+
+def read_gbs(fields: SentenceFields) -> Gbs:
+    """Receivers leave the errors empty where they could not check or the check has failed (u-blox, 4.2.3)."""
+    time_of_day_ns = fields.time_of_day_ns(0)
+    expected_error_enu_m = None
+    if all(fields.text(index) for index in (1, 2, 3)):
+        names = ("error of longitude", "error of latitude", "error of altitude")
+        east, north, up = (
+            fields.number(index, name, -_DEVIATION_LIMIT_M, _DEVIATION_LIMIT_M)
+            for index, name in zip((2, 1, 3), names, strict=True)
+        )
+        expected_error_enu_m = east, north, up
+    number = fields.optional_number(4, "failed satellite", 0, 999)
+    return Gbs(
+        time_of_day_ns,
+        expected_error_enu_m,
+        None if number is None else _satellite(fields, int(number)),
+        fields.optional_number(5, "probability of missed detection", 0.0, 1.0),
+        fields.optional_number(6, "bias", -_BIAS_LIMIT_M, _BIAS_LIMIT_M),
+        fields.optional_number(7, "σ of bias", 0.0, _BIAS_LIMIT_M),
+    )
+
+
+def _satellite(fields: SentenceFields, number: int) -> str:
+    system = _SYSTEMS.get(fields.text(8)) or _TALKER_SYSTEMS.get(fields.talker, "")
+    if system == "G" and number > 32:
+        # SBAS 120 to 151 are 33 to 64, whatever the talker.
+        system, number = ("S", number - 13) if number <= 64 else ("", number)
+    for offset in _OFFSETS.get(system, ()):
+        if offset < number <= offset + 63:
+            number -= offset
+    return f"{system}{number:02d}"
+
+
 def read_rmc(fields: SentenceFields) -> UtcDate | int:
     """The date, or only the time of day [ns] where the date is empty or not vouched for (status V)."""
     time_of_day_ns = fields.time_of_day_ns(0)
@@ -244,7 +304,8 @@ def read_zda(fields: SentenceFields) -> UtcDate | int | None:
         raise fields.error(1, "date", "dd,mm,yyyy") from None
 
 
-READERS: dict[str, Callable[[SentenceFields], Gga | Gst | UtcDate | int | None]] = {
+READERS: dict[str, Callable[[SentenceFields], Gga | Gst | Gbs | UtcDate | int | None]] = {
+    "GBS": read_gbs,
     "GGA": read_gga,
     "GST": read_gst,
     "RMC": read_rmc,

@@ -17,27 +17,14 @@ from camber.formats.observations import (
     ObservationEpoch,
     satellite_name,
     signal_name,
-    signal_number,
 )
+from camber.formats.ubx_signals import GNSS_IDS, ids_of
 from camber.formats.ubx_subframes import Subframe
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s, week_tow_from_gps_ns
 
 MOST_MEASUREMENTS = 255
-_GNSS_IDS = {"G": 0, "E": 2, "C": 3, "J": 5}
-_SIGNAL_IDS = {
-    "G": {"1C": 0, "2L": 3, "2S": 4, "5I": 6, "5Q": 7},
-    # There is no id for data and pilot together: what is tracked so is told as the pilot.
-    "E": {"1C": 0, "1X": 0, "1B": 1, "5I": 3, "5Q": 4, "5X": 4, "7I": 5, "7Q": 6, "7X": 6},
-    "C": {"2I": 0, "7I": 2, "6I": 4, "1P": 5, "1D": 6, "5P": 7, "5D": 8},
-    "J": {"1C": 0, "1Z": 1, "2S": 4, "2L": 5, "5I": 8, "5Q": 9},
-}
-# B1I, B2I, B3I of geostationary satellites carry D2 and have ids of their own.
-_GEOSTATIONARY_IDS = {0: 1, 2: 3, 4: 10}
-_KEYS = np.array(
-    sorted((ord(s) << 16) + signal_number(name) for s, names in _SIGNAL_IDS.items() for name in names)
-)
-_IDS = np.array([_SIGNAL_IDS[chr(key >> 16)][signal_name(key & 0xFFFF)] for key in _KEYS.tolist()])
-_MEASUREMENT = np.dtype(
+SYNC = b"\xb5\x62"
+MEASUREMENT = np.dtype(
     [
         ("prMes", "<f8"),
         ("cpMes", "<f8"),
@@ -56,7 +43,8 @@ _MEASUREMENT = np.dtype(
     ]
 )
 _MOST_LOCK_MS = 64_500.0
-_PSEUDORANGE_VALID, _PHASE_VALID, _HALF_CYCLE_VALID = 1, 2, 4
+PSEUDORANGE_VALID, PHASE_VALID, HALF_CYCLE_VALID, HALF_CYCLE_SUBTRACTED = 1, 2, 4, 8
+"""Bits of `trkStat`."""
 
 
 def ubx_frame(message_class: int, message_id: int, payload: bytes) -> bytes:
@@ -64,7 +52,7 @@ def ubx_frame(message_class: int, message_id: int, payload: bytes) -> bytes:
     if len(payload) > 0xFFFF:
         raise ValueError(f"payload of {len(payload)} bytes, expected at most 65535")
     body = struct.pack("<BBH", message_class, message_id, len(payload)) + payload
-    return b"\xb5\x62" + body + checksum(body)
+    return SYNC + body + checksum(body)
 
 
 def checksum(body: bytes) -> bytes:
@@ -96,7 +84,7 @@ def format_raw_measurements(
     if count > MOST_MEASUREMENTS:
         raise ValueError(f"{count} measurements in one epoch, expected at most {MOST_MEASUREMENTS}")
     week, of_week_ns = week_tow_from_gps_ns(epoch.time_ns)
-    measurements = np.zeros(count, _MEASUREMENT)
+    measurements = np.zeros(count, MEASUREMENT)
     measurements["prMes"] = np.where(np.isnan(epoch.pseudorange_m), 0.0, epoch.pseudorange_m)
     measurements["cpMes"] = np.where(np.isnan(epoch.carrier_phase_cycles), 0.0, epoch.carrier_phase_cycles)
     measurements["doMes"] = np.where(np.isnan(epoch.doppler_hz), 0.0, epoch.doppler_hz)
@@ -119,9 +107,9 @@ def format_raw_measurements(
     measurements["doStdev"] = _doublings(doppler, 0.002)
     has_phase = ~np.isnan(epoch.carrier_phase_cycles)
     measurements["trkStat"] = (
-        np.where(np.isnan(epoch.pseudorange_m), 0, _PSEUDORANGE_VALID)
-        + np.where(has_phase, _PHASE_VALID, 0)
-        + np.where(has_phase & ~epoch.half_cycle, _HALF_CYCLE_VALID, 0)
+        np.where(np.isnan(epoch.pseudorange_m), 0, PSEUDORANGE_VALID)
+        + np.where(has_phase, PHASE_VALID, 0)
+        + np.where(has_phase & ~epoch.half_cycle, HALF_CYCLE_VALID, 0)
     )
     # The leap seconds are known (bit 0); bit 1 is a clock reset.
     header = struct.pack(
@@ -142,7 +130,7 @@ def format_subframe(subframe: Subframe, *, channel: int = 0) -> bytes:
     words = subframe.words
     header = struct.pack(
         "<8B",
-        _GNSS_IDS[system],
+        GNSS_IDS[system],
         subframe.satellite & 255,
         subframe.signal_id,
         0,
@@ -156,21 +144,13 @@ def format_subframe(subframe: Subframe, *, channel: int = 0) -> bytes:
 
 def _ids(epoch: ObservationEpoch) -> tuple[Integers, Integers, Integers]:
     system, satellite = epoch.satellite >> 8, epoch.satellite & 255
-    key = (system << 16) + epoch.signal
-    place = np.minimum(np.searchsorted(_KEYS, key), _KEYS.size - 1)
-    _check(epoch, _KEYS[place] != key, "u-blox has no number for this signal")
-    signal_id = _IDS[place]
-    for d1, d2 in _GEOSTATIONARY_IDS.items():
-        signal_id = np.where(
-            (system == ord("C")) & ((satellite <= 5) | (satellite >= 59)) & (signal_id == d1), d2, signal_id
-        )
+    gnss_id, signal_id, known = ids_of(epoch.satellite, epoch.signal)
+    _check(epoch, ~known, "u-blox has no number for this signal")
     named = (system << 16) + (satellite << 8) + signal_id
     again = np.ones(named.size, np.bool_)
     again[np.unique(named, return_index=True)[1]] = False
     _check(epoch, again, "observed twice in one epoch")
-    gnss = np.zeros(128, np.int64)
-    gnss[[ord(letter) for letter in _GNSS_IDS]] = list(_GNSS_IDS.values())
-    return gnss[system], satellite, signal_id
+    return gnss_id, satellite, signal_id
 
 
 def _doublings(sigma: Floats, step: float) -> Floats:

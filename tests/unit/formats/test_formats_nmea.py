@@ -16,7 +16,7 @@ from pynmeagps import NMEAReader
 
 from camber.formats.errors import FormatError
 from camber.formats.nmea import LastSentence, NmeaDecoder, format_gga, format_gst, format_rmc, read_nmea
-from camber.formats.nmea_framing import MAXIMUM_SENTENCE_BYTES
+from camber.formats.stream_frames import MOST_SENTENCE_BYTES
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_utc
 
@@ -301,8 +301,8 @@ def test_a_sentence_that_never_ends_is_dropped_and_nothing_is_kept() -> None:
     results = decoder.feed(b"$GNGGA,")
     for _ in range(100):
         results += decoder.feed(b"1" * 1000)
-        assert len(decoder._sentences._buffer) <= MAXIMUM_SENTENCE_BYTES
-    assert [f"at most {MAXIMUM_SENTENCE_BYTES}" in str(result) for result in results] == [True]
+        assert len(decoder._frames._buffer) <= MOST_SENTENCE_BYTES
+    assert [f"at most {MOST_SENTENCE_BYTES}" in str(result) for result in results] == [True]
     decoder.feed(b"\r\n" + sentence(GGA))
     assert len(decoder.finish()) == 1
 
