@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.observations import Integers
+from camber.geodesy.compiled import compiled
 
 CRC24Q_POLYNOMIAL = 0x1864CFB
 """RTCM 10403.3, 4.2; Galileo OS SIS ICD 5.1.9.4; start value zero, not reflected."""
-_LONGEST_CRC_BYTES = 1029
 
 
 def quantised(name: str, value: float, resolution: float, width: int, *, signed: bool) -> int:
@@ -61,28 +61,23 @@ def packed_columns(
 
 
 def crc24q(data: bytes) -> int:
-    """CRC-24Q of at most 1029 bytes; ValueError where there are more.
+    """CRC-24Q."""
+    return _crc24q(np.frombuffer(data, np.uint8), _crc_table())
 
-    A CRC is linear: it is the exclusive or of what each byte at its place contributes.
-    """
-    count = len(data)
-    if count > _LONGEST_CRC_BYTES:
-        raise ValueError(f"{count} bytes for one CRC-24Q, expected at most {_LONGEST_CRC_BYTES}")
-    places = np.arange(count - 1, -1, -1, dtype=np.int64) << 8
-    places += np.frombuffer(data, np.uint8)
-    return int(np.bitwise_xor.reduce(_contributions()[places], initial=0))
+
+@compiled
+def _crc24q(data: NDArray[np.uint8], table: NDArray[np.int64]) -> int:
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFFFFFF) ^ table[crc >> 16 ^ byte]
+    return crc
 
 
 @cache
-def _contributions() -> NDArray[np.uint32]:
-    """CRC of byte b followed by n zero bytes, at n · 256 + b."""
-    one = np.arange(256, dtype=np.uint32) << np.uint32(16)
+def _crc_table() -> NDArray[np.int64]:
+    """CRC of each byte."""
+    one = np.arange(256) << 16
     for _ in range(8):
-        one = one << np.uint32(1)
-        one = np.where(one & np.uint32(1 << 24), one ^ np.uint32(CRC24Q_POLYNOMIAL), one)
-    table = np.empty((_LONGEST_CRC_BYTES, 256), np.uint32)
-    table[0] = one
-    for place in range(1, _LONGEST_CRC_BYTES):
-        before = table[place - 1]
-        table[place] = (before << np.uint32(8) & np.uint32(0xFFFFFF)) ^ one[before >> np.uint32(16)]
-    return table.reshape(-1)
+        one <<= 1
+        one = np.where(one & 1 << 24, one ^ CRC24Q_POLYNOMIAL, one)
+    return one

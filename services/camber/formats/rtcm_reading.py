@@ -5,15 +5,16 @@ Source: RTCM 10403.3, 4.2 (frame). Whatever the bytes are, nothing is raised: wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from camber.formats.bit_fields import crc24q
 from camber.formats.ephemeris_fields import FIELDS, ephemeris_from_integers
+from camber.formats.lock_times import LockTimes
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.rtcm_ephemerides import EPHEMERIS_MESSAGES
-from camber.formats.rtcm_msm_reading import Bits, MsmMessage, is_msm, msm_header, read_msm
+from camber.formats.rtcm_msm_reading import MsmMessage, is_msm, msm_header, read_msm
 from camber.formats.rtcm_writing import PREAMBLE
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
@@ -67,7 +68,7 @@ class RtcmDecoder:
         self._buffer = bytearray()
         self._near_ns = near_ns
         self._parts: dict[int, list[MsmMessage]] = {}
-        self._locks: dict[int, dict[int, tuple[int, float]]] = {}
+        self._locks: dict[int, LockTimes] = {}
 
     def feed(self, data: bytes) -> list[RtcmResult]:
         """What the bytes complete, in order."""
@@ -121,7 +122,7 @@ class RtcmDecoder:
             raise ValueError(f"message of {len(payload)} bytes, expected a number")
         number = payload[0] << 4 | payload[1] >> 4
         if is_msm(number):
-            return self._observations(np.unpackbits(np.frombuffer(payload, np.uint8)), number)
+            return self._observations(payload, number)
         if number in EPHEMERIS_MESSAGES:
             return [_ephemeris(payload, number, self._near_ns)]
         if number in (1005, 1006):
@@ -129,55 +130,49 @@ class RtcmDecoder:
         self.not_read += 1
         return []
 
-    def _observations(self, bits: Bits, number: int) -> list[RtcmResult]:
-        message = read_msm(bits, number, self._near_ns)
+    def _observations(self, payload: bytes, number: int) -> list[RtcmResult]:
+        message = read_msm(payload, number, self._near_ns)
         if message is None:
             # Of other systems too the last message ends the epoch.
             self.not_read += 1
-            station, more = msm_header(bits)
+            station, more = msm_header(payload)
             return [] if more or station not in self._parts else self._flush(station, complete=True)
         self.unknown_signals += message.unknown_signals
         station, results = message.station_id, list[RtcmResult]()
         begun = self._parts.get(station)
-        if begun and begun[0].epoch.time_ns != message.epoch.time_ns:
+        if begun and begun[0].time_ns != message.time_ns:
             results += self._flush(station, complete=False)
-        self._near_ns = message.epoch.time_ns
+        self._near_ns = message.time_ns
         self._parts.setdefault(station, []).append(message)
         return results if message.more_follow else results + self._flush(station, complete=True)
 
     def _flush(self, station: int, *, complete: bool) -> list[RtcmResult]:
         parts = self._parts.pop(station)
         self.incomplete += not complete
-        columns = {
-            field.name: np.concatenate([getattr(part.epoch, field.name) for part in parts])
-            for field in fields(ObservationEpoch)
-            if field.name != "time_ns"
-        }
-        # A station may send one signal in two kinds of messages: the first one counts.
-        keys = (columns["satellite"] << 16) + columns["signal"]
-        rows = np.sort(np.unique(keys, return_index=True)[1])
+        time_ns = parts[0].time_ns
+        integers = np.concatenate([part.integers for part in parts], axis=1)
+        floats = np.concatenate([part.floats for part in parts], axis=1)
+        keys = (integers[0] << 16) + integers[1]
+        if len(set(keys.tolist())) < keys.size:
+            # A station may send one signal in two kinds of messages: the first one counts.
+            rows = np.sort(np.unique(keys, return_index=True)[1])
+            integers, floats, keys = integers[:, rows], floats[:, rows], keys[rows]
+        satellite, signal, half_cycle = integers
+        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, most_lock_s = floats
+        locks = self._locks.setdefault(station, LockTimes())
         epoch = ObservationEpoch(
-            parts[0].epoch.time_ns, **{name: column[rows] for name, column in columns.items()}
+            time_ns=time_ns,
+            satellite=satellite,
+            signal=signal,
+            pseudorange_m=pseudorange_m,
+            carrier_phase_cycles=carrier_phase_cycles,
+            doppler_hz=doppler_hz,
+            cn0_dbhz=cn0_dbhz,
+            lock_time_s=lock_time_s,
+            loss_of_lock=locks.lost(time_ns, keys, ~np.isnan(carrier_phase_cycles), lock_time_s, most_lock_s),
+            half_cycle=half_cycle.astype(np.bool_),
         )
-        most_s = np.concatenate([part.most_lock_s for part in parts])[rows]
-        lost = self._lost(station, epoch, keys[rows].tolist(), most_s.tolist())
-        return [StationEpoch(station, replace(epoch, loss_of_lock=np.array(lost, np.bool_)), complete)]
-
-    def _lost(
-        self, station: int, epoch: ObservationEpoch, keys: list[int], most_s: list[float]
-    ) -> list[bool]:
-        """Shorter than before, or certainly shorter than the time since then."""
-        locks, lost = self._locks.setdefault(station, {}), list[bool]()
-        has_phase = (~np.isnan(epoch.carrier_phase_cycles)).tolist()
-        for key, has, lock_s, at_most_s in zip(
-            keys, has_phase, epoch.lock_time_s.tolist(), most_s, strict=True
-        ):
-            before = locks.get(key)
-            since_s = 0.0 if before is None else (epoch.time_ns - before[0]) / NS_PER_SECOND
-            lost.append(has and before is not None and (lock_s < before[1] or at_most_s <= since_s))
-            if has:
-                locks[key] = epoch.time_ns, lock_s
-        return lost
+        return [StationEpoch(station, epoch, complete)]
 
 
 class _Fields:
