@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from camber.formats.bit_fields import crc24q
 from camber.formats.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.lock_times import LockTimes
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.rtcm_ephemerides import EPHEMERIS_MESSAGES
 from camber.formats.rtcm_msm_reading import MsmMessage, is_msm, msm_header, read_msm
-from camber.formats.rtcm_writing import PREAMBLE
+from camber.formats.stream_frames import FrameBuffer
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 _MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
@@ -53,10 +52,6 @@ class RtcmDecoder:
     """
 
     def __init__(self, near_ns: int) -> None:
-        self.bytes_skipped = 0
-        """Bytes that belong to no frame with a right CRC."""
-        self.failed_checks = 0
-        """Things that began like a frame and had a wrong CRC."""
         self.malformed = 0
         """Frames with a right CRC whose content contradicts itself or is cut short."""
         self.not_read = 0
@@ -65,56 +60,38 @@ class RtcmDecoder:
         """Cells of signals without a number in the standard's tables."""
         self.incomplete = 0
         """Epochs whose last message did not come."""
-        self._buffer = bytearray()
+        self._frames = FrameBuffer("rtcm")
         self._near_ns = near_ns
         self._parts: dict[int, list[MsmMessage]] = {}
         self._locks: dict[int, LockTimes] = {}
 
+    @property
+    def bytes_skipped(self) -> int:
+        """Bytes that belong to no frame with a right CRC."""
+        return self._frames.bytes_skipped
+
+    @property
+    def failed_checks(self) -> int:
+        """Things that began like a frame and had a wrong CRC."""
+        return self._frames.failed_checks["rtcm"]
+
     def feed(self, data: bytes) -> list[RtcmResult]:
         """What the bytes complete, in order."""
-        self._buffer += data
-        return self._scan(last=False)
+        return [result for frame in self._frames.feed(data) for result in self.take(frame.data)]
+
+    def take(self, frame: bytes) -> list[RtcmResult]:
+        """What a whole frame, whose CRC is right, completes."""
+        try:
+            return self._message(frame[3:-3])
+        except ValueError:
+            self.malformed += 1
+            return []
 
     def finish(self) -> list[RtcmResult]:
         """Call at the end of the stream: what is left, an epoch without its last message among it."""
-        results = self._scan(last=True)
+        results = [result for frame in self._frames.finish() for result in self.take(frame.data)]
         for station in sorted(self._parts):
             results += self._flush(station, complete=False)
-        return results
-
-    def _scan(self, *, last: bool) -> list[RtcmResult]:
-        buffer, results, place = self._buffer, list[RtcmResult](), 0
-        while True:
-            start = buffer.find(PREAMBLE, place)
-            if start < 0:
-                start = len(buffer)
-            self.bytes_skipped += start - place
-            place = start
-            left = len(buffer) - start
-            # Six reserved bits follow the preamble, and they are zero.
-            if left >= 2 and buffer[start + 1] & 0xFC:
-                self.bytes_skipped += 1
-                place += 1
-                continue
-            size = 6 + (buffer[start + 1] << 8 | buffer[start + 2]) if left >= 3 else 6
-            if left < size:
-                if not last or not left:
-                    break
-                self.bytes_skipped += 1
-                place += 1
-                continue
-            frame = bytes(buffer[start : start + size])
-            if crc24q(frame[:-3]) != int.from_bytes(frame[-3:], "big"):
-                self.failed_checks += 1
-                self.bytes_skipped += 1
-                place += 1
-                continue
-            place += size
-            try:
-                results += self._message(frame[3:-3])
-            except ValueError:
-                self.malformed += 1
-        del buffer[:place]
         return results
 
     def _message(self, payload: bytes) -> list[RtcmResult]:

@@ -37,7 +37,8 @@ def read_all(data: bytes, near_ns: int = NOW_NS, cuts=()):
 
 
 def counters(decoder):
-    return {name: value for name, value in vars(decoder).items() if not name.startswith("_")}
+    names = [name for name in vars(decoder) if not name.startswith("_")]
+    return {name: getattr(decoder, name) for name in (*names, "bytes_skipped", "failed_checks")}
 
 
 def by_signal(epoch: ObservationEpoch):
