@@ -297,6 +297,9 @@ def _epoch_time(data: Bytes, start: int, end: int, picoseconds: bool) -> int:
         return -1
     if data[start + 21] != _POINT or data[start + 22] == _SPACE:
         return -1
+    for k in (1, 6, 9, 12, 15, 29, 30):
+        if data[start + k] != _SPACE:
+            return -1
     time_ns = (((days * 24 + hour) * 60 + minute) * 60 + second) * _NS_PER_SECOND + fraction * 100
     if picoseconds and end > start + _PICOSECONDS:
         more = _integer(data, start + _PICOSECONDS, min(start + _PICOSECONDS + 5, end))
