@@ -41,6 +41,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run_service(name: str, argv: list[str]) -> int:
+    if name == "gnss" and "--list-ports" in argv:
+        print(importlib.import_module("camber.formats.serial_ports").describe_ports())
+        return 0
     from camber.runtime.run import run
 
     module = importlib.import_module(f"camber.{name}.service")
@@ -52,6 +55,7 @@ def _help() -> str:
     lines += [f"  {name:<16} {text}" for name, text in SERVICES.items()]
     lines += ["", "tools:"]
     lines += [f"  {name:<16} {text}" for name, (_, text) in TOOLS.items()]
+    lines += ["", "camber gnss --list-ports names the serial ports that are here."]
     return "\n".join(lines)
 
 

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from camber import cli
+from camber.formats.serial_ports import describe_ports
 from camber.schemas import channels
 
 
@@ -83,3 +84,17 @@ def test_every_service_can_be_started_as_a_module(name: str) -> None:
         check=False,
     )
     assert (ended.returncode, ended.stderr) == (2, f"camber {name}: unrecognized arguments: --nothing\n")
+
+
+@pytest.mark.parametrize("module", ["camber.cli", "camber.gnss"])
+def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", module, *(["gnss"] if module == "camber.cli" else []), "--list-ports"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == f"{describe_ports()}\n"

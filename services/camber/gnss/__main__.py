@@ -1,6 +1,12 @@
 """`python -m camber.gnss`."""
 
+import sys
+
+from camber.formats.serial_ports import describe_ports
 from camber.gnss.service import SERVICE
 from camber.runtime.run import run
 
+if "--list-ports" in sys.argv[1:]:
+    print(describe_ports())
+    raise SystemExit(0)
 raise SystemExit(run(SERVICE))
