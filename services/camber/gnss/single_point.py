@@ -74,6 +74,7 @@ _UNKNOWNS = 9  # x, y, z, three clocks, the vertical ionosphere and its gradient
 _SHELL_RATIO = 6371.0 / (6371.0 + 350.0)
 _COARSE_STEPS, _FINE_STEPS = 15, 10
 _COARSE_M = 1000.0
+_NO_START_M = 1.0e5
 # Within so much of the solution a linear step misses it by 10² / 4e7 m: nothing.
 _FINE_M = 10.0
 _LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6
@@ -282,13 +283,13 @@ def _position(
     sigma, free = np.ones(m), np.full(_UNKNOWNS, np.inf)
     direction, observed = np.full((m, 3), np.nan), np.full(m, np.nan)
     elevation, azimuth = np.full(m, np.nan), np.full(m, np.nan)
-    if not _is_near_the_ground(at):
+    started = _is_near_the_ground(at)
+    if not started:
         at[:] = 0.0
         status = _coarse(states, group, possible, measured, at, design)
     candidate = np.zeros(m, np.bool_)
     fit = Fit(OK, np.full(_UNKNOWNS, np.nan), np.zeros((0, 0)), np.full(m, np.nan), candidate, np.nan, 0)
     converged = False
-    restarted = False
     for _ in range(_FINE_STEPS):
         if status != OK:
             break
@@ -297,27 +298,28 @@ def _position(
             design, observed, sigma, free, candidate, direction, elevation, azimuth,
         )  # fmt: skip
         fit = consistent_fit(design, observed, sigma, free, candidate, options.false_alarm)
+        step = math.sqrt(fit.value[0] ** 2 + fit.value[1] ** 2 + fit.value[2] ** 2)
+        if started and not step < _NO_START_M:
+            # A start so far off is none: with it satellites were looked for below the horizon.
+            started = False
+            at[:] = 0.0
+            status = _coarse(states, group, possible, measured, at, design)
+            continue
         if fit.status != OK and fit.status != INCONSISTENT:
             status = fit.status
             break
-        step = math.sqrt(fit.value[0] ** 2 + fit.value[1] ** 2 + fit.value[2] ** 2)
         if not step < np.inf:
             status = DEGENERATE
             break
         for k in range(3):
             at[k] += fit.value[k]
-        if step < _FINE_M:
+        if not _is_near_the_ground(at):
+            status = _NO_CONVERGENCE
+        elif step < _FINE_M:
             converged = True
             status = fit.status
             break
-        if step > 1e5 and not restarted:
-            # A start on the other side of the earth is no start.
-            restarted = True
-            at[:] = 0.0
-            status = _coarse(states, group, possible, measured, at, design)
-        if not _is_near_the_ground(at):
-            status = _NO_CONVERGENCE
-    if status == OK and not (converged and _is_near_the_ground(at)):
+    if status == OK and not converged:
         status = _NO_CONVERGENCE
     position, covariance, turned = np.full(3, np.nan), np.full((3, 3), np.nan), np.full((3, 3), np.nan)
     approximate, clock = np.full(3, np.nan), np.full(3, np.nan)
