@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -81,6 +82,13 @@ def wait_until(what: Callable[[], Any], *, timeout_s: float, why: str) -> Any:
             return found
         time.sleep(0.02)
     raise AssertionError(f"{why}: not within {timeout_s:g} s")
+
+
+def free_port() -> int:
+    """A port of the loopback that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def process_ids(out: Path) -> dict[str, int]:

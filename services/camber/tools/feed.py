@@ -301,7 +301,7 @@ def _backward_sample(message: Message, span_ns: int) -> Message:
     return dated.model_copy(update={name: -value for name, value in readings.items() if value is not None})
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+def add_bus_arguments(parser: argparse._ActionsContainer) -> None:
     """Where a drive is fed to: `--connect`, `--vehicle`."""
     parser.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router; default {_ROUTER}")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")

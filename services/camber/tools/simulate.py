@@ -1,38 +1,90 @@
-"""`camber simulate`: a scenario becomes a recorded drive with truth beside it, in the files that a vehicle gives."""
+"""`camber simulate`: a scenario becomes a recorded drive with truth beside it, in the files that a vehicle gives.
+
+With `--live` the drive is then played onto the bus in real time, as `camber feed` does it.
+"""
 
 from __future__ import annotations
 
 import argparse
 import shutil
+import signal
 import sys
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from tqdm import tqdm
 
+from camber.formats.errors import FormatError
+from camber.runtime.session import BusError
+from camber.schemas.drive import ManifestError, load_manifest
 from camber.simulator.drive_folder import parts_of, write_drive
 from camber.simulator.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
+from camber.tools.feed import add_bus_arguments, feed, stopped_by_signals
 
 _PROG = "camber simulate"
 _MARK = "scenario.json"
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make one drive or one fleet; 0 done, 2 the scenario or the folder cannot be used."""
-    args = _parser().parse_args(argv)
+    """Make one drive or one fleet; 0 done, 2 it cannot be made, 3 the bus cannot be joined, 130 interrupted."""
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if args.out is None and not args.live:
+        parser.error("expected --out DIR, --live or both")
     overrides = [*args.set, *([f"seed={args.seed}"] if args.seed is not None else [])]
+    # So that a temporary folder goes too.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        simulate(load_scenario(args.scenario, overrides), args.out, quiet=args.quiet)
-    except ScenarioError as error:
+        scenario = load_scenario(args.scenario, overrides)
+        if not args.live:
+            simulate(scenario, args.out, quiet=args.quiet)
+        elif scenario.fleet is not None:
+            raise ScenarioError(f"{scenario.name}: a fleet, expected one vehicle for --live")
+        else:
+            with _folder(args.out) as out:
+                _live(simulate(scenario, out, quiet=args.quiet), args)
+    except (ScenarioError, ManifestError, FormatError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
         return 2
+    except BusError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 3
+    except KeyboardInterrupt:
+        print(f"{_PROG}: interrupted", file=sys.stderr)
+        return 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """The folder asked for, or one that is gone afterwards."""
+    if out is not None:
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="camber-simulate-") as folder:
+        yield Path(folder) / "drive"
+
+
+def _live(manifest: Path, args: argparse.Namespace) -> None:
+    with stopped_by_signals() as stop:
+        feed(
+            load_manifest(manifest),
+            manifest.parent,
+            stop,
+            connect=args.connect,
+            vehicle=args.vehicle,
+            prog=_PROG,
+        )
 
 
 def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
@@ -78,7 +130,13 @@ def _make_room(out: Path, scenario: Scenario) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the drive goes")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="where the drive goes; with --live not needed"
+    )
+    parser.add_argument(
+        "--live", action="store_true", help="then play the drive onto the bus in real time, dated now"
+    )
+    add_bus_arguments(parser.add_argument_group("with --live"))
     parser.add_argument("--seed", type=int, help="seed of all that is random")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"

@@ -1,0 +1,135 @@
+"""`camber simulate --live`: the drive is made, then everything a vehicle would say is on the bus, when it is due."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from camber.formats.receiver_solution import ReceiverSolution
+from camber.formats.rtklib_pos import PosDecoder
+from camber.runtime.listen import Listener
+from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.lidar import Sweep
+from camber.schemas.motion import Motion
+from support.running import camber, free_port, started
+
+DURATION_S = 8
+RATE_HZ = 10
+NS = 1_000_000_000
+SCENARIO = (
+    "overpass",
+    "--set", f"duration_s={DURATION_S}",
+    "--set", "lidar.beams=32",
+    "--set", "lidar.traffic=2",
+    "--set", "satellites.streams=false",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    with started("-m", "camber.cli", "router", "--listen", where) as router:
+        assert router.stdout is not None
+        assert "listens" in router.stdout.readline()
+        yield where
+
+
+def heard_while(process: subprocess.Popen[str], listener: Listener) -> list[Any]:
+    """Everything until the process has ended."""
+    heard: list[Any] = []
+    while process.poll() is None:
+        message = listener.next(0.2)
+        if message is not None:
+            heard.append(message)
+    return heard
+
+
+def test_everything_of_the_drive_is_said_in_order_and_dated_now(endpoint: str, tmp_path: Path) -> None:
+    began_ns = time.time_ns()
+    log = tmp_path / "log"
+    with (
+        Listener("sweep", "motion", "receiver_bytes", vehicle="car", connect=[endpoint]) as listener,
+        log.open("w") as file,
+        started(
+            "-m", "camber.cli", "simulate", *SCENARIO, "--live", "--out", tmp_path / "drive",
+            "--connect", endpoint, stdout=file,
+        ) as process,
+    ):  # fmt: skip
+        heard = heard_while(process, listener)
+        refused = listener.refused
+    assert process.returncode == 0, log.read_text()
+    # What a busy machine made late is refused for its age, and was said all the same.
+    assert sum(refused.values()) < 0.3 * len(heard), refused
+    for kind in (Sweep, Motion, ReceiverBytes):
+        times = [message.time_ns for message in heard if isinstance(message, kind)]
+        assert len(times) + sum(refused.values()) >= 0.9 * DURATION_S * RATE_HZ, kind
+        assert len(times) >= 0.6 * DURATION_S * RATE_HZ, kind
+        assert all(before < after for before, after in pairwise(times)), kind
+        steps = sorted(after - before for before, after in pairwise(times))
+        assert steps[len(steps) // 2] == pytest.approx(NS / RATE_HZ, rel=0.02), kind
+    files = sorted(path.stem for path in (tmp_path / "drive" / "sweeps").iterdir())
+    sweeps = [message for message in heard if isinstance(message, Sweep)]
+    offset_ns = sweeps[-1].time_ns - int(files[-1])
+    assert {str(sweep.time_ns - offset_ns) for sweep in sweeps} <= set(files)
+    assert all(len(sweep.points_m) > 1000 for sweep in sweeps)
+    unix_minus_gps_ns = (315_964_800 - 18) * NS
+    assert all(began_ns < m.time_ns + unix_minus_gps_ns < time.time_ns() + NS for m in heard)
+    solution = PosDecoder("live").feed(
+        next(m for m in heard if isinstance(m, ReceiverBytes)).payload.tobytes()
+    )[0]
+    assert isinstance(solution, ReceiverSolution)
+
+
+def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind(
+    endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with (
+        Listener("motion", vehicle="other", connect=[endpoint]) as listener,
+        started(
+            "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=600",
+            "--set", "satellites.rate_hz=1", "--set", "satellites.streams=false", "--live",
+            "--connect", endpoint, "--vehicle", "other",
+        ) as process,
+    ):  # fmt: skip
+        assert listener.next(timeout_s=120.0) is not None
+        assert list(tmp_path.iterdir()) != []
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_waits_for_a_router_and_says_so(tmp_path: Path) -> None:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    log = tmp_path / "log"
+    with log.open("w") as file, started(
+        "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=3", "--set", "satellites.streams=false",
+        "--live", "--out", tmp_path / "drive", "--connect", where, stdout=file,
+    ) as process:  # fmt: skip
+        while "waiting" not in log.read_text():
+            assert process.poll() is None, log.read_text()
+            time.sleep(0.1)
+        with started("-m", "camber.cli", "router", "--listen", where, stdout=subprocess.DEVNULL):
+            assert process.wait(60.0) == 0
+    lines = [line for line in log.read_text().splitlines() if "waiting" in line]
+    assert len(lines) == 1
+
+
+def test_a_fleet_cannot_be_played(tmp_path: Path) -> None:
+    done = camber("simulate", "fleet", "--live", "--out", tmp_path / "fleet")
+    assert done.returncode == 2
+    assert done.stderr == "camber simulate: fleet: a fleet, expected one vehicle for --live\n"
+    assert not (tmp_path / "fleet").exists()
+
+
+def test_without_live_a_folder_is_asked_for() -> None:
+    done = camber("simulate", "city")
+    assert done.returncode == 2
+    assert "expected --out DIR, --live or both" in done.stderr
