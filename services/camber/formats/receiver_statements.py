@@ -83,7 +83,7 @@ class ReceiverStatements:
         """All that holds at this time, as one message; none at times that no message may have."""
         if not EARLIEST_NS <= time_ns <= LATEST_NS:
             return []
-        self._said = {k: s for k, s in self._said.items() if 0 <= time_ns - s[0] <= _HELD_NS}
+        self._said = {k: s for k, s in self._said.items() if abs(time_ns - s[0]) <= _HELD_NS}
         fields = dict[str, Any]()
         jamming = 0
         for _, content in self._said.values():

@@ -127,16 +127,17 @@ class UbxMessages:
         return [] if found is None else [*found]
 
     def _signal_state(self, message_class: int, payload: bytes) -> list[UbxResult]:
-        if self.near_ns is None:
+        time_ns = self.near_ns if self._epoch is None else self._epoch.time_ns(self.near_ns)
+        if time_ns is None:
             self.without_time += 1
             return []
         if message_class == _SEC:
-            self._statements.say_signal_security(self.near_ns, *_signal_security(payload))
+            self._statements.say_signal_security(time_ns, *_signal_security(payload))
         else:
-            self._statements.say_front_ends(self.near_ns, _front_ends(payload))
+            self._statements.say_front_ends(time_ns, _front_ends(payload))
         self._stated = True
         # Within an epoch the statement is made at its end.
-        return [] if self._epoch is not None else self._state(self.near_ns)
+        return [] if self._epoch is not None else self._state(time_ns)
 
     def _navigation(self, message_id: int, payload: bytes) -> list[UbxResult]:
         of_week_ms = epoch_of(message_id, payload)

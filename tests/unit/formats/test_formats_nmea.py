@@ -3,6 +3,7 @@
 import itertools
 import math
 import os
+import random
 import struct
 from datetime import date
 from io import BytesIO
@@ -15,12 +16,21 @@ from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea import LastSentence, NmeaDecoder, format_gga, format_gst, format_rmc, read_nmea
-from camber.formats.stream_frames import MOST_SENTENCE_BYTES
+from camber.formats.nmea import (
+    LastSentence,
+    NmeaDecoder,
+    NmeaResult,
+    format_gga,
+    format_gst,
+    format_rmc,
+    read_nmea,
+)
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.stream_frames import MOST_SENTENCE_BYTES
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_utc
+from camber.schemas.gnss import ReceiverIntegrity
 
-Results = list[ReceiverSolution | FormatError]
+Results = list[NmeaResult]
 
 DAY = date(2023, 7, 11)
 GGA = "GNGGA,060432.20,3509.9216520,N,13652.8845720,E,4,16,0.7,3.9182,M,37.4900,M,1.2,0000"
@@ -491,3 +501,97 @@ def test_a_real_console_of_ubx_and_nmea_has_no_error_and_no_position() -> None:
     ]
     assert decoder.epochs_without_position == sum(identity.endswith("GGA") for identity in oracle) > 50
     assert list(read_nmea(path)) == []
+
+
+def gbs(content: str, talker: str = "GN") -> bytes:
+    return sentence(f"{talker}GBS,120000.00,{content}")
+
+
+def statement(data: bytes) -> ReceiverIntegrity:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    (found,) = decoder.feed(data)
+    assert isinstance(found, ReceiverIntegrity)
+    assert decoder.finish() == []
+    return found
+
+
+def test_gbs_says_what_raim_found() -> None:
+    passed = statement(gbs("1.6,1.4,3.2,,,,,,"))
+    assert (passed.raim, passed.suspect_satellite) == ("passed", None)
+    assert passed.expected_error_enu_m == (1.4, 1.6, 3.2)
+    assert passed.time_ns == gps_ns_from_utc(CalendarTime(DAY.year, DAY.month, DAY.day, 12, 0, 0))
+    # The example of u-blox' interface description, and one of Trimble's.
+    failed = statement(gbs("1.4,1.3,3.1,03,,-21.4,3.8,1,0", "GP"))
+    assert (failed.raim, failed.suspect_satellite) == ("failed", "G03")
+    assert (failed.suspect_bias_m, failed.suspect_bias_sigma_m) == (-21.4, 3.8)
+    assert failed.missed_detection_probability is None
+    other = statement(gbs("-0.031,-0.186,0.219,19,0.000,-0.354,6.972", "GP"))
+    assert other.expected_error_enu_m == (-0.186, -0.031, 0.219)
+    assert (other.suspect_satellite, other.missed_detection_probability) == ("G19", 0.0)
+    # With four satellites there is nothing to check.
+    assert statement(gbs(",,,,,,,,")).raim == "unknown"
+    assert statement(gbs(",,,07,,,,1,1")).raim == "failed"
+    for found in (passed, failed, other):
+        assert (found.jamming, found.spoofing, found.integrity_risk) == ("unknown", "unknown", None)
+
+
+@pytest.mark.parametrize(
+    ("number", "system_id", "talker", "name"),
+    [
+        ("03", "1", "GN", "G03"),
+        ("03", "", "GP", "G03"),
+        ("34", "1", "GN", "S21"),
+        ("68", "2", "GN", "R04"),
+        ("11", "3", "GN", "E11"),
+        ("311", "3", "GN", "E11"),
+        ("11", "", "GA", "E11"),
+        ("33", "4", "GN", "C33"),
+        ("433", "4", "GN", "C33"),
+        ("02", "5", "GN", "J02"),
+        ("194", "5", "GQ", "J02"),
+        ("05", "", "GN", "05"),
+        ("193", "1", "GN", "193"),
+    ],
+)
+def test_gbs_names_the_satellite(number: str, system_id: str, talker: str, name: str) -> None:
+    assert statement(gbs(f"1.4,1.3,3.1,{number},,-21.4,3.8,{system_id},0", talker)).suspect_satellite == name
+
+
+def test_gbs_is_read_as_pynmeagps_reads_it() -> None:
+    rng = random.Random(3)
+    for _ in range(200):
+        values = [f"{rng.uniform(-50.0, 50.0):.{rng.randrange(4)}f}" for _ in range(4)]
+        data = gbs(f"{values[0]},{values[1]},{values[2]},{rng.randrange(1, 33):02d},,{values[3]},3.5,1,0")
+        oracle = NMEAReader.parse(data)
+        found = statement(data)
+        assert found.expected_error_enu_m == (oracle.errLon, oracle.errLat, oracle.errAlt)
+        assert (found.suspect_bias_m, found.suspect_bias_sigma_m) == (oracle.bias, oracle.stddev)
+        assert found.suspect_satellite == f"G{oracle.svid:02d}"
+
+
+def test_gbs_does_not_delay_the_position_of_its_epoch() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    for second in range(5):
+        time = f"1200{second:02d}.00"
+        found = decoder.feed(at(GGA, time))
+        found_after = decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
+        assert [type(result) for result in found_after] == [ReceiverIntegrity]
+    # Once it is learned that GGA is the last of its epoch, it does not wait for the next.
+    assert [type(result) for result in found] == [ReceiverSolution]
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["1.6,x,3.2,,,,,,", "1.6,1.4,3.2,1e9,,,,,", "1.6,1.4,3.2,03,1.5,,,1,0", "1.6,1.4,3.2,03,,,-1.0,1,0"],
+)
+def test_gbs_with_what_is_no_number_is_an_error(content: str) -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    (error,) = decoder.feed(gbs(content))
+    assert isinstance(error, FormatError)
+    assert "GBS" in str(error)
+
+
+def test_gbs_without_a_date_is_an_error() -> None:
+    (error,) = NmeaDecoder("port").feed(gbs("1.6,1.4,3.2,,,,,,"))
+    assert isinstance(error, FormatError)
+    assert "GBS date" in str(error)
