@@ -147,7 +147,7 @@ def source_of(url: str, ntrip: NtripAccess | None = None) -> Opener:
     match kind, rest.rsplit(":", 1):
         case "file", _ if rest:
             return lambda stop: File(Path(rest))
-        case "tcp", [host, port] if host and _number(port) and int(port) < 65536:
+        case "tcp", [host, port] if host and "@" not in host and _number(port) and int(port) < 65536:
             return lambda stop: Tcp(host.removeprefix("[").removesuffix("]"), int(port), stop)
         case "serial", [device, baud] if device and _number(baud):
             return lambda stop: Serial(device, int(baud))

@@ -209,7 +209,7 @@ def test_a_mountpoint_that_is_none_is_refused_with_what_was_expected(url: str) -
         "ntrips://driver:ge/heim@host:2101/BASE",
         "driver:geheim@host:2101",
         "geheim@host",
-        "tcp:driver:geheim@host:x",
+        "tcp:driver:geheim@host:2101",
         "ntrip://driver:ge@heim@host:2101/BASE",
     ],
 )
