@@ -156,8 +156,8 @@ def source_of(url: str, ntrip: NtripAccess | None = None) -> Opener:
         ):  # names below /dev/serial/by-path have colons
             return lambda stop: Serial(rest, _BAUD_RATE)
     raise ValueError(
-        f"{_shown(url)!r}: expected file:PATH, tcp:HOST:PORT, serial:DEVICE[:BAUD], ntrip://HOST:PORT/MOUNT "
-        "or ntrips://HOST:PORT/MOUNT"
+        f"{_shown(url)!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD], "
+        "or of a caster ntrip://HOST:PORT/MOUNT or ntrips://HOST:PORT/MOUNT"
     )
 
 

@@ -177,7 +177,7 @@ def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, re
     ],
 )
 def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
-    with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT, serial:DEVICE") as raised:
+    with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT or serial:DEVICE") as raised:
         source_of(url)
     assert repr(url) in str(raised.value)
 
