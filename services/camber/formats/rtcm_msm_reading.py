@@ -101,10 +101,12 @@ def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
     if system is None or not _FIRST_KIND <= kind <= _LAST_KIND:
         return None
     station_id, more = msm_header(payload)
+    letter = MSM_SYSTEMS[system].letter
     integers, floats = np.empty((3, MOST_CELLS), np.int64), np.empty((6, MOST_CELLS))
     status, time_ms, count, unknown = _read_cells(
         np.frombuffer(payload, np.uint8),
         kind,
+        ord(letter) << 8,
         _MOST_SATELLITES[system],
         _SIGNAL_OF_ID[system],
         _CARRIER_OF_ID_HZ[system],
@@ -114,8 +116,6 @@ def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
     )
     if status != _READ:
         raise ValueError(_PROBLEMS[status])
-    letter = MSM_SYSTEMS[system].letter
-    integers[0, :count] += ord(letter) << 8
     time_ns = gps_ns_near(letter, time_ms * _NS_PER_MS, near_ns)
     return MsmMessage(station_id, more, time_ns, integers[:, :count], floats[:, :count], unknown)
 
@@ -124,6 +124,7 @@ def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
 def _read_cells(
     payload: Bytes,
     kind: int,
+    first_satellite: int,
     most_satellites: int,
     signal_of_id: Integers,
     carrier_of_id_hz: Floats,
@@ -209,7 +210,7 @@ def _read_cells(
                 rate_m_s += _fine(payload, fine_rates + cell * 15, 15) * 1e-4
             lock = _unsigned(payload, locks + cell * lock_width, lock_width)
             cn0 = _unsigned(payload, cn0s + cell * cn0_width, cn0_width)
-            integers[0, row] = numbers[satellite]
+            integers[0, row] = first_satellite + numbers[satellite]
             integers[1, row] = signal_of_id[ids[signal]]
             integers[2, row] = _unsigned(payload, half_cycles + cell, 1)
             floats[0, row] = code_ms * METRES_PER_MS

@@ -17,6 +17,8 @@ from camber.formats.rtcm_msm_reading import MsmMessage, is_msm, msm_header, read
 from camber.formats.stream_frames import FrameBuffer
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
+# A stream that never ends its epochs, or is of ever new stations, must not fill the memory: the oldest goes.
+_MOST_MESSAGES, _MOST_STATIONS = 32, 16
 _MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
 # RINEX 3.04, table A8: F/NAV from E5a with the clock of E5a, E1; I/NAV from E1-B, E5b with that of E5b, E1.
 _DATA_SOURCES = {1045: 258.0, 1046: 517.0}
@@ -119,6 +121,8 @@ class RtcmDecoder:
         begun = self._parts.get(station)
         if begun and begun[0].time_ns != message.time_ns:
             results += self._flush(station, complete=False)
+        elif (begun and len(begun) == _MOST_MESSAGES) or (not begun and len(self._parts) == _MOST_STATIONS):
+            results += self._flush(station if begun else next(iter(self._parts)), complete=False)
         self._near_ns = message.time_ns
         self._parts.setdefault(station, []).append(message)
         return results if message.more_follow else results + self._flush(station, complete=True)
@@ -136,7 +140,10 @@ class RtcmDecoder:
             integers, floats, keys = integers[:, rows], floats[:, rows], keys[rows]
         satellite, signal, half_cycle = integers
         pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, most_lock_s = floats
-        locks = self._locks.setdefault(station, LockTimes())
+        locks = self._locks.pop(station, None) or LockTimes()
+        if len(self._locks) == _MOST_STATIONS:
+            del self._locks[next(iter(self._locks))]
+        self._locks[station] = locks
         epoch = ObservationEpoch(
             time_ns=time_ns,
             satellite=satellite,

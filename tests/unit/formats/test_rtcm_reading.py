@@ -351,3 +351,25 @@ def test_times_follow_the_stream_over_weeks():
         epoch = random_epoch(np.random.default_rng(k), time_ns, satellites=5, missing=0.0)
         for found in decoder.feed(b"".join(format_observations(epoch, station_id=1))):
             assert found.epoch.time_ns == time_ns
+
+
+def test_epochs_that_are_never_ended_are_given_in_parts_and_do_not_pile_up():
+    epoch = random_epoch(np.random.default_rng(4), NOW_NS, satellites=4, missing=0.0)
+    frame = format_observations(epoch, station_id=1, more_follow=True)[0]
+    decoder = RtcmDecoder(NOW_NS)
+    results = decoder.feed(frame * 100)
+    assert [result.complete for result in results] == [False] * 3
+    assert decoder.incomplete == 3
+
+
+def test_of_many_stations_only_some_are_remembered():
+    epoch = random_epoch(np.random.default_rng(5), NOW_NS, satellites=4, missing=0.0)
+    decoder, begun = RtcmDecoder(NOW_NS), 0
+    for station in range(100):
+        results = decoder.feed(format_observations(epoch, station_id=station, more_follow=True)[0])
+        begun += 1 - len(results)
+        # The one that began first is given when there is no more room.
+        assert [result.station_id for result in results] == ([station - 16] if station >= 16 else [])
+    assert begun == 16
+    assert len(decoder.finish()) == 16
+    assert len(decoder._locks) == 16
