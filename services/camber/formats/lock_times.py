@@ -18,6 +18,7 @@ class LockTimes:
 
     def __init__(self) -> None:
         self._slots: dict[int, int] = {}
+        self._keys, self._slots_of_keys = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._last_ns = np.zeros(0, np.int64)
         self._least_s = np.zeros(0)
         self._state = np.zeros(0, np.int64)
@@ -37,9 +38,7 @@ class LockTimes:
         `state`, a number the receiver keeps with each phase, has changed. Keys are unique; rows without a phase are
         passed over.
         """
-        slots = self._slots
-        slot = np.array([slots.setdefault(key, len(slots)) for key in keys.tolist()], np.int64)
-        self._grow()
+        slot = self._places(keys)
         now = np.zeros(keys.size, np.int64) if state is None else state
         last_ns = self._last_ns[slot]
         since_s = (time_ns - last_ns) / NS_PER_SECOND
@@ -52,9 +51,16 @@ class LockTimes:
         self._state[written] = now[has_phase]
         return lost
 
-    def _grow(self) -> None:
-        more = len(self._slots) - self._last_ns.size
+    def _places(self, keys: Integers) -> Integers:
+        """Where each signal is remembered; mostly the same signals come as in the epoch before."""
+        if np.array_equal(keys, self._keys):
+            return self._slots_of_keys
+        slots = self._slots
+        self._keys = keys
+        self._slots_of_keys = np.array([slots.setdefault(key, len(slots)) for key in keys.tolist()], np.int64)
+        more = len(slots) - self._last_ns.size
         if more:
             self._last_ns = np.append(self._last_ns, np.full(more, -1))
             self._least_s = np.append(self._least_s, np.zeros(more))
             self._state = np.append(self._state, np.zeros(more, np.int64))
+        return self._slots_of_keys

@@ -73,7 +73,7 @@ class MixedDecoder:
         if self.rtcm is None:
             self.rtcm_without_time += 1
             return []
-        return [*self.rtcm.feed(frame.data)]
+        return [*self.rtcm.take(frame.data)]
 
     def _timed(self, results: list[UbxResult]) -> list[MixedResult]:
         for result in results:

@@ -1,4 +1,4 @@
-"""NAV messages put together epoch by epoch: a receiver's own position, its baseline, and what it says of both.
+"""NAV messages of a receiver's own position and baseline, and of what it says of both.
 
 Source: u-blox ZED-F9P, interface description (UBX-18010854): 3.15.5 (NAV-COV), 3.15.7 (NAV-HPPOSLLH), 3.15.13
 (NAV-PVT), 3.15.14 (NAV-RELPOSNED); ZED-F9R (UBX-20039643), NAV-PL.
@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.ubx_times import navigation_time_ns, unrolled_ns
+from camber.formats.receiver_solution import SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 
@@ -99,13 +98,15 @@ class PositionVelocityTime:
     authenticated: bool
     quality: SolutionQuality | None
     satellites: int
-    place: _Place
+    place: Place
     velocity_enu_m_s: _Vector
     age_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class Place:
+    """A position, its horizontal accuracy √(σ_e² + σ_n²) and vertical accuracy, None where they are not known."""
+
     latitude_rad: float
     longitude_rad: float
     height_m: float
@@ -114,71 +115,11 @@ class _Place:
 
 
 @dataclass(frozen=True, slots=True)
-class _Covariances:
+class Covariances:
+    """Of position and velocity, (ee, en, eu, nn, nu, uu); None where they are not valid."""
+
     position_m2: EnuCovariance | None
     velocity_m2_s2: EnuCovariance | None
-
-
-class NavigationEpoch:
-    """What has come of one `iTOW`."""
-
-    def __init__(self, of_week_ms: int) -> None:
-        self.of_week_ms = of_week_ms
-        self.pvt: PositionVelocityTime | None = None
-        self.protection: ProtectionLevels | None = None
-        self.baseline: ReceiverBaseline | None = None
-        """Its time is that of no epoch yet."""
-        self._precise: _Place | None = None
-        self._covariances = _Covariances(None, None)
-
-    def take(self, message_id: int, payload: bytes) -> None:
-        """One of the messages of this epoch; ValueError where it is malformed."""
-        if message_id == PVT:
-            self.pvt = read_position_velocity_time(payload)
-        elif message_id == HPPOSLLH:
-            self._precise = _read_high_precision_position(payload)
-        elif message_id == COV:
-            self._covariances = _read_covariances(payload)
-        elif message_id == PL:
-            self.protection = read_protection_levels(payload)
-        else:
-            self.baseline = read_baseline(payload)
-
-    def time_ns(self, near_ns: int | None) -> int | None:
-        """To ms, with NAV-PVT to ns; None where the week is not known. ValueError for times that cannot be."""
-        if self.pvt is not None and self.pvt.near_ns is not None:
-            near_ns = unrolled_ns(self.pvt.near_ns, near_ns)
-        if near_ns is None:
-            return None
-        return navigation_time_ns(self.of_week_ms, near_ns, self.pvt.nanosecond if self.pvt else None)
-
-    @property
-    def lacks_position(self) -> bool:
-        """The receiver has none that it vouches for, or sends one without NAV-PVT, which says what it is worth."""
-        return self._precise is not None if self.pvt is None else self.pvt.quality is None
-
-    def solution(self, time_ns: int) -> ReceiverSolution | None:
-        """The position as precise as it was said; its covariance is NAV-COV's, else that of the accuracies.
-
-        `hAcc` is √(σ_e² + σ_n²) (so it is beside NAV-COV in recordings): where there is nothing else both are taken for
-        equal and uncorrelated, and the velocity's covariance is not known.
-        """
-        pvt = self.pvt
-        if pvt is None or pvt.quality is None:
-            return None
-        place = pvt.place if self._precise is None else self._precise
-        return ReceiverSolution(
-            time_ns=time_ns,
-            latitude_rad=place.latitude_rad,
-            longitude_rad=place.longitude_rad,
-            height_m=place.height_m,
-            quality=pvt.quality,
-            satellites=pvt.satellites,
-            covariance_enu_m2=self._covariances.position_m2 or _from_accuracies(place),
-            age_s=pvt.age_s,
-            velocity_enu_m_s=pvt.velocity_enu_m_s,
-            velocity_covariance_enu_m2_s2=self._covariances.velocity_m2_s2,
-        )
 
 
 def epoch_of(message_id: int, payload: bytes) -> int:
@@ -286,10 +227,10 @@ def _place(
     height_m: float,
     horizontal_m: float | None,
     vertical_m: float | None,
-) -> _Place:
+) -> Place:
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0 or not _LOWEST_M <= height_m <= _HIGHEST_M:
         raise ValueError(f"position {latitude_deg}°, {longitude_deg}°, {height_m} m")
-    return _Place(math.radians(latitude_deg), math.radians(longitude_deg), height_m, horizontal_m, vertical_m)
+    return Place(math.radians(latitude_deg), math.radians(longitude_deg), height_m, horizontal_m, vertical_m)
 
 
 def _accuracy_m(value: int, per_m: float) -> float | None:
@@ -297,7 +238,8 @@ def _accuracy_m(value: int, per_m: float) -> float | None:
     return value / per_m if 0 < value < _UNKNOWN_ACCURACY else None
 
 
-def _read_high_precision_position(payload: bytes) -> _Place | None:
+def read_high_precision_position(payload: bytes) -> Place | None:
+    """NAV-HPPOSLLH; None where the receiver calls it invalid. ValueError where it is malformed."""
     if len(payload) != _HPPOSLLH.size or payload[0] != 0:
         raise ValueError(f"NAV-HPPOSLLH of {len(payload)} bytes, expected {_HPPOSLLH.size} and version 0")
     told = _HPPOSLLH.of(payload)
@@ -312,11 +254,12 @@ def _read_high_precision_position(payload: bytes) -> _Place | None:
     )
 
 
-def _read_covariances(payload: bytes) -> _Covariances:
+def read_covariances(payload: bytes) -> Covariances:
+    """NAV-COV, turned from north, east, down; ValueError where it is malformed or no covariance."""
     if len(payload) != _COV.size or payload[4] != 0:
         raise ValueError(f"NAV-COV of {len(payload)} bytes, expected {_COV.size} and version 0")
     _, position_valid, velocity_valid, *values = _COV.unpack(payload)
-    return _Covariances(
+    return Covariances(
         _enu_from_ned(values[:6]) if position_valid == 1 else None,
         _enu_from_ned(values[6:]) if velocity_valid == 1 else None,
     )
@@ -334,10 +277,3 @@ def _enu_from_ned(covariance: list[float]) -> EnuCovariance | None:
     if np.linalg.eigvalsh(matrix)[0] < -1e-6 * trace:
         raise ValueError(f"covariance {covariance} is not positive semidefinite")
     return ee, ne, -ed, nn, -nd, dd
-
-
-def _from_accuracies(place: _Place) -> EnuCovariance | None:
-    if place.horizontal_m is None or place.vertical_m is None:
-        return None
-    each = 0.5 * place.horizontal_m * place.horizontal_m
-    return each, 0.0, 0.0, each, 0.0, place.vertical_m * place.vertical_m

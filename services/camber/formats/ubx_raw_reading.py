@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.lock_times import LockTimes
-from camber.formats.observations import Floats, ObservationEpoch
+from camber.formats.observations import Floats, Integers, ObservationEpoch
 from camber.formats.ubx_signals import MOST_OF_GNSS, SIGNAL_OF_IDS, SYSTEM_OF_GNSS
 from camber.formats.ubx_times import checked_time_ns, unrolled_ns
 from camber.formats.ubx_writing import (
@@ -76,13 +76,9 @@ def read_raw_measurements(
     known = ours & (signal > 0) & (number > 0) & (number <= MOST_OF_GNSS[gnss])
     satellite = SYSTEM_OF_GNSS[gnss] * 256 + number
     keys = (satellite << 16) + signal
-    used = np.flatnonzero(known)
-    firsts = np.unique(keys[used], return_index=True)[1]
-    left_out = LeftOut(
-        count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), used.size - firsts.size
-    )
-    if firsts.size < count:
-        used = used[np.sort(firsts)]
+    used, repeated = _firsts(known, keys)
+    left_out = LeftOut(count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), repeated)
+    if used.size < count:
         rows, keys, satellite, signal = rows[used], keys[used], satellite[used], signal[used]
     status_bits = rows["trkStat"]
     phase = _valid(rows["cpMes"], (status_bits & PHASE_VALID) > 0)
@@ -113,3 +109,12 @@ def read_raw_measurements(
 def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:
     wide = values.astype(np.float64)
     return np.where(valid & np.isfinite(wide), wide, np.nan)
+
+
+def _firsts(known: NDArray[np.bool_], keys: Integers) -> tuple[Integers, int]:
+    """Rows of known signals, of each only the first, in order; and how many were more."""
+    used = np.flatnonzero(known)
+    if len(set(keys[used].tolist())) == used.size:
+        return used, 0
+    firsts = np.sort(np.unique(keys[used], return_index=True)[1])
+    return used[firsts], used.size - firsts.size

@@ -16,6 +16,7 @@ from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.receiver_statements import ReceiverStatements
 from camber.formats.stream_frames import FrameBuffer
 from camber.formats.ubx_ephemerides import SubframeCollector
+from camber.formats.ubx_navigation_epochs import NavigationEpoch
 from camber.formats.ubx_navigation_reading import (
     COV,
     EOE,
@@ -23,7 +24,6 @@ from camber.formats.ubx_navigation_reading import (
     PL,
     PVT,
     RELPOSNED,
-    NavigationEpoch,
     ReceiverBaseline,
     epoch_of,
 )
@@ -54,6 +54,8 @@ class UbxMessages:
     def __init__(self, near_ns: int | None = None, statements: ReceiverStatements | None = None) -> None:
         self.near_ns = near_ns
         """Of the last epoch, at first as given."""
+        # Only what is given settles roll-overs: a message that lies may lead the time astray, but not for long.
+        self._reference_ns = near_ns
         self.malformed = 0
         """Messages whose content contradicts itself, is cut short or of a version that is not known."""
         self.not_read = 0
@@ -104,7 +106,7 @@ class UbxMessages:
         return self._end_epoch()
 
     def _raw_measurements(self, payload: bytes) -> list[UbxResult]:
-        epoch, left_out = read_raw_measurements(payload, self._locks, self.near_ns)
+        epoch, left_out = read_raw_measurements(payload, self._locks, self._reference_ns)
         self.near_ns = epoch.epoch.time_ns
         self.other_systems += left_out.other_systems
         self.unknown_signals += left_out.unknown_signals
@@ -127,7 +129,9 @@ class UbxMessages:
         return [] if found is None else [*found]
 
     def _signal_state(self, message_class: int, payload: bytes) -> list[UbxResult]:
-        time_ns = self.near_ns if self._epoch is None else self._epoch.time_ns(self.near_ns)
+        time_ns = (
+            self.near_ns if self._epoch is None else self._epoch.time_ns(self.near_ns, self._reference_ns)
+        )
         if time_ns is None:
             self.without_time += 1
             return []
@@ -163,7 +167,7 @@ class UbxMessages:
             return []
         self._ended_ms = epoch.of_week_ms
         try:
-            time_ns = epoch.time_ns(self.near_ns)
+            time_ns = epoch.time_ns(self.near_ns, self._reference_ns)
         except ValueError:
             self.malformed += 1
             return []

@@ -278,6 +278,14 @@ def test_a_date_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time(
     assert only(run(pvt(early), near_ns=START_NS)[0], ReceiverSolution).time_ns == START_NS
 
 
+def test_a_time_that_is_a_lie_does_not_last():
+    weeks = (500, 1000, 1023, 1400)
+    for near_ns in (None, START_NS):
+        lies = [pvt(replace(SOLUTION, time_ns=START_NS + week * WEEK_NS)) for week in weeks]
+        results, _ = run(*lies, pvt(), b"", near_ns=near_ns)
+        assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)][-1] == START_NS
+
+
 def test_leap_seconds_are_in_the_date_and_not_in_the_time_of_week():
     for utc in (CalendarTime(2016, 12, 31, 23, 59, 60), CalendarTime(2017, 1, 1, 0, 0, 0)):
         time_ns = gps_ns_from_utc(utc)
