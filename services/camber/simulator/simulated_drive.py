@@ -35,7 +35,7 @@ from camber.simulator.faults import (
 from camber.simulator.satellites import radio_faults
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.parameters import BASE, ROVER
-from camber.simulator.satellites.propagation import Surroundings
+from camber.simulator.satellites.propagation import Surroundings, what_blocks
 from camber.simulator.satellites.receiver_solution import SimulatedSolutions, receiver_solutions
 from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import AntennaTrack, static_track
@@ -120,7 +120,8 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     of_epoch = np.arange(0, len(trajectory.time_ns), INNER_RATE_HZ // sky.rate_hz)
     epoch_ns = trajectory.time_ns[of_epoch]
     track = AntennaTrack(epoch_ns, trajectory.antenna_m[of_epoch], trajectory.antenna_velocity_m_s[of_epoch])
-    tracer = ShapeTracer(district.shapes("drive"))
+    shapes = district.shapes("drive")
+    tracer = ShapeTracer(shapes)
     frame = district.frame
     true = [
         e
@@ -128,7 +129,7 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         if chr(e.satellite >> 8) in sky.systems
     ]
     radio = _radio_faults(scenario)
-    surroundings = Surroundings(tracer, district.walls())
+    surroundings = Surroundings(ShapeTracer(what_blocks(shapes)), district.walls())
     rover = simulate_signals(track, frame, true, ROVER, scenario.seed, "rover", surroundings, radio)
     base_m = _base_place(trajectory, sky.base_distance_m)
     base = simulate_signals(static_track(epoch_ns, base_m), frame, true, BASE, scenario.seed, "base")

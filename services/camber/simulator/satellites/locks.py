@@ -37,12 +37,16 @@ def locks(
     time_ns: Integers,
     tracked: Booleans,
     cn0_dbhz: Floats,
+    data_only: Booleans,
     restarted: Integers,
     parameters: SignalParameters,
     seed: int,
     receiver: str,
 ) -> Locks:
-    """Of phases tracked (n, m, 2) with their C/N0; `restarted` (n,) counts the receiver's restarts."""
+    """Of phases tracked (n, m, 2) with their C/N0.
+
+    `data_only` (m, 2): signals without a pilot, `restarted` (n,) counts the receiver's restarts.
+    """
     p = parameters
     rng = stream(seed, f"satellites/{receiver}/locks")
     n = len(time_ns)
@@ -71,12 +75,17 @@ def locks(
     first = began == 0
     lock_time = np.where(first & (restarted[0] == 0), since + already, since)
 
-    fresh = ~first & tracked
-    half = at_beginning((rng.random(tracked.shape) < p.half_cycle_after_lock).astype(np.float64)) > 0.0
+    # Of signals whose sign is not known, half are half a cycle off.
+    asked = at_beginning((rng.random(tracked.shape) < p.half_cycle_after_lock).astype(np.float64)) > 0.0
+    open_sign = ~first & tracked & data_only & asked
+    resolved_s = at_beginning(rng.uniform(p.half_cycle_least_s, p.half_cycle_most_s, tracked.shape))
     off = at_beginning((rng.random(tracked.shape) < 0.5).astype(np.float64)) > 0.0
-    hidden = at_beginning((rng.random(tracked.shape) < p.half_cycle_unseen).astype(np.float64)) > 0.0
-    unresolved = fresh & half & (since < p.half_cycle_time_s)
-    half_flag = unresolved & ~hidden
+    strength_db = at_beginning(cn0_dbhz) - p.phase_tracked_above_dbhz
+    wrong = at_beginning(rng.random(tracked.shape)) < p.half_cycle_wrong_when_weak * 10.0 ** (
+        -np.maximum(strength_db, 0.0) / p.half_cycle_wrong_decade_db
+    )
+    half_flag = open_sign & (since < resolved_s)
+    unresolved = open_sign & (since < resolved_s + np.where(wrong, p.half_cycle_wrong_lasts_s, 0.0))
     # Resolved, the half cycle is taken out: a jump that comes with its own flag of a lock lost.
     settled = np.zeros_like(tracked)
     settled[1:] = unresolved[:-1] & ~unresolved[1:] & off[1:] & tracked[1:] & ~begins[1:]

@@ -13,6 +13,14 @@ SIGNALS: Mapping[str, tuple[str, str]] = {
 }
 """By system: the two signals a receiver tracks. GPS may be 1C and 2W, Galileo 1C and 7Q."""
 
+DATA_ONLY: Mapping[str, tuple[str, ...]] = {
+    "G": ("1C", "2S", "5I"),
+    "J": ("1C", "2S", "5I"),
+    "E": ("1B", "5I", "7I"),
+    "C": ("2I", "6I", "7I"),
+}
+"""Signals without a pilot: their phase is known to half a cycle only, until the data tell the sign."""
+
 
 @dataclass(frozen=True, slots=True)
 class SignalParameters:
@@ -65,7 +73,8 @@ class SignalParameters:
     second_absent_time_s: float = 3.0
     second_absent_enclosure: float = 0.4
 
-    # Crowns of trees (Goldhirsh and Vogel, NASA RP-1274: about 1.3 dB/m at L band, saturating).
+    # Crowns of trees: a single one takes 10 to 20 dB at 869 MHz, 12 dB in the middle (W. J. Vogel and J. Goldhirsh,
+    # IEEE Transactions on Antennas and Propagation 34 (1986)), along some eight metres.
     crown_loss_db_per_m: float = 1.3
     crown_loss_most_db: float = 20.0
     crown_code_m_per_db: float = 0.05
@@ -74,9 +83,17 @@ class SignalParameters:
     # Breaks of the phase, at 45 dB-Hz per second and signal, ten times as many every 10 dB lower.
     slips_per_s: float = 2.0e-4
     slip_unseen: float = 0.02
-    half_cycle_after_lock: float = 0.03
-    half_cycle_unseen: float = 0.02
-    half_cycle_time_s: float = 2.0
+
+    # After a lock of a signal without pilot its sign is known from data that the receiver can tell beforehand, or else,
+    # for such a share, only after a word to some words of 0.6 s (IS-GPS-200N, 20.3.2); until then a flag says so. In
+    # weak signals it is taken wrongly now and then, and no flag says so until the preamble of the next subframe, 6 s:
+    # so often at the weakest phase that is tracked, a tenth of that every so many dB above.
+    half_cycle_after_lock: float = 0.3
+    half_cycle_least_s: float = 0.6
+    half_cycle_most_s: float = 3.0
+    half_cycle_wrong_when_weak: float = 0.02
+    half_cycle_wrong_decade_db: float = 4.0
+    half_cycle_wrong_lasts_s: float = 6.0
 
     # The receiver's own clock: what is left of it after steering, and its drift.
     clock_bias_s: float = 2.0e-5

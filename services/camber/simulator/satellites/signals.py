@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_number
+from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_name, signal_number
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
@@ -16,7 +16,7 @@ from camber.simulator.satellites.atmosphere import Atmosphere
 from camber.simulator.satellites.levels import Levels, levels
 from camber.simulator.satellites.locks import Locks, locks
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S, OrbitTable, newest_in_use
-from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.parameters import DATA_ONLY, SignalParameters
 from camber.simulator.satellites.propagation import Propagation, Surroundings, open_sky, propagation
 from camber.simulator.satellites.radio_faults import RadioFaults
 from camber.simulator.satellites.ranges import Ranges, ranges
@@ -118,7 +118,8 @@ def simulate_signals(
     arriving.code_tracked[~running] = False
     arriving.phase_tracked[~running] = False
     held = locks(
-        time_ns, arriving.phase_tracked, arriving.cn0_dbhz, faults.restarted(time_ns), parameters, seed, receiver
+        time_ns, arriving.phase_tracked, arriving.cn0_dbhz, _data_only(table.satellite, signal),
+        faults.restarted(time_ns), parameters, seed, receiver,
     )  # fmt: skip
 
     ionosphere, troposphere = atmosphere.delays_m(
@@ -171,6 +172,14 @@ def _signals_of(satellite: Integers, parameters: SignalParameters) -> tuple[Inte
     signal = np.array([[signal_number(name) for name in pair] for pair in names], np.int64).reshape(-1, 2)
     carrier = [[carrier_hz(s, name) for name in pair] for s, pair in zip(systems, names, strict=True)]
     return signal, np.array(carrier, np.float64).reshape(-1, 2)
+
+
+def _data_only(satellite: Integers, signal: Integers) -> NDArray[np.bool_]:
+    found = [
+        [signal_name(number) in DATA_ONLY[chr(s >> 8)] for number in pair]
+        for s, pair in zip(satellite.tolist(), signal.tolist(), strict=True)
+    ]
+    return np.array(found, np.bool_).reshape(-1, 2)
 
 
 def _group_delays_s(ephemerides: Sequence[Ephemeris], satellite: Integers, carrier_hz: Floats) -> Floats:

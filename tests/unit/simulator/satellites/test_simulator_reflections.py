@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.simulator.satellites.parameters import ROVER
-from camber.simulator.satellites.propagation import Surroundings, propagation
+from camber.simulator.satellites.propagation import Surroundings, propagation, what_blocks
 from camber.simulator.satellites.reflections import reflections
-from camber.simulator.scene import Hits, Walls
+from camber.simulator.scene import Hits, Shapes, Walls
+from camber.simulator.world.tracing import ShapeTracer
 
 FAR_M = 1.0e9
 
@@ -140,3 +141,18 @@ def test_crowns_and_enclosure_are_found_on_the_way():
     assert not propagation(
         antenna, direction, elevation, Surroundings(WallTracer(EAST), EAST), low
     ).direct.any()
+
+
+def test_a_post_does_not_block_a_signal_and_a_house_does():
+    ahead = np.array([[1.0, 0.0, 0.0]])
+    post, tower = (3.0, 0.0, 0.0, 0.1, 8.0), (3.0, 0.0, 0.0, 2.0, 8.0)
+    house = (9.0, 0.0, 0.0, 2.0, 5.0, 8.0, 0.0)
+    crown = (3.0, 0.0, 2.0, 2.0, 2.0)
+
+    def blocked(shapes):
+        return bool(ShapeTracer(what_blocks(shapes)).blocked(np.array([[0.0, 0.0, 2.0]]), ahead, 100.0)[0])
+
+    assert not blocked(Shapes.of(cylinders=[post]))
+    assert blocked(Shapes.of(cylinders=[post, tower]))
+    assert blocked(Shapes.of(cylinders=[post], boxes=[house]))
+    assert len(what_blocks(Shapes.of(cylinders=[post], crowns=[crown])).crowns_m) == 1

@@ -9,6 +9,7 @@ from camber.formats.observations import ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.satellites.constellation import true_ephemerides
+from camber.simulator.satellites.locks import locks
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.radio_faults import Jamming, RadioFaults, Restart, Spoofing
@@ -116,6 +117,49 @@ def test_spoofed_ranges_are_those_of_the_place_that_drifts_off():
     since = np.maximum((plain.time_ns - begin) / NS_PER_SECOND, 0.0)
     expected = -np.einsum("nmk,k->nm", plain.geometry.direction, np.array(drift)) * since[:, None]
     assert np.max(np.abs((spoofed.pseudorange_m - plain.pseudorange_m)[..., 0] - expected)) < 2e-3
+
+
+def test_only_signals_without_pilot_lose_half_a_cycle_and_a_flag_tells_of_it():
+    restart = Restart(BEGIN_NS + 5 * NS_PER_SECOND, BEGIN_NS + 6 * NS_PER_SECOND)
+    always = replace(ROVER, half_cycle_after_lock=1.0, half_cycle_wrong_when_weak=0.0, slips_per_s=0.0)
+    signals = simulated(RadioFaults(restarts=(restart,)), always)
+    off = signals.locks.ambiguity_cycles % 1.0 == 0.5
+    letters = [chr(s >> 8) for s in signals.satellite]
+    data = np.array([[letter in "GJC", letter == "C"] for letter in letters])
+    assert off[:, data].any()
+    assert not off[:, ~data].any()
+    assert not signals.locks.half_cycle[:, ~data].any()
+    assert np.all(signals.locks.half_cycle[off])
+    # Resolved within three seconds, and the jump says that it is one.
+    since = (signals.time_ns - restart.end_ns) / NS_PER_SECOND
+    assert not signals.locks.half_cycle[since > 3.0].any()
+    jumps = (np.diff(off, axis=0) != 0) & signals.levels.phase_tracked[1:] & signals.levels.phase_tracked[:-1]
+    assert jumps.any()
+    assert np.all(signals.locks.loss_of_lock[1:][jumps])
+
+
+def locked_at(cn0_dbhz, count=4000):
+    """Many signals without pilot that are lost for a while and come back with this C/N0, over twenty seconds."""
+    time_ns = BEGIN_NS + np.arange(20 * RATE_HZ, dtype=np.int64) * (NS_PER_SECOND // RATE_HZ)
+    tracked = np.ones((len(time_ns), count, 2), np.bool_)
+    tracked[5:10] = False
+    return locks(
+        time_ns, tracked, np.full(tracked.shape, cn0_dbhz), np.ones((count, 2), np.bool_),
+        np.zeros(len(time_ns), np.int64), replace(ROVER, slips_per_s=0.0, half_cycle_after_lock=1.0), 3, "rover",
+    )  # fmt: skip
+
+
+def test_half_cycles_that_no_flag_tells_of_happen_to_weak_signals():
+    untold = {}
+    for cn0 in (33.0, 37.0, 45.0):
+        found = locked_at(cn0)
+        hidden = (found.ambiguity_cycles % 1.0 == 0.5) & ~found.half_cycle
+        untold[cn0] = float(np.mean(hidden.any(axis=0)))
+        # Never for longer than until the next subframe.
+        assert hidden.sum(axis=0).max() <= 6 * RATE_HZ + 1
+    assert untold[33.0] == pytest.approx(0.01, rel=0.3)
+    assert untold[37.0] == pytest.approx(0.001, rel=0.8)
+    assert untold[45.0] < 3e-4
 
 
 def test_a_track_without_rising_times_is_refused():
