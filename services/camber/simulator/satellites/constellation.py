@@ -2,8 +2,10 @@
 
 Sources: GPS SPS Performance Standard, 5th edition, tables 3.2-1 and 3.2-2 (slots, without the drift of the planes since
 their epoch); Galileo OS Service Definition Document 1.3, annex on the reference constellation (24/3/1 and its epoch);
-BDS-OS-PS 3.0, 2.2 (24/3/1, inclined and geostationary satellites); IS-QZSS-PNT-004, 4 (eccentric inclined orbits over
-Japan); S. Aoki et al., "The new definition of universal time", A&A 105 (1982) (sidereal time).
+BDS-OS-PS 3.0, 2.2 (24/3/1, inclined and geostationary satellites), longitudes as in the IGS list of BeiDou's
+satellites and in IMO MSC.379(93), 1.1; IS-QZSS-PNT-004, 4 (eccentric inclined orbits over Japan), nodes as in the
+two-line elements of November 2017 (right ascensions 157°, 287°, 24°); S. Aoki et al., "The new definition of universal
+time", A&A 105 (1982) (sidereal time).
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ from camber.simulator.satellites.orbits import (
 _HOUR_NS = 3600 * NS_PER_SECOND
 _STEP_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": _HOUR_NS // 2, "C": _HOUR_NS}
 _SYNCHRONOUS_S = 86164.0905
+# −3/2 J2 n (R / a)² cos i; Galileo's is told, −0.0276° a day (European GNSS Service Centre, orbital parameters).
+_NODE_RATE_RAD_S = {"G": -7.8e-9, "E": -5.58e-9, "C": -7.0e-9}
 _GPS_NODES_DEG = (272.847, 332.847, 32.847, 92.847, 152.847, 212.847)
 _GPS_SLOTS_DEG = (
     (268.126, 161.786, 11.676, 41.806),
@@ -57,8 +61,8 @@ _BEIDOU_IGSO = (
     (13, 95.0, 260.0),
     (16, 112.0, 330.0),
 )
-_BEIDOU_GEO = ((1, 140.0), (2, 84.0), (3, 110.5), (4, 160.0), (5, 58.75))
-_QZSS = ((2, 0.0), (3, 230.0), (4, 130.0))  # number, phase of the figure of eight over 135° E
+_BEIDOU_GEO = ((1, 140.0), (2, 80.0), (3, 110.5), (4, 160.0), (5, 58.75))
+_QZSS = ((2, 0.0), (3, 263.0), (4, 130.0))  # number, phase of the figure of eight over 135° E
 _QZSS_GEO = (7, 127.0)
 
 
@@ -215,7 +219,7 @@ def _reference_set(orbit: _Orbit, reference_ns: int, seed: int) -> Ephemeris:
         inclination_rad=tilt if geo else math.radians(orbit.inclination_deg),
         inclination_rate_rad_s=0.0 if geo else 1.0e-10 * float(h[5]),
         ascending_node_rad=math.pi if geo else math.radians(orbit.node_deg),
-        ascending_node_rate_rad_s=0.0 if synchronous else -8.0e-9 if system == "G" else -5.5e-9,
+        ascending_node_rate_rad_s=0.0 if synchronous else _NODE_RATE_RAD_S[system],
         perigee_rad=perigee,
         mean_anomaly_rad=argument - perigee,
         mean_motion_difference_rad_s=0.0 if synchronous else 4.0e-9,
