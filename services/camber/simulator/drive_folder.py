@@ -152,6 +152,7 @@ def truth_of(drive: SimulatedDrive) -> TruthTable:
         "road_changed_m": changed_m,
         "map_wrong_m": map_m,
         "fix_wrong_since_s": since,
+        "fix_integers_wrong": np.where(drive.fixed, drive.solutions.wrong_integers, np.nan),
     }
     for fault in drive.scenario.faults:
         name = f"fault_{fault.kind}"

@@ -145,6 +145,8 @@ def test_a_wrong_base_moves_all_fixes_alike_and_the_stations_message(faulty: Pat
     assert truth.fix_state is not None
     assert (truth.fix_state[wrong] == 1).all()
     assert truth.more["fix_wrong_since_s"][wrong] == pytest.approx(5.0)
+    # It is the station that is wrong, not the integers.
+    assert (truth.more["fix_integers_wrong"][wrong] == 0.0).all()
     decoder = RtcmDecoder(int(truth.time_ns[0]))
     stations = {
         item.position_ecef_m

@@ -22,6 +22,19 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 _FEWEST_IN_GROUP = 2
+_SINGULAR = 1e-6
+_MOST_LEFT_OUT = 12
+_LEAST_REDUNDANCY = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """What a receiver leaves out: by elevation, by C/N0, and by what does not fit the rest, in standard deviations."""
+
+    lowest_elevation_rad: float = 0.0
+    lowest_cn0_dbhz: float = 0.0
+    code_sigmas: float = np.inf
+    phase_sigmas: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +43,9 @@ class DifferencedGeometry:
 
     `code_used`, `phase_used` (n, m, 2): in a group with another one. `code_normal`, `phase_normal` (n, 3, 3): Σ (g − ḡ)
     (g − ḡ)ᵀ of unit weights, east, north, up. `code_solution_m`, `phase_solution_m` (n, 3): the position errors that
-    the signals' errors make (phase: with the right integers), zero where not solvable. `ambiguities` (n,) double
-    differences; `success` (n,) the ADOP's approximation of the probability that rounding finds them.
+    the signals' errors make (phase: with the integers nearest to the true position), zero where not solvable.
+    `ambiguities` (n,) double differences; `success` (n,) the ADOP's approximation of the probability that rounding
+    finds them. `phase_fits` (n,): no phase that is used stands out.
     """
 
     code_used: Booleans
@@ -44,6 +58,7 @@ class DifferencedGeometry:
     phase_solution_m: Floats
     ambiguities: Integers
     success: Floats
+    phase_fits: Booleans
     code_satellites: Integers
     phase_satellites: Integers
 
@@ -53,33 +68,38 @@ def differenced_geometry(
     base: SimulatedSignals | None,
     code_sigma_m: float,
     phase_sigma_m: float,
-    elevation_mask_rad: float,
-    code_outlier_m: float = np.inf,
-    phase_outlier_m: float = np.inf,
+    screening: Screening | None = None,
 ) -> DifferencedGeometry:
-    """Of what a rover tracks above the mask; errors are the rover's own, `base` only limits what can be differenced.
+    """Of what a rover tracks and a base too, with the errors of both; without a base the rover's own.
 
-    Signals whose error is beyond the outlier limits are not used: a receiver leaves out what does not fit the rest.
+    The air is taken to be the same for both: over some kilometres it differs by millimetres.
     """
-    high = (rover.geometry.elevation_rad >= elevation_mask_rad)[..., None]
-    code_used = rover.levels.code_tracked & high
-    code_used &= np.abs(rover.levels.code_error_m) <= code_outlier_m
-    phase_used = rover.levels.phase_tracked & high & code_used
-    phase_used &= np.abs(rover.levels.phase_error_m) <= phase_outlier_m
-    if base is not None:
-        at_base = _seen_at(base, rover)
-        code_used = code_used & at_base
-        phase_used = phase_used & at_base
+    screening = screening or Screening()
+    high = (rover.geometry.elevation_rad >= screening.lowest_elevation_rad)[..., None]
+    high = high & (rover.levels.cn0_dbhz >= screening.lowest_cn0_dbhz)
     wavelength = SPEED_OF_LIGHT_M_S / rover.carrier_hz
+    code_error, phase_error = rover.levels.code_error_m, _phase_error_m(rover)
+    code_used = rover.levels.code_tracked & high
+    phase_used = rover.levels.phase_tracked & high & ~rover.locks.half_cycle
+    if base is not None:
+        seen, code_at_base, phase_at_base = _at_base(base, rover)
+        code_used &= seen
+        phase_used &= seen
+        code_error = code_error - code_at_base
+        phase_error = phase_error - phase_at_base
+    # Whole cycles of an error go into the integers, which are what fits best.
+    phase_error = phase_error - wavelength * np.rint(phase_error / wavelength)
     group = (rover.satellite >> 8)[:, None] * 2 + np.arange(2)
     group = np.unique(group, return_inverse=True)[1].reshape(group.shape)
-    code_used = _grouped(code_used, group)
-    phase_used = _grouped(phase_used, group)
-    n_code, x_code, _, _ = _normal(rover, code_used, group, rover.levels.code_error_m, wavelength, 1.0)
-    n_phase, x_phase, count, log_det = _normal(
-        rover, phase_used, group, rover.levels.phase_error_m, wavelength, phase_sigma_m
+    direction = rover.geometry.direction
+    code_used, _ = fitting(direction, code_used, group, code_error, screening.code_sigmas * code_sigma_m)
+    phase_used, phase_fits = fitting(
+        direction, phase_used & code_used, group, phase_error, screening.phase_sigmas * phase_sigma_m
     )
-    solvable = (np.linalg.det(n_code) > 1e-6) & (count >= 3)
+    n_code, x_code = _solved(direction, code_used, group, code_error)
+    n_phase, x_phase = _solved(direction, phase_used, group, phase_error)
+    count, log_det = _ambiguities(phase_used, group, wavelength, phase_sigma_m)
+    solvable = (np.linalg.det(n_code) > _SINGULAR) & (count >= 3)
     eye = np.eye(3)
     a = np.where(solvable[:, None, None], n_code / code_sigma_m**2, eye)
     b = np.where(solvable[:, None, None], n_phase / phase_sigma_m**2, 0.0)
@@ -87,41 +107,89 @@ def differenced_geometry(
     adop = np.exp(log_det / (2.0 * np.maximum(count, 1)))
     success = np.where(solvable, _between(0.5 / adop) ** np.maximum(count, 1), 0.0)
     return DifferencedGeometry(
-        code_used, phase_used, group, wavelength, n_code, n_phase, x_code, x_phase, count, success,
+        code_used, phase_used, group, wavelength, n_code, n_phase, x_code, x_phase, count, success, phase_fits,
         np.sum(code_used[..., 0], axis=1), np.sum(phase_used[..., 0], axis=1),
     )  # fmt: skip
 
 
-def centred(direction: Floats, used: Booleans, group: Integers) -> Floats:
-    """Directions (n, m, 3) about the mean of those used in their group: (n, m, 2, 3), zero where not used."""
-    out = np.zeros((*used.shape, 3))
+def fitting(
+    direction: Floats, used: Booleans, group: Integers, error_m: Floats, limit_m: float
+) -> tuple[Booleans, Booleans]:
+    """Signals (n, m, 2) whose residuals fit the rest, and at which epochs (n,) that was reached.
+
+    The residual that stands out most, against what its redundancy leaves of it, is left out and the rest solved again
+    (W. Baarda, "A testing procedure for use in geodetic networks" (1968)), as long as it is beyond the limit.
+    """
+    used = _grouped(used, group)
+    fits = np.ones(len(used), np.bool_)
+    if not np.isfinite(limit_m):
+        return used, fits
+    rows = np.arange(len(used))
+    for _ in range(_MOST_LEFT_OUT):
+        stands_out = _standing_out(direction[rows], used[rows], group, error_m[rows]).reshape(len(rows), -1)
+        worst = np.argmax(stands_out, axis=1)
+        beyond = stands_out[np.arange(len(rows)), worst] > limit_m
+        rows, worst = rows[beyond], worst[beyond]
+        if not len(rows):
+            return used, fits
+        used.reshape(len(used), -1)[rows, worst] = False
+        used[rows] = _grouped(used[rows], group)
+    fits[rows] = False
+    return used, fits
+
+
+def _standing_out(direction: Floats, used: Booleans, group: Integers, error_m: Floats) -> Floats:
+    """|residual| / √redundancy (n, m, 2), zero where not used or nothing checks it."""
+    n = len(used)
+    g = centred(direction, used, group)
+    e = centred(np.broadcast_to(error_m[..., None], (*used.shape, 1)), used, group)[..., 0]
+    normal, solution = _solved(direction, used, group, error_m)
+    residual = e + np.einsum("nmfk,nk->nmf", g, solution)
+    solvable = np.linalg.det(normal) > _SINGULAR
+    inverse = np.linalg.inv(np.where(solvable[:, None, None], normal, np.eye(3)))
+    leverage = np.einsum("nmfi,nij,nmfj->nmf", g, inverse, g)
+    number = np.zeros(used.shape)
+    for k in range(int(group.max()) + 1 if group.size else 0):
+        rows, frequency = np.nonzero(group == k)
+        number[:, rows, frequency] = used[:, rows, frequency].sum(axis=1)[:, None]
+    redundancy = 1.0 - 1.0 / np.maximum(number, 1.0) - leverage
+    checked = used & solvable[:, None, None] & (redundancy > _LEAST_REDUNDANCY)
+    found: Floats = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, redundancy, 1.0)), 0.0)
+    return found.reshape(n, *used.shape[1:])
+
+
+def centred(values: Floats, used: Booleans, group: Integers) -> Floats:
+    """Values (n, m, k) or (n, m, 2, k) about the mean of those used in their group: (n, m, 2, k), zero elsewhere."""
+    out = np.zeros((*used.shape, values.shape[-1]))
     for g in range(int(group.max()) + 1 if group.size else 0):
         rows, frequency = np.nonzero(group == g)
         w = used[:, rows, frequency]
+        inside = values[:, rows] if values.ndim == 3 else values[:, rows, frequency]
         total = np.maximum(w.sum(axis=1), 1)
-        mean = np.einsum("nm,nmk->nk", w, direction[:, rows]) / total[:, None]
-        out[:, rows, frequency] = w[..., None] * (direction[:, rows] - mean[:, None])
+        mean = np.einsum("nm,nmk->nk", w, inside) / total[:, None]
+        out[:, rows, frequency] = w[..., None] * (inside - mean[:, None])
     return out
 
 
-def _normal(
-    rover: SimulatedSignals,
-    used: Booleans,
-    group: Integers,
-    error_m: Floats,
-    wavelength_m: Floats,
-    sigma_m: float,
-) -> tuple[Floats, Floats, Integers, Floats]:
-    n = len(rover.time_ns)
-    directions = centred(rover.geometry.direction, used, group).reshape(n, -1, 3)
+def _solved(direction: Floats, used: Booleans, group: Integers, error_m: Floats) -> tuple[Floats, Floats]:
+    """Normal matrices (n, 3, 3) and position errors (n, 3) that errors (n, m, 2) make, zero where not solvable."""
+    n = len(used)
+    directions = centred(direction, used, group).reshape(n, -1, 3)
     normal = np.einsum("nmi,nmj->nij", directions, directions)
     # A range grows against the direction to the satellite: δx = −N⁻¹ Gᵀ δρ.
     right = -np.einsum("nmi,nm->ni", directions, np.where(used, error_m, 0.0).reshape(n, -1))
-    good = np.linalg.det(normal) > 1e-6
+    good = np.linalg.det(normal) > _SINGULAR
     solution = np.zeros((n, 3))
     solution[good] = np.linalg.solve(normal[good], right[good][..., None])[..., 0]
-    count = np.zeros(n, np.int64)
-    log_det = np.zeros(n)
+    return normal, solution
+
+
+def _ambiguities(
+    used: Booleans, group: Integers, wavelength_m: Floats, sigma_m: float
+) -> tuple[Integers, Floats]:
+    """Double differences (n,), and Σ [(k − 1) ln(σ² / λ²) + ln k] over groups."""
+    count = np.zeros(len(used), np.int64)
+    log_det = np.zeros(len(used))
     for g in range(int(group.max()) + 1 if group.size else 0):
         rows, frequency = np.nonzero(group == g)
         k = used[:, rows, frequency].sum(axis=1)
@@ -129,7 +197,7 @@ def _normal(
         count += np.where(some, k - 1, 0)
         ratio = 2.0 * np.log(sigma_m / wavelength_m[rows[0], frequency[0]])
         log_det += np.where(some, (k - 1) * ratio + np.log(np.maximum(k, 1)), 0.0)
-    return normal, solution, count, log_det
+    return count, log_det
 
 
 def _grouped(used: Booleans, group: Integers) -> Booleans:
@@ -142,18 +210,24 @@ def _grouped(used: Booleans, group: Integers) -> Booleans:
     return out
 
 
-def _seen_at(base: SimulatedSignals, rover: SimulatedSignals) -> Booleans:
-    """Which of the rover's signals the base tracks at the same time tag."""
-    at = np.searchsorted(base.time_ns, rover.time_ns)
-    at = np.minimum(at, len(base.time_ns) - 1)
+def _phase_error_m(signals: SimulatedSignals) -> Floats:
+    """With the half cycle that is off, if any: whole cycles belong to the integers."""
+    cycles = signals.locks.ambiguity_cycles
+    off = cycles - np.floor(cycles)
+    error: Floats = signals.levels.phase_error_m + off * SPEED_OF_LIGHT_M_S / signals.carrier_hz
+    return error
+
+
+def _at_base(base: SimulatedSignals, rover: SimulatedSignals) -> tuple[Booleans, Floats, Floats]:
+    """Which of the rover's signals (n, m, 2) the base tracks soundly at the same time; its code and phase errors."""
+    at = np.minimum(np.searchsorted(base.time_ns, rover.time_ns), len(base.time_ns) - 1)
     same = base.time_ns[at] == rover.time_ns
     column = {int(s): k for k, s in enumerate(base.satellite)}
-    seen = np.zeros(rover.levels.code_tracked.shape, np.bool_)
-    for k, number in enumerate(rover.satellite):
-        j = column.get(int(number))
-        if j is not None:
-            seen[:, k] = base.levels.phase_tracked[at, j] & same[:, None]
-    return seen
+    of_base = np.array([column.get(int(s), -1) for s in rover.satellite], np.int64)
+    sound = base.levels.phase_tracked & ~base.locks.half_cycle
+    seen = sound[at][:, of_base] & (same[:, None] & (of_base >= 0))[..., None]
+    code, phase = base.levels.code_error_m[at][:, of_base], _phase_error_m(base)[at][:, of_base]
+    return seen, np.where(seen, code, 0.0), np.where(seen, phase, 0.0)
 
 
 def _between(bound: Floats) -> Floats:

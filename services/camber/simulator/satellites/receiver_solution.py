@@ -1,8 +1,10 @@
-"""What a common receiver would have said: fixes right and wrong, floats, single positions, and which fix is wrong.
+"""What a common receiver would have said: fixes on right and wrong integers, floats, single positions.
 
-A state machine over the geometry of each epoch: a fix is taken when the success rate of its ambiguities allows, after a
-while of search; it may then be a wrong point of the lattice, the more easily the weaker the geometry and the larger the
-code's error is. A wrong fix is held, its integers with it, until the receiver finds out or has too few satellites.
+A state machine over the geometry of each epoch: a fix is taken when the success rate of its ambiguities allows and no
+phase stands out of the rest, after a while of search; it may then be a wrong point of the lattice, the more easily the
+weaker the geometry and the larger the code's error is. Wrong integers are held until the receiver finds out or has too
+few satellites. What is left out is left out by elevation, C/N0 and residuals, so a right fix carries the reflections
+that fit. Whether a fix is *wrong* is another question, of its distance from the truth: `camber.formats.truth_csv`.
 """
 
 from __future__ import annotations
@@ -17,7 +19,11 @@ from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
-from camber.simulator.satellites.differenced_geometry import DifferencedGeometry, differenced_geometry
+from camber.simulator.satellites.differenced_geometry import (
+    DifferencedGeometry,
+    Screening,
+    differenced_geometry,
+)
 from camber.simulator.satellites.random_processes import gauss_markov, memory_of
 from camber.simulator.satellites.signals import SimulatedSignals
 from camber.simulator.satellites.track import AntennaTrack
@@ -33,10 +39,11 @@ class SolutionParameters:
     """The receiver's engine. Sigmas are of one signal, rover and base together."""
 
     elevation_mask_deg: float = 15.0
+    cn0_mask_dbhz: float = 33.0
     code_sigma_m: float = 0.6
-    code_outlier_m: float = 5.0
     phase_sigma_m: float = 0.006
-    phase_outlier_m: float = 0.04
+    sigmas_left_out: float = 4.0
+    largest_dop: float = 25.0
     success_to_fix: float = 0.9
     fewest_ambiguities: int = 5
     search_s: float = 1.5
@@ -45,6 +52,11 @@ class SolutionParameters:
     wrong_by_code: float = 0.05
     wrong_at_most: float = 0.5
     wrong_lasts_s: float = 8.0
+    # What antenna, air and filter do to right fixes beyond the signals' errors: 0.01 m for half of them, in the plane
+    # and up (u-blox, ZED-F9R integration manual, UBX-20039643, 2.1.4: 0.01 m + 1 ppm CEP).
+    fix_plane_sigma_m: float = 0.0085
+    fix_up_sigma_m: float = 0.015
+    fix_time_s: float = 30.0
     float_smoothing_s: float = 20.0
     single_bias_m: float = 0.8
     single_factor: float = 1.5
@@ -56,17 +68,17 @@ class SolutionParameters:
 class SimulatedSolutions:
     """`solutions` in the order of time, none where the receiver had none; and the truth beside them.
 
-    Columns over all n epochs of the track: `quality` (0: none), `error_m` (n, 3), spoofing
-    included, `wrong` and `wrong_since_ns`, the
-    beginning of the episode, −1 where the fix is right or is none.
+    Columns over all n epochs of the track: `quality` (0: none), `error_m` (n, 3), spoofing included,
+    `wrong_integers`, which may move a fix by less than what is called wrong, and `wrong_integers_since_ns`, the
+    beginning of the episode, −1 where the integers are right or there is no fix.
     """
 
     solutions: list[ReceiverSolution]
     time_ns: Integers
     quality: Integers
     error_m: Floats
-    wrong: Booleans
-    wrong_since_ns: Integers
+    wrong_integers: Booleans
+    wrong_integers_since_ns: Integers
 
 
 def receiver_solutions(
@@ -81,31 +93,30 @@ def receiver_solutions(
     if not np.array_equal(rover.time_ns, track.time_ns):
         raise ValueError("rover and track have different times")
     p = parameters or SolutionParameters()
-    geometry = differenced_geometry(
-        rover,
-        base,
-        p.code_sigma_m,
-        p.phase_sigma_m,
-        float(np.deg2rad(p.elevation_mask_deg)),
-        p.code_outlier_m,
-        p.phase_outlier_m,
+    screening = Screening(
+        float(np.deg2rad(p.elevation_mask_deg)), p.cn0_mask_dbhz, p.sigmas_left_out, p.sigmas_left_out
     )
+    geometry = differenced_geometry(rover, base, p.code_sigma_m, p.phase_sigma_m, screening)
     rng = stream(seed, "satellites/solution")
     n = len(track.time_ns)
     dt = np.diff(track.time_ns, prepend=track.time_ns[:1]) / NS_PER_SECOND
     ready = (
         (geometry.success >= p.success_to_fix)
         & (geometry.ambiguities >= p.fewest_ambiguities)
+        & geometry.phase_fits
+        & (_dilution(geometry.phase_normal) <= p.largest_dop)
         & rover.running
     )
-    fixed, wrong_since, shift = _fixes(rover, geometry, ready, dt, p, rng)
-    wrong = wrong_since >= 0
+    fixed, since, shift = _fixes(rover, geometry, ready, dt, p, rng)
+    wrong = since >= 0
 
     has_code = (np.linalg.det(geometry.code_normal) > 1e-6) & (geometry.code_satellites >= 4) & rover.running
     differenced = has_code & (geometry.phase_satellites >= 4)
     smooth = _smoothed(geometry.code_solution_m, differenced, dt, p.float_smoothing_s)
     slow = gauss_markov(rng.normal(size=(n, 3)), memory_of(dt, 300.0))
     single = p.single_factor * geometry.code_solution_m + p.single_bias_m * slow * np.array([1.0, 1.0, 2.0])
+    spread = np.array([p.fix_plane_sigma_m, p.fix_plane_sigma_m, p.fix_up_sigma_m])
+    unexplained = spread * gauss_markov(rng.normal(size=(n, 3)), memory_of(dt, p.fix_time_s))
     quality = np.select(
         [fixed, differenced, has_code],
         [int(SolutionQuality.FIX), int(SolutionQuality.FLOAT), int(SolutionQuality.SINGLE)],
@@ -113,7 +124,7 @@ def receiver_solutions(
     )
     error = np.select(
         [fixed[:, None], differenced[:, None], has_code[:, None]],
-        [geometry.phase_solution_m + shift, smooth, single],
+        [geometry.phase_solution_m + unexplained + shift, smooth, single],
         0.0,
     )
     error = np.where(quality[:, None] > 0, error + rover.antenna_offset_m, 0.0)
@@ -122,8 +133,15 @@ def receiver_solutions(
     )
     velocity = track.antenna_velocity_m_s + p.velocity_sigma_m_s * rng.normal(size=(n, 3))
     solutions = _as_solutions(rover, geometry, track, frame, quality, error, ratio, velocity, p)
-    since = np.where(wrong, track.time_ns[np.maximum(wrong_since, 0)], -1)
-    return SimulatedSolutions(solutions, track.time_ns, quality.astype(np.int64), error, wrong, since)
+    since_ns = np.where(wrong, track.time_ns[np.maximum(since, 0)], -1)
+    return SimulatedSolutions(solutions, track.time_ns, quality.astype(np.int64), error, wrong, since_ns)
+
+
+def _dilution(normal: Floats) -> Floats:
+    """√ trace N⁻¹ (n,), infinite where N has no inverse."""
+    solvable = np.linalg.det(normal) > 1e-6
+    inverse = np.linalg.inv(np.where(solvable[:, None, None], normal, np.eye(3)))
+    return np.where(solvable, np.sqrt(np.trace(inverse, axis1=1, axis2=2)), np.inf)
 
 
 def _fixes(
@@ -226,6 +244,8 @@ def _as_solutions(
         normal = geometry.phase_normal[k] if is_fix else geometry.code_normal[k]
         sigma = p.phase_sigma_m if is_fix else p.code_sigma_m * (3.0 if quality[k] == single else 1.0)
         c = np.linalg.inv(normal) * sigma**2
+        if is_fix:
+            c += np.diag([p.fix_plane_sigma_m**2, p.fix_plane_sigma_m**2, p.fix_up_sigma_m**2])
         covariance: EnuCovariance = (c[0, 0], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2])
         used = geometry.phase_satellites[k] if is_fix else geometry.code_satellites[k]
         differential = quality[k] != single
