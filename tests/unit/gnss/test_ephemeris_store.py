@@ -1,5 +1,6 @@
 """Which ephemeris is in use when, and what is refused."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -41,10 +42,12 @@ def toe_in_use(store: EphemerisStore, time_ns: int, name: str) -> int | None:
 @pytest.mark.parametrize("name", ["G05", "J02", "E11", "C20"])
 def test_an_ephemeris_is_in_use_until_its_systems_age_and_not_a_nanosecond_longer(name):
     store, oldest = filled(one(name)), OLDEST_NS[name[0]]
-    for time_ns in (NOON_NS - oldest, NOON_NS, NOON_NS + oldest):
-        assert toe_in_use(store, time_ns, name) == NOON_NS
+    edges = [NOON_NS + sign * (oldest + more) for sign in (-1, 1) for more in (-1, 0, 1)]
+    # Each after each: what was chosen for one time must not outlive it.
+    for time_ns in (t for pair in itertools.permutations([NOON_NS, *edges], 2) for t in pair):
+        expected = NOON_NS if abs(time_ns - NOON_NS) <= oldest else None
+        assert toe_in_use(store, time_ns, name) == expected
     for time_ns in (NOON_NS - oldest - 1, NOON_NS + oldest + 1):
-        assert toe_in_use(store, time_ns, name) is None
         assert store.lacks(time_ns, np.array([satellite_number(name)])) == {name: "too_old"}
 
 
