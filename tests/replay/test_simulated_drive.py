@@ -78,3 +78,21 @@ def test_a_process_that_the_scenario_drops_is_killed_and_comes_back(tmp_path: Pa
         + str(summary_of(tmp_path / "out"))
         + (tmp_path / "out" / "run.json").read_text()
     )
+
+
+def test_after_a_jump_of_the_receivers_clock_fixes_are_confirmed_at_once(tmp_path: Path) -> None:
+    fault = '{kind = "time_jump", onset_s = 15.0, end_s = 20.0, offset_s = 3.0}'
+    scenario = load_scenario("open-sky", ["duration_s=24.0", "satellites.streams=false", f"faults=[{fault}]"])
+    manifest = simulate(scenario, tmp_path / "drive", quiet=True)
+    done = camber("replay", manifest, "--out", tmp_path / "out", "--quiet", timeout_s=150.0)
+    assert done.returncode == 0, done.stderr
+    tenths = {
+        round((item.message.time_ns - scenario.start_ns) / 1e8)
+        for item in recorded(tmp_path / "out")["verdict"]
+        if item.message.fix_id is not None and item.message.verdict == "confirmed"
+    }
+    assert tenths >= set(range(120, 150))
+    # Dated 3 s ahead: refused, each of them, and none is taken for one of three seconds later.
+    assert not [tenth for tenth in tenths if 150 <= tenth < 200]
+    assert min(tenth for tenth in tenths if tenth >= 200) <= 202
+    assert len(tenths & set(range(200, 230))) >= 27

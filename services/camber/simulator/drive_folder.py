@@ -4,6 +4,8 @@ rover.obs base.obs brdc.nav     RINEX 3.04
 rover.ubx                       RXM-RAWX, RXM-SFRBX, NAV-PVT, NAV-HPPOSLLH
 base.rtcm                       RTCM 3: 1005, MSM7, ephemerides
 receiver.pos receiver.nmea      what the receiver solved by itself
+receiver_arrivals.csv           when each part of receiver.pos was said, by a clock that is right
+rover_arrivals.csv              the same for rover.obs
 motion.csv suspension.csv ranging.csv
 sweeps/<time_ns>.pcd            one point cloud a turn
 map/                            the release that a survey made
@@ -32,6 +34,7 @@ from camber.formats.ubx_subframes import subframes_between
 from camber.formats.ubx_writing import format_raw_measurements, format_subframe
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.simulator.arrivals import write_arrivals
 from camber.simulator.drive_manifest import manifest_text
 from camber.simulator.faults import BlockedLidar, ChangedRoad, SymmetricScene, WrongMap, of_kind
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
@@ -184,18 +187,36 @@ def _since(on: np.ndarray, time_ns: np.ndarray) -> Floats:
 
 
 def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
-    rover = [said.rover for said in drive.said if said.rover is not None and len(said.rover.satellite)]
+    rover = [
+        (said.arrival_ns, said.rover)
+        for said in drive.said
+        if said.rover is not None and len(said.rover.satellite)
+    ]
     latitude, longitude, height = _geodetic(drive, drive.trajectory.antenna_m[0])
     near = ecef_from_geodetic_scalar(latitude, longitude, height)
-    for name, epochs, header in (
-        ("rover", rover, StationHeader("rover", near)),
-        ("base", list(drive.base), StationHeader("base", base_ecef_m(drive), marker_type="GEODETIC")),
-    ):
-        with (folder / f"{name}.obs").open("w", encoding="ascii", newline="\n") as file:
-            file.writelines(observation_lines(epochs, header))
+    station = StationHeader("rover", near)
+    header, *blocks = observation_lines([epoch for _, epoch in rover], station)
+    _write_said(
+        folder,
+        "rover",
+        "obs",
+        header.encode("ascii"),
+        [(arrival_ns, block.encode("ascii")) for (arrival_ns, _), block in zip(rover, blocks, strict=True)],
+    )
+    with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
+        station = StationHeader("base", base_ecef_m(drive), marker_type="GEODETIC")
+        file.writelines(observation_lines(list(drive.base), station))
     (folder / "brdc.nav").write_text(
         navigation_text(drive.broadcast, (KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)), "ascii", newline="\n"
     )
+
+
+def _write_said(folder: Path, name: str, ending: str, header: bytes, parts: list[tuple[int, bytes]]) -> None:
+    """A file of the receiver, and when each of its parts was said; the header with the first."""
+    (folder / f"{name}.{ending}").write_bytes(b"".join((header, *(payload for _, payload in parts))))
+    lengths = [(arrival_ns, len(payload)) for arrival_ns, payload in parts]
+    first_ns, first = lengths[0]
+    write_arrivals(folder / f"{name}_arrivals.csv", [(first_ns, len(header) + first), *lengths[1:]])
 
 
 def base_ecef_m(drive: SimulatedDrive, offset_m: Floats | None = None) -> tuple[float, float, float]:
@@ -211,13 +232,12 @@ def _geodetic(drive: SimulatedDrive, place_m: Floats) -> tuple[float, float, flo
 
 
 def _write_solutions(folder: Path, drive: SimulatedDrive) -> None:
-    solutions = [said.solution for said in drive.said if said.solution is not None]
-    (folder / "receiver.pos").write_bytes(
-        b"".join((format_pos_header(), *(format_pos_line(solution) for solution in solutions)))
-    )
+    solutions = [(said.arrival_ns, said.solution) for said in drive.said if said.solution is not None]
+    lines = [(arrival_ns, format_pos_line(solution)) for arrival_ns, solution in solutions]
+    _write_said(folder, "receiver", "pos", format_pos_header(), lines)
     sentences = (
         part
-        for solution in solutions
+        for _, solution in solutions
         for part in (
             format_gga(solution, geoid_separation_m=GEOID_SEPARATION_M),
             format_rmc(solution),

@@ -28,8 +28,18 @@ vehicle = "{body.name}"
 simulated = true
 datum = "WGS84"
 ''',
-        '[receiver]\nformat = "pos"\nfile = "receiver.pos"\n',
-        '[observations]\nrover_obs = "rover.obs"\nbase_obs = "base.obs"\nephemerides = ["brdc.nav"]\n',
+        """\
+[receiver]
+format = "pos"
+file = "receiver.pos"
+arrivals = "receiver_arrivals.csv"
+
+[observations]
+rover_obs = "rover.obs"
+rover_arrivals = "rover_arrivals.csv"
+base_obs = "base.obs"
+ephemerides = ["brdc.nav"]
+""",
         '[motion]\nfile = "motion.csv"\n',
         '[suspension]\nfile = "suspension.csv"\n' if body.suspension is not None else "",
         '[ranging]\nfile = "ranging.csv"\n',

@@ -73,8 +73,12 @@ _BASE_UP_M = 25.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Said:
-    """What the receiver says at one time: its raw observations and its own solution, if any; by *its* clock."""
+    """What the receiver says at one time: its raw observations and its own solution, if any; by *its* clock.
 
+    `arrival_ns` is when that is, by a clock that is right.
+    """
+
+    arrival_ns: int
     rover: ObservationEpoch | None
     solution: ReceiverSolution | None
 
@@ -304,5 +308,5 @@ def _said(
         if jumps_ns:
             epoch = None if epoch is None else replace(epoch, time_ns=at_ns + jumps_ns)
             solution = None if solution is None else replace(solution, time_ns=at_ns + jumps_ns)
-        said += [Said(epoch, solution)] * count
+        said += [Said(at_ns, epoch, solution)] * count
     return tuple(said)
