@@ -1,0 +1,155 @@
+"""Other estimates of one epoch, from other choices of satellites: a second opinion for the judge.
+
+Every choice is tried and every one that passes the tests is told, with how many others agree with it and how many
+were tried: nothing here knows a height of road or map, so agreement is no proof of height and height none of agreement.
+The epoch's rows are used as they are: geometry is made once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from camber.formats.observations import Floats, Integers, satellite_name
+from camber.geodesy.compiled import compiled
+from camber.gnss.ambiguity import RESOLVED
+from camber.gnss.fixing import Limits, estimate
+from camber.gnss.float_position import float_position
+from camber.gnss.signals import systems_of
+from camber.gnss.single_differences import Booleans, Rows
+
+Strategy = Literal[
+    "leave_one_out", "leave_one_system_out", "by_cn0", "by_elevation", "by_residual", "explicit", "all"
+]
+_ALL: tuple[Strategy, ...] = (
+    "by_residual",
+    "by_cn0",
+    "by_elevation",
+    "leave_one_system_out",
+    "leave_one_out",
+)
+"""In the order of trial: what is likely to be at fault goes first, as the number of trials is limited."""
+_AGREEMENT_M = 0.05
+_LEAST_SATELLITES = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OtherEstimate:
+    """A position (3,) in ECEF with covariance (3, 3) from all satellites but those excluded.
+
+    `agreeing` counts the other trials that led to the same position.
+    """
+
+    position_ecef_m: Floats
+    covariance_ecef_m2: Floats
+    excluded: tuple[str, ...]
+    ambiguities: int
+    fixed: int
+    ratio: float
+    success_rate: float
+    agreeing: int
+
+
+def other_estimates(
+    rows: Rows,
+    approximate_ecef_m: Floats,
+    limits: Limits,
+    strategy: Strategy,
+    excluded: Sequence[str],
+    most_trials: int,
+) -> tuple[int, list[OtherEstimate]]:
+    """How many choices were tried, and all estimates that passed, in the order of trial.
+
+    `excluded` satellites are left out of every choice; with `explicit` that is the only one.
+    """
+    satellites, place = np.unique(rows.satellite, return_inverse=True)
+    names = [satellite_name(int(number)) for number in satellites]
+    given = np.array([name not in excluded for name in names], np.bool_)
+    choices = _choices(rows, satellites, place, given, strategy)[:most_trials]
+    if not choices:
+        return 0, []
+    masks = np.array(choices)[:, place]
+    status, dx, covariance, counts, quality = _estimates(rows, masks, limits)
+    passed = np.flatnonzero(status == RESOLVED)
+    apart = np.linalg.norm(dx[passed, None] - dx[None, passed], axis=2)
+    agreeing = (apart < _AGREEMENT_M).sum(axis=1) - 1
+    found = [
+        OtherEstimate(
+            approximate_ecef_m + dx[t],
+            covariance[t],
+            tuple(name for name, used in zip(names, choices[t], strict=True) if not used),
+            int(counts[t, 0]),
+            int(counts[t, 1]),
+            float(quality[t, 0]),
+            float(quality[t, 1]),
+            int(agree),
+        )
+        for t, agree in zip(passed.tolist(), agreeing.tolist(), strict=True)
+    ]
+    return len(choices), found
+
+
+def _choices(
+    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy
+) -> list[Booleans]:
+    """Satellites (m,) of each trial; none twice, none with fewer than a position needs."""
+    if strategy == "explicit":
+        return [given] if given.sum() >= _LEAST_SATELLITES else []
+    choices: list[Booleans] = []
+    for part in _ALL if strategy == "all" else (strategy,):
+        for left_out in _left_out(rows, satellites, place, given, part):
+            choice = given & ~left_out
+            if choice.sum() >= _LEAST_SATELLITES and not any((choice == other).all() for other in choices):
+                choices.append(choice)
+    return choices
+
+
+def _left_out(
+    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy
+) -> list[Booleans]:
+    """What each choice of one strategy leaves out (m,)."""
+    m = satellites.size
+    if strategy == "leave_one_out":
+        return [np.arange(m) == k for k in np.flatnonzero(given)]
+    if strategy == "leave_one_system_out":
+        systems = systems_of(rows.group)
+        return [np.bincount(place, systems == system, m) > 0 for system in np.unique(systems)]
+    merit = np.full(m, np.inf)
+    if strategy == "by_residual":
+        np.minimum.at(merit, place, -_normalised_residuals(rows, given[place]))
+    else:
+        np.minimum.at(merit, place, rows.cn0_dbhz if strategy == "by_cn0" else rows.elevation_rad)
+    worst_first = [k for k in np.argsort(merit, kind="stable") if given[k]]
+    return [np.isin(np.arange(m), worst_first[:count]) for count in range(1, len(worst_first))]
+
+
+def _normalised_residuals(rows: Rows, usable: Booleans) -> Floats:
+    """How far each code (n,) is from the position of all, in its own standard deviations; 0 where it is not used."""
+    found = float_position(rows, usable, np.zeros(3), np.zeros((3, 3)), 3.5)
+    left = np.where(usable, rows.code_m - rows.direction @ found.dx_m, np.nan)
+    for group in np.unique(rows.group):
+        of_group = rows.group == group
+        if found.used[of_group].any():
+            left[of_group] -= np.nanmedian(left[of_group & found.used])
+    return np.nan_to_num(np.abs(left) / np.sqrt(rows.code_variance_m2))
+
+
+@compiled
+def _estimates(
+    rows: Rows, masks: Booleans, limits: Limits
+) -> tuple[Integers, Floats, Floats, Integers, Floats]:
+    """Of each mask (t, n): status (t,), correction (t, 3), covariance (t, 3, 3), ambiguities and fixed (t, 2), ratio
+    and success rate (t, 2)."""
+    t = masks.shape[0]
+    status, dx, covariance = np.empty(t, np.int64), np.empty((t, 3)), np.empty((t, 3, 3))
+    counts, quality = np.empty((t, 2), np.int64), np.empty((t, 2))
+    nothing, no_prior = np.zeros(3), np.zeros((3, 3))
+    for k in range(t):
+        found = estimate(rows, masks[k], nothing, no_prior, limits)
+        status[k], dx[k], covariance[k] = found.status, found.dx_m, found.covariance_m2
+        counts[k, 0], counts[k, 1] = found.ambiguities, found.fixed
+        quality[k, 0], quality[k, 1] = found.ratio, found.success_rate
+    return status, dx, covariance, counts, quality
