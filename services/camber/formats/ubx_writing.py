@@ -76,7 +76,8 @@ def format_raw_measurements(
     0. C/N0 is told in whole dB-Hz, the lock time in ms up to 64.5 s. Of a half-cycle ambiguity the bit "half cycle
     valid" is not set. `loss_of_lock` has no bit; the lock time tells it. Standard deviations are told as the next step
     above; where not given they are those of a receiver with 0.3 m, 0.004 cycles and 0.1 Hz at 45 dB-Hz and noise that
-    goes with 10^(−C/N0 / 20).
+    goes with 10^(−C/N0 / 20). Phases of BeiDou's geostationary satellites are written as they are: RTKLIB adds half a
+    cycle to those of real receivers (`decode_rxmrawx`), of which the interface description says nothing.
 
     Raises ValueError for what has no number at u-blox or comes twice, over 255 measurements, or values out of range.
     """
