@@ -100,3 +100,16 @@ def test_without_coefficients_there_is_no_ionosphere(coefficients):
 def test_whatever_the_numbers_delays_are_finite_and_not_negative(a, b, c, d, e):
     assert 0.0 <= troposphere_m(a, b, c) < 1e3
     assert 0.0 <= klobuchar_m(COEFFICIENTS, a, b, c, d, e) < 1e4
+
+
+def test_higher_up_low_satellites_are_mapped_a_little_steeper():
+    # Niell 1996, eq. 6: 1/sin 5° less the fraction of the three heights' coefficients, 0.022 a km.
+    sine = math.sin(math.radians(5.0))
+    low, high = (troposphere_at(math.radians(45.0), h)._replace(wet_m=0.0) for h in (0.0, 2000.0))
+    steeper = slant_troposphere_m(high, sine) / high.dry_m - slant_troposphere_m(low, sine) / low.dry_m
+    a, b, c = 2.53e-5, 5.49e-3, 1.14e-3
+    norm = 1.0 + a / (1.0 + b / (1.0 + c))
+    assert steeper == pytest.approx(
+        2.0 * (1.0 / sine - norm / (sine + a / (sine + b / (sine + c)))), rel=1e-9
+    )
+    assert steeper == pytest.approx(0.0439, abs=1e-4)
