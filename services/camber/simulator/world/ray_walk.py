@@ -26,47 +26,79 @@ Lists = tuple[Integers, Integers, Floats, Floats]
 """The fields of CellLists, in their order."""
 Place = tuple[float, float, float, int, int]
 """West, south, size of a cell, columns, rows of a grid."""
+Ray = tuple[float, float, float, float, float, float]
+"""Origin and unit direction."""
+Cell = tuple[int, float, float, int, int, float, float]
+"""One cell on a ray's way: its number, −1 for none; from where to where on the ray; column, row; where the next column
+and row begin."""
+Steps = tuple[int, int, float, float, float]
+"""To the next column and row, and how far that is on the ray; where the way ends."""
 Solids = tuple[Integers, Integers, Floats, Floats, Floats]
 """Kind and row of each solid; boxes, cylinders, crowns, as `ray_shapes` takes them."""
 
 
 @compiled
-def into_grid(place: Place, x: float, y: float, dx: float, dy: float, max_m: float) -> tuple[float, float]:
-    """The part of a ray, from t to t, above the grid."""
-    west, south, cell, columns, rows = place
-    t0, t1 = 0.0, max_m
+def first_cell(place: Place, ray: Ray, max_m: float) -> tuple[Cell, Steps]:
+    """The first cell above which a ray is, for at most so far, and how it goes on; number −1: none."""
+    west, south, cell_m, columns, rows = place
+    x, y, _, dx, dy, _ = ray
+    t, end = 0.0, max_m
     for origin, step, low, high in (
-        (x, dx, west, west + columns * cell),
-        (y, dy, south, south + rows * cell),
+        (x, dx, west, west + columns * cell_m),
+        (y, dy, south, south + rows * cell_m),
     ):
         if step == 0.0:
             if origin < low or origin >= high:
-                return 1.0, 0.0
+                end = -1.0
         else:
             a, b = (low - origin) / step, (high - origin) / step
-            t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
-    return t0, t1
+            t, end = max(t, min(a, b)), min(end, max(a, b))
+    column = min(max(int((x + t * dx - west) / cell_m), 0), columns - 1)
+    row = min(max(int((y + t * dy - south) / cell_m), 0), rows - 1)
+    step_c, next_c, every_c = _steps(column, west, cell_m, x, dx)
+    step_r, next_r, every_r = _steps(row, south, cell_m, y, dy)
+    number = row * columns + column if t <= end else -1
+    return (number, t, min(next_c, next_r, end), column, row, next_c, next_r), (
+        step_c,
+        step_r,
+        every_c,
+        every_r,
+        end,
+    )
 
 
 @compiled
-def walk(
-    place: Place, x: float, y: float, dx: float, dy: float, t0: float
-) -> tuple[int, int, int, int, float, float, float, float]:
-    """Column and row of the first cell, the steps, and t to the next column and row and from one to the next."""
-    west, south, cell, columns, rows = place
-    column = min(max(int((x + t0 * dx - west) / cell), 0), columns - 1)
-    row = min(max(int((y + t0 * dy - south) / cell), 0), rows - 1)
-    step_c, next_c, every_c = 0, math.inf, math.inf
+def _steps(number: int, first_m: float, cell_m: float, x: float, dx: float) -> tuple[int, float, float]:
+    """Along one axis: the step to the next cell, the distance to it and from one to the next."""
     if dx > 0.0:
-        step_c, next_c, every_c = 1, (west + (column + 1) * cell - x) / dx, cell / dx
-    elif dx < 0.0:
-        step_c, next_c, every_c = -1, (west + column * cell - x) / dx, -cell / dx
-    step_r, next_r, every_r = 0, math.inf, math.inf
-    if dy > 0.0:
-        step_r, next_r, every_r = 1, (south + (row + 1) * cell - y) / dy, cell / dy
-    elif dy < 0.0:
-        step_r, next_r, every_r = -1, (south + row * cell - y) / dy, -cell / dy
-    return column, row, step_c, step_r, next_c, next_r, every_c, every_r
+        return 1, (first_m + (number + 1) * cell_m - x) / dx, cell_m / dx
+    if dx < 0.0:
+        return -1, (first_m + number * cell_m - x) / dx, -cell_m / dx
+    return 0, math.inf, math.inf
+
+
+@compiled
+def next_cell(place: Place, steps: Steps, cell: Cell) -> Cell:
+    """The next one; number −1: the ray ends or leaves the grid."""
+    _, _, leave, column, row, next_c, next_r = cell
+    step_c, step_r, every_c, every_r, end = steps
+    columns, rows = place[3], place[4]
+    if next_c < next_r:
+        column += step_c
+        next_c += every_c
+    else:
+        row += step_r
+        next_r += every_r
+    inside = leave < end and 0 <= column < columns and 0 <= row < rows
+    number = row * columns + column if inside else -1
+    return number, leave, min(next_c, next_r, end), column, row, next_c, next_r
+
+
+@compiled
+def heights(ray: Ray, cell: Cell) -> tuple[float, float]:
+    """The lowest and highest z of a ray above a cell."""
+    z0, z1 = ray[2] + cell[1] * ray[5], ray[2] + cell[2] * ray[5]
+    return (z0, z1) if z0 < z1 else (z1, z0)
 
 
 @compiled
@@ -90,24 +122,18 @@ def nearest(
     triangles: Floats,
     with_crowns: bool,
     any_will_do: bool,
-    ray: tuple[float, float, float, float, float, float],
+    ray: Ray,
     max_m: float,
 ) -> tuple[float, int, int]:
     """Distance to the nearest surface, which sort of shape it is (SOLID, TRIANGLE, NOTHING) and its number."""
     x, y, z, dx, dy, dz = ray
     best, sort, number = max_m, NOTHING, -1
-    t, end = into_grid(place, x, y, dx, dy, max_m)
-    if t > end:
-        return math.inf, NOTHING, -1
-    column, row, step_c, step_r, next_c, next_r, every_c, every_r = walk(place, x, y, dx, dy, t)
-    columns, rows = place[3], place[4]
     s_first, s_shape, s_span, s_cell = solid_lists
     t_first, t_shape, t_span, t_cell = triangle_lists
-    while True:
-        leave = min(next_c, next_r, end)
-        z0, z1 = z + t * dz, z + leave * dz
-        low, high = (z0, z1) if z0 < z1 else (z1, z0)
-        cell = row * columns + column
+    at_cell, steps = first_cell(place, ray, max_m)
+    while at_cell[0] >= 0:
+        cell, leave = at_cell[0], at_cell[2]
+        low, high = heights(ray, at_cell)
         if low <= t_cell[cell, 1] and high >= t_cell[cell, 0]:
             for j in range(t_first[cell], t_first[cell + 1]):
                 if low <= t_span[j, 1] and high >= t_span[j, 0]:
@@ -126,20 +152,8 @@ def nearest(
                         if _NEAREST_M < at < best:
                             best, sort, number = at, SOLID, k
         if sort != NOTHING and (any_will_do or best <= leave):
-            return best, sort, number
-        if leave >= end:
             break
-        t = leave
-        if next_c < next_r:
-            column += step_c
-            next_c += every_c
-            if column < 0 or column >= columns:
-                break
-        else:
-            row += step_r
-            next_r += every_r
-            if row < 0 or row >= rows:
-                break
+        at_cell = next_cell(place, steps, at_cell)
     if sort == NOTHING:
         return math.inf, NOTHING, -1
     return best, sort, number

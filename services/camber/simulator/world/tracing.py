@@ -23,9 +23,10 @@ from camber.simulator.world.ray_walk import (
     Lists,
     Place,
     Solids,
-    into_grid,
+    first_cell,
+    heights,
     nearest,
-    walk,
+    next_cell,
 )
 from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, CellLists, ShapeGrid, shape_grid
 
@@ -211,21 +212,16 @@ def _through_crowns(
     result: Floats,
 ) -> None:
     first, shape, span_m, cell_span = solid_lists
-    columns, rows = place[3], place[4]
     kind, row_of, _, _, crowns = solids
     for i in range(len(origin)):
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
-        t, end = into_grid(place, x, y, dx, dy, max_m)
-        if t > end:
-            continue
-        column, row, step_c, step_r, next_c, next_r, every_c, every_r = walk(place, x, y, dx, dy, t)
         used = 0
-        while True:
-            leave = min(next_c, next_r, end)
-            z0, z1 = z + t * dz, z + leave * dz
-            low, high = (z0, z1) if z0 < z1 else (z1, z0)
-            cell = row * columns + column
+        ray = (x, y, z, dx, dy, dz)
+        at_cell, steps = first_cell(place, ray, max_m)
+        while at_cell[0] >= 0:
+            cell = at_cell[0]
+            low, high = heights(ray, at_cell)
             if low <= cell_span[cell, 1] and high >= cell_span[cell, 0]:
                 for j in range(first[cell], first[cell + 1]):
                     k = shape[j]
@@ -234,19 +230,7 @@ def _through_crowns(
                         a, b = max(a, 0.0), min(b, max_m)
                         if a < b:
                             used = _joined(spans, used, a, b)
-            if leave >= end:
-                break
-            t = leave
-            if next_c < next_r:
-                column += step_c
-                next_c += every_c
-                if column < 0 or column >= columns:
-                    break
-            else:
-                row += step_r
-                next_r += every_r
-                if row < 0 or row >= rows:
-                    break
+            at_cell = next_cell(place, steps, at_cell)
         total = 0.0
         for j in range(used):
             total += spans[j, 1] - spans[j, 0]
