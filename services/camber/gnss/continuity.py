@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from camber.formats.observations import Integers
+from camber.geodesy.compiled import compiled
 from camber.gnss.signals import GROUPS
 
 Continuity = Literal["continuous", "broken", "no_evidence"]
@@ -54,20 +55,43 @@ class ContinuityTracker:
 
 def compare(before: FixedIntegers, after: FixedIntegers, least_evidence: int) -> Continuity:
     """Two fixes by the rows that both have on the same arcs."""
-    of_before = _keys(before)
-    of_after = _keys(after)
-    _, old, new = np.intersect1d(of_before, of_after, assume_unique=True, return_indices=True)
-    same = (before.arc[old] == after.arc[new]).all(axis=1) & (before.arc[old] > 0).all(axis=1)
-    old, new = old[same], new[same]
-    steps, groups = after.integer[new] - before.integer[old], after.group[new]
-    evidence = 0
-    for group in np.unique(groups):
-        step = steps[groups == group]
-        if (step != step[0]).any():
-            return "broken"
-        evidence += step.size - 1
+    evidence = _evidence(
+        before.satellite, before.group, before.integer, before.arc,
+        after.satellite, after.group, after.integer, after.arc,
+    )  # fmt: skip
+    if evidence < 0:
+        return "broken"
     return "continuous" if evidence >= least_evidence else "no_evidence"
 
 
-def _keys(fix: FixedIntegers) -> Integers:
-    return fix.satellite * GROUPS + fix.group
+@compiled
+def _evidence(
+    satellite: Integers,
+    group: Integers,
+    integer: Integers,
+    arc: Integers,
+    satellite_after: Integers,
+    group_after: Integers,
+    integer_after: Integers,
+    arc_after: Integers,
+) -> int:
+    """How many double differences are the same in both; −1 where one is not."""
+    step = np.zeros(GROUPS, np.int64)
+    seen = np.zeros(GROUPS, np.bool_)
+    evidence = 0
+    for i in range(satellite_after.size):
+        for j in range(satellite.size):
+            g = group[j]
+            if satellite[j] != satellite_after[i] or g != group_after[i]:
+                continue
+            same = arc[j, 0] == arc_after[i, 0] and arc[j, 1] == arc_after[i, 1]
+            if not same or arc[j, 0] == 0 or arc[j, 1] == 0:
+                continue
+            moved = integer_after[i] - integer[j]
+            if not seen[g]:
+                seen[g], step[g] = True, moved
+            elif moved != step[g]:
+                return -1
+            else:
+                evidence += 1
+    return evidence

@@ -17,18 +17,11 @@ from camber.formats.observations import Ephemeris, Floats, Integers, Observation
 from camber.gnss.ambiguity import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.arcs import ArcTracker
 from camber.gnss.continuity import Continuity, ContinuityTracker, FixedIntegers
+from camber.gnss.differenced_epoch import Sky, columns_of, solve_differenced
 from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.fixing import CONTRADICTORY, IMPRECISE, NO_POSITION, Estimate, Limits, estimate
-from camber.gnss.float_position import float_position
-from camber.gnss.satellite_states import states_at_transmission
-from camber.gnss.signals import groups_of, pair_signals
-from camber.gnss.single_differences import (
-    Noise,
-    Pairs,
-    Rows,
-    satellites_of,
-    single_differences,
-)
+from camber.gnss.fixing import CONTRADICTORY, IMPRECISE, NO_POSITION, Estimate, Limits
+from camber.gnss.signals import groups_of
+from camber.gnss.single_differences import Masks, Noise, Rows
 from camber.gnss.single_point import SinglePoint, single_point
 
 Quality = Literal["fixed", "float", "single", "none"]
@@ -44,9 +37,6 @@ REASON = {
 }
 """By status of an estimate: why there is no fix."""
 _NS = 1e-9
-# How near the approximate position has to be: 3 m of height are 1 mm of the troposphere, and of curvature nothing.
-_NEAR_M = 3.0
-_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +103,7 @@ class Engine:
         """Epochs by `Solution.reason`."""
         self._options = options
         self._limits = options.limits()
+        self._masks = Masks(options.lowest_elevation_rad, options.least_cn0_dbhz)
         self._groups = groups_of(options.bands)
         self._base_ecef_m = base_ecef_m
         self._base: ObservationEpoch | None = None
@@ -144,17 +135,20 @@ class Engine:
         age_s = (rover.time_ns - base.time_ns) * _NS
         if not abs(age_s) <= self._options.longest_age_s:
             return _single(rover.time_ns, single, "base_too_old")
-        approximate = single.approximate_ecef_m if np.isfinite(single.approximate_ecef_m).all() else position
-        rows = self._rows(rover, base, position, approximate)
-        for _ in range(_ROUNDS):
-            usable = np.ones(rows.group.size, np.bool_)
-            coarse = float_position(rows, usable, np.zeros(3), np.zeros((3, 3)), self._limits.code_outlier)
-            if coarse.freedom < 0 or np.linalg.norm(coarse.dx_m) < _NEAR_M:
-                break
-            approximate = approximate + coarse.dx_m
-            rows = self._rows(rover, base, position, approximate)
-        usable = np.ones(rows.group.size, np.bool_)
-        found = estimate(rows, usable, np.zeros(3), np.zeros((3, 3)), self._limits)
+        start = single.approximate_ecef_m
+        approximate, satellites, rows, found = solve_differenced(
+            columns_of(rover),
+            columns_of(base),
+            base.time_ns,
+            Sky(single.codes.place, self.ephemerides.rows_at(rover.time_ns, single.satellite), single.states),
+            self.ephemerides.table,
+            self._groups,
+            start if np.isfinite(start[0]) else position,
+            position,
+            self._options.noise,
+            self._masks,
+            self._limits,
+        )
         if found.status == NO_POSITION:
             return _single(rover.time_ns, single, REASON[NO_POSITION])
         fixed = found.status == RESOLVED
@@ -167,7 +161,7 @@ class Engine:
             REASON[found.status],
             approximate + (found.dx_m if fixed else found.float_dx_m),
             found.covariance_m2 if fixed else found.float_covariance_m2,
-            np.unique(rows.satellite).size,
+            satellites,
             None if np.isnan(found.ratio) else found.ratio,
             age_s,
             continuity,
@@ -176,36 +170,6 @@ class Engine:
             approximate,
             rows,
             found,
-        )
-
-    def _rows(
-        self, rover: ObservationEpoch, base: ObservationEpoch, base_ecef_m: Floats, approximate_ecef_m: Floats
-    ) -> Rows:
-        of_rover, of_base, group = pair_signals(
-            rover.satellite,
-            rover.signal,
-            _usable(rover),
-            base.satellite,
-            base.signal,
-            _usable(base),
-            self._groups,
-        )
-        satellites, place, rover_code_m, base_code_m = satellites_of(
-            of_rover, of_base, rover.satellite, rover.pseudorange_m, base.pseudorange_m
-        )
-        use = self.ephemerides.rows_at(rover.time_ns, satellites)
-        table = self.ephemerides.table
-        return single_differences(
-            Pairs(of_rover, of_base, group, place),
-            _columns(rover),
-            _columns(base),
-            states_at_transmission(table, use, rover.time_ns, rover_code_m),
-            states_at_transmission(table, use, base.time_ns, base_code_m),
-            approximate_ecef_m,
-            base_ecef_m,
-            self._options.noise,
-            self._options.lowest_elevation_rad,
-            self._options.least_cn0_dbhz,
         )
 
     def _compare(
@@ -220,17 +184,6 @@ class Engine:
             rows.satellite[known], rows.group[known], found.integer[known].astype(np.int64), arc
         )
         return self._continuity.update(time_ns, integers)
-
-
-def _usable(epoch: ObservationEpoch) -> Integers:
-    """2 with code and phase, 1 with the code only, 0 without a code. A phase of unknown half cycles is no phase."""
-    phase = ~np.isnan(epoch.carrier_phase_cycles) & ~epoch.half_cycle
-    return np.where(np.isnan(epoch.pseudorange_m), 0, 1 + phase)
-
-
-def _columns(epoch: ObservationEpoch) -> tuple[Integers, Floats, Floats, Floats]:
-    phase = np.where(epoch.half_cycle, np.nan, epoch.carrier_phase_cycles)
-    return epoch.satellite, epoch.pseudorange_m, phase, epoch.cn0_dbhz
 
 
 def _single(time_ns: int, single: SinglePoint, reason: str) -> Solution:

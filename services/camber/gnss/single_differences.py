@@ -92,36 +92,20 @@ class Noise(NamedTuple):
     ionosphere: float = 0.5e-6
 
 
+class Masks(NamedTuple):
+    """What is too low or too weak at the rover to be used."""
+
+    lowest_elevation_rad: float
+    least_cn0_dbhz: float
+
+
 class Pairs(NamedTuple):
-    """Rows of rover and base that belong together and their group (n,); `place` (n,) is that of their satellite."""
+    """Rows of rover and base that belong together, their group (n,), and the place (n,) of their satellite, or −1."""
 
     rover: Integers
     base: Integers
     group: Integers
     place: Integers
-
-
-@compiled
-def satellites_of(
-    rover_row: Integers, base_row: Integers, satellite: Integers, rover_code_m: Floats, base_code_m: Floats
-) -> tuple[Integers, Integers, Floats, Floats]:
-    """Each satellite of the pairs once (m,), its place by pair (n,), a pseudorange of it at rover and base (m,)."""
-    n = rover_row.size
-    place = np.empty(n, np.int64)
-    found, of_rover, of_base = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    count = 0
-    for i in range(n):
-        at = count
-        for k in range(count):
-            if found[k] == satellite[rover_row[i]]:
-                at = k
-                break
-        if at == count:
-            found[count] = satellite[rover_row[i]]
-            of_rover[count], of_base[count] = rover_code_m[rover_row[i]], base_code_m[base_row[i]]
-            count += 1
-        place[i] = at
-    return found[:count].copy(), place, of_rover[:count].copy(), of_base[:count].copy()
 
 
 @compiled
@@ -142,8 +126,7 @@ def single_differences(
     rover_ecef_m: Floats,
     base_ecef_m: Floats,
     noise: Noise,
-    lowest_elevation_rad: float,
-    least_cn0_dbhz: float,
+    masks: Masks,
 ) -> Rows:
     """Rows of the pairs that can be used. `rover` and `base` are columns: satellite, code [m], phase [cycles], C/N0.
 
@@ -170,7 +153,7 @@ def single_differences(
         sine[k], base_sine[k] = direction[k] @ up, base_direction[k] @ base_up
         clocks_m = SPEED_OF_LIGHT_M_S * (rover_states.clock_s[k] - base_states.clock_s[k])
         model_m[k] = of_rover_m - of_base_m - clocks_m
-    lowest_sine = np.sin(lowest_elevation_rad)
+    lowest_sine = np.sin(masks.lowest_elevation_rad)
     rover_air = troposphere_at(rover_latitude, rover_height_m)
     base_air = troposphere_at(base_latitude, base_height_m)
     for k in range(m):
@@ -182,8 +165,8 @@ def single_differences(
     keep = np.empty(n, np.int64)
     count = 0
     for i in range(n):
-        weak = rover[3][pairs.rover[i]] < least_cn0_dbhz
-        if model_m[pairs.place[i]] == model_m[pairs.place[i]] and not weak:
+        weak = rover[3][pairs.rover[i]] < masks.least_cn0_dbhz
+        if pairs.place[i] >= 0 and not np.isnan(model_m[pairs.place[i]]) and not weak:
             keep[count] = i
             count += 1
     rows = Rows(
