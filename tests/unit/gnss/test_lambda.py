@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from camber.gnss.ambiguity import (
@@ -293,6 +295,37 @@ def test_what_is_no_distribution_is_refused(floats: list[float], covariance: lis
         assert (resolution.status, resolution.fixed) == (INVALID, 0)
         assert np.isnan(resolution.z_fixed).all()
         np.testing.assert_array_equal(resolution.ambiguities, floats)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 9), st.booleans())
+@settings(derandomize=True, max_examples=300, deadline=None)
+def test_of_any_numbers_the_answer_is_either_integers_or_nothing(
+    seed: int, count: int, partial: bool
+) -> None:
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((count, int(random.integers(1, count + 2))))
+    root *= 10.0 ** random.uniform(-9.0, 9.0, (count, 1))
+    covariance = root @ root.T
+    floats = random.standard_normal(count) * 10.0 ** random.uniform(-3.0, 20.0, count)
+    for _ in range(int(random.integers(0, 3))):
+        row, column = random.integers(0, count, 2).tolist()
+        covariance[row, column] = covariance[column, row] = random.choice(
+            [0.0, -1.0, 1e300, math.inf, math.nan]
+        )
+    resolution = resolve(floats, covariance, 1.5, 0.0, 1, 2000, partial)
+    assert resolution.nodes <= 2000
+    if resolution.status != RESOLVED:
+        assert resolution.fixed == 0
+        np.testing.assert_array_equal(resolution.ambiguities, floats)
+        assert np.isnan(resolution.z_fixed).all()
+        return
+    fixed = resolution.z_fixed[count - resolution.fixed :]
+    np.testing.assert_array_equal(fixed, np.rint(fixed))
+    assert np.isfinite(resolution.ambiguities).all()
+    assert 0.0 <= resolution.squared_norm <= resolution.second_squared_norm
+    if resolution.fixed == count:
+        np.testing.assert_array_equal(resolution.ambiguities, np.rint(resolution.ambiguities))
+        np.testing.assert_array_equal(resolution.transform @ resolution.ambiguities, resolution.z_fixed)
 
 
 def test_no_ambiguities_are_refused() -> None:
