@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from camber.formats.lock_times import LockTimes
 from camber.formats.observations import Floats, Integers, ObservationEpoch
-from camber.formats.ubx_signals import MOST_OF_GNSS, SIGNAL_OF_IDS, SYSTEM_OF_GNSS
+from camber.formats.ubx_signals import (
+    GEOSTATIONARY_CYCLES,
+    MOST_OF_GNSS,
+    SIGNAL_OF_IDS,
+    SYSTEM_OF_GNSS,
+    are_geostationary,
+)
 from camber.formats.ubx_times import checked_time_ns, unrolled_ns
 from camber.formats.ubx_writing import (
     HALF_CYCLE_SUBTRACTED,
@@ -56,7 +62,8 @@ def read_raw_measurements(
     value that the receiver says is not valid, or that is not finite, is NaN; so are a Doppler and a C/N0 of exactly 0,
     for which there is no such bit. `half_cycle`: there is a phase, and its half cycles are not resolved.
     `loss_of_lock`: as `LockTimes` has it, and where half a cycle that was not subtracted from the phase now is, or the
-    other way round. Of what comes twice the first one counts.
+    other way round. To phases of BeiDou's geostationary satellites half a cycle is added, see `GEOSTATIONARY_CYCLES`.
+    Of what comes twice the first one counts.
 
     Raises ValueError where the message contradicts itself.
     """
@@ -82,6 +89,7 @@ def read_raw_measurements(
         rows, keys, satellite, signal = rows[used], keys[used], satellite[used], signal[used]
     status_bits = rows["trkStat"]
     phase = _valid(rows["cpMes"], (status_bits & PHASE_VALID) > 0)
+    phase += GEOSTATIONARY_CYCLES * are_geostationary(satellite)
     has_phase = ~np.isnan(phase)
     lock_s = rows["locktime"] / 1000.0
     epoch = ObservationEpoch(

@@ -23,6 +23,9 @@ SIGNAL_IDS = {
 }
 # B1I, B2I, B3I of geostationary satellites carry D2 and have ids of their own.
 GEOSTATIONARY_IDS = {0: 1, 2: 3, 4: 10}
+GEOSTATIONARY_CYCLES = 0.5
+"""What u-blox' phases of geostationary satellites lack beside other receivers': what RTKLIB adds to them (`ublox.c`,
+from 2.4.3 on). The interface description does not speak of it."""
 MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
 _KEYS = np.array(
     sorted((ord(s) << 16) + signal_number(name) for s, names in SIGNAL_IDS.items() for name in names)
@@ -32,13 +35,20 @@ _GNSS_ID = np.zeros(128, np.int64)
 _GNSS_ID[[ord(letter) for letter in GNSS_IDS]] = list(GNSS_IDS.values())
 
 
+def are_geostationary(satellite: Integers) -> NDArray[np.bool_]:
+    """Which of the satellites (n,) are those of BeiDou that send D2: C01 to C05, C59 to C63."""
+    number = satellite & 255
+    geostationary: NDArray[np.bool_] = (satellite >> 8 == ord("C")) & ((number <= 5) | (number >= 59))
+    return geostationary
+
+
 def ids_of(satellite: Integers, signal: Integers) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """u-blox' numbers of system and signal of each row (n,), and which rows have one."""
-    system, number = satellite >> 8, satellite & 255
+    system = satellite >> 8
     key = (system << 16) + signal
     place = np.minimum(np.searchsorted(_KEYS, key), _KEYS.size - 1)
     signal_id = _IDS[place]
-    geostationary = (system == ord("C")) & ((number <= 5) | (number >= 59))
+    geostationary = are_geostationary(satellite)
     for d1, d2 in GEOSTATIONARY_IDS.items():
         signal_id = np.where(geostationary & (signal_id == d1), d2, signal_id)
     return _GNSS_ID[np.where(system < 128, system, 0)], signal_id, _KEYS[place] == key

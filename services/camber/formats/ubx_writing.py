@@ -18,7 +18,7 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
-from camber.formats.ubx_signals import GNSS_IDS, ids_of
+from camber.formats.ubx_signals import GEOSTATIONARY_CYCLES, GNSS_IDS, are_geostationary, ids_of
 from camber.formats.ubx_subframes import Subframe
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s, week_tow_from_gps_ns
 
@@ -73,11 +73,11 @@ def format_raw_measurements(
 
     Phase and Doppler have RINEX's signs (`cpMes` grows with the pseudorange, `doMes` is positive when approaching). A
     pseudorange or phase that is NaN is 0 and not valid; for Doppler and C/N0 the message has no such bit, they become
-    0. C/N0 is told in whole dB-Hz, the lock time in ms up to 64.5 s. Of a half-cycle ambiguity the bit "half cycle
-    valid" is not set. `loss_of_lock` has no bit; the lock time tells it. Standard deviations are told as the next step
-    above; where not given they are those of a receiver with 0.3 m, 0.004 cycles and 0.1 Hz at 45 dB-Hz and noise that
-    goes with 10^(−C/N0 / 20). Phases of BeiDou's geostationary satellites are written as they are: RTKLIB adds half a
-    cycle to those of real receivers (`decode_rxmrawx`), of which the interface description says nothing.
+    0. Phases of BeiDou's geostationary satellites are half a cycle less, as receivers tell them. C/N0 is told in whole
+    dB-Hz, the lock time in ms up to 64.5 s. Of a half-cycle ambiguity the bit "half cycle valid" is not set.
+    `loss_of_lock` has no bit; the lock time tells it. Standard deviations are told as the next step above; where not
+    given they are those of a receiver with 0.3 m, 0.004 cycles and 0.1 Hz at 45 dB-Hz and noise that goes with
+    10^(−C/N0 / 20).
 
     Raises ValueError for what has no number at u-blox or comes twice, over 255 measurements, or values out of range.
     """
@@ -87,7 +87,9 @@ def format_raw_measurements(
     week, of_week_ns = week_tow_from_gps_ns(epoch.time_ns)
     measurements = np.zeros(count, MEASUREMENT)
     measurements["prMes"] = np.where(np.isnan(epoch.pseudorange_m), 0.0, epoch.pseudorange_m)
-    measurements["cpMes"] = np.where(np.isnan(epoch.carrier_phase_cycles), 0.0, epoch.carrier_phase_cycles)
+    has_phase = ~np.isnan(epoch.carrier_phase_cycles)
+    phase_told = epoch.carrier_phase_cycles - GEOSTATIONARY_CYCLES * are_geostationary(epoch.satellite)
+    measurements["cpMes"] = np.where(has_phase, phase_told, 0.0)
     measurements["doMes"] = np.where(np.isnan(epoch.doppler_hz), 0.0, epoch.doppler_hz)
     measurements["gnssId"], measurements["svId"], measurements["sigId"] = _ids(epoch)
     lock_s = np.where(np.isnan(epoch.lock_time_s), 0.0, epoch.lock_time_s)
@@ -106,7 +108,6 @@ def format_raw_measurements(
     measurements["prStdev"] = _doublings(code_m, 0.01)
     measurements["cpStdev"] = np.clip(np.ceil(phase / 0.004 - 1e-9), 1, 15)
     measurements["doStdev"] = _doublings(doppler, 0.002)
-    has_phase = ~np.isnan(epoch.carrier_phase_cycles)
     measurements["trkStat"] = (
         np.where(np.isnan(epoch.pseudorange_m), 0, PSEUDORANGE_VALID)
         + np.where(has_phase, PHASE_VALID, 0)

@@ -94,14 +94,15 @@ def test_pyubx2_gives_the_measurements_back(seed, time_ns, missing, reset):
         letter, number = chr(epoch.satellite[row] >> 8), int(epoch.satellite[row] & 255)
         gnss, signals = IDS[letter]
         name, signal_id = signals[signal_name(int(epoch.signal[row]))]
-        if letter == "C" and (number <= 5 or number >= 59):
+        geostationary = letter == "C" and (number <= 5 or number >= 59)
+        if geostationary:
             name, signal_id = GEOSTATIONARY.get(signal_name(int(epoch.signal[row])), (name, signal_id))
         assert SIGID[gnss, signal_id] == name
         found = tuple(getattr(message, field + at) for field in ("gnssId", "svId", "sigId", "freqId"))
         assert found == (gnss, number, signal_id, 0)
         for valid, field, value in (
             ("prValid", "prMes", epoch.pseudorange_m[row]),
-            ("cpValid", "cpMes", epoch.carrier_phase_cycles[row]),
+            ("cpValid", "cpMes", epoch.carrier_phase_cycles[row] - 0.5 * geostationary),
         ):
             assert getattr(message, valid + at) == (not math.isnan(value))
             assert getattr(message, field + at) == (0.0 if math.isnan(value) else value)
