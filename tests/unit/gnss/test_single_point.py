@@ -20,7 +20,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.ephemeris_store import EphemerisStore
 from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S
 from camber.gnss.single_point import SinglePoint, single_point
-from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
+from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA, Atmosphere
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.signals import simulate_signals
@@ -98,6 +98,21 @@ def test_in_the_open_positions_are_metres_off_and_their_covariances_say_so():
     assert 0.5 < np.mean(nees) < 4.5
     assert np.mean(np.array(nees) > 12.0) < 0.05
     assert 0.3 < chi_squared / degrees < 1.3
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.5])
+def test_an_ionosphere_that_the_model_misses_by_half_is_no_surprise_to_the_covariance(scale):
+    time_ns = FIRST_NS + np.arange(10) * 3600 * NS_PER_SECOND
+    true = true_ephemerides(FIRST_NS, int(time_ns[-1]), 1)
+    air = replace(Atmosphere.drawn(1), ionosphere_scale=scale)
+    signals = simulate_signals(static_track(time_ns, PLACE_M), FRAME, true, ROVER, 1, "rover", atmosphere=air)
+    store, nees = filled(true), []
+    for epoch in signals.epochs():
+        found = single_point(epoch, store, ionosphere=KLOBUCHAR)
+        assert (found.status, found.excluded_names) == ("ok", [])
+        error = error_enu_m(found, true_ecef_m())
+        nees.append(error @ np.linalg.solve(found.covariance_enu_m2, error))
+    assert np.mean(nees) < 4.5
 
 
 @pytest.mark.parametrize("systems", ["G", "GJ", "E", "C", "GE", "GEC"])
