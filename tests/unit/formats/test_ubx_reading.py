@@ -279,11 +279,17 @@ def test_a_date_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time(
 
 
 def test_a_time_that_is_a_lie_does_not_last():
-    weeks = (500, 1000, 1023, 1400)
+    lies = [START_NS + week * WEEK_NS - k * SECOND_NS for k, week in enumerate((500, 1000, 1023, 1400), 1)]
     for near_ns in (None, START_NS):
-        lies = [pvt(replace(SOLUTION, time_ns=START_NS + week * WEEK_NS)) for week in weeks]
-        results, _ = run(*lies, pvt(), b"", near_ns=near_ns)
+        results, _ = run(*(pvt(replace(SOLUTION, time_ns=lie)) for lie in lies), pvt(), near_ns=near_ns)
         assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)][-1] == START_NS
+        empty = [ubx_frame(0x02, 0x15, raw_header(time_ns)) for time_ns in (*lies, START_NS)]
+        results, _ = run(*empty, near_ns=near_ns)
+        assert results[-1].epoch.time_ns == START_NS
+
+
+def raw_header(time_ns: int) -> bytes:
+    return struct.pack("<dHbBBB2x", time_ns % WEEK_NS / 1e9, time_ns // WEEK_NS, 18, 0, 1, 1)
 
 
 def test_leap_seconds_are_in_the_date_and_not_in_the_time_of_week():
