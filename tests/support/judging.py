@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from camber.geodesy.offsets import geodetic_at_offset
+from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose, Road
@@ -14,6 +14,7 @@ EPOCH_NS = 200_000_000
 SPEED_M_S = 10.0
 LATITUDE_RAD, LONGITUDE_RAD = 0.6137, 2.389
 ROAD_M, ANTENNA_M = 40.0, 1.8
+FRAME = LocalFrame(LATITUDE_RAD, LONGITUDE_RAD, ROAD_M + ANTENNA_M)
 ALL = frozenset({"gnss", "localizer", "antenna_height", "map_server"})
 
 
@@ -25,7 +26,7 @@ def at(epoch: float) -> int:
 def place(epoch: float, east_m: float = 0.0, north_m: float = 0.0) -> tuple[float, float]:
     """Where the antenna is at an epoch, and metres beside it."""
     driven_m = SPEED_M_S * epoch * EPOCH_NS / 1e9
-    return geodetic_at_offset(LATITUDE_RAD, LONGITUDE_RAD, driven_m + east_m, north_m, ROAD_M + ANTENNA_M)
+    return FRAME.geodetic_from_east_north(driven_m + east_m, north_m, ROAD_M + ANTENNA_M)[:2]
 
 
 def fix(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from camber.schemas.base import Angle, ArrayOf, Float64, Int64, Message, Model, Sigma, Speed
+from camber.schemas.base import Angle, Message, Model, Sigma, Speed
 
 
 class Motion(Message):
@@ -23,14 +23,6 @@ class Motion(Message):
     )
     pitch_rad: Angle | None = None
     roll_rad: Angle | None = None
-
-
-class MotionBatch(Message):
-    """Many samples as columns, for sensors at 100 Hz and more; `time_ns` is that of the last."""
-
-    sample_time_ns: Annotated[Int64, ArrayOf("<i8", ("samples",))]
-    wheel_speed_m_s: Annotated[Float64, ArrayOf("<f8", ("samples",))]
-    yaw_rate_rad_s: Annotated[Float64, ArrayOf("<f8", ("samples",))]
 
 
 class Suspension(Message):

@@ -27,15 +27,3 @@ def east_north_between(
     return east * wrap_pi(to_longitude_rad - from_longitude_rad), north * (
         to_latitude_rad - from_latitude_rad
     )
-
-
-def geodetic_at_offset(
-    latitude_rad: float, longitude_rad: float, east_m: float, north_m: float, height_m: float = 0.0
-) -> tuple[float, float]:
-    """Latitude and longitude of the point `east_m`, `north_m` away; the inverse of `east_north_between`."""
-    to_latitude = latitude_rad + north_m / (meridian_radius_m(latitude_rad) + height_m)
-    middle = 0.5 * (latitude_rad + to_latitude)
-    to_latitude = latitude_rad + north_m / (meridian_radius_m(middle) + height_m)
-    middle = 0.5 * (latitude_rad + to_latitude)
-    east = (prime_vertical_radius_m(middle) + height_m) * math.cos(middle)
-    return to_latitude, wrap_pi(longitude_rad + east_m / east)

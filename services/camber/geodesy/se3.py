@@ -1,4 +1,5 @@
-"""Rigid motions as 4 × 4 homogeneous matrices, named `a_from_b` so that neighbours cancel.
+"""Rigid motions as 4 × 4 homogeneous matrices, named `a_from_b` so that neighbours cancel
+and `a_from_b @ b_from_c` is `a_from_c`.
 
 Vehicle frame: x forward, y left, z up. Map frame: x east, y north, z up. Attitude follows the right-hand rule
 about these axes (ISO 8855, REP 103): `R = Rz(yaw) Ry(pitch) Rx(roll)`, yaw counter-clockwise from east,
@@ -71,11 +72,6 @@ def map_from_vehicle(
 ) -> NDArray[np.float64]:
     """The 4 × 4 pose of a vehicle in an east-north-up frame."""
     return rigid_motion(rotation_from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad), (east_m, north_m, up_m))
-
-
-def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> NDArray[np.float64]:
-    """`a_from_c` (4, 4) of two rigid motions (4, 4)."""
-    return _rigid(a_from_b, "a_from_b") @ _rigid(b_from_c, "b_from_c")
 
 
 def invert(a_from_b: ArrayLike) -> NDArray[np.float64]:
