@@ -126,7 +126,8 @@ class Found:
 
     `epochs` (n, 2): GPS time [ns] and the end of its rows. `problems` (m, 4): line, first byte, one of the codes
     above, and the column concerned or −1. `skipped` (256,): satellites left out by system letter. `used` bytes and
-    lines are done with; `event` (3,): where an event's header lines begin and end, and their number, if `stop` says so.
+    lines are done with; `event` (3,): where an event's header lines begin and end, and their number, if `stop` says so;
+    `missing`: lines without which, or without another epoch line, more cannot be said.
     """
 
     rows: Rows
@@ -138,6 +139,7 @@ class Found:
     astray: bool
     stop: int
     event: tuple[int, int, int]
+    missing: int
 
 
 def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> Found:
@@ -174,16 +176,9 @@ def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> 
         lock_time_s=np.full(n_rows, np.nan),
     )
     return Found(
-        rows,
-        epochs[:n_epochs],
-        problems[:n_problems],
-        skipped,
-        used,
-        lines,
-        is_astray,
-        stop,
-        (begin, end, count),
-    )
+        rows, epochs[:n_epochs], problems[:n_problems], skipped, used, lines, is_astray, stop,
+        event=(begin, end, count), missing=count if stop == NEEDS_MORE else 0,
+    )  # fmt: skip
 
 
 @compiled
@@ -380,7 +375,8 @@ def _read_epochs(
                 break
             newline = _line_end(data, begin)
             if newline < 0:
-                return n_rows, n_epochs, n_problems, position, lines, astray, NEEDS_MORE, 0, 0, 0
+                missing = count - whole
+                return n_rows, n_epochs, n_problems, position, lines, astray, NEEDS_MORE, 0, 0, missing
             whole += 1
             starts[whole] = newline + 1
         if whole < count:

@@ -58,7 +58,8 @@ class RinexDecoder:
         self._source_name = source_name
         self._reader = HeaderReader(source_name)
         self._layout: Layout | None = None
-        self._pending = b""
+        self._pending = bytearray()
+        self._missing = 0
         self._partial = bytearray()
         self._line_number = 1
         self._astray = False
@@ -79,7 +80,7 @@ class RinexDecoder:
             what, expected = EXPECTED[CUT_SHORT] if self.header else ("header", "END OF HEADER")
             results.append(FormatError(self._source_name, what, expected, line_number=self._line_number))
             self.problems += 1
-        self._pending, self.refused = b"", True
+        self._pending, self.refused = bytearray(), True
         return results
 
     def _feed(self, piece: bytes, results: list[ObservationResult]) -> None:
@@ -91,13 +92,17 @@ class RinexDecoder:
         end = piece.rfind(b"\n") + 1
         if self._partial[-1:] != b"\n":
             self._partial += b"\n"
-        lines = self._pending + self._partial + piece[begin:end]
-        self._pending, self._partial = b"", bytearray(piece[end:][: MAXIMUM_LINE_BYTES + 1])
+        lines = self._partial + piece[begin:end]
+        self._partial = bytearray(piece[end:][: MAXIMUM_LINE_BYTES + 1])
+        self._pending += lines
+        self._missing -= lines.count(b"\n")
+        if self._missing > 0 and b">" not in lines:
+            return
+        lines, self._pending = self._pending, bytearray()
         try:
-            if self._layout is None:
-                lines = self._header(lines, results)
+            rest = self._header(bytes(lines), results) if self._layout is None else bytes(lines)
             if self._layout is not None:
-                self._pending = self._epochs(lines, self._layout, results)
+                self._pending += self._epochs(rest, self._layout, results)
         except FormatError as error:
             results.append(error)
             self.refused = True
@@ -137,6 +142,7 @@ class RinexDecoder:
                     layout = self._layout
             lines = lines[found.used :]
             if found.stop == NEEDS_MORE:
+                self._missing = found.missing
                 return lines
 
     def _give_out(self, found: Found, lines: bytes, layout: Layout, results: list[ObservationResult]) -> None:

@@ -155,6 +155,10 @@ def test_without_a_strength_in_dbhz_the_digit_counts_and_nothing_stays_nothing()
     (epoch,), errors, _ = decode(text)
     assert not errors
     np.testing.assert_array_equal(epoch.cn0_dbhz, [45.0, 33.25, 27.0, np.nan])
+    (other_order,), _, _ = decode(
+        header(types=("G    2 L1C C1C",)) + head(1) + "G01" + cell(1e8, " ", "7") + cell(2e7, " ", "4") + "\n"
+    )
+    assert other_order.cn0_dbhz[0] == 45.0
     _, _, decoder = decode(header(line("DBMW", "SIGNAL STRENGTH UNIT")))
     assert [t.kind for t in decoder.header.types["G"]] == ["C", "L", "D", ""]
 
@@ -194,6 +198,9 @@ def test_events_bring_header_lines_and_slips_that_were_repaired_are_passed_over(
     assert epochs[2].satellite.size == 0
     assert decoder.header.marker == "NEW"
     assert decoder.header.position_ecef_m == (1.0, 2.0, 3.0)
+    _, errors, _ = decode(text + event + line("a", "COMMENT") * 2 + line("   x", "INTERVAL") + head(0, 4.0))
+    assert [e.field for e in errors] == ["INTERVAL"]
+    assert errors[0].line_number == text.count("\n") + 4
 
 
 def test_an_epoch_line_may_have_a_clock_offset_and_picoseconds():
@@ -507,23 +514,27 @@ def test_damage_in_the_header_is_never_raised():
         decode(bytes(data))
 
 
-def test_what_never_ends_does_not_grow():
+@pytest.mark.parametrize(
+    ("beginning", "piece", "times"),
+    [
+        ("", b"x" * 100_000, 1000),
+        (header().split("\n")[0] + "\n", b"comment\n" * 12_000, 100),
+        (header(), b"x" * 100_000, 1000),
+        (header() + head(999), b"\n" * 100_000, 300),
+        (header() + head(999), b"G01" + b" " * 9_000 + b"\n", 1200),
+        (header(), head(999).encode() + b"\n" * 900, 300),
+    ],
+)
+def test_what_never_ends_does_not_grow(beginning, piece, times):
     tracemalloc.start()
-    for beginning, piece in (
-        ("", b"x" * 100_000),
-        (header().split("\n")[0] + "\n", b"comment\n" * 12_000),
-        (header(), b"x" * 100_000),
-        (header() + head(999), b"\n" * 100_000),
-        (header() + head(999), b"G01" + b" " * 9_000 + b"\n"),
-        (header(), head(999).encode() + b"\n" * 900),
-    ):
-        decoder = RinexDecoder("test.obs")
-        decoder.feed(beginning.encode())
-        for _ in range(300):
-            decoder.feed(piece)
+    decoder = RinexDecoder("test.obs")
+    decoder.feed(beginning.encode())
+    for _ in range(times):
+        decoder.feed(piece)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 40e6
+    assert peak < 50e6
+    assert decoder.refused == (beginning.count("\n") == 1)
 
 
 def test_999_satellites_are_read_as_far_as_they_differ():
