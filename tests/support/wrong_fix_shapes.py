@@ -14,6 +14,7 @@ from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtklib_pos import PosDecoder
 from camber.formats.truth_csv import WRONG_M, read_truth
 from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.truth import interpolate_truth
 
 Floats = NDArray[np.float64]
 
@@ -52,12 +53,10 @@ def nagoya_fix_errors_m() -> Floats | None:
         plane = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, height_m)
         return np.column_stack((plane, height_m))
 
-    time_ns = np.array([s.time_ns for s in fixes], np.int64)
-    at = np.minimum(np.searchsorted(truth.time_ns, time_ns), len(truth) - 1)
-    known = truth.time_ns[at] == time_ns
+    at_fixes, known = interpolate_truth(truth, np.array([s.time_ns for s in fixes], np.int64))
     fixed_m = placed(*np.array([(s.latitude_rad, s.longitude_rad, s.height_m) for s in fixes]).T)
-    true_m = placed(truth.latitude_rad, truth.longitude_rad, truth.height_m)
-    error: Floats = (fixed_m - true_m[at])[known] - np.array(NAGOYA_OFFSET_M)
+    true_m = placed(at_fixes.latitude_rad, at_fixes.longitude_rad, at_fixes.height_m)
+    error: Floats = fixed_m[known] - true_m - np.array(NAGOYA_OFFSET_M)
     return error
 
 
