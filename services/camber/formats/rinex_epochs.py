@@ -20,7 +20,7 @@ MAXIMUM_LINE_BYTES = 8192
 """A line of 511 observation types."""
 MOST_LINES = 999
 """Of an epoch: its number has three digits."""
-_PROBLEMS = 4 * (MOST_LINES + 1)
+_PROBLEMS = 2 * (MOST_LINES + 1)
 
 # Why the compiled loop came back.
 NEEDS_MORE, EVENT, TABLE_FULL = 0, 1, 2
@@ -314,6 +314,14 @@ def _satellite(data: Bytes, start: int, end: int) -> int:
 
 
 @compiled
+def _is_among(value: int, values: Integers, n: int) -> bool:
+    for k in range(n):
+        if values[k] == value:
+            return True
+    return False
+
+
+@compiled
 def _read_epochs(
     data: Bytes,
     line_number: int,
@@ -335,9 +343,9 @@ def _read_epochs(
     skipped: Integers,
 ) -> tuple[int, int, int, int, int, bool, int, int, int, int]:
     starts = np.empty(MOST_LINES + 2, np.int64)
-    seen = np.zeros(256 * 100, np.int32)
+    taken = np.empty(MOST_LINES, np.int64)
     strength = np.empty(signals.shape[1], np.int64)
-    n_rows = n_epochs = n_problems = position = lines = epoch_number = 0
+    n_rows = n_epochs = n_problems = position = lines = 0
     while n_problems + MOST_LINES + 2 < _PROBLEMS:
         newline = _line_end(data, position)
         if newline < 0:
@@ -392,8 +400,7 @@ def _read_epochs(
             position, lines = starts[count], lines + 1 + count
             continue
 
-        epoch_number += 1
-        rows_before, problems_before = n_rows, n_problems
+        rows_before, problems_before, n_taken = n_rows, n_problems, 0
         damaged = twice = False
         for k in range(count):
             begin = starts[k]
@@ -410,14 +417,15 @@ def _read_epochs(
             if fault < 0 and columns == _LEFT_OUT:
                 skipped[letter] += 1
                 continue
-            if fault < 0 and seen[letter * 100 + (satellite & 255)] == epoch_number:
+            if fault < 0 and _is_among(satellite, taken, n_taken):
                 twice = True
                 n_problems = _problem(problems, n_problems, line, begin, TWICE, _NONE)
                 continue
             where = _NONE
             n = 0
             if fault < 0:
-                seen[letter * 100 + (satellite & 255)] = epoch_number
+                taken[n_taken] = satellite
+                n_taken += 1
                 n = signal_count[letter]
                 for j in range(n):
                     for what in range(4):
