@@ -133,6 +133,40 @@ def test_the_drift_of_the_receivers_clock_is_told_apart():
     assert found.clock_drift_m_s - straight.clock_drift_m_s == pytest.approx(25.0, abs=1e-6)
 
 
+def test_the_rate_of_a_satellites_clock_is_taken_off():
+    epochs, _, store = circle(2)
+    single = single_point(epochs[0], store)
+    straight = doppler_velocity(epochs[0], single)
+    chosen = int(np.flatnonzero(straight.used)[3])
+    name = satellite_name(single.satellite[chosen])
+    rate = single.states.clock_rate.copy()
+    rate[chosen] += 1e-9
+    of_satellite = [
+        carrier_hz(name[0], signal_name(c)) * 1e-9 if s == single.satellite[chosen] else 0.0
+        for s, c in zip(epochs[0].satellite, epochs[0].signal, strict=True)
+    ]
+    found = doppler_velocity(
+        replace(epochs[0], doppler_hz=epochs[0].doppler_hz + of_satellite),
+        replace(single, states=single.states._replace(clock_rate=rate)),
+    )
+    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
+
+
+def test_of_two_codes_of_a_band_the_one_with_the_better_carrier_to_noise_counts():
+    epochs, _, store = circle(3)
+    rows = np.arange(epochs[4].satellite.size)
+    straight = velocity_of(epochs[4], store)
+    twice = rows_of(epochs[4], np.concatenate((rows, rows)))
+    worse = np.arange(twice.satellite.size) >= rows.size
+    twice = replace(
+        twice,
+        doppler_hz=twice.doppler_hz + 300.0 * worse,
+        cn0_dbhz=twice.cn0_dbhz - 10.0 * worse,
+    )
+    found = velocity_of(twice, store)
+    np.testing.assert_allclose(found.velocity_enu_m_s, straight.velocity_enu_m_s, atol=1e-9)
+
+
 @settings(derandomize=True, max_examples=20, deadline=None)
 @given(st.permutations(range(9)))
 def test_the_order_of_rows_does_not_matter(order):

@@ -100,6 +100,28 @@ def test_a_yaw_rate_to_the_left_turns_the_heading_anticlockwise():
     assert found.heading_rad == pytest.approx(math.radians(90.0) - 0.5, abs=0.02)
 
 
+def test_velocities_alone_tell_the_rate():
+    filter_ = HeadingFilter()
+    for k in range(60):
+        velocity(filter_, k / 10, 0.3 * k / 10, 10.0)
+    found = known(filter_, 5.9)
+    assert found.rate_rad_s == pytest.approx(0.3, abs=0.01)
+    assert found.rate_sigma_rad_s < 0.3
+    assert found.heading_rad == pytest.approx(0.3 * 5.9, abs=0.005)
+
+
+def test_by_yaw_rates_a_heading_is_kept_as_well_as_they_drift():
+    options = HeadingOptions(drift_rad_per_root_s=0.005, yaw_rate_sigma_rad_s=0.001)
+    filter_ = HeadingFilter(options)
+    velocity(filter_, 0.0, 1.0, 10.0)
+    for k in range(1, 51):
+        filter_.add_yaw_rate(BEGIN_NS + k * 20_000_000, 0.0)
+    # Between two rates, 20 ms apart, the yaw acceleration turns the car by what neither shows: q Δt³ / 12.
+    between = 50 * options.yaw_acceleration_rad_s2**2 * 0.02**3 / 12.0
+    expected = math.sqrt((SIGMA_M_S / 10.0) ** 2 + 0.005**2 + between)
+    assert known(filter_, 1.0).heading_sigma_rad == pytest.approx(expected, rel=0.01)
+
+
 def test_backwards_the_vehicle_points_against_its_velocity():
     filter_ = HeadingFilter()
     assert velocity(filter_, 0.0, math.radians(30.0), -3.0) == "accepted"
