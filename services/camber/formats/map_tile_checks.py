@@ -57,8 +57,8 @@ def _wrong_in_surfaces(tile: SurfaceTile) -> tuple[str, str] | None:
         ("centre_east_m", "at most 100 km", np.abs(tile.centre_east_m) <= _MAX_REACH_M),
         ("centre_north_m", "at most 100 km", np.abs(tile.centre_north_m) <= _MAX_REACH_M),
         ("yaw_rad", "-8 to 8", np.abs(tile.yaw_rad) <= 8.0),
-        ("half_length_m", "more than 0", tile.half_length_m > 0.0),
-        ("half_width_m", "more than 0", tile.half_width_m > 0.0),
+        ("half_length_m", "more than 0, at most 100 km", _is_length(tile.half_length_m)),
+        ("half_width_m", "more than 0, at most 100 km", _is_length(tile.half_width_m)),
     )
     if wrong is not None:
         return wrong
@@ -71,6 +71,11 @@ def _wrong_in_surfaces(tile: SurfaceTile) -> tuple[str, str] | None:
         tile.surface_id,
         ("grid_m", f"slopes of at most {MAX_SLOPE:.0f}", surface_slopes(tile)[0] <= MAX_SLOPE),
     )
+
+
+def _is_length(half_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    right: NDArray[np.bool_] = (half_m > 0.0) & (half_m <= _MAX_REACH_M)
+    return right
 
 
 def _wrong_in_links(tile: LinkTile) -> tuple[str, str] | None:

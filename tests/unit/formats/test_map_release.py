@@ -394,6 +394,7 @@ def _forge(folder: Path, **changed: Any) -> None:
         ({"surface_id": np.array([-1])}, "surface_id of -1"),
         ({"level": np.array([21], np.int32)}, "level of 1"),
         ({"half_width_m": np.array([0.0], np.float32)}, "half_width_m of 1"),
+        ({"half_length_m": np.array([1e6], np.float32)}, "half_length_m of 1"),
         ({"yaw_rad": np.array([1e300])}, "yaw_rad of 1"),
         ({"centre_east_m": np.array([1e9])}, "centre_east_m of 1"),
         ({"grid_m": np.array([0, 0, 0, 50], np.float32)}, "grid_m of 1"),
