@@ -4,7 +4,7 @@ BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 OUT := out
 
-.PHONY: help setup demo test check lint bench golden docs image clean
+.PHONY: help setup demo test check lint bench fuzz golden docs image clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -12,6 +12,7 @@ help:
 	@echo "make test    all tests; what needs recordings or a container engine skips visibly"
 	@echo "make check   lint, types, import rules, generated pages, tests: what CI runs"
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
+	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less"
 	@echo "make image   container image camber, with everything for any service"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
@@ -47,6 +48,9 @@ check: lint test
 
 bench: setup
 	$(BIN)/python benchmarks/run.py --out $(OUT)/bench.json
+
+fuzz: setup
+	PYTHONPATH=tests $(BIN)/python -m fuzz.run --minutes $(or $(FUZZ_MINUTES),10) --out $(OUT)/fuzz
 
 golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden

@@ -1,0 +1,186 @@
+"""The decoders that are attacked: a new one is one more entry in DECODERS."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.map_release import read_release
+from camber.formats.map_release_files import decoded
+from camber.formats.map_roads import ReleaseError
+from camber.formats.map_tile_checks import wrong_in_tile
+from camber.formats.map_tiles import tile_frame
+from camber.formats.nmea import NmeaDecoder
+from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
+from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
+from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.rtcm_reading import RtcmDecoder
+from camber.formats.rtcm_writing import (
+    format_ephemeris,
+    format_observations,
+    format_reference_station,
+    rtcm_frame,
+)
+from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
+from camber.map_server.elevation import ElevationMap
+from camber.schemas.codec import DecodeError, decode, encode
+from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
+from camber.simulator.short_drive import write_short_drive
+from fuzz.target import Target
+from support.messages import build, message_classes
+from support.random_observations import WEEK_NS, random_ephemeris, random_epoch
+
+START_NS = 1_400_000_000 * 1_000_000_000
+STEP_NS = 200_000_000
+TOE_NS = START_NS // WEEK_NS * WEEK_NS + 7200 * 1_000_000_000
+BDT_BEHIND_NS = 14 * 1_000_000_000
+
+
+def _rtcm(random: Random) -> list[list[bytes]]:
+    rng = np.random.default_rng(random.getrandbits(32))
+    streams = []
+    for _ in range(8):
+        station = random.randrange(4096)
+        frames = [format_reference_station((-3.8e6, 3.5e6, 3.7e6), station_id=station, antenna_height_m=1.5)]
+        for number in range(3):
+            epoch = random_epoch(rng, START_NS + number * STEP_NS)
+            frames += format_observations(epoch, station_id=station)
+            name = random.choice(("G05", "E11", "J02", "C19"))
+            toe_ns = TOE_NS + (BDT_BEHIND_NS if name == "C19" else 0)
+            frames += format_ephemeris(random_ephemeris(rng, name, toe_ns))
+        streams.append([frame[3:-3] for frame in frames])
+    return streams
+
+
+def _solutions(random: Random) -> list[ReceiverSolution]:
+    return [
+        ReceiverSolution(
+            time_ns=START_NS + number * STEP_NS,
+            latitude_rad=random.uniform(-1.5, 1.5),
+            longitude_rad=random.uniform(-math.pi, math.pi),
+            height_m=random.uniform(-100.0, 4000.0),
+            quality=random.choice(list(SolutionQuality)[:5]),
+            satellites=random.randrange(40),
+            covariance_enu_m2=(4e-4, 1e-5, 0.0, 4e-4, 0.0, 1e-3),
+            age_s=random.uniform(0.0, 9.0),
+            ratio=random.uniform(1.0, 99.0),
+            velocity_enu_m_s=(random.gauss(0.0, 9.0), random.gauss(0.0, 9.0), 0.1),
+            velocity_covariance_enu_m2_s2=(1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4),
+        )
+        for number in range(8)
+    ]
+
+
+def _nmea(random: Random) -> list[list[bytes]]:
+    def sentences() -> list[bytes]:
+        return [
+            sentence
+            for solution in _solutions(random)
+            for sentence in (
+                format_rmc(solution),
+                format_gga(solution, geoid_separation_m=37.5),
+                format_gst(solution),
+            )
+        ]
+
+    return [[sentence[1:-5] for sentence in sentences()] for _ in range(8)]
+
+
+def _nmea_sentence(content: bytes) -> bytes:
+    checksum = 0
+    for byte in content:
+        checksum ^= byte
+    return b"$%b*%02X\r\n" % (content, checksum)
+
+
+def _pos(random: Random) -> list[list[bytes]]:
+    return [
+        [
+            format_pos_header(velocity=velocity),
+            *(format_pos_line(solution, velocity=velocity) for solution in _solutions(random)),
+        ]
+        for velocity in (False, True)
+    ]
+
+
+def _messages(random: Random) -> list[list[bytes]]:
+    return [
+        [encode(build(cls, random, filled=filled), source="fuzz", sequence=random.getrandbits(40))]
+        for cls in message_classes()
+        for filled in (False, True)
+    ]
+
+
+def _read_message(data: bytes) -> None:
+    classes = message_classes()
+    named = [cls for cls in classes if cls.schema_name().encode() in data[:100]]
+    decode(named[0] if named else classes[len(data) % len(classes)], data)
+
+
+def _pcd(random: Random) -> list[list[bytes]]:
+    rng = np.random.default_rng(random.getrandbits(32))
+    points = rng.normal(0.0, 20.0, (20, 3)).astype(np.float32)
+    intensity, offset = rng.random(20, np.float32), -np.arange(20, dtype=np.int32)
+    binary = pcd_bytes(PointCloud(points, intensity, offset))
+    header, body = binary.split(b"DATA binary\n")
+    rows = np.frombuffer(body, np.uint8).reshape(20, -1, 4)
+    columns = np.swapaxes(rows, 0, 1).tobytes()
+    parts = [columns[at : at + 32] for at in range(0, len(columns), 32)]
+    literal = b"".join(bytes([len(part) - 1]) + part for part in parts)  # LZF that repeats nothing
+    sizes = len(literal).to_bytes(4, "little") + len(columns).to_bytes(4, "little")
+    text = "".join(
+        f"{x} {y} {z} {i} {t}\n" for (x, y, z), i, t in zip(points, intensity, offset, strict=True)
+    )
+    return [
+        [pcd_bytes(PointCloud(points))],
+        [binary],
+        [header + b"DATA binary_compressed\n" + sizes + literal],
+        [header + b"DATA ascii\n" + text.encode()],
+    ]
+
+
+_TILES = (SurfaceTile, LinkTile, CloudTile)
+
+
+def _tiles(random: Random) -> list[list[bytes]]:
+    with TemporaryDirectory() as folder:
+        write_short_drive(Path(folder))
+        release = read_release(Path(folder) / "map")
+        roads = [
+            blob
+            for layer in ("surfaces", "links")
+            for tile in release.tiles(layer)[:4]
+            if (blob := release.blob(layer, *tile)) is not None
+        ]
+    return [[blob] for blob in roads] + [[encode(build(CloudTile, random, filled=True))]]
+
+
+def _read_tile(data: bytes) -> None:
+    """As a release and the map server take it, but for the hash, which nobody can damage unseen."""
+    named = [cls for cls in _TILES if cls.schema_name().encode() in data[:100]]
+    tile = decoded((named or _TILES)[0], data, "tile")
+    wrong = wrong_in_tile(tile)
+    if wrong is not None:
+        raise ReleaseError("tile", *wrong)
+    surfaces, links = (
+        (lambda x, y, of=cls: tile if isinstance(tile, of) and (x, y) == (tile.x, tile.y) else None)
+        for cls in (SurfaceTile, LinkTile)
+    )
+    roads = ElevationMap(surfaces, links, datum="WGS84", map_version=1)
+    frame = tile_frame(tile.x, tile.y)
+    roads.road_around(frame.latitude_rad, frame.longitude_rad, 5.0, (), None)
+
+
+DECODERS: tuple[Target, ...] = (
+    Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
+    Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
+    Target("pos", _pos, stream=lambda: PosDecoder("fuzz")),
+    Target("messages", _messages, read=_read_message, refusal=DecodeError),
+    Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
+    Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),
+)
