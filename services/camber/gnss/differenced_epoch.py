@@ -10,13 +10,19 @@ from camber.formats.observations import Floats, Integers, ObservationEpoch
 from camber.geodesy.compiled import compiled
 from camber.gnss.fixing import Estimate, Limits, estimate
 from camber.gnss.float_position import float_position
-from camber.gnss.satellite_states import EphemerisTable, SatelliteStates, states_at_transmission
+from camber.gnss.satellite_states import (
+    SPEED_OF_LIGHT_M_S,
+    EphemerisTable,
+    SatelliteStates,
+    states_at_transmission,
+)
 from camber.gnss.signals import pair_signals
 from camber.gnss.single_differences import Booleans, Masks, Noise, Pairs, Rows, single_differences
 
 # How near the approximate position has to be: 3 m of height are 1 mm of the troposphere, and of curvature nothing.
 _NEAR_M = 3.0
-_ROUNDS = 3
+_ROUNDS = 4
+_MOST_CYCLES = 1.0e12
 
 
 class Columns(NamedTuple):
@@ -57,14 +63,24 @@ def columns_of(epoch: ObservationEpoch) -> Columns:
 def usable_parts(columns: Columns) -> Integers:
     """By row (n,): 2 with code and phase, 1 with the code only, 0 without a code.
 
-    A phase that may be off by half a cycle is no phase.
+    A phase that may be off by half a cycle is no phase. Of a signal that is there twice and says different things,
+    nothing can be used.
     """
     n = columns.satellite.size
     parts = np.zeros(n, np.int64)
     for i in range(n):
-        if not np.isnan(columns.pseudorange_m[i]):
-            phase = not (np.isnan(columns.carrier_phase_cycles[i]) or columns.half_cycle[i])
+        if abs(columns.pseudorange_m[i]) < SPEED_OF_LIGHT_M_S:
+            phase = abs(columns.carrier_phase_cycles[i]) < _MOST_CYCLES and not columns.half_cycle[i]
             parts[i] = 2 if phase else 1
+    for i in range(n):
+        for j in range(i):
+            if columns.satellite[i] != columns.satellite[j] or columns.signal[i] != columns.signal[j]:
+                continue
+            if columns.pseudorange_m[i] != columns.pseudorange_m[j] or (
+                parts[i] == 2 and parts[j] == 2
+                and columns.carrier_phase_cycles[i] != columns.carrier_phase_cycles[j]
+            ):  # fmt: skip
+                parts[i] = parts[j] = 0
     return parts
 
 
@@ -78,6 +94,7 @@ def solve_differenced(
     groups: Booleans,
     start_ecef_m: Floats,
     base_ecef_m: Floats,
+    age_s: float,
     noise: Noise,
     masks: Masks,
     limits: Limits,
@@ -99,19 +116,17 @@ def solve_differenced(
     of_base_values = (base.satellite, base.pseudorange_m, base.carrier_phase_cycles, base.cn0_dbhz)
     nothing, no_prior = np.zeros(3), np.zeros((3, 3))
     approximate = start_ecef_m.copy()
-    rows = single_differences(
-        pairs, of_rover_values, of_base_values, sky.states, base_states, approximate, base_ecef_m, noise, masks
-    )  # fmt: skip
-    usable = np.ones(rows.group.size, np.bool_)
-    for _ in range(_ROUNDS):
-        coarse = float_position(rows, usable, nothing, no_prior, limits.code_outlier)
-        if coarse.freedom < 0 or coarse.dx_m @ coarse.dx_m < _NEAR_M**2:
-            break
-        approximate += coarse.dx_m
+    usable = np.ones(0, np.bool_)
+    for further in range(_ROUNDS):
         rows = single_differences(
-            pairs, of_rover_values, of_base_values, sky.states, base_states, approximate, base_ecef_m, noise, masks
+            pairs, of_rover_values, of_base_values, sky.states, base_states, approximate, base_ecef_m, age_s,
+            noise, masks,
         )  # fmt: skip
         usable = np.ones(rows.group.size, np.bool_)
+        coarse = float_position(rows, usable, nothing, no_prior, limits.code_outlier)
+        if coarse.freedom < 0 or coarse.dx_m @ coarse.dx_m < _NEAR_M**2 or further == _ROUNDS - 1:
+            break
+        approximate += coarse.dx_m
     for a in range(rows.group.size):
         if rover_parts[rows.rover[a]] < 2 or base_parts[rows.base[a]] < 2:
             rows.phase_m[a] = np.nan
@@ -121,4 +136,5 @@ def solve_differenced(
         for b in range(a):
             first = first and rows.satellite[b] != rows.satellite[a]
         satellites += 1 if first else 0
-    return approximate, satellites, rows, estimate(rows, usable, nothing, no_prior, limits)
+    found = estimate(rows, usable, nothing, no_prior, limits)
+    return approximate, satellites, rows, found

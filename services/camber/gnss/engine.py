@@ -16,13 +16,15 @@ import numpy as np
 from camber.formats.observations import Ephemeris, Floats, Integers, ObservationEpoch
 from camber.gnss.ambiguity import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, UNLIKELY
 from camber.gnss.arcs import ArcTracker
+from camber.gnss.base_station import BaseStation
 from camber.gnss.continuity import Continuity, ContinuityTracker, FixedIntegers
 from camber.gnss.differenced_epoch import Sky, columns_of, solve_differenced
-from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.fixing import CONTRADICTORY, IMPRECISE, NO_POSITION, Estimate, Limits
+from camber.gnss.ephemeris_store import EphemerisStore, Lack
+from camber.gnss.epoch_order import EpochOrder
+from camber.gnss.fixing import CONTRADICTORY, FAR, IMPRECISE, NO_POSITION, Estimate, Limits
 from camber.gnss.signals import groups_of
 from camber.gnss.single_differences import Masks, Noise, Rows
-from camber.gnss.single_point import SinglePoint, single_point
+from camber.gnss.single_point import NO_IONOSPHERE, SinglePoint, single_point
 
 Quality = Literal["fixed", "float", "single", "none"]
 REASON = {
@@ -34,9 +36,25 @@ REASON = {
     NO_POSITION: "too_few_satellites",
     CONTRADICTORY: "phases_contradict",
     IMPRECISE: "too_imprecise",
+    FAR: "no_convergence",
 }
 """By status of an estimate: why there is no fix."""
+Warning_ = Literal[
+    "base_silent",
+    "base_stale",
+    "base_out_of_order",
+    "base_time_went_back",
+    "base_position_missing",
+    "base_position_wrong",
+    "ephemeris_missing",
+    "rover_out_of_order",
+    "rover_time_went_back",
+    "rover_clock_step",
+]
+"""`base_position_wrong`: the base's own single point contradicts its coordinate. `ephemeris_missing`: of a satellite.
+`rover_clock_step`: the receiver set its clock, as many do by a millisecond now and then; nothing depends on it."""
 _NS = 1e-9
+_CLOCK_STEP_M, _LONGEST_STEP_NS = 3.0e4, 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,21 +113,28 @@ class Solution:
 
 
 class Engine:
-    """Feeds on ephemerides, epochs of the base and epochs of the rover, in the order in which they come."""
+    """Feeds on ephemerides, epochs of the base and epochs of the rover, in the order in which they come.
+
+    Nothing that an epoch or an ephemeris holds raises an exception; what is not sure is not `fixed`, with a reason.
+    """
 
     def __init__(self, options: EngineOptions, base_ecef_m: Floats | None = None) -> None:
         self.ephemerides = EphemerisStore()
+        self.ionosphere = NO_IONOSPHERE
+        """Coefficients (8,) of the broadcast ionosphere as in `klobuchar_m`, for positions of one receiver."""
+        self.base = BaseStation(base_ecef_m)
         self.reasons: Counter[str] = Counter()
         """Epochs by `Solution.reason`."""
+        self.warnings: Counter[Warning_] = Counter()
+        """Epochs, of the rover where nothing else is said, by what was amiss."""
         self._options = options
         self._limits = options.limits()
         self._masks = Masks(options.lowest_elevation_rad, options.least_cn0_dbhz)
         self._groups = groups_of(options.bands)
-        self._base_ecef_m = base_ecef_m
-        self._base: ObservationEpoch | None = None
-        self._rover_arcs, self._base_arcs = ArcTracker(), ArcTracker()
-        self._of_base = np.zeros(0, np.int64)
+        self._rover_arcs = ArcTracker()
+        self._order = EpochOrder()
         self._continuity = ContinuityTracker()
+        self._last: SinglePoint | None = None
 
     def add_ephemeris(self, ephemeris: Ephemeris) -> None:
         """A broadcast ephemeris came."""
@@ -117,8 +142,21 @@ class Engine:
 
     def add_base(self, epoch: ObservationEpoch) -> None:
         """The base has observed."""
-        self._base = epoch
-        self._of_base = self._base_arcs.update(epoch)
+        order = self.base.add(epoch)
+        if order == "late":
+            self.warnings["base_out_of_order"] += 1
+        elif order == "anew":
+            self.warnings["base_time_went_back"] += 1
+
+    def set_base_position(self, base_ecef_m: Floats) -> None:
+        """The base told where it is (3,), for the first time or anew."""
+        if self.base.move_to(base_ecef_m):
+            self._continuity.forget()
+
+    def lacks(self) -> dict[str, Lack]:
+        """By name, the satellites of the rover's last epoch without an ephemeris, and why; for health."""
+        last = self._last
+        return {} if last is None else self.ephemerides.lacks(last.time_ns, last.satellite)
 
     def solve(self, rover: ObservationEpoch) -> Solution:
         """The tentative position of one epoch."""
@@ -127,30 +165,37 @@ class Engine:
         return solution
 
     def _solve(self, rover: ObservationEpoch) -> Solution:
+        order = self._order.admit(rover.time_ns)
+        if order == "late":
+            self.warnings["rover_out_of_order"] += 1
+            return Solution(rover.time_ns, "none", "out_of_order", None, None, 0)
+        if order == "anew":
+            self.warnings["rover_time_went_back"] += 1
         arcs = self._rover_arcs.update(rover)
-        single = single_point(rover, self.ephemerides)
-        base, position = self._base, self._base_ecef_m
-        if base is None or position is None:
-            return _single(rover.time_ns, single, "no_base")
-        age_s = (rover.time_ns - base.time_ns) * _NS
-        if not abs(age_s) <= self._options.longest_age_s:
-            return _single(rover.time_ns, single, "base_too_old")
+        single = single_point(rover, self.ephemerides, ionosphere=self.ionosphere)
+        ephemeris = self.ephemerides.rows_at(rover.time_ns, single.satellite)
+        self._warn_of_rover(single, ephemeris)
+        base, position = self.base.epoch, self.base.position_ecef_m
+        reason, age_s = self._no_base(rover.time_ns)
+        if reason is not None or base is None or position is None:
+            return _single(rover.time_ns, single, reason or "no_base")
         start = single.approximate_ecef_m
         approximate, satellites, rows, found = solve_differenced(
             columns_of(rover),
             columns_of(base),
             base.time_ns,
-            Sky(single.codes.place, self.ephemerides.rows_at(rover.time_ns, single.satellite), single.states),
+            Sky(single.codes.place, ephemeris, single.states),
             self.ephemerides.table,
             self._groups,
             start if np.isfinite(start[0]) else position,
             position,
+            abs(age_s),
             self._options.noise,
             self._masks,
             self._limits,
         )
-        if found.status == NO_POSITION:
-            return _single(rover.time_ns, single, REASON[NO_POSITION])
+        if found.status in (NO_POSITION, FAR):
+            return _single(rover.time_ns, single, REASON[found.status])
         fixed = found.status == RESOLVED
         continuity, since_ns = (
             self._compare(rover.time_ns, rows, found, arcs) if fixed else ("no_evidence", None)
@@ -172,6 +217,34 @@ class Engine:
             found,
         )
 
+    def _no_base(self, time_ns: int) -> tuple[str | None, float]:
+        """Why there is nothing to be differenced with, and how old the base's epoch is [s]."""
+        base = self.base
+        if base.epoch is None:
+            self.warnings["base_silent"] += 1
+            return "no_base", math.inf
+        if base.position_ecef_m is None:
+            self.warnings["base_position_missing"] += 1
+            return "no_base_position", math.inf
+        age_s = (time_ns - base.epoch.time_ns) * _NS
+        if not abs(age_s) <= self._options.longest_age_s:
+            self.warnings["base_stale"] += 1
+            return "base_too_old", age_s
+        if base.coordinate(self.ephemerides, self.ionosphere) == "implausible":
+            self.warnings["base_position_wrong"] += 1
+            return "base_position_wrong", age_s
+        return None, age_s
+
+    def _warn_of_rover(self, single: SinglePoint, ephemeris: Integers) -> None:
+        if (ephemeris < 0).any():
+            self.warnings["ephemeris_missing"] += 1
+        if self._last is not None:
+            # The drift of a quartz is a thousandth of this.
+            step_m = np.abs(single.clock_m - self._last.clock_m)
+            if 0 < single.time_ns - self._last.time_ns <= _LONGEST_STEP_NS and (step_m > _CLOCK_STEP_M).any():
+                self.warnings["rover_clock_step"] += 1
+        self._last = single
+
     def _compare(
         self, time_ns: int, rows: Rows, found: Estimate, rover_arcs: Integers
     ) -> tuple[Continuity, int | None]:
@@ -179,7 +252,7 @@ class Engine:
         known = np.flatnonzero(~np.isnan(found.integer))
         if known.size == 0:
             return "no_evidence", None
-        arc = np.column_stack((rover_arcs[rows.rover[known]], self._of_base[rows.base[known]]))
+        arc = np.column_stack((rover_arcs[rows.rover[known]], self.base.arcs[rows.base[known]]))
         integers = FixedIntegers(
             rows.satellite[known], rows.group[known], found.integer[known].astype(np.int64), arc
         )

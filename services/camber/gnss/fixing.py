@@ -23,7 +23,10 @@ CONTRADICTORY = 6
 """Integers were found, but the phases do not go with them."""
 IMPRECISE = 7
 """Integers were found, but not enough of them to make a position of centimetres."""
+FAR = 8
+"""The position is so far from the approximate one that it was not linearised where it is."""
 
+_FAR_M = 100.0
 
 _FOLLOWS_SIGMA, _FOLLOWS_PART = 0.1, 0.2
 
@@ -198,7 +201,9 @@ def estimate(
     for i in range(n):
         codes += 1 if first.used[i] else 0
     status, nan = NO_POSITION, np.nan
-    if first.freedom < 0:
+    if first.freedom >= 0 and not first.dx_m @ first.dx_m < _FAR_M**2:
+        status = FAR
+    if first.freedom < 0 or status == FAR:
         return Estimate(
             status, first.dx_m, first.covariance_m2, first.dx_m, first.covariance_m2, codes, 0, 0, nan, nan, nan,
             0.0, 0, integer,

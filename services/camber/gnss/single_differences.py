@@ -82,7 +82,8 @@ class Noise(NamedTuple):
     """Standard deviations of one receiver's code and phase: background / sin(elevation), and noise at 45 dB-Hz.
 
     The first is reflections, the second grows as the signal weakens, by 10^((45 − C/N0) / 20). `ionosphere` is what is
-    left of it, per metre of baseline, on the first band.
+    left of it, per metre of baseline, on the first band. `satellite_clock` [s/s] is how far a satellite's clock departs
+    from the broadcast one between the epochs of base and rover.
     """
 
     code_background_m: float = 0.20
@@ -90,6 +91,7 @@ class Noise(NamedTuple):
     phase_background_m: float = 0.002
     phase_noise_m: float = 0.002
     ionosphere: float = 0.5e-6
+    satellite_clock: float = 5.0e-12
 
 
 class Masks(NamedTuple):
@@ -125,10 +127,12 @@ def single_differences(
     base_states: SatelliteStates,
     rover_ecef_m: Floats,
     base_ecef_m: Floats,
+    age_s: float,
     noise: Noise,
     masks: Masks,
 ) -> Rows:
-    """Rows of the pairs that can be used. `rover` and `base` are columns: satellite, code [m], phase [cycles], C/N0.
+    """Rows of the pairs that can be used. `rover` and `base` are columns: satellite, code [m], phase [cycles], C/N0;
+    `age_s` is how far apart they were observed.
 
     A row is left out without a satellite's position, below the lowest elevation as the rover sees it, or with a C/N0
     below the least at the rover. A NaN phase stays NaN.
@@ -185,6 +189,7 @@ def single_differences(
         for axis in range(3):
             rows.direction[a, axis] = -direction[k, axis]
         scatter = (residue_m * (wavelength / L1_M) ** 2) ** 2 / sine[k] ** 2
+        scatter += (SPEED_OF_LIGHT_M_S * noise.satellite_clock * age_s) ** 2
         rows.code_variance_m2[a] = scatter
         rows.phase_variance_m2[a] = scatter
         for level in (rover[3][r], base[3][b]):
