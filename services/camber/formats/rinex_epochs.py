@@ -124,10 +124,10 @@ class Rows:
 class Found:
     """What a piece of a file holds.
 
-    `epochs` (n, 2): GPS time [ns] and the end of its rows. `problems` (m, 4): line, first byte, one of the codes
-    above, and the column concerned or −1. `skipped` (256,): satellites left out by system letter. `used` bytes and
-    lines are done with; `event` (3,): where an event's header lines begin and end, and their number, if `stop` says so;
-    `missing`: lines without which, or without another epoch line, more cannot be said.
+    `epochs` (n, 3): GPS time [ns], the end of its rows, the number of problems up to its end. `problems` (m, 4): line,
+    first byte, one of the codes above, and the column concerned or −1. `skipped` (256,): satellites left out by system
+    letter. `used` bytes and `lines` are done with; `event` (3,): where an event's header lines begin and end, and their
+    number, if `stop` says so; `missing`: lines without which, or without another epoch line, more cannot be said.
     """
 
     rows: Rows
@@ -149,12 +149,12 @@ def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> 
     """
     array = np.frombuffer(data, np.uint8)
     most_signals = layout.signals.shape[1]
-    # A row has a value of 14 bytes at least, an epoch a line of 35.
-    capacity = array.size // 14 + most_signals + 1
+    # A row has a value of 14 bytes at least, a line no more rows than signals, an epoch a line of 35 bytes.
+    capacity = min(array.size // 14, data.count(b"\n") * most_signals) + most_signals
     floats = np.empty((4, capacity))
     integers = np.empty((2, capacity), np.int64)
     flags = np.empty((2, capacity), np.bool_)
-    epochs = np.empty((array.size // _HEAD_BYTES + 1, 2), np.int64)
+    epochs = np.empty((array.size // _HEAD_BYTES + 1, 3), np.int64)
     problems = np.empty((_PROBLEMS, 4), np.int64)
     skipped = np.zeros(256, np.int64)
     n_rows, n_epochs, n_problems, used, lines, is_astray, stop, begin, end, count = _read_epochs(
@@ -315,10 +315,10 @@ def _satellite(data: Bytes, start: int, end: int) -> int:
 
 @compiled
 def _is_among(value: int, values: Integers, n: int) -> bool:
+    found = False
     for k in range(n):
-        if values[k] == value:
-            return True
-    return False
+        found |= values[k] == value
+    return found
 
 
 @compiled
@@ -491,6 +491,7 @@ def _read_epochs(
         else:
             epochs[n_epochs, 0] = time_ns + time_offset_ns
             epochs[n_epochs, 1] = n_rows
+            epochs[n_epochs, 2] = n_problems
             n_epochs += 1
         position, lines = starts[count], lines + 1 + count
     return n_rows, n_epochs, n_problems, position, lines, astray, TABLE_FULL, 0, 0, 0

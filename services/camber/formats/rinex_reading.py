@@ -146,9 +146,11 @@ class RinexDecoder:
                 return lines
 
     def _give_out(self, found: Found, lines: bytes, layout: Layout, results: list[ObservationResult]) -> None:
-        rows, begin = found.rows, 0
-        for time_ns, end in found.epochs.tolist():
+        problems = self._errors(found, lines, layout)
+        rows, begin, said = found.rows, 0, 0
+        for time_ns, end, before in found.epochs.tolist():
             part = slice(begin, end)
+            results += problems[said:before]
             results.append(
                 ObservationEpoch(
                     time_ns,
@@ -163,17 +165,20 @@ class RinexDecoder:
                     rows.half_cycle[part],
                 )
             )
-            begin = end
+            begin, said = end, before
+        results += problems[said:]
+        for letter in np.flatnonzero(found.skipped).tolist():
+            self.skipped[chr(letter)] += int(found.skipped[letter])
+
+    def _errors(self, found: Found, lines: bytes, layout: Layout) -> list[FormatError]:
+        errors = []
         for line_number, place, code, column in found.problems.tolist():
             what, expected = EXPECTED[code]
             if column >= 0:
                 what = f"{lines[place : place + 3].decode('latin-1')} {layout.names[column]}"
             text = lines[place : place + 60].split(b"\n")[0]
-            results.append(
-                FormatError(self._source_name, what, expected, found=text, line_number=line_number)
-            )
-        for letter in np.flatnonzero(found.skipped).tolist():
-            self.skipped[chr(letter)] += int(found.skipped[letter])
+            errors.append(FormatError(self._source_name, what, expected, found=text, line_number=line_number))
+        return errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
