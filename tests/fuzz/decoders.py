@@ -19,6 +19,9 @@ from camber.formats.nmea import NmeaDecoder
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.rinex_navigation import NavigationDecoder
+from camber.formats.rinex_reading import RinexDecoder
+from camber.formats.rinex_writing import StationHeader, navigation_text, observation_lines
 from camber.formats.rtcm_reading import RtcmDecoder
 from camber.formats.rtcm_writing import (
     format_ephemeris,
@@ -108,6 +111,35 @@ def _pos(random: Random) -> list[list[bytes]]:
     ]
 
 
+def _rinex(random: Random) -> list[list[bytes]]:
+    """The header, epochs, and an event with header lines of its own."""
+    rng = np.random.default_rng(random.getrandbits(32))
+    station = StationHeader("FUZZ", (-3.8e6, 3.5e6, 3.7e6))
+    files = []
+    for satellites in (2, 4, 12):
+        epochs = [random_epoch(rng, START_NS + k * STEP_NS, satellites=satellites) for k in range(4)]
+        parts = list(observation_lines(epochs, station))
+        parts.insert(3, f">{'':30}4  2\n{'':60}COMMENT\n{'EVENT':<60}MARKER NAME\n")
+        files.append([part.encode() for part in parts])
+    return files
+
+
+def _rinex_navigation(random: Random) -> list[list[bytes]]:
+    """As RINEX 3, line by line, and as RINEX 4, record by record."""
+    rng = np.random.default_rng(random.getrandbits(32))
+    messages = {"G05": "LNAV", "E11": "INAV", "J02": "LNAV"}
+    text = navigation_text(
+        [random_ephemeris(rng, name, START_NS // WEEK_NS * WEEK_NS) for name in messages],
+        ((1e-8,) * 4, (1e5,) * 4),
+    )
+    lines = text.splitlines(keepends=True)
+    begin = next(k for k, line in enumerate(lines, 1) if "END OF HEADER" in line)
+    head = "".join(lines[:begin]).replace("3.04", "4.02")
+    records = ["".join(lines[k : k + 8]) for k in range(begin, len(lines), 8)]
+    announced = [f"> EPH {record[:3]} {messages[record[:3]]}\n{record}" for record in records]
+    return [[line.encode() for line in lines], [part.encode() for part in (head, *announced)]]
+
+
 def _messages(random: Random) -> list[list[bytes]]:
     return [
         [encode(build(cls, random, filled=filled), source="fuzz", sequence=random.getrandbits(40))]
@@ -180,6 +212,8 @@ DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
     Target("pos", _pos, stream=lambda: PosDecoder("fuzz")),
+    Target("rinex", _rinex, stream=lambda: RinexDecoder("fuzz")),
+    Target("rinex_navigation", _rinex_navigation, stream=lambda: NavigationDecoder("fuzz")),
     Target("messages", _messages, read=_read_message, refusal=DecodeError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
     Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),

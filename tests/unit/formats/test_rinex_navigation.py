@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.support.random_observations import random_ephemeris
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, satellite_name
@@ -19,6 +18,7 @@ from camber.formats.rinex_writing import navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.simulator.satellites.orbits import OrbitTable, satellite_states
+from support.random_observations import random_ephemeris
 
 DATA = os.environ.get("CAMBER_DATA")
 FILES = ("rooftop-2024-06-24/base.nav", "nagoya-2023-07-11/base.nav", "fujisawa-2021-09-22/SEPT2650.21P")

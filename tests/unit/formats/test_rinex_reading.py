@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from tests.support.random_observations import random_epoch
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import ObservationEpoch, satellite_name, signal_name
 from camber.formats.rinex_reading import RinexDecoder, read_observations
 from camber.formats.rinex_writing import StationHeader, observation_text
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
+from support.random_observations import random_epoch
 
 NOON_NS = gps_ns_from_gpst(CalendarTime(2024, 2, 29, 12, 0, 0))
 STATION = StationHeader("ROVER", (-3810975.7625, 3566658.9114, 3653334.735))
