@@ -38,6 +38,7 @@ def locks(
     tracked: Booleans,
     cn0_dbhz: Floats,
     data_only: Booleans,
+    direct: Booleans,
     restarted: Integers,
     parameters: SignalParameters,
     seed: int,
@@ -45,7 +46,8 @@ def locks(
 ) -> Locks:
     """Of phases tracked (n, m, 2) with their C/N0.
 
-    `data_only` (m, 2): signals without a pilot, `restarted` (n,) counts the receiver's restarts.
+    `data_only` (m, 2): signals without a pilot, `direct` (n, m): satellites in the line of sight, `restarted` (n,)
+    counts the receiver's restarts.
     """
     p = parameters
     rng = stream(seed, f"satellites/{receiver}/locks")
@@ -84,6 +86,7 @@ def locks(
     wrong = at_beginning(rng.random(tracked.shape)) < p.half_cycle_wrong_when_weak * 10.0 ** (
         -np.maximum(strength_db, 0.0) / p.half_cycle_wrong_decade_db
     )
+    wrong &= at_beginning(np.repeat(np.where(direct, 0.0, 1.0)[..., None], 2, axis=2)) > 0.0
     half_flag = open_sign & (since < resolved_s)
     unresolved = open_sign & (since < resolved_s + np.where(wrong, p.half_cycle_wrong_lasts_s, 0.0))
     # Resolved, the half cycle is taken out: a jump that comes with its own flag of a lock lost.

@@ -85,9 +85,10 @@ class SignalParameters:
     slip_unseen: float = 0.02
 
     # After a lock of a signal without pilot its sign is known from data that the receiver can tell beforehand, or else,
-    # for such a share, only after a word to some words of 0.6 s (IS-GPS-200N, 20.3.2); until then a flag says so. In
-    # weak signals it is taken wrongly now and then, and no flag says so until the preamble of the next subframe, 6 s:
-    # so often at the weakest phase that is tracked, a tenth of that every so many dB above.
+    # for such a share, only after a word to some words of 0.6 s (IS-GPS-200N, 20.3.2); until then a flag says so. Of
+    # signals that come over an edge or by a wall it is taken wrongly now and then, since they fade, and no flag says so
+    # until the preamble of the next subframe, 6 s: so often at the weakest phase that is tracked, a tenth of that every
+    # so many dB above. Noise alone does not do it: 33 dB-Hz are 16 dB for each bit, one wrong bit in 10¹⁸.
     half_cycle_after_lock: float = 0.3
     half_cycle_least_s: float = 0.6
     half_cycle_most_s: float = 3.0

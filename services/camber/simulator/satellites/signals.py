@@ -118,7 +118,7 @@ def simulate_signals(
     arriving.code_tracked[~running] = False
     arriving.phase_tracked[~running] = False
     held = locks(
-        time_ns, arriving.phase_tracked, arriving.cn0_dbhz, _data_only(table.satellite, signal),
+        time_ns, arriving.phase_tracked, arriving.cn0_dbhz, _data_only(table.satellite, signal), ways.direct,
         faults.restarted(time_ns), parameters, seed, receiver,
     )  # fmt: skip
 

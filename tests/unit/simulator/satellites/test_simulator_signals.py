@@ -138,28 +138,35 @@ def test_only_signals_without_pilot_lose_half_a_cycle_and_a_flag_tells_of_it():
     assert np.all(signals.locks.loss_of_lock[1:][jumps])
 
 
-def locked_at(cn0_dbhz, count=4000):
+def locked_at(cn0_dbhz, direct=False, count=4000):
     """Many signals without pilot that are lost for a while and come back with this C/N0, over twenty seconds."""
     time_ns = BEGIN_NS + np.arange(20 * RATE_HZ, dtype=np.int64) * (NS_PER_SECOND // RATE_HZ)
     tracked = np.ones((len(time_ns), count, 2), np.bool_)
     tracked[5:10] = False
+    always = replace(ROVER, slips_per_s=0.0, half_cycle_after_lock=1.0)
     return locks(
         time_ns, tracked, np.full(tracked.shape, cn0_dbhz), np.ones((count, 2), np.bool_),
-        np.zeros(len(time_ns), np.int64), replace(ROVER, slips_per_s=0.0, half_cycle_after_lock=1.0), 3, "rover",
+        np.full((len(time_ns), count), direct), np.zeros(len(time_ns), np.int64), always, 3, "rover",
     )  # fmt: skip
 
 
-def test_half_cycles_that_no_flag_tells_of_happen_to_weak_signals():
+def untold_half_cycles(found):
+    return (found.ambiguity_cycles % 1.0 == 0.5) & ~found.half_cycle
+
+
+def test_half_cycles_that_no_flag_tells_of_happen_to_weak_signals_out_of_sight():
     untold = {}
     for cn0 in (33.0, 37.0, 45.0):
-        found = locked_at(cn0)
-        hidden = (found.ambiguity_cycles % 1.0 == 0.5) & ~found.half_cycle
+        hidden = untold_half_cycles(locked_at(cn0))
         untold[cn0] = float(np.mean(hidden.any(axis=0)))
         # Never for longer than until the next subframe.
         assert hidden.sum(axis=0).max() <= 6 * RATE_HZ + 1
     assert untold[33.0] == pytest.approx(0.01, rel=0.3)
     assert untold[37.0] == pytest.approx(0.001, rel=0.8)
     assert untold[45.0] < 3e-4
+    in_sight = locked_at(33.0, direct=True)
+    assert not untold_half_cycles(in_sight).any()
+    assert (in_sight.half_cycle & (in_sight.ambiguity_cycles % 1.0 == 0.5)).any()
 
 
 def test_a_track_without_rising_times_is_refused():
