@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from camber.geodesy.compiled import compiled
 from camber.gnss.decorrelation import decorrelated
 from camber.gnss.lambda_search import nearest_integers
+from camber.gnss.ratio_thresholds import ratio_for_failure_rate
 
 Floats = NDArray[np.float64]
 
@@ -101,13 +102,15 @@ def resolve(
     least_fixed: int,
     most_nodes: int,
     partial: bool,
+    failure_rate: float = 0.0,
 ) -> Resolution:
     """Integers of float ambiguities (n,) with covariance (n, n).
 
     They are taken if the second-best squared norm exceeds `least_ratio` times the best. With `partial` the largest
     subset, in order of conditional variance, whose bootstrapped success rate is at least `least_success` is tried,
     and a smaller one as long as the ratio is too low, down to `least_fixed` of z; without it all or none, and all
-    must reach `least_success` (0 to do without). `most_nodes` bounds all searches together.
+    must reach `least_success` (0 to do without). `most_nodes` bounds all searches together. A `failure_rate` above zero
+    replaces `least_ratio` by the ratio that keeps it (`camber.gnss.ratio_thresholds`).
     """
     count = floats.size
     valid = count > 0 and covariance.shape == (count, count)
@@ -136,6 +139,7 @@ def resolve(
     least_log = math.log(least_success) if least_success > 0.0 else -np.inf
     while tried >= least and bootstrapped_log_success(variances, tried) < least_log:
         tried = tried - 1 if partial else 0
+    needed = least_ratio
     status, ratio, best, second, nodes, trials, log_success = UNLIKELY, np.nan, np.nan, np.nan, 0, 0, np.nan
     z_fixed, z_residual, ambiguities = np.full(count, np.nan), np.full(count, np.nan), floats.copy()
     while tried >= least:
@@ -151,7 +155,9 @@ def resolve(
             break
         best, second = norms[0], norms[1]
         ratio = second / best if best > 0.0 else np.inf
-        if ratio > least_ratio:
+        if failure_rate > 0.0:
+            needed = ratio_for_failure_rate(tried, -math.expm1(log_success), failure_rate)
+        if ratio > needed:
             status = RESOLVED
             for place in range(first, count):
                 z_fixed[place] = z_whole[place] + vectors[0, place - first]
@@ -174,7 +180,7 @@ def resolve(
         status,
         fixed,
         ratio,
-        least_ratio,
+        needed,
         best,
         second,
         math.exp(log_success),
