@@ -393,7 +393,7 @@ def _read_values(
 def _keep_observed(satellite: int, columns: Columns, tables: _Tables, n_rows: int, strength: Integers) -> int:
     """Moves the rows of which something was observed together; returns the number of rows then.
 
-    A signal strength digit is no observation; it stands for 6 dB-Hz (table 5 of the standard), taken at their middle.
+    A signal strength digit is no observation; it stands for 6 dB-Hz, of which the middle is taken.
     """
     kept = n_rows
     for j in range(columns.signal_count[satellite >> 8]):

@@ -153,7 +153,7 @@ class HeaderReader:
     def _first(self, text: str, label: str) -> None:
         if label.startswith("CRINEX"):
             raise self._error("format", "RINEX text, not its Hatanaka compression", text[:40].strip())
-        version = _number(text[:9])
+        version = decimal_number(text[:9])
         if label != "RINEX VERSION / TYPE" or version is None:
             raise self._error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", text)
         if not 3.0 <= version < 5.0:
@@ -258,7 +258,7 @@ class HeaderReader:
         text = self._values.get(label)
         if text is None or not text.strip():
             return None
-        a, b, c = (_number(text[k : k + 14]) for k in (0, 14, 28))
+        a, b, c = (decimal_number(text[k : k + 14]) for k in (0, 14, 28))
         if a is None or b is None or c is None:
             self._fault(label, "three numbers of 14 columns", text)
             return None
@@ -266,7 +266,7 @@ class HeaderReader:
 
     def _interval(self) -> float | None:
         text = self._values.get("INTERVAL", "")[:10]
-        value = _number(text)
+        value = decimal_number(text)
         if text.strip() and value is None:
             self._fault("INTERVAL", "seconds", text)
         return value if value is not None and value > 0.0 else None
@@ -307,12 +307,12 @@ def _is_count(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) <= 6
 
 
-def _number(text: str) -> float | None:
-    """A decimal number; None for anything else, and for what is not finite."""
-    if "_" in text:
+def decimal_number(text: str) -> float | None:
+    """A decimal number, its exponent after E or D; None for anything else, and for what is not finite."""
+    if "_" in text or not text.isascii():
         return None
     try:
-        value = float(text)
+        value = float(text.upper().replace("D", "E"))
     except ValueError:
         return None
     return value if math.isfinite(value) else None

@@ -1,90 +1,32 @@
 """RINEX 3 and 4 navigation files: the Keplerian ephemerides of GPS, QZSS, Galileo and BeiDou, and what is broadcast of
 the ionosphere.
 
-Source: IGS/RTCM, "RINEX", version 3.04 (2018), tables A5, A6, A8, A12, A14; version 4.02 (2024), tables A9, A10 (record
-types), A33 (Klobuchar). Read are GPS and QZSS LNAV, Galileo I/NAV and F/NAV, BeiDou D1 and D2; other messages are
-counted. A number must fill its 19 columns: one that is cut short is not a smaller one.
+Source: IGS/RTCM, "RINEX", version 3.04 (2018), table A5, and version 4.02 (2024), types of navigation records. Read are
+GPS and QZSS LNAV, Galileo I/NAV and F/NAV, BeiDou D1 and D2; other messages are counted.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
 from camber.formats.observations import Ephemeris
+from camber.formats.rinex_ephemerides import Klobuchar, NavigationRecord, ephemeris_of, klobuchar_of
 from camber.formats.rinex_files import rinex_pieces
-from camber.formats.rinex_header import leap_seconds_from_text
-from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
+from camber.formats.rinex_header import decimal_number, leap_seconds_from_text
 
-_WIDTH = 19
 _MOST_HEADER_LINES = 20_000
 _MOST_RECORD_LINES = 12
 _MOST_PROBLEMS_KEPT = 1000
-_BDT_BEHIND_GPS_NS = 14 * NS_PER_SECOND
-_BDT_FIRST_GPS_WEEK = 1356
-_UNKNOWN_TIME_S = 0.9999e9
-_ORBIT_ROWS = (
-    ("iode", "crs_m", "mean_motion_difference_rad_s", "mean_anomaly_rad"),
-    ("cuc", "eccentricity", "cus", "sqrt_a"),
-    ("toe_s", "cic", "ascending_node_rad", "cis"),
-    ("inclination_rad", "crc_m", "perigee_rad", "ascending_node_rate_rad_s"),
-)
-_RATE = "inclination_rate_rad_s"
-_GPS_ROWS = (
-    *_ORBIT_ROWS,
-    (_RATE, "codes_on_l2", "week", "l2_p_data"),
-    ("accuracy_m", "health", "tgd_s", "iodc"),
-    ("sent_s", "fit"),
-)
-_ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "G": _GPS_ROWS,
-    "J": _GPS_ROWS,
-    "E": (
-        *_ORBIT_ROWS,
-        (_RATE, "data_sources", "week"),
-        ("accuracy_m", "health", "bgd_e5a_s", "bgd_e5b_s"),
-        ("sent_s",),
-    ),
-    "C": (
-        *_ORBIT_ROWS,
-        (_RATE, "", "week"),
-        ("accuracy_m", "health", "tgd1_s", "tgd2_s"),
-        ("sent_s", "aodc"),
-    ),
-}
-_OTHER = ("tgd_s", "iodc", "bgd_e5a_s", "bgd_e5b_s", "data_sources", "tgd1_s", "tgd2_s", "aodc")
-_MAY_BE_BLANK = {*_OTHER, "accuracy_m", "sent_s", "fit", "codes_on_l2", "l2_p_data"}
-_ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
 _MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", "D2")}
 _IONOSPHERE_MESSAGES = {"G": "LNAV", "J": "LNAV", "C": "D1D2"}
 _IONOSPHERE_SYSTEMS = {"GPS": "G", "BDS": "C", "QZS": "J"}
 
-Four = tuple[float, float, float, float]
 NavigationResult = Ephemeris | FormatError
-
-
-@dataclass(slots=True)
-class Klobuchar:
-    """A system's coefficients of the broadcast ionosphere: alpha in s, s/sc, …, beta likewise; None: not given."""
-
-    alpha: Four | None = None
-    beta: Four | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Record:
-    """Lines of one record, and what a RINEX 4 line `> EPH G01 LNAV` said before it."""
-
-    first_line: int
-    kind: str
-    satellite: str
-    message: str
-    lines: list[str] = field(default_factory=list)
 
 
 class NavigationDecoder:
@@ -103,7 +45,7 @@ class NavigationDecoder:
         self._source_name = source_name
         self._lines = LineBuffer()
         self._in_header = True
-        self._record: _Record | None = None
+        self._record: NavigationRecord | None = None
         self._astray = False
 
     def feed(self, data: bytes) -> list[NavigationResult]:
@@ -171,7 +113,7 @@ class NavigationDecoder:
     def _first(self, line_number: int, text: str, label: str) -> None:
         if label != "RINEX VERSION / TYPE":
             raise self._error("first line", "'RINEX VERSION / TYPE' in columns 61 to 80", line_number, text)
-        version = _number(text[:9])
+        version = decimal_number(text[:9])
         if version is None or not 3.0 <= version < 5.0:
             raise self._error("RINEX version", "3 or 4", line_number, text[:9].strip())
         if text[20:21] != "N":
@@ -182,7 +124,7 @@ class NavigationDecoder:
         system = _IONOSPHERE_SYSTEMS.get(text[:3])
         if system is None or text[3:4] not in ("A", "B"):
             return
-        values = [_number(text[k : k + 12]) for k in range(5, 53, 12)]
+        values = [decimal_number(text[k : k + 12]) for k in range(5, 53, 12)]
         a, b, c, d = values
         if a is None or b is None or c is None or d is None:
             raise self._error(text[:4], "four numbers of 12 columns", line_number, text[5:53])
@@ -201,7 +143,7 @@ class NavigationDecoder:
             self._astray = False
             words = text[1:].split() if announced else []
             kind, satellite, message = ([*words, "", "", ""])[:3] if announced else ("EPH", text[:3], "")
-            self._record = _Record(line_number, kind, satellite, message)
+            self._record = NavigationRecord(line_number, kind, satellite, message)
         if self._record is None:
             if text and not self._astray:
                 self._astray = True
@@ -232,15 +174,16 @@ class NavigationDecoder:
             if result is not None:
                 results.append(result)
 
-    def _read(self, record: _Record) -> Ephemeris | None:
+    def _read(self, record: NavigationRecord) -> Ephemeris | None:
         """Raises FormatError or ValueError where a record is damaged."""
         system = record.satellite[:1]
-        if record.kind == "EPH" and record.message in ("", *_MESSAGES.get(system, ())) and system in _ROWS:
+        messages = _MESSAGES.get(system)
+        if record.kind == "EPH" and messages and record.message in ("", *messages):
             if self._version() >= 4.0 and not record.message:
                 raise self._error("record", "a line '> EPH …' before it", record.first_line, record.satellite)
-            return _ephemeris(record)
+            return ephemeris_of(record)
         if record.kind == "ION" and record.message == _IONOSPHERE_MESSAGES.get(system):
-            self.klobuchar[system] = _ionosphere(record)
+            self.klobuchar[system] = klobuchar_of(record)
             return None
         if record.kind not in ("EPH", "ION", "STO", "EOP") or system not in "GREJCSI":
             raise self._error(
@@ -253,144 +196,6 @@ class NavigationDecoder:
     def _version(self) -> float:
         assert self.version is not None
         return self.version
-
-
-def _ephemeris(record: _Record) -> Ephemeris:
-    system = record.satellite[0]
-    rows = _ROWS[system]
-    if len(record.lines) != 1 + len(rows):
-        raise ValueError(f"{len(record.lines)} lines, not {1 + len(rows)}")
-    head = record.lines[0]
-    if head[:3] != record.satellite:
-        raise ValueError(f"satellite {head[:3]!r} in its first line")
-    clock_s = tuple(_required(head, 23 + _WIDTH * k, name) for k, name in enumerate(("af0", "af1", "af2")))
-    values: dict[str, float] = {}
-    for names, line in zip(rows, record.lines[1:], strict=True):
-        if line[:4].strip():
-            raise ValueError(f"{line[:4]!r} at the begin of a line")
-        for k, name in enumerate(names):
-            if name in _MAY_BE_BLANK:
-                if (value := _at(line, 4 + _WIDTH * k, name)) is not None:
-                    values[name] = value
-            elif name:
-                values[name] = _required(line, 4 + _WIDTH * k, name)
-    shift_ns = _BDT_BEHIND_GPS_NS if system == "C" else 0
-    toc_ns = gps_ns_from_gpst(_calendar(head)) + shift_ns
-    toe_ns = _toe_ns(system, values["toe_s"], toc_ns - shift_ns, values["week"]) + shift_ns
-    _check(values)
-    number = _digits(record.satellite[1:3], "satellite")
-    if number == 0:
-        raise ValueError("satellite 0")
-    other = {name: values[name] for name in _OTHER if name in values}
-    if system in "GJ":
-        other["fit_interval_h"] = _fit_interval_h(system, values.get("fit", 0.0))
-    accuracy_m = values.get("accuracy_m", math.nan)
-    return Ephemeris(
-        satellite=ord(system) * 256 + number,
-        toe_ns=toe_ns,
-        toc_ns=toc_ns,
-        transmission_ns=_transmission_ns(values.get("sent_s", _UNKNOWN_TIME_S), toe_ns, shift_ns),
-        iode=int(values["iode"]),
-        clock=(clock_s[0], clock_s[1], clock_s[2]),
-        # Galileo says −1 where there is no prediction.
-        accuracy_m=accuracy_m if accuracy_m >= 0.0 else math.nan,
-        health=int(values["health"]),
-        other=other,
-        **{name: values[name] for name in _ORBIT},
-    )
-
-
-def _calendar(head: str) -> CalendarTime:
-    places = ((4, 8), (9, 11), (12, 14), (15, 17), (18, 20), (21, 23))
-    year, month, day, hour, minute, second = (_digits(head[a:b], "time") for a, b in places)
-    return CalendarTime(year, month, day, hour, minute, second)
-
-
-def _toe_ns(system: str, toe_s: float, toc_ns: int, week: float) -> int:
-    """In the system's own time since 1980: that nearest to the clock's reference time, which has a date.
-
-    The week, with which writers differ (full or modulo 1024, of toe or of transmission, BeiDou's or GPS's), must not
-    contradict it.
-    """
-    if not 0.0 <= toe_s <= NS_PER_WEEK / NS_PER_SECOND:
-        raise ValueError(f"toe {toe_s} s of the week")
-    toe_ns = _nearest(round(toe_s * NS_PER_SECOND), toc_ns)
-    found = toe_ns // NS_PER_WEEK
-    expected = (found, found - _BDT_FIRST_GPS_WEEK) if system == "C" else (found,)
-    if not any(abs((week - w + 512.0) % 1024.0 - 512.0) <= 1.0 for w in expected):
-        raise ValueError(f"week {week:.0f} with a date in week {found}")
-    return toe_ns
-
-
-def _nearest(of_week_ns: int, near_ns: int) -> int:
-    return near_ns + (of_week_ns - near_ns + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
-
-
-def _transmission_ns(sent_s: float, toe_ns: int, shift_ns: int) -> int:
-    """Nearest to toe: not all writers count it from the week of toe. Unknown: toe, before which it was sent."""
-    if not abs(sent_s) < 2 * NS_PER_WEEK / NS_PER_SECOND:
-        return toe_ns
-    return _nearest(round(sent_s * NS_PER_SECOND), toe_ns - shift_ns) + shift_ns
-
-
-def _fit_interval_h(system: str, said: float) -> float:
-    """Hours; QZSS's, and some writers' of GPS, is the broadcast flag for more than the nominal two or four hours."""
-    nominal = 2.0 if system == "J" else 4.0
-    return {0.0: nominal, 1.0: 1.5 * nominal}.get(said, said)
-
-
-def _check(values: Mapping[str, float]) -> None:
-    for name in ("iode", "health"):
-        if not (0.0 <= values[name] < 2.0**16 and values[name].is_integer()):
-            raise ValueError(f"{name} {values[name]}")
-    if not (0.0 <= values["eccentricity"] < 1.0 and values["sqrt_a"] > 0.0):
-        raise ValueError(f"eccentricity {values['eccentricity']}, square root of a {values['sqrt_a']} √m")
-
-
-def _ionosphere(record: _Record) -> Klobuchar:
-    """RINEX 4: three numbers beside the time, four, one and the region."""
-    if len(record.lines) < 3:
-        raise ValueError(f"{len(record.lines)} lines, not 3")
-    first = [_required(record.lines[0], 23 + _WIDTH * k, "alpha") for k in range(3)]
-    second = [_required(record.lines[1], 4 + _WIDTH * k, "alpha, beta") for k in range(4)]
-    last = _required(record.lines[2], 4, "beta")
-    return Klobuchar((first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last))
-
-
-def _required(line: str, start: int, name: str) -> float:
-    value = _at(line, start, name)
-    if value is None:
-        raise ValueError(f"{name} is blank")
-    return value
-
-
-def _at(line: str, start: int, name: str) -> float | None:
-    """The number in 19 columns; None for blanks."""
-    text = line[start : start + _WIDTH]
-    if not text.strip():
-        return None
-    value = _number(text) if len(text) == _WIDTH else None
-    if value is None:
-        raise ValueError(f"{name} {text.strip()!r}")
-    return value
-
-
-def _number(text: str) -> float | None:
-    """A finite decimal number, with E or D before its exponent."""
-    if "_" in text or not text.isascii():
-        return None
-    try:
-        value = float(text.upper().replace("D", "E"))
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _digits(text: str, name: str) -> int:
-    stripped = text.strip()
-    if not (stripped.isascii() and stripped.isdigit()):
-        raise ValueError(f"{name} {text!r}")
-    return int(stripped)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

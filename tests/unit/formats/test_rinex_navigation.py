@@ -12,7 +12,8 @@ import pytest
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, satellite_name
-from camber.formats.rinex_navigation import Klobuchar, NavigationDecoder, read_navigation
+from camber.formats.rinex_ephemerides import Klobuchar
+from camber.formats.rinex_navigation import NavigationDecoder, read_navigation
 from camber.formats.rinex_reading import read_observations
 from camber.formats.rinex_writing import navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
