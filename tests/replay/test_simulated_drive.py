@@ -48,7 +48,7 @@ def test_right_fixes_are_passed_on_and_those_of_a_wrong_base_are_not(out: Path) 
     summary = summary_of(out)
     truth = read_truth(out.parent / "drive" / "truth.csv", "camber")
     wrong = set(truth.time_ns[truth.fix_state == 1].tolist())
-    assert len(wrong) >= 30
+    assert len(wrong) >= 20  # of forty epochs; the rest has no fix
     words = Counter(
         item.message.verdict for item in recorded(out)["verdict"] if item.message.time_ns in wrong
     )
