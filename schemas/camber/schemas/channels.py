@@ -50,7 +50,8 @@ SERVICES = (*VEHICLE_SERVICES, "map_update")
 CHANNELS: tuple[Channel, ...] = (
     Channel("receiver_bytes", _V + "vehicle/receiver_bytes", gnss.ReceiverBytes, ("vehicle",), ("gnss",), 10, 2.0,
             "small", note="native bytes, where the receiver is not attached to gnss itself: replays"),
-    Channel("motion", _V + "vehicle/motion", motion.Motion, ("vehicle",), ("localizer", "integrity"), 10, 0.5, "small"),
+    Channel("motion", _V + "vehicle/motion", motion.Motion, ("vehicle",), ("gnss", "localizer", "integrity"), 10,
+            0.5, "small"),
     Channel("suspension", _V + "vehicle/suspension", motion.Suspension, ("vehicle",), ("antenna_height",), 10, 0.5,
             "small"),
     Channel("ranging", _V + "vehicle/ranging", motion.Ranging, ("vehicle",), ("antenna_height",), 10, 0.5, "small"),

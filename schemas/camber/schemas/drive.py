@@ -89,6 +89,7 @@ def _native_folder(value: Any, info: ValidationInfo) -> Path:
 File = Annotated[Path, BeforeValidator(_native_file)]
 Folder = Annotated[Path, BeforeValidator(_native_folder)]
 Metres = Annotated[float, Field(ge=-100.0, le=100.0)]
+EcefMetres = Annotated[float, Field(ge=-1e7, le=1e7)]
 ErrorMetres = Annotated[float, Field(gt=0.0, le=1_000.0)]
 ErrorAngle = Annotated[float, Field(gt=0.0, le=math.pi)]
 
@@ -117,6 +118,9 @@ class RawObservations(Model):
     base_arrivals: File | None = Field(default=None, description="the same for base_obs")
     ephemerides: Annotated[tuple[File, ...], Field(strict=False, min_length=1)] = Field(
         description="files of broadcast ephemerides"
+    )
+    base_ecef_m: Annotated[tuple[EcefMetres, EcefMetres, EcefMetres], Field(strict=False)] | None = Field(
+        default=None, description="where the base's antenna is, ECEF; unset: as base_obs itself says"
     )
 
 
@@ -318,6 +322,10 @@ class DriveManifest(Model):
     observations: RawObservations | None = Field(
         default=None, description="table with raw observations and a base"
     )
+    positions: Literal["receiver", "engine"] | None = Field(
+        default=None,
+        description="whose positions are judged, receiver or engine; unset: the receiver's where there are some",
+    )
     motion: OneFile | None = Field(default=None, description="table with wheel speed, yaw rate and steering")
     suspension: OneFile | None = Field(default=None, description="table with stroke heights")
     ranging: OneFile | None = Field(default=None, description="table with distances to the road")
@@ -350,6 +358,10 @@ class DriveManifest(Model):
             "receiver: expected a table receiver, a table observations or both": (
                 self.receiver is None and self.observations is None
             ),
+            f"positions is {self.positions!r}, expected a table with them": (
+                (self.positions == "receiver" and self.receiver is None)
+                or (self.positions == "engine" and self.observations is None)
+            ),
             "surrogates.inputs is not empty, expected a table truth to make them from": bool(
                 inputs and self.truth is None
             ),
@@ -377,6 +389,11 @@ class DriveManifest(Model):
             ),
         }
         return [text for text, failed in tests.items() if failed]
+
+    @property
+    def judged_positions(self) -> Literal["receiver", "engine"]:
+        """Whose positions are judged."""
+        return self.positions or ("engine" if self.receiver is None else "receiver")
 
     @property
     def overrides(self) -> tuple[str, ...]:

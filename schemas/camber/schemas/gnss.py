@@ -23,6 +23,7 @@ from camber.schemas.base import (
     Probability,
     Sigma,
     Text,
+    TimeNs,
     UInt8,
     Vector3,
 )
@@ -106,7 +107,12 @@ class Fix(Message):
     satellites: Annotated[int, Field(ge=0, le=255)] | None = None
     ratio: Sigma | None = None
     age_of_corrections_s: Sigma | None = None
+    ambiguities_fixed: Count | None = None
+    success_rate: Probability | None = None
     ambiguity_continuity: Literal["continuous", "broken", "no_evidence"] = "no_evidence"
+    continuous_since_ns: TimeNs | None = Field(
+        default=None, description="first fix of the chain whose integers go on to this one"
+    )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
 
 

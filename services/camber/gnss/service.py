@@ -1,4 +1,4 @@
-"""The process of gnss: bytes of a receiver, from the bus or its own port, become tentative positions."""
+"""The process of gnss: bytes of a receiver and a base, from the bus or ports of its own, become tentative positions."""
 
 from __future__ import annotations
 
@@ -9,17 +9,30 @@ from pydantic import ValidationError
 
 from camber.formats.byte_streams import ByteStream, open_stream
 from camber.formats.errors import FormatError
-from camber.formats.nmea import NmeaDecoder
-from camber.formats.receiver_solution import ReceiverSolution
-from camber.formats.rtklib_pos import PosDecoder
+from camber.formats.nmea_writing import format_gga
+from camber.formats.ntrip import NtripAccess
+from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.gnss.engine_side import fix_from_solution, observations_from
 from camber.gnss.receiver_side import fix_from, refuse
+from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
+from camber.gnss.streams import Said, Stream, StreamProtocol, StreamReader
+from camber.gnss.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
-from camber.schemas.gnss import Estimates, EstimatesRequest, ReceiverBytes
+from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
+from camber.schemas.motion import Motion
 
 _SILENT_NS = 5_000_000_000
+
+
+class _Port:
+    """A stream of bytes of our own, and what of it has been reported."""
+
+    def __init__(self, stream: Stream, protocol: StreamProtocol, name: str, port: ByteStream) -> None:
+        self.stream, self.protocol, self.name, self.port = stream, protocol, name, port
+        self.failures = self.lost_bytes = 0
 
 
 class GnssService(Service[GnssSettings]):
@@ -28,89 +41,208 @@ class GnssService(Service[GnssSettings]):
     NAME = "gnss"
     SETTINGS = GnssSettings
 
+    @classmethod
+    def prepare(cls, settings: GnssSettings) -> None:
+        """Compile the engine, before anybody waits for this service."""
+        if settings.positions == "engine":
+            warm_up()
+
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._decoders: dict[str, PosDecoder | NmeaDecoder] = {}
-        self._left_out: set[str] = set()
+        self._readers: dict[tuple[Stream, StreamProtocol], StreamReader] = {}
+        self._rover = Rover(settings.engine.options(), settings.base_ecef_m) if self._solves else None
         self._last_ns: int | None = None
-        self._stream: ByteStream | None = None
-        self._failures = self._lost_bytes = 0
-        if settings.source != "bus":
-            self._stream = open_stream(settings.source, arrived=bus.wake)
+        self._last_fix: Fix | None = None
+        self._warned: dict[str, int] = {}
+        self._left_out: set[str] = set()
+        self._ports = self._open_ports()
+
+    @property
+    def _solves(self) -> bool:
+        return self.settings.positions == "engine"
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Inputs: the bus is read only where it is the source."""
-        return {"receiver_bytes": self._hear} if self._stream is None else {}
+        """Inputs: the bus is read where it is the source of one of the streams."""
+        handlers: dict[str, Callable[[Any], None]] = {}
+        if "bus" in (self.settings.source, self.settings.base_source):
+            handlers["receiver_bytes"] = self._hear
+        if self._rover is not None:
+            handlers["motion"] = self._moved
+        return handlers
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
         """A receiver's own solution has no other estimates: the judge is told so."""
         return {"estimates": lambda requests: [self._estimates(request) for request in requests]}
 
     def advance(self, now_ns: int) -> None:
-        """Read what the stream has brought."""
-        if self._stream is None:
+        """Read what the ports have brought, base and ephemerides first; solve."""
+        for port in self._ports:
+            self._read(port)
+        if self._rover is None:
             return
-        if self._stream.failures > self._failures:
-            self._failures = self._stream.failures
-            self.bus.issue("source_lost", f"{self.settings.source}: {self._stream.problem}")
-        if self._stream.lost_bytes > self._lost_bytes:
-            self.bus.issue(
-                "source_overflow", f"{self._stream.lost_bytes - self._lost_bytes} bytes came too fast"
-            )
-            self._lost_bytes = self._stream.lost_bytes
-        data = self._stream.take()
-        if data:
-            self._feed(self.settings.protocol, data)
+        for solved in self._rover.solve():
+            self._publish_solved(solved)
+        self._warn(self._rover)
 
     def healthy(self) -> bool:
         """Are epochs coming?"""
         return self._last_ns is not None and self.bus.now_ns() - self._last_ns < _SILENT_NS
 
     def close(self) -> None:
-        """Close the port."""
-        if self._stream is not None:
-            self._stream.close()
+        """Close the ports."""
+        for port in self._ports:
+            port.port.close()
+
+    def _open_ports(self) -> list[_Port]:
+        settings = self.settings
+        password = settings.ntrip_password
+        access = NtripAccess(
+            user=settings.ntrip_user,
+            password=None if password is None else password.get_secret_value(),
+            version=settings.ntrip_version,
+            ca_file=settings.ntrip_ca_file,
+            position=self._sentence,
+            position_interval_s=settings.position_interval_s,
+        )
+        wanted: list[tuple[Stream, StreamProtocol, str | None]] = [
+            ("base", settings.base_protocol, settings.base_source),
+            ("rover", settings.protocol, settings.source),
+        ]
+        return [
+            _Port(
+                stream,
+                protocol,
+                url,
+                open_stream(url, arrived=self.bus.wake, ntrip=access, silence_s=settings.silence_s),
+            )
+            for stream, protocol, url in wanted
+            if url is not None and url != "bus"
+        ]
+
+    def _sentence(self) -> str | None:
+        """GGA of the last position, for a caster that makes corrections for a place; called from another thread."""
+        fix = self._last_fix
+        if fix is None:
+            return None
+        solution = ReceiverSolution(
+            fix.time_ns,
+            fix.latitude_rad,
+            fix.longitude_rad,
+            fix.height_m,
+            SolutionQuality.SINGLE,
+            fix.satellites,
+        )
+        return format_gga(solution, geoid_separation_m=0.0).decode("ascii")
+
+    def _read(self, port: _Port) -> None:
+        stream = port.port
+        if stream.failures > port.failures:
+            port.failures = stream.failures
+            self.bus.issue("source_lost", f"{port.name}: {stream.last_failure}")
+        if stream.lost_bytes > port.lost_bytes:
+            self.bus.issue("source_overflow", f"{stream.lost_bytes - port.lost_bytes} bytes came too fast")
+            port.lost_bytes = stream.lost_bytes
+        data = stream.take()
+        if data:
+            self._feed(port.stream, port.protocol, port.name, data)
 
     def _hear(self, received: ReceiverBytes) -> None:
-        if received.stream == "rover" and received.protocol in ("pos", "nmea"):
-            self._feed(received.protocol, received.payload.tobytes())
-        else:
+        """From the bus; a stream that has a port of its own is not heard there too."""
+        if any(port.stream == received.stream for port in self._ports):
             self._leave_out(f"{received.stream}.{received.protocol}")
+            return
+        self._feed(received.stream, received.protocol, received.stream, received.payload.tobytes())
+
+    def _moved(self, motion: Motion) -> None:
+        if self._rover is not None:
+            self._rover.moved(motion)
+
+    def _feed(self, stream: Stream, protocol: StreamProtocol, name: str, data: bytes) -> None:
+        if not self._solves and (stream != "rover" or protocol in ("rinex", "rtcm")):
+            self._leave_out(f"{stream}.{protocol}")
+            return
+        if self._solves and protocol in ("pos", "nmea"):
+            self._leave_out(f"{stream}.{protocol}")
+            return
+        reader = self._readers.get((stream, protocol))
+        if reader is None:
+            reader = StreamReader(stream, protocol, name, self.bus.now_ns(), self.settings.nmea_date)
+            self._readers[stream, protocol] = reader
+        for said in reader.feed(data):
+            self._take(stream, said)
 
     def _leave_out(self, what: str) -> None:
         """Counted; said once."""
         if what not in self._left_out:
             self._left_out.add(what)
-            self.bus.issue("stream_not_used", f"{what}: expected rover.pos or rover.nmea")
+            whose = "observations" if self._solves else "positions of the receiver"
+            self.bus.issue("stream_not_used", f"{what}: expected {whose}")
         self.bus.count(f"not_used.{what}")
 
-    def _feed(self, protocol: str, data: bytes) -> None:
-        decoder = self._decoders.get(protocol)
-        if decoder is None:
-            name, date = self.settings.source, self.settings.nmea_date
-            decoder = PosDecoder(name) if protocol == "pos" else NmeaDecoder(name, utc_date=date)
-            self._decoders[protocol] = decoder
-        for item in decoder.feed(data):
-            if isinstance(item, FormatError):
-                self.bus.issue("unreadable_input", str(item))
-            else:
-                self._publish(item)
+    def _take(self, stream: Stream, said: Said) -> None:
+        match said:
+            case FormatError():
+                self.bus.issue("unreadable_input", str(said))
+            case ReceiverIntegrity():
+                self.bus.publish("receiver_integrity", said)
+            case ReceiverSolution():
+                if not self._solves:
+                    self._publish_receiver(said)
+            case _ if self._rover is not None:
+                self._rover.hear(stream, said)
 
-    def _publish(self, solution: ReceiverSolution) -> None:
-        refusal = refuse(solution.time_ns, self._last_ns, self.bus.now_ns())
-        if refusal is not None:
-            self.bus.issue(refusal, f"epoch {solution.time_ns} ns after {self._last_ns} ns")
+    def _publish_receiver(self, solution: ReceiverSolution) -> None:
+        if self._is_refused(solution.time_ns):
             return
+        self._publish(lambda: fix_from(solution, self.settings.datum))
+
+    def _publish_solved(self, solved: SolvedEpoch) -> None:
+        solution = solved.solution
+        if self._is_refused(solution.time_ns):
+            return
+        self.bus.count(f"epochs.{solution.quality}")
+        if solution.quality != "fixed":
+            self.bus.count(f"not_fixed.{solution.reason}")
+        if self.settings.publish_observations:
+            self.bus.publish("observations", observations_from(solved.epoch, "rover"))
+        if solved.velocity is not None:
+            self.bus.publish("velocity", solved.velocity)
+        self._publish(lambda: fix_from_solution(solution, self.settings.datum))
+        self._last_ns = solution.time_ns
+
+    def _is_refused(self, time_ns: int) -> bool:
+        refusal = refuse(time_ns, self._last_ns, self.bus.now_ns())
+        if refusal is not None:
+            self.bus.issue(refusal, f"epoch {time_ns} ns after {self._last_ns} ns")
+        return refusal is not None
+
+    def _publish(self, make: Callable[[], Fix | None]) -> None:
         try:
-            fix = fix_from(solution, self.settings.datum)
+            fix = make()
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             self.bus.issue("implausible_epoch", f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
             return
-        self._last_ns = solution.time_ns
-        self.bus.publish("fix", fix)
+        if fix is not None:
+            self._last_ns, self._last_fix = fix.time_ns, fix
+            self.bus.publish("fix", fix)
+
+    def _warn(self, rover: Rover) -> None:
+        """What the engine found amiss since the last time."""
+        for name, count in rover.engine.warnings.items():
+            if count > self._warned.get(name, 0):
+                self._warned[name] = count
+                detail = ""
+                if name == "ephemeris_missing":
+                    lacks = rover.engine.lacks()
+                    detail = ", ".join(f"{satellite} {why}" for satellite, why in sorted(lacks.items())[:10])
+                elif name == "base_position_wrong" and rover.engine.base.miss_m is not None:
+                    detail = f"its own single point is {rover.engine.base.miss_m:.0f} m away"
+                self.bus.issue(name, detail or f"{count} epochs")
 
     def _estimates(self, request: EstimatesRequest) -> Estimates:
+        if self._rover is not None:
+            return self._rover.last.estimates(request)
         reason = "the receiver's own solution; there are no raw observations"
         return Estimates(time_ns=request.time_ns, fix_id=request.fix_id, status="unavailable", reason=reason)
 

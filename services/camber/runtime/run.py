@@ -291,6 +291,7 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
     )
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
+    service_class.prepare(settings)
     try:
         session = open_session(settings.zenoh)
     except BusError as error:

@@ -22,6 +22,10 @@ class Service(Generic[S]):
     NAME: ClassVar[str]
     SETTINGS: ClassVar[type[ServiceSettings]]
 
+    @classmethod
+    def prepare(cls, settings: S) -> None:
+        """What takes long and must be done before anybody can see, or wait for, this service."""
+
     def __init__(self, settings: S, bus: Bus) -> None:
         self.settings = settings
         self.bus = bus

@@ -10,9 +10,9 @@ import sys
 import tomllib
 from datetime import date
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NoReturn, TypeVar
+from typing import Any, ClassVar, Literal, NoReturn, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError
 from pydantic_settings import (
     BaseSettings,
     CliSettingsSource,
@@ -100,6 +100,7 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
         "--print-config", action="store_true", help="print the settings in force as TOML, and end"
     )
     args, rest = flags.parse_known_args(argv)
+    _refuse_secrets_on_the_command_line(cls, rest)
     table = _read_toml(args.config) if args.config else {}
     if cls.model_config["extra"] != "ignore":
         for name in table.keys() - cls.model_fields.keys():
@@ -120,7 +121,7 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
         cli = source(args=rest)
         return cls(_cli_settings_source=cli, **table), args
     except ValidationError as error:
-        raise ConfigError(_one_line(error, args.config, table)) from None
+        raise ConfigError(_one_line(cls, error, args.config, table)) from None
     except SettingsError as error:  # a list or a table that cannot be parsed
         raise ConfigError(_not_json(error)) from None
 
@@ -152,6 +153,21 @@ def _refuse_unknown_environment(cls: type[ServiceSettings]) -> None:
             raise ConfigError(f"environment: {variable}: unknown setting")
 
 
+def _is_secret(cls: type[BaseModel], name: str) -> bool:
+    info = cls.model_fields.get(name)
+    return info is not None and SecretStr in (info.annotation, *get_args(info.annotation))
+
+
+def _refuse_secrets_on_the_command_line(cls: type[ServiceSettings], argv: list[str]) -> None:
+    """The list of processes shows it to everyone on the machine."""
+    for argument in argv:
+        option = argument.partition("=")[0]
+        name = option.lstrip("-").replace("-", "_")
+        if option.startswith("-") and _is_secret(cls, name):
+            variable = f"{_environment_prefix(cls)}{name.upper()}"
+            raise ConfigError(f"{option}: not on the command line, which everyone can see; set {variable}")
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text("utf-8"))
@@ -161,7 +177,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}") from None
 
 
-def _one_line(error: ValidationError, path: Path | None, table: dict[str, Any]) -> str:
+def _one_line(cls: type[BaseModel], error: ValidationError, path: Path | None, table: dict[str, Any]) -> str:
     first = error.errors(include_url=False)[0]
     field = ".".join(str(part) for part in first["loc"])
     where = f"{path}: " if path is not None and _stands_in(table, first["loc"]) else ""
@@ -172,7 +188,8 @@ def _one_line(error: ValidationError, path: Path | None, table: dict[str, Any]) 
         return f"{where}{field}: unknown setting"
     if first["type"] == "missing":
         return f"{where}{field}: missing; this setting has no default"
-    return f"{where}{field}: {first['msg']} (got {str(first['input'])[:60]!r})"
+    got = "" if _is_secret(cls, field) else f" (got {str(first['input'])[:60]!r})"
+    return f"{where}{field}: {first['msg']}{got}"
 
 
 def _not_json(error: SettingsError) -> str:
@@ -200,6 +217,9 @@ def _emit(model: BaseModel, prefix: str, lines: list[str]) -> None:
             tables.append((name, value))
             continue
         comment = f"  # {' '.join(info.description.split())}" if info.description else ""
+        if isinstance(value, SecretStr):
+            lines.append(f'# {name} = "****"{comment}')
+            continue
         lines.append(f"# {name} ={comment}" if value is None else f"{name} = {_toml(value)}{comment}")
     for name, value in tables:
         lines += ["", f"[{prefix}{name}]"]

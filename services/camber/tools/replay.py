@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from camber.formats.errors import FormatError
 from camber.formats.recording import Recorder
+from camber.gnss.warm_up import warm_up
 from camber.runtime.feeder import Feeder, ReplayStuck
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, ZenohSettings
@@ -81,6 +82,10 @@ def replay(manifest: DriveManifest, out: Path, *, speed: float, quiet: bool = Fa
     folder.write_drive(facts, _truth(inputs))
     for left_over in ("state", "logs"):  # what an earlier run has learnt would change this one's verdicts
         shutil.rmtree(out / left_over, ignore_errors=True)
+    if manifest.judged_positions == "engine":
+        if not quiet:
+            print("camber replay: preparing the engine (a minute, the first time)", file=sys.stderr)
+        warm_up()
     endpoint = _free_endpoint()
     processes = Processes(out, _configs(manifest, inputs, out, endpoint))
     with Recorder(folder.recording_path) as recorder:
@@ -226,9 +231,13 @@ def _configs(
         "suspension_to_antenna_m": height.suspension_to_antenna_m,
         "tyre_radius_m": height.tyre_radius_m,
     }
+    raw = manifest.observations
+    base = {} if raw is None or raw.base_ecef_m is None else {"base_ecef_m": list(raw.base_ecef_m)}
     given = {} if start is None else {"initial_pose": start.model_dump()}
     return {
-        "gnss": config("gnss", source="bus", datum=manifest.datum),
+        "gnss": config(
+            "gnss", source="bus", datum=manifest.datum, positions=manifest.judged_positions, **base
+        ),
         "map_server": config(
             "map_server",
             release=(inputs.map_release or out / "work" / "no-map").resolve(),

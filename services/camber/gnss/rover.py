@@ -1,0 +1,89 @@
+"""What receiver and base say, in order, until there is an epoch to solve; its velocity and heading with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.gnss.doppler_velocity import doppler_velocity
+from camber.gnss.engine import Engine, EngineOptions, Solution
+from camber.gnss.engine_side import LastEpochs, velocity_from
+from camber.gnss.heading_filter import HeadingFilter
+from camber.gnss.streams import Said, StationPosition, Stream
+from camber.schemas.gnss import SatelliteVelocity
+from camber.schemas.motion import Motion
+
+_WHEEL_AGE_NS = 500_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedEpoch:
+    """One epoch of the receiver: its observations, what the engine made of them, its velocity where there is one."""
+
+    epoch: ObservationEpoch
+    solution: Solution
+    velocity: SatelliteVelocity | None
+
+
+class Rover:
+    """Feeds the engine with what was said, base before rover, so that an epoch meets the base's of the same time.
+
+    A base whose position is configured keeps it, whatever its stream says.
+    """
+
+    def __init__(self, options: EngineOptions, base_ecef_m: tuple[float, float, float] | None = None) -> None:
+        self.engine = Engine(options, None if base_ecef_m is None else np.array(base_ecef_m))
+        self.last = LastEpochs(options)
+        self._base_is_given = base_ecef_m is not None
+        self._heading = HeadingFilter()
+        self._wheel_speed_m_s: float | None = None
+        self._wheel_ns = 0
+        self._waiting: list[ObservationEpoch] = []
+
+    def hear(self, stream: Stream, said: Said) -> None:
+        """One thing that a stream said; solutions and statements of a receiver are of no use here."""
+        match said:
+            case ObservationEpoch() if stream == "base":
+                self.engine.add_base(said)
+            case ObservationEpoch():
+                self._waiting.append(said)
+            case Ephemeris():
+                self.engine.add_ephemeris(said)
+            case IonosphereCoefficients() if said.system == "G":
+                self.engine.ionosphere = np.array((*said.alpha, *said.beta))
+            case StationPosition() if stream == "base" and not self._base_is_given:
+                self.engine.set_base_position(np.array(said.position_ecef_m))
+
+    def moved(self, motion: Motion) -> None:
+        """The vehicle's own sensors, for the heading alone: no position rests on them."""
+        if motion.yaw_rate_rad_s is not None:
+            self._heading.add_yaw_rate(motion.time_ns, motion.yaw_rate_rad_s)
+        if motion.wheel_speed_m_s is not None:
+            self._wheel_speed_m_s, self._wheel_ns = motion.wheel_speed_m_s, motion.time_ns
+
+    def solve(self) -> list[SolvedEpoch]:
+        """All epochs that wait, in the order in which they came."""
+        waiting, self._waiting = self._waiting, []
+        return [self._solve(epoch) for epoch in waiting]
+
+    def _solve(self, epoch: ObservationEpoch) -> SolvedEpoch:
+        solution = self.engine.solve(epoch)
+        self.last.keep(solution)
+        velocity = None
+        if solution.single is not None:
+            found = doppler_velocity(epoch, solution.single)
+            wheel = self._wheel_speed_m_s
+            if (
+                found.status == "ok"
+                and wheel is not None
+                and abs(epoch.time_ns - self._wheel_ns) <= _WHEEL_AGE_NS
+            ):
+                east, north, _ = found.velocity_enu_m_s.tolist()
+                covariance = found.covariance_enu_m2_s2
+                plane = (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1]))
+                self._heading.add_velocity(epoch.time_ns, east, north, plane, found.hdop, wheel)
+            velocity = velocity_from(found, self._heading.at(epoch.time_ns))
+        return SolvedEpoch(epoch, solution, velocity)

@@ -1,0 +1,114 @@
+"""Bytes of one stream → what they say, whatever the protocol: observations, ephemerides, positions, statements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+from typing import Literal
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
+from camber.formats.mixed_stream import MixedDecoder
+from camber.formats.nmea import NmeaDecoder
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.receiver_solution import ReceiverSolution
+from camber.formats.rinex_navigation import NavigationDecoder
+from camber.formats.rinex_reading import RinexDecoder
+from camber.formats.rtcm_reading import ReferenceStation, RtcmDecoder, StationEpoch
+from camber.formats.rtklib_pos import PosDecoder
+from camber.formats.ubx_raw_reading import ReceiverEpoch
+from camber.formats.ubx_reading import UbxDecoder
+from camber.gnss.satellite_states import enu_from_ecef_rotation, geodetic
+from camber.schemas.gnss import ReceiverIntegrity
+
+Stream = Literal["rover", "base", "ephemerides"]
+StreamProtocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"]
+Decoder = (
+    PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | RinexDecoder | NavigationDecoder
+)
+
+
+@dataclass(frozen=True, slots=True)
+class StationPosition:
+    """Where an antenna's reference point is said to be, ECEF."""
+
+    position_ecef_m: tuple[float, float, float]
+
+
+Said = (
+    ObservationEpoch
+    | Ephemeris
+    | IonosphereCoefficients
+    | StationPosition
+    | ReceiverSolution
+    | ReceiverIntegrity
+    | FormatError
+)
+"""What comes out of any stream; the rest (baselines, for example) is left out."""
+_KINDS = (
+    ObservationEpoch, Ephemeris, IonosphereCoefficients, ReceiverSolution, ReceiverIntegrity, FormatError,
+)  # fmt: skip
+
+
+class StreamReader:
+    """Reads one stream piece by piece; `near_ns` (GPS time) is for protocols that do not say the week."""
+
+    def __init__(
+        self,
+        stream: Stream,
+        protocol: StreamProtocol,
+        source_name: str,
+        near_ns: int,
+        utc_date: date | None = None,
+    ) -> None:
+        self._decoder = _decoder(stream, protocol, source_name, near_ns, utc_date)
+        self._marker_said = False
+
+    def feed(self, data: bytes) -> list[Said]:
+        """What the bytes complete, in order; never raises for what they hold."""
+        said = [known for result in self._decoder.feed(data) for known in _known(result)]
+        marker = self._marker()
+        return said if marker is None else [marker, *said]
+
+    def _marker(self) -> StationPosition | None:
+        """RINEX says in its header where the antenna was, once."""
+        decoder = self._decoder
+        if self._marker_said or not isinstance(decoder, RinexDecoder) or decoder.header is None:
+            return None
+        self._marker_said = True
+        header = decoder.header
+        if header.position_ecef_m is None:
+            return None
+        marker = np.array(header.position_ecef_m)
+        latitude, longitude, _ = geodetic(marker)
+        up_m, east_m, north_m = header.delta_hen_m or (0.0, 0.0, 0.0)
+        x, y, z = marker + np.array([east_m, north_m, up_m]) @ enu_from_ecef_rotation(latitude, longitude)
+        return StationPosition((float(x), float(y), float(z))) if np.isfinite(latitude) else None
+
+
+def _known(result: object) -> list[Said]:
+    if isinstance(result, ReceiverEpoch | StationEpoch):
+        return [result.epoch]
+    if isinstance(result, ReferenceStation):
+        return [StationPosition(result.position_ecef_m)]
+    return [result] if isinstance(result, _KINDS) else []
+
+
+def _decoder(
+    stream: Stream, protocol: StreamProtocol, source_name: str, near_ns: int, utc_date: date | None
+) -> Decoder:
+    match protocol:
+        case "pos":
+            return PosDecoder(source_name)
+        case "nmea":
+            return NmeaDecoder(source_name, utc_date=utc_date)
+        case "ubx":
+            return UbxDecoder(source_name, near_ns)
+        case "rtcm":
+            return RtcmDecoder(near_ns)
+        case "mixed":
+            return MixedDecoder(source_name, near_ns, utc_date=utc_date)
+        case "rinex":
+            return NavigationDecoder(source_name) if stream == "ephemerides" else RinexDecoder(source_name)

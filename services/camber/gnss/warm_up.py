@@ -1,0 +1,113 @@
+"""Compile the engine before the first epoch comes: one made-up epoch of rover and base is solved.
+
+The compiled code is kept on disk; where it is there already this takes a part of a second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camber.formats.observations import CARRIER_OF_BAND_HZ, Ephemeris, Floats, ObservationEpoch, signal_number
+from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.gnss.doppler_velocity import doppler_velocity
+from camber.gnss.engine import Engine, EngineOptions, Solution
+from camber.gnss.ephemeris_store import EphemerisStore
+from camber.gnss.re_estimation import other_estimates
+from camber.gnss.satellite_states import (
+    SPEED_OF_LIGHT_M_S,
+    elevation_azimuth,
+    enu_from_ecef_rotation,
+    geodetic,
+    ranges,
+    states_at_transmission,
+)
+
+_TIME_NS = 1_400_000_000 * NS_PER_SECOND
+_PLANES, _PER_PLANE = 6, 5
+_SIGNALS = ("1C", "2L")
+_LOWEST_RAD = 0.3
+
+
+def warm_up() -> Solution:
+    """Solve a made-up epoch with all that an epoch goes through; returns what the engine made of it."""
+    options = EngineOptions()
+    base = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
+    rover = base + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(base)[:2])
+    engine = Engine(options, base)
+    for ephemeris in _constellation():
+        engine.add_ephemeris(ephemeris)
+    solution = Solution(_TIME_NS, "none", "", None, None, 0)
+    for second in range(2):
+        time_ns = _TIME_NS + second * NS_PER_SECOND
+        engine.add_base(_epoch(engine.ephemerides, base, time_ns))
+        epoch = _epoch(engine.ephemerides, rover, time_ns)
+        solution = engine.solve(epoch)
+        if solution.single is not None:
+            doppler_velocity(epoch, solution.single)
+    if solution.rows is not None and solution.approximate_ecef_m is not None:
+        other_estimates(solution.rows, solution.approximate_ecef_m, options.limits(), "all", (), 4)
+    return solution
+
+
+def _constellation() -> list[Ephemeris]:
+    """GPS as it is in its textbook: circles in planes a sixth of a turn apart."""
+    turn = 2.0 * np.pi
+    return [
+        Ephemeris(
+            satellite=ord("G") * 256 + 1 + plane * _PER_PLANE + place,
+            toe_ns=_TIME_NS,
+            toc_ns=_TIME_NS,
+            transmission_ns=_TIME_NS,
+            iode=1,
+            clock=(1e-5, 0.0, 0.0),
+            sqrt_a=5153.6,
+            eccentricity=0.002,
+            inclination_rad=0.96,
+            inclination_rate_rad_s=0.0,
+            ascending_node_rad=turn * plane / _PLANES,
+            ascending_node_rate_rad_s=0.0,
+            perigee_rad=0.0,
+            mean_anomaly_rad=turn * (place / _PER_PLANE + plane / (_PLANES * _PER_PLANE)),
+            mean_motion_difference_rad_s=0.0,
+            cuc=0.0,
+            cus=0.0,
+            crc_m=0.0,
+            crs_m=0.0,
+            cic=0.0,
+            cis=0.0,
+            accuracy_m=1.0,
+            health=0,
+            other={"tgd_s": 0.0},
+        )
+        for plane in range(_PLANES)
+        for place in range(_PER_PLANE)
+    ]
+
+
+def _epoch(ephemerides: EphemerisStore, antenna_ecef_m: Floats, time_ns: int) -> ObservationEpoch:
+    """What an antenna without errors observes in two bands; its clock is right."""
+    satellites = np.array([e.satellite for e in _constellation()], np.int64)
+    rows = ephemerides.rows_at(time_ns, satellites)
+    code_m = np.full(satellites.size, 2.2e7)
+    for _ in range(3):
+        states = states_at_transmission(ephemerides.table, rows, time_ns, code_m)
+        distance_m, direction = ranges(states.position_m, antenna_ecef_m)
+        code_m = distance_m - SPEED_OF_LIGHT_M_S * states.clock_s
+    elevation_rad, _ = elevation_azimuth(antenna_ecef_m, direction)
+    up = np.flatnonzero(elevation_rad > _LOWEST_RAD)
+    rate_m_s = (states.velocity_m_s * direction).sum(axis=1)
+    carriers = [CARRIER_OF_BAND_HZ["G"][signal[0]] for signal in _SIGNALS]
+    count = up.size * len(_SIGNALS)
+    return ObservationEpoch(
+        time_ns=time_ns,
+        satellite=np.tile(satellites[up], len(_SIGNALS)),
+        signal=np.repeat([signal_number(signal) for signal in _SIGNALS], up.size),
+        pseudorange_m=np.tile(code_m[up], len(_SIGNALS)),
+        carrier_phase_cycles=np.concatenate([code_m[up] * hz / SPEED_OF_LIGHT_M_S for hz in carriers]),
+        doppler_hz=np.concatenate([-rate_m_s[up] * hz / SPEED_OF_LIGHT_M_S for hz in carriers]),
+        cn0_dbhz=np.full(count, 45.0),
+        lock_time_s=np.full(count, 10.0),
+        loss_of_lock=np.zeros(count, np.bool_),
+        half_cycle=np.zeros(count, np.bool_),
+    )
