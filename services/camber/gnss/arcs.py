@@ -29,7 +29,8 @@ _GEOMETRY_FREE_LIMIT_M = 0.05
 _LONGEST_FREE_S = 10.0  # beyond, the ionosphere may move the difference as far
 # Between two epochs the mean of the Dopplers is the phase's rate but for a change of acceleration.
 _DOPPLER_LIMIT_M, _DOPPLER_LIMIT_M_S2 = 0.08, 0.5
-_LOCK_ROUNDING_S = 0.002  # formats tell the lock time in steps, of half its value at worst
+_LOCK_ROUNDING_S = 0.002
+"""Formats tell the lock time in steps, of half its value at worst: what is longer than twice as told is broken."""
 
 
 class _State(NamedTuple):
@@ -90,6 +91,12 @@ def _slot(satellite: int, signal: int) -> int:
 
 
 @compiled
+def _may_go_on(slots: Integers, reason: Integers, row: int) -> bool:
+    """Nothing but the difference between bands has said that this phase began anew."""
+    return bool(slots[row] >= 0 and (reason[row] == _CONTINUOUS or reason[row] == _FREE))
+
+
+@compiled
 def _update(
     state: _State,
     last: Integers,
@@ -110,7 +117,7 @@ def _update(
     count = 0
     for i in range(n):
         slot = _slot(satellite[i], signal[i])
-        if np.isnan(phase_cycles[i]):
+        if not abs(phase_cycles[i]) < np.inf:
             slot = -1
         slots[i] = slot
         if slot < 0:
@@ -127,7 +134,7 @@ def _update(
             continue
         if flagged[i]:
             reason[i] = _FLAG
-        elif lock_s[i] < state.lock_s[slot] - _LOCK_ROUNDING_S or lock_s[i] < 0.5 * min(since_s, 1.0):
+        elif lock_s[i] < state.lock_s[slot] - _LOCK_ROUNDING_S or lock_s[i] < 0.5 * since_s:
             reason[i] = _LOCK
         elif half_cycle[i] != state.half_cycle[slot]:
             reason[i] = _HALF
@@ -145,18 +152,19 @@ def _update(
         if abs(mismatch[i] - common) > _DOPPLER_LIMIT_M + _DOPPLER_LIMIT_M_S2 * since_s * since_s:
             reason[i] = _DOPPLER
     for i in range(n):
-        if slots[i] < 0 or reason[i] != _CONTINUOUS:
-            continue
         for j in range(i):
-            if satellite[j] != satellite[i] or slots[j] < 0 or reason[j] != _CONTINUOUS:
+            if satellite[j] != satellite[i] or not (
+                _may_go_on(slots, reason, i) and _may_go_on(slots, reason, j)
+            ):
                 continue
-            since_ns = time_ns - min(state.time_ns[slots[i]], state.time_ns[slots[j]])
-            if state.time_ns[slots[i]] != state.time_ns[slots[j]] or since_ns * 1e-9 > _LONGEST_FREE_S:
+            before_ns = state.time_ns[slots[i]]
+            if state.time_ns[slots[j]] != before_ns or (time_ns - before_ns) * 1e-9 > _LONGEST_FREE_S:
                 continue
-            before = metres[i] - metres[j]
-            before -= state.phase_cycles[slots[i]] * (metres[i] / phase_cycles[i])
-            before += state.phase_cycles[slots[j]] * (metres[j] / phase_cycles[j])
-            if abs(before) > _GEOMETRY_FREE_LIMIT_M:
+            moved = metres[i] - metres[j]
+            moved -= state.phase_cycles[slots[i]] * WAVELENGTH_M[group_of(satellite[i], signal[i])]
+            moved += state.phase_cycles[slots[j]] * WAVELENGTH_M[group_of(satellite[j], signal[j])]
+            if abs(moved) > _GEOMETRY_FREE_LIMIT_M:
+                # Which of the two jumped is not known, so both begin anew.
                 reason[i] = reason[j] = _FREE
     arcs = np.zeros(n, np.int64)
     for i in range(n):

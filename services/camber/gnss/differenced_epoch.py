@@ -9,7 +9,7 @@ import numpy as np
 from camber.formats.observations import Floats, Integers, ObservationEpoch
 from camber.geodesy.compiled import compiled
 from camber.gnss.fixing import Estimate, Limits, estimate
-from camber.gnss.float_position import float_position
+from camber.gnss.float_position import float_with_prior
 from camber.gnss.satellite_states import (
     SPEED_OF_LIGHT_M_S,
     EphemerisTable,
@@ -34,6 +34,16 @@ class Columns(NamedTuple):
     carrier_phase_cycles: Floats
     cn0_dbhz: Floats
     half_cycle: Booleans
+
+
+class Prior(NamedTuple):
+    """Where the rover is before its codes are looked at, ECEF (3,), and the information of it (3, 3); zeros: none."""
+
+    position_ecef_m: Floats
+    information: Floats
+
+
+NO_PRIOR = Prior(np.zeros(3), np.zeros((3, 3)))
 
 
 class Sky(NamedTuple):
@@ -95,6 +105,7 @@ def solve_differenced(
     start_ecef_m: Floats,
     base_ecef_m: Floats,
     age_s: float,
+    prior: Prior,
     noise: Noise,
     masks: Masks,
     limits: Limits,
@@ -114,7 +125,6 @@ def solve_differenced(
     pairs = Pairs(of_rover, of_base, group, place)
     of_rover_values = (rover.satellite, rover.pseudorange_m, rover.carrier_phase_cycles, rover.cn0_dbhz)
     of_base_values = (base.satellite, base.pseudorange_m, base.carrier_phase_cycles, base.cn0_dbhz)
-    nothing, no_prior = np.zeros(3), np.zeros((3, 3))
     approximate = start_ecef_m.copy()
     usable = np.ones(0, np.bool_)
     for further in range(_ROUNDS):
@@ -123,7 +133,8 @@ def solve_differenced(
             noise, masks,
         )  # fmt: skip
         usable = np.ones(rows.group.size, np.bool_)
-        coarse = float_position(rows, usable, nothing, no_prior, limits.code_outlier)
+        prior_m = prior.position_ecef_m - approximate
+        coarse = float_with_prior(rows, usable, prior_m, prior.information, limits.code_outlier)
         if coarse.freedom < 0 or coarse.dx_m @ coarse.dx_m < _NEAR_M**2 or further == _ROUNDS - 1:
             break
         approximate += coarse.dx_m
@@ -136,5 +147,6 @@ def solve_differenced(
         for b in range(a):
             first = first and rows.satellite[b] != rows.satellite[a]
         satellites += 1 if first else 0
-    found = estimate(rows, usable, nothing, no_prior, limits)
+    prior_m = prior.position_ecef_m - approximate
+    found = estimate(rows, usable, prior_m, prior.information, limits)
     return approximate, satellites, rows, found

@@ -1,7 +1,8 @@
 """One epoch of rover and base → a tentative position, by itself: float from code, integers, fixed position.
 
-No state is carried from epoch to epoch into a position, so no error is; what is remembered (arcs, the last integers)
-only says how one fix goes with another. No map and no height enters: the height is the check, and must stay one.
+No fix is carried into the next, so no wrong one is: what goes on is a float position from code, as a prior and only if
+asked for. Arcs and the last integers are remembered to say how one fix goes with another. No map and no height enters:
+the height is the check, and must stay one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from camber.gnss.ambiguity import INVALID, RATIO_TOO_LOW, RESOLVED, SEARCH_CUT, 
 from camber.gnss.arcs import ArcTracker
 from camber.gnss.base_station import BaseStation
 from camber.gnss.continuity import Continuity, ContinuityTracker, FixedIntegers
-from camber.gnss.differenced_epoch import Sky, columns_of, solve_differenced
+from camber.gnss.differenced_epoch import NO_PRIOR, Prior, Sky, columns_of, solve_differenced
+from camber.gnss.doppler_prior import DopplerPrior
+from camber.gnss.doppler_velocity import DopplerVelocity, doppler_velocity
 from camber.gnss.ephemeris_store import EphemerisStore, Lack
 from camber.gnss.epoch_order import EpochOrder
 from camber.gnss.fixing import CONTRADICTORY, FAR, IMPRECISE, NO_POSITION, Estimate, Limits
@@ -59,13 +62,18 @@ _CLOCK_STEP_M, _LONGEST_STEP_NS = 3.0e4, 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class EngineOptions:
-    """Masks, tests and what is used; bands by the letter of a group of systems (QZSS goes with GPS)."""
+    """Masks, tests and what is used; bands by the letter of a group of systems (QZSS goes with GPS).
+
+    `failure_rate` above 0 takes the ratio that keeps it in place of `least_ratio`. `doppler_aided`: the float position
+    has that of the epoch before, moved by the Doppler velocity, as a prior; without it every epoch stands alone.
+    """
 
     bands: dict[str, str] = field(default_factory=lambda: {"G": "125", "E": "157", "C": "12567"})
     lowest_elevation_rad: float = math.radians(10.0)
     least_cn0_dbhz: float = 30.0
     code_outlier: float = 3.5
     least_ratio: float = 3.0
+    failure_rate: float = 0.0
     least_success: float = 0.95
     least_fixed: int = 4
     most_nodes: int = 20_000
@@ -73,6 +81,7 @@ class EngineOptions:
     normal_quantile: float = 3.72
     largest_sigma_m: float = 0.10
     longest_age_s: float = 10.0
+    doppler_aided: bool = True
     noise: Noise = field(default_factory=Noise)
 
     def limits(self) -> Limits:
@@ -86,6 +95,7 @@ class EngineOptions:
             self.partial,
             self.normal_quantile,
             self.largest_sigma_m,
+            self.failure_rate,
         )
 
 
@@ -107,9 +117,11 @@ class Solution:
     continuity: Continuity = "no_evidence"
     continuous_since_ns: int | None = None
     single: SinglePoint | None = None
+    velocity: DopplerVelocity | None = None
     approximate_ecef_m: Floats | None = None
     rows: Rows | None = None
     estimate: Estimate | None = None
+    prior: Prior | None = None
 
 
 class Engine:
@@ -135,6 +147,7 @@ class Engine:
         self._order = EpochOrder()
         self._continuity = ContinuityTracker()
         self._last: SinglePoint | None = None
+        self._prior = DopplerPrior()
 
     def add_ephemeris(self, ephemeris: Ephemeris) -> None:
         """A broadcast ephemeris came."""
@@ -173,13 +186,15 @@ class Engine:
             self.warnings["rover_time_went_back"] += 1
         arcs = self._rover_arcs.update(rover)
         single = single_point(rover, self.ephemerides, ionosphere=self.ionosphere)
+        velocity = doppler_velocity(rover, single)
+        prior = self._prior.at(velocity, single) if self._options.doppler_aided else NO_PRIOR
         ephemeris = self.ephemerides.rows_at(rover.time_ns, single.satellite)
         self._warn_of_rover(single, ephemeris)
         base, position = self.base.epoch, self.base.position_ecef_m
         reason, age_s = self._no_base(rover.time_ns)
         if reason is not None or base is None or position is None:
-            return _single(rover.time_ns, single, reason or "no_base")
-        start = single.approximate_ecef_m
+            return _single(rover.time_ns, single, velocity, reason or "no_base")
+        start = prior.position_ecef_m if prior is not NO_PRIOR else single.approximate_ecef_m
         approximate, satellites, rows, found = solve_differenced(
             columns_of(rover),
             columns_of(base),
@@ -190,12 +205,14 @@ class Engine:
             start if np.isfinite(start[0]) else position,
             position,
             abs(age_s),
+            prior,
             self._options.noise,
             self._masks,
             self._limits,
         )
         if found.status in (NO_POSITION, FAR):
-            return _single(rover.time_ns, single, REASON[found.status])
+            return _single(rover.time_ns, single, velocity, REASON[found.status])
+        self._prior.keep(velocity, single, approximate + found.float_dx_m, found.float_covariance_m2)
         fixed = found.status == RESOLVED
         continuity, since_ns = (
             self._compare(rover.time_ns, rows, found, arcs) if fixed else ("no_evidence", None)
@@ -212,9 +229,11 @@ class Engine:
             continuity,
             since_ns,
             single,
+            velocity,
             approximate,
             rows,
             found,
+            prior,
         )
 
     def _no_base(self, time_ns: int) -> tuple[str | None, float]:
@@ -259,10 +278,10 @@ class Engine:
         return self._continuity.update(time_ns, integers)
 
 
-def _single(time_ns: int, single: SinglePoint, reason: str) -> Solution:
+def _single(time_ns: int, single: SinglePoint, velocity: DopplerVelocity, reason: str) -> Solution:
     """The position of the rover alone, where there is one."""
     if single.status != "ok":
-        return Solution(time_ns, "none", reason, None, None, 0, single=single)
+        return Solution(time_ns, "none", reason, None, None, 0, single=single, velocity=velocity)
     return Solution(
         time_ns,
         "single",
@@ -271,4 +290,5 @@ def _single(time_ns: int, single: SinglePoint, reason: str) -> Solution:
         single.covariance_ecef_m2,
         int(single.used.sum()),
         single=single,
+        velocity=velocity,
     )

@@ -13,7 +13,7 @@ import numpy as np
 from camber.formats.observations import Floats, Integers
 from camber.geodesy.compiled import compiled
 from camber.gnss.ambiguity import RESOLVED, UNLIKELY, conditional_update, resolve
-from camber.gnss.float_position import float_position, inverse_3
+from camber.gnss.float_position import FloatPosition, float_with_prior, inverse_3
 from camber.gnss.signals import GROUPS
 from camber.gnss.single_differences import Booleans, Rows, without_clocks
 
@@ -26,13 +26,16 @@ IMPRECISE = 7
 FAR = 8
 """The position is so far from the approximate one that it was not linearised where it is."""
 
-_FAR_M = 100.0
+_FAR_M, _GROSS_M = 100.0, 1000.0
 
 _FOLLOWS_SIGMA, _FOLLOWS_PART = 0.1, 0.2
 
 
 class Limits(NamedTuple):
-    """What a fix has to pass. `normal_quantile`: of the residual test, 3.72 is a false alarm in 10,000."""
+    """What a fix has to pass. `normal_quantile`: of the residual test, 3.72 is a false alarm in 10,000.
+
+    `failure_rate` above 0 replaces `least_ratio` (`camber.gnss.ambiguity.resolve`).
+    """
 
     code_outlier: float
     least_ratio: float
@@ -42,6 +45,7 @@ class Limits(NamedTuple):
     partial: bool
     normal_quantile: float
     largest_sigma_m: float
+    failure_rate: float
 
 
 class Estimate(NamedTuple):
@@ -190,13 +194,46 @@ def _follows(rows: Rows, row: int, reference: int, dx_m: Floats, covariance_m2: 
 
 
 @compiled
+def _placed(rows: Rows, usable: Booleans, found: FloatPosition) -> Booleans:
+    """The usable rows (n,) without satellites of which a code is so wrong that it misplaces the satellite.
+
+    Satellites are placed where a code says the signal left: 1 km of it is 3 mm along the orbit. What is wrong by less
+    takes its code out of the float position, but not its phase from the integers: a phase that is sound helps, one
+    that is not makes a wrong fix contradict itself.
+    """
+    n = usable.size
+    level, count = np.zeros(GROUPS), np.zeros(GROUPS)
+    left = np.empty(n)
+    for i in range(n):
+        left[i] = rows.code_m[i]
+        for k in range(3):
+            left[i] -= rows.direction[i, k] * found.dx_m[k]
+        if found.used[i]:
+            level[rows.group[i]] += left[i]
+            count[rows.group[i]] += 1.0
+    placed = usable.copy()
+    for i in range(n):
+        g = rows.group[i]
+        if (
+            usable[i]
+            and not found.used[i]
+            and count[g] > 0.0
+            and abs(left[i] - level[g] / count[g]) > _GROSS_M
+        ):
+            for j in range(n):
+                if rows.satellite[j] == rows.satellite[i]:
+                    placed[j] = False
+    return placed
+
+
+@compiled
 def estimate(
     rows: Rows, usable: Booleans, prior_m: Floats, prior_information: Floats, limits: Limits
 ) -> Estimate:
     """The position from the usable rows (n,): float, and fixed where its integers pass all of `limits`."""
     n = rows.phase_m.size
     integer = np.full(n, np.nan)
-    first = float_position(rows, usable, prior_m, prior_information, limits.code_outlier)
+    first = float_with_prior(rows, usable, prior_m, prior_information, limits.code_outlier)
     codes = 0
     for i in range(n):
         codes += 1 if first.used[i] else 0
@@ -208,7 +245,7 @@ def estimate(
             status, first.dx_m, first.covariance_m2, first.dx_m, first.covariance_m2, codes, 0, 0, nan, nan, nan,
             0.0, 0, integer,
         )  # fmt: skip
-    unknown = ambiguities(rows, usable, first.dx_m, first.covariance_m2)
+    unknown = ambiguities(rows, _placed(rows, usable, first), first.dx_m, first.covariance_m2)
     count = unknown.value.size
     if count < max(limits.least_fixed, 1):
         return Estimate(
@@ -223,6 +260,7 @@ def estimate(
         limits.least_fixed,
         limits.most_nodes,
         limits.partial,
+        limits.failure_rate,
     )
     status, chi2, freedom = found.status, 0.0, 0
     dx, covariance = first.dx_m, first.covariance_m2

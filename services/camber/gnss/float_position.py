@@ -3,6 +3,10 @@
 In a single epoch phases with unknown ambiguities add nothing to the position, so it comes from code, and a prior where
 there is one. Codes of reflected signals are metres off: the row with the largest normalised residual is left out until
 none is beyond the limit (Baarda, "A testing procedure for use in geodetic networks", 1968).
+
+A prior from earlier codes has the errors of reflections in common with the codes of now, to an unknown degree: the two
+are joined by covariance intersection, which claims no more than the better of both whatever they have in common (Julier
+and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations", 1997).
 """
 
 from __future__ import annotations
@@ -15,6 +19,8 @@ from camber.formats.observations import Floats
 from camber.geodesy.compiled import compiled
 from camber.gnss.signals import GROUPS
 from camber.gnss.single_differences import Booleans, Rows, without_clocks
+
+_SHARES = 10
 
 
 class FloatPosition(NamedTuple):
@@ -111,3 +117,33 @@ def float_position(
     if freedom > 0 and chi2 > freedom:
         covariance = covariance * (chi2 / freedom)
     return FloatPosition(dx, covariance, used, chi2, freedom)
+
+
+@compiled
+def float_with_prior(
+    rows: Rows, usable: Booleans, prior_m: Floats, prior_information: Floats, outlier_limit: float
+) -> FloatPosition:
+    """As `float_position`, with a prior whose errors may be those of the codes; information of zeros: none.
+
+    The prior takes part in telling which codes are wrong. Where the other codes make no position, it is the position.
+    """
+    if not prior_information[0, 0] > 0.0:
+        return float_position(rows, usable, prior_m, prior_information, outlier_limit)
+    tested = float_position(rows, usable, prior_m, prior_information, outlier_limit)
+    if tested.freedom < 0:
+        return tested
+    codes = float_position(rows, tested.used, np.zeros(3), np.zeros((3, 3)), np.inf)
+    prior_covariance, _ = inverse_3(prior_information)
+    best, best_covariance = prior_m.copy(), prior_covariance
+    if codes.freedom < 0:
+        return FloatPosition(best, best_covariance, tested.used, tested.chi2, tested.freedom)
+    information, _ = inverse_3(codes.covariance_m2)
+    right, prior_right = information @ codes.dx_m, prior_information @ prior_m
+    least = np.trace(best_covariance)
+    for step in range(_SHARES):
+        share = step / _SHARES
+        covariance, solvable = inverse_3(share * prior_information + (1.0 - share) * information)
+        if solvable and np.trace(covariance) < least:
+            least = np.trace(covariance)
+            best, best_covariance = covariance @ (share * prior_right + (1.0 - share) * right), covariance
+    return FloatPosition(best, best_covariance, tested.used, codes.chi2, codes.freedom)
