@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
@@ -70,7 +71,7 @@ def other_estimates(
     satellites, place = np.unique(rows.satellite, return_inverse=True)
     names = [satellite_name(int(number)) for number in satellites]
     given = np.array([name not in excluded for name in names], np.bool_)
-    choices = _choices(rows, satellites, place, given, strategy)[: max(most_trials, 0)]
+    choices = _choices(rows, satellites, place, given, strategy, most_trials)
     if not choices:
         return 0, []
     masks = np.array(choices)[:, place]
@@ -98,37 +99,45 @@ def other_estimates(
 
 
 def _choices(
-    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy
+    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy, most: int
 ) -> list[Booleans]:
-    """Satellites (m,) of each trial; none twice, none with fewer than a position needs."""
+    """Satellites (m,) of each trial, `most` at most; none twice, none with fewer than a position needs.
+
+    Of several strategies each says its best choice in turn.
+    """
     if strategy == "explicit":
-        return [given] if given.sum() >= _LEAST_SATELLITES else []
-    choices: list[Booleans] = []
-    for part in _ALL if strategy == "all" else (strategy,):
-        for left_out in _left_out(rows, satellites, place, given, part):
-            choice = given & ~left_out
-            if choice.sum() >= _LEAST_SATELLITES and not any((choice == other).all() for other in choices):
-                choices.append(choice)
-    return choices
+        return [given][:most] if given.sum() >= _LEAST_SATELLITES else []
+    parts = _ALL if strategy == "all" else (strategy,)
+    orders = [_left_out(rows, satellites, place, given, part) for part in parts]
+    choices: dict[bytes, Booleans] = {}
+    for left_out in (one for turn in zip_longest(*orders) for one in turn if one is not None):
+        if len(choices) >= most:
+            break
+        choice = given & ~left_out
+        if choice.sum() >= _LEAST_SATELLITES:
+            choices.setdefault(choice.tobytes(), choice)
+    return list(choices.values())
 
 
 def _left_out(
     rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy
-) -> list[Booleans]:
-    """What each choice of one strategy leaves out (m,)."""
+) -> Booleans:
+    """What each choice (k, m) of one strategy leaves out, the most promising first."""
     m = satellites.size
-    if strategy == "leave_one_out":
-        return [np.arange(m) == k for k in np.flatnonzero(given)]
     if strategy == "leave_one_system_out":
-        systems = systems_of(rows.group)
-        return [np.bincount(place, systems == system, m) > 0 for system in np.unique(systems)]
+        systems = np.zeros(m, np.int64)
+        systems[place] = systems_of(rows.group)
+        of_system: Booleans = np.unique(systems[given])[:, None] == systems
+        return of_system
     merit = np.full(m, np.inf)
-    if strategy == "by_residual":
+    if strategy in ("by_residual", "leave_one_out"):
         np.minimum.at(merit, place, -_normalised_residuals(rows, given[place]))
     else:
         np.minimum.at(merit, place, rows.cn0_dbhz if strategy == "by_cn0" else rows.elevation_rad)
-    worst_first = [k for k in np.argsort(merit, kind="stable") if given[k]]
-    return [np.isin(np.arange(m), worst_first[:count]) for count in range(1, len(worst_first))]
+    worst_first = np.argsort(merit, kind="stable")
+    worst_first = worst_first[given[worst_first]]
+    alone: Booleans = worst_first[:, None] == np.arange(m)
+    return alone if strategy == "leave_one_out" else np.logical_or.accumulate(alone, axis=0)[:-1]
 
 
 def _normalised_residuals(rows: Rows, usable: Booleans) -> Floats:
