@@ -22,6 +22,10 @@ TOOLS = {
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
     "health": ("camber.tools.health", "ask a running service how it is"),
 }
+GNSS_TOOLS = {
+    "inspect": ("camber.tools.gnss_inspect", "what a recording of satellite navigation holds"),
+    "solve": ("camber.tools.gnss_solve", "positions from a recording's raw observations, and a plot"),
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -34,16 +38,24 @@ def main(argv: list[str] | None = None) -> int:
     if name in SERVICES:
         return _run_service(name, rest)
     if name in TOOLS:
-        code: int = importlib.import_module(TOOLS[name][0]).main(rest)
-        return code
+        return _run_tool(TOOLS[name][0], rest)
     print(f"camber: {args[0]!r} is neither a service nor a tool; `camber --help` lists them", file=sys.stderr)
     return 2
 
 
+def _run_tool(module: str, argv: list[str]) -> int:
+    code: int = importlib.import_module(module).main(argv)
+    return code
+
+
 def _run_service(name: str, argv: list[str]) -> int:
+    if name == "gnss" and argv and argv[0] in GNSS_TOOLS:
+        return _run_tool(GNSS_TOOLS[argv[0]][0], argv[1:])
     if name == "gnss" and "--list-ports" in argv:
         print(importlib.import_module("camber.formats.serial_ports").describe_ports())
         return 0
+    if name == "gnss" and {"-h", "--help"} & set(argv):
+        print("\n".join(_gnss_tools()) + "\n\nor the service:")
     from camber.runtime.run import run
 
     module = importlib.import_module(f"camber.{name}.service")
@@ -55,8 +67,13 @@ def _help() -> str:
     lines += [f"  {name:<16} {text}" for name, text in SERVICES.items()]
     lines += ["", "tools:"]
     lines += [f"  {name:<16} {text}" for name, (_, text) in TOOLS.items()]
-    lines += ["", "camber gnss --list-ports names the serial ports that are here."]
+    lines += ["", *_gnss_tools(), "camber gnss --list-ports        the serial ports that are here"]
     return "\n".join(lines)
+
+
+def _gnss_tools() -> list[str]:
+    files = {"inspect": "FILE", "solve": "drive.toml"}
+    return [f"camber gnss {name + ' ' + files[name]:<19} {text}" for name, (_, text) in GNSS_TOOLS.items()]
 
 
 if __name__ == "__main__":
