@@ -28,8 +28,8 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     put("mode", settings.mode)
     put("connect/endpoints", settings.connect)
     put("listen/endpoints", [] if settings.mode == "client" else settings.listen)
-    waits_ms = round(1000 * timeout_s) if timeout_s is not None else -1 if settings.mode == "client" else 0
-    put("connect/timeout_ms", waits_ms)
+    # -1: for ever. 0 would be one attempt, after which a peer never looks for its router again.
+    put("connect/timeout_ms", -1 if timeout_s is None else round(1000 * timeout_s))
     put("connect/exit_on_failure", timeout_s is not None)
     put("connect/retry", {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5})
     put("scouting/multicast/enabled", False)
