@@ -8,7 +8,7 @@ import numpy as np
 
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.gnss.doppler_velocity import doppler_velocity
+from camber.gnss.doppler_velocity import DopplerVelocity
 from camber.gnss.engine import Engine, EngineOptions, Solution
 from camber.gnss.engine_side import LastEpochs, velocity_from
 from camber.gnss.heading_filter import HeadingFilter
@@ -48,7 +48,7 @@ class Rover:
         match said:
             case ObservationEpoch() if stream == "base":
                 self.engine.add_base(said)
-            case ObservationEpoch():
+            case ObservationEpoch() if stream == "rover":
                 self._waiting.append(said)
             case Ephemeris():
                 self.engine.add_ephemeris(said)
@@ -64,26 +64,26 @@ class Rover:
         if motion.wheel_speed_m_s is not None:
             self._wheel_speed_m_s, self._wheel_ns = motion.wheel_speed_m_s, motion.time_ns
 
-    def solve(self) -> list[SolvedEpoch]:
-        """All epochs that wait, in the order in which they came."""
+    def take(self) -> list[ObservationEpoch]:
+        """All epochs of the receiver that wait, in the order in which they came."""
         waiting, self._waiting = self._waiting, []
-        return [self._solve(epoch) for epoch in waiting]
+        return waiting
 
-    def _solve(self, epoch: ObservationEpoch) -> SolvedEpoch:
+    def solve(self, epoch: ObservationEpoch) -> SolvedEpoch:
+        """One epoch, with all that was heard until now."""
         solution = self.engine.solve(epoch)
         self.last.keep(solution)
-        velocity = None
-        if solution.single is not None:
-            found = doppler_velocity(epoch, solution.single)
-            wheel = self._wheel_speed_m_s
-            if (
-                found.status == "ok"
-                and wheel is not None
-                and abs(epoch.time_ns - self._wheel_ns) <= _WHEEL_AGE_NS
-            ):
-                east, north, _ = found.velocity_enu_m_s.tolist()
-                covariance = found.covariance_enu_m2_s2
-                plane = (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1]))
-                self._heading.add_velocity(epoch.time_ns, east, north, plane, found.hdop, wheel)
-            velocity = velocity_from(found, self._heading.at(epoch.time_ns))
-        return SolvedEpoch(epoch, solution, velocity)
+        if solution.velocity is None:
+            return SolvedEpoch(epoch, solution, None)
+        self._turn(epoch.time_ns, solution.velocity)
+        return SolvedEpoch(epoch, solution, velocity_from(solution.velocity, self._heading.at(epoch.time_ns)))
+
+    def _turn(self, time_ns: int, found: DopplerVelocity) -> None:
+        """The heading goes with the velocity, where the wheels say forward or backward."""
+        wheel = self._wheel_speed_m_s
+        if found.status != "ok" or wheel is None or abs(time_ns - self._wheel_ns) > _WHEEL_AGE_NS:
+            return
+        east, north, _ = found.velocity_enu_m_s.tolist()
+        covariance = found.covariance_enu_m2_s2
+        plane = (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1]))
+        self._heading.add_velocity(time_ns, east, north, plane, found.hdop, wheel)

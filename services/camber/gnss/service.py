@@ -12,11 +12,12 @@ from camber.formats.errors import FormatError
 from camber.formats.nmea_writing import format_gga
 from camber.formats.ntrip import NtripAccess
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.engine_side import fix_from_solution, observations_from
 from camber.gnss.receiver_side import fix_from, refuse
 from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
-from camber.gnss.streams import Said, Stream, StreamProtocol, StreamReader
+from camber.gnss.streams import Heard, Stream, StreamProtocol, StreamReader
 from camber.gnss.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
@@ -25,6 +26,9 @@ from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes,
 from camber.schemas.motion import Motion
 
 _SILENT_NS = 5_000_000_000
+_END_OF_FILE_NS = 1_000_000_000
+_CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND
+_WEEKLESS = ("ubx", "rtcm", "mixed")
 
 
 class _Port:
@@ -50,6 +54,8 @@ class GnssService(Service[GnssSettings]):
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         self._readers: dict[tuple[Stream, StreamProtocol], StreamReader] = {}
+        self._fed_ns: dict[tuple[Stream, StreamProtocol], int] = {}
+        self._damage: dict[StreamReader, dict[str, int]] = {}
         self._rover = Rover(settings.engine.options(), settings.base_ecef_m) if self._solves else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
@@ -80,8 +86,11 @@ class GnssService(Service[GnssSettings]):
             self._read(port)
         if self._rover is None:
             return
-        for solved in self._rover.solve():
-            self._publish_solved(solved)
+        for reader in self._silent(now_ns):
+            self._take(reader.fell_silent())
+        for epoch in self._rover.take():
+            if not self._is_refused(epoch.time_ns):
+                self._publish_solved(self._rover.solve(epoch))
         self._warn(self._rover)
 
     def healthy(self) -> bool:
@@ -136,11 +145,11 @@ class GnssService(Service[GnssSettings]):
 
     def _read(self, port: _Port) -> None:
         stream = port.port
-        if stream.failures > port.failures:
-            port.failures = stream.failures
+        for _ in range(stream.failures - port.failures):
+            port.failures += 1
             self.bus.issue("source_lost", f"{port.name}: {stream.last_failure}")
         if stream.lost_bytes > port.lost_bytes:
-            self.bus.issue("source_overflow", f"{stream.lost_bytes - port.lost_bytes} bytes came too fast")
+            self.bus.issue("source_overflow", f"{port.name}: {stream.lost_bytes} bytes came too fast")
             port.lost_bytes = stream.lost_bytes
         data = stream.take()
         if data:
@@ -164,32 +173,68 @@ class GnssService(Service[GnssSettings]):
         if self._solves and protocol in ("pos", "nmea"):
             self._leave_out(f"{stream}.{protocol}")
             return
+        reader = self._reader(stream, protocol, name)
+        self._take(reader.feed(data))
+        self._report_damage(reader, protocol)
+
+    def _reader(self, stream: Stream, protocol: StreamProtocol, name: str) -> StreamReader:
+        """Of a stream; anew where this machine's clock was set, for what does not say its week was read wrongly."""
+        now_ns = self.bus.now_ns()
+        if (
+            abs(now_ns - self._fed_ns.get((stream, protocol), now_ns)) > _CLOCK_WAS_SET_NS
+            and protocol in _WEEKLESS
+        ):
+            del self._readers[stream, protocol]
+        self._fed_ns[stream, protocol] = now_ns
         reader = self._readers.get((stream, protocol))
         if reader is None:
-            reader = StreamReader(stream, protocol, name, self.bus.now_ns(), self.settings.nmea_date)
+            reader = StreamReader(stream, protocol, name, now_ns, self.settings.nmea_date)
             self._readers[stream, protocol] = reader
-        for said in reader.feed(data):
-            self._take(stream, said)
+        return reader
+
+    def _silent(self, now_ns: int) -> list[StreamReader]:
+        """Readers of streams on which nothing came for a while."""
+        silent = [key for key, fed_ns in self._fed_ns.items() if now_ns - fed_ns > _END_OF_FILE_NS]
+        return [self._readers[key] for key in silent]
+
+    def _report_damage(self, reader: StreamReader, protocol: StreamProtocol) -> None:
+        """What could not be used of a stream, whenever it has become more."""
+        damage, before = reader.damage(), self._damage.get(reader, {})
+        if damage == before:
+            return
+        self._damage[reader] = damage
+        for what, count in damage.items():
+            self.bus.count(f"{reader.name}.{what}", count - before.get(what, 0))
+        text = ", ".join(f"{what} {count}" for what, count in damage.items())
+        expected = "" if protocol == "mixed" else f"; expected {protocol} alone (several on one port: mixed)"
+        self.bus.issue(
+            "damaged_input", f"{reader.name}: {text}{expected if 'bytes_skipped' in damage else ''}"
+        )
 
     def _leave_out(self, what: str) -> None:
         """Counted; said once."""
         if what not in self._left_out:
             self._left_out.add(what)
-            whose = "observations" if self._solves else "positions of the receiver"
-            self.bus.issue("stream_not_used", f"{what}: expected {whose}")
+            expected = (
+                "observations or ephemerides: ubx, rtcm, mixed or rinex"
+                if self._solves
+                else "the receiver's positions: rover.pos, .nmea, .ubx or .mixed; or positions = engine"
+            )
+            self.bus.issue("stream_not_used", f"{what}: expected {expected}")
         self.bus.count(f"not_used.{what}")
 
-    def _take(self, stream: Stream, said: Said) -> None:
-        match said:
-            case FormatError():
-                self.bus.issue("unreadable_input", str(said))
-            case ReceiverIntegrity():
-                self.bus.publish("receiver_integrity", said)
-            case ReceiverSolution():
-                if not self._solves:
-                    self._publish_receiver(said)
-            case _ if self._rover is not None:
-                self._rover.hear(stream, said)
+    def _take(self, heard: list[Heard]) -> None:
+        for stream, said in heard:
+            match said:
+                case FormatError():
+                    self.bus.issue("unreadable_input", str(said))
+                case ReceiverIntegrity():
+                    self.bus.publish("receiver_integrity", said)
+                case ReceiverSolution():
+                    if not self._solves:
+                        self._publish_receiver(said)
+                case _ if self._rover is not None:
+                    self._rover.hear(stream, said)
 
     def _publish_receiver(self, solution: ReceiverSolution) -> None:
         if self._is_refused(solution.time_ns):
@@ -198,8 +243,6 @@ class GnssService(Service[GnssSettings]):
 
     def _publish_solved(self, solved: SolvedEpoch) -> None:
         solution = solved.solution
-        if self._is_refused(solution.time_ns):
-            return
         self.bus.count(f"epochs.{solution.quality}")
         if solution.quality != "fixed":
             self.bus.count(f"not_fixed.{solution.reason}")

@@ -28,11 +28,20 @@ class EngineSettings(Model):
     lowest_elevation_deg: float = Field(10.0, ge=0.0, le=60.0, description="lower satellites are not used")
     least_cn0_dbhz: float = Field(30.0, ge=0.0, le=60.0, description="weaker signals are not used")
     least_ratio: float = Field(3.0, ge=1.0, le=100.0, description="threshold of the ratio test")
+    failure_rate: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.1,
+        description="share of wrong integers that a ratio from a table keeps, in place of least_ratio; 0: it is not used",
+    )
     least_success_rate: float = Field(
         0.95, ge=0.0, lt=1.0, description="bootstrapped success rate that a set of integers must promise"
     )
     least_fixed: int = Field(4, ge=3, le=100, description="ambiguities that must be fixed")
     partial: bool = Field(True, description="fix a part of the ambiguities where all cannot be")
+    doppler_aided: bool = Field(
+        True, description="the float position has the last one, moved by the Doppler velocity, as a prior"
+    )
     longest_base_age_s: float = Field(
         10.0, gt=0.0, le=60.0, description="older epochs of the base are not used"
     )
@@ -52,9 +61,11 @@ class EngineSettings(Model):
             lowest_elevation_rad=math.radians(self.lowest_elevation_deg),
             least_cn0_dbhz=self.least_cn0_dbhz,
             least_ratio=self.least_ratio,
+            failure_rate=self.failure_rate,
             least_success=self.least_success_rate,
             least_fixed=self.least_fixed,
             partial=self.partial,
+            doppler_aided=self.doppler_aided,
             longest_age_s=self.longest_base_age_s,
         )
 

@@ -14,20 +14,18 @@ from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.nmea import NmeaDecoder
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver_solution import ReceiverSolution
-from camber.formats.rinex_navigation import NavigationDecoder
 from camber.formats.rinex_reading import RinexDecoder
 from camber.formats.rtcm_reading import ReferenceStation, RtcmDecoder, StationEpoch
 from camber.formats.rtklib_pos import PosDecoder
 from camber.formats.ubx_raw_reading import ReceiverEpoch
 from camber.formats.ubx_reading import UbxDecoder
+from camber.gnss.navigation_files import NavigationFiles
 from camber.gnss.satellite_states import enu_from_ecef_rotation, geodetic
 from camber.schemas.gnss import ReceiverIntegrity
 
 Stream = Literal["rover", "base", "ephemerides"]
 StreamProtocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"]
-Decoder = (
-    PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | RinexDecoder | NavigationDecoder
-)
+Decoder = PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | RinexDecoder | NavigationFiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +48,17 @@ Said = (
 _KINDS = (
     ObservationEpoch, Ephemeris, IonosphereCoefficients, ReceiverSolution, ReceiverIntegrity, FormatError,
 )  # fmt: skip
+Heard = tuple[Stream, Said]
+"""Of whom it is, and what was said."""
+_FRAMING = ("bytes_skipped", "failed_checks", "rows_refused", "rtcm_without_time")
+_CONTENT = ("malformed", "incomplete", "bad_subframes", "repeated_signals", "without_time")
 
 
 class StreamReader:
-    """Reads one stream piece by piece; `near_ns` (GPS time) is for protocols that do not say the week."""
+    """Reads one stream piece by piece; `near_ns` (GPS time) is for protocols that do not say the week.
+
+    In a receiver's mixed stream RTCM is what it was sent of a base: its observations are not the receiver's own.
+    """
 
     def __init__(
         self,
@@ -63,14 +68,41 @@ class StreamReader:
         near_ns: int,
         utc_date: date | None = None,
     ) -> None:
+        self.name = source_name
+        self._stream: Stream = stream
         self._decoder = _decoder(stream, protocol, source_name, near_ns, utc_date)
+        self._station: Stream = "base" if protocol == "mixed" and stream == "rover" else stream
         self._marker_said = False
 
-    def feed(self, data: bytes) -> list[Said]:
+    def feed(self, data: bytes) -> list[Heard]:
         """What the bytes complete, in order; never raises for what they hold."""
-        said = [known for result in self._decoder.feed(data) for known in _known(result)]
+        heard = [known for result in self._decoder.feed(data) for known in self._known(result)]
         marker = self._marker()
-        return said if marker is None else [marker, *said]
+        return heard if marker is None else [(self._stream, marker), *heard]
+
+    def fell_silent(self) -> list[Heard]:
+        """What only the end of a file completes."""
+        if not isinstance(self._decoder, NavigationFiles):
+            return []
+        return [known for result in self._decoder.end() for known in self._known(result)]
+
+    def damage(self) -> dict[str, int]:
+        """How much of the stream could not be used so far, by the decoders' names of what was the matter; not those
+        with 0."""
+        decoder = self._decoder
+        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "rtcm")]
+        counts = {name: getattr(decoder, name, 0) for name in _FRAMING}
+        counts |= {name: sum(getattr(part, name, 0) for part in (decoder, *inside)) for name in _CONTENT}
+        return {name: count for name, count in counts.items() if count}
+
+    def _known(self, result: object) -> list[Heard]:
+        if isinstance(result, ReceiverEpoch):
+            return [(self._stream, result.epoch)]
+        if isinstance(result, StationEpoch):
+            return [(self._station, result.epoch)]
+        if isinstance(result, ReferenceStation):
+            return [(self._station, StationPosition(result.position_ecef_m))]
+        return [(self._stream, result)] if isinstance(result, _KINDS) else []
 
     def _marker(self) -> StationPosition | None:
         """RINEX says in its header where the antenna was, once."""
@@ -88,14 +120,6 @@ class StreamReader:
         return StationPosition((float(x), float(y), float(z))) if np.isfinite(latitude) else None
 
 
-def _known(result: object) -> list[Said]:
-    if isinstance(result, ReceiverEpoch | StationEpoch):
-        return [result.epoch]
-    if isinstance(result, ReferenceStation):
-        return [StationPosition(result.position_ecef_m)]
-    return [result] if isinstance(result, _KINDS) else []
-
-
 def _decoder(
     stream: Stream, protocol: StreamProtocol, source_name: str, near_ns: int, utc_date: date | None
 ) -> Decoder:
@@ -111,4 +135,4 @@ def _decoder(
         case "mixed":
             return MixedDecoder(source_name, near_ns, utc_date=utc_date)
         case "rinex":
-            return NavigationDecoder(source_name) if stream == "ephemerides" else RinexDecoder(source_name)
+            return NavigationFiles(source_name) if stream == "ephemerides" else RinexDecoder(source_name)

@@ -95,7 +95,7 @@ class Loop:
             self.answer(name)
             return False
         if kind != "message":
-            return False
+            return kind == "wake"  # bytes have come at a port of the service's own
         item = self.bus.pop(name)
         inbox = self._inboxes[name]
         received = inbox.open(item.data, item.encoding) if item else None
