@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import struct
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -15,6 +17,7 @@ from camber.formats.map_release_files import decoded
 from camber.formats.map_roads import ReleaseError
 from camber.formats.map_tile_checks import wrong_in_tile
 from camber.formats.map_tiles import tile_frame
+from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.nmea import NmeaDecoder
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
@@ -30,13 +33,18 @@ from camber.formats.rtcm_writing import (
     rtcm_frame,
 )
 from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
+from camber.formats.ubx_navigation import format_high_precision_position, format_position_velocity_time
+from camber.formats.ubx_reading import UbxDecoder
+from camber.formats.ubx_subframes import subframes_between
+from camber.formats.ubx_writing import format_raw_measurements, format_subframe, ubx_frame
+from camber.geodesy.gps_time import week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.simulator.short_drive import write_short_drive
 from fuzz.target import Target
 from support.messages import build, message_classes
-from support.random_observations import WEEK_NS, random_ephemeris, random_epoch
+from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 
 START_NS = 1_400_000_000 * 1_000_000_000
 STEP_NS = 200_000_000
@@ -99,6 +107,70 @@ def _nmea_sentence(content: bytes) -> bytes:
     for byte in content:
         checksum ^= byte
     return b"$%b*%02X\r\n" % (content, checksum)
+
+
+def _ubx(random: Random) -> list[list[bytes]]:
+    """Class, identity and content of each message: measurements, subframes, epochs of NAV, statements."""
+    rng = np.random.default_rng(random.getrandbits(32))
+    known = {
+        system: {k: v for k, v in COMMON[system].items() if k in "1C 2L 5Q 7Q 2I 7I"} for system in "GEJC"
+    }
+    streams = []
+    for solutions in (_solutions(random) for _ in range(8)):
+        frames = []
+        for name in ("G05", "E11", "J02", "C19", "C03"):
+            toe_ns = TOE_NS + (BDT_BEHIND_NS if name[0] == "C" else 0)
+            ephemeris = random_ephemeris(rng, name, toe_ns)
+            # As satellites have it: the parts of one issue are told by it.
+            issue = {"iodc": float(ephemeris.iode)} if name[0] in "GJ" else {}
+            ephemeris = replace(ephemeris, other={**ephemeris.other, **issue})
+            # Two periods, of which one is whole wherever it begins.
+            parts = subframes_between(ephemeris, TOE_NS, TOE_NS + 60_000_000_000)
+            frames += [format_subframe(part) for part in parts]
+        for solution in solutions:
+            epoch = random_epoch(rng, solution.time_ns, carriers=known)
+            frames += [format_raw_measurements(epoch), *_navigation_epoch(random, solution)]
+        streams.append([frame[2:4] + frame[6:-2] for frame in frames])
+    return streams
+
+
+def _navigation_epoch(random: Random, solution: ReceiverSolution) -> list[bytes]:
+    of_week = struct.pack("<I", week_tow_from_gps_ns(solution.time_ns)[1] // 1_000_000)
+    covariance = struct.pack("<6f", 4e-4, 1e-5, 0.0, 4e-4, 0.0, 1e-3)
+    levels = struct.pack("<3I", *(random.randrange(60_000) for _ in range(3)))
+    return [
+        format_position_velocity_time(solution, geoid_separation_m=37.5),
+        format_high_precision_position(solution, geoid_separation_m=37.5),
+        ubx_frame(0x01, 0x36, of_week + bytes([0, 1, 1]) + bytes(9) + 2 * covariance),
+        ubx_frame(0x01, 0x3C, bytes([1, 0, 7, 0]) + of_week + random.randbytes(52) + b"\x37\x01\x00\x00"),
+        ubx_frame(0x01, 0x62, bytes([1, 5, 253, 1, 1, 0, 0, 0, *bytes(4)]) + of_week + levels + bytes(24)),
+        ubx_frame(0x27, 0x09, bytes([1, 0, 0, 0, 0b011, 0, 0, 0, 0b0011, 0, 0, 0])),
+        ubx_frame(0x0A, 0x38, bytes([0, 2, 0, 0]) + random.randbytes(48)),
+        ubx_frame(0x01, 0x61, of_week),
+    ]
+
+
+def _ubx_message(content: bytes) -> bytes:
+    if len(content) < 2:
+        raise ValueError("no class and identity")
+    return ubx_frame(content[0], content[1], content[2:])
+
+
+_SEALS = (_ubx_message, _nmea_sentence, rtcm_frame)
+
+
+def _mixed(random: Random) -> list[list[bytes]]:
+    """Before each content the number of its protocol."""
+    streams = []
+    for several in zip(_ubx(random), _nmea(random), _rtcm(random), strict=True):
+        contents = [bytes([kind]) + part for kind, parts in enumerate(several) for part in parts]
+        random.shuffle(contents)
+        streams.append(contents)
+    return streams
+
+
+def _mixed_frame(content: bytes) -> bytes:
+    return _SEALS[content[0] % len(_SEALS)](content[1:]) if content else b""
 
 
 def _pos(random: Random) -> list[list[bytes]]:
@@ -211,6 +283,8 @@ def _read_tile(data: bytes) -> None:
 DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
+    Target("ubx", _ubx, stream=lambda: UbxDecoder("fuzz", START_NS), sealed=_ubx_message),
+    Target("mixed", _mixed, stream=lambda: MixedDecoder("fuzz", START_NS), sealed=_mixed_frame),
     Target("pos", _pos, stream=lambda: PosDecoder("fuzz")),
     Target("rinex", _rinex, stream=lambda: RinexDecoder("fuzz")),
     Target("rinex_navigation", _rinex_navigation, stream=lambda: NavigationDecoder("fuzz")),

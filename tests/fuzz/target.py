@@ -147,9 +147,15 @@ def _played(target: Target, pieces: Sequence[bytes]) -> object:
     decoder = target.stream()
     results = [result for piece in pieces for result in decoder.feed(piece)]
     results += decoder.finish()
-    public = (name for name in dir(decoder) if not name.startswith("_"))
-    counted = {name: value for name in public if isinstance(value := getattr(decoder, name), int | dict)}
-    return plain(results), counted
+    return plain(results), counted(decoder)
+
+
+def counted(decoder: Any) -> dict[str, Any]:
+    """What it has counted, and the decoders that it has within it."""
+    public = {name: getattr(decoder, name) for name in dir(decoder) if not name.startswith("_")}
+    found = {name: value for name, value in public.items() if isinstance(value, int | dict)}
+    within = {name: value for name, value in public.items() if type(value).__module__.startswith("camber.")}
+    return found | {f"{name}.{k}": v for name, value in within.items() for k, v in counted(value).items()}
 
 
 def plain(value: Any) -> Any:

@@ -121,7 +121,8 @@ class SubframeCollector:
             # Zeros are sent by those who have none.
             if any(ionosphere.values()):
                 results.append(coefficients_from_integers("C", put_together([ionosphere], IONOSPHERE_FIELDS)))
-        parts = self._parts[key]
+        # After an ephemeris they are forgotten, and parts of the same period may come once more.
+        parts = self._parts.setdefault(key, {})
         parts[part.number] = {n: value for n, value in part.fields.items() if n not in IONOSPHERE_FIELDS}
         return [*results, self._ephemeris("C", key, near_ns)] if len(parts) == len(numbers) else results
 

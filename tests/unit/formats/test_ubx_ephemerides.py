@@ -148,6 +148,20 @@ def test_beidous_parts_of_two_periods_are_not_put_together(name):
     assert_same(found[0], new)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_sent_twice_is_no_harm(name):
+    begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS + 14 * SECOND_NS
+    sent = an_ephemeris(np.random.default_rng(6), name, toe_near(name, begin_ns))
+    sent_frames = frames(sent, begin_ns, 60)
+    decoder = UbxDecoder("port", begin_ns)
+    found = [e for frame in sent_frames for e in decoder.feed(frame + frame)]
+    found += [e for frame in sent_frames + sent_frames for e in decoder.feed(frame)]
+    assert len(found) >= 3
+    for ephemeris in found:
+        assert_same(ephemeris, sent)
+    assert decoder.messages.bad_subframes == 0
+
+
 @given(SEEDS, st.sampled_from(NAMES))
 @settings(derandomize=True, max_examples=150, deadline=None)
 def test_a_word_with_a_wrong_bit_is_never_used(seed, name):
