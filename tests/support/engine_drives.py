@@ -1,0 +1,91 @@
+"""Short simulated drives without houses for the engine: rover, base, ephemerides and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.gnss.engine import Engine, EngineOptions, Solution
+from camber.gnss.ephemeris_store import EphemerisStore
+from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.parameters import BASE, ROVER
+from camber.simulator.satellites.signals import simulate_signals
+from camber.simulator.satellites.track import static_track
+from support.canyon_statistics import BASE_M, FIRST_NS, FRAME, SPEED_M_S
+from support.rtklib_runs import ecef_of
+from support.street_canyon import drive_through, street_canyon
+
+COLUMNS = (
+    "satellite", "signal", "pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz", "lock_time_s",
+    "loss_of_lock", "half_cycle",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Epochs of rover and base at the same times, ephemerides, true antenna positions (n, 3) in ECEF."""
+
+    rover: list[ObservationEpoch]
+    base: list[ObservationEpoch]
+    ephemerides: list[Ephemeris]
+    store: EphemerisStore
+    true_ecef_m: NDArray[np.float64]
+
+
+def base_ecef_m() -> NDArray[np.float64]:
+    return ecef_of(FRAME, np.array([BASE_M]))[0]
+
+
+def open_sky_drive(
+    seed: int = 1, seconds: int = 10, rate_hz: int = 1, begin_ns: int = FIRST_NS, houses: bool = False
+) -> Drive:
+    """A car at 8 m/s, 3 km from its base."""
+    canyon = street_canyon(seed, 0.7, SPEED_M_S * seconds)
+    track = drive_through(canyon, begin_ns, float(seconds), rate_hz)
+    true = true_ephemerides(begin_ns, int(track.time_ns[-1]), seed)
+    around = canyon.surroundings() if houses else None
+    rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover", around)
+    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
+    ephemerides = broadcast_ephemerides(true, seed)
+    store = EphemerisStore(most_of_satellite=100)
+    for e in ephemerides:
+        store.add(e)
+    return Drive(
+        list(rover.epochs()), list(base.epochs()), ephemerides, store, ecef_of(FRAME, track.antenna_m)
+    )
+
+
+def engine_of(
+    drive: Drive, options: EngineOptions | None = None, base_m: NDArray[np.float64] | None = None
+) -> Engine:
+    """An engine that knows the ephemerides and the base's position, or another one."""
+    engine = Engine(options or EngineOptions(), base_ecef_m() if base_m is None else base_m)
+    for e in drive.ephemerides:
+        engine.add_ephemeris(e)
+    return engine
+
+
+def solved(drive: Drive, engine: Engine | None = None) -> list[Solution]:
+    """All epochs, each after the base's of the same time."""
+    engine = engine or engine_of(drive)
+    solutions = []
+    for rover, base in zip(drive.rover, drive.base, strict=True):
+        engine.add_base(base)
+        solutions.append(engine.solve(rover))
+    return solutions
+
+
+def some_rows(epoch: ObservationEpoch, rows: NDArray[np.bool_] | NDArray[np.int64]) -> ObservationEpoch:
+    """Some rows of an epoch, or all in another order."""
+    return ObservationEpoch(epoch.time_ns, *(getattr(epoch, name)[rows] for name in COLUMNS))
+
+
+def seconds_later(epoch: ObservationEpoch, seconds: float) -> ObservationEpoch:
+    """The same with another time tag."""
+    return ObservationEpoch(
+        epoch.time_ns + round(seconds * NS_PER_SECOND), *(getattr(epoch, name) for name in COLUMNS)
+    )
