@@ -27,6 +27,9 @@ GNSS_TOOLS = {
     "solve": ("camber.tools.gnss_solve", "positions from a recording's raw observations, and a plot"),
 }
 
+EXTRA_OF = {"numba": "engine", "hatanaka": "engine"}
+"""Packages that not every service needs, and the extra of the distribution that brings them."""
+
 
 def main(argv: list[str] | None = None) -> int:
     """Dispatch to a service or a tool; returns the exit code."""
@@ -35,10 +38,17 @@ def main(argv: list[str] | None = None) -> int:
         print(_help())
         return 0
     name, rest = args[0].replace("-", "_"), args[1:]
-    if name in SERVICES:
-        return _run_service(name, rest)
-    if name in TOOLS:
-        return _run_tool(TOOLS[name][0], rest)
+    try:
+        if name in SERVICES:
+            return _run_service(name, rest)
+        if name in TOOLS:
+            return _run_tool(TOOLS[name][0], rest)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRA_OF:
+            raise
+        extra = EXTRA_OF[error.name]
+        print(f"camber {name}: {error.name} is not installed; it comes with camber[{extra}]", file=sys.stderr)
+        return 2
     print(f"camber: {args[0]!r} is neither a service nor a tool; `camber --help` lists them", file=sys.stderr)
     return 2
 

@@ -98,3 +98,17 @@ def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> N
     )
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout == f"{describe_ports()}\n"
+
+
+def test_a_package_that_is_missing_is_named_with_what_brings_it() -> None:
+    without = "import sys; sys.modules['numba'] = None; from camber.cli import main; raise SystemExit(main(['gnss']))"
+    ended = subprocess.run(
+        [sys.executable, "-c", without],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr == "camber gnss: numba is not installed; it comes with camber[engine]\n"
