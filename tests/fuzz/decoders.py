@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from camber.formats.errors import FormatError
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.map_release import read_release
 from camber.formats.map_release_files import decoded
 from camber.formats.map_roads import ReleaseError
@@ -202,7 +203,7 @@ def _rinex_navigation(random: Random) -> list[list[bytes]]:
     messages = {"G05": "LNAV", "E11": "INAV", "J02": "LNAV"}
     text = navigation_text(
         [random_ephemeris(rng, name, START_NS // WEEK_NS * WEEK_NS) for name in messages],
-        ((1e-8,) * 4, (1e5,) * 4),
+        [IonosphereCoefficients(system, (1e-8,) * 4, (1e5,) * 4) for system in "GJC"],
     )
     lines = text.splitlines(keepends=True)
     begin = next(k for k, line in enumerate(lines, 1) if "END OF HEADER" in line)

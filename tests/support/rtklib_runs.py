@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.rinex_writing import StationHeader, navigation_text, observation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
@@ -82,7 +83,8 @@ def run_rtklib(
     (folder / "rover.obs").write_text(
         observation_text(rover, StationHeader("ROVER", tuple(rover_ecef.tolist())))
     )
-    (folder / "brdc.nav").write_text(navigation_text(ephemerides, (KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)))
+    ionosphere = IonosphereCoefficients("G", KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)
+    (folder / "brdc.nav").write_text(navigation_text(ephemerides, [ionosphere]))
     x, y, z = base_ecef
     (folder / "options.conf").write_text(
         OPTIONS + f"ant2-pos1={x:.4f}\nant2-pos2={y:.4f}\nant2-pos3={z:.4f}\n"

@@ -1,7 +1,7 @@
-"""The eight coefficients of the broadcast ionosphere (Klobuchar's model), as GPS and BeiDou send them.
+"""The eight coefficients of the broadcast ionosphere (Klobuchar's model), as GPS, QZSS and BeiDou send them.
 
 Sources: IS-GPS-200, 20.3.3.5.1.7 and table 20-X; BDS-SIS-ICD-B1I, 5.2.4.7. Both have the same widths and steps; those
-of BeiDou are for its own model, in geographic coordinates and for B1I.
+of BeiDou are for its own model, in geographic coordinates and for B1I; those of QZSS are for Japan.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ _STEPS = (2.0**-30, 2.0**-27, 2.0**-24, 2.0**-24, 2.0**11, 2.0**14, 2.0**16, 2.0
 _NAMES = ("alpha0", "alpha1", "alpha2", "alpha3", "beta0", "beta1", "beta2", "beta3")
 IONOSPHERE_FIELDS = {name: Field(8, step, signed=True) for name, step in zip(_NAMES, _STEPS, strict=True)}
 
+Four = tuple[float, float, float, float]
+
 
 @dataclass(frozen=True, slots=True)
 class IonosphereCoefficients:
-    """Of the system `G` or `C`: amplitude `alpha` and period `beta` [s, s/semicircle, s/semicircle², …]."""
+    """Of the system `G`, `J` or `C`: amplitude `alpha` and period `beta` [s, s/semicircle, s/semicircle², …]."""
 
     system: str
-    alpha: tuple[float, float, float, float]
-    beta: tuple[float, float, float, float]
+    alpha: Four
+    beta: Four
 
 
 def coefficients_from_integers(system: str, integers: Mapping[str, int]) -> IonosphereCoefficients:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris
 from camber.formats.rinex_header import decimal_number
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
@@ -50,16 +51,6 @@ _ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
 _OTHER = ("tgd_s", "iodc", "bgd_e5a_s", "bgd_e5b_s", "data_sources", "tgd1_s", "tgd2_s", "aodc")
 _MAY_BE_BLANK = {*_OTHER, "accuracy_m", "sent_s", "fit", "codes_on_l2", "l2_p_data"}
 _ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
-
-Four = tuple[float, float, float, float]
-
-
-@dataclass(slots=True)
-class Klobuchar:
-    """A system's coefficients of the broadcast ionosphere: alpha in s, s/sc, …, beta likewise; None: not given."""
-
-    alpha: Four | None = None
-    beta: Four | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,14 +157,15 @@ def _check(values: Mapping[str, float]) -> None:
         raise ValueError(f"eccentricity {values['eccentricity']}, square root of a {values['sqrt_a']} √m")
 
 
-def klobuchar_of(record: NavigationRecord) -> Klobuchar:
-    """RINEX 4: three numbers beside the time, four, one and the region."""
+def ionosphere_of(record: NavigationRecord) -> IonosphereCoefficients:
+    """RINEX 4, Klobuchar's model: three numbers beside the time, four, one and the region."""
     if len(record.lines) < 3:
         raise ValueError(f"{len(record.lines)} lines, not 3")
     first = [_required(record.lines[0], 23 + _WIDTH * k, "alpha") for k in range(3)]
     second = [_required(record.lines[1], 4 + _WIDTH * k, "alpha, beta") for k in range(4)]
     last = _required(record.lines[2], 4, "beta")
-    return Klobuchar((first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last))
+    alpha, beta = (first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last)
+    return IonosphereCoefficients(record.satellite[0], alpha, beta)
 
 
 def _required(line: str, start: int, name: str) -> float:

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from camber.formats.errors import FormatError
+from camber.formats.ionosphere_coefficients import Four, IonosphereCoefficients
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
 from camber.formats.observations import Ephemeris
-from camber.formats.rinex_ephemerides import Klobuchar, NavigationRecord, ephemeris_of, klobuchar_of
+from camber.formats.rinex_ephemerides import NavigationRecord, ephemeris_of, ionosphere_of
 from camber.formats.rinex_files import rinex_pieces
 from camber.formats.rinex_header import decimal_number, leap_seconds_from_text
 
@@ -26,7 +27,7 @@ _MESSAGES = {"G": ("LNAV",), "J": ("LNAV",), "E": ("INAV", "FNAV"), "C": ("D1", 
 _IONOSPHERE_MESSAGES = {"G": "LNAV", "J": "LNAV", "C": "D1D2"}
 _IONOSPHERE_SYSTEMS = {"GPS": "G", "BDS": "C", "QZS": "J"}
 
-NavigationResult = Ephemeris | FormatError
+NavigationResult = Ephemeris | IonosphereCoefficients | FormatError
 
 
 class NavigationDecoder:
@@ -34,7 +35,7 @@ class NavigationDecoder:
 
     def __init__(self, source_name: str) -> None:
         self.version: float | None = None
-        self.klobuchar: dict[str, Klobuchar] = {}
+        self.klobuchar: dict[str, IonosphereCoefficients] = {}
         """The last that was read, by system letter."""
         self.leap_seconds: int | None = None
         self.problems = 0
@@ -44,6 +45,7 @@ class NavigationDecoder:
         """The file cannot be read: nothing more will come."""
         self._source_name = source_name
         self._lines = LineBuffer()
+        self._halves: dict[tuple[str, str], dict[str, Four]] = {}
         self._in_header = True
         self._record: NavigationRecord | None = None
         self._astray = False
@@ -89,20 +91,20 @@ class NavigationDecoder:
             self._body(line_number, text, results)
             return
         try:
-            self._header(line_number, text)
+            self._header(line_number, text, results)
         except FormatError as error:
             self._problem(error, results)
             # Without a version nothing can be read; a header line that is damaged costs itself.
             self.refused = self.version is None or line_number > _MOST_HEADER_LINES
 
-    def _header(self, line_number: int, text: str) -> None:
+    def _header(self, line_number: int, text: str, results: list[NavigationResult]) -> None:
         label = text[60:].strip()
         if self.version is None:
             self._first(line_number, text, label)
         elif line_number > _MOST_HEADER_LINES:
             raise self._error("header", f"END OF HEADER within {_MOST_HEADER_LINES} lines", line_number)
         elif label == "IONOSPHERIC CORR":
-            self._header_ionosphere(line_number, text)
+            results += self._header_ionosphere(line_number, text)
         elif label == "LEAP SECONDS":
             self.leap_seconds = leap_seconds_from_text(text)
             if self.leap_seconds is None:
@@ -120,19 +122,23 @@ class NavigationDecoder:
             raise self._error("file type", "navigation data (N)", line_number, text[20:40].strip())
         self.version = version
 
-    def _header_ionosphere(self, line_number: int, text: str) -> None:
+    def _header_ionosphere(self, line_number: int, text: str) -> list[IonosphereCoefficients]:
+        """The coefficients whose second half the line says."""
         system = _IONOSPHERE_SYSTEMS.get(text[:3])
         if system is None or text[3:4] not in ("A", "B"):
-            return
+            return []
         values = [decimal_number(text[k : k + 12]) for k in range(5, 53, 12)]
         a, b, c, d = values
         if a is None or b is None or c is None or d is None:
             raise self._error(text[:4], "four numbers of 12 columns", line_number, text[5:53])
-        klobuchar = self.klobuchar.setdefault(system, Klobuchar())
-        if text[3] == "A":
-            klobuchar.alpha = (a, b, c, d)
-        else:
-            klobuchar.beta = (a, b, c, d)
+        # BeiDou's lines may be several: of one time and satellite, which stand behind them, are those of a pair.
+        halves = self._halves.setdefault((system, text[53:60]), {})
+        halves[text[3]] = (a, b, c, d)
+        if len(halves) < 2:
+            return []
+        self.klobuchar[system] = IonosphereCoefficients(system, halves["A"], halves["B"])
+        del self._halves[system, text[53:60]]
+        return [self.klobuchar[system]]
 
     def _body(self, line_number: int, text: str, results: list[NavigationResult]) -> None:
         """A line that begins with a satellite or `>` begins a record, blanks go on with it."""
@@ -174,7 +180,7 @@ class NavigationDecoder:
             if result is not None:
                 results.append(result)
 
-    def _read(self, record: NavigationRecord) -> Ephemeris | None:
+    def _read(self, record: NavigationRecord) -> Ephemeris | IonosphereCoefficients | None:
         """Raises FormatError or ValueError where a record is damaged."""
         system = record.satellite[:1]
         messages = _MESSAGES.get(system)
@@ -183,8 +189,8 @@ class NavigationDecoder:
                 raise self._error("record", "a line '> EPH …' before it", record.first_line, record.satellite)
             return ephemeris_of(record)
         if record.kind == "ION" and record.message == _IONOSPHERE_MESSAGES.get(system):
-            self.klobuchar[system] = klobuchar_of(record)
-            return None
+            self.klobuchar[system] = ionosphere_of(record)
+            return self.klobuchar[system]
         if record.kind not in ("EPH", "ION", "STO", "EOP") or system not in "GREJCSI":
             raise self._error(
                 "record", "a known record", record.first_line, f"{record.kind} {record.satellite}"
@@ -204,7 +210,7 @@ class RinexNavigation:
 
     version: float
     ephemerides: list[Ephemeris]
-    klobuchar: Mapping[str, Klobuchar]
+    klobuchar: Mapping[str, IonosphereCoefficients]
     leap_seconds: int | None
     problems: list[FormatError]
     problem_count: int

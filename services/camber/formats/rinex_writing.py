@@ -9,11 +9,12 @@ cycle.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, Floats, ObservationEpoch, satellite_name, signal_name
 from camber.geodesy.gps_time import (
     NS_PER_SECOND,
@@ -28,6 +29,7 @@ _BDT_WEEKS = 1356
 _BLANK = " " * 16
 _BLANK_ROW = _BLANK * 4
 _SYSTEM_ORDER = "GJEC"
+_IONOSPHERE_NAMES = {"G": "GPS", "J": "QZS", "C": "BDS"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,12 +169,11 @@ def _header_time(c: CalendarTime) -> str:
 
 def navigation_text(
     ephemerides: Sequence[Ephemeris],
-    klobuchar: tuple[Sequence[float], Sequence[float]] | None = None,
+    ionosphere: Iterable[IonosphereCoefficients] = (),
 ) -> str:
     """A mixed navigation file, sets in the order of their times of transmission.
 
-    `klobuchar`: GPS's alpha and beta, four numbers each. Raises ValueError without ephemerides and for systems
-    other than GPS, QZSS, Galileo, BeiDou.
+    Raises ValueError without ephemerides and for systems other than GPS, QZSS, Galileo, BeiDou.
     """
     if not ephemerides:
         raise ValueError("a navigation file needs an ephemeris")
@@ -181,9 +182,14 @@ def navigation_text(
         _line(f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':<20}{'M: MIXED':<20}", "RINEX VERSION / TYPE"),
         _line(f"{'camber':<20}{'camber':<20}{_stamp(gpst_from_gps_ns(first))} GPS ", "PGM / RUN BY / DATE"),
     ]
-    if klobuchar is not None:
-        for name, values in zip(("GPSA", "GPSB"), klobuchar, strict=True):
-            lines.append(_line(f"{name} " + "".join(f"{v:12.4E}" for v in values), "IONOSPHERIC CORR"))
+    for coefficients in ionosphere:
+        name = _IONOSPHERE_NAMES.get(coefficients.system)
+        if name is None:
+            raise ValueError(f"ionosphere of system {coefficients.system}, expected one of G, J, C")
+        for letter, values in (("A", coefficients.alpha), ("B", coefficients.beta)):
+            lines.append(
+                _line(f"{name}{letter} " + "".join(f"{v:12.4E}" for v in values), "IONOSPHERIC CORR")
+            )
     lines.append(_line(f"{gps_minus_utc_s(first):6d}", "LEAP SECONDS"))
     lines.append(_line("", "END OF HEADER"))
     ordered = sorted(ephemerides, key=lambda e: (e.transmission_ns, e.satellite, e.toe_ns))

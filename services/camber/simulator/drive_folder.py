@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.motion_csv import write_motion, write_ranging, write_suspension
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.observations import Ephemeris
@@ -206,9 +207,8 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
         station = StationHeader("base", base_ecef_m(drive), marker_type="GEODETIC")
         file.writelines(observation_lines(list(drive.base), station))
-    (folder / "brdc.nav").write_text(
-        navigation_text(drive.broadcast, (KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)), "ascii", newline="\n"
-    )
+    ionosphere = IonosphereCoefficients("G", KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)
+    (folder / "brdc.nav").write_text(navigation_text(drive.broadcast, [ionosphere]), "ascii", newline="\n")
 
 
 def _write_said(folder: Path, name: str, ending: str, header: bytes, parts: list[tuple[int, bytes]]) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from camber.formats.errors import FormatError
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, satellite_name
-from camber.formats.rinex_ephemerides import Klobuchar
 from camber.formats.rinex_navigation import NavigationDecoder, read_navigation
 from camber.formats.rinex_reading import read_observations
 from camber.formats.rinex_writing import navigation_text
@@ -25,6 +25,7 @@ DATA = os.environ.get("CAMBER_DATA")
 FILES = ("rooftop-2024-06-24/base.nav", "nagoya-2023-07-11/base.nav", "fujisawa-2021-09-22/SEPT2650.21P")
 RNX2RTKP = shutil.which("rnx2rtkp")
 SECOND_NS = 1_000_000_000
+IONOSPHERE = IonosphereCoefficients("G", (1e-8,) * 4, (1e5,) * 4)
 
 
 def recording(name: str) -> Path:
@@ -71,11 +72,14 @@ def ephemerides(seed: int) -> list[Ephemeris]:
 @pytest.mark.parametrize("seed", range(30))
 def test_what_was_written_is_read_back_to_the_last_printed_digit(seed):
     written = ephemerides(seed)
-    alpha, beta = (1e-8, -2e-8, 3e-8, 0.0), (9e4, 1e5, -2e5, 0.0)
-    read, errors, decoder = decode(navigation_text(written, (alpha, beta)))
+    said = [
+        IonosphereCoefficients(system, (1e-8 * k, -2e-8, 3e-8, 0.0), (9e4, 1e5, -2e5, 1e4 * k))
+        for k, system in enumerate("GCJ")
+    ]
+    read, errors, decoder = decode(navigation_text(written, said))
     assert not errors
     assert read == [as_printed(e) for e in written]
-    assert (decoder.klobuchar["G"].alpha, decoder.klobuchar["G"].beta) == (alpha, beta)
+    assert list(decoder.klobuchar.values()) == said
     assert decoder.leap_seconds in range(13, 19)
 
 
@@ -103,7 +107,7 @@ def test_rtklib_solves_the_same_from_a_file_as_it_was_and_written_again(tmp_path
     original = recording(f"{folder}/{nav}")
     navigation = read_navigation(original)
     gps = navigation.klobuchar["G"]
-    (tmp_path / "again.nav").write_text(navigation_text(navigation.ephemerides, (gps.alpha, gps.beta)))
+    (tmp_path / "again.nav").write_text(navigation_text(navigation.ephemerides, [gps]))
     (tmp_path / "options.conf").write_text(
         "pos1-navsys=57\npos1-posmode=kinematic\npos2-armode=instantaneous\nant2-postype=rinexhead\n"
     )
@@ -192,8 +196,43 @@ def test_rinex_4_announces_each_record():
     assert not errors
     assert read == [as_printed(e) for e in written]
     assert decoder.skipped == {"G CNAV": 2, "J CNAV": 1, "E CNAV": 2, "C CNAV": 2}
-    expected = Klobuchar((1e-8, 2e-8, 3e-8, 4e-8), (5e4, 6e4, 7e4, 8e4))
-    assert decoder.klobuchar == {"G": expected, "C": expected}
+    gps = IonosphereCoefficients("G", (1e-8, 2e-8, 3e-8, 4e-8), (5e4, 6e4, 7e4, 8e4))
+    assert decoder.klobuchar == {"G": gps, "C": replace(gps, system="C")}
+
+
+def header_lines(*lines: str) -> str:
+    head = f"{3.04:9.2f}{'':11}{'N':<20}{'M':<20}RINEX VERSION / TYPE\n"
+    return head + "".join(f"{line:<60}IONOSPHERIC CORR\n" for line in lines)
+
+
+def test_the_ionosphere_comes_with_its_second_half():
+    def half(name: str, first: float, behind: str = "") -> str:
+        return f"{name} " + "".join(f"{first + k:12.4E}" for k in range(4)) + f" {behind}"
+
+    def quartet(first: float) -> tuple[float, ...]:
+        return tuple(first + k for k in range(4))
+
+    a, c = "A 19", "B 20"
+    lines = [
+        half("GAL ", 1.0),
+        half("GPSA", 10.0),
+        half("BDSA", 20.0, a),
+        half("BDSA", 30.0, c),
+        half("GPSB", 40.0),
+        half("BDSB", 50.0, a),
+        half("BDSB", 60.0, c),
+        half("QZSB", 70.0),
+    ]
+    decoder = NavigationDecoder("test.nav")
+    found = [decoder.feed(line.encode()) for line in header_lines(*lines).splitlines(keepends=True)]
+    assert found == [
+        *([[]] * 5),
+        [IonosphereCoefficients("G", quartet(10.0), quartet(40.0))],
+        [IonosphereCoefficients("C", quartet(20.0), quartet(50.0))],
+        [IonosphereCoefficients("C", quartet(30.0), quartet(60.0))],
+        [],
+    ]
+    assert decoder.klobuchar == {"G": found[5][0], "C": found[7][0]}
 
 
 def test_exponents_with_d_blank_fields_and_other_writers_weeks():
@@ -300,7 +339,7 @@ def test_other_files_are_refused_in_one_line(tmp_path, first, says):
 
 
 def test_results_do_not_depend_on_how_the_bytes_are_cut():
-    data = navigation_text(ephemerides(6), ((1e-8,) * 4, (1e5,) * 4)).replace("\n", "\r\n").encode()
+    data = navigation_text(ephemerides(6), [IONOSPHERE]).replace("\n", "\r\n").encode()
     data = data[:1500] + b"\xff\n garbage \n" + data[1600:]
     whole, whole_errors, _ = decode(data)
     assert len(whole) == 6
@@ -317,7 +356,7 @@ def test_results_do_not_depend_on_how_the_bytes_are_cut():
 
 
 def test_random_damage_is_never_raised():
-    clean = navigation_text(ephemerides(8), ((1e-8,) * 4, (1e5,) * 4)).encode()
+    clean = navigation_text(ephemerides(8), [IONOSPHERE]).encode()
     rng = random.Random(11)
     for _ in range(400):
         data = bytearray(clean)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_number, signal_number
 from camber.formats.rinex_writing import StationHeader, navigation_text, observation_text
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
@@ -222,10 +223,13 @@ def test_ephemerides_are_read_back_to_twelve_digits_in_their_systems_own_time(e)
 
 
 def test_the_navigation_header_names_the_ionosphere_and_unknown_systems_are_refused():
-    text = navigation_text(SETS, ((1e-8, 2e-8, -6e-8, -1.2e-7), (1e5, 1.8e5, -1.3e5, -4.6e5)))
+    gps = IonosphereCoefficients("G", (1e-8, 2e-8, -6e-8, -1.2e-7), (1e5, 1.8e5, -1.3e5, -4.6e5))
+    text = navigation_text(SETS, [gps])
     assert "GPSA   1.0000E-08  2.0000E-08 -6.0000E-08 -1.2000E-07" in text
     assert len(read_navigation(text)) == 4
     with pytest.raises(ValueError, match="R01"):
         navigation_text([replace(SETS[0], satellite=satellite_number("R01"))])
+    with pytest.raises(ValueError, match="ionosphere of system E"):
+        navigation_text(SETS, [replace(gps, system="E")])
     with pytest.raises(ValueError, match="needs an ephemeris"):
         navigation_text([])

@@ -345,8 +345,6 @@ def of_file(file: Path) -> tuple[EphemerisStore, np.ndarray]:
     navigation = read_navigation(file)
     said = navigation.klobuchar.get("G")
     assert said is not None
-    assert said.alpha is not None
-    assert said.beta is not None
     return filled(list(navigation.ephemerides)), np.array([*said.alpha, *said.beta])
 
 
