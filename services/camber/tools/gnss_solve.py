@@ -32,8 +32,8 @@ from camber.tools.truth import Truth
 
 _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
-_BASE_AHEAD_NS = NS_PER_SECOND // 2
-"""An epoch of the base that is so much newer than the rover's is taken: both are of one time but for their clocks."""
+_SAME_TIME_NS = NS_PER_SECOND // 50
+"""Epochs of one time are so far apart at most, by the clocks of the receivers."""
 _LEAST_KEPT = 8
 
 
@@ -124,7 +124,7 @@ def run_engine(
     for k, epoch in enumerate(rover):
         if k == 1:
             began_s = time.perf_counter()
-        while place < len(base) and base[place].time_ns <= epoch.time_ns + _BASE_AHEAD_NS:
+        while place < len(base) and base[place].time_ns <= epoch.time_ns + _SAME_TIME_NS:
             engine.add_base(base[place])
             place += 1
         found = engine.solve(epoch)

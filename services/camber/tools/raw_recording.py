@@ -46,18 +46,13 @@ class RawRecording:
     notes: tuple[str, ...]
 
 
-def load_raw(
-    observations: RawObservations,
-    *,
-    base_ecef_m: tuple[float, float, float] | None = None,
-    near_ns: int | None = None,
-) -> RawRecording:
+def load_raw(observations: RawObservations, *, near_ns: int | None = None) -> RawRecording:
     """Reads all files of a drive's table of raw observations.
 
-    The base is at `base_ecef_m`, else where the manifest says, else where its messages 1005 or 1006 do, else where its
-    RINEX header does. `near_ns` (GPS time) is within half a week of the drive, for RTCM, which does not say its week;
-    the drive's other files say it too. Raises FormatError for a file that cannot be read or lacks what it is for,
-    OSError where one cannot be opened.
+    The base is where the table says, else where its messages 1005 or 1006 do, else where its RINEX header does.
+    `near_ns` (GPS time) is within half a week of the drive, for RTCM, which does not say its week; the drive's other
+    files say it too. Raises FormatError for a file that cannot be read or lacks what it is for, OSError where one
+    cannot be opened.
     """
     files = []
     for path in observations.ephemerides:
@@ -70,9 +65,7 @@ def load_raw(
     # One port may carry the receiver's own observations and the corrections that go into it.
     rover_epochs = _observed(rover, own_first=True, notes=notes)
     base_epochs = _observed(base, own_first=False, notes=notes)
-    position, position_from = _base_position(
-        base_ecef_m or getattr(observations, "base_ecef_m", None), base, notes
-    )
+    position, position_from = _base_position(observations.base_ecef_m, base, notes)
     ionosphere = next((file.ionosphere for file in files if file.ionosphere is not None), None)
     return RawRecording(
         rover_epochs,
