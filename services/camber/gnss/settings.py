@@ -7,20 +7,22 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, SecretStr, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
 
 from camber.formats.byte_streams import source_of
 from camber.gnss.engine import EngineOptions
 from camber.gnss.signals import groups_of
 from camber.gnss.streams import StreamProtocol
 from camber.runtime.settings import ServiceSettings
-from camber.schemas.base import Model, Name
+from camber.schemas.base import Name
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
-class EngineSettings(Model):
+class EngineSettings(BaseModel):
     """Masks and tests of the engine."""
+
+    model_config = ConfigDict(extra="forbid")
 
     gps_bands: str = Field("125", description="bands of GPS and QZSS that are used, by their RINEX digits")
     galileo_bands: str = Field("157", description="the same of Galileo; empty: it is not used")
@@ -31,8 +33,8 @@ class EngineSettings(Model):
     failure_rate: float = Field(
         0.0,
         ge=0.0,
-        le=0.1,
-        description="share of wrong integers that a ratio from a table keeps, in place of least_ratio; 0: it is not used",
+        le=0.01,
+        description="share of wrong integers that the ratio is to keep, in place of least_ratio; 0: not used",
     )
     least_success_rate: float = Field(
         0.95, ge=0.0, lt=1.0, description="bootstrapped success rate that a set of integers must promise"
@@ -50,6 +52,13 @@ class EngineSettings(Model):
     def _known_bands(self) -> Self:
         groups_of(self._bands())
         return self
+
+    @field_validator("failure_rate")
+    @classmethod
+    def _within_the_table(cls, value: float) -> float:
+        if 0.0 < value < 0.001:
+            raise ValueError(f"{value}: expected 0 or from 0.001 to 0.01")
+        return value
 
     def _bands(self) -> dict[str, str]:
         return {"G": self.gps_bands, "E": self.galileo_bands, "C": self.beidou_bands}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SecretStr
 
 from camber.gnss.settings import GnssSettings
 from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, load_or_exit, to_toml
@@ -275,3 +275,89 @@ def test_help_lists_every_setting_of_a_service(capsys: pytest.CaptureFixture[str
 def test_load_raises_what_load_or_exit_says() -> None:
     with pytest.raises(ConfigError, match="unrecognized arguments"):
         load(Sample, ["--nothing"], prog="camber sample")
+
+
+class Locked(ServiceSettings):
+    """Settings with a secret."""
+
+    SERVICE: ClassVar[str] = "locked"
+    user: str | None = None
+    caster_password: SecretStr | None = Field(None, description="a password")
+
+
+def test_a_secret_is_read_from_the_file_and_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert read(Locked, []).caster_password is None
+    argv = toml(tmp_path, "caster_password = 'geheim'")
+    assert read(Locked, argv).caster_password.get_secret_value() == "geheim"
+    monkeypatch.setenv("CAMBER_LOCKED_CASTER_PASSWORD", "anders")
+    assert read(Locked, argv).caster_password.get_secret_value() == "anders"
+
+
+def test_a_secret_that_is_set_is_never_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = toml(tmp_path, "caster_password = 'geheim'")
+    with pytest.raises(SystemExit) as ended:
+        load_or_exit(Locked, [*argv, "--print-config"], prog="camber locked")
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert "geheim" not in printed
+    assert '# caster_password = "****"  # a password' in printed.splitlines()
+    # What was printed is read again: without the secret, not with four stars.
+    assert read(Locked, toml(tmp_path, printed)).caster_password is None
+    assert "geheim" not in repr(read(Locked, toml(tmp_path, "caster_password = 'geheim'")))
+
+
+def test_a_secret_that_is_not_set_looks_like_any_other_setting() -> None:
+    assert "# caster_password =  # a password" in to_toml(read(Locked, [])).splitlines()
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["--caster-password", "geheim"],
+        ["--caster-password=geheim"],
+        ["--caster_password=geheim"],
+        ["--user", "driver", "--caster-password", "geheim"],
+    ],
+)
+def test_a_secret_on_the_command_line_is_refused_and_its_variable_named(
+    argv: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = complaint(Locked, argv, capsys)
+    assert said.endswith("not on the command line, which everyone can see; set CAMBER_LOCKED_CASTER_PASSWORD")
+    assert "geheim" not in said
+
+
+@pytest.mark.parametrize("value", ["1234567", "['geheim', 'geheim']", "{a = 'geheim'}"])
+def test_a_secret_of_a_wrong_kind_is_named_and_not_repeated(
+    value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = toml(tmp_path, f"caster_password = {value}")
+    said = complaint(Locked, argv, capsys)
+    assert said.startswith(f"{argv[1]}: caster_password: ")
+    assert "geheim" not in said
+    assert "1234567" not in said
+
+
+def test_the_casters_password_of_gnss_is_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
+    said = complaint(GnssSettings, ["--ntrip-password", "geheim"], capsys)
+    assert "CAMBER_GNSS_NTRIP_PASSWORD" in said
+
+
+@pytest.mark.parametrize("source", ["ntrip://driver:geheim@host:2101/BASE", "tcp:driver:geheim@host:2101"])
+def test_a_password_in_an_address_is_refused_and_not_repeated(
+    source: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option in ("--source", "--base-source"):
+        assert "geheim" not in complaint(GnssSettings, [option, source], capsys)
+
+
+def test_a_failure_rate_is_one_that_the_table_has(capsys: pytest.CaptureFixture[str]) -> None:
+    assert read(GnssSettings, ["--engine.failure-rate", "0.001"]).engine.options().failure_rate == 0.001
+    said = complaint(GnssSettings, ["--engine.failure-rate", "0.0001"], capsys)
+    assert said == "engine.failure_rate: 0.0001: expected 0 or from 0.001 to 0.01"
+
+
+def test_unknown_bands_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert complaint(GnssSettings, ["--engine.gps-bands", "19"], capsys).startswith("engine: ")
