@@ -96,3 +96,24 @@ def test_after_a_jump_of_the_receivers_clock_fixes_are_confirmed_at_once(tmp_pat
     assert not [tenth for tenth in tenths if 150 <= tenth < 200]
     assert min(tenth for tenth in tenths if tenth >= 200) <= 202
     assert len(tenths & set(range(200, 230))) >= 27
+
+
+def test_the_engine_solves_the_same_drive_and_is_judged_as_a_receiver_is(out: Path, tmp_path: Path) -> None:
+    manifest = out.parent / "drive" / "drive.toml"
+    done = camber(
+        "replay", manifest, "--set", "positions=engine", "--out", tmp_path, "--quiet", timeout_s=400.0
+    )
+    assert done.returncode == 0, done.stderr
+    messages, of_receiver = recorded(tmp_path), recorded(out)
+    fixes = [item.message for item in messages["fix"]]
+    assert {fix.origin for fix in fixes} == {"engine"}
+    assert all(fix.covariance_enu_m2 is not None for fix in fixes)
+    fixed = [fix for fix in fixes if fix.quality == "fixed"]
+    assert len(fixed) > sum(item.message.quality == "fixed" for item in of_receiver["fix"])
+    assert any(fix.ambiguity_continuity == "continuous" for fix in fixed)
+    velocities = [item.message for item in messages["velocity"]]
+    assert len(velocities) > 0.8 * len(fixes)
+    assert any(velocity.heading_rad is not None for velocity in velocities)
+    summary = summary_of(tmp_path)
+    assert summary["confirmed"]["wrong"] == 0
+    assert summary["right"]["kept"] > 0.9
