@@ -60,6 +60,7 @@ class GnssService(Service[GnssSettings]):
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
         self._warned: dict[str, int] = {}
+        self._refused_ephemerides = 0
         self._left_out: set[str] = set()
         self._ports = self._open_ports()
 
@@ -282,6 +283,11 @@ class GnssService(Service[GnssSettings]):
                 elif name == "base_position_wrong" and rover.engine.base.miss_m is not None:
                     detail = f"its own single point is {rover.engine.base.miss_m:.0f} m away"
                 self.bus.issue(name, detail or f"{count} epochs")
+
+        refused = rover.engine.ephemerides.refused
+        if refused.total() > self._refused_ephemerides:
+            self._refused_ephemerides = refused.total()
+            self.bus.issue("ephemeris_refused", ", ".join(f"{why} {n}" for why, n in sorted(refused.items())))
 
     def _estimates(self, request: EstimatesRequest) -> Estimates:
         if self._rover is not None:
