@@ -56,7 +56,7 @@ def made_up_rows(
     places = np.arange(n)
     rows = Rows(
         places, places, np.array([s for s, _, _ in parts], np.int64), group, wavelength, direction, code, phase,
-        code_sigma**2, phase_sigma**2, elevation, rng.uniform(30.0, 50.0, n),
+        code_sigma**2, phase_sigma**2, elevation, rng.uniform(30.0, 50.0, n), np.zeros((3, 3)),
     )  # fmt: skip
     return MadeUp(rows, np.array(dx_m), integer)
 

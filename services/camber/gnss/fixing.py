@@ -282,6 +282,7 @@ def estimate(
             status = CONTRADICTORY
         elif covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > limits.largest_sigma_m**2:
             status = IMPRECISE
+        covariance = covariance + rows.atmosphere_m2
     return Estimate(
         status, first.dx_m, first.covariance_m2, dx, covariance, codes, count, found.fixed, found.ratio,
         found.success_rate, found.squared_norm, chi2, freedom, integer,

@@ -33,7 +33,8 @@ Booleans = NDArray[np.bool_]
 class Rows(NamedTuple):
     """Columns (n,) of one epoch; `direction` (n, 3) is −u in ECEF. NaN phases: there is none, or it may not be used.
 
-    `rover` and `base` are the rows of their epochs that were differenced.
+    `rover` and `base` are the rows of their epochs that were differenced. `atmosphere_m2` (3, 3) is not a column: what
+    a position from these rows, however many, does not know of the air between base and rover, in ECEF.
     """
 
     rover: Integers
@@ -48,6 +49,7 @@ class Rows(NamedTuple):
     phase_variance_m2: Floats
     elevation_rad: Floats
     cn0_dbhz: Floats
+    atmosphere_m2: Floats
 
 
 @compiled
@@ -83,7 +85,8 @@ class Noise(NamedTuple):
 
     The first is reflections, the second grows as the signal weakens, by 10^((45 − C/N0) / 20). `ionosphere` is what is
     left of it, per metre of baseline, on the first band. `satellite_clock` [s/s] is how far a satellite's clock departs
-    from the broadcast one between the epochs of base and rover.
+    from the broadcast one between the epochs of base and rover. `horizontal`, `vertical` are what the air that all
+    bands have in common makes of a fixed position, per metre of baseline, as receivers' data sheets say it.
     """
 
     code_background_m: float = 0.20
@@ -92,6 +95,8 @@ class Noise(NamedTuple):
     phase_noise_m: float = 0.002
     ionosphere: float = 0.5e-6
     satellite_clock: float = 5.0e-12
+    horizontal: float = 1.0e-6
+    vertical: float = 2.0e-6
 
 
 class Masks(NamedTuple):
@@ -141,12 +146,17 @@ def single_differences(
     rover_latitude, rover_longitude, rover_height_m = geodetic(rover_ecef_m)
     base_latitude, base_longitude, base_height_m = geodetic(base_ecef_m)
     up, base_up = np.empty(3), np.empty(3)
-    up[:] = enu_from_ecef_rotation(rover_latitude, rover_longitude)[2]
+    rotation = enu_from_ecef_rotation(rover_latitude, rover_longitude)
+    up[:] = rotation[2]
     base_up[:] = enu_from_ecef_rotation(base_latitude, base_longitude)[2]
     baseline_m = 0.0
     for k in range(3):
         baseline_m += (rover_ecef_m[k] - base_ecef_m[k]) ** 2
-    residue_m = noise.ionosphere * np.sqrt(baseline_m)
+    baseline_m = np.sqrt(baseline_m)
+    residue_m = noise.ionosphere * baseline_m
+    atmosphere_m2 = np.zeros((3, 3))
+    for axis, share in enumerate((noise.horizontal, noise.horizontal, noise.vertical)):
+        atmosphere_m2 += (share * baseline_m) ** 2 * np.outer(rotation[axis], rotation[axis])
     m = rover_states.clock_s.size
     direction, base_direction = np.empty((m, 3)), np.empty((m, 3))
     sine, base_sine, model_m = np.empty(m), np.empty(m), np.empty(m)
@@ -176,7 +186,7 @@ def single_differences(
     rows = Rows(
         np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64),
         np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), np.empty(count),
-        np.empty(count), np.empty(count),
+        np.empty(count), np.empty(count), atmosphere_m2,
     )  # fmt: skip
     for a in range(count):
         i = keep[a]
