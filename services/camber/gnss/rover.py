@@ -10,10 +10,9 @@ from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.gnss.doppler_velocity import DopplerVelocity
 from camber.gnss.engine import Engine, EngineOptions, Solution
-from camber.gnss.engine_side import LastEpochs, velocity_from
-from camber.gnss.heading_filter import HeadingFilter
+from camber.gnss.engine_side import LastEpochs
+from camber.gnss.heading_filter import Heading, HeadingFilter
 from camber.gnss.streams import Said, StationPosition, Stream
-from camber.schemas.gnss import SatelliteVelocity
 from camber.schemas.motion import Motion
 
 _WHEEL_AGE_NS = 500_000_000
@@ -21,11 +20,11 @@ _WHEEL_AGE_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedEpoch:
-    """One epoch of the receiver: its observations, what the engine made of them, its velocity where there is one."""
+    """One epoch of the receiver: its observations, what the engine made of them, its heading where one is known."""
 
     epoch: ObservationEpoch
     solution: Solution
-    velocity: SatelliteVelocity | None
+    heading: Heading | None
 
 
 class Rover:
@@ -73,10 +72,9 @@ class Rover:
         """One epoch, with all that was heard until now."""
         solution = self.engine.solve(epoch)
         self.last.keep(solution)
-        if solution.velocity is None:
-            return SolvedEpoch(epoch, solution, None)
-        self._turn(epoch.time_ns, solution.velocity)
-        return SolvedEpoch(epoch, solution, velocity_from(solution.velocity, self._heading.at(epoch.time_ns)))
+        if solution.velocity is not None:
+            self._turn(epoch.time_ns, solution.velocity)
+        return SolvedEpoch(epoch, solution, self._heading.at(epoch.time_ns))
 
     def _turn(self, time_ns: int, found: DopplerVelocity) -> None:
         """The heading goes with the velocity, where the wheels say forward or backward."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -13,7 +13,7 @@ from camber.formats.nmea_writing import format_gga
 from camber.formats.ntrip import NtripAccess
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.engine_side import fix_from_solution, observations_from
+from camber.gnss.engine_side import fix_from_solution, observations_from, velocity_from
 from camber.gnss.receiver_side import fix_from, refuse
 from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
@@ -25,6 +25,7 @@ from camber.schemas.base import Message
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
 from camber.schemas.motion import Motion
 
+M = TypeVar("M", bound=Message)
 _SILENT_NS = 5_000_000_000
 _END_OF_FILE_NS = 1_000_000_000
 _CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND
@@ -240,7 +241,7 @@ class GnssService(Service[GnssSettings]):
     def _publish_receiver(self, solution: ReceiverSolution) -> None:
         if self._is_refused(solution.time_ns):
             return
-        self._publish(lambda: fix_from(solution, self.settings.datum))
+        self._publish_fix(lambda: fix_from(solution, self.settings.datum))
 
     def _publish_solved(self, solved: SolvedEpoch) -> None:
         solution = solved.solution
@@ -248,10 +249,11 @@ class GnssService(Service[GnssSettings]):
         if solution.quality != "fixed":
             self.bus.count(f"not_fixed.{solution.reason}")
         if self.settings.publish_observations:
-            self.bus.publish("observations", observations_from(solved.epoch, "rover"))
-        if solved.velocity is not None:
-            self.bus.publish("velocity", solved.velocity)
-        self._publish(lambda: fix_from_solution(solution, self.settings.datum))
+            self._publish("observations", lambda: observations_from(solved.epoch, "rover"))
+        found = solution.velocity
+        if found is not None:
+            self._publish("velocity", lambda: velocity_from(found, solved.heading))
+        self._publish_fix(lambda: fix_from_solution(solution, self.settings.datum))
         self._last_ns = solution.time_ns
 
     def _is_refused(self, time_ns: int) -> bool:
@@ -260,16 +262,23 @@ class GnssService(Service[GnssSettings]):
             self.bus.issue(refusal, f"epoch {time_ns} ns after {self._last_ns} ns")
         return refusal is not None
 
-    def _publish(self, make: Callable[[], Fix | None]) -> None:
-        try:
-            fix = make()
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            self.bus.issue("implausible_epoch", f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
-            return
+    def _publish_fix(self, make: Callable[[], Fix | None]) -> None:
+        fix = self._publish("fix", make)
         if fix is not None:
             self._last_ns, self._last_fix = fix.time_ns, fix
-            self.bus.publish("fix", fix)
+
+    def _publish(self, channel: str, make: Callable[[], M | None]) -> M | None:
+        """What no message can have is named, and is not published."""
+        try:
+            message = make()
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            field = ".".join(map(str, first["loc"]))
+            self.bus.issue("implausible_epoch", f"{field}: {first['msg']}")
+            return None
+        if message is not None:
+            self.bus.publish(channel, message)
+        return message
 
     def _warn(self, rover: Rover) -> None:
         """What the engine found amiss since the last time."""
