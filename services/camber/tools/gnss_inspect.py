@@ -102,7 +102,7 @@ class _Held:
         self._observed: dict[str, ObservationSummary] = {}
         self._stations: Counter[ReferenceStation] = Counter()
         self._ephemerides = EphemerisSummary()
-        self._ionosphere: dict[str, IonosphereCoefficients] = {}
+        self._ionosphere: set[str] = set()
         self._positions = PositionSummary()
         self._statements = StatementSummary()
         self._baselines = 0
@@ -133,7 +133,7 @@ class _Held:
                 case Ephemeris():
                     self._ephemerides.add(item)
                 case IonosphereCoefficients():
-                    self._ionosphere[item.system] = item
+                    self._ionosphere.add(item.system)
                 case ReceiverSolution():
                     self._positions.add(item)
                 case ReceiverIntegrity():
@@ -163,7 +163,7 @@ class _Held:
                 for station, count in self._stations.items()
             ],
             "ephemerides": self._ephemerides.report(),
-            "ionosphere_in_stream": sorted(self._ionosphere),
+            "ionosphere": sorted(self._ionosphere),
             "positions": self._positions.report(),
             "baselines": self._baselines,
             "integrity": self._statements.report(),
@@ -174,11 +174,7 @@ class _Held:
 def _header(decoder: object) -> dict[str, Any] | None:
     """What a RINEX header says; None where there is none."""
     if isinstance(decoder, NavigationDecoder):
-        return {
-            "version": decoder.version,
-            "ionosphere": sorted(decoder.klobuchar),
-            "leap_seconds": decoder.leap_seconds,
-        }
+        return {"version": decoder.version, "leap_seconds": decoder.leap_seconds}
     header = decoder.header if isinstance(decoder, RinexDecoder) else None
     if header is None:
         return None

@@ -59,8 +59,6 @@ def _header(header: dict[str, Any] | None) -> Iterator[str]:
             yield _row("antenna at", f"{up_m:.4f} m up, {east_m:.4f} m east, {north_m:.4f} m north of it")
         interval_s = header["interval_s"]
         yield _row("interval", _NOT_KNOWN if interval_s is None else f"{interval_s:g} s")
-    if header.get("ionosphere"):
-        yield _row("ionosphere", "coefficients of " + ", ".join(header["ionosphere"]))
     if header["leap_seconds"] is not None:
         yield _row("leap seconds", header["leap_seconds"])
 
@@ -194,8 +192,8 @@ def _ephemerides(report: dict[str, Any]) -> Iterator[str]:
         yield from _table(["system", ">sets", ">satellites", "reference times", "unhealthy"], rows)
     if report["ephemerides"]["refused"]:
         yield _row("refused", _counted(report["ephemerides"]["refused"]))
-    if report["ionosphere_in_stream"]:
-        yield _row("ionosphere", "coefficients of " + ", ".join(report["ionosphere_in_stream"]))
+    if report["ionosphere"]:
+        yield _row("ionosphere", "coefficients of " + ", ".join(report["ionosphere"]))
 
 
 def _positions(positions: dict[str, Any] | None, baselines: int) -> Iterator[str]:

@@ -16,7 +16,6 @@ from camber.formats.errors import FormatError
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, Floats, ObservationEpoch
 from camber.formats.rinex_header import ObservationHeader
-from camber.formats.rinex_navigation import NavigationDecoder
 from camber.formats.rinex_reading import RinexDecoder
 from camber.formats.rtcm_reading import ReferenceStation, StationEpoch
 from camber.formats.ubx_raw_reading import ReceiverEpoch
@@ -132,13 +131,8 @@ def _read(path: Path, near_ns: int | None) -> _File:
                     file.ionosphere = np.array([*item.alpha, *item.beta])
                 case FormatError():
                     file.problems.append(item)
-    decoder = recording.decoder
-    if isinstance(decoder, RinexDecoder):
-        file.header = decoder.header
-    elif isinstance(decoder, NavigationDecoder):
-        gps = decoder.klobuchar.get("G")
-        if gps is not None and gps.alpha is not None and gps.beta is not None:
-            file.ionosphere = np.array([*gps.alpha, *gps.beta])
+    if isinstance(recording.decoder, RinexDecoder):
+        file.header = recording.decoder.header
     if recording.damage is not None:
         file.problems.append(recording.damage)
     if not file.epochs and not file.ephemerides and file.problems:

@@ -346,6 +346,19 @@ def test_the_week_of_rtcm_comes_from_ephemerides_or_from_who_asks_and_else_is_a_
     assert "guessed" not in run(dated(with_ephemeris), capsys)[1]
 
 
+def test_the_week_of_corrections_is_that_of_the_receiver_they_are_for(tmp_path: Path) -> None:
+    epochs = steady_epochs(5)
+    position = format_position_velocity_time(solution(4), geoid_separation_m=38.0)
+    for said in (b"".join(map(format_raw_measurements, epochs)), position):
+        # The corrections come before anything that has a date.
+        path = write(tmp_path, rtcm(epochs) + said)
+        os.utime(path, (1_000_000_000, 1_000_000_000))
+        report = inspect_recording(path)
+        times = {observed["of"]: observed["time"]["first_ns"] for observed in report["observations"]}
+        assert times["station 7"] == FIRST_NS
+        assert report["week_from"] == "recording"
+
+
 def test_a_port_with_everything_on_it_is_taken_apart(tmp_path: Path) -> None:
     epochs = steady_epochs(30)
     rng = np.random.default_rng(6)

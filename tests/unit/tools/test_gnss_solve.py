@@ -229,6 +229,12 @@ def test_the_ionosphere_of_the_navigation_file_reaches_the_engine(drive: Path) -
     (drive / "plain.nav").write_text(without)
     assert raw(drive, 'observations.ephemerides=["plain.nav"]').ionosphere is None
 
+    def single(ionosphere: np.ndarray | None) -> np.ndarray:
+        alone = replace(recording, base=[], ionosphere=ionosphere)
+        return run_engine(alone, recording.rover[:3], EngineOptions()).position_ecef_m
+
+    assert np.linalg.norm(single(recording.ionosphere) - single(None), axis=1).min() > 0.1
+
 
 def test_a_file_with_a_damaged_line_is_used_and_the_line_is_noted(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
