@@ -6,6 +6,8 @@ import functools
 import gzip
 import json
 import os
+import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -447,6 +449,19 @@ def test_columns_of_the_table_stand_below_each_other(
     assert {len(row) for row in rows} == {len(lines[head])}
     assert "signals" not in out
     assert "receiver      CAMBER SIMULATED" in out
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    path = write(tmp_path, rinex(steady_epochs(2)))
+    command = [sys.executable, "-m", "camber.cli", "gnss", "inspect", str(path)]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(60) == 0
 
 
 @functools.cache
