@@ -1,0 +1,74 @@
+"""From the last byte of an epoch to its fix on the bus: a real receiver's port, a real caster, a real `camber gnss`.
+
+The receiver sends UBX over TCP at 10 Hz, the base RTCM through RTKLIB's caster, a subscriber of Zenoh has the fix. One
+machine, one monotonic clock. The peer is the goal, as there is no other chain to measure beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from figure import Figure, lower
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from camber.runtime.listen import Listener
+from support.live_satellites import LiveDrive, caster, live_gnss, serving
+from support.running import free_port
+
+MEASURED_S = 60.0
+WARM_S = 15.0
+DRIVE_S = 160.0
+GOAL_MS = 30.0
+
+
+def latencies_ms(folder: Path) -> tuple[list[float], int]:
+    """Of all epochs of a minute; and how many of them were fixed."""
+    drive = LiveDrive(folder / "drive", DRIVE_S)
+    port = free_port()
+    with (
+        serving(drive.rover) as rover,
+        serving(drive.base) as base,
+        caster(base, port),
+        live_gnss(folder, rover, port) as gnss,
+        Listener("fix", vehicle="car", connect=[gnss.endpoint]) as listener,
+    ):
+        found: list[float] = []
+        fixed = 0
+        began = time.monotonic()
+        while time.monotonic() - began < WARM_S + MEASURED_S:
+            fix = listener.next(1.0)
+            now_ns = time.monotonic_ns()
+            if fix is None or time.monotonic() - began < WARM_S:
+                continue
+            found.append((now_ns - rover.sent_ns[fix.time_ns]) / 1e6)
+            fixed += fix.quality == "fixed"
+        print(f"health: {gnss.health().counters} {gnss.issues()}", file=sys.stderr)
+        return found, fixed
+
+
+def figures() -> list[Figure]:
+    """p50 and p99; the load of the machine goes to the standard error."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = os.getloadavg()[0]
+        found, fixed = latencies_ms(Path(folder))
+    print(
+        f"gnss_live: {len(found)} epochs, {fixed} fixed, load {before:.1f} to {os.getloadavg()[0]:.1f}, "
+        f"most {max(found):.1f} ms",
+        file=sys.stderr,
+    )
+    return [
+        lower(
+            f"live chain, last byte to fix, p{q}", "ms", float(np.percentile(found, q)), GOAL_MS, "goal, p99"
+        )
+        for q in (50, 99)
+    ]
+
+
+if __name__ == "__main__":
+    print(figures())

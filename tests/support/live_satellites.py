@@ -1,0 +1,203 @@
+"""A simulated drive that happens now: a receiver's port and a real caster tell it live to a real `camber gnss`.
+
+Raw observations belong to their satellites' orbits and cannot be dated anew, so the drive is simulated from now on, and
+what lies in the past once it is made is not sent.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.formats.truth_csv import TruthTable, read_truth
+from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.runtime.ask import ask_once
+from camber.runtime.clock import SystemClock
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.gnss import Fix
+from camber.schemas.health import Health, HealthRequest
+from camber.simulator.arrivals import TimedBytes
+from camber.simulator.observation_files import read_observation_file
+from support.running import camber, free_port, started, wait_until
+
+PASSWORD = "geheim"
+CLOCK = SystemClock()
+_GPS_AHEAD_OF_UTC = timedelta(seconds=18)
+
+
+class LiveDrive:
+    """Its files, by epoch, and where its antenna is."""
+
+    def __init__(self, folder: Path, duration_s: float, *, scenario: str = "open-sky") -> None:
+        start = datetime.now(UTC).replace(tzinfo=None, microsecond=0) + _GPS_AHEAD_OF_UTC
+        made = camber(
+            "simulate", scenario, "--set", f"duration_s={duration_s}", "--set", f"start={start.isoformat()}",
+            "--out", folder, "--quiet", timeout_s=120.0,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr
+        _, _, self.rover = read_observation_file(folder / "rover.ubx", None)
+        _, _, self.base = read_observation_file(folder / "base.rtcm", self.rover[0].time_ns)
+        self._truth: TruthTable = read_truth(folder / "truth.csv", "camber")
+
+    def error_m(self, fix: Fix) -> float:
+        """How far a fix is from the truth of its epoch, in three dimensions."""
+        (row,) = np.flatnonzero(self._truth.time_ns == fix.time_ns).tolist()
+        truth = self._truth
+        true = ecef_from_geodetic_scalar(
+            truth.latitude_rad[row], truth.longitude_rad[row], truth.height_m[row]
+        )
+        found = ecef_from_geodetic_scalar(fix.latitude_rad, fix.longitude_rad, fix.height_m)
+        return float(np.linalg.norm(np.subtract(found, true)))
+
+
+class Port(threading.Thread):
+    """A TCP server that sends to all its clients what is due, and notes when each epoch had gone."""
+
+    def __init__(self, parts: list[TimedBytes]) -> None:
+        super().__init__(name="live-port", daemon=True)
+        self._parts = parts
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.setblocking(False)
+        self.number = int(self._server.getsockname()[1])
+        self._clients: list[socket.socket] = []
+        self._ended = threading.Event()
+        self.silent = False
+        self.pause_between_bytes_s = 0.0
+        """A slow line: the bytes of an epoch come in eight pieces, so far apart."""
+        self.sent_ns: dict[int, int] = {}
+        """By epoch, `time.monotonic_ns()` behind its last byte."""
+
+    def run(self) -> None:
+        for part in self._parts:
+            wait_s = (part.time_ns - CLOCK.now_ns()) / 1e9
+            if wait_s < -0.2:
+                continue
+            if self._ended.wait(max(wait_s, 0.0)):
+                break
+            self._accept()
+            if not self.silent:
+                self._send(part.payload)
+                self.sent_ns[part.time_ns] = time.monotonic_ns()
+        self.cut()
+        self._server.close()
+
+    def cut(self) -> None:
+        """All connections break; whoever connects again is served."""
+        clients, self._clients = self._clients, []
+        for client in clients:
+            client.close()
+
+    def end(self) -> None:
+        """Send nothing more."""
+        self._ended.set()
+        self.join(5.0)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._server.accept()
+            except BlockingIOError:
+                return
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client.settimeout(1.0)
+            self._clients.append(client)
+
+    def _send(self, data: bytes) -> None:
+        size = len(data) if self.pause_between_bytes_s == 0.0 else max(len(data) // 8, 1)
+        for start in range(0, len(data), size):
+            for client in list(self._clients):
+                try:
+                    client.sendall(data[start : start + size])
+                except OSError:
+                    self._clients.remove(client)
+                    client.close()
+            self._ended.wait(self.pause_between_bytes_s)
+
+
+@contextmanager
+def serving(parts: list[TimedBytes]) -> Iterator[Port]:
+    """A port that sends until the block is left."""
+    port = Port(parts)
+    port.start()
+    try:
+        yield port
+    finally:
+        port.end()
+
+
+@contextmanager
+def caster(base: Port, number: int, password: str = PASSWORD) -> Iterator[None]:
+    """RTKLIB's caster with one mountpoint, BASE, whose base station is a port of ours."""
+    program = shutil.which("str2str")
+    if program is None:
+        pytest.skip("str2str of RTKLIB is not installed")
+    process = subprocess.Popen(
+        [
+            *(program, "-in", f"tcpcli://127.0.0.1:{base.number}", "-r", "200"),
+            *("-out", f"ntripc://driver:{password}@:{number}/BASE:base"),
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+class LiveGnss:
+    """A router and `camber gnss` as processes."""
+
+    def __init__(self, endpoint: str, process: subprocess.Popen[str]) -> None:
+        self.endpoint, self.process = endpoint, process
+        self._settings = ServiceSettings(
+            vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint])
+        )
+
+    def health(self) -> Health:
+        """As it says itself."""
+        request = HealthRequest(time_ns=CLOCK.now_ns())
+        health: Health = ask_once(self._settings, "health", request, service="gnss", timeout_s=5.0)
+        return health
+
+    def issues(self) -> dict[str, str]:
+        """Texts by code."""
+        return {issue.code: issue.text for issue in self.health().issues}
+
+
+@contextmanager
+def live_gnss(folder: Path, rover: Port, caster_port: int) -> Iterator[LiveGnss]:
+    """The engine's positions of a receiver's port and a caster's base."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = folder / "gnss.toml"
+    config.write_text(
+        f'vehicle = "car"\npositions = "engine"\nsource = "tcp:127.0.0.1:{rover.number}"\nprotocol = "ubx"\n'
+        f'base_source = "ntrip://127.0.0.1:{caster_port}/BASE"\nntrip_user = "driver"\n'
+        f'ntrip_password = "{PASSWORD}"\nposition_interval_s = 1.0\nsilence_s = 2.0\n'
+        f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
+    )
+    log = folder / "gnss.log"
+    with (
+        started("-m", "camber.cli", "router", "--listen", endpoint, stdout=subprocess.DEVNULL),
+        log.open("w") as file,
+        started("-m", "camber.cli", "gnss", "--config", config, stdout=file) as process,
+    ):
+        wait_until(
+            lambda: "started" in log.read_text() or process.poll() is not None,
+            timeout_s=120.0,
+            why="camber gnss did not start",
+        )
+        assert process.poll() is None, log.read_text()
+        yield LiveGnss(endpoint, process)
