@@ -21,6 +21,7 @@ import pytest
 
 from camber.formats.truth_csv import TruthTable, read_truth
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.gnss.warm_up import warm_up
 from camber.runtime.ask import ask_once
 from camber.runtime.clock import SystemClock
 from camber.runtime.settings import ServiceSettings, ZenohSettings
@@ -39,10 +40,11 @@ class LiveDrive:
     """Its files, by epoch, and where its antenna is."""
 
     def __init__(self, folder: Path, duration_s: float, *, scenario: str = "open-sky") -> None:
+        warm_up()  # machine code is made before the drive begins; other processes find it on disk
         start = datetime.now(UTC).replace(tzinfo=None, microsecond=0) + _GPS_AHEAD_OF_UTC
         made = camber(
             "simulate", scenario, "--set", f"duration_s={duration_s}", "--set", f"start={start.isoformat()}",
-            "--out", folder, "--quiet", timeout_s=120.0,
+            "--out", folder, "--quiet", timeout_s=300.0,
         )  # fmt: skip
         assert made.returncode == 0, made.stderr
         _, _, self.rover = read_observation_file(folder / "rover.ubx", None)
@@ -75,7 +77,7 @@ class Port(threading.Thread):
         self.pause_between_bytes_s = 0.0
         """A slow line: the bytes of an epoch come in eight pieces, so far apart."""
         self.sent_ns: dict[int, int] = {}
-        """By epoch, `time.monotonic_ns()` behind its last byte."""
+        """By epoch, `time.monotonic_ns()` before its bytes went, all at once: nobody can have heard them earlier."""
 
     def run(self) -> None:
         for part in self._parts:
@@ -86,8 +88,8 @@ class Port(threading.Thread):
                 break
             self._accept()
             if not self.silent:
-                self._send(part.payload)
                 self.sent_ns[part.time_ns] = time.monotonic_ns()
+                self._send(part.payload)
         self.cut()
         self._server.close()
 
@@ -196,7 +198,7 @@ def live_gnss(folder: Path, rover: Port, caster_port: int) -> Iterator[LiveGnss]
     ):
         wait_until(
             lambda: "started" in log.read_text() or process.poll() is not None,
-            timeout_s=120.0,
+            timeout_s=300.0,
             why="camber gnss did not start",
         )
         assert process.poll() is None, log.read_text()
