@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pynmeagps.nmeahelpers import calc_checksum, get_parts
 
 from camber.formats.errors import FormatError
-from camber.formats.stream_frames import MOST_SENTENCE_BYTES
+from camber.formats.stream_frame_search import MOST_SENTENCE_BYTES
 
 _WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")
 

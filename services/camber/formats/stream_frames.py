@@ -6,26 +6,17 @@ characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bit
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Literal
 
-from camber.formats.bit_fields import crc24q
-from camber.formats.rtcm_writing import PREAMBLE
-from camber.formats.ubx_writing import SYNC, checksum
+import numpy as np
+
+from camber.formats.stream_frame_search import find_frames
 
 FrameProtocol = Literal["ubx", "nmea", "rtcm"]
-MOST_SENTENCE_BYTES = 1024
-"""NMEA allows 82, but receivers exceed it in high-precision modes and proprietary sentences."""
-MOST_UBX_PAYLOAD_BYTES = 8192
-"""RXM-RAWX with 255 measurements has 8176, and no message of navigation has more: a greater length is no length."""
-
-_UBX_HEAD, _UBX_FRAMING = 6, 8
-_RTCM_HEAD, _RTCM_FRAMING = 3, 6
-# At the end of the bytes a first character alone may be a beginning.
-_BEGINNINGS = {"ubx": rb"\xb5(?:\x62|\Z)", "nmea": rb"\$", "rtcm": rb"\xd3(?:[\x00-\x03]|\Z)"}
-_SENTENCE_END = re.compile(rb"[^\x20-\x23\x25-\x7e]")
-_LOOKS_LIKE_A_SENTENCE = re.compile(rb"\$[A-Z]{2}")
+# By their numbers in the search.
+_PROTOCOLS: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm")
+_PIECE_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +31,8 @@ class Frame:
 class FrameBuffer:
     """Finds the frames of some protocols, in order; the result does not depend on how the stream was cut into pieces.
 
-    What begins like a frame and is none costs the characters by which it began, and what follows is looked at anew: a
-    false length, or a frame that was cut short, does not take the frames behind it along. At most one frame is kept.
+    What begins like a frame and is none costs its first byte, and what follows is looked at anew: a false length, or a
+    frame that was cut short, does not take the frames behind it along. At most one frame is kept.
     """
 
     def __init__(self, *protocols: FrameProtocol) -> None:
@@ -49,90 +40,33 @@ class FrameBuffer:
         """Bytes that belong to no frame; where NMEA is looked for, without carriage returns and line feeds."""
         self.failed_checks = {protocol: 0 for protocol in protocols if protocol != "nmea"}
         """Things that began like a frame and had a wrong checksum."""
-        self._buffer = bytearray()
+        self._wanted = np.array([protocol in protocols for protocol in _PROTOCOLS])
+        self._buffer = b""
         self._buffer_offset = 0
-        self._beginning = re.compile(b"|".join(_BEGINNINGS[protocol] for protocol in protocols), re.DOTALL)
-        self._ignored = b"\r\n" if "nmea" in protocols else b""
+        # The first bytes need not wait for the compiler.
+        self._found(last=False)
 
     def feed(self, data: bytes) -> list[Frame]:
         """The frames that the bytes complete."""
-        self._buffer += data
-        return self._scan(last=False)
+        frames = list[Frame]()
+        for begin in range(0, len(data), _PIECE_BYTES):
+            self._buffer += data[begin : begin + _PIECE_BYTES]
+            frames += self._found(last=False)
+        return frames
 
     def finish(self) -> list[Frame]:
         """Call at the end of the stream: frames behind one that was not completed, a last sentence without line end."""
-        return self._scan(last=True)
+        return self._found(last=True)
 
-    def _scan(self, *, last: bool) -> list[Frame]:
-        buffer, frames, place = self._buffer, list[Frame](), 0
-        while True:
-            match = self._beginning.search(buffer, place)
-            start = len(buffer) if match is None else match.start()
-            self._skip(buffer[place:start])
-            place = start
-            if match is None:
-                break
-            size = self._size(start, last=last)
-            if size is None:
-                break
-            data = bytes(buffer[start : start + abs(size)])
-            place += len(data)
-            if size < 0:
-                self._skip(data)
-            else:
-                frames.append(Frame(_PROTOCOL_OF[data[0]], data, self._buffer_offset + start))
-        self._buffer_offset += place
-        del buffer[:place]
+    def _found(self, *, last: bool) -> list[Frame]:
+        places, used, skipped, failed = find_frames(self._buffer, self._wanted, last=last)
+        frames = [
+            Frame(_PROTOCOLS[protocol], self._buffer[start : start + size], self._buffer_offset + start)
+            for protocol, start, size in places.tolist()
+        ]
+        self.bytes_skipped += skipped
+        for protocol in self.failed_checks:
+            self.failed_checks[protocol] += int(failed[_PROTOCOLS.index(protocol)])
+        self._buffer = self._buffer[used:]
+        self._buffer_offset += used
         return frames
-
-    def _size(self, start: int, *, last: bool) -> int | None:
-        """Bytes of the frame that begins here, or, negative, of what is none and is skipped; None: not yet known."""
-        protocol = _PROTOCOL_OF[self._buffer[start]]
-        if protocol == "nmea":
-            return self._sentence_size(start, last=last)
-        head, framing, most, false_start = _BINARY[protocol]
-        left = len(self._buffer) - start
-        if left < head:
-            return -min(left, false_start) if last else None
-        length = (
-            int.from_bytes(self._buffer[start + 4 : start + 6], "little")
-            if protocol == "ubx"
-            else int.from_bytes(self._buffer[start + 1 : start + 3], "big")
-        )
-        if length > most:
-            return -false_start
-        size = framing + length
-        if left < size:
-            return -false_start if last else None
-        if _is_right(protocol, bytes(self._buffer[start : start + size])):
-            return size
-        self.failed_checks[protocol] += 1
-        return -false_start
-
-    def _sentence_size(self, start: int, *, last: bool) -> int | None:
-        buffer = self._buffer
-        match = _SENTENCE_END.search(buffer, start + 1)
-        end = len(buffer) if match is None else match.start()
-        if match is None and end - start <= MOST_SENTENCE_BYTES and not last:
-            return None
-        # Of a sentence that is too long only the allowed part is taken: the rest is found to be no sentence.
-        size = min(end - start, MOST_SENTENCE_BYTES + 1)
-        # Else it is a dollar sign inside a binary message.
-        return size if _LOOKS_LIKE_A_SENTENCE.match(buffer, start) else -size
-
-    def _skip(self, data: bytes | bytearray) -> None:
-        self.bytes_skipped += len(data) - sum(data.count(byte) for byte in self._ignored)
-
-
-_PROTOCOL_OF: dict[int, FrameProtocol] = {SYNC[0]: "ubx", ord("$"): "nmea", PREAMBLE: "rtcm"}
-# Bytes before the length is known, bytes around the content, its greatest length, what a false beginning costs.
-_BINARY = {
-    "ubx": (_UBX_HEAD, _UBX_FRAMING, MOST_UBX_PAYLOAD_BYTES, len(SYNC)),
-    "rtcm": (_RTCM_HEAD, _RTCM_FRAMING, 1023, 1),
-}
-
-
-def _is_right(protocol: FrameProtocol, frame: bytes) -> bool:
-    if protocol == "ubx":
-        return checksum(frame[2:-2]) == frame[-2:]
-    return crc24q(frame[:-3]) == int.from_bytes(frame[-3:], "big")

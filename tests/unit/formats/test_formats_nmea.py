@@ -26,7 +26,7 @@ from camber.formats.nmea import (
     read_nmea,
 )
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.stream_frames import MOST_SENTENCE_BYTES
+from camber.formats.stream_frame_search import MOST_SENTENCE_BYTES
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_utc
 from camber.schemas.gnss import ReceiverIntegrity
 

@@ -20,7 +20,8 @@ from camber.formats.nmea import format_gga, format_rmc
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm_reading import RtcmDecoder
 from camber.formats.rtcm_writing import rtcm_frame
-from camber.formats.stream_frames import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES, FrameBuffer
+from camber.formats.stream_frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.stream_frames import FrameBuffer
 from camber.formats.ubx_navigation import format_position_velocity_time
 from camber.formats.ubx_raw_reading import ReceiverEpoch
 from camber.formats.ubx_reading import UbxDecoder

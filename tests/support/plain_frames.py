@@ -1,0 +1,119 @@
+"""A second, slow search for frames in a stream, byte by byte as the documents say it: the oracle of `FrameBuffer`.
+
+Sources: u-blox ZED-F9P, interface description (UBX-18010854), 3.2 and 3.4; NMEA 0183 v4.11, 5.3: `$`, printable
+characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q.
+"""
+
+from __future__ import annotations
+
+import re
+
+from camber.formats.bit_fields import crc24q
+from camber.formats.rtcm_writing import PREAMBLE
+from camber.formats.stream_frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.stream_frames import Frame, FrameProtocol
+from camber.formats.ubx_writing import SYNC, checksum
+
+_UBX_HEAD, _UBX_FRAMING = 6, 8
+_RTCM_HEAD, _RTCM_FRAMING = 3, 6
+# At the end of the bytes a first character alone may be a beginning.
+_BEGINNINGS = {"ubx": rb"\xb5(?:\x62|\Z)", "nmea": rb"\$", "rtcm": rb"\xd3(?:[\x00-\x03]|\Z)"}
+_SENTENCE_END = re.compile(rb"[^\x20-\x23\x25-\x7e]")
+_LOOKS_LIKE_A_SENTENCE = re.compile(rb"\$[A-Z]{2}")
+
+
+class PlainFrameBuffer:
+    """As `FrameBuffer`: the same results, and the same counts."""
+
+    def __init__(self, *protocols: FrameProtocol) -> None:
+        self.bytes_skipped = 0
+        """Bytes that belong to no frame; where NMEA is looked for, without carriage returns and line feeds."""
+        self.failed_checks = {protocol: 0 for protocol in protocols if protocol != "nmea"}
+        """Things that began like a frame and had a wrong checksum."""
+        self._buffer = bytearray()
+        self._buffer_offset = 0
+        self._beginning = re.compile(b"|".join(_BEGINNINGS[protocol] for protocol in protocols), re.DOTALL)
+        self._ignored = b"\r\n" if "nmea" in protocols else b""
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """The frames that the bytes complete."""
+        self._buffer += data
+        return self._scan(last=False)
+
+    def finish(self) -> list[Frame]:
+        """Call at the end of the stream: frames behind one that was not completed, a last sentence without line end."""
+        return self._scan(last=True)
+
+    def _scan(self, *, last: bool) -> list[Frame]:
+        buffer, frames, place = self._buffer, list[Frame](), 0
+        while True:
+            match = self._beginning.search(buffer, place)
+            start = len(buffer) if match is None else match.start()
+            self._skip(buffer[place:start])
+            place = start
+            if match is None:
+                break
+            size = self._size(start, last=last)
+            if size is None:
+                break
+            data = bytes(buffer[start : start + abs(size)])
+            place += len(data)
+            if size < 0:
+                self._skip(data)
+            else:
+                frames.append(Frame(_PROTOCOL_OF[data[0]], data, self._buffer_offset + start))
+        self._buffer_offset += place
+        del buffer[:place]
+        return frames
+
+    def _size(self, start: int, *, last: bool) -> int | None:
+        """Bytes of the frame that begins here, or, negative, of what is none and is skipped; None: not yet known."""
+        protocol = _PROTOCOL_OF[self._buffer[start]]
+        if protocol == "nmea":
+            return self._sentence_size(start, last=last)
+        head, framing, most, false_start = _BINARY[protocol]
+        left = len(self._buffer) - start
+        if left < head:
+            return -min(left, false_start) if last else None
+        length = (
+            int.from_bytes(self._buffer[start + 4 : start + 6], "little")
+            if protocol == "ubx"
+            else int.from_bytes(self._buffer[start + 1 : start + 3], "big")
+        )
+        if length > most:
+            return -false_start
+        size = framing + length
+        if left < size:
+            return -false_start if last else None
+        if _is_right(protocol, bytes(self._buffer[start : start + size])):
+            return size
+        self.failed_checks[protocol] += 1
+        return -false_start
+
+    def _sentence_size(self, start: int, *, last: bool) -> int | None:
+        buffer = self._buffer
+        match = _SENTENCE_END.search(buffer, start + 1)
+        end = len(buffer) if match is None else match.start()
+        if match is None and end - start <= MOST_SENTENCE_BYTES and not last:
+            return None
+        # Of a sentence that is too long only the allowed part is taken: the rest is found to be no sentence.
+        size = min(end - start, MOST_SENTENCE_BYTES + 1)
+        # Else it is a dollar sign inside a binary message.
+        return size if _LOOKS_LIKE_A_SENTENCE.match(buffer, start) else -size
+
+    def _skip(self, data: bytes | bytearray) -> None:
+        self.bytes_skipped += len(data) - sum(data.count(byte) for byte in self._ignored)
+
+
+_PROTOCOL_OF: dict[int, FrameProtocol] = {SYNC[0]: "ubx", ord("$"): "nmea", PREAMBLE: "rtcm"}
+# Bytes before the length is known, bytes around the content, its greatest length, what a false beginning costs.
+_BINARY = {
+    "ubx": (_UBX_HEAD, _UBX_FRAMING, MOST_UBX_PAYLOAD_BYTES, len(SYNC)),
+    "rtcm": (_RTCM_HEAD, _RTCM_FRAMING, 1023, 1),
+}
+
+
+def _is_right(protocol: FrameProtocol, frame: bytes) -> bool:
+    if protocol == "ubx":
+        return checksum(frame[2:-2]) == frame[-2:]
+    return crc24q(frame[:-3]) == int.from_bytes(frame[-3:], "big")
