@@ -18,7 +18,7 @@ from camber.gnss.receiver_side import fix_from, refuse
 from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
 from camber.gnss.streams import Heard, Stream, StreamProtocol, StreamReader
-from camber.gnss.warm_up import warm_up
+from camber.gnss.warm_up import compile_readers, warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
@@ -48,7 +48,8 @@ class GnssService(Service[GnssSettings]):
 
     @classmethod
     def prepare(cls, settings: GnssSettings) -> None:
-        """Compile the engine, before anybody waits for this service."""
+        """Compile what is used, before anybody waits for this service."""
+        compile_readers()
         if settings.positions == "engine":
             warm_up()
 

@@ -1,12 +1,14 @@
 """Compile the engine before the first epoch comes: one made-up epoch of rover and base is solved.
 
-The compiled code is kept on disk; where it is there already this takes a part of a second.
+The compiled code is kept on disk; where it is there already this takes a second. `python -m camber.gnss.warm_up` does
+it ahead, for an image.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.observations import CARRIER_OF_BAND_HZ, Ephemeris, Floats, ObservationEpoch, signal_number
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
@@ -48,6 +50,11 @@ def warm_up() -> Solution:
     if solution.rows is not None and solution.approximate_ecef_m is not None:
         other_estimates(solution.rows, solution.approximate_ecef_m, options.limits(), "all", (), 4)
     return solution
+
+
+def compile_readers() -> None:
+    """Compile what finds frames in a stream: any receiver's stream needs it."""
+    MixedDecoder("warm up", _TIME_NS).feed(b"\xb5\x62")
 
 
 def _constellation() -> list[Ephemeris]:
@@ -111,3 +118,8 @@ def _epoch(ephemerides: EphemerisStore, antenna_ecef_m: Floats, time_ns: int) ->
         loss_of_lock=np.zeros(count, np.bool_),
         half_cycle=np.zeros(count, np.bool_),
     )
+
+
+if __name__ == "__main__":
+    compile_readers()
+    warm_up()
