@@ -104,6 +104,7 @@ class Solution:
     """One epoch's tentative position in ECEF (3,), covariance (3, 3); None where there is none.
 
     `rows` and `estimate` are those of the differenced epoch: what other estimates of it are made from.
+    In streets reflected codes agree with one another: the covariance of a `float` or `single` position bounds nothing.
     """
 
     time_ns: int
