@@ -14,10 +14,10 @@ import platform
 from collections.abc import Iterable
 from enum import Enum
 from functools import cache
+from importlib.metadata import version
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-import llvmlite  # type: ignore[import-untyped]
 import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
@@ -27,7 +27,7 @@ config, types = _core.config, _core.types
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 # What comes from these is what their version says it is.
 _VERSIONED = {"builtins", "math", "cmath", "operator", "_operator", "numpy", "numba"}
-_VERSIONS = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
+_VERSIONS = (platform.python_version(), *(version(name) for name in ("numba", "llvmlite", "numpy")))
 
 
 class NotKnown(Exception):  # noqa: N818 (the name says what is the matter)

@@ -81,6 +81,7 @@ class EngineOptions:
     normal_quantile: float = 3.72
     largest_sigma_m: float = 0.10
     longest_age_s: float = 10.0
+    ephemerides_of_satellite: int = 8
     doppler_aided: bool = True
     noise: Noise = field(default_factory=Noise)
 
@@ -132,7 +133,7 @@ class Engine:
     """
 
     def __init__(self, options: EngineOptions, base_ecef_m: Floats | None = None) -> None:
-        self.ephemerides = EphemerisStore()
+        self.ephemerides = EphemerisStore(options.ephemerides_of_satellite)
         self.ionosphere = NO_IONOSPHERE
         """Coefficients (8,) of the broadcast ionosphere as in `klobuchar_m`, for positions of one receiver."""
         self.base = BaseStation(base_ecef_m)

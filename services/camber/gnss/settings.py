@@ -44,6 +44,12 @@ class EngineSettings(BaseModel):
     doppler_aided: bool = Field(
         True, description="the float position has the last one, moved by the Doppler velocity, as a prior"
     )
+    ephemerides_of_satellite: int = Field(
+        8,
+        ge=2,
+        le=1000,
+        description="sets of a satellite that are kept; a whole day that is heard at once needs 150",
+    )
     longest_base_age_s: float = Field(
         10.0, gt=0.0, le=60.0, description="older epochs of the base are not used"
     )
@@ -76,6 +82,7 @@ class EngineSettings(BaseModel):
             partial=self.partial,
             doppler_aided=self.doppler_aided,
             longest_age_s=self.longest_base_age_s,
+            ephemerides_of_satellite=self.ephemerides_of_satellite,
         )
 
 

@@ -8,7 +8,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from camber.geodesy.ellipsoid import geodetic_from_ecef
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.engine import Engine, EngineOptions
-from camber.gnss.ephemeris_store import EphemerisStore
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.raw_recording import RawRecording, load_raw
 from camber.tools.recording_summary import time_text
@@ -34,7 +33,6 @@ _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
 _SAME_TIME_NS = NS_PER_SECOND // 50
 """Epochs of one time are so far apart at most, by the clocks of the receivers."""
-_LEAST_KEPT = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +107,9 @@ def run_engine(
 ) -> SolvedDrive:
     """Epochs of the rover in their order, each with the newest epoch of the base at its time; ephemerides all at once,
     as whoever solves afterwards has them."""
-    engine = Engine(options, recording.base_ecef_m)
     sets = Counter(ephemeris.satellite for ephemeris in recording.ephemerides)
-    engine.ephemerides = EphemerisStore(max(_LEAST_KEPT, *sets.values(), 0))
+    most = max(options.ephemerides_of_satellite, *sets.values(), 0)
+    engine = Engine(replace(options, ephemerides_of_satellite=most), recording.base_ecef_m)
     for ephemeris in recording.ephemerides:
         engine.add_ephemeris(ephemeris)
     if recording.ionosphere is not None:

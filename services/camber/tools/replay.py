@@ -232,11 +232,18 @@ def _configs(
         "tyre_radius_m": height.tyre_radius_m,
     }
     raw = manifest.observations
+    # The files of a day are heard at once.
+    engine = {"ephemerides_of_satellite": 150}
     base = {} if raw is None or raw.base_ecef_m is None else {"base_ecef_m": list(raw.base_ecef_m)}
     given = {} if start is None else {"initial_pose": start.model_dump()}
     return {
         "gnss": config(
-            "gnss", source="bus", datum=manifest.datum, positions=manifest.judged_positions, **base
+            "gnss",
+            source="bus",
+            datum=manifest.datum,
+            positions=manifest.judged_positions,
+            engine=engine,
+            **base,
         ),
         "map_server": config(
             "map_server",
