@@ -117,6 +117,26 @@ def test_a_base_seconds_older_than_the_rover_is_no_error_but_that_of_clocks_and_
     assert np.median(grown) == pytest.approx((SPEED_OF_LIGHT_M_S * 5e-12 * 3.0) ** 2, rel=0.3)
 
 
+def test_a_satellites_clock_that_runs_fast_between_base_and_rover_is_taken_off():
+    """All clocks 1e-9 faster than they were, in what they broadcast and in what is measured: 0.9 m in 3 s."""
+    d = drive()
+    store = EphemerisStore(most_of_satellite=100)
+    toc_ns = d.rover[0].time_ns - 1_000_000_000_000
+    for e in d.ephemerides:
+        offset, rate, change = e.clock
+        since_s = (e.toc_ns - toc_ns) * 1e-9
+        store.add(replace(e, clock=(offset + 1e-9 * since_s, rate + 1e-9, change)))
+
+    def measured(epoch: ObservationEpoch) -> ObservationEpoch:
+        early_m = SPEED_OF_LIGHT_M_S * 1e-9 * (epoch.time_ns - toc_ns) * 1e-9
+        return replace(epoch, pseudorange_m=epoch.pseudorange_m - early_m)
+
+    rover, base, truth = d.rover[3], d.base[0], d.true_ecef_m[3]
+    before = rows_of(rover, base, d.store, truth, age_s=3.0)
+    after = rows_of(measured(rover), measured(base), store, truth, age_s=3.0)
+    np.testing.assert_allclose(after.code_m, before.code_m, atol=0.005)
+
+
 def test_the_rovers_clock_is_a_clock_and_nothing_else():
     """A receiver a millisecond late in its time tags measures longer ranges, to where satellites were."""
     d = drive()
