@@ -58,3 +58,25 @@ def test_every_import_is_declared() -> None:
             top for full in imports(path) if (top := full.split(".")[0]) not in sys.stdlib_module_names
         }
         assert outside <= declared, f"{name} imports {outside - declared}, which pyproject.toml does not list"
+
+
+def compiled_functions() -> list[tuple[str, ast.FunctionDef]]:
+    found = []
+    for name, path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and any(
+                isinstance(mark, ast.Name) and mark.id.startswith("compiled") for mark in node.decorator_list
+            ):
+                found.append((name, node))
+    return found
+
+
+def test_compiled_code_does_without_scipy() -> None:
+    """Numba takes `@`, np.dot and np.linalg from SciPy, which only the tests have."""
+    functions = compiled_functions()
+    assert len(functions) > 50
+    for name, function in functions:
+        for node in ast.walk(function):
+            product = isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult)
+            called = isinstance(node, ast.Attribute) and node.attr in ("linalg", "dot", "vdot", "kron")
+            assert not (product or called), f"{name}.{function.name}, line {node.lineno}"

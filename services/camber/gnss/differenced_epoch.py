@@ -18,6 +18,7 @@ from camber.gnss.satellite_states import (
 )
 from camber.gnss.signals import pair_signals
 from camber.gnss.single_differences import Booleans, Masks, Noise, Pairs, Rows, single_differences
+from camber.gnss.small_algebra import inner
 
 # How near the approximate position has to be: 3 m of height are 1 mm of the troposphere, and of curvature nothing.
 _NEAR_M = 3.0
@@ -135,7 +136,7 @@ def solve_differenced(
         usable = np.ones(rows.group.size, np.bool_)
         prior_m = prior.position_ecef_m - approximate
         coarse = float_with_prior(rows, usable, prior_m, prior.information, limits.code_outlier)
-        if coarse.freedom < 0 or coarse.dx_m @ coarse.dx_m < _NEAR_M**2 or further == _ROUNDS - 1:
+        if coarse.freedom < 0 or inner(coarse.dx_m, coarse.dx_m) < _NEAR_M**2 or further == _ROUNDS - 1:
             break
         approximate += coarse.dx_m
     for a in range(rows.group.size):

@@ -16,6 +16,7 @@ from camber.gnss.ambiguity import RESOLVED, UNLIKELY, conditional_update, resolv
 from camber.gnss.float_position import FloatPosition, float_with_prior, inverse_3
 from camber.gnss.signals import GROUPS
 from camber.gnss.single_differences import Booleans, Rows, without_clocks
+from camber.gnss.small_algebra import form, inner
 
 NO_POSITION = 5
 """Status beside those of `camber.gnss.ambiguity`: too few codes for a float position."""
@@ -165,7 +166,7 @@ def phase_residuals(rows: Rows, integer: Floats) -> tuple[float, int]:
     covariance, solvable = inverse_3(information)
     if not solvable:
         return 0.0, 0
-    return float(chi2 - right @ covariance @ right), freedom
+    return float(chi2 - form(right, covariance)), freedom
 
 
 @compiled
@@ -238,7 +239,7 @@ def estimate(
     for i in range(n):
         codes += 1 if first.used[i] else 0
     status, nan = NO_POSITION, np.nan
-    if first.freedom >= 0 and not first.dx_m @ first.dx_m < _FAR_M**2:
+    if first.freedom >= 0 and not inner(first.dx_m, first.dx_m) < _FAR_M**2:
         status = FAR
     if first.freedom < 0 or status == FAR:
         return Estimate(

@@ -19,6 +19,7 @@ from camber.formats.observations import Floats
 from camber.geodesy.compiled import compiled
 from camber.gnss.signals import GROUPS
 from camber.gnss.single_differences import Booleans, Rows, without_clocks
+from camber.gnss.small_algebra import form, product
 
 _SHARES = 10
 
@@ -72,7 +73,7 @@ def float_position(
     while True:
         directions, reduced, total = without_clocks(rows, rows.code_m, weights)
         information = prior_information.copy()
-        right = prior_information @ prior_m
+        right = product(prior_information, prior_m)
         rank = 0
         for i in range(n):
             if used[i]:
@@ -91,9 +92,9 @@ def float_position(
         freedom = rank - groups - (0 if has_prior else 3)
         if not solvable or freedom < 0:
             return FloatPosition(dx, covariance, used, 0.0, -1)
-        dx = covariance @ right
+        dx = product(covariance, right)
         misfit = dx - prior_m
-        chi2, worst, worst_row = float(misfit @ prior_information @ misfit), 0.0, -1
+        chi2, worst, worst_row = form(misfit, prior_information), 0.0, -1
         for i in range(n):
             if not used[i]:
                 continue
@@ -138,12 +139,15 @@ def float_with_prior(
     if codes.freedom < 0:
         return FloatPosition(best, best_covariance, tested.used, tested.chi2, tested.freedom)
     information, _ = inverse_3(codes.covariance_m2)
-    right, prior_right = information @ codes.dx_m, prior_information @ prior_m
+    right, prior_right = product(information, codes.dx_m), product(prior_information, prior_m)
     least = np.trace(best_covariance)
     for step in range(_SHARES):
         share = step / _SHARES
         covariance, solvable = inverse_3(share * prior_information + (1.0 - share) * information)
         if solvable and np.trace(covariance) < least:
             least = np.trace(covariance)
-            best, best_covariance = covariance @ (share * prior_right + (1.0 - share) * right), covariance
+            best, best_covariance = (
+                product(covariance, share * prior_right + (1.0 - share) * right),
+                covariance,
+            )
     return FloatPosition(best, best_covariance, tested.used, codes.chi2, codes.freedom)

@@ -26,6 +26,7 @@ from camber.gnss.satellite_states import (
     range_to,
 )
 from camber.gnss.signals import GROUPS, L1_M, WAVELENGTH_M
+from camber.gnss.small_algebra import inner
 
 Booleans = NDArray[np.bool_]
 
@@ -164,7 +165,7 @@ def single_differences(
         # A NaN position gives NaN throughout.
         of_rover_m = range_to(rover_states.position_m[k], rover_ecef_m, direction[k])
         of_base_m = range_to(base_states.position_m[k], base_ecef_m, base_direction[k])
-        sine[k], base_sine[k] = direction[k] @ up, base_direction[k] @ base_up
+        sine[k], base_sine[k] = inner(direction[k], up), inner(base_direction[k], base_up)
         clocks_m = SPEED_OF_LIGHT_M_S * (rover_states.clock_s[k] - base_states.clock_s[k])
         model_m[k] = of_rover_m - of_base_m - clocks_m
     lowest_sine = np.sin(masks.lowest_elevation_rad)
