@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from random import Random
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -16,8 +16,9 @@ from camber.formats.observations import ObservationEpoch, carrier_hz, satellite_
 from camber.formats.rtcm_writing import format_reference_station
 from camber.formats.stream_frames import FrameBuffer
 from camber.formats.ubx_writing import format_raw_measurements, ubx_frame
+from camber.gnss.engine import Warning_
 from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S
-from camber.gnss.service import GnssService
+from camber.gnss.service import _HELP, GnssService
 from camber.gnss.settings import GnssSettings
 from camber.gnss.streams import StreamReader
 from camber.runtime.bus import Bus
@@ -337,7 +338,7 @@ def test_without_ephemerides_the_satellites_are_named(raw_drive: RawDrive) -> No
         ],
     )
     assert run.bus.fixes == []
-    lacking = run.bus.named()["ephemeris_missing"]
+    lacking = run.bus.named()["ephemeris_missing"].removeprefix(f"{EPOCHS} epochs; ")
     satellites = sorted({satellite_name(int(n)) for n in measured(raw_drive, EPOCHS - 1).satellite})
     assert lacking.split(", ")[:3] == [f"{name} none" for name in satellites[:3]]
     assert run.service.healthy()  # epochs come; that none has a position is in the counters
@@ -355,7 +356,7 @@ def test_with_some_ephemerides_the_fix_is_of_those_satellites(raw_drive: RawDriv
     assert len(run.fixed()) > EPOCHS // 2
     assert run.bus.fixes[0].satellites is not None
     assert run.bus.fixes[0].satellites < len(set(measured(raw_drive, 0).satellite.tolist()))
-    assert run.bus.named()["ephemeris_missing"].startswith("C")
+    assert run.bus.named()["ephemeris_missing"].startswith(f"{EPOCHS} epochs; C")
 
 
 def test_a_base_that_falls_silent_makes_its_corrections_old_and_then_none(raw_drive: RawDrive) -> None:
@@ -394,15 +395,21 @@ def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> N
         ],
     )
     assert run.bus.qualities() == ["single"] * EPOCHS
-    assert "base_position_missing" in run.bus.named()
+    text = run.bus.named()["base_position_missing"]
+    assert text == f"{EPOCHS} epochs; expected 1005, 1006 or a RINEX header in its stream, or base_ecef_m"
+
+
+def test_every_warning_of_the_engine_has_a_text_that_helps() -> None:
+    assert set(get_args(Warning_)) == {*_HELP, "ephemeris_missing"}
+    assert all(len(text) > 10 for text in _HELP.values())
 
 
 def test_a_base_with_another_stations_coordinate_is_named_with_how_far_it_is_off(raw_drive: RawDrive) -> None:
     x, y, z = station(raw_drive)
     run = Run(raw_drive, streams(raw_drive), base_ecef_m=(x + 120.0, y, z))
     assert run.fixed() == []
-    text = run.bus.named()["base_position_wrong"]
-    assert 110.0 < float(text.removeprefix("its own single point is ").removesuffix(" m away")) < 130.0
+    _, _, text = run.bus.named()["base_position_wrong"].partition("; its own single point is ")
+    assert 110.0 < float(text.removesuffix(" m away")) < 130.0
 
 
 def test_a_receivers_clock_that_jumps_by_milliseconds_moves_no_fix(raw_drive: RawDrive) -> None:
