@@ -14,8 +14,8 @@ from camber.formats.nmea_writing import format_gga
 from camber.formats.ntrip import NtripAccess
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.engine import Warning_
 from camber.gnss.engine_side import fix_from_solution, observations_from, velocity_from
+from camber.gnss.engine_warnings import EngineWarnings
 from camber.gnss.receiver_side import fix_from, refuse
 from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
@@ -32,18 +32,6 @@ _SILENT_NS = 5_000_000_000
 _END_OF_FILE_NS = 1_000_000_000
 _CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND
 _WEEKLESS = ("ubx", "rtcm", "mixed")
-_MOST_NAMED = 10
-_HELP: dict[Warning_, str] = {
-    "base_silent": "no epoch of the base has come yet",
-    "base_stale": "the base's last epoch is older than longest_base_age_s",
-    "base_out_of_order": "of the base, late or twice; two streams in one?",
-    "base_time_went_back": "of the base; restarted?",
-    "base_position_missing": "expected 1005, 1006 or a RINEX header in its stream, or base_ecef_m",
-    "base_position_wrong": "it is nowhere on earth",
-    "rover_out_of_order": "late or twice",
-    "rover_time_went_back": "the receiver's clock was set",
-    "rover_clock_step": "the receiver set its clock; nothing depends on it",
-}
 
 
 class _Port:
@@ -78,8 +66,7 @@ class GnssService(Service[GnssSettings]):
         self._rover = Rover(settings.engine.options(), settings.base_ecef_m) if self._solves else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
-        self._warned: dict[str, int] = {}
-        self._refused_ephemerides = 0
+        self._warnings = EngineWarnings()
         self._left_out: set[str] = set()
         self._ports = self._open_ports()
 
@@ -111,7 +98,8 @@ class GnssService(Service[GnssSettings]):
         for epoch in self._rover.take():
             if not self._is_refused(epoch.time_ns):
                 self._publish_solved(self._rover.solve(epoch))
-        self._warn(self._rover)
+        for code, text in self._warnings.new(self._rover.engine):
+            self.bus.issue(code, text)
 
     def healthy(self) -> bool:
         """Are epochs coming?"""
@@ -297,27 +285,6 @@ class GnssService(Service[GnssSettings]):
         if message is not None:
             self.bus.publish(channel, message)
         return message
-
-    def _warn(self, rover: Rover) -> None:
-        """What the engine found amiss since the last time."""
-        for name, count in rover.engine.warnings.items():
-            if count > self._warned.get(name, 0):
-                self._warned[name] = count
-                self.bus.issue(name, f"{count} epochs; {self._detail(name, rover)}")
-        refused = rover.engine.ephemerides.refused
-        if refused.total() > self._refused_ephemerides:
-            self._refused_ephemerides = refused.total()
-            self.bus.issue("ephemeris_refused", ", ".join(f"{why} {n}" for why, n in sorted(refused.items())))
-
-    def _detail(self, warning: Warning_, rover: Rover) -> str:
-        engine = rover.engine
-        if warning == "ephemeris_missing":
-            lacks = sorted(engine.lacks().items())
-            more = f" and {len(lacks) - _MOST_NAMED} more" if len(lacks) > _MOST_NAMED else ""
-            return ", ".join(f"{satellite} {why}" for satellite, why in lacks[:_MOST_NAMED]) + more
-        if warning == "base_position_wrong" and engine.base.miss_m is not None:
-            return f"its own single point is {engine.base.miss_m:.0f} m away"
-        return _HELP.get(warning, "")
 
     def _estimates(self, request: EstimatesRequest) -> Estimates:
         if self._rover is not None:

@@ -17,8 +17,9 @@ from camber.formats.rtcm_writing import format_reference_station
 from camber.formats.stream_frames import FrameBuffer
 from camber.formats.ubx_writing import format_raw_measurements, ubx_frame
 from camber.gnss.engine import Warning_
+from camber.gnss.engine_warnings import HELP
 from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S
-from camber.gnss.service import _HELP, GnssService
+from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.gnss.streams import StreamReader
 from camber.runtime.bus import Bus
@@ -400,8 +401,8 @@ def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> N
 
 
 def test_every_warning_of_the_engine_has_a_text_that_helps() -> None:
-    assert set(get_args(Warning_)) == {*_HELP, "ephemeris_missing"}
-    assert all(len(text) > 10 for text in _HELP.values())
+    assert set(get_args(Warning_)) == {*HELP, "ephemeris_missing"}
+    assert all(len(text) > 10 for text in HELP.values())
 
 
 def test_a_base_with_another_stations_coordinate_is_named_with_how_far_it_is_off(raw_drive: RawDrive) -> None:
