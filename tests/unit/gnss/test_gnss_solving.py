@@ -25,7 +25,14 @@ from camber.gnss.streams import StreamReader
 from camber.runtime.bus import Bus
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
-from camber.schemas.gnss import EstimatesRequest, Fix, Observations, ReceiverBytes, SatelliteVelocity
+from camber.schemas.gnss import (
+    EstimatesRequest,
+    Fix,
+    Observations,
+    ReceiverBytes,
+    ReceiverIntegrity,
+    SatelliteVelocity,
+)
 from camber.schemas.motion import Motion
 from support.raw_drive import RawDrive
 
@@ -504,3 +511,28 @@ def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive
     )
     assert [fix.time_ns for fix in run.fixed()] == [raw_drive.times_ns[k] for k in (0, 1, 3, 4)]
     assert {"repeated_epoch", "out_of_order_epoch"} <= run.bus.named().keys()
+
+
+# -- the receiver's own positions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", ["ubx", "mixed"])
+def test_a_receivers_own_positions_come_from_the_same_stream_and_nothing_is_solved(
+    protocol: Any, raw_drive: RawDrive
+) -> None:
+    bus = FakeBus()
+    service = GnssService(GnssSettings(), cast(Bus, bus))
+    assert service.handlers().keys() == {"receiver_bytes"}
+    for k in range(EPOCHS):
+        bus.time_ns = raw_drive.times_ns[k] + NS // 20
+        payload = np.frombuffer(raw_drive.ubx_parts[k], np.uint8)
+        message = ReceiverBytes(time_ns=bus.time_ns, protocol=protocol, payload=payload)
+        service.handlers()["receiver_bytes"](message)
+        service.advance(bus.time_ns)
+    # Without NAV-EOE an epoch is whole when the next one begins.
+    assert [fix.time_ns for fix in bus.fixes] == raw_drive.times_ns[: EPOCHS - 1]
+    assert {fix.origin for fix in bus.fixes} == {"receiver"}
+    assert bus.issues == []
+    words = [message for message in bus.said if isinstance(message, ReceiverIntegrity)]
+    assert [message.time_ns for message in words] == raw_drive.times_ns[: EPOCHS - 1]
+    assert {type(message) for message in bus.said} == {Fix, ReceiverIntegrity}
