@@ -8,6 +8,7 @@ Information Authority of Japan 55 (2008), 21-30.
 from __future__ import annotations
 
 import gzip
+import io
 import warnings
 import zlib
 from collections.abc import Iterator
@@ -36,16 +37,32 @@ def rinex_pieces(path: Path) -> Iterator[bytes]:
 
 
 def _pieces(file: IO[bytes], name: str) -> Iterator[bytes]:
-    try:
-        piece = file.read(_PIECE_BYTES)
-        if piece.startswith(_OTHER) or _CRINEX in piece[:80]:
-            yield from _decompressed(piece + file.read(), name)
-            return
-        while piece:
-            yield piece
-            piece = file.read(_PIECE_BYTES)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise FormatError(name, "gzip compression", f"it whole and undamaged ({error})") from error
+    pieces = _whole_pieces(file, name)
+    piece = next(pieces, b"")
+    if piece.startswith(_OTHER) or _CRINEX in piece[:80]:
+        yield from _decompressed(piece + b"".join(pieces), name)
+        return
+    yield piece
+    yield from pieces
+
+
+def _whole_pieces(file: IO[bytes], name: str) -> Iterator[bytes]:
+    """Pieces of one size; before a damage is told, what came before it."""
+    read = cast(io.BufferedReader, file).read1
+    piece, damage = bytearray(), None
+    while damage is None:
+        try:
+            part = read(_PIECE_BYTES)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            part, damage = b"", error
+        piece += part
+        if len(piece) >= _PIECE_BYTES or (piece and not part):
+            yield bytes(piece)
+            piece.clear()
+        if not part:
+            break
+    if damage is not None:
+        raise FormatError(name, "gzip compression", f"it whole and undamaged ({damage})") from damage
 
 
 def _decompressed(data: bytes, name: str) -> Iterator[bytes]:

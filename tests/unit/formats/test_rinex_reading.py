@@ -576,6 +576,16 @@ def test_damaged_compression_is_one_error_after_what_could_be_read(tmp_path):
         read_observations(path)
 
 
+def test_of_a_small_file_that_was_cut_off_all_is_read_that_is_left(tmp_path):
+    rng = np.random.default_rng(7)
+    epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=9, most_range_m=4e7) for k in range(40)]
+    data = gzip.compress(observation_text(epochs, STATION).encode())
+    (tmp_path / "cut.gz").write_bytes(data[: len(data) // 2])
+    read = read_observations(tmp_path / "cut.gz")
+    assert 15 <= len(read.epochs) < 25
+    assert same(read.epochs, decode(observation_text(epochs, STATION).encode())[0][: len(read.epochs)])
+
+
 def test_damaged_hatanaka_compression_is_one_error(tmp_path):
     hatanaka = pytest.importorskip("hatanaka")
     path = tmp_path / "test.crx"
