@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from support.running import camber, free_port, started
 DURATION_S = 8
 RATE_HZ = 10
 NS = 1_000_000_000
+GPS_EPOCH_UNIX_S = 315_964_800
 SCENARIO = (
     "overpass",
     "--set", f"duration_s={DURATION_S}",
@@ -85,6 +88,32 @@ def test_everything_of_the_drive_is_said_in_order_and_dated_now(endpoint: str, t
         next(m for m in heard if isinstance(m, ReceiverBytes)).payload.tobytes()
     )[0]
     assert isinstance(solution, ReceiverSolution)
+
+
+def test_a_drive_that_is_still_to_come_is_fed_at_its_own_time_with_its_raw_observations(
+    endpoint: str, tmp_path: Path
+) -> None:
+    log = tmp_path / "log"
+    with (
+        Listener("receiver_bytes", vehicle="raw", connect=[endpoint]) as listener,
+        log.open("w") as file,
+        started(
+            "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=4", "--set", "satellites.rate_hz=2",
+            "--set", "satellites.streams=false", "--live", "--starts-in", "45", "--out", tmp_path / "drive",
+            "--connect", endpoint, "--vehicle", "raw", stdout=file,
+        ) as process,
+    ):  # fmt: skip
+        heard = heard_while(process, listener)
+    assert process.returncode == 0, log.read_text()
+    assert "begins in" in log.read_text()
+    scenario = json.loads((tmp_path / "drive" / "scenario.json").read_text())
+    start = datetime.fromisoformat(scenario["start"]).replace(tzinfo=UTC)
+    start_ns = round(start.timestamp() - GPS_EPOCH_UNIX_S) * NS
+    raw = [message for message in heard if message.protocol == "rinex"]
+    assert {message.stream for message in raw} == {"ephemerides", "base", "rover"}
+    epochs = [message for message in raw if message.stream == "rover"]
+    assert [message.time_ns - start_ns for message in epochs] == [k * NS // 2 for k in range(len(epochs))]
+    assert len(epochs) >= 8
 
 
 def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind(

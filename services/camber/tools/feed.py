@@ -1,9 +1,10 @@
 """`camber feed`: a recorded drive, live: at its own pace, dated now, onto the bus of services that are running.
 
 What the vehicle's sensors said goes out as they said it, with times moved to the present. The receiver's solutions
-are written anew as RTKLIB lines, because the times are in them. Raw observations are not fed: their times are tied to
-the satellites' orbits. With `--loop` the vehicle drives to the end, back in reverse gear, and so on: it never jumps
-from the end to the beginning, which no vehicle does.
+are written anew as RTKLIB lines, because the times are in them. Raw observations have times that are tied to the
+satellites' orbits: they are fed only where the drive's own time is still to come, and then all of it at its own time
+(`camber simulate --live --starts-in`). With `--loop` the vehicle drives to the end, back in reverse gear, and so on: it
+never jumps from the end to the beginning, which no vehicle does.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +41,7 @@ _PROG = "camber feed"
 _NS = 1_000_000_000
 _ROUTER = "tcp/127.0.0.1:7447"
 _ASK_ROUTER_S = 0.5
+_LONGEST_WAIT_NS = 3600 * _NS
 _LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
 
 
@@ -73,9 +76,12 @@ class Epoch:
     solutions: tuple[ReceiverSolution, ...]
     samples: tuple[tuple[str, Message], ...]
     sweeps: tuple[FedSweep, ...] = ()
+    raw: tuple[ReceiverBytes, ...] = ()
 
     def moved(self, offset_ns: int) -> Epoch:
-        """The same, `offset_ns` later."""
+        """The same, `offset_ns` later; raw observations cannot be."""
+        if offset_ns == 0:
+            return self
         return Epoch(
             self.time_ns + offset_ns,
             tuple(replace(solution, time_ns=solution.time_ns + offset_ns) for solution in self.solutions),
@@ -85,6 +91,8 @@ class Epoch:
 
     def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
         """What goes onto the bus: channel and message; sweeps are read now."""
+        for raw in self.raw:
+            yield "receiver_bytes", raw
         if self.solutions:
             payload = np.frombuffer(b"".join(_pos_lines(solution) for solution in self.solutions), np.uint8)
             yield "receiver_bytes", ReceiverBytes(time_ns=self.time_ns, protocol="pos", payload=payload)
@@ -117,8 +125,9 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
         )
         solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
         sweeps = tuple(FedSweep(file) for file in tick.sweeps)
-        if solutions or samples or sweeps:
-            epochs.append(Epoch(tick.time_ns, solutions, samples, sweeps))
+        raw = tuple(part for part in tick.receiver if part.protocol not in decoders)
+        if solutions or samples or sweeps or raw:
+            epochs.append(Epoch(tick.time_ns, solutions, samples, sweeps, raw))
     return tuple(epochs)
 
 
@@ -194,7 +203,7 @@ def feed(
     """
     inputs = prepare_drive(manifest, work_folder)
     epochs = epochs_of(inputs)
-    if not epochs:
+    if not any(epoch.solutions or epoch.samples or epoch.sweeps for epoch in epochs):
         raise ManifestError(
             f"{manifest.name}: only raw observations, expected something that can be fed live"
         )
@@ -243,8 +252,17 @@ def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus 
 def _feed(
     ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str, prog: str = _PROG
 ) -> None:
+    ways = iter(ways)
+    first = next(ways)
     start_ns = bus.now_ns()
-    for number, way in enumerate(ways, start=1):
+    if 0 < first[0].time_ns - start_ns <= _LONGEST_WAIT_NS:
+        start_ns = first[0].time_ns
+        print(
+            f"{prog}: {drive} begins in {(start_ns - bus.now_ns()) / _NS:.0f} s", file=sys.stderr, flush=True
+        )
+    elif any(epoch.raw for epoch in first):
+        print(f"{prog}: {drive} is dated now, without its raw observations", file=sys.stderr, flush=True)
+    for number, way in enumerate(chain([first], ways), start=1):
         duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
         print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
         reader = SweepReader()

@@ -1,6 +1,7 @@
 """`camber simulate`: a scenario becomes a recorded drive with truth beside it, in the files that a vehicle gives.
 
-With `--live` the drive is then played onto the bus in real time, as `camber feed` does it.
+With `--live` the drive is then played onto the bus in real time, as `camber feed` does it: dated now, or, with
+`--starts-in`, at its own time and with its raw observations.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from camber.formats.errors import FormatError
+from camber.geodesy.gps_time import gpst_from_gps_ns
+from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError
 from camber.schemas.drive import ManifestError, load_manifest
 from camber.simulator.drive_folder import parts_of, write_drive
@@ -40,6 +43,14 @@ def main(argv: Sequence[str]) -> int:
     # So that a temporary folder goes too.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        if args.starts_in is not None:
+            if not args.live:
+                parser.error("expected --live with --starts-in")
+            start = gpst_from_gps_ns(SystemClock().now_ns() + round(args.starts_in * 1e9))
+            overrides.append(
+                f"start={start.year:04d}-{start.month:02d}-{start.day:02d}"
+                f"T{start.hour:02d}:{start.minute:02d}:{start.second:02d}"
+            )
         scenario = load_scenario(args.scenario, overrides)
         if not args.live:
             simulate(scenario, args.out, quiet=args.quiet)
@@ -127,6 +138,13 @@ def _make_room(out: Path, scenario: Scenario) -> None:
     (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
 
 
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value <= 3600.0:
+        raise argparse.ArgumentTypeError("expected above 0 and up to 3600")
+    return value
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
@@ -136,7 +154,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--live", action="store_true", help="then play the drive onto the bus in real time, dated now"
     )
-    add_bus_arguments(parser.add_argument_group("with --live"))
+    live = parser.add_argument_group("with --live")
+    live.add_argument(
+        "--starts-in",
+        type=_seconds,
+        metavar="S",
+        help="the drive happens S seconds from now, and its raw observations with it; making it must not take longer",
+    )
+    add_bus_arguments(live)
     parser.add_argument("--seed", type=int, help="seed of all that is random")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"
