@@ -34,8 +34,10 @@ setup: .venv/.development
 demo: .venv/.runtime
 	$(BIN)/camber demo --out $(OUT)/demo
 
+# What runs in one process goes side by side; what starts processes, and waits for them, does not.
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile tests/architecture tests/contract tests/fuzz tests/unit
+	$(BIN)/python -m pytest tests/integration tests/replay tests/container
 
 lint: setup
 	$(BIN)/ruff check .

@@ -9,7 +9,7 @@ import pytest
 from fuzz.decoders import DECODERS
 from fuzz.target import Broken, Target, attack
 
-SECONDS = 5.0
+SECONDS = 2.0
 SEED = 20_260_320
 
 
