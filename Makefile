@@ -36,6 +36,7 @@ demo: .venv/.runtime
 
 # What runs in one process goes side by side; what starts processes, and waits for them, does not.
 test: setup
+	$(BIN)/python -m camber.gnss.warm_up # once, not once a worker
 	$(BIN)/python -m pytest -n 2 --dist loadfile tests/architecture tests/contract tests/fuzz tests/unit
 	$(BIN)/python -m pytest tests/integration tests/replay tests/container
 
