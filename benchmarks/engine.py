@@ -27,7 +27,7 @@ from camber.gnss.engine import Engine, EngineOptions, Solution
 from camber.gnss.re_estimation import other_estimates
 
 EPOCHS = 3600
-GOAL_RATIO = 3.0
+OF_ALL = "atmosphere_m2"  # the one of the rows that is no column
 GOAL_TRIALS_MS = 10.0
 GOAL_MEMORY_MB = 300.0
 OPTIONS = """pos1-posmode=kinematic
@@ -149,7 +149,8 @@ def trials(recording: Recording) -> Figure:
             continue
         satellites, bands = np.unique(solution.rows.satellite, return_counts=True)
         chosen = np.isin(solution.rows.satellite, satellites[bands == 2][:25])
-        rows = solution.rows._make(column[chosen] for column in solution.rows)
+        columns = {name: column[chosen] for name, column in solution.rows._asdict().items() if name != OF_ALL}
+        rows = solution.rows._replace(**columns)
         began = time.perf_counter()
         count, _ = other_estimates(rows, solution.approximate_ecef_m, options.limits(), "all", (), 20)
         took_ms.append(1e3 * (time.perf_counter() - began))
