@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+
 CARRIER_OF_BAND_HZ: dict[str, dict[str, float]] = {
     "G": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6},
     "J": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6, "6": 1278.75e6},

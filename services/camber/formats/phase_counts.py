@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from camber.formats.observations import ObservationEpoch
-from camber.formats.rtcm_signals import MSM_SIGNALS, SPEED_OF_LIGHT_M_S
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch
+from camber.formats.rtcm_signals import MSM_SIGNALS
 from camber.geodesy.gps_time import NS_PER_SECOND
 
 FARTHEST_M = 800.0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from camber.formats.bit_fields import bits_of, joined, packed_columns
 from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
     Floats,
     Integers,
     ObservationEpoch,
@@ -22,7 +23,6 @@ from camber.formats.rtcm_signals import (
     METRES_PER_MS,
     MSM_SIGNALS,
     MSM_SYSTEMS,
-    SPEED_OF_LIGHT_M_S,
     MsmSystem,
 )
 from camber.geodesy.gps_time import NS_PER_WEEK

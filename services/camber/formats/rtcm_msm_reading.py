@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.ephemeris_fields import gps_ns_near
-from camber.formats.observations import Floats, Integers
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.formats.rtcm_msm import (
     CN0_PER_DBHZ,
     INVALID_ROUGH_MS,
@@ -21,7 +21,7 @@ from camber.formats.rtcm_msm import (
     ROUGH_PER_MS,
     ROUGH_RATE_INVALID,
 )
-from camber.formats.rtcm_signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS, SPEED_OF_LIGHT_M_S
+from camber.formats.rtcm_signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
 from camber.geodesy.compiled import compiled
 
 Bytes = NDArray[np.uint8]

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Floats, Integers, carrier_hz, signal_number
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, carrier_hz, signal_number
 
-SPEED_OF_LIGHT_M_S = 299_792_458.0
 METRES_PER_MS = SPEED_OF_LIGHT_M_S * 1e-3
 BDT_BEHIND_GPS_NS = 14_000_000_000
 """BeiDou time has not had a leap second since 2006-01-01: BDS-SIS-ICD 3.2."""

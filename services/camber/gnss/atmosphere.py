@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import Floats
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats
 from camber.geodesy.compiled import compiled
 
 IONOSPHERE_CARRIER_HZ = 1575.42e6
@@ -24,7 +24,6 @@ LOWEST_ELEVATION_RAD = math.radians(2.0)
 """Below it, as at it: there the models hold no longer."""
 
 _LOWEST_SINE = math.sin(LOWEST_ELEVATION_RAD)
-_SPEED_OF_LIGHT_M_S = 299792458.0
 _NIELL_STEP_RAD = math.radians(15.0)
 # By latitude 15°, 30°, … 75°: a, b, c of the hydrostatic part (mean of the year) and of the wet one.
 _HYDROSTATIC = np.array([
@@ -165,4 +164,4 @@ def klobuchar_m(
     x = 2.0 * np.pi * (local_s - 50400.0) / max(period, 72000.0)
     day = max(amplitude, 0.0) * (1.0 - x * x / 2.0 + x * x * x * x / 24.0) if abs(x) < 1.57 else 0.0
     slant = 1.0 + 16.0 * (0.53 - el) ** 3
-    return _SPEED_OF_LIGHT_M_S * slant * (5.0e-9 + day)
+    return SPEED_OF_LIGHT_M_S * slant * (5.0e-9 + day)

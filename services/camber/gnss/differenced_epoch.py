@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import Floats, Integers, ObservationEpoch
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch
 from camber.geodesy.compiled import compiled
 from camber.gnss.fixing import Estimate, Limits, estimate
 from camber.gnss.float_position import float_with_prior
 from camber.gnss.satellite_states import (
-    SPEED_OF_LIGHT_M_S,
     EphemerisTable,
     SatelliteStates,
     states_at_transmission,

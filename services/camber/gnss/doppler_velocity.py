@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import Floats, Integers, ObservationEpoch, satellite_name
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, ObservationEpoch, satellite_name
 from camber.geodesy.compiled import compiled
 from camber.gnss.consistent_fit import (
     DEGENERATE,
@@ -35,7 +35,6 @@ from camber.gnss.consistent_fit import (
 from camber.gnss.satellite_states import (
     EARTH_ROTATION_RAD_S,
     MOST_BANDS,
-    SPEED_OF_LIGHT_M_S,
     SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,

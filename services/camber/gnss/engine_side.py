@@ -14,6 +14,7 @@ from camber.gnss.engine import EngineOptions, Solution
 from camber.gnss.fixing import CONTRADICTORY
 from camber.gnss.heading_filter import Heading
 from camber.gnss.re_estimation import OtherEstimate, other_estimates
+from camber.gnss.receiver_side import fix_id_of
 from camber.gnss.satellite_states import enu_from_ecef_rotation, geodetic
 from camber.schemas.gnss import (
     Candidate,
@@ -26,11 +27,6 @@ from camber.schemas.gnss import (
 
 _KEPT = 20
 """Epochs: two seconds at 10 Hz, and the judge asks within one."""
-
-
-def fix_id_of(time_ns: int) -> int:
-    """The epoch in milliseconds: the same after a restart, and the same in a replay."""
-    return time_ns // 1_000_000
 
 
 def fix_from_solution(solution: Solution, datum: str) -> Fix | None:

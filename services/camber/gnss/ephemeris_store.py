@@ -8,13 +8,18 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import CARRIER_OF_BAND_HZ, Ephemeris, Integers, satellite_name
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    Ephemeris,
+    Integers,
+    satellite_name,
+)
 from camber.geodesy.compiled import compiled
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.gnss.satellite_states import (
     ELEMENTS,
     MOST_BANDS,
-    SPEED_OF_LIGHT_M_S,
     EphemerisTable,
 )
 

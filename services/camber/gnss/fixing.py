@@ -76,7 +76,7 @@ class Estimate(NamedTuple):
 class Ambiguities(NamedTuple):
     """Double-difference ambiguities (n,) in cycles, covariance (n, n), covariance with the position (3, n).
 
-    `row` and `reference` (n,) say between which rows; `phase_m`, `direction` are their differences.
+    `row` and `reference` (n,) say between which rows.
     """
 
     value: Floats

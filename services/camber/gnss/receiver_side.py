@@ -30,11 +30,16 @@ def refuse(time_ns: int, last_ns: int | None, now_ns: int) -> Refusal | None:
     return "repeated_epoch" if time_ns == last_ns else "out_of_order_epoch"
 
 
+def fix_id_of(time_ns: int) -> int:
+    """The epoch in milliseconds: the same after a restart, and the same in a replay."""
+    return time_ns // 1_000_000
+
+
 def fix_from(solution: ReceiverSolution, datum: str) -> Fix:
-    """The tentative position; its id is the epoch in milliseconds, the same after a restart."""
+    """The tentative position."""
     return Fix(
         time_ns=solution.time_ns,
-        fix_id=solution.time_ns // 1_000_000,
+        fix_id=fix_id_of(solution.time_ns),
         origin="receiver",
         quality=_QUALITY[solution.quality],
         latitude_rad=solution.latitude_rad,

@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import Floats, Integers
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.geodesy.compiled import compiled
 from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS_M, SEMI_MINOR_AXIS_M
 
-SPEED_OF_LIGHT_M_S = 299792458.0
 EARTH_ROTATION_RAD_S = 7.2921151467e-5
 """Of the frame in which ranges are formed (IS-GPS-200N); orbits take their own system's, a column of the table."""
 MOST_BANDS = 10

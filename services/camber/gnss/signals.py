@@ -11,10 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import CARRIER_OF_BAND_HZ, Floats, Integers
+from camber.formats.observations import CARRIER_OF_BAND_HZ, SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.geodesy.compiled import compiled
 
-SPEED_OF_LIGHT_M_S = 299_792_458.0
 SYSTEMS = "GEC"
 """The first letter of what shares a clock; QZSS goes with GPS. A group's number is (10 · place + band) · 4 + family."""
 _MOST_FAMILIES = 4

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import Floats, Integers
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.geodesy.compiled import compiled
 from camber.gnss.atmosphere import slant_troposphere_m, troposphere_at
 from camber.gnss.satellite_states import (
-    SPEED_OF_LIGHT_M_S,
     SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,

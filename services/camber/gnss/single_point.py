@@ -24,7 +24,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from camber.formats.observations import CARRIER_OF_BAND_HZ, Floats, Integers, ObservationEpoch, satellite_name
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    Floats,
+    Integers,
+    ObservationEpoch,
+    satellite_name,
+)
 from camber.geodesy.compiled import compiled
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.gnss.atmosphere import (
@@ -47,7 +54,6 @@ from camber.gnss.consistent_fit import (
 from camber.gnss.ephemeris_store import EphemerisStore
 from camber.gnss.satellite_states import (
     MOST_BANDS,
-    SPEED_OF_LIGHT_M_S,
     EphemerisTable,
     SatelliteStates,
     enu_from_ecef_rotation,

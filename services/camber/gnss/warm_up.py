@@ -9,7 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from camber.formats.mixed_stream import MixedDecoder
-from camber.formats.observations import CARRIER_OF_BAND_HZ, Ephemeris, Floats, ObservationEpoch, signal_number
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    Ephemeris,
+    Floats,
+    ObservationEpoch,
+    signal_number,
+)
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.doppler_velocity import doppler_velocity
@@ -17,7 +24,6 @@ from camber.gnss.engine import Engine, EngineOptions, Solution
 from camber.gnss.ephemeris_store import EphemerisStore
 from camber.gnss.re_estimation import other_estimates
 from camber.gnss.satellite_states import (
-    SPEED_OF_LIGHT_M_S,
     elevation_azimuth,
     enu_from_ecef_rotation,
     geodetic,

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from camber.formats.lock_times import LockTimes
-from camber.formats.observations import CARRIER_OF_BAND_HZ, ObservationEpoch, satellite_number, signal_number
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    ObservationEpoch,
+    satellite_number,
+    signal_number,
+)
 from camber.gnss.arcs import REASONS, ArcTracker
-from camber.gnss.signals import SPEED_OF_LIGHT_M_S
 
 SIGNALS = [
     *(f"G{n:02d}:{code}" for n in (1, 7, 12, 32) for code in ("1C", "2L", "5Q")),

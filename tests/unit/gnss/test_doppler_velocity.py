@@ -11,7 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import ObservationEpoch, carrier_hz, satellite_name, signal_name
+from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
+    ObservationEpoch,
+    carrier_hz,
+    satellite_name,
+    signal_name,
+)
 from camber.formats.rinex_navigation import read_navigation
 from camber.formats.rinex_reading import read_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
@@ -19,7 +25,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gps
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.doppler_velocity import DopplerVelocity, doppler_velocity, range_rate_m_s
 from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S, ranges, states_at_transmission
+from camber.gnss.satellite_states import ranges, states_at_transmission
 from camber.gnss.single_point import single_point
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.parameters import ROVER

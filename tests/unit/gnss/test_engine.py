@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import ObservationEpoch, carrier_hz, signal_name
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch, carrier_hz, signal_name
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.gnss.engine import Engine, EngineOptions, Solution
-from camber.gnss.signals import SPEED_OF_LIGHT_M_S
 from support.canyon_statistics import FIRST_NS
 from support.engine_drives import (
     Drive,

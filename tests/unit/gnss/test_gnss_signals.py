@@ -5,10 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import CARRIER_OF_BAND_HZ, satellite_number, signal_number
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    satellite_number,
+    signal_number,
+)
 from camber.gnss.signals import (
     GROUPS,
-    SPEED_OF_LIGHT_M_S,
     SYSTEMS,
     WAVELENGTH_M,
     band_of,

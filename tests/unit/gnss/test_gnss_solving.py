@@ -12,13 +12,18 @@ from typing import Any, cast, get_args
 import numpy as np
 import pytest
 
-from camber.formats.observations import ObservationEpoch, carrier_hz, satellite_name, signal_name
+from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
+    ObservationEpoch,
+    carrier_hz,
+    satellite_name,
+    signal_name,
+)
 from camber.formats.rtcm_writing import format_reference_station
 from camber.formats.stream_frames import FrameBuffer
 from camber.formats.ubx_writing import format_raw_measurements, ubx_frame
 from camber.gnss.engine import Warning_
 from camber.gnss.engine_warnings import HELP
-from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S
 from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.gnss.streams import StreamReader

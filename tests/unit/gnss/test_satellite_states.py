@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import satellite_name
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, satellite_name
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar, geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.ephemeris_store import EphemerisStore
 from camber.gnss.satellite_states import (
     EARTH_ROTATION_RAD_S,
-    SPEED_OF_LIGHT_M_S,
     SatelliteStates,
     elevation_azimuth,
     enu_from_ecef_rotation,

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.formats.observations import ObservationEpoch
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch
 from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S, SatelliteStates, ranges, states_at_transmission
+from camber.gnss.satellite_states import SatelliteStates, ranges, states_at_transmission
 from camber.gnss.signals import GROUPS, pair_signals
 from camber.gnss.single_differences import (
     Masks,

@@ -11,14 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, satellite_number
+from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
+    Ephemeris,
+    ObservationEpoch,
+    satellite_name,
+    satellite_number,
+)
 from camber.formats.rinex_navigation import read_navigation
 from camber.formats.rinex_reading import read_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.satellite_states import SPEED_OF_LIGHT_M_S
 from camber.gnss.single_point import SinglePoint, single_point
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA, Atmosphere
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
