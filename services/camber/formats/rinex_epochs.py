@@ -225,16 +225,18 @@ def _read_epochs(
         newline = line_end(data, position)
         if newline < 0:
             return n_rows, n_epochs, n_problems, position, lines, astray, NEEDS_MORE, 0, 0, 0
+        # Of a line that is too long the reader may hold its beginning only: nothing rests on where its text ends.
+        too_long = newline - position > MAXIMUM_LINE_BYTES
         end = text_end(data, position, newline)
         number = line_number + lines
         flag = count = -1
         time_ns = -1
-        if data[position] == GREATER:
+        if data[position] == GREATER and not too_long:
             flag, count, time_ns = _epoch_line(data, position, end, columns.picoseconds)
         if flag < 0:
             fault = EPOCH_LINE if data[position] == GREATER else STRAY
             # Of lines that belong to no epoch the first is an error.
-            if fault == EPOCH_LINE or (end > position and not astray):
+            if fault == EPOCH_LINE or ((end > position or too_long) and not astray):
                 n_problems = _problem(tables, n_problems, number, position, fault, _NONE)
                 astray = True
             position, lines = newline + 1, lines + 1
@@ -258,6 +260,8 @@ def _read_epochs(
                 begin, line = starts[k], number + 1 + k
                 end = text_end(data, begin, starts[k + 1] - 1)
                 satellite, fault = _satellite_or_fault(data, begin, end, columns, taken, n_taken)
+                if starts[k + 1] - 1 - begin > MAXIMUM_LINE_BYTES:
+                    fault = TOO_LONG
                 where = _NONE
                 if fault == _SKIPPED:
                     tables.skipped[satellite >> 8] += 1
@@ -290,7 +294,7 @@ def _read_epochs(
 @compiled
 def _epoch_line(data: Bytes, position: int, end: int, picoseconds: bool) -> tuple[int, int, int]:
     """Flag, number of lines, time in the file's system; the flag is −1 where the line is damaged."""
-    if not HEAD_BYTES <= end - position <= MAXIMUM_LINE_BYTES:
+    if end - position < HEAD_BYTES:
         return -1, -1, -1
     flag = int(data[position + 31]) - ZERO
     count = integer(data, position + 32, position + 35)
@@ -325,8 +329,6 @@ def _satellite_or_fault(
     """The satellite of a line, and what is wrong with it, −1: nothing."""
     satellite = satellite_at(data, begin, end)
     first = columns.first[satellite >> 8] if satellite >= 0 else _NOT_IN_HEADER
-    if end - begin > MAXIMUM_LINE_BYTES:
-        return satellite, TOO_LONG
     if first == _NOT_IN_HEADER:
         return satellite, SATELLITE
     if first == _LEFT_OUT:

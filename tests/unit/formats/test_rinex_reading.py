@@ -420,6 +420,26 @@ def test_a_damaged_epoch_line_costs_its_epoch(bad):
     assert error.line_number == 5
 
 
+@pytest.mark.parametrize("rest", ["", " " * 9000, " " * 9000 + "x", " " * 9000 + "\r"])
+@pytest.mark.parametrize("begun", [satellite("G01")[:-1], head(2)[:-1], "x", ""])
+def test_a_line_that_is_too_long_is_one_wherever_the_bytes_are_cut(begun: str, rest: str):
+    """Of such a line only the beginning is kept while it comes: blanks there hide what follows them."""
+    good = head(1, 1.0) + satellite("G05")
+    text = header() + head(2) + begun + rest + "\n" + satellite("G02") + good
+    data, first = text.encode(), len(header() + head(2))
+    epochs, errors, _ = decode(data)
+    for cut in (first, first + 1, first + 100, first + 8192, first + 8193, first + 8194, len(data) - len(good)):
+        if cut >= len(data):
+            continue
+        decoder = RinexDecoder("test.obs")
+        results = decoder.feed(data[:cut]) + decoder.feed(data[cut:]) + decoder.finish()
+        assert [str(r) for r in results if isinstance(r, FormatError)] == [str(e) for e in errors]
+        found = [r for r in results if isinstance(r, ObservationEpoch)]
+        assert [rows_of(e) for e in found] == [rows_of(e) for e in epochs]
+    if rest:
+        assert errors
+
+
 def test_lines_that_belong_to_no_epoch_are_one_error_and_blank_ones_none():
     text = header() + head(1) + satellite("G01") * 4 + "\n\r\n" + head(1, 1.0) + satellite("G01")
     epochs, errors, _ = decode(text)
