@@ -1,10 +1,11 @@
 # The commands people type. `make check` is what CI runs.
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt
+# Without --compile: byte code is made of what is imported, and not of all that is installed.
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 OUT := out
 
-.PHONY: help setup demo test check lint bench fuzz golden docs image clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-simulator test check lint bench fuzz mutation golden docs image clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -12,7 +13,9 @@ help:
 	@echo "make test    all tests; what needs recordings or a container engine skips visibly"
 	@echo "make check   lint, types, import rules, generated pages, tests: what CI runs"
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
-	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less"
+	@echo "make evidence  drives through all services, and docs/evidence.md; the recording needs CAMBER_DATA; an hour"
+	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
+	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; half an hour"
 	@echo "make image   container image camber, with everything for any service"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
@@ -22,23 +25,45 @@ $(BIN)/python:
 
 # What running needs; redone when the requirements change.
 .venv/.runtime: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) -e '.[simulator]'
+	$(PIP) -e '.[localizer,simulator]'
 	@touch $@
 
-.venv/.development: .venv/.runtime
+.venv/.development: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e '.[engine,localizer,map,fleet,web,simulator,dev]'
-	@touch $@
+	@touch .venv/.runtime $@
+
+.venv/.mutation: pyproject.toml constraints.txt | .venv/.development
+	$(PIP) -e '.[mutation]'
+	@touch .venv/.runtime .venv/.development $@
 
 setup: .venv/.development
 
 demo: .venv/.runtime
 	$(BIN)/camber demo --out $(OUT)/demo
 
-# What runs in one process goes side by side; what starts processes, and waits for them, does not.
-test: setup
-	$(BIN)/python -m camber.gnss.warm_up # once, not once a worker
-	$(BIN)/python -m pytest -n 2 --dist loadfile tests/architecture tests/contract tests/fuzz tests/unit
-	$(BIN)/python -m pytest tests/integration tests/replay tests/container
+# Machine code is made once, before any worker needs it.
+compile: compile-engine compile-simulator compile-localizer
+
+compile-engine: setup
+	$(BIN)/python -m camber.gnss.warm_up
+
+compile-localizer: setup
+	$(BIN)/python -m camber.localizer.warm_up
+
+compile-simulator: setup
+	$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out $(OUT)/compile --quiet
+
+# Two at once, but for what times something by the machine's clock (the marker `timed`): that has the machine alone.
+# The judge's pure modules must be covered whole by their own tests.
+define TESTS
+$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' --ignore tests/unit/integrity \
+	tests/replay tests/integration tests/container tests/architecture tests/contract tests/fuzz tests/unit
+$(BIN)/python -m pytest -n 2 --dist load tests/unit/integrity --cov
+$(BIN)/python -m pytest -m timed tests/integration tests/container
+endef
+
+test: compile
+	$(TESTS)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -47,13 +72,22 @@ lint: setup
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m camber.tools.data_flow --check
 
-check: lint test
+# Types are checked by one processor while the other compiles.
+check: setup
+	$(MAKE) --jobs 2 --output-sync=target compile lint
+	$(TESTS)
 
 bench: setup
 	$(BIN)/python benchmarks/run.py --out $(OUT)/bench.json
 
+evidence: setup
+	$(BIN)/camber evidence --out $(OUT)/evidence --lab $(OUT)/lab/lab.json --page docs/evidence.md
+
 fuzz: setup
-	PYTHONPATH=tests $(BIN)/python -m fuzz.run --minutes $(or $(FUZZ_MINUTES),10) --out $(OUT)/fuzz
+	PYTHONPATH=tests $(BIN)/python -m fuzz.run --minutes $(or $(FUZZ_MINUTES),10) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED)) --out $(OUT)/fuzz
+
+mutation: setup .venv/.mutation
+	PYTHONPATH=tests $(BIN)/python -m mutation.run --out $(OUT)/mutation
 
 golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden

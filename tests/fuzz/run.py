@@ -1,16 +1,19 @@
 """Attack all decoders, or some, for a time: `PYTHONPATH=tests python -m fuzz.run --minutes 10` (`make fuzz`).
 
-Each in a process of its own. What breaks one is written to a file beside the seed that made it.
+Each in a process of its own, as many at once as there are processors. What breaks one is written to a file beside the
+seed that made it.
 """
 
 from __future__ import annotations
 
 import argparse
 import faulthandler
+import os
 import secrets
 import subprocess
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fuzz.decoders import DECODERS
@@ -29,17 +32,20 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="for input that breaks something")
     args = parser.parse_args()
     names = args.only or _NAMES
-    seconds = 60.0 * args.minutes / len(names)
+    at_once = min(len(names), os.cpu_count() or 1)
+    seconds = 60.0 * args.minutes * at_once / len(names)
     seed = secrets.randbits(32) if args.seed is None else args.seed
     if len(names) == 1:
         return _attack(names[0], seconds, seed, args.out)
-    broken = []
-    for name in names:
+
+    def attacked(name: str) -> int:
         command = [sys.executable, "-m", "fuzz.run", "--only", name, "--minutes", str(seconds / 60.0)]
         command += ["--seed", str(seed), "--out", str(args.out)]
-        code = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
-        if code != 0:
-            broken.append(f"{name} (exit code {code})")
+        return subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
+
+    with ThreadPoolExecutor(at_once) as processes:
+        codes = dict(zip(names, processes.map(attacked, names), strict=True))
+    broken = [f"{name} (exit code {code})" for name, code in codes.items() if code != 0]
     result = f"broken: {', '.join(broken)}" if broken else "all hold"
     print(f"fuzz: {len(names)} decoders, seed {seed}: {result}")
     return 1 if broken else 0

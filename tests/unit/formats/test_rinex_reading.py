@@ -428,7 +428,15 @@ def test_a_line_that_is_too_long_is_one_wherever_the_bytes_are_cut(begun: str, r
     text = header() + head(2) + begun + rest + "\n" + satellite("G02") + good
     data, first = text.encode(), len(header() + head(2))
     epochs, errors, _ = decode(data)
-    for cut in (first, first + 1, first + 100, first + 8192, first + 8193, first + 8194, len(data) - len(good)):
+    for cut in (
+        first,
+        first + 1,
+        first + 100,
+        first + 8192,
+        first + 8193,
+        first + 8194,
+        len(data) - len(good),
+    ):
         if cut >= len(data):
             continue
         decoder = RinexDecoder("test.obs")
