@@ -1,11 +1,12 @@
 """What a vehicle's own sensors said, as CSV: one row a sample, an empty field where a sensor gave nothing.
 
-    motion      time_ns,wheel_speed_m_s,yaw_rate_rad_s,steering_angle_rad
+    motion      time_ns,wheel_speed_m_s,yaw_rate_rad_s,steering_angle_rad[,pitch_rad,roll_rad]
     suspension  time_ns,stroke_height_m,stroke_sigma_m
     ranging     time_ns,distance_m,beam_angle_rad,distance_sigma_m
 
 Signs and frames are those of `camber.schemas.motion`; times are GPS time. Rows are handed on in the file's order:
-repeated and late ones are for the services to meet.
+repeated and late ones are for the services to meet. Pitch and roll are of vehicles that measure them: both
+columns stand there, or neither does.
 """
 
 import csv
@@ -22,13 +23,15 @@ from camber.schemas.motion import Motion, Ranging, Suspension
 M = TypeVar("M", bound=Message)
 
 MOTION_COLUMNS = ("time_ns", "wheel_speed_m_s", "yaw_rate_rad_s", "steering_angle_rad")
+ATTITUDE_COLUMNS = ("pitch_rad", "roll_rad")
+"""Those that may follow, both of them."""
 SUSPENSION_COLUMNS = ("time_ns", "stroke_height_m", "stroke_sigma_m")
 RANGING_COLUMNS = ("time_ns", "distance_m", "beam_angle_rad", "distance_sigma_m")
 
 
 def read_motion(path: Path) -> list[Motion]:
     """All samples of a file. Raises FormatError for the first bad row, OSError if it cannot be read."""
-    return _read(path, Motion, MOTION_COLUMNS)
+    return _read(path, Motion, MOTION_COLUMNS, ATTITUDE_COLUMNS)
 
 
 def read_suspension(path: Path) -> list[Suspension]:
@@ -42,8 +45,13 @@ def read_ranging(path: Path) -> list[Ranging]:
 
 
 def write_motion(path: Path, samples: Iterable[Motion]) -> None:
-    """Write a file that `read_motion` reads to 1e-9 of a unit; the same samples give the same bytes."""
-    _write(path, samples, MOTION_COLUMNS)
+    """Write a file that `read_motion` reads to 1e-9 of a unit; the same samples give the same bytes.
+
+    With columns for pitch and roll if any sample has one of them.
+    """
+    rows = list(samples)
+    tilted = any(sample.pitch_rad is not None or sample.roll_rad is not None for sample in rows)
+    _write(path, rows, MOTION_COLUMNS + ATTITUDE_COLUMNS if tilted else MOTION_COLUMNS)
 
 
 def write_suspension(path: Path, samples: Iterable[Suspension]) -> None:
@@ -66,14 +74,16 @@ def _write(path: Path, samples: Iterable[Message], columns: tuple[str, ...]) -> 
     path.write_bytes(("\n".join(lines) + "\n").encode("ascii"))
 
 
-def _read(path: Path, cls: type[M], columns: tuple[str, ...]) -> list[M]:
+def _read(path: Path, cls: type[M], columns: tuple[str, ...], more: tuple[str, ...] = ()) -> list[M]:
+    """`more`: columns that may follow, all of them or none."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.reader(file)
         header = tuple(name.strip() for name in next(rows, []))
-        if header != columns:
-            raise FormatError(path.name, "header", ",".join(columns), found=",".join(header), line_number=1)
+        if header not in (columns, columns + more):
+            expected = ",".join(columns) + (f", or that and {','.join(more)}" if more else "")
+            raise FormatError(path.name, "header", expected, found=",".join(header), line_number=1)
         return [
-            _sample(path.name, number, cls, columns, row) for number, row in enumerate(rows, start=2) if row
+            _sample(path.name, number, cls, header, row) for number, row in enumerate(rows, start=2) if row
         ]
 
 

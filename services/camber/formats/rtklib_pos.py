@@ -30,6 +30,7 @@ from camber.geodesy.gps_time import (
     nanoseconds_from_decimal,
     text_from_calendar,
 )
+from camber.schemas.base import LATEST_NS
 
 _REQUIRED = ("latitude(deg)", "longitude(deg)", "height(m)", "Q", "ns")
 _DEVIATIONS = ("sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)")
@@ -223,14 +224,17 @@ class _Row:
         try:
             if "/" in first:
                 calendar = calendar_from_text(f"{first} {second}")
-                return gps_ns_from_utc(calendar) if self.layout.utc else gps_ns_from_gpst(calendar)
-            if not (first.isascii() and first.isdigit() and len(first) <= 4):
+                time_ns = gps_ns_from_utc(calendar) if self.layout.utc else gps_ns_from_gpst(calendar)
+            elif first.isascii() and first.isdigit() and len(first) <= 4:
+                time_ns = gps_ns_from_week_tow(int(first), nanoseconds_from_decimal(second))
+            else:
                 raise ValueError(first)
-            time_ns = gps_ns_from_week_tow(int(first), nanoseconds_from_decimal(second))
+            if time_ns > LATEST_NS:
+                raise ValueError(time_ns)
         except ValueError:
-            expected = "yyyy/mm/dd hh:mm:ss.sss or GPS week and seconds of week, from 1980-01-06 on"
+            expected = "yyyy/mm/dd hh:mm:ss.sss or GPS week and seconds of week, from 1980 to 2079"
             raise self.error("time", expected, f"{first} {second}") from None
-        if self.layout.utc:
+        if self.layout.utc and "/" not in first:
             raise self.error("time", "a date and time of day where the header says UTC", f"{first} {second}")
         return time_ns
 

@@ -165,7 +165,11 @@ def _naive_ns(calendar: CalendarTime) -> int:
     year, month, day, hour, minute, second, nanosecond = calendar
     if not (0 <= hour < 24 and 0 <= minute < 60 and 0 <= second <= 60 and 0 <= nanosecond < NS_PER_SECOND):
         raise ValueError(f"no such time of day: {hour}:{minute}:{second} and {nanosecond} ns")
-    days = date(year, month, day).toordinal() - _GPS_EPOCH_ORDINAL
+    try:
+        days = date(year, month, day).toordinal() - _GPS_EPOCH_ORDINAL
+    except OverflowError:
+        # A number that no C integer holds is no ValueError to date().
+        raise ValueError(f"no such day: {year}/{month}/{day}") from None
     return ((days * 24 + hour) * 60 + minute) * 60 * NS_PER_SECOND + second * NS_PER_SECOND + nanosecond
 
 

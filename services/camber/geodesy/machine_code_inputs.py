@@ -29,6 +29,8 @@ _PLAIN = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 _VERSIONED = {"builtins", "math", "cmath", "operator", "_operator", "numpy", "numba"}
 _VERSIONS = (platform.python_version(), *(version(name) for name in ("numba", "llvmlite", "numpy")))
 
+_first_flags: dict[int, tuple[CodeType, int]] = {}
+
 
 class NotKnown(Exception):  # noqa: N818 (the name says what is the matter)
     """The function reaches something of which this module cannot tell whether it has changed."""
@@ -108,10 +110,15 @@ class _Reached:
         return (
             code.co_code.hex(),
             code.co_exceptiontable.hex(),
-            (code.co_flags, code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount),
+            (_flags(code), code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount),
             (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars),
             [self.value(constant) for constant in code.co_consts],
         )
+
+
+def _flags(code: CodeType) -> int:
+    """As they were before the first call: where a profiler listens, numba then writes others into the code."""
+    return _first_flags.setdefault(id(code), (code, code.co_flags))[1]
 
 
 @cache

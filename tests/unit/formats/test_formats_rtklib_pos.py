@@ -15,6 +15,7 @@ from camber.formats.line_buffer import MAXIMUM_LINE_BYTES
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line, read_pos
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
+from camber.schemas.base import LATEST_NS
 
 DATUM = (
     "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)\n"
@@ -214,7 +215,18 @@ def test_a_bad_value_names_line_field_and_expectation(name: str, value: str) -> 
 
 @pytest.mark.parametrize(
     "time",
-    ["2270 604800.0", "2270 -1", "-1 5", "99999 1", "2023/02/30 00:00:00", "1979/01/01 00:00:00", "a b"],
+    [
+        "2270 604800.0",
+        "2270 -1",
+        "-1 5",
+        "9999 1",
+        "99999 1",
+        "2023/02/30 00:00:00",
+        "1979/01/01 00:00:00",
+        "2100/01/01 00:00:00",
+        "20230711000/01/01 00:00:00",
+        "a b",
+    ],
 )
 def test_bad_times(time: str) -> None:
     assert "rover.pos:3: time" in error_of(DATUM + COLUMNS + ROW.replace("2270 194670.000", time))
@@ -270,7 +282,7 @@ covariances = st.builds(covariance_from, st.tuples(deviations, deviations, devia
 velocities = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
 solutions = st.builds(
     ReceiverSolution,
-    time_ns=st.integers(0, 4 * 10**18),
+    time_ns=st.integers(0, LATEST_NS),
     latitude_rad=coordinates,
     longitude_rad=st.floats(-math.pi, math.pi),
     height_m=st.floats(-500.0, 9000.0),

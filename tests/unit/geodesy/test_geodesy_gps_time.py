@@ -86,6 +86,8 @@ def test_the_leap_second_of_2016_has_its_own_name() -> None:
         CalendarTime(2023, 2, 29, 0, 0, 0),
         CalendarTime(2023, 1, 1, 24, 0, 0),
         CalendarTime(1980, 1, 5, 23, 59, 59),
+        CalendarTime(20230711000, 1, 1, 0, 0, 0),
+        CalendarTime(2023, 1 << 40, 1, 0, 0, 0),
     ],
 )
 def test_times_that_do_not_exist_are_refused(bad: CalendarTime) -> None:
@@ -130,7 +132,15 @@ def test_bad_decimals_are_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "2023/07/11", "2023-07-11 00:00:00", "2023/13/01 00:00:00", "2023/07/11 00:61:00", "a/b/c d:e:f"],
+    [
+        "",
+        "2023/07/11",
+        "2023-07-11 00:00:00",
+        "2023/13/01 00:00:00",
+        "20230000000/07/11 00:00:00",
+        "2023/07/11 00:61:00",
+        "a/b/c d:e:f",
+    ],
 )
 def test_bad_calendars_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="expected yyyy/mm/dd"):

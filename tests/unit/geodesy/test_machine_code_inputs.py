@@ -1,5 +1,6 @@
 """The digest changes with everything that compiling reads, and with nothing else."""
 
+import cProfile
 import importlib
 import pkgutil
 from collections.abc import Iterator
@@ -134,6 +135,15 @@ def test_it_changes_with_types_and_with_the_names_of_their_fields() -> None:
 def test_what_it_cannot_judge_is_said(reached: str) -> None:
     with pytest.raises(NotKnown, match="it reaches"):
         digest(KERNEL.replace("LIMIT = 3.0", f"LIMIT = {reached}"))
+
+
+def test_a_profiler_that_listens_to_the_calls_changes_nothing() -> None:
+    module: dict[str, Any] = {"__name__": "kernels"}
+    exec(compile(KERNEL, "kernels.py", "exec"), module)
+    before = inputs_digest(module["kernel"])
+    inner = module["inner"]
+    cProfile.Profile().runcall(lambda: (inner(1.0), inner(1.0)))
+    assert inputs_digest(module["kernel"]) == before
 
 
 def test_functions_as_arguments_are_not_known() -> None:
