@@ -40,6 +40,7 @@ Text = Annotated[str, Field(max_length=512)]
 _Component = Annotated[float, Field(ge=-1e9, le=1e9)]
 _Variance = Annotated[float, Field(ge=0.0, le=1e18)]
 _Covariance = Annotated[float, Field(ge=-1e18, le=1e18)]
+Vector2 = tuple[_Component, _Component]
 Vector3 = tuple[_Component, _Component, _Component]
 Covariance3 = tuple[_Variance, _Covariance, _Covariance, _Variance, _Covariance, _Variance]
 """Upper triangle (xx, xy, xz, yy, yz, zz) of a symmetric 3×3 covariance."""

@@ -42,7 +42,7 @@ class Channel:
 
 _V = "camber/v1/{vehicle}/"
 _F = "camber/v1/fleet/"
-VEHICLE_SERVICES = ("gnss", "map_server", "antenna_height", "localizer", "integrity")
+VEHICLE_SERVICES = ("gnss", "map_server", "localizer", "antenna_height", "integrity")
 FEEDER = "feeder"
 SERVICES = (*VEHICLE_SERVICES, "map_update")
 """In the order of work within one epoch of a replay."""
@@ -50,8 +50,8 @@ SERVICES = (*VEHICLE_SERVICES, "map_update")
 CHANNELS: tuple[Channel, ...] = (
     Channel("receiver_bytes", _V + "vehicle/receiver_bytes", gnss.ReceiverBytes, ("vehicle",), ("gnss",), 10, 2.0,
             "small", note="native bytes, where the receiver is not attached to gnss itself: replays"),
-    Channel("motion", _V + "vehicle/motion", motion.Motion, ("vehicle",), ("gnss", "localizer", "integrity"), 10,
-            0.5, "small"),
+    Channel("motion", _V + "vehicle/motion", motion.Motion, ("vehicle",),
+            ("gnss", "localizer", "antenna_height", "integrity"), 10, 0.5, "small"),
     Channel("suspension", _V + "vehicle/suspension", motion.Suspension, ("vehicle",), ("antenna_height",), 10, 0.5,
             "small"),
     Channel("ranging", _V + "vehicle/ranging", motion.Ranging, ("vehicle",), ("antenna_height",), 10, 0.5, "small"),
@@ -69,11 +69,12 @@ CHANNELS: tuple[Channel, ...] = (
             reply=road.LinksReply),
     Channel("tile", _V + "map_server/tile", road.TileRequest, ("localizer",), ("map_server",), 0.1, 2.0, "query",
             reply=road.TileReply),
+    Channel("pose", _V + "localizer/pose", pose.Pose, ("localizer",), ("antenna_height", "integrity"), 10, 0.3,
+            "small"),
+    Channel("scan_match", _V + "localizer/match", pose.ScanMatch, ("localizer",), ("antenna_height", "integrity"), 10,
+            0.5, "small", made_from="sweep"),
     Channel("antenna_height", _V + "antenna_height/height", antenna.AntennaHeight, ("antenna_height",), ("integrity",),
             10, 2.0, "small"),
-    Channel("pose", _V + "localizer/pose", pose.Pose, ("localizer",), ("integrity",), 10, 0.3, "small"),
-    Channel("scan_match", _V + "localizer/match", pose.ScanMatch, ("localizer",), ("antenna_height", "integrity"), 10,
-            0.5, "small", looped=True, made_from="sweep"),
     Channel("verdict", _V + "integrity/verdict", integrity.Verdict, ("integrity",), ("localizer", "consumers"), 10, 1.0,
             "small", looped=True, note="confirmed positions anchor the localizer's next pose"),
     Channel("position", _V + "integrity/position", integrity.Position, ("integrity",), ("consumers",), 10, 1.0,

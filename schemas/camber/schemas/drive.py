@@ -161,6 +161,16 @@ class LeverArms(Model):
     antenna: LeverArm = Field(default=LeverArm(), description="reference point of the antenna")
     lidar: LeverArm = Field(default=LeverArm(), description="origin of the surround sensor")
     wheel: LeverArm = Field(default=LeverArm(), description="point whose speed the wheel sensor gives")
+    ranging: LeverArm | None = Field(default=None, description="origin of the ranging sensor")
+    suspension: LeverArm | None = Field(
+        default=None, description="top of the suspension whose stroke is measured"
+    )
+
+    @property
+    def said(self) -> dict[str, LeverArm]:
+        """Those whose height above the road was said, by name: nobody's is a default."""
+        arms = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: arm for name, arm in arms.items() if arm is not None and "z_m" in arm.model_fields_set}
 
 
 class AntennaHeightWay(Model):
@@ -179,19 +189,28 @@ class AntennaHeightWay(Model):
     tyre_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] | None = Field(
         default=None, description="stroke: h_t of H (1)"
     )
-    sensor_to_antenna_m: Metres | None = Field(default=None, description="ranging: h_sa of H (7)")
+    beam_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
+        default=0.0, description="ranging: where the beam points, counter-clockwise from forward"
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         needed = {
             "fixed": ("height_m", "sigma_m"),
             "stroke": ("suspension_to_antenna_m", "tyre_radius_m"),
-            "ranging": ("sensor_to_antenna_m",),
         }.get(self.way, ())
         for name in needed:
             if getattr(self, name) is None:
                 raise PydanticCustomError("incomplete", f"way = {self.way!r} without {name}, expected both")
         return self
+
+
+_SENSORS = {
+    "ranging": "a table ranging or a table sweeps",
+    "scan_matching": "a table sweeps",
+    "automatic": "a table ranging or a table sweeps",
+}
+"""What a way measures with."""
 
 
 class InitialPose(Model):
@@ -332,7 +351,7 @@ class DriveManifest(Model):
     sweeps: Sweeps | None = Field(default=None, description="table with the sweeps' folder")
     map: MapRelease | None = Field(default=None, description="table with the map release")
     truth: Truth | None = Field(default=None, description="table with the truth")
-    lever_arms: LeverArms = Field(default=LeverArms(), description="table of antenna, lidar, wheel")
+    lever_arms: LeverArms = Field(default=LeverArms(), description="table of places on the vehicle")
     antenna_height: AntennaHeightWay = Field(description="table that says how the antenna's height is known")
     initial_pose: InitialPose | None = Field(default=None, description="table with a given pose at the start")
     kills: Annotated[tuple[Kill, ...], Field(strict=False)] = Field(
@@ -376,8 +395,12 @@ class DriveManifest(Model):
             ),
             "antenna_height.way is 'stroke', expected a table suspension": way == "stroke"
             and self.suspension is None,
-            "antenna_height.way is 'ranging', expected a table ranging": way == "ranging"
-            and self.ranging is None,
+            f"antenna_height.way is {way!r}, expected lever_arms.antenna with its z_m": (
+                way in _SENSORS and "antenna" not in self.lever_arms.said
+            ),
+            f"antenna_height.way is {way!r}, expected {_SENSORS.get(way)}, each with its lever arm and z_m": (
+                way in _SENSORS and not self._has_sensor(way)
+            ),
             "surrogates.antenna_height_m is missing, expected it where antenna_height has no height_m": (
                 "road_surfaces" in inputs and roads_without_height
             ),
@@ -389,6 +412,12 @@ class DriveManifest(Model):
             ),
         }
         return [text for text, failed in tests.items() if failed]
+
+    def _has_sensor(self, way: str) -> bool:
+        """Is there a sensor from which a way can tell a height? Sweeps show the road near the vehicle, too."""
+        said = self.lever_arms.said
+        sweeps = self.sweeps is not None and "lidar" in said
+        return sweeps or (way != "scan_matching" and self.ranging is not None and "ranging" in said)
 
     @property
     def judged_positions(self) -> Literal["receiver", "engine"]:

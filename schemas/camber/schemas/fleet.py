@@ -21,16 +21,23 @@ from camber.schemas.base import (
     Text,
     UInt8,
 )
+from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictWord
+
+EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
 
 class ElevationUpload(Message):
-    """One observation of a road's height, free of the map's own height; `time_ns` is the positioning time (H)."""
+    """One observation of a road's height; `time_ns` is the positioning time (H).
+
+    It is free of the map's height and of any correction learnt against it. σ and covariance are those of a right fix,
+    which are larger than a receiver claims.
+    """
 
     vehicle: Name
     upload_id: Name = Field(description="unique per vehicle; the server keeps each once")
     fix_id: Count
-    fix_quality: Name
+    fix_quality: Quality
     verdict: VerdictWord
     latitude_rad: Latitude
     longitude_rad: Longitude
@@ -39,23 +46,32 @@ class ElevationUpload(Message):
     antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)]
     position_covariance_enu_m2: Covariance3
     datum: Name
-    epoch_year: Annotated[float, Field(ge=1980.0, le=2200.0)]
+    epoch_year: EpochYear
     map_version: Count
     surface_id: Count
 
 
 class UploadBatch(Message):
-    """Many observations of one vehicle as columns; `time_ns` is that of the last."""
+    """Many observations of one vehicle as columns; `time_ns` is that of the last, `epoch_year` that of the first.
+
+    `verdict` and `fix_quality` are indices into the words of ElevationUpload, in their order.
+    """
 
     vehicle: Name
     batch_id: Name
     datum: Name
+    epoch_year: EpochYear
     map_version: Count
     positioning_time_ns: Annotated[Int64, ArrayOf("<i8", ("records",))]
+    fix_id: Annotated[Int64, ArrayOf("<i8", ("records",), ge=0)]
+    fix_quality: Annotated[UInt8, ArrayOf("|u1", ("records",), le=7)]
     surface_id: Annotated[Int64, ArrayOf("<i8", ("records",))]
     verdict: Annotated[UInt8, ArrayOf("|u1", ("records",), le=3)]
     latitude_rad: Annotated[Float64, ArrayOf("<f8", ("records",))]
     longitude_rad: Annotated[Float64, ArrayOf("<f8", ("records",))]
+    horizontal_sigma_m: Annotated[Float64, ArrayOf("<f8", ("records",), ge=0.0)] = Field(
+        description="of the position, in its worst direction"
+    )
     road_height_m: Annotated[Float64, ArrayOf("<f8", ("records",))]
     road_height_sigma_m: Annotated[Float64, ArrayOf("<f8", ("records",), ge=0.0)]
     antenna_height_m: Annotated[Float64, ArrayOf("<f8", ("records",))]

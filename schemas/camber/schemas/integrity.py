@@ -17,6 +17,7 @@ from camber.schemas.base import (
     Probability,
     Sigma,
     Text,
+    Vector2,
 )
 
 VerdictWord = Literal["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
@@ -27,6 +28,13 @@ Reason = Literal[
     "starting",
     "not_a_fix",
     "position_disagrees",
+    "height_and_position_disagree",
+    "height_unverified",
+    "position_unverified",
+    "phase_residuals_contradict",
+    "estimates_disagree",
+    "receiver_warns",
+    "common_offset",
     "continuity_disagrees",
     "fix_implausible",
     "fix_repeated",
@@ -47,7 +55,20 @@ Reason = Literal[
     "localizer_absent",
     "antenna_height_absent",
 ]
-Evidence = Literal["height", "time_series", "ambiguity_continuity", "scan_matching", "track"]
+Evidence = Literal[
+    "height",
+    "position",
+    "time_series",
+    "ambiguity_continuity",
+    "scan_matching",
+    "track",
+    "phase_residuals",
+    "estimates",
+]
+Cause = Literal["none", "antenna", "road", "base", "ambiguous"]
+"""What a lasting difference comes from: the antenna's height, one surface of the map, the base station or the datum
+(every fix is off by one vector), or what one vehicle cannot tell apart."""
+PositionSource = Literal["rtk", "doppler", "sensors", "scan_match", "none"]
 
 
 class Verdict(Message):
@@ -64,6 +85,17 @@ class Verdict(Message):
     evidence: tuple[Evidence, ...] = Field(default=(), max_length=8)
     height_difference_m: float | None = None
     tolerance_m: Sigma | None = None
+    position_difference_m: Vector2 | None = Field(
+        default=None, description="fix less pose, east and north, at the fix's time"
+    )
+    joint_distance2: Sigma | None = Field(
+        default=None, description="squared Mahalanobis distance of height and position together"
+    )
+    joint_limit: Sigma | None = Field(default=None, description="beyond it the fix contradicts")
+    missed_detection_probability: Probability | None = Field(
+        default=None, description="that a wrong fix would have passed, all trials charged"
+    )
+    cause: Cause = Field(default="none", description="of a lasting difference, where one is known")
     correction_m: float = Field(default=0.0, description="h_e in force when this was judged")
     trials: Count = 0
     latitude_rad: Latitude | None = Field(default=None, description="of the antenna, where confirmed")
@@ -77,14 +109,18 @@ class Verdict(Message):
 class Position(Message):
     """What consumers use, at every epoch: where the antenna is, how far off it may be, and whether to use it."""
 
-    source: Literal["rtk", "doppler", "sensors", "scan_match", "none"]
-    usable: bool = Field(description="the 99.9 % horizontal radius is below the alert limit")
+    source: PositionSource
+    usable: bool = Field(
+        description="the protection levels at the integrity risk are below their alert limits"
+    )
     reason: Reason = "none"
     latitude_rad: Latitude | None = None
     longitude_rad: Longitude | None = None
     height_m: Height | None = Field(default=None, description="ellipsoidal")
     covariance_enu_m2: Covariance3 | None = None
     yaw_rad: Angle | None = None
+    semi_major_99_m: Sigma | None = Field(default=None, description="99 % horizontal error ellipse")
+    semi_minor_99_m: Sigma | None = None
     semi_major_999_m: Sigma | None = Field(default=None, description="99.9 % horizontal error ellipse")
     semi_minor_999_m: Sigma | None = None
     orientation_rad: Angle | None = Field(
@@ -96,4 +132,8 @@ class Position(Message):
         default=None, description="per epoch, at which the levels hold"
     )
     alert_limit_m: Sigma
+    vertical_alert_limit_m: Sigma | None = None
+    wrong_fix_probability: Probability | None = Field(
+        default=None, description="that a wrong fix has passed, as the levels take it into account"
+    )
     fix_id: Count | None = None

@@ -21,8 +21,12 @@ class Motion(Message):
     steering_angle_rad: Angle | None = Field(
         default=None, description="of the equivalent front wheel, to the left positive"
     )
-    pitch_rad: Angle | None = None
-    roll_rad: Angle | None = None
+    pitch_rad: Angle | None = Field(
+        default=None, description="of the body against the vertical, nose down positive"
+    )
+    roll_rad: Angle | None = Field(
+        default=None, description="of the body against the vertical, left side up positive"
+    )
 
 
 class Suspension(Message):

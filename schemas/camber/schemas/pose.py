@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
 from camber.schemas.base import (
@@ -14,6 +15,7 @@ from camber.schemas.base import (
     Covariance3,
     Float64,
     Height,
+    Int32,
     Int64,
     Latitude,
     Longitude,
@@ -112,7 +114,12 @@ class Pose(Message):
 
 
 class ScanMatch(Message):
-    """A layered scan match of one local map against the environment map."""
+    """A layered scan match of one local map against the environment map.
+
+    Two heights of the sensor above the road, both along the vertical: `sensor_height_m` owes to the match and the map's
+    road, `ground_height_m` to the sweep's own returns from the road near the vehicle, without any map. Slopes are
+    metres of height a metre along the heading's axes, level: forward, and to its left.
+    """
 
     status: Literal["converged", "ambiguous", "lost"]
     reason: Text = ""
@@ -120,10 +127,44 @@ class ScanMatch(Message):
     longitude_rad: Longitude | None = None
     height_m: Height | None = Field(default=None, description="ellipsoidal, of the sensor")
     sensor_height_m: Annotated[float, Field(ge=-10.0, le=100.0)] | None = Field(
-        default=None, description="sensor above the road, from matching"
+        default=None,
+        description="vertical distance from the map's road surface below the sensor to the sensor, from matching",
     )
     sensor_height_sigma_m: Sigma | None = None
-    roll_pitch_yaw_rad: Vector3 | None = None
+    ground_height_m: Annotated[float, Field(ge=-10.0, le=100.0)] | None = Field(
+        default=None,
+        description="the same by the sensor's own returns from the road near the vehicle, without the map",
+    )
+    ground_height_sigma_m: Sigma | None = None
+    road_slope_forward: Annotated[float, Field(ge=-2.0, le=2.0)] | None = Field(
+        default=None, description="of the map's road under the vehicle, along the heading, up positive"
+    )
+    road_slope_left: Annotated[float, Field(ge=-2.0, le=2.0)] | None = Field(
+        default=None, description="of the same across it, up to the left positive"
+    )
+    roll_pitch_yaw_rad: Vector3 | None = Field(
+        default=None, description="of the vehicle, against the vertical and east"
+    )
     covariance_east_north: Covariance2 | None = None
     overlap: Probability | None = None
-    layer_mean_distance_m: Annotated[Float64, ArrayOf("<f8", ("layers",))] | None = None
+    layer: Annotated[Int32, ArrayOf("<i4", ("layers",), ge=0)] | None = Field(
+        default=None,
+        description="numbers of the layers that had partners in the map, 0 the lowest; None: all",
+    )
+    layer_mean_distance_m: Annotated[Float64, ArrayOf("<f8", ("layers",), ge=0.0)] | None = None
+
+    def distances_m(self, layers: int) -> Float64:
+        """Mean distance of each of so many layers (layers,), NaN for those without partners."""
+        distances = np.full(layers, np.nan)
+        if self.layer_mean_distance_m is not None:
+            numbers = np.arange(len(self.layer_mean_distance_m)) if self.layer is None else self.layer
+            seen = numbers < layers
+            distances[numbers[seen]] = self.layer_mean_distance_m[seen]
+        return distances
+
+    @property
+    def layers(self) -> int:
+        """How many layers there are at least."""
+        if self.layer is not None:
+            return int(self.layer.max(initial=-1)) + 1
+        return 0 if self.layer_mean_distance_m is None else len(self.layer_mean_distance_m)

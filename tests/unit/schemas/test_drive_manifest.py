@@ -119,6 +119,20 @@ def test_summary_names_what_was_made_and_not_measured(folder: Path) -> None:
         (["receiver.file=/etc/hostname"], "expected a path relative to the manifest"),
         (["receiver.format=ubx"], "receiver.format is 'ubx': should be 'pos' or 'nmea'"),
         (["antenna_height.way=stroke"], "without suspension_to_antenna_m"),
+        (["antenna_height.way=ranging"], "expected lever_arms.antenna with its z_m"),
+        (["antenna_height.way=automatic", "lever_arms.antenna.x_m=1.0"], "lever_arms.antenna with its z_m"),
+        (
+            ["antenna_height.way=ranging", "lever_arms.antenna.z_m=1.6", "ranging.file=rover.pos"],
+            "expected a table ranging or a table sweeps, each with its lever arm and z_m",
+        ),
+        (
+            [
+                "antenna_height.way=scan_matching",
+                "lever_arms={antenna={z_m=1.6}, ranging={z_m=0.9}}",
+                "ranging.file=rover.pos",
+            ],
+            "expected a table sweeps, each with its lever arm and z_m",
+        ),
         (["motion.file=rover.pos"], "expected no wheel_speed, yaw_rate, steering in surrogates.inputs"),
         (["map.release=data"], "expected no links, road_surfaces in surrogates.inputs"),
         (["start_s=5", "end_s=4"], "end_s is not after start_s"),
@@ -138,6 +152,25 @@ def test_the_line_names_the_file_and_whether_the_command_line_said_it(folder: Pa
         f"{folder / 'drive.toml'}: antenna_height.sigma_m is '-1.0'"
     )
     assert "drive.toml: --set surrogates.seed is" in refusal(folder, overrides=["surrogates.seed=-1"])
+
+
+@pytest.mark.parametrize(
+    ("way", "sensor", "arm"),
+    [
+        ("ranging", "ranging.file=rover.pos", "ranging"),
+        ("ranging", "sweeps.folder=data", "lidar"),
+        ("scan_matching", "sweeps.folder=data", "lidar"),
+        ("automatic", "ranging.file=rover.pos", "ranging"),
+        ("automatic", "sweeps.folder=data", "lidar"),
+    ],
+)
+def test_a_way_is_taken_where_its_sensor_and_the_places_are_said(
+    folder: Path, way: str, sensor: str, arm: str
+) -> None:
+    places = f"lever_arms={{antenna={{z_m=1.6}}, {arm}={{x_m=1.0, z_m=0.9}}}}"
+    manifest = load(folder, overrides=[f"antenna_height.way={way}", sensor, places])
+    assert manifest.antenna_height.way == way
+    assert set(manifest.lever_arms.said) == {"antenna", arm}
 
 
 def test_a_missing_table_is_named(folder: Path) -> None:

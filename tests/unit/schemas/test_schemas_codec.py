@@ -63,6 +63,7 @@ def test_what_goes_out_comes_back(cls: type[Message], data: st.DataObject) -> No
 
 
 @every_message
+@settings(max_examples=20)
 @given(data=st.data())
 def test_equal_messages_are_equal_bytes(cls: type[Message], data: st.DataObject) -> None:
     message = data.draw(messages(cls))
