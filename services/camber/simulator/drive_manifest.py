@@ -11,6 +11,7 @@ from camber.geodesy.angles import wrap_pi
 from camber.simulator.faults import DroppedProcess, of_kind
 from camber.simulator.random_streams import stream
 from camber.simulator.simulated_drive import SimulatedDrive
+from camber.simulator.vehicle.body import Point, VehicleBody
 
 _POSE_SIGMA_M = 1.0
 _YAW_SIGMA_RAD = math.radians(2.0)
@@ -47,8 +48,8 @@ ephemerides = ["brdc.nav"]
         '[map]\nrelease = "map"\n',
         '[truth]\nformat = "camber"\nfile = "truth.csv"\n',
         *(
-            f"[lever_arms.{name}]\nx_m = {x}\ny_m = {y}\nz_m = {z}\n"
-            for name, (x, y, z) in (("antenna", body.antenna), ("lidar", body.lidar), ("wheel", body.wheel))
+            f"[lever_arms.{name}]\nx_m = {x}\ny_m = {y}\nz_m = {z:.6g}\n"
+            for name, (x, y, z) in _places(body).items()
         ),
         *(
             f'[[kills]]\nservice = "{fault.service}"\nat_s = {fault.onset_s}\n'
@@ -67,14 +68,27 @@ def _text(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def _places(body: VehicleBody) -> dict[str, Point]:
+    places = {"antenna": body.antenna, "lidar": body.lidar, "wheel": body.wheel, "ranging": body.ranging}
+    if body.suspension is not None:
+        places["suspension"] = (*body.stroke_point, body.tyre_radius_m + body.suspension.stroke_m)
+    return places
+
+
 def _antenna_height(drive: SimulatedDrive) -> str:
+    """All that was measured of the vehicle, so that the ways can be compared; the way itself: as H names it first."""
     body = drive.body
-    if body.suspension_to_antenna_m is None:
-        return f'[antenna_height]\nway = "fixed"\nheight_m = {body.antenna[2]}\nsigma_m = 0.01\n'
-    return (
-        f'[antenna_height]\nway = "stroke"\nsuspension_to_antenna_m = {body.suspension_to_antenna_m:.6f}\n'
-        f"tyre_radius_m = {body.tyre_radius_m}\nsensor_to_antenna_m = {body.sensor_to_antenna_m:.6f}\n"
+    way = "fixed" if body.suspension_to_antenna_m is None else "stroke"
+    said = (
+        f'[antenna_height]\nway = "{way}"\nheight_m = {body.antenna[2]}\nsigma_m = 0.01\n'
+        f"beam_azimuth_deg = {math.degrees(body.ranging_azimuth_rad):.6g}\n"
     )
+    if body.suspension_to_antenna_m is not None:
+        said += (
+            f"suspension_to_antenna_m = {body.suspension_to_antenna_m:.6f}\n"
+            f"tyre_radius_m = {body.tyre_radius_m}\n"
+        )
+    return said
 
 
 def _initial_pose(drive: SimulatedDrive) -> str:

@@ -17,17 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
+from camber.integrity.uploads import decimal_year
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.fleet import UploadBatch
+from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictWord
+from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
-from camber.simulator.satellites.random_processes import gauss_markov, memory_of
 from camber.simulator.scene import Floats, Integers, Path
 
 TOLERANCE_M = 0.2
 ROWS = 64
 """Records of one batch, as a vehicle sends them."""
 _WORDS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+_FIXED = get_args(Quality).index("fixed")
 _CONFIRMED, _ERRONEOUS = _WORDS.index("confirmed"), _WORDS.index("erroneous")
 
 
@@ -152,10 +155,13 @@ def drive_uploads(
     sigma_m = math.hypot(errors.white_m, errors.correlated_m, errors.antenna_sigma_m)
     columns = {
         "positioning_time_ns": time_ns,
+        "fix_id": time_ns // 1_000_000,
+        "fix_quality": np.full(n, _FIXED, "|u1"),
         "surface_id": track.surface_id[sample],
         "verdict": np.where(difference_m <= TOLERANCE_M, _CONFIRMED, _ERRONEOUS).astype("|u1"),
         "latitude_rad": track.latitude_rad[sample] + track.across_latitude_rad_m[sample] * sideways_m,
         "longitude_rad": track.longitude_rad[sample] + track.across_longitude_rad_m[sample] * sideways_m,
+        "horizontal_sigma_m": np.full(n, errors.correlated_m),
         "road_height_m": road_m,
         "road_height_sigma_m": np.full(n, sigma_m),
         "antenna_height_m": np.full(n, 1.6),
@@ -170,6 +176,7 @@ def drive_uploads(
             vehicle=vehicle.name,
             batch_id=f"{last_ns}-{name}",
             datum="WGS84",
+            epoch_year=decimal_year(int(time_ns[rows[0]])),
             map_version=map_version,
             **{key: column[rows] for key, column in columns.items()},
         )

@@ -41,6 +41,7 @@ from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import AntennaTrack, static_track
 from camber.simulator.scenario import Scenario, ScenarioError
 from camber.simulator.scene import Floats, Integers, Path, Trajectory
+from camber.simulator.vehicle.attitude_sensor import AttitudeSensor
 from camber.simulator.vehicle.body import CAR, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import INNER_RATE_HZ, drive
 from camber.simulator.vehicle.sensors import (
@@ -64,6 +65,7 @@ SENSORS = SensorSet(
     WheelSensor(rate_hz=10.0),
     RateSensor(rate_hz=10.0),
     SteeringSensor(rate_hz=10.0),
+    AttitudeSensor(rate_hz=10.0),
     StrokeSensor(rate_hz=10.0),
     RangingSensor(rate_hz=10.0),
 )

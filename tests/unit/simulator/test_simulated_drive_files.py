@@ -116,6 +116,20 @@ def test_the_truth_is_consistent(city: Path) -> None:
     assert driven_m == pytest.approx(place_m[1:] - place_m[0], abs=0.03)
 
 
+def test_the_vehicle_s_own_tilt_is_near_the_truth_and_not_the_truth(city: Path) -> None:
+    truth = read_truth(city / "truth.csv", "camber")
+    motion = [
+        m for m in read_motion(city / "motion.csv") if m.pitch_rad is not None and m.roll_rad is not None
+    ]
+    assert len(motion) > 100
+    said = np.array([(m.pitch_rad, m.roll_rad) for m in motion], np.float64)
+    at = np.array([m.time_ns for m in motion]) - truth.time_ns[0]
+    for column, true in zip(said.T, (truth.pitch_rad, truth.roll_rad), strict=True):
+        off = column - np.interp(at, truth.time_ns - truth.time_ns[0], true)
+        assert np.abs(off).max() < np.radians(1.5)
+        assert off.std() > np.radians(0.05)
+
+
 def test_right_fixes_are_near_the_truth_and_the_flag_says_which_are_not(city: Path) -> None:
     truth = read_truth(city / "truth.csv", "camber")
     assert truth.fix_state is not None

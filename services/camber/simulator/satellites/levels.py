@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.simulator.random_processes import gauss_markov, memory_of, switched
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
 from camber.simulator.satellites.parameters import SignalParameters
 from camber.simulator.satellites.propagation import Propagation
-from camber.simulator.satellites.random_processes import gauss_markov, memory_of, switched
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

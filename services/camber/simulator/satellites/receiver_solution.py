@@ -18,13 +18,13 @@ from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.differenced_geometry import (
     DifferencedGeometry,
     Screening,
     differenced_geometry,
 )
-from camber.simulator.satellites.random_processes import gauss_markov, memory_of
 from camber.simulator.satellites.signals import SimulatedSignals
 from camber.simulator.satellites.track import AntennaTrack
 from camber.simulator.satellites.wrong_integers import integers_at, shift_of, wrong_integers

@@ -77,15 +77,15 @@ class Lidar:
     clock: SensorClock = field(default_factory=SensorClock)
     faults: tuple[LidarFault, ...] = ()
 
-    def scans(self, threads: int = 2) -> Iterator[Scan]:
-        """One scan a turn for as long as the track lasts, in order; as many at a time as there are threads."""
+    def scans(self, threads: int = 2, every: int = 1) -> Iterator[Scan]:
+        """One scan every so many turns while the track lasts, in order; as many at a time as there are threads."""
         start_ns = int(self.track.time_ns[0])
         turns = (int(self.track.time_ns[-1]) - start_ns) // self.pattern.turn_ns
         beams = _Beams.of(self.pattern)
         waiting: deque[Future[Scan]] = deque()
         with ThreadPoolExecutor(threads) as pool:
             try:
-                for turn in range(turns):
+                for turn in range(0, turns, every):
                     waiting.append(pool.submit(self._scan, beams, start_ns, turn))
                     if len(waiting) > threads:
                         yield waiting.popleft().result()

@@ -21,11 +21,21 @@ def motion_messages(readings: VehicleReadings, oldest_ns: int = OLDEST_NS) -> li
     So a vehicle's gateway puts together what comes from several units. What is older than `oldest_ns` is None.
     """
     time_ns = readings.yaw_rate.time_ns
-    wheel = _newest(readings.wheel_speed, time_ns, oldest_ns)
-    steering = _newest(readings.steering, time_ns, oldest_ns)
-    columns = zip(time_ns.tolist(), wheel, readings.yaw_rate.value.tolist(), steering, strict=True)
+    others = [
+        _newest(one, time_ns, oldest_ns)
+        for one in (readings.wheel_speed, readings.steering, readings.pitch, readings.roll)
+    ]
+    columns = zip(time_ns.tolist(), readings.yaw_rate.value.tolist(), *others, strict=True)
     return [
-        Motion(time_ns=t, wheel_speed_m_s=w, yaw_rate_rad_s=r, steering_angle_rad=s) for t, w, r, s in columns
+        Motion(
+            time_ns=t,
+            wheel_speed_m_s=wheel,
+            yaw_rate_rad_s=rate,
+            steering_angle_rad=steering,
+            pitch_rad=pitch,
+            roll_rad=roll,
+        )
+        for t, rate, wheel, steering, pitch, roll in columns
     ]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Trajectory
 from camber.simulator.vehicle.attitude import body_yaw_rate
+from camber.simulator.vehicle.attitude_sensor import AttitudeSensor, attitude_errors
 from camber.simulator.vehicle.body import VehicleBody
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_clock import Readings, SensorClock, quantised
@@ -90,6 +91,7 @@ class SensorSet:
     wheel: WheelSensor = field(default_factory=WheelSensor)
     yaw_rate: RateSensor = field(default_factory=RateSensor)
     steering: SteeringSensor = field(default_factory=SteeringSensor)
+    attitude: AttitudeSensor = field(default_factory=AttitudeSensor)
     stroke: StrokeSensor = field(default_factory=StrokeSensor)
     ranging: RangingSensor = field(default_factory=RangingSensor)
     clock_offset_sigma_s: float = 0.003
@@ -98,11 +100,13 @@ class SensorSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleReadings:
-    """m/s, rad/s, rad, m, m; `stroke` None: a rigid body has none."""
+    """m/s, rad/s, rad, rad, rad, m, m; `stroke` None: a rigid body has none."""
 
     wheel_speed: Readings
     yaw_rate: Readings
     steering: Readings
+    pitch: Readings
+    roll: Readings
     stroke: Readings | None
     ranging: Readings
 
@@ -147,6 +151,17 @@ def read_sensors(
     angle = angle + s.noise_rad * white("steering noise", len(true_ns))
     steering = Readings(stamps, true_ns, quantised(angle, s.step_rad))
 
+    a = sensors.attitude
+    true_ns, stamps = sampling("attitude", a.rate_hz)
+    pitch, roll = (
+        Readings(stamps, true_ns, quantised(sampled(column, true_ns) + error, a.step_rad))
+        for column, error in zip(
+            (trajectory.pitch_rad, trajectory.roll_rad),
+            attitude_errors(trajectory, a, true_ns, seed),
+            strict=True,
+        )
+    )
+
     stroke = None
     if body.suspension is not None:
         k = sensors.stroke
@@ -164,7 +179,7 @@ def read_sensors(
     lost = stream(seed, "ranging lost").random(len(true_ns)) < r.lost_share
     lost |= ~((distance > 0.0) & (distance <= r.most_range_m))
     ranging = Readings(stamps, true_ns, np.where(lost, np.nan, distance))
-    return VehicleReadings(wheel, yaw_rate, steering, stroke, ranging)
+    return VehicleReadings(wheel, yaw_rate, steering, pitch, roll, stroke, ranging)
 
 
 def distance_to_road_m(

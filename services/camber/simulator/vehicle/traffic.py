@@ -46,8 +46,9 @@ class Traffic:
         time_ns = start_ns + _STEP_NS * np.arange((end_ns - start_ns) // _STEP_NS + 2, dtype=np.int64)
         passed_s = (time_ns - start_ns) / 1e9
         pose = np.empty((len(time_ns), len(users), 4))
+        ways = {id(user.path): Way.along(user.path) for user in {id(u.path): u for u in users}.values()}
         for k, user in enumerate(users):
-            way = Way.along(user.path)
+            way = ways[id(user.path)]
             s = user.start_m + user.speed_m_s * passed_s
             middle, _, _ = way.curve.at(s)
             yaw, _ = way.yaw_and_turn(np.clip(s, 0.0, way.distance_m[-1]))

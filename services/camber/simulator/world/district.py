@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Path, Shapes, Walls
+from camber.simulator.scene import Material, Path, Shapes, Walls
 from camber.simulator.world.layouts import (
     Layout,
     canyon_layout,
@@ -28,6 +28,7 @@ from camber.simulator.world.road_mesh import road_mesh
 from camber.simulator.world.roads import Roads
 from camber.simulator.world.roadside import Day, buildings, materials, roadside
 from camber.simulator.world.routes import Stop, route_path
+from camber.simulator.world.tunnel_fittings import tunnel_fittings
 
 Floats = NDArray[np.float64]
 
@@ -70,6 +71,9 @@ class District:
         side = roadside(roads, self.seed, day)
         boxes, boxes_material, cylinders, cylinders_material = materials(side)
         triangles, triangles_material = road_mesh(roads)
+        fittings = tunnel_fittings(roads, self.seed)
+        boxes = np.concatenate((boxes, fittings))
+        boxes_material = np.append(boxes_material, np.full(len(fittings), int(Material.TUNNEL)))
         return Shapes(
             boxes, boxes_material, cylinders, cylinders_material, side.crowns_m, triangles, triangles_material
         )

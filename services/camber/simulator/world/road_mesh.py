@@ -33,6 +33,8 @@ _PARAPET_M = 0.9
 _DECK_M = 0.8
 CEILING_M = 4.8
 """Height of a tunnel's ceiling above its road."""
+WALL_BEYOND_M = 0.05
+"""Walls and parapets stand so far beside the road."""
 _LIFTED_M = 0.05
 _SECTORS = 24
 
@@ -135,7 +137,7 @@ def _in_open_cut(roads: Roads, east: Floats, north: Floats, margin_m: float = 0.
 
 def _side_walls(roads: Roads, link: int, s: Floats, lift: Floats, side: float) -> list[Mesh]:
     """Parapets and retaining walls, walls of a tunnel; none where another road joins."""
-    y = side * (roads.shape[link, HALF_WIDTH] + 0.05)
+    y = side * (roads.shape[link, HALF_WIDTH] + WALL_BEYOND_M)
     east, north = (v.ravel() for v in _across(roads, link, s, np.array([y])))
     road = roads.link_height_m(np.array(link), east, north)
     ground = roads.terrain.height_m(east, north)
@@ -165,7 +167,7 @@ def _side_walls(roads: Roads, link: int, s: Floats, lift: Floats, side: float) -
 def _plate(roads: Roads, link: int, part_m: Floats, above_m: float) -> Floats:
     """A sheet over a part of a link at some height above (or below) its surface."""
     s = np.linspace(part_m[0], part_m[1], max(2, int((part_m[1] - part_m[0]) / _STEP_M) + 1))
-    half = float(roads.shape[link, HALF_WIDTH]) + 0.05
+    half = float(roads.shape[link, HALF_WIDTH]) + WALL_BEYOND_M
     east, north = _across(roads, link, s, np.array([-half, half]))
     up = roads.link_height_m(np.array(link), east, north) + above_m
     return _sheet(np.stack((east, north, up), axis=2))
@@ -173,7 +175,7 @@ def _plate(roads: Roads, link: int, part_m: Floats, above_m: float) -> Floats:
 
 def _portal(roads: Roads, link: int, s: float) -> Mesh:
     """The wall over a tunnel's mouth, from its ceiling to the ground."""
-    half = float(roads.shape[link, HALF_WIDTH]) + 0.05
+    half = float(roads.shape[link, HALF_WIDTH]) + WALL_BEYOND_M
     east, north = (v.ravel() for v in _across(roads, link, np.array([s]), np.array([-half, half])))
     low = roads.link_height_m(np.array(link), east, north) + CEILING_M
     high = roads.terrain.height_m(east, north) + _KERB_M

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
 from camber.simulator.scene import Path, Trajectory
+from camber.simulator.vehicle.attitude_sensor import AttitudeSensor
 from camber.simulator.vehicle.body import CAR, ROBOT
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.sensor_clock import SensorClock
@@ -32,6 +33,7 @@ PERFECT = SensorSet(
     WheelSensor(scale_sigma=0.0, edge_sigma=0.0, step_m_s=0.0),
     RateSensor(bias_sigma_rad_s=0.0, walk_rad_s_sqrt_s=0.0, noise_rad_s=0.0, scale_sigma=0.0, step_rad_s=0.0),
     SteeringSensor(bias_sigma_rad=0.0, noise_rad=0.0, step_rad=0.0),
+    AttitudeSensor(bias_sigma_rad=0.0, wander_sigma_rad=0.0, noise_rad=0.0, leaking_share=0.0, step_rad=0.0),
     StrokeSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0),
     RangingSensor(bias_sigma_m=0.0, noise_m=0.0, step_m=0.0, angle_sigma_rad=0.0, lost_share=0.0),
     clock_offset_sigma_s=0.0,
@@ -56,7 +58,13 @@ def true(trajectory: Trajectory, name: str, time_ns: np.ndarray) -> np.ndarray:
 
 def test_without_errors_the_sensors_say_the_truth(path: Path, trajectory: Trajectory) -> None:
     said = read_sensors(trajectory, CAR, path.surface_m, PERFECT, 1)
-    for readings, name in ((said.steering, "steering_rad"), (said.stroke, "stroke_m")):
+    columns = (
+        (said.steering, "steering_rad"),
+        (said.stroke, "stroke_m"),
+        (said.pitch, "pitch_rad"),
+        (said.roll, "roll_rad"),
+    )
+    for readings, name in columns:
         assert readings is not None
         np.testing.assert_array_equal(readings.time_ns, readings.true_time_ns)
         np.testing.assert_allclose(readings.value, true(trajectory, name, readings.time_ns), atol=1e-12)
@@ -169,6 +177,42 @@ def test_errors_are_as_large_as_said() -> None:
     assert ((bias > 0.65) & (bias < 1.4)).all()
 
 
+def test_attitude_is_off_by_a_bias_that_wanders_and_by_noise() -> None:
+    path = path_over(flat, np.zeros(200))
+    t = drive(path, CAR, start_ns=START_NS, duration_s=200.0)
+    sensor = SensorSet().attitude
+    means, steps = [], []
+    for seed in range(60):
+        said = read_sensors(t, CAR, path.surface_m, SensorSet(), seed)
+        at_rest = np.stack((said.pitch.value, said.roll.value))[:, -5000:]  # flat road: the truth is zero
+        means.append(at_rest.mean(axis=1))
+        steps.append(at_rest[:, 1:] - at_rest[:, :-1])
+        assert np.corrcoef(at_rest)[0, 1] < 0.95
+    # The mean of a wander of 0.1°, 20 s over 100 s keeps 2 τ / T (1 − τ / T) of its variance: 0.32.
+    expected = math.hypot(sensor.bias_sigma_rad, math.sqrt(0.32) * sensor.wander_sigma_rad)
+    assert np.std(means) == pytest.approx(expected, rel=0.2)  # 120 draws
+    assert np.std(steps) == pytest.approx(math.sqrt(2.0) * sensor.noise_rad, rel=0.05)
+
+
+def test_attitude_takes_some_of_the_acceleration_for_gravity() -> None:
+    # A quarter turn to the left and a stop, on flat road, with nothing else in the angles.
+    curvature = np.concatenate((np.zeros(400), np.full(628, 0.01), np.zeros(100)))
+    path = path_over(flat, curvature, speed_m_s=12.0)
+    t = drive(path, ROBOT, start_ns=START_NS)
+    leaky = dataclasses.replace(PERFECT.attitude, leaking_share=0.03, leaking_s=2.0)
+    said = read_sensors(t, ROBOT, path.surface_m, dataclasses.replace(PERFECT, attitude=leaky), 1)
+    time_s = (said.roll.true_time_ns - START_NS) / 1e9
+    in_curve = np.flatnonzero(np.interp(time_s, (t.time_ns - START_NS) / 1e9, t.yaw_rate_rad_s) > 0.1)
+    # Long after its beginning: the whole share of v² κ / g, the left side up.
+    late = in_curve[3 * len(in_curve) // 4]
+    assert said.roll.value[late] == pytest.approx(0.03 * 12.0**2 * 0.01 / 9.80665, rel=0.03)
+    assert said.roll.value[in_curve[0]] < 0.3 * said.roll.value[late]
+    # Speeding up: the nose seems up, which is negative; braking: down.
+    assert said.pitch.value[time_s < 5.0].min() < -0.002
+    assert said.pitch.value[time_s > time_s[-1] - 5.0].max() > 0.002
+    assert np.abs(said.pitch.value[late]) < 1e-4
+
+
 def test_each_sensor_lives_by_its_own_clock(path: Path, trajectory: Trajectory) -> None:
     said = read_sensors(trajectory, CAR, path.surface_m, SensorSet(), 5)
     assert said.stroke is not None
@@ -200,6 +244,8 @@ def test_messages_hold_what_was_said_last(path: Path, trajectory: Trajectory) ->
         held = np.flatnonzero(said.wheel_speed.time_ns <= m.time_ns)[-1]
         assert m.wheel_speed_m_s == said.wheel_speed.value[held]
         assert m.steering_angle_rad is not None
+        held = np.flatnonzero(said.pitch.time_ns <= m.time_ns)[-1]
+        assert (m.pitch_rad, m.roll_rad) == (said.pitch.value[held], said.roll.value[held])
     # A unit that has fallen silent is not known, not repeated.
     silent = dataclasses.replace(
         said,
@@ -227,7 +273,7 @@ def test_the_same_seed_gives_the_same_readings_another_seed_others(
     path: Path, trajectory: Trajectory
 ) -> None:
     one, same, other = (read_sensors(trajectory, CAR, path.surface_m, SensorSet(), s) for s in (1, 1, 2))
-    for name in ("wheel_speed", "yaw_rate", "steering", "stroke", "ranging"):
+    for name in ("wheel_speed", "yaw_rate", "steering", "pitch", "roll", "stroke", "ranging"):
         a, b, c = (getattr(x, name) for x in (one, same, other))
         assert a.value.tobytes() == b.value.tobytes()
         assert a.time_ns.tobytes() == b.time_ns.tobytes()
