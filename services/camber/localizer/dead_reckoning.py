@@ -39,7 +39,13 @@ BIAS_A: Final = 3  # of the rotation sensor that drives the pose: rad/s (yaw rat
 BIAS_B: Final = 4  # of the other one
 SCALE: Final = 5  # true speed = (1 + scale) * wheel speed
 SIDE_SLIP: Final = 6  # drift angle = -side_slip * speed * yaw rate (rad s^2/m), the rear tyres' compliance
-N_MOTION: Final = 7
+TURN_GAIN: Final = 7  # true rate = (1 + gain) * that of the sensor that drives the pose
+WHEEL_LAG: Final = (
+    8  # how old the wheels' speed is when it arrives (s): it is counted over a while, and waits
+)
+WHEEL_SLIP: Final = 9  # speed over ground less what the wheels say (m/s): zero but where they are in doubt
+N_MOTION: Final = 10
+_GAIN_CHANGES: Final = 0.3  # share of a gain's error that is not the same from one turn to the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +78,11 @@ class MotionModel:
     speed_scale_sigma: float = 0.005
     speed_scale_wander_per_sqrt_m: float = 5e-5
     speed_noise_m_s: float = 0.05
+    wheel_lag_s: float = 0.05  # before anything is learnt: half of a counting time of 100 ms
+    wheel_lag_sigma_s: float = 0.05
+    wheel_lag_wander_s_sqrt_s: float = 5e-4  # clocks of control units drift against one another
     speed_dead_zone_m_s: float = 0.35
-    yaw_rate_bias_sigma_rad_s: float = math.radians(0.02)
+    yaw_rate_bias_sigma_rad_s: float = math.radians(0.05)
     yaw_rate_bias_wander_rad_s_sqrt_s: float = math.radians(0.0005)
     yaw_rate_noise_rad_s: float = math.radians(0.1)
     yaw_rate_scale_sigma: float = 0.002
@@ -108,6 +117,10 @@ class MotionModel:
         """Sigma of the sensor's bias before anything is learnt: rad/s (yaw rate) or rad (steering)."""
         return self.yaw_rate_bias_sigma_rad_s if sensor == "yaw_rate" else self.steering_bias_sigma_rad
 
+    def gain_sigma(self, sensor: RateSensor) -> float:
+        """Sigma of the sensor's gain, a share of the rate."""
+        return self.yaw_rate_scale_sigma if sensor == "yaw_rate" else self.steering_scale_sigma
+
     def bias_wander(self, sensor: RateSensor) -> float:
         """Random walk of that bias, per square root of a second."""
         if sensor == "yaw_rate":
@@ -129,15 +142,18 @@ class MotionStep(NamedTuple):
     unknown_rate_var_rad2: float  # of the turn, were the rotation sensor missing or the step too long
     creep_m: float  # driven unseen where a stop begins or ends, and its variance
     creep_var_m2: float
+    wheel_change_m_s: float = 0.0  # from the first sample to the second, and what the second said
+    wheel_m_s: float = 0.0
 
 
 class Rotation(NamedTuple):
-    """Yaw rate by one sensor over a step, and how it hangs on that sensor's bias and on the wheel scale."""
+    """Yaw rate by one sensor over a step, and how it hangs on that sensor's bias and gain and on the wheel scale."""
 
     rate_rad_s: float
     d_bias: float
     d_scale: float
     turn_var_rad2: float
+    d_gain: float = 0.0
 
 
 class Odometer:
@@ -179,7 +195,8 @@ class Odometer:
         self._standing = self._is_standing(sample, dt, bridged, yaw_rate_bias_rad_s)
         hides = was_standing != self._standing and (hidden or self._hidden)
         along_var = self._along_variance(sample, last, dt, bridged, was_standing)
-        speed = self._mean_speed(sample, last)
+        before, after = self._speeds(sample, last)
+        speed = 0.5 * (before + after)
         rate_var = self._unknown_rate_variance(sample, last, dt, bridged, speed)
         if abs(speed) > model.standstill_speed_m_s:
             self._direction = speed
@@ -196,6 +213,8 @@ class Odometer:
             unknown_rate_var_rad2=rate_var,
             creep_m=math.copysign(model.creep_m, self._direction) if hides else 0.0,
             creep_var_m2=model.creep_sigma_m**2 if hides else 0.0,
+            wheel_change_m_s=0.0 if bridged else after - before,
+            wheel_m_s=after,
         )
 
     def _is_standing(self, sample: MotionSample, dt: float, bridged: bool, bias: float) -> bool:
@@ -208,12 +227,12 @@ class Odometer:
         self._quiet_s = self._quiet_s + dt if quiet and not bridged else 0.0
         return self._quiet_s >= model.standstill_after_s
 
-    def _mean_speed(self, sample: MotionSample, last: MotionSample) -> float:
+    def _speeds(self, sample: MotionSample, last: MotionSample) -> tuple[float, float]:
         before = last.speed_m_s if last.speed_m_s is not None else self._held_speed_m_s
         if sample.speed_m_s is not None:
             self._held_speed_m_s = sample.speed_m_s
         after = self._held_speed_m_s or 0.0
-        return after if before is None else 0.5 * (before + after)
+        return after if before is None else before, after
 
     def _along_variance(
         self, sample: MotionSample, last: MotionSample, dt: float, bridged: bool, was_standing: bool
@@ -278,15 +297,23 @@ def _no_motion(outcome: Outcome) -> MotionStep:
 
 
 def rotation(
-    step: MotionStep, sensor: RateSensor, model: MotionModel, bias: float, scale: float
+    step: MotionStep,
+    sensor: RateSensor,
+    model: MotionModel,
+    bias: float,
+    scale: float,
+    gain: float | None = None,
 ) -> Rotation | None:
-    """Yaw rate over the step by one sensor (steering: bicycle model); None where it gave nothing."""
+    """Yaw rate over the step by one sensor (steering: bicycle model); None where it gave nothing.
+
+    `gain`: what is known of the sensor's own; None where that is no state: its error is noise then.
+    """
     dt, held_s = step.dt_s, max(step.dt_s, model.noise_hold_s)
     if sensor == "yaw_rate":
         if step.yaw_rate_rad_s is None:
             return None
         rate, d_bias, d_scale = step.yaw_rate_rad_s - bias, -1.0, 0.0
-        noise, gain_sigma = model.yaw_rate_noise_rad_s, model.yaw_rate_scale_sigma
+        noise = model.yaw_rate_noise_rad_s
     else:
         if step.steering_rad is None:
             return None
@@ -296,27 +323,32 @@ def rotation(
         rate, d_bias = (1.0 + scale) * d_scale, -(1.0 + scale) * per_wheelbase / math.cos(angle) ** 2
         slow = step.speed_sigma_m_s * math.tan(angle) / model.wheelbase_m
         noise = math.hypot(d_bias * model.steering_noise_rad, slow)
-        gain_sigma = model.steering_scale_sigma
+    gain_sigma = model.gain_sigma(sensor) * (1.0 if gain is None else _GAIN_CHANGES)
     turn_var = noise * noise * held_s * dt + (gain_sigma * rate) ** 2 * max(dt, model.turn_hold_s) * dt
-    return Rotation(rate, d_bias, d_scale, turn_var)
+    if gain is None:
+        return Rotation(rate, d_bias, d_scale, turn_var)
+    more = 1.0 + gain
+    return Rotation(more * rate, more * d_bias, more * d_scale, turn_var, rate)
 
 
 def propagate(x: Array, p: Array, step: MotionStep, turn: Rotation | None, model: MotionModel) -> float:
-    """Move state `x` (n >= 7) and covariance `p` (n, n), in place, by one step; the path length in m.
+    """Move state `x` (n >= 10) and covariance `p` (n, n), in place, by one step; the path length in m.
 
-    Midpoint: the displacement points to the yaw in the middle of the turn. States beyond the seventh are
+    Midpoint: the displacement points to the yaw in the middle of the turn. States beyond the tenth are
     untouched, their correlations kept. Standing, nothing moves and nothing grows but the sensors' own drift.
+    A speed that is τ old misses τ times the change of speed.
     """
     dt = step.dt_s
+    p[WHEEL_LAG, WHEEL_LAG] += model.wheel_lag_wander_s_sqrt_s**2 * dt
     for index, sensor in ((BIAS_A, model.a_rate_sensor), (BIAS_B, model.b_rate_sensor)):
         p[index, index] += model.bias_wander(sensor) ** 2 * dt
     if step.standing:
         if step.along_var_m2 > 0.0:
             _add_along(p, float(x[YAW]), step.along_var_m2)
         return 0.0
-    rate, d_bias, d_scale, turn_var = turn if turn else (0.0, 0.0, 0.0, 0.0)
+    rate, d_bias, d_scale, turn_var, d_gain = turn if turn else (0.0, 0.0, 0.0, 0.0, 0.0)
     turn_var += step.unknown_rate_var_rad2
-    speed = (1.0 + float(x[SCALE])) * step.speed_m_s
+    speed = speed_over_ground(x, step)
     slip = float(x[SIDE_SLIP])
     middle = float(x[YAW]) + 0.5 * rate * dt
     cos, sin = math.cos(middle), math.sin(middle)
@@ -324,21 +356,37 @@ def propagate(x: Array, p: Array, step: MotionStep, turn: Rotation | None, model
     left = slip * per_slip
     east, north = along * cos - left * sin, along * sin + left * cos
 
-    turn_bias, turn_scale = d_bias * dt, d_scale * dt
+    turn_bias, turn_scale, turn_gain = d_bias * dt, d_scale * dt, d_gain * dt
     left_bias = -slip * speed * speed * turn_bias
+    left_gain = -slip * speed * speed * turn_gain
     along_scale = step.speed_m_s * dt
     left_scale = -slip * speed * (2.0 * along_scale * rate + speed * turn_scale)
     east_bias = -0.5 * north * turn_bias - left_bias * sin
     north_bias = 0.5 * east * turn_bias + left_bias * cos
+    east_gain = -0.5 * north * turn_gain - left_gain * sin
+    north_gain = 0.5 * east * turn_gain + left_gain * cos
     east_scale = along_scale * cos - left_scale * sin - 0.5 * north * turn_scale
     north_scale = along_scale * sin + left_scale * cos + 0.5 * east * turn_scale
+    left_faster = -2.0 * slip * speed * rate * dt
+    east_faster, north_faster = dt * cos - left_faster * sin, dt * sin + left_faster * cos
+    # A lag is so much more speed over the step.
+    change_m_s2 = step.wheel_change_m_s / dt if dt > 0.0 else 0.0
+    lag, lagged = (1.0 + float(x[SCALE])) * change_m_s2, float(x[WHEEL_LAG]) * change_m_s2
+    east_scale += lagged * east_faster
+    north_scale += lagged * north_faster
     f = np.array(
         (
-            (1.0, 0.0, -north, east_bias, 0.0, east_scale, -per_slip * sin),
-            (0.0, 1.0, east, north_bias, 0.0, north_scale, per_slip * cos),
-            (0.0, 0.0, 1.0, turn_bias, 0.0, turn_scale, 0.0),
+            (
+                1.0, 0.0, -north, east_bias, 0.0, east_scale, -per_slip * sin, east_gain,
+                lag * east_faster, east_faster,
+            ),
+            (
+                0.0, 1.0, east, north_bias, 0.0, north_scale, per_slip * cos, north_gain,
+                lag * north_faster, north_faster,
+            ),
+            (0.0, 0.0, 1.0, turn_bias, 0.0, turn_scale, 0.0, turn_gain, 0.0, 0.0),
         )
-    )
+    )  # fmt: skip
     x[EAST] += east
     x[NORTH] += north
     x[YAW] += rate * dt
@@ -363,18 +411,37 @@ def propagate(x: Array, p: Array, step: MotionStep, turn: Rotation | None, model
     return path
 
 
+def speed_over_ground(x: Array, step: MotionStep) -> float:
+    """Mean speed (m/s) over a step by the wheels and what is known of their errors in state `x` (n >= 10)."""
+    lag = float(x[WHEEL_LAG]) * step.wheel_change_m_s / step.dt_s if step.dt_s > 0.0 else 0.0
+    return (1.0 + float(x[SCALE])) * (step.speed_m_s + lag) + float(x[WHEEL_SLIP])
+
+
 def _add_along(p: Array, yaw_rad: float, variance_m2: float) -> None:
     ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
     p[:2, :2] += np.outer(ahead, ahead * variance_m2)
 
 
 class TrackPoint(NamedTuple):
-    """A point of the track in its own frame: that of yaw zero at the beginning. Metres, radians."""
+    """A point of the track in its own frame: that of yaw zero at the beginning. Metres, radians.
+
+    `wheel_m`, `wheel_m_s`: way and speed as the wheels say them, uncorrected.
+    """
 
     east_m: float
     north_m: float
     yaw_rad: float
     path_m: float
+    wheel_m: float = 0.0
+    wheel_m_s: float = 0.0
+
+
+class Behind(NamedTuple):
+    """How far behind a point of the track others lie in the mean: by the track, and by the wheels uncorrected."""
+
+    path_m: float = 0.0
+    wheel_m: float = 0.0
+    wheel_change_m_s: float = 0.0
 
 
 class RelativeTrack:
@@ -390,9 +457,13 @@ class RelativeTrack:
     def append(self, time_ns: int, step: MotionStep, speed_m_s: float, rate_rad_s: float) -> None:
         """Extend by a step at corrected speed and rate; times must increase."""
         here = self._points[-1] if self._points else TrackPoint(0.0, 0.0, 0.0, 0.0)
+        wheel_m = here.wheel_m
         if step.standing:
             speed_m_s = rate_rad_s = 0.0
-        self._points.append(_moved(here, step.dt_s, speed_m_s * step.dt_s + step.creep_m, rate_rad_s))
+        else:
+            wheel_m += step.speed_m_s * step.dt_s + step.creep_m
+        moved = _moved(here, step.dt_s, speed_m_s * step.dt_s + step.creep_m, rate_rad_s)
+        self._points.append(moved._replace(wheel_m=wheel_m, wheel_m_s=step.wheel_m_s))
         self._times_ns.append(time_ns)
         self._speed_m_s, self._rate_rad_s = speed_m_s, rate_rad_s
         if self._times_ns[0] < time_ns - 2 * self._keep_ns:
@@ -409,7 +480,8 @@ class RelativeTrack:
             if ahead_ns > self._extrapolate_ns:
                 return None
             ahead_s = ahead_ns * 1e-9
-            return _moved(self._points[-1], ahead_s, self._speed_m_s * ahead_s, self._rate_rad_s)
+            ahead = _moved(self._points[-1], ahead_s, self._speed_m_s * ahead_s, self._rate_rad_s)
+            return ahead._replace(wheel_m=ahead.wheel_m + ahead.wheel_m_s * ahead_s)
         after = bisect.bisect_right(times, time_ns)
         share = (time_ns - times[after - 1]) / (times[after] - times[after - 1])
         a, b = self._points[after - 1], self._points[after]
@@ -423,4 +495,6 @@ def _moved(point: TrackPoint, dt_s: float, along_m: float, rate_rad_s: float) ->
         point.north_m + along_m * math.sin(middle),
         point.yaw_rad + rate_rad_s * dt_s,
         point.path_m + abs(along_m),
+        point.wheel_m,
+        point.wheel_m_s,
     )

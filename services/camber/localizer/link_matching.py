@@ -79,7 +79,8 @@ class MatchingModel:
 @dataclass(frozen=True, slots=True)
 class LinkMatch:
     """The current link. `line` is directed along the travel; `level` is None where candidates differ in it;
-    `to_sharp_m` is the distance along the link to the nearest vertex where its direction means nothing."""
+    `station_m` is the distance along the link from its start, `to_sharp_m` that to the nearest vertex where its
+    direction means nothing."""
 
     status: MatchStatus
     link_id: LinkId | None = None
@@ -89,6 +90,7 @@ class LinkMatch:
     sigma_m: float = 0.0
     to_sharp_m: float = 0.0
     candidates: tuple[LinkId, ...] = ()
+    station_m: float = 0.0
 
 
 class _Foot(NamedTuple):
@@ -364,6 +366,7 @@ class LinkMatcher:
             sigma_m=links[best.link].sigma_m,
             to_sharp_m=self._network.to_sharp_m(best.link, foot.station_m),
             candidates=_unique(links[k.link].link_id for k in near),
+            station_m=foot.station_m,
         )
 
     def _same_road(self, a: _Key, b: _Key, feet: dict[int, _Foot]) -> bool:

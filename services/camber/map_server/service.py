@@ -7,11 +7,10 @@ from typing import Any, ClassVar
 
 from camber.formats.map_release import Release, ReleaseError, load_public_key
 from camber.formats.map_release_watch import ReleaseWatch
-from camber.formats.map_tiles import tiles_around
-from camber.map_server.elevation import ElevationMap
-from camber.map_server.links import links_around, unknown_links
+from camber.map_server.links import unknown_links
+from camber.map_server.release_answers import ReleaseAnswers
 from camber.map_server.settings import MapServerSettings
-from camber.map_server.tile_parts import tile_part, unknown_tile
+from camber.map_server.tile_parts import unknown_tile
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
@@ -22,7 +21,6 @@ from camber.schemas.road import (
     ElevationRequest,
     LinksReply,
     LinksRequest,
-    RoadsAhead,
     TileReply,
     TileRequest,
 )
@@ -44,9 +42,8 @@ class MapServerService(Service[MapServerSettings]):
         super().__init__(settings, bus)
         key = None if settings.public_key is None else load_public_key(settings.public_key)
         self._watch = ReleaseWatch(settings.release, public_key=key, acceptable=self._check_datum)
-        self._elevation: ElevationMap | None = None
+        self._answers: ReleaseAnswers | None = None
         self._unreadable = False
-        self._blob: tuple[str, bytes] | None = None  # the last one asked for, for its other parts
         self._looked_ns = self._tried_ns = bus.now_ns()
         self._look()
         self._verify(float("inf"))
@@ -66,48 +63,41 @@ class MapServerService(Service[MapServerSettings]):
     def elevation(self, request: ElevationRequest) -> ElevationReply:
         """The road under a point."""
         now_ns = self.bus.now_ns()
-        reason = self._why_unknown(now_ns)
-        road = Road(status="unknown", reason=reason or "map_missing")
-        ahead: RoadsAhead | None = None
-        if reason is None and self._elevation is not None:
-            point = request.latitude_rad, request.longitude_rad
-            topology = request.link_ids, request.last_surface_id
+        reason = self._why_unknown(now_ns) or "map_missing"
+        reply = ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason))
+        answers = self._in_force(now_ns)
+        if answers is not None:
             try:
-                road = self._elevation.road_around(*point, request.radius_m, *topology)
-                if request.ahead is not None and road.status == "known":
-                    ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
+                reply = answers.elevation(request, time_ns=now_ns)
             except ReleaseError as error:
                 self._report_unreadable(error)
+        road = reply.road
         self.bus.count(f"elevation.{road.status if road.status == 'known' else road.reason}")
-        return ElevationReply(time_ns=now_ns, road=road, ahead=ahead)
+        return reply
 
     def links(self, request: LinksRequest) -> LinksReply:
         """The links around a point."""
-        now_ns, release = self.bus.now_ns(), self._watch.current
-        version = 0 if release is None else release.manifest.map_version
-        reason = self._why_unknown(now_ns)
-        if reason is None and release is not None:
-            around = tiles_around(request.latitude_rad, request.longitude_rad, request.radius_m)
+        now_ns = self.bus.now_ns()
+        answers = self._in_force(now_ns)
+        if answers is not None:
             try:
-                tiles = [tile for xy in around if (tile := release.link_tile(*xy)) is not None]
-                return links_around(tiles, request, map_version=version, time_ns=now_ns)
+                return answers.links(request, time_ns=now_ns)
             except ReleaseError as error:
                 self._report_unreadable(error)
-        return unknown_links(reason or "map_missing", map_version=version, time_ns=now_ns)
+        release = self._watch.current
+        version = 0 if release is None else release.manifest.map_version
+        return unknown_links(self._why_unknown(now_ns) or "map_missing", map_version=version, time_ns=now_ns)
 
     def tile(self, request: TileRequest) -> TileReply:
         """A part of a tile's blob."""
-        now_ns, release = self.bus.now_ns(), self._watch.current
-        reason = self._why_unknown(now_ns)
-        if reason is None and release is not None:
-            digest = release.sha256(request.layer, request.x, request.y)
-            if digest is None:
-                return unknown_tile("the release has no such tile", time_ns=now_ns)
+        now_ns = self.bus.now_ns()
+        answers = self._in_force(now_ns)
+        if answers is not None:
             try:
-                return tile_part(self._blob_of(release, request, digest), digest, request, time_ns=now_ns)
+                return answers.tile(request, time_ns=now_ns)
             except ReleaseError as error:
                 self._report_unreadable(error)
-        return unknown_tile(reason or "map_missing", time_ns=now_ns)
+        return unknown_tile(self._why_unknown(now_ns) or "map_missing", time_ns=now_ns)
 
     def on_release(self, head: ReleaseHead) -> None:
         """There is a release somewhere; one that is newer than the one here is what an operator should know of."""
@@ -138,6 +128,10 @@ class MapServerService(Service[MapServerSettings]):
         usable = self._why_unknown(self.bus.now_ns()) is None
         return usable and self._watch.problem is None and not self._unreadable
 
+    def _in_force(self, now_ns: int) -> ReleaseAnswers | None:
+        """The answers of the release in use; None where nothing can be answered now."""
+        return self._answers if self._why_unknown(now_ns) is None else None
+
     def _why_unknown(self, now_ns: int) -> RoadReason | None:
         """Why nothing can be answered now; None: something can."""
         if self._watch.current is None:
@@ -161,13 +155,7 @@ class MapServerService(Service[MapServerSettings]):
 
     def _use(self, release: Release) -> None:
         manifest = release.manifest
-        self._elevation = ElevationMap(
-            release.surface_tile,
-            release.link_tile,
-            datum=manifest.datum,
-            map_version=manifest.map_version,
-            tiles_kept=self.settings.tiles_kept,
-        )
+        self._answers = ReleaseAnswers(release, tiles_kept=self.settings.tiles_kept)
         self._unreadable = False
         self.bus.count("release.loaded")
         if manifest.surrogate:
@@ -177,13 +165,6 @@ class MapServerService(Service[MapServerSettings]):
         if release.manifest.datum != self.settings.datum:
             file = str(self.settings.release)
             raise _DatumMismatchError(file, "datum", self.settings.datum, found=release.manifest.datum)
-
-    def _blob_of(self, release: Release, request: TileRequest, digest: str) -> bytes:
-        if self._blob is None or self._blob[0] != digest:
-            blob = release.blob(request.layer, request.x, request.y)
-            assert blob is not None, "the release has just named its hash"
-            self._blob = digest, blob
-        return self._blob[1]
 
     def _report_problem(self, before: ReleaseError | None) -> None:
         problem = self._watch.problem

@@ -545,12 +545,10 @@ def test_a_vehicle_that_stands_learns_at_once_that_the_map_server_has_gone() -> 
 
 
 def test_a_pose_that_has_become_certain_gets_its_road_at_once() -> None:
-    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 14.999}, couple_links=False)
+    drive = Drive(initial_pose=GIVEN | {"horizontal_sigma_m": 16.0}, couple_links=False)
     drive.speed_m_s = 0.0
-    assert drive.run(1).road.status == "known"
-    drive.service.settings.road_sigma_limit_m = 10.0
     assert drive.run(1).road.reason == "pose_too_uncertain"
-    drive.service.settings.road_sigma_limit_m = 15.0
+    drive.step(verdict_at(drive.tenth, "confirmed", drive.east_m))
     assert drive.run(1).road.status == "known"
 
 
@@ -609,7 +607,7 @@ def test_the_plane_moves_with_the_vehicle_and_the_pose_does_not_jump() -> None:
         step_m = (pose.longitude_rad - previous.longitude_rad) * 6.37e6 * math.cos(at(0.0, 0.0)[0])
         farthest = max(farthest, abs(step_m - SPEED * STEP_S))
         previous = pose
-        planes.add(id(drive.service._plane))
+        planes.add(id(drive.service._localization._plane))
     assert len(planes) >= 2
     assert farthest < 0.2  # a coupling with a link may move it a little
     assert previous.link_id is not None
@@ -651,4 +649,4 @@ def test_the_same_drive_gives_the_same_bytes() -> None:
 
 def test_it_listens_to_what_it_should() -> None:
     assert SERVICE is LocalizerService
-    assert set(Drive().handlers) == {"motion", "fix", "verdict"}
+    assert set(Drive().handlers) == {"motion", "fix", "verdict", "sweep"}

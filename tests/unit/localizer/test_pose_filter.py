@@ -334,6 +334,7 @@ def test_the_offset_from_the_link_is_measured_by_anchors_and_kept_when_they_stop
 
 def test_links_are_coupled_at_intervals_of_distance_only():
     vehicle = anchored_vehicle()
+    vehicle.drive(0.4, 6.5)
     outcomes = []
     for _ in range(50):
         vehicle.drive(STEP_S, 5.0)
@@ -554,6 +555,8 @@ EVENTS = st.lists(
             st.none() | st.floats(-2, 2),
         ),
         st.tuples(st.just("anchor"), st.integers(-3000, 500), st.floats(-20, 20), st.floats(-20, 20)),
+        st.tuples(st.just("match"), st.integers(-1500, 500), st.floats(-20, 20), st.floats(-4, 4)),
+        st.tuples(st.just("vague match"), st.integers(-400, 0), st.floats(-3, 3), st.floats(-0.1, 0.1)),
         st.tuples(st.just("link"), st.floats(-3, 3), st.floats(-20, 20), st.floats(0.1, 10)),
         st.tuples(st.just("given"), st.none() | st.floats(-3, 3), st.floats(0.01, 50), st.floats(0.001, 3)),
         st.tuples(st.just("shift"), st.floats(-1000, 1000), st.floats(-1000, 1000), st.just(0)),
@@ -574,10 +577,17 @@ def test_any_sequence_of_events_leaves_a_covariance(events, sensor):
             pose_filter.predict(MotionSample(now, b, c, c))
         elif kind == "anchor":
             pose_filter.anchor(now + a * 1_000_000, b, c, FIX)
+        elif kind == "match":
+            pose_filter.match(now + a * 1_000_000, b, c, 0.1 * c, np.eye(3) * 1e-4, unique=b > 0)
+        elif kind == "vague match":
+            covariance = np.diag([1e-4, 1e-4, 1e-5])
+            covariance[:2, :2] += 1e4 * np.outer([math.cos(b), math.sin(b)], [math.cos(b), math.sin(b)])
+            pose_filter.match(now + a * 1_000_000, b, c, c, covariance, unique=True)
         elif kind == "link":
             pose_filter.couple_link(a_match(LinkLine(a, b), c))
         elif kind == "given":
-            pose_filter.start(StartPose(now, 0.0, 0.0, a, np.diag([b * b, b * b, c * c])))
+            provenance = "fixes" if b > 25.0 else "given"
+            pose_filter.start(StartPose(now, 0.0, 0.0, a, np.diag([b * b, b * b, c * c]), provenance))
         else:
             pose_filter.shifted(a, b)
         e = pose_filter.estimate()

@@ -182,7 +182,7 @@ def test_for_the_feeder_it_travels_with_the_very_last_message() -> None:
 
 
 def test_whom_it_does_not_reach_is_told() -> None:
-    assert flushed("localizer", ["pose"], {"integrity", "antenna_height", "feeder"})[1] == {"antenna_height"}
+    assert flushed("localizer", ["pose"], {"integrity", "map_server", "feeder"})[1] == {"map_server"}
     assert flushed("localizer", [], {"integrity", "feeder"})[1] == {"integrity", "feeder"}
     # A fleet's key is not among those that the feeder of a vehicle hears.
     sent, left = flushed("map_update", ["release"], {"map_server", "feeder"})
