@@ -1,101 +1,101 @@
-"""The process of antenna_height: the fixed value, or the stroke sensor's with the fixed one beside it."""
+"""The process of antenna_height: hears a vehicle's sensors and the pose, says how high the antenna stands."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
+from camber.antenna_height.antenna import Antenna
+from camber.antenna_height.comparison import References
+from camber.antenna_height.heights import Vehicle
+from camber.antenna_height.memory import references_as_text, references_from_text
 from camber.antenna_height.settings import AntennaHeightSettings
-from camber.antenna_height.ways import disagree, fixed_height, stroke_height
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
-from camber.schemas.antenna import AntennaHeight, HeightByWay
-from camber.schemas.channels import BY_NAME
-from camber.schemas.motion import Suspension
+
+_KEEP_EVERY_NS = 60_000_000_000
 
 
 class AntennaHeightService(Service[AntennaHeightSettings]):
-    """Publishes the height, or why there is none, at least every `publish_period_s`."""
+    """Publishes the height, or why there is none: for each new measurement, and at least every `publish_period_s`."""
 
     NAME = "antenna_height"
     SETTINGS = AntennaHeightSettings
 
     def __init__(self, settings: AntennaHeightSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._suspension: Suspension | None = None
+        options = settings.options()
+        self._vehicle = options.vehicle
+        self._file = settings.state_dir / "differences.json" if settings.state_dir else None
+        self._antenna = Antenna(options, _load(self._file, options.vehicle, bus))
+        self._kept: References = self._antenna.references
+        self._kept_ns = 0
         self._published_ns = 0
+        self._source_ns = 0
         self._known = False
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
-        return {"suspension": self._hear}
-
-    def _hear(self, suspension: Suspension) -> None:
-        self._suspension = suspension
+        return {
+            "motion": self._antenna.hear_motion,
+            "suspension": self._antenna.hear_suspension,
+            "ranging": self._antenna.hear_ranging,
+            "pose": self._antenna.hear_pose,
+            "scan_match": self._antenna.hear_match,
+        }
 
     def advance(self, now_ns: int) -> None:
         """Publish, when it is time."""
-        if now_ns <= 0:
-            return
-        fresh = self._suspension is not None and self._suspension.time_ns > self._published_ns
+        source_ns = self._antenna.source_time_ns
         # A clock that was set back is no reason to fall silent.
-        if not fresh and 0 <= now_ns - self._published_ns < self.settings.publish_period_s * 1e9:
+        waiting = 0 <= now_ns - self._published_ns < self.settings.publish_period_s * 1e9
+        if now_ns <= 0 or (waiting and source_ns == self._source_ns):
             return
-        self._published_ns = now_ns
-        height = self._height(now_ns)
+        self._published_ns, self._source_ns = now_ns, source_ns
+        height, problems = self._antenna.height(now_ns)
         self._known = height.status == "known"
+        for problem in problems:
+            self.bus.issue("implausible_height", problem)
         self.bus.publish("antenna_height", height)
+        if not 0 <= now_ns - self._kept_ns < _KEEP_EVERY_NS:
+            self._kept_ns = now_ns
+            self._keep()
 
-    def _height(self, now_ns: int) -> AntennaHeight:
-        settings = self.settings
-        fixed = None
-        if settings.fixed_height_m is not None:
-            fixed = fixed_height(settings.fixed_height_m, settings.fixed_sigma_m)
-        if settings.way == "fixed":
-            return _known(now_ns, fixed, None, "fixed_height_m is not set")
-        stroke = self._stroke(now_ns)
-        return _known(now_ns, stroke, fixed, "no fresh and plausible stroke height")
+    def close(self) -> None:
+        """Keep what the ways differed by for the next drive."""
+        self._keep()
 
-    def _stroke(self, now_ns: int) -> HeightByWay | None:
-        suspension, limit_s = self._suspension, BY_NAME["suspension"].max_age_s
-        if suspension is None or limit_s is None or now_ns - suspension.time_ns > limit_s * 1e9:
-            return None
-        settings = self.settings
-        if settings.suspension_to_antenna_m is None or settings.tyre_radius_m is None:
-            return None
+    def _keep(self) -> None:
+        references = self._antenna.references
+        if self._file is None or references == self._kept:
+            return
+        self._kept = references
         try:
-            return stroke_height(
-                suspension,
-                suspension_to_antenna_m=settings.suspension_to_antenna_m,
-                tyre_radius_m=settings.tyre_radius_m,
-                stored_sigma_m=settings.stored_sigma_m,
-            )
-        except ValidationError as error:
-            self.bus.issue("implausible_height", f"stroke: {error.errors(include_url=False)[0]['msg']}")
-            return None
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            fresh = self._file.with_suffix(".new")
+            with fresh.open("w", encoding="utf-8") as file:
+                file.write(references_as_text(self._vehicle, references))
+                file.flush()
+                os.fsync(file.fileno())
+            fresh.replace(self._file)
+        except OSError as error:
+            self.bus.issue("differences_not_kept", f"{self._file}: {error.strerror}")
 
     def healthy(self) -> bool:
         """Without a height nothing can be confirmed."""
         return self._known
 
 
-def _known(now_ns: int, chosen: HeightByWay | None, other: HeightByWay | None, reason: str) -> AntennaHeight:
-    others = () if other is None else (other,)
-    if chosen is None:
-        return AntennaHeight(time_ns=now_ns, status="unknown", reason=reason, others=others)
-    if other is not None and disagree(chosen, other):
-        reason = f"{chosen.way} {chosen.height_m:.3f} m, {other.way} {other.height_m:.3f} m"
-        return AntennaHeight(time_ns=now_ns, status="disagreement", reason=reason, others=(chosen, other))
-    return AntennaHeight(
-        time_ns=now_ns,
-        status="known",
-        way=chosen.way,
-        height_m=chosen.height_m,
-        sigma_m=chosen.sigma_m,
-        others=others,
-    )
+def _load(path: Path | None, vehicle: Vehicle, bus: Bus) -> References:
+    if path is None or not path.exists():
+        return {}
+    try:
+        return references_from_text(path.read_text("utf-8"), vehicle)
+    except (OSError, ValueError) as error:
+        bus.issue("differences_unreadable", f"{path}: {error}")
+        return {}
 
 
 SERVICE = AntennaHeightService

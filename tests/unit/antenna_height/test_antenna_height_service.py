@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any, cast
 
 import pytest
+from pydantic import ValidationError
 
 from camber.antenna_height.service import SERVICE, AntennaHeightService
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
 from camber.schemas.antenna import AntennaHeight
-from camber.schemas.channels import BY_NAME
+from camber.schemas.channels import BY_NAME, inputs_of
 from camber.schemas.codec import encode
-from camber.schemas.motion import Suspension
+from camber.schemas.motion import Ranging, Suspension
 
 NS = 1_000_000_000
 START_NS = 1_300_000_000 * NS
@@ -79,11 +81,15 @@ def test_where_nothing_is_configured_the_height_is_unknown() -> None:
 
 
 def test_stroke_heights_are_passed_on_as_they_come() -> None:
-    running = Running(**STROKE, stored_sigma_m=0.0)
+    certain = dict.fromkeys(
+        ("stored_sigma_m", "body_pitch_sigma_deg", "body_roll_sigma_deg", "slope_sigma"), 0.0
+    )
+    running = Running(**STROKE, **certain)
     for n in range(3):
         running.stroke(n / 10, height_m=0.4 + n / 10)
         height = said(running.advance(n / 10))
-        assert (height.status, height.way, height.sigma_m) == ("known", "stroke", 0.01)
+        assert (height.status, height.way) == ("known", "stroke")
+        assert height.sigma_m == pytest.approx(0.01, abs=5e-4)
         assert height.height_m == pytest.approx(0.92 + 0.31 + 0.4 + n / 10)
         assert height.others == ()
 
@@ -121,7 +127,7 @@ def test_ways_that_contradict_one_another_give_no_height() -> None:
     running.stroke(0.0)
     height = said(running.advance(0.0))
     assert (height.status, height.way, height.height_m) == ("disagreement", None, None)
-    assert height.reason == "stroke 1.680 m, fixed 1.800 m"
+    assert height.reason == "fixed 1.800 m, stroke 1.680 m for 0 s"
     assert [other.way for other in height.others] == ["stroke", "fixed"]
     assert not running.service.healthy()
 
@@ -129,7 +135,9 @@ def test_ways_that_contradict_one_another_give_no_height() -> None:
 def test_an_implausible_height_is_unknown_and_an_issue() -> None:
     running = Running(way="stroke", suspension_to_antenna_m=-5.0, tyre_radius_m=0.3)
     running.stroke(0.0)
-    assert said(running.advance(0.0)).status == "unknown"
+    height = said(running.advance(0.0))
+    assert height.status == "unknown"
+    assert "expected -1 m to 100 m" in height.reason
     assert running.bus.issues == {"implausible_height": 1}
 
 
@@ -158,4 +166,42 @@ def test_the_way_stroke_needs_what_was_measured_of_the_vehicle(missing: str) -> 
 
 def test_it_listens_to_what_the_table_gives_it_and_to_nothing_else() -> None:
     assert SERVICE is AntennaHeightService
-    assert set(Running().service.handlers()) == {"suspension"}
+    assert set(Running().service.handlers()) == {channel.name for channel in inputs_of("antenna_height")}
+
+
+PLACE = {"x_m": 0.0, "y_m": 0.0, "z_m": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"way": "ranging", "ranging": PLACE}, "way ranging needs antenna and ranging or lidar"),
+        ({"way": "ranging", "antenna": PLACE}, "way ranging needs antenna and ranging or lidar"),
+        ({"way": "scan_matching", "antenna": PLACE, "ranging": PLACE}, "needs antenna and lidar"),
+        ({"way": "automatic", "lidar": PLACE}, "way automatic needs antenna and ranging or lidar"),
+        ({"antenna": {"x_m": 0.0, "z_m": 1.5}}, "antenna.y_m"),
+        ({"flat_slope_return": 0.2}, "flat_slope_return is above flat_slope_leave"),
+        ({"flat_uneven_return_m": 0.2}, "flat_uneven_return_m is above flat_uneven_leave_m"),
+    ],
+)
+def test_a_way_that_cannot_be_is_refused_before_the_drive(settings: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        AntennaHeightSettings(**settings)
+    assert words in str(refused.value).replace("\n", ".")
+
+
+def test_each_measurement_of_the_way_is_answered_and_no_other() -> None:
+    running = Running(
+        way="ranging",
+        antenna=PLACE,
+        ranging=PLACE | {"z_m": 0.9},
+        **{k: v for k, v in STROKE.items() if k != "way"},
+    )
+    distance = Ranging(time_ns=START_NS, distance_m=0.9, beam_angle_rad=math.pi / 2, distance_sigma_m=0.004)
+    running.service.handlers()["ranging"](distance)
+    height = said(running.advance(0.0))
+    assert (height.status, height.way, height.height_m) == ("known", "ranging", pytest.approx(1.5))
+    running.stroke(0.05, 0.27)
+    assert running.advance(0.05) is None
+    running.service.handlers()["ranging"](distance.model_copy(update={"time_ns": START_NS + NS // 10}))
+    assert [other.way for other in said(running.advance(0.1)).others] == ["stroke"]
