@@ -9,6 +9,7 @@ import numpy as np
 
 from camber.formats.observations import Floats, ObservationEpoch
 from camber.geodesy.covariance import EnuCovariance
+from camber.gnss.differenced_epoch import NO_PRIOR
 from camber.gnss.doppler_velocity import DopplerVelocity
 from camber.gnss.engine import EngineOptions, Solution
 from camber.gnss.fixing import CONTRADICTORY
@@ -135,6 +136,7 @@ class LastEpochs:
             request.strategy,
             request.excluded_satellites,
             request.maximum_trials,
+            solution.prior or NO_PRIOR,
         )
         candidates = tuple(_candidate(other) for other in found[:100])
         return answer.model_copy(update={"status": "available", "trials": trials, "candidates": candidates})

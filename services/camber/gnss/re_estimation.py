@@ -2,7 +2,8 @@
 
 Every choice is tried and every one that passes the tests is told, with how many others agree with it and how many
 were tried: nothing here knows a height of road or map, so agreement is no proof of height and height none of agreement.
-The epoch's rows are used as they are: geometry is made once. Nothing of other epochs enters, no prior either.
+The epoch's rows are used as they are: geometry is made once. Of other epochs enters what the epoch itself had, the
+float position that its codes and Doppler have carried on, where the engine uses it; it has seen no integers.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from camber.formats.observations import Floats, Integers, satellite_name
 from camber.geodesy.compiled import compiled
 from camber.gnss.ambiguity import RESOLVED
+from camber.gnss.differenced_epoch import NO_PRIOR, Prior
 from camber.gnss.fixing import Limits, estimate
 from camber.gnss.float_position import float_position
 from camber.gnss.signals import systems_of
@@ -35,7 +37,7 @@ _ALL: tuple[Strategy, ...] = (
 """In turn: the number of trials is limited, and what one strategy leaves out first is what it suspects most."""
 _IDENTICAL_M, _AGREEMENT_M = 1.0e-9, 0.05
 _LEAST_SATELLITES = 4
-_LEAST_SUCCESS = 0.8
+_LEAST_SUCCESS = 0.5
 """Less than a fix by itself needs: agreement is asked for beside it, and each estimate tells its own."""
 
 
@@ -63,6 +65,7 @@ def other_estimates(
     strategy: Strategy,
     excluded: Sequence[str],
     most_trials: int,
+    prior: Prior = NO_PRIOR,
 ) -> tuple[int, list[OtherEstimate]]:
     """How many choices were tried, and all estimates that passed, in the order of trial.
 
@@ -76,7 +79,10 @@ def other_estimates(
         return 0, []
     masks = np.array(choices)[:, place]
     trial = limits._replace(least_success=min(limits.least_success, _LEAST_SUCCESS))
-    status, dx, covariance, counts, quality = _estimates(rows, masks, trial)
+    prior_m = prior.position_ecef_m - approximate_ecef_m if prior.information.any() else np.zeros(3)
+    status, dx, covariance, counts, quality = _estimates(
+        rows, masks, prior_m, np.ascontiguousarray(prior.information), trial
+    )
     passed = np.flatnonzero(status == RESOLVED)
     apart = np.linalg.norm(dx[passed, None] - dx[None, passed], axis=2)
     # Where a satellite that is left out had been rejected anyway, the position is the very same: no second opinion.
@@ -152,16 +158,15 @@ def _normalised_residuals(rows: Rows, usable: Booleans) -> Floats:
 
 @compiled
 def _estimates(
-    rows: Rows, masks: Booleans, limits: Limits
+    rows: Rows, masks: Booleans, prior_m: Floats, prior_information: Floats, limits: Limits
 ) -> tuple[Integers, Floats, Floats, Integers, Floats]:
     """Of each mask (t, n): status (t,), correction (t, 3), covariance (t, 3, 3), ambiguities and fixed (t, 2), ratio
     and success rate (t, 2)."""
     t = masks.shape[0]
     status, dx, covariance = np.empty(t, np.int64), np.empty((t, 3)), np.empty((t, 3, 3))
     counts, quality = np.empty((t, 2), np.int64), np.empty((t, 2))
-    nothing, no_prior = np.zeros(3), np.zeros((3, 3))
     for k in range(t):
-        found = estimate(rows, masks[k], nothing, no_prior, limits)
+        found = estimate(rows, masks[k], prior_m, prior_information, limits)
         status[k], dx[k], covariance[k] = found.status, found.dx_m, found.covariance_m2
         counts[k, 0], counts[k, 1] = found.ambiguities, found.fixed
         quality[k, 0], quality[k, 1] = found.ratio, found.success_rate

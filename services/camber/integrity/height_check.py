@@ -1,4 +1,4 @@
-"""The determination of H: does a position stand where the road and the antenna say it must?
+"""The height model of H: where the road and the antenna say that a position must stand.
 
 All heights are ellipsoidal metres, `h_a` is above the road.
 """
@@ -25,21 +25,24 @@ class RoadPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Determination:
-    """Outcome of the height check; `agrees` only where the difference is known and within the tolerance."""
+class Height:
+    """Of the antenna above the road: `h_a`, the correction `h_e`, and the σ of both together, metres."""
 
-    difference_m: float
+    antenna_m: float
+    correction_m: float
     sigma_m: float
-    tolerance_m: float
-    agrees: bool
 
+    def expected_m(self, road: RoadPoint) -> float:
+        """Where the antenna must be: `(h_m + h_a) + h_e`.
 
-def height_difference_m(road_m: float, antenna_m: float, correction_m: float, receiver_m: float) -> float:
-    """`(h_m + h_a) + h_e − h_r`, H (3) in the form that goes to zero.
+        The difference `(h_m + h_a) + h_e − h_r` is H (3) in the form that goes to zero. H prints `(h_m + h_a) − h_r −
+        h_e`; with `h_e → h_r − (h_m + h_a)` of H (4) that would go to `−2 h_e`.
+        """
+        return road.elevation_m + self.antenna_m + self.correction_m
 
-    H prints `(h_m + h_a) − h_r − h_e`; with `h_e → h_r − (h_m + h_a)` of H (4) that would go to `−2 h_e`.
-    """
-    return road_m + antenna_m + correction_m - receiver_m
+    def variance_m2(self, road: RoadPoint) -> float:
+        """Of that height, in m²."""
+        return road.sigma_m**2 + self.sigma_m**2
 
 
 def road_at(road: Road, east_m: float, north_m: float) -> RoadPoint | None:
@@ -72,21 +75,3 @@ def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | Non
     slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
     elevation_m = float(patch.elevation_m[k]) + slope_east * float(east[k]) + slope_north * float(north[k])
     return RoadPoint(elevation_m, float(patch.sigma_m[k]), slope_east, slope_north, int(patch.surface_id[k]))
-
-
-def determine(
-    road: RoadPoint,
-    antenna_m: float,
-    antenna_sigma_m: float,
-    correction_m: float,
-    receiver_m: float,
-    receiver_sigma_m: float,
-    tolerance_m: float,
-) -> Determination:
-    """The determination with the document's fixed tolerance; σ is that of the difference, for information.
-
-    Anything not finite disagrees.
-    """
-    difference_m = height_difference_m(road.elevation_m, antenna_m, correction_m, receiver_m)
-    sigma_m = math.hypot(road.sigma_m, antenna_sigma_m, receiver_sigma_m)
-    return Determination(difference_m, sigma_m, tolerance_m, abs(difference_m) <= tolerance_m)

@@ -4,28 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from camber.integrity.height_check import Determination, RoadPoint
+from camber.integrity.comparison import Comparison
+from camber.integrity.height_check import RoadPoint
 from camber.integrity.true_sigma import TrueSigma, with_true_sigma
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Evidence, Reason, Verdict, VerdictWord
+from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictWord
 from camber.schemas.pose import Pose
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The one judgement of a fix; `pose`, `antenna`, `road` and `determination` as far as it came."""
+    """The one judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as it came.
+
+    `trials`: as many estimates were judged, this one the last.
+    """
 
     fix: Fix
     word: VerdictWord
     reason: Reason
     detail: str = ""
     evidence: tuple[Evidence, ...] = ()
-    determination: Determination | None = None
+    comparison: Comparison | None = None
     correction_m: float = 0.0
     road: RoadPoint | None = None
     pose: Pose | None = None
     antenna: AntennaHeight | None = None
+    cause: Cause = "none"
+    trials: int = 1
 
     @property
     def confirmed(self) -> bool:
@@ -35,7 +41,7 @@ class Judgement:
 
 def verdict_of(judgement: Judgement, sigma: TrueSigma) -> Verdict:
     """The message; it has a position only where that is confirmed."""
-    fix, outcome, point = judgement.fix, judgement.determination, judgement.road
+    fix, found, point = judgement.fix, judgement.comparison, judgement.road
     road = judgement.pose.road if judgement.pose is not None else None
     surface_id = point.surface_id if point is not None else road.surface_id if road is not None else None
     verdict = Verdict(
@@ -45,10 +51,14 @@ def verdict_of(judgement: Judgement, sigma: TrueSigma) -> Verdict:
         reason=judgement.reason,
         detail=judgement.detail,
         evidence=judgement.evidence,
-        height_difference_m=outcome.difference_m if outcome is not None else None,
-        tolerance_m=outcome.tolerance_m if outcome is not None else None,
+        height_difference_m=found.height_m if found is not None else None,
+        tolerance_m=found.tolerance_m if found is not None else None,
+        position_difference_m=found.position_m if found is not None else None,
+        joint_distance2=found.joint_distance2 if found is not None else None,
+        joint_limit=found.joint_limit if found is not None else None,
+        cause=judgement.cause,
         correction_m=judgement.correction_m,
-        trials=1,
+        trials=judgement.trials,
         surface_id=surface_id,
         map_version=road.map_version if road is not None else None,
     )

@@ -1,4 +1,4 @@
-"""Where a fix lies from the approximate pose, and whether both can be true."""
+"""Where a fix lies from the approximate pose, and how wide a pose or a position claims to be."""
 
 from __future__ import annotations
 
@@ -43,18 +43,6 @@ def claimed_sigma_m(covariance_enu_m2: Covariance3) -> float:
     """Largest σ of a position in any horizontal direction or upwards; infinite where this is no covariance."""
     ee, en, _, nn, _, uu = covariance_enu_m2
     return max(_largest_sigma_m(ee, en, nn), math.sqrt(uu)) if uu >= 0.0 else math.inf
-
-
-def distance2(east_m: float, north_m: float, pose: Covariance3, fix: Covariance3, floor_m: float) -> float:
-    """Squared Mahalanobis distance of a fix from a pose, in units of both covariances and a floor in each axis.
-
-    `pose` is (ee, en, eψ, nn, nψ, ψψ), `fix` (ee, en, eu, nn, nu, uu). Infinite where their sum is no covariance.
-    """
-    ee, en, nn = pose[0] + fix[0] + floor_m**2, pose[1] + fix[1], pose[3] + fix[3] + floor_m**2
-    determinant = ee * nn - en * en
-    if not (determinant > 0.0 and ee > 0.0):
-        return math.inf
-    return (nn * east_m**2 - 2.0 * en * east_m * north_m + ee * north_m**2) / determinant
 
 
 def _largest_sigma_m(ee: float, en: float, nn: float) -> float:

@@ -1,130 +1,196 @@
-"""The position for consumers at every epoch, and its error ellipse (R, reliability index).
+"""The position for consumers at every epoch with its bounds, and whether to use it (R, priority and reliability index).
 
-Confirmed RTK before the approximate pose; without either, nothing. The 99.9 % ellipse has the semi-axes √(13.82 α).
-Usable is what is confirmed or stems from something confirmed or given, and whose ellipse is within the alert limit.
+A confirmed fix before satellite velocities since the last one, before the vehicle's sensors, before a scan match; a
+lower one is taken where its horizontal protection level is clearly smaller. Without any there is a word and a reason.
+Usable is what has both levels below their alert limits: what is not known is not below.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import replace
 
-from camber.geodesy.covariance import error_ellipse
+from camber.geodesy.offsets import east_north_between
+from camber.integrity.bounds import Bounds, LevelRules, bounds_of, is_beyond
+from camber.integrity.candidates import (
+    Candidate,
+    Suspicion,
+    confirmed_fix,
+    of_doppler,
+    of_pose,
+)
+from camber.integrity.candidates import (
+    is_provisional as is_provisional,
+)
+from camber.integrity.doppler_position import DopplerPosition
 from camber.integrity.judgement import Judgement
-from camber.integrity.rules import Rules
-from camber.integrity.situation import Situation
-from camber.integrity.true_sigma import with_true_sigma
+from camber.integrity.reliability_index import ReliabilityIndex
+from camber.integrity.rules import SAME_EPOCH_S, Rules
+from camber.integrity.situation import Situation, age_s
 from camber.schemas.base import Covariance3
+from camber.schemas.gnss import SatelliteVelocity
 from camber.schemas.integrity import Position, Reason
-from camber.schemas.pose import Pose
 
-_P999 = 0.999
-_UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
-
-
-def rtk_position(judgement: Judgement, rules: Rules) -> Position:
-    """The position of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
-    fix = judgement.fix
-    if not judgement.confirmed or fix.covariance_enu_m2 is None:
-        raise ValueError(f"fix {fix.fix_id} is {judgement.word}, not confirmed")
-    yaw_rad = judgement.pose.yaw_rad if judgement.pose is not None else None
-    return _position(
-        "rtk",
-        fix.time_ns,
-        (fix.latitude_rad, fix.longitude_rad, fix.height_m),
-        with_true_sigma(fix.covariance_enu_m2, rules.true_sigma),
-        yaw_rad,
-        rules,
-        fix_id=fix.fix_id,
-    )
+_CONTRADICTION = 27.6  # squared distance of two positions: χ²(2) at 1e-6
+_FLOOR_M2 = 0.01
+_LARGEST_M = 1e9  # that a message holds
 
 
-def pose_position(situation: Situation, correction_m: float, rules: Rules) -> Position:
-    """The approximate pose as position, at its own time; its height where road and antenna are known.
+class Positions:
+    """Hears velocities, wheel speeds and judgements; says the position of an epoch. Times come in, nothing is read."""
 
-    Raises ValueError where there is no pose at all. One that is provisional, or of no use, gives no position.
-    """
-    pose = situation.pose
-    if pose is None:
-        raise ValueError("there is no pose")
-    reason = situation.missing_pose(pose.time_ns, rules)
-    if reason is not None:
-        return no_position(pose.time_ns, reason, rules)
-    if is_provisional(pose):
-        return no_position(pose.time_ns, "pose_provisional", rules)
-    assert pose.latitude_rad is not None
-    assert pose.longitude_rad is not None
-    height_m, variance_m2 = _height_on_road(situation, correction_m, rules)
-    assert pose.covariance_east_north_yaw is not None
-    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    return _position(
-        "scan_match" if pose.mode == "scan_match" else "sensors",
-        pose.time_ns,
-        (pose.latitude_rad, pose.longitude_rad, height_m),
-        (ee, en, 0.0, nn, 0.0, variance_m2),
-        pose.yaw_rad,
-        rules,
-    )
+    def __init__(self, rules: Rules, levels: LevelRules) -> None:
+        self._rules, self._levels = rules, levels
+        self._doppler = DopplerPosition(levels.doppler)
+        self._base: Candidate | None = None
+        self._suspicion = Suspicion.before_any(levels.wrong_fix)
+        self._index = ReliabilityIndex(levels.index)
+
+    def hear_velocity(self, velocity: SatelliteVelocity) -> None:
+        """A velocity by satellite Doppler."""
+        self._doppler.hear_velocity(velocity)
+
+    def hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+        """A wheel speed; None does not overwrite a known one, its age does."""
+        if speed_m_s is not None:
+            self._doppler.hear_speed(time_ns, speed_m_s)
+
+    def forget_future(self, now_ns: int) -> None:
+        """Drop what is dated ahead: from a clock that is wrong, or from before ours was set back."""
+        limit_ns = now_ns + round(self._rules.future_limit_s * 1e9)
+        self._doppler.forget_future(limit_ns)
+        self._index.forget_future(limit_ns)
+        if self._base is not None and self._base.time_ns > limit_ns:
+            self._base = None
+        if self._suspicion.time_ns is not None and self._suspicion.time_ns > limit_ns:
+            self._suspicion = replace(self._suspicion, time_ns=limit_ns)
+
+    def confirmed(self, judgement: Judgement, correction_m: float, situation: Situation) -> Position:
+        """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
+        found = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
+        self._suspicion = found.suspicion
+        if self._base is None or found.candidate.time_ns > self._base.time_ns:
+            self._base = found.candidate
+            self._doppler.begin(found.candidate.time_ns)
+        pose, _ = self._of_pose(found.candidate.time_ns, situation, correction_m)
+        return self._best([found.candidate, pose], situation)
+
+    def at(self, time_ns: int, situation: Situation, correction_m: float) -> Position:
+        """The position of an epoch without a confirmed fix: what there is of it, or why there is none."""
+        pose, missing = self._of_pose(time_ns, situation, correction_m)
+        doppler = self._of_doppler(time_ns, pose)
+        if doppler is None and pose is None:
+            return no_position(time_ns, missing or "pose_stale", self._rules, self._levels)
+        return self._best([doppler, pose], situation)
+
+    def _of_pose(
+        self, time_ns: int, situation: Situation, correction_m: float
+    ) -> tuple[Candidate | None, Reason | None]:
+        pose = situation.pose
+        missing = situation.missing_pose(time_ns, self._rules)
+        if pose is None or missing is not None:
+            return None, missing
+        if is_provisional(pose):
+            return None, "pose_provisional"
+        moved_ns = pose.motion_time_ns if pose.motion_time_ns is not None else pose.time_ns
+        old = not abs(age_s(moved_ns, time_ns)) <= self._levels.time_to_alert_s
+        if old or not abs(age_s(pose.time_ns, time_ns)) <= SAME_EPOCH_S:
+            return None, "pose_stale"
+        return of_pose(situation, correction_m, self._suspicion, self._rules, self._levels), None
+
+    def _of_doppler(self, time_ns: int, pose: Candidate | None) -> Candidate | None:
+        """The position by Doppler where it can be checked and agrees; where it does not it ends."""
+        moved = self._doppler.at(time_ns)
+        if moved is None or self._base is None or moved.since_ns != self._base.time_ns:
+            return None
+        found = of_doppler(self._base, moved, time_ns, self._levels)
+        if pose is None:
+            return found if moved.checked else None
+        east_m, north_m = east_north_between(
+            pose.place[0], pose.place[1], found.place[0], found.place[1], found.place[2] or 0.0
+        )
+        if _distance2(east_m, north_m, pose.covariance_enu_m2, found.covariance_enu_m2) <= _CONTRADICTION:
+            return found
+        self._doppler.end()
+        return None
+
+    def _best(self, candidates: list[Candidate | None], situation: Situation) -> Position:
+        """The first of them, or a later one whose level is clearly smaller."""
+        best, *others = [candidate for candidate in candidates if candidate is not None]
+        bounds = self._bounds(best)
+        for other in others:
+            limit_m = self._levels.clearly_smaller * bounds.horizontal_level_m
+            # Mostly one look at the tails tells that the level is larger, and no bound needs to be found.
+            if self._levels.levels == "integrity_risk" and is_beyond(other.mixture, limit_m, self._levels):
+                continue
+            found = self._bounds(other)
+            if found.horizontal_level_m < limit_m:
+                best, bounds = other, found
+        self._index.keep(best.time_ns, bounds)
+        return self._position(best, bounds, situation)
+
+    def _bounds(self, of: Candidate) -> Bounds:
+        (found,) = bounds_of([of.mixture], self._levels)
+        if self._levels.levels == "integrity_risk":
+            return found
+        return self._index.bounds(of.source, of.time_ns, found, known=of.place[2] is not None)
+
+    def _position(self, found: Candidate, bounds: Bounds, situation: Situation) -> Position:
+        reason = self._too_large(found, bounds, situation)
+        by_risk = self._levels.levels == "integrity_risk"
+        return Position(
+            time_ns=found.time_ns,
+            source=found.source,
+            usable=reason is None,
+            reason=reason or "none",
+            latitude_rad=found.place[0],
+            longitude_rad=found.place[1],
+            height_m=found.place[2],
+            covariance_enu_m2=found.covariance_enu_m2,
+            yaw_rad=found.yaw_rad,
+            semi_major_99_m=_known(bounds.semi_major_99_m),
+            semi_minor_99_m=_known(bounds.semi_minor_99_m),
+            semi_major_999_m=_known(bounds.semi_major_999_m),
+            semi_minor_999_m=_known(bounds.semi_minor_999_m),
+            orientation_rad=bounds.orientation_rad,
+            horizontal_protection_level_m=_known(bounds.horizontal_level_m),
+            vertical_protection_level_m=_known(bounds.vertical_level_m),
+            integrity_risk=self._levels.integrity_risk if by_risk else 1.0 - self._levels.index.probability,
+            alert_limit_m=self._rules.alert_limit_m,
+            vertical_alert_limit_m=self._levels.vertical_alert_limit_m,
+            wrong_fix_probability=found.wrong,
+            fix_id=found.fix_id if found.source == "rtk" else None,
+        )
+
+    def _too_large(self, found: Candidate, bounds: Bounds, situation: Situation) -> Reason | None:
+        """Why it is not usable."""
+        if not bounds.horizontal_level_m < self._rules.alert_limit_m:
+            return "position_unverified" if found.source == "rtk" else "pose_too_uncertain"
+        if found.place[2] is None:
+            return (
+                situation.missing_road()
+                or situation.missing_antenna(found.time_ns, self._rules)
+                or "road_unknown"
+            )
+        return None if bounds.vertical_level_m < self._levels.vertical_alert_limit_m else "height_unverified"
 
 
-def is_provisional(pose: Pose) -> bool:
-    """Does the pose rest on unconfirmed fixes alone?"""
-    return pose.provenance == "fixes" or pose.mode == "provisional"
-
-
-def no_position(time_ns: int, reason: Reason, rules: Rules) -> Position:
+def no_position(time_ns: int, reason: Reason, rules: Rules, levels: LevelRules | None = None) -> Position:
     """The clear word that there is none."""
     return Position(
-        time_ns=time_ns, source="none", usable=False, reason=reason, alert_limit_m=rules.alert_limit_m
-    )
-
-
-def _height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:
-    """Height of the antenna on the road below it, and its variance with the slope's share of the pose's error."""
-    pose, antenna = situation.pose, situation.antenna
-    assert pose is not None
-    assert pose.covariance_east_north_yaw is not None
-    road = pose.road
-    if situation.missing_road() is not None or situation.missing_antenna(pose.time_ns, rules) is not None:
-        return None, _UNKNOWN_HEIGHT_M2
-    if road.slope_east is None or road.slope_north is None:
-        return None, _UNKNOWN_HEIGHT_M2
-    assert road.elevation_m is not None
-    assert road.sigma_m is not None
-    assert antenna is not None
-    assert antenna.height_m is not None
-    assert antenna.sigma_m is not None
-    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    se, sn = road.slope_east, road.slope_north
-    slope_m2 = se * se * ee + 2.0 * se * sn * en + sn * sn * nn
-    height_m = road.elevation_m + antenna.height_m + correction_m
-    return height_m, road.sigma_m**2 + antenna.sigma_m**2 + max(slope_m2, 0.0)
-
-
-def _position(
-    source: Literal["rtk", "sensors", "scan_match"],
-    time_ns: int,
-    place: tuple[float, float, float | None],
-    covariance: Covariance3,
-    yaw_rad: float | None,
-    rules: Rules,
-    *,
-    fix_id: int | None = None,
-) -> Position:
-    ellipse = error_ellipse((covariance[0], covariance[1], covariance[3]), _P999)
-    usable = ellipse.semi_major_m < rules.alert_limit_m
-    return Position(
         time_ns=time_ns,
-        source=source,
-        usable=usable,
-        reason="none" if usable or source == "rtk" else "pose_too_uncertain",
-        latitude_rad=place[0],
-        longitude_rad=place[1],
-        height_m=place[2],
-        covariance_enu_m2=covariance,
-        yaw_rad=yaw_rad,
-        semi_major_999_m=ellipse.semi_major_m,
-        semi_minor_999_m=ellipse.semi_minor_m,
-        orientation_rad=ellipse.orientation_rad,
+        source="none",
+        usable=False,
+        reason=reason,
         alert_limit_m=rules.alert_limit_m,
-        fix_id=fix_id,
+        vertical_alert_limit_m=levels.vertical_alert_limit_m if levels is not None else None,
     )
+
+
+def _distance2(east_m: float, north_m: float, one: Covariance3, other: Covariance3) -> float:
+    """Squared Mahalanobis distance of two positions, with a floor."""
+    ee, en, nn = one[0] + other[0] + _FLOOR_M2, one[1] + other[1], one[3] + other[3] + _FLOOR_M2
+    return (nn * east_m**2 - 2.0 * en * east_m * north_m + ee * north_m**2) / (ee * nn - en * en)
+
+
+def _known(level_m: float) -> float | None:
+    return level_m if level_m <= _LARGEST_M else None

@@ -6,24 +6,27 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from camber.integrity.causes import ISSUE_CODES
 from camber.integrity.judge import Judge
 from camber.integrity.judgement import Judgement, verdict_of
-from camber.integrity.learning import Correction, LearningRules, correction_from_text, text_from_correction
-from camber.integrity.position import no_position, pose_position, rtk_position
+from camber.integrity.learning import Learning, LearningRules
+from camber.integrity.learning_text import from_text, to_text
+from camber.integrity.position import Positions, is_provisional, no_position
+from camber.integrity.re_estimation import Answering, concluded, question_for, unanswered
 from camber.integrity.rules import SAME_EPOCH_S
 from camber.integrity.settings import IntegritySettings
 from camber.integrity.situation import Situation, age_s
 from camber.integrity.spoken import Spoken
 from camber.integrity.uploads import Collector, upload_for
-from camber.runtime.bus import Bus
+from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
 from camber.runtime.uploader import Uploader
 from camber.schemas.fleet import UploadBatch
-from camber.schemas.gnss import Fix
+from camber.schemas.gnss import Estimates, Fix
 from camber.schemas.integrity import Reason, Verdict
 
 _SERVICES = ("gnss", "localizer", "antenna_height", "map_server")
-_SAVE_EVERY = 50  # learning steps between two writes of the correction
+_SAVE_EVERY = 5  # learning steps between two writes of the correction
 
 
 class IntegrityService(Service[IntegritySettings]):
@@ -36,10 +39,13 @@ class IntegrityService(Service[IntegritySettings]):
         super().__init__(settings, bus)
         self._rules = settings.rules()
         self._state = settings.state_dir / "correction.json" if settings.state_dir else None
-        self._judge = Judge(self._rules, _load_correction(self._state, self._rules.learning, bus))
-        self._saved = self._judge.correction.samples
+        self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))
+        self._saved = self._judge.learning.samples
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was heard
         self._spoken = Spoken()
+        self._levels = settings.level_rules()
+        self._positions = Positions(self._rules, self._levels)
+        self._gnss = Answering()
         self._collector = Collector(settings.upload_every_s)
         self._uploader = self._make_uploader() if settings.upload and settings.state_dir else None
 
@@ -58,13 +64,20 @@ class IntegrityService(Service[IntegritySettings]):
             "fix": lambda fix: self._pending.append((fix, self.bus.now_ns())),
             "pose": self._judge.hear_pose,
             "antenna_height": self._judge.hear_antenna,
-            "motion": lambda motion: self._judge.hear_speed(motion.time_ns, motion.wheel_speed_m_s),
+            "receiver_integrity": self._judge.hear_receiver,
+            "velocity": self._positions.hear_velocity,
+            "motion": lambda motion: self._hear_speed(motion.time_ns, motion.wheel_speed_m_s),
         }
+
+    def _hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+        self._judge.hear_speed(time_ns, speed_m_s)
+        self._positions.hear_speed(time_ns, speed_m_s)
 
     def advance(self, now_ns: int) -> None:
         """Judge what can be judged, then say where the vehicle is."""
         alive = self._alive()
         self._judge.forget_future(now_ns)
+        self._positions.forget_future(now_ns)
         self._spoken.forget_after(now_ns + round(self._rules.future_limit_s * 1e9))
         pending, self._pending = self._pending, []
         for fix, heard_ns in pending:
@@ -90,7 +103,7 @@ class IntegrityService(Service[IntegritySettings]):
         return not pose_is_there and not waited and "localizer" in alive
 
     def _judge_fix(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> None:
-        judgement = self._judge.judge(fix, now_ns, alive)
+        judgement = self._judge.judge(fix, now_ns, alive, lambda first: self._other_estimate(first, alive))
         if judgement is None:
             self.bus.count("fix.judged_already")
             return
@@ -98,10 +111,34 @@ class IntegrityService(Service[IntegritySettings]):
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
         self._spoken.verdict(now_ns)
         if judgement.confirmed:
-            self.bus.publish("position", rtk_position(judgement, self._rules))
+            situation = self._judge.situation(judgement.fix.time_ns, alive)
+            correction_m = self._judge.correction(situation).correction_m
+            self.bus.publish("position", self._positions.confirmed(judgement, correction_m, situation))
             self._spoken.rtk(fix.time_ns)
         self._save(_SAVE_EVERY)
         self._collect(judgement)
+
+    def _other_estimate(self, judgement: Judgement, alive: frozenset[str]) -> Judgement:
+        """The judgement of another estimate of the fix, where one is called for and passes; else the one there is."""
+        rules, fix, asked_ns = self._rules.re_estimation, judgement.fix, self.bus.now_ns()
+        question = question_for(judgement, rules)
+        situation = self._judge.situation(fix.time_ns, alive)
+        pose, missing = situation.pose, situation.missing(fix.time_ns, self._rules)
+        # A provisional pose follows the fixes: it can tell nothing.
+        if question is None or pose is None or missing is not None or is_provisional(pose):
+            return judgement
+        if not self._gnss.may_be_asked(asked_ns):
+            return unanswered(judgement, "gnss has just not answered")
+        try:
+            answer: Estimates = self.bus.ask("estimates", question)
+        except QueryFailed as error:
+            if error.reason != "absent":
+                self._gnss.fell_silent(self.bus.now_ns())
+            self.bus.count(f"estimates.{error.reason}")
+            return unanswered(judgement, str(error))
+        found = concluded(judgement, answer, lambda other, n: self._judge.examine(other, alive, n), rules)
+        self.bus.count(f"estimates.{'confirmed' if found.confirmed else answer.status}")
+        return found
 
     def _publish_pose_position(self, alive: frozenset[str]) -> None:
         pose = self._judge.pose
@@ -110,7 +147,8 @@ class IntegrityService(Service[IntegritySettings]):
         situation = self._judge.situation(pose.time_ns, alive)
         self._spoken.position(pose.time_ns)
         self.bus.publish(
-            "position", pose_position(situation, self._judge.correction.correction_m, self._rules)
+            "position",
+            self._positions.at(pose.time_ns, situation, self._judge.correction(situation).correction_m),
         )
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
@@ -125,7 +163,10 @@ class IntegrityService(Service[IntegritySettings]):
         missing = situation.missing_pose(now_ns, self._rules) or reason
         if missing is not None and self._spoken.position_is_due(now_ns, self._rules.pose_max_age_s):
             self._spoken.no_position(now_ns)
-            self.bus.publish("position", no_position(now_ns, missing, self._rules))
+            position = self._positions.at(now_ns, situation, self._judge.correction(situation).correction_m)
+            if position.source == "none":
+                position = no_position(now_ns, missing, self._rules, self._levels)
+            self.bus.publish("position", position)
 
     def _silence_reason(self, now_ns: int, situation: Situation) -> Reason | None:
         last_ns = self._judge.last_fix_ns
@@ -136,7 +177,7 @@ class IntegrityService(Service[IntegritySettings]):
         return situation.missing(now_ns, self._rules)
 
     def _collect(self, judgement: Judgement) -> None:
-        upload = upload_for(judgement, self.settings.vehicle)
+        upload = upload_for(judgement, self.settings.vehicle, self._rules.true_sigma)
         if upload is not None and self._uploader is not None:
             self._hand_over(self._collector.add(upload))
 
@@ -145,19 +186,21 @@ class IntegrityService(Service[IntegritySettings]):
             self._uploader.put(batch.batch_id, "upload_batch", batch)
 
     def _report(self) -> None:
+        for named in self._judge.learning.news():
+            self.bus.issue(ISSUE_CODES[named.cause], named.text)
         for code, text in self._uploader.problems() if self._uploader is not None else ():
             self.bus.issue(code, text)
 
     def _save(self, least: int) -> None:
         """Write the correction where it has been learnt from `least` positions since."""
-        correction = self._judge.correction
-        if self._state is None or correction.samples < self._saved + least:
+        learning = self._judge.learning
+        if self._state is None or learning.samples < self._saved + least:
             return
-        self._saved = correction.samples
+        self._saved = learning.samples
         try:
             self._state.parent.mkdir(parents=True, exist_ok=True)
             fresh = self._state.with_suffix(".new")
-            fresh.write_text(text_from_correction(correction))
+            fresh.write_text(to_text(learning))
             fresh.replace(self._state)
         except OSError as error:
             self.bus.issue("correction_not_saved", f"{self._state}: {error.strerror}")
@@ -175,14 +218,14 @@ class IntegrityService(Service[IntegritySettings]):
             self._report()
 
 
-def _load_correction(path: Path | None, rules: LearningRules, bus: Bus) -> Correction:
+def _load_learning(path: Path | None, rules: LearningRules, bus: Bus) -> Learning:
     if path is None or not path.exists():
-        return Correction()
+        return Learning(rules)
     try:
-        return correction_from_text(path.read_text(), rules)
+        return from_text(path.read_text(), rules)
     except (OSError, ValueError) as error:
         bus.issue("correction_unreadable", f"{path}: {error}")
-        return Correction()
+        return Learning(rules)
 
 
 SERVICE = IntegrityService

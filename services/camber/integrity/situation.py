@@ -78,8 +78,11 @@ class Situation:
         return "datum_mismatch" if road.datum is None else None
 
     def missing(self, at_ns: int, rules: Rules) -> Reason | None:
-        """The first thing missing for a verdict on a fix at this time."""
-        return self.missing_pose(at_ns, rules) or self.missing_antenna(at_ns, rules) or self.missing_road()
+        """The first thing missing for a verdict on a fix at this time; road and antenna where the height is asked."""
+        reason = self.missing_pose(at_ns, rules)
+        if reason is not None or not rules.determination.asks_height:
+            return reason
+        return self.missing_antenna(at_ns, rules) or self.missing_road()
 
 
 def unusable_fix(fix: Fix, rules: Rules) -> Reason | None:

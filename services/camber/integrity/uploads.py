@@ -1,38 +1,49 @@
 """What a vehicle tells the fleet: the road's height under its fixes, free of the map's own, the verdict as a flag.
 
 Epochs that did not pass are uploaded too: were only passed ones sent, a real change of the road would censor itself.
-Left out is what no fusion can use: a fix that is not on a known surface, or a height of no accuracy.
+The height is h_r − h_a alone, without the learnt correction, and h_a is never that of scan matching: it is above the
+road *of the map*, and would give back the map's own height where the road has changed. Left out is what no fusion can
+use: a fix that is not on a known surface, or a height of no accuracy.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
 
+from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.integrity.judgement import Judgement
+from camber.integrity.true_sigma import TrueSigma, with_true_sigma
+from camber.schemas.antenna import AntennaHeight
 from camber.schemas.fleet import ElevationUpload, UploadBatch
+from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictWord
 
 _VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+_QUALITIES: tuple[Quality, ...] = get_args(Quality)
 LARGEST_SIGMA_M = 10.0
 MOST_ROWS = 64
 
 
-def upload_for(judgement: Judgement, vehicle: str) -> ElevationUpload | None:
+def upload_for(judgement: Judgement, vehicle: str, sigma: TrueSigma) -> ElevationUpload | None:
     """The upload of one judgement; None where fix, antenna height or surface is not known well enough."""
-    fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
+    fix, pose, road = judgement.fix, judgement.pose, judgement.road
     if pose is None or road is None or road.surface_id is None or pose.road.map_version is None:
         return None
     if fix.quality != "fixed" or fix.covariance_enu_m2 is None:
         return None
-    if antenna is None or antenna.sigma_m is None or antenna.height_m is None or not antenna.height_m >= 0.0:
+    antenna = _free_of_the_map(judgement.antenna)
+    if antenna is None or not antenna[0] >= 0.0:
         return None
-    sigma_m = (fix.covariance_enu_m2[5] + antenna.sigma_m**2) ** 0.5
-    if not 0.0 < sigma_m <= LARGEST_SIGMA_M:
+    antenna_m, antenna_sigma_m = antenna
+    covariance_m2 = with_true_sigma(fix.covariance_enu_m2, sigma)
+    sigma_m = math.hypot(math.sqrt(covariance_m2[5]), antenna_sigma_m)
+    if not sigma_m <= LARGEST_SIGMA_M:
         return None
     return ElevationUpload(
         time_ns=fix.time_ns,
@@ -43,12 +54,12 @@ def upload_for(judgement: Judgement, vehicle: str) -> ElevationUpload | None:
         verdict=judgement.word,
         latitude_rad=fix.latitude_rad,
         longitude_rad=fix.longitude_rad,
-        road_height_m=fix.height_m - antenna.height_m,
+        road_height_m=fix.height_m - antenna_m,
         road_height_sigma_m=sigma_m,
-        antenna_height_m=antenna.height_m,
-        position_covariance_enu_m2=fix.covariance_enu_m2,
+        antenna_height_m=antenna_m,
+        position_covariance_enu_m2=covariance_m2,
         datum=fix.datum,
-        epoch_year=_decimal_year(fix.time_ns),
+        epoch_year=decimal_year(fix.time_ns),
         map_version=pose.road.map_version,
         surface_id=road.surface_id,
     )
@@ -75,12 +86,16 @@ def batch_of(uploads: Sequence[ElevationUpload]) -> UploadBatch:
         vehicle=vehicle,
         batch_id=_name(last.time_ns, digest),
         datum=datum,
+        epoch_year=uploads[0].epoch_year,
         map_version=map_version,
         positioning_time_ns=np.array([upload.time_ns for upload in uploads], "<i8"),
+        fix_id=np.array([upload.fix_id for upload in uploads], "<i8"),
+        fix_quality=np.array([_QUALITIES.index(upload.fix_quality) for upload in uploads], "|u1"),
         surface_id=np.array([upload.surface_id for upload in uploads], "<i8"),
         verdict=np.array([_VERDICTS.index(upload.verdict) for upload in uploads], "|u1"),
         latitude_rad=column("latitude_rad"),
         longitude_rad=column("longitude_rad"),
+        horizontal_sigma_m=np.array([_horizontal_sigma_m(upload) for upload in uploads], "<f8"),
         road_height_m=column("road_height_m"),
         road_height_sigma_m=column("road_height_sigma_m"),
         antenna_height_m=column("antenna_height_m"),
@@ -124,11 +139,29 @@ class Collector:
         return time_ns // self._every_ns
 
 
+def _free_of_the_map(antenna: AntennaHeight | None) -> tuple[float, float] | None:
+    """Antenna height and its σ by a way that owes nothing to the map: the one chosen, or the surest of the others."""
+    if antenna is None or antenna.height_m is None or antenna.sigma_m is None:
+        return None
+    if antenna.way != "scan_matching":
+        return antenna.height_m, antenna.sigma_m
+    others = [other for other in antenna.others if other.way != "scan_matching"]
+    surest = min(others, key=lambda other: other.sigma_m, default=None)
+    return None if surest is None else (surest.height_m, surest.sigma_m)
+
+
+def _horizontal_sigma_m(upload: ElevationUpload) -> float:
+    """σ in the worst direction."""
+    ee, en, _, nn, _, _ = upload.position_covariance_enu_m2
+    return math.sqrt(eigenvalues_m2((ee, en, nn))[0])
+
+
 def _name(time_ns: int, content: bytes) -> str:
     """Named by what was measured: the same uploaded twice, also after a restart, is one upload."""
     return f"{time_ns}-{hashlib.sha256(b'%d:%b' % (time_ns, content)).hexdigest()[:16]}"
 
 
-def _decimal_year(time_ns: int) -> float:
+def decimal_year(time_ns: int) -> float:
+    """The epoch of a GPS time as geodesists write it, to about two days."""
     calendar = gpst_from_gps_ns(time_ns)
     return calendar.year + (calendar.month - 1) / 12.0 + (calendar.day - 1) / 365.25

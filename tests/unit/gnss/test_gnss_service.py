@@ -184,14 +184,15 @@ def test_every_epoch_passes_once_and_in_order() -> None:
     assert bus.codes() == {"repeated_epoch": 1, "out_of_order_epoch": 1}
 
 
-def test_a_fix_in_2089_stops_nothing() -> None:
+@pytest.mark.parametrize(("year", "code"), [(2079, "epoch_from_the_future"), (2089, "unreadable_input")])
+def test_a_fix_of_another_century_stops_nothing(year: int, code: str) -> None:
     service, bus = make()
-    century = gps_ns_from_utc(CalendarTime(2089, 1, 1, 0, 0, 0))
+    century = gps_ns_from_utc(CalendarTime(year, 1, 1, 0, 0, 0))
     hear(service, pos(0))
     hear(service, pos(0, header=False, time_ns=century))
     hear(service, pos(1, header=False))
     assert bus.epochs() == [0, 1]
-    assert bus.codes() == {"epoch_from_the_future": 1}
+    assert bus.codes() == {code: 1}
 
 
 def test_an_epoch_may_be_half_a_second_ahead_and_no_more() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from camber.formats.observations import satellite_name
 from camber.gnss import re_estimation
+from camber.gnss.differenced_epoch import Prior
 from camber.gnss.engine import EngineOptions
 from camber.gnss.fixing import estimate
 from camber.gnss.re_estimation import other_estimates
@@ -168,3 +169,14 @@ def test_an_epoch_of_the_engine_has_other_estimates_at_its_own_place():
         assert len(found) >= 15
         assert all(right)
         assert max(other.agreeing for other in found) >= 10
+
+
+def test_what_the_epoch_had_of_the_epochs_before_each_estimate_has_too():
+    """Where the float position is known to centimetres from before, the integers are surer."""
+    made = made_up(systems="G")
+    few = [name for k, name in enumerate(names_of(made.rows)) if k >= 5]
+    known = Prior(AT + made.dx_m, np.eye(3) / 0.02**2)
+    _, (without,) = other_estimates(made.rows, AT, LIMITS, "explicit", few, 1)
+    _, (found,) = other_estimates(made.rows, AT, LIMITS, "explicit", few, 1, known)
+    assert 1.0 - found.success_rate < 0.1 * (1.0 - without.success_rate)
+    np.testing.assert_allclose(found.position_ecef_m - AT, made.dx_m, atol=0.03)

@@ -1,4 +1,4 @@
-"""The determination: a position stands on road and antenna within the tolerance, or it does not."""
+"""The height model: where road and antenna say that a position must stand."""
 
 import math
 
@@ -7,15 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.integrity.height_check import RoadPoint, determine, height_difference_m, road_at
+from camber.integrity.height_check import Height, RoadPoint, road_at
 from camber.schemas.pose import RoadPatch
 from support.judging import ROAD_M, road
-
-metres = st.floats(-50.0, 50.0)
-
-
-def check(receiver_m, *, road_m=40.0, antenna_m=1.8, correction_m=0.0, tolerance_m=0.2):
-    return determine(RoadPoint(road_m, 0.03), antenna_m, 0.02, correction_m, receiver_m, 0.01, tolerance_m)
 
 
 def patch(**changes):
@@ -32,44 +26,20 @@ def patch(**changes):
     return RoadPatch(**fields | changes)
 
 
-def test_an_antenna_at_its_height_above_the_road_agrees():
-    outcome = check(41.8)
-    assert outcome.agrees
-    assert outcome.difference_m == pytest.approx(0.0)
-    assert outcome.tolerance_m == 0.2
-
-
-@pytest.mark.parametrize(
-    ("receiver_m", "agrees"), [(41.99, True), (42.01, False), (41.61, True), (41.59, False)]
-)
-def test_the_tolerance_holds_upwards_and_downwards(receiver_m, agrees):
-    assert check(receiver_m).agrees is agrees
-
-
-def test_the_difference_counts_from_the_receiver_up_to_the_road_model():
-    assert height_difference_m(40.0, 1.8, 0.0, 41.3) == pytest.approx(0.5)
+def test_the_antenna_must_stand_on_road_and_its_height_with_the_correction():
+    assert Height(1.8, 0.0, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.8)
+    assert Height(1.8, -0.1, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.7)
 
 
 @given(error_m=st.floats(-0.3, 0.3))
 def test_the_correction_learnt_from_an_error_takes_the_difference_to_zero(error_m):
-    learnt_m = (41.8 + error_m) - (1.8 + 40.0)  # (4)
-    assert height_difference_m(40.0, 1.8, learnt_m, 41.8 + error_m) == pytest.approx(0.0, abs=1e-9)
+    receiver_m = 41.8 + error_m
+    learnt_m = receiver_m - (1.8 + 40.0)  # (4)
+    assert Height(1.8, learnt_m, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(receiver_m)
 
 
-@given(near_m=metres, farther_m=st.floats(0.0, 50.0))
-def test_a_larger_difference_is_never_trusted_more(near_m, farther_m):
-    far_m = near_m + math.copysign(farther_m, near_m)
-    assert check(41.8 + near_m).agrees or not check(41.8 + far_m).agrees
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("name", ["receiver_m", "road_m", "antenna_m", "correction_m"])
-def test_what_is_not_a_number_disagrees(name, value):
-    assert not check(**{"receiver_m": 41.8, name: value}).agrees
-
-
-def test_the_sigma_is_that_of_all_three():
-    assert check(41.8).sigma_m == pytest.approx(math.sqrt(0.03**2 + 0.02**2 + 0.01**2))
+def test_its_variance_is_that_of_road_and_antenna():
+    assert Height(1.8, 0.0, 0.02).variance_m2(RoadPoint(40.0, 0.03)) == pytest.approx(0.03**2 + 0.02**2)
 
 
 def test_the_road_at_an_offset_is_that_of_its_plane():

@@ -10,7 +10,6 @@ from support.tree import ROOT
 
 PAGE = (ROOT / "docs" / "services" / "integrity.md").read_text("utf-8")
 ONLY_IN_POSITIONS = {"none", "pose_provisional"}
-NOT_GIVEN_YET = {"continuity_disagrees"}
 
 
 def test_every_setting_stands_on_the_page():
@@ -25,4 +24,4 @@ def test_every_reason_stands_in_the_table_of_verdicts():
     named = set(re.findall(r"`(\w+)`", table)) | {
         f"antenna_height_{ending}" for ending in re.findall(r"`…_(\w+)`", table)
     }
-    assert set(typing.get_args(Reason)) - named == ONLY_IN_POSITIONS | NOT_GIVEN_YET
+    assert set(typing.get_args(Reason)) - named == ONLY_IN_POSITIONS

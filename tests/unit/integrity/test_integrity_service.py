@@ -111,7 +111,9 @@ def test_a_right_fix_has_a_verdict_and_is_the_position_of_its_epoch(rig):
     assert words(sent) == [("confirmed", "height_agrees")]
     (position,) = of(sent, "position")
     assert position.source == "rtk"
-    assert position.usable
+    assert position.horizontal_protection_level_m > position.semi_major_999_m
+    # The pose rests on fixes that were confirmed before this judge was there: it does not speak for this one.
+    assert (position.usable, position.reason) == (False, "position_unverified")
 
 
 def test_the_pose_of_the_same_epoch_does_not_overwrite_it_before_or_after(rig):
@@ -353,13 +355,14 @@ def test_what_hinders_the_uploads_is_an_issue(kept):
 
 
 def test_the_correction_survives_a_restart(kept, tmp_path):
-    for k in range(60):
+    for k in range(80):
         kept.epoch(k, fix=fix(k, up_m=0.1))
-    learnt = kept.service._judge.correction
-    assert (tmp_path / "state" / "correction.json").exists()  # after 50: a kill loses little
+    assert (tmp_path / "state" / "correction.json").exists()  # every 100 m: a kill loses little
     kept.service.close()
+    (learnt,) = kept.service._judge.learning.parts
+    assert learnt.correction.correction_m > 0.0
     again = Rig(state_dir=tmp_path / "state")
-    assert again.service._judge.correction == learnt
+    assert [part.correction for part in again.service._judge.learning.parts] == [learnt.correction]
     again.service.close()
 
 
@@ -369,14 +372,15 @@ def test_the_correction_survives_a_restart(kept, tmp_path):
 def test_a_damaged_correction_is_an_issue_and_none(tmp_path, text):
     (tmp_path / "correction.json").write_text(text)
     rig = Rig(state_dir=tmp_path, upload=False)
-    assert rig.service._judge.correction.correction_m == 0.0
+    assert rig.service._judge.learning.parts == ()
     assert str(tmp_path) in rig.bus.issues["correction_unreadable"]
 
 
 def test_a_correction_that_cannot_be_saved_is_an_issue(tmp_path):
     rig = Rig(state_dir=tmp_path, upload=False)
     (tmp_path / "correction.new").mkdir()
-    rig.epoch(0, fix=fix(0, up_m=0.1))
+    for k in range(15):
+        rig.epoch(k, fix=fix(k, up_m=0.1))
     rig.service.close()
     assert "correction.json" in rig.bus.issues["correction_not_saved"]
 
@@ -393,9 +397,9 @@ def test_a_judge_that_learnt_nothing_writes_nothing(tmp_path):
 
 def test_the_rules_are_those_of_the_settings():
     rules = IntegritySettings(
-        tolerance_m=0.3, start_gap_s=2.0, sigma_scale=2.0, series_vertical_m=0.2
+        tolerance="fixed", tolerance_m=0.3, start_gap_s=2.0, sigma_scale=2.0, series_vertical_m=0.2
     ).rules()
-    assert rules.tolerance_m == 0.3
+    assert rules.determination.largest_tolerance_m == 0.3
     assert rules.start.longest_gap_s == 2.0
     assert rules.true_sigma.scale == 2.0
     assert rules.series.vertical_m == 0.2

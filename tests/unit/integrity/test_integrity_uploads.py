@@ -5,10 +5,13 @@ import pytest
 
 from camber.integrity.height_check import RoadPoint
 from camber.integrity.judgement import Judgement
+from camber.integrity.true_sigma import TrueSigma
 from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, upload_for
-from camber.map_update.contribution import VERDICTS
+from camber.map_update.contribution import QUALITIES, VERDICTS
+from camber.schemas.antenna import HeightByWay
 from support.judging import ROAD_M, antenna, at, fix, pose, road
 
+SIGMA = TrueSigma(scale=4.0, horizontal_m=0.05, vertical_m=0.05)
 POINT = RoadPoint(ROAD_M, 0.03, surface_id=7)
 EVERY_S = 5.0  # 25 epochs, and START_NS is on the grid
 
@@ -19,7 +22,7 @@ def judgement(epoch=0, word="confirmed", **changes):
 
 
 def upload(epoch=0, **changes):
-    found = upload_for(judgement(epoch, **changes), "car")
+    found = upload_for(judgement(epoch, **changes), "car", SIGMA)
     assert found is not None
     return found
 
@@ -32,10 +35,24 @@ def test_every_verdict_is_uploaded_with_its_word(word):
 def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
     found = upload(fix=fix(up_m=0.5), road=RoadPoint(99.0, 0.03, surface_id=8))
     assert found.road_height_m == pytest.approx(ROAD_M + 0.5)
-    assert found.road_height_sigma_m == pytest.approx((1e-4 + 0.02**2) ** 0.5)
+    assert found.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.02**2) ** 0.5)
+    assert found.position_covariance_enu_m2[0] == pytest.approx(16 * 2.5e-5 + 0.05**2)
     assert found.surface_id == 8
     assert found.map_version == 3
     assert found.epoch_year == pytest.approx(2023.5, abs=0.1)
+
+
+def test_the_height_is_free_of_what_was_learnt_against_the_map():
+    assert upload(correction_m=0.1).road_height_m == upload().road_height_m
+
+
+def test_the_antenna_height_of_scan_matching_is_that_above_the_maps_road_so_the_surest_other_way_is_sent():
+    ways = (("ranging", 1.83, 0.03), ("scan_matching", 1.7, 0.01), ("stroke", 1.81, 0.015))
+    others = tuple(HeightByWay(way=way, height_m=height, sigma_m=sigma) for way, height, sigma in ways)
+    found = upload(antenna=antenna(way="scan_matching", height_m=1.7, others=others))
+    assert found.antenna_height_m == 1.81
+    assert found.road_height_m == pytest.approx(ROAD_M + 1.8 - 1.81)
+    assert found.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.015**2) ** 0.5)
 
 
 def test_the_same_fix_has_the_same_id_and_another_has_not():
@@ -57,12 +74,12 @@ def test_the_same_fix_has_the_same_id_and_another_has_not():
         {"antenna": antenna(sigma_m=None)},
         {"antenna": antenna(height_m=None)},
         {"antenna": antenna(height_m=-0.5)},
-        {"antenna": antenna(sigma_m=0.0), "fix": fix(covariance_enu_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0))},
+        {"antenna": antenna(way="scan_matching")},
     ],
     ids=str,
 )
 def test_what_no_fusion_can_use_stays_here(changes):
-    assert upload_for(judgement(**changes), "car") is None
+    assert upload_for(judgement(**changes), "car", SIGMA) is None
 
 
 def test_a_batch_has_a_row_for_each_in_order():
@@ -75,6 +92,15 @@ def test_a_batch_has_a_row_for_each_in_order():
     for name in ("latitude_rad", "longitude_rad", "road_height_m", "road_height_sigma_m", "antenna_height_m"):
         assert getattr(batch, name).tolist() == [getattr(u, name) for u in uploads]
     assert batch.surface_id.tolist() == [7] * 4
+    assert batch.fix_id.tolist() == [u.fix_id for u in uploads]
+    assert [QUALITIES[q] for q in batch.fix_quality] == ["fixed"] * 4
+    assert batch.epoch_year == uploads[0].epoch_year
+
+
+def test_the_horizontal_sigma_of_a_row_is_that_of_the_worst_direction():
+    slanted = fix(covariance_enu_m2=(1e-4, 5e-5, 0.0, 1e-4, 0.0, 1e-4))
+    (sigma_m,) = batch_of([upload(fix=slanted)]).horizontal_sigma_m
+    assert sigma_m == pytest.approx((16 * 1.5e-4 + 0.05**2) ** 0.5)
 
 
 def test_the_id_of_a_batch_is_made_of_its_contents():

@@ -1,4 +1,4 @@
-"""How far a fix is from the pose, in metres and in both their uncertainties."""
+"""How far a fix is from the pose, and how wide both claim to be."""
 
 import math
 
@@ -9,14 +9,11 @@ from hypothesis import strategies as st
 from camber.integrity.pose_gate import (
     can_move_on,
     claimed_sigma_m,
-    distance2,
     offset_from_pose,
     pose_sigma_m,
 )
 from support.judging import SPEED_M_S, at, place, pose
 
-POSE = (0.04, 0.01, 0.0, 0.09, 0.0, 0.01)
-FIX = (0.0001, 0.0, 0.0, 0.0001, 0.0, 0.0004)
 variance = st.floats(1e-6, 1e4)
 
 
@@ -48,34 +45,6 @@ def test_moving_on_needs_a_speed_and_a_direction(changes, can):
 def test_there_is_no_offset_from_a_pose_without_a_place(name):
     with pytest.raises(ValueError, match="no position"):
         offset_from_pose(*place(0), pose(**{name: None}), at(0))
-
-
-def test_the_distance_is_in_units_of_both_covariances_and_the_floor():
-    assert distance2(0.3, 0.0, (0.04, 0.0, 0.0, 0.09, 0.0, 0.0), FIX, 0.1) == pytest.approx(0.09 / 0.0501)
-    assert distance2(0.0, 0.3, (0.04, 0.0, 0.0, 0.09, 0.0, 0.0), FIX, 0.1) == pytest.approx(0.09 / 0.1001)
-
-
-@pytest.mark.parametrize(
-    "covariance",
-    [
-        (0.0, 1.0, 0.0, 0.0, 0.0, 0.0),
-        (-1.0, 0.0, 0.0, -1.0, 0.0, 0.0),
-        (math.nan, 0.0, 0.0, 1.0, 0.0, 0.0),
-        (1.0, math.nan, 0.0, 1.0, 0.0, 0.0),
-    ],
-)
-def test_with_what_is_no_covariance_every_distance_is_infinite(covariance):
-    assert distance2(0.0, 0.0, covariance, FIX, 0.1) == math.inf
-
-
-def test_a_distance_that_is_not_a_number_is_within_no_gate():
-    assert not distance2(math.nan, 0.0, POSE, FIX, 0.1) <= 18.42
-
-
-@given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(1.0, 100.0))
-def test_farther_away_in_one_direction_is_farther(east_m, north_m, factor):
-    near = distance2(east_m, north_m, POSE, FIX, 0.1)
-    assert distance2(factor * east_m, factor * north_m, POSE, FIX, 0.1) >= near * (1.0 - 1e-9)
 
 
 def test_the_sigma_of_a_pose_is_that_of_its_worst_direction():

@@ -1,0 +1,259 @@
+"""The positions that an epoch could have, each with all ways in which it may be off: of a fix, by Doppler, of the pose.
+
+If a confirmed fix is wrong, the truth is where road and pose say: its error is then N(d, covariance of the pose), d
+being the difference of fix and model. Confirmed fixes anchor the pose: one that was wrong and has passed has pulled it
+along, and agrees with it afterwards. `Suspicion` remembers how likely that is and how far off it may be; it fades as
+episodes of wrong fixes end, which a pose that has been pulled along would show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.integrity.bounds import LevelRules, Mixture, Part
+from camber.integrity.doppler_position import Displacement
+from camber.integrity.judgement import Judgement
+from camber.integrity.rules import Rules
+from camber.integrity.situation import Situation
+from camber.integrity.true_sigma import TrueSigma, with_true_sigma
+from camber.integrity.wrong_fix import WrongFixRules, log_odds
+from camber.schemas.base import Covariance3
+from camber.schemas.pose import Pose
+
+Source = Literal["rtk", "doppler", "sensors", "scan_match"]
+Place = tuple[float, float, float | None]
+
+UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
+_MOST_LOG_ODDS = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """That what fixes and pose stand on is a wrong fix: odds, and mean squares of the offset (each axis, upwards).
+
+    `time_ns` None: no fix has been confirmed yet.
+    """
+
+    time_ns: int | None
+    odds: float
+    horizontal_m2: float
+    up_m2: float
+
+    @classmethod
+    def before_any(cls, rules: WrongFixRules) -> Suspicion:
+        """Of a pose that rests on fixes of which nothing is known here."""
+        return cls(None, math.exp(rules.prior_log_odds), *rules.second_moment_m2)
+
+    def lasting(self, time_ns: int, rules: WrongFixRules) -> float:
+        """The share of it that is left at a later time: episodes of wrong fixes end."""
+        if self.time_ns is None:
+            return 0.0
+        return math.exp(-max(time_ns - self.time_ns, 0) / (rules.episode_s * 1e9))
+
+    def after(self, time_ns: int, odds: float, wrong: Part, rules: WrongFixRules) -> Suspicion:
+        """After a confirmed fix: the episode may have lasted, or another have begun since the fix before.
+
+        `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong.
+        """
+        lasting = self.lasting(time_ns, rules)
+        begun = (1.0 - lasting) * odds
+        total = lasting * self.odds + begun
+        share = begun / total if total > 0.0 else 0.0
+        (east_m, north_m, up_m), (ee, _, nn) = wrong.mean_m, wrong.horizontal_m2
+        horizontal_m2, up_m2 = max(east_m * east_m + ee, north_m * north_m + nn), up_m * up_m + wrong.up_m2
+        return Suspicion(
+            time_ns,
+            total,
+            self.horizontal_m2 + share * (horizontal_m2 - self.horizontal_m2),
+            self.up_m2 + share * (up_m2 - self.up_m2),
+        )
+
+    def part(self, weight: float) -> Part:
+        """What was pulled along."""
+        return Part(weight, (0.0, 0.0, 0.0), (self.horizontal_m2, 0.0, self.horizontal_m2), self.up_m2)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does."""
+
+    source: Source
+    time_ns: int
+    place: Place
+    covariance_enu_m2: Covariance3
+    yaw_rad: float | None
+    mixture: Mixture
+    wrong: float | None
+    fix_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmed:
+    """A confirmed fix as a position, and the suspicion that it leaves."""
+
+    candidate: Candidate
+    suspicion: Suspicion
+
+
+def confirmed_fix(judgement: Judgement, before: Suspicion, rules: LevelRules, sigma: TrueSigma) -> Confirmed:
+    """The position of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
+    fix = judgement.fix
+    if not judgement.confirmed or fix.covariance_enu_m2 is None:
+        raise ValueError(f"fix {fix.fix_id} is {judgement.word}, not confirmed")
+    covariance = with_true_sigma(fix.covariance_enu_m2, sigma)
+    odds, wrong = _if_wrong(judgement, covariance, before, rules.wrong_fix)
+    pulled = before.lasting(fix.time_ns, rules.wrong_fix) * before.odds
+    total = 1.0 + odds + pulled
+    parts = (
+        Part(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
+        Part(odds / total, wrong.mean_m, wrong.horizontal_m2, wrong.up_m2),
+        _wider(before.part(pulled / total), covariance),
+    )
+    probability = (odds + pulled) / total
+    candidate = Candidate(
+        "rtk",
+        fix.time_ns,
+        (fix.latitude_rad, fix.longitude_rad, fix.height_m),
+        covariance,
+        judgement.pose.yaw_rad if judgement.pose is not None else None,
+        # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
+        Mixture(parts, probability * rules.pose_fault_prior),
+        probability,
+        fix.fix_id,
+    )
+    return Confirmed(candidate, before.after(fix.time_ns, odds, wrong, rules.wrong_fix))
+
+
+def of_doppler(base: Candidate, moved: Displacement, time_ns: int, rules: LevelRules) -> Candidate:
+    """The confirmed position moved on by satellite velocities, with all that stood behind it."""
+    latitude_rad, longitude_rad, height_m = base.place
+    assert height_m is not None
+    east_m, north_m, up_m = (float(metre) for metre in moved.metres)
+    to_latitude_rad = latitude_rad + north_m / (meridian_radius_m(latitude_rad) + height_m)
+    middle_rad = 0.5 * (latitude_rad + to_latitude_rad)
+    around_m = (prime_vertical_radius_m(middle_rad) + height_m) * math.cos(middle_rad)
+    p = moved.covariance_m2
+    added = (p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2])
+    ee, en, eu, nn, nu, uu = (
+        float(one + other) for one, other in zip(base.covariance_enu_m2, added, strict=True)
+    )
+    grown = tuple(_wider(part, added) for part in base.mixture.parts)
+    return Candidate(
+        "doppler",
+        time_ns,
+        (to_latitude_rad, longitude_rad + east_m / around_m, height_m + up_m),
+        (ee, en, eu, nn, nu, uu),
+        moved.yaw_rad,
+        Mixture(grown, base.mixture.lost + rules.pose_fault_prior),
+        base.wrong,
+        base.fix_id,
+    )
+
+
+def of_pose(
+    situation: Situation, correction_m: float, suspicion: Suspicion, rules: Rules, levels: LevelRules
+) -> Candidate:
+    """The pose's antenna on its road. `situation.missing_pose` has to be None."""
+    pose = situation.pose
+    assert pose is not None
+    assert pose.latitude_rad is not None
+    assert pose.longitude_rad is not None
+    assert pose.covariance_east_north_yaw is not None
+    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
+    height_m, up_m2 = height_on_road(situation, correction_m, rules)
+    alone = Part(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
+    parts: tuple[Part, ...] = (alone,)
+    wrong: float | None = None
+    if rests_on_fixes(pose):
+        wrong = suspicion.odds / (1.0 + suspicion.odds)
+        pulled = Part(
+            wrong,
+            (0.0, 0.0, 0.0),
+            (ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
+            alone.up_m2,  # the height is that of the road
+        )
+        parts = (replace(alone, weight=1.0 - wrong), pulled)
+    return Candidate(
+        "scan_match" if pose.mode == "scan_match" else "sensors",
+        pose.time_ns,
+        (pose.latitude_rad, pose.longitude_rad, height_m),
+        (ee, en, 0.0, nn, 0.0, up_m2),
+        pose.yaw_rad,
+        Mixture(parts, levels.pose_fault_prior),
+        wrong,
+    )
+
+
+def is_provisional(pose: Pose) -> bool:
+    """Does the pose rest on unconfirmed fixes alone?"""
+    return pose.provenance == "fixes" or pose.mode == "provisional"
+
+
+def rests_on_fixes(pose: Pose) -> bool:
+    """Have confirmed positions entered it?"""
+    return pose.provenance == "confirmed" or pose.mode == "anchored" or pose.anchor_time_ns is not None
+
+
+def height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:
+    """Height of the antenna on the road below it, and its variance with the slope's share of the pose's error."""
+    pose, antenna = situation.pose, situation.antenna
+    assert pose is not None
+    assert pose.covariance_east_north_yaw is not None
+    road = pose.road
+    if situation.missing_road() is not None or situation.missing_antenna(pose.time_ns, rules) is not None:
+        return None, UNKNOWN_HEIGHT_M2
+    if road.slope_east is None or road.slope_north is None:
+        return None, UNKNOWN_HEIGHT_M2
+    assert road.elevation_m is not None
+    assert road.sigma_m is not None
+    assert antenna is not None
+    assert antenna.height_m is not None
+    assert antenna.sigma_m is not None
+    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
+    se, sn = road.slope_east, road.slope_north
+    slope_m2 = se * se * ee + 2.0 * se * sn * en + sn * sn * nn
+    height_m = road.elevation_m + antenna.height_m + correction_m
+    return height_m, road.sigma_m**2 + antenna.sigma_m**2 + max(slope_m2, 0.0)
+
+
+def _if_wrong(
+    judgement: Judgement, covariance: Covariance3, before: Suspicion, rules: WrongFixRules
+) -> tuple[float, Part]:
+    """Odds that the fix is wrong, by itself, and how far off it is then."""
+    found, pose = judgement.comparison, judgement.pose
+    horizontal_m2, vertical_m2 = rules.second_moment_m2
+    if found is None or pose is None or pose.covariance_east_north_yaw is None:
+        unknown = Part(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
+        return judgement.trials * math.exp(rules.prior_log_odds), unknown
+    difference, s = found.difference_m.copy(), found.covariance_m2.copy()
+    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
+    if is_provisional(pose) or (before.time_ns is None and rests_on_fixes(pose)):
+        # Such a pose is where the fixes are: it says nothing against them.
+        s[0, 0], s[1, 1] = s[0, 0] + horizontal_m2, s[1, 1] + horizontal_m2
+        ee, nn = ee + horizontal_m2, nn + horizontal_m2
+    model_m2 = float(s[2, 2]) - covariance[5]
+    if not (math.isfinite(difference[2]) and math.isfinite(model_m2)):
+        difference[2], model_m2 = 0.0, vertical_m2
+        s[2, :], s[:, 2] = 0.0, 0.0
+        s[2, 2] = UNKNOWN_HEIGHT_M2
+    odds = math.exp(
+        min(float(log_odds(difference[None], s[None], rules, judgement.trials)[0]), _MOST_LOG_ODDS)
+    )
+    east_m, north_m, up_m = (float(metre) for metre in difference)
+    # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
+    return odds, Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
+
+
+def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:
+    return covariance[0], covariance[1], covariance[3]
+
+
+def _wider(part: Part, covariance: Sequence[float]) -> Part:
+    """With the errors of a covariance added."""
+    (ee, en, nn) = part.horizontal_m2
+    added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
+    return Part(part.weight, part.mean_m, added, float(part.up_m2 + covariance[5]))

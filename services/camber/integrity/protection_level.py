@@ -1,0 +1,142 @@
+"""Protection levels: the smallest L that the error exceeds with no more than a chosen probability.
+
+The error of a position is a mixture of normal distributions: it is right, or wrong in one way or another, each with
+its weight, mean m and covariance. Let a, b be the eigenvalues of a horizontal covariance. Whitened, the error about its
+mean has a direction φ that is uniform and a length that is Rayleigh's. In the direction n it leaves the circle of
+radius L ≥ |m| after r = √(L² − |m|² + (m·n)²) − m·n, hence
+
+    P(|N(m, C)| > L) = mean over φ of exp(−r² / (2 s)),    s = a cos² φ + b sin² φ,    n = (√a cos φ, √b sin φ) / √s
+
+exactly; the mean over evenly spaced φ converges faster than any power. b = 0 is the normal distribution on a line (with
+m = 0 the form of J. W. Craig, MILCOM 1991): heights are horizontal errors to the east alone. Nearer than its mean a
+part counts in full.
+
+numpy only. Shapes: n positions, k parts of the mixture; weights (n, k). An input that is not finite, a covariance that
+is none, or no risk left to spend gives an infinite level.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_NODES = 24
+_COS = np.cos((np.arange(_NODES) + 0.5) * (2.0 * math.pi / _NODES))
+_SIN = np.sin((np.arange(_NODES) + 0.5) * (2.0 * math.pi / _NODES))
+_MEAN = np.full(_NODES, 1.0 / _NODES)
+_GRIDS, _GRID = 3, np.linspace(0.0, 1.0, 9)
+_SMALLEST_M2 = 1e-30  # in place of no variance at all
+_ROWS = 1_000  # at a time: what grid and nodes take in memory
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tails:
+    """What is needed of n mixtures to tell P(|error| > L).
+
+    Weights, means along and across the major axis, larger and smaller variance, all (n, k).
+    """
+
+    weight: Floats
+    along_m: Floats
+    across_m: Floats
+    larger_m2: Floats
+    smaller_m2: Floats
+
+    def __getitem__(self, rows: NDArray[np.intp]) -> Tails:
+        return Tails(*(column[rows] for column in self.columns))
+
+    @property
+    def columns(self) -> tuple[Floats, ...]:
+        """All of them, in the order of the fields."""
+        return self.weight, self.along_m, self.across_m, self.larger_m2, self.smaller_m2
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which rows (n,) are finite throughout, and all of whose covariances are some."""
+        sound = (self.smaller_m2 >= -_ROUNDING * self.larger_m2) & (self.larger_m2 < np.inf)
+        for column in self.columns[:3]:
+            sound &= np.isfinite(column)
+        return np.asarray(sound.all(axis=1))
+
+    def _nodes(self) -> tuple[Floats, Floats, Floats]:
+        """At the nodes −1 / (2 s) and m·n (n, 1, k, nodes), and |m|² (n, 1, k)."""
+        x = np.sqrt(self.larger_m2)[..., None] * _COS
+        y = np.sqrt(np.maximum(self.smaller_m2, 0.0))[..., None] * _SIN
+        square = np.maximum(x * x + y * y, _SMALLEST_M2)
+        outwards = (self.along_m[..., None] * x + self.across_m[..., None] * y) / np.sqrt(square)
+        length2 = self.along_m**2 + self.across_m**2
+        return (-0.5 / square)[:, None], outwards[:, None], length2[:, None]
+
+    def _beyond(self, level_m: Floats, nodes: tuple[Floats, Floats, Floats]) -> Floats:
+        """P(|error| > L) (n, g), or never less, for g levels each (n, g)."""
+        rate, outwards, length2 = nodes
+        room = (level_m * level_m)[:, :, None] - length2
+        leaves = np.sqrt(np.maximum(room, 0.0)[..., None] + outwards * outwards) - outwards
+        tail = np.where(room >= 0.0, np.exp(leaves * leaves * rate) @ _MEAN, 1.0)
+        return np.asarray((tail @ self.weight[:, :, None])[..., 0])
+
+    def levels_m(self, risk: Floats) -> Floats:
+        """Of rows that are known, risks above 0: by a grid, a finer one about the root, a chord of ln P there."""
+        nodes = self._nodes()
+        # Each part's tail is at most Rayleigh's of its larger variance: here each has its even share of the risk.
+        parts = self.weight * (self.weight.shape[1] / risk)[:, None]
+        share = np.log(np.maximum(parts, 1.0))
+        reach = np.hypot(self.along_m, self.across_m) + np.sqrt(2.0 * share * self.larger_m2)
+        low, high = np.zeros(len(risk)), np.where(parts > 1.0, reach, 0.0).max(axis=1)
+        rows = np.arange(len(risk))
+        for _ in range(_GRIDS):
+            grid = low[:, None] + (high - low)[:, None] * _GRID
+            beyond = self._beyond(grid, nodes)
+            enough = beyond <= risk[:, None]
+            enough[:, -1] = True  # by construction: rounding must not deny it
+            first = enough.argmax(axis=1)
+            before = np.maximum(first - 1, 0)
+            low, high = grid[rows, before], grid[rows, first]
+        p_low, p_high = beyond[rows, before], beyond[rows, first]
+        # Within the cell ln P is bent downwards, by less than a thousandth: the smaller risk makes up for it.
+        aim = np.log(p_low / risk) + 1e-3
+        fall = np.log(p_low / np.maximum(p_high, 1e-300))
+        return np.asarray(low + (high - low) * np.clip(aim / np.maximum(fall, 1e-12), 0.0, 1.0))
+
+
+def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> Tails:
+    """Of horizontal errors: means (n, k, 2), covariances (n, k, 2, 2) east and north."""
+    ee, en, nn = covariance_m2[..., 0, 0], covariance_m2[..., 0, 1], covariance_m2[..., 1, 1]
+    with np.errstate(invalid="ignore"):  # of infinite ones: seen by `known`
+        middle, spread = 0.5 * (ee + nn), np.hypot(0.5 * (ee - nn), en)
+        tilt = 0.5 * np.arctan2(2.0 * en, ee - nn)
+        c, s = np.cos(tilt), np.sin(tilt)
+        along, across = c * mean_m[..., 0] + s * mean_m[..., 1], c * mean_m[..., 1] - s * mean_m[..., 0]
+        return Tails(weight, along, across, middle + spread, middle - spread)
+
+
+def whitened(mean_m: Floats, covariance_m2: Floats) -> tuple[Floats, Floats]:
+    """Means and covariances in standard deviations of the first part; not numbers where that has no ellipse."""
+    # By the inverse of the lower Cholesky factor [[p, 0], [q, r]] of the first part.
+    ee, en, nn = covariance_m2[:, 0, 0, 0], covariance_m2[:, 0, 0, 1], covariance_m2[:, 0, 1, 1]
+    good = (ee > 0.0) & (ee * nn > en * en)
+    p = np.sqrt(np.where(good, ee, 1.0))
+    q = np.where(good, en, np.nan) / p
+    r = np.sqrt(np.where(good, nn - q * q, 1.0))
+    whitening = np.zeros((len(p), 1, 2, 2))
+    whitening[:, 0, 0, 0], whitening[:, 0, 1, 0], whitening[:, 0, 1, 1] = 1.0 / p, -q / (p * r), 1.0 / r
+    mean: Floats = (whitening @ mean_m[..., None])[..., 0]
+    return mean, whitening @ covariance_m2 @ whitening.swapaxes(-1, -2)
+
+
+def levels_m(tails: Tails, risk: Floats) -> Floats:
+    """The smallest L (n,) with P(|error| > L) ≤ risk (n,), or up to a ten-thousandth more; ∞ where there is none."""
+    possible = np.flatnonzero(tails.known & (risk > 0.0))
+    if 0 < len(possible) == len(risk) <= _ROWS:
+        return tails.levels_m(risk)
+    levels = np.full(len(risk), np.inf)
+    for at in range(0, len(possible), _ROWS):
+        rows = possible[at : at + _ROWS]
+        levels[rows] = tails[rows].levels_m(risk[rows])
+    return levels

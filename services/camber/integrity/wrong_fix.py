@@ -1,0 +1,135 @@
+"""How likely is it that a fix that has passed all tests is wrong all the same? For n fixes at once.
+
+Of the tentative fixes in a street a share is wrong (the prior). A wrong fix's error owes nothing to road and pose, so
+its difference d from them (`joint_test`) is spread widely: a mixture of two normal distributions, one of metres, one
+far off. A right fix's d is N(0, S). By Bayes' theorem, in odds:
+
+    wrong : right = trials · prior / (1 − prior) · p(d | wrong) / p(d | right)
+
+`trials` are the estimates from which this fix was chosen because it agrees: each had a chance of its own to agree by
+accident. numpy only. Arrays (n, …); metres; east, north, up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.integrity.joint_test import chi2_survival
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class WrongFixRules:
+    """What is assumed of wrong fixes.
+
+    `prior`: the share of tentative fixes that are wrong; 7 to 29 % in streets, without any gate. Their errors have the
+    standard deviations `near_…` each axis, but for `far_share` of them, which have `far_m`. An episode of wrong fixes
+    lasts `episode_s` in the mean.
+    """
+
+    prior: float = 0.1
+    near_horizontal_m: float = 1.0
+    near_vertical_m: float = 1.5
+    far_m: float = 10.0
+    far_share: float = 0.3
+    episode_s: float = 10.0
+
+    @property
+    def prior_log_odds(self) -> float:
+        """ln of wrong : right before anything is tested."""
+        return math.log(self.prior) - math.log1p(-self.prior)
+
+    @property
+    def parts(self) -> tuple[tuple[float, tuple[float, float, float]], ...]:
+        """Share and variances (east, north, up) of the two parts of the mixture."""
+        near = (self.near_horizontal_m**2, self.near_horizontal_m**2, self.near_vertical_m**2)
+        return (1.0 - self.far_share, near), (self.far_share, (self.far_m**2,) * 3)
+
+    @property
+    def second_moment_m2(self) -> tuple[float, float]:
+        """Mean square of a wrong fix's error: each horizontal axis, upwards."""
+        (near, v), (far, w) = self.parts
+        return near * v[0] + far * w[0], near * v[2] + far * w[2]
+
+
+def log_odds(
+    difference_m: Floats, covariance_m2: Floats, rules: WrongFixRules, trials: int | Floats = 1
+) -> Floats:
+    """ln of wrong : right (n,) of fixes with differences (n, 3) and their covariances S (n, 3, 3) if they are right.
+
+    +∞ where anything is not finite, or S is no covariance. Grows with the difference along any direction, with the
+    trials and with the prior.
+    """
+    known, d, s = _usable(difference_m, covariance_m2)
+    log_share, variance_m2 = _if_wrong(rules)
+    n = len(d)
+    # The right fix's and those of both ways of being wrong, one below the other.
+    right, *wrong = _log_density(
+        np.concatenate((d, d, d)), (s + variance_m2[:, None]).reshape(3 * n, 3, 3)
+    ).reshape(3, n)
+    ratio = np.logaddexp(log_share[0] + wrong[0], log_share[1] + wrong[1]) - right
+    odds = rules.prior_log_odds + np.log(np.maximum(trials, 1)) + ratio
+    return np.where(known, odds, np.inf)
+
+
+@lru_cache(maxsize=64)
+def _if_wrong(rules: WrongFixRules) -> tuple[tuple[float, float], Floats]:
+    """ln of the shares of the two parts, and what right and wrong add to S (3, 3, 3): nothing, near, far."""
+    near, far = rules.parts
+    added = np.stack([np.zeros((3, 3)), np.diag(near[1]), np.diag(far[1])])
+    return (math.log(max(near[0], 1e-300)), math.log(max(far[0], 1e-300))), added
+
+
+def probability(log_odds: Floats) -> Floats:
+    """P(wrong) of ln of wrong : right; what is not a number counts as wrong."""
+    odds = np.exp(np.clip(np.nan_to_num(log_odds, nan=700.0), -700.0, 700.0))
+    return np.asarray(odds / (1.0 + odds))
+
+
+def missed_detection_probability(
+    covariance_m2: Floats, limit: float, rules: WrongFixRules, trials: int | Floats = 1
+) -> Floats:
+    """P (n,) that a wrong fix agrees by accident: dᵀ S⁻¹ d ≤ `limit`, in one of `trials`; never too small.
+
+    With the eigenvalues λ of S⁻¹ W, d's covariance W if it is wrong, and the largest one λ₁: at most
+    λ₁^(3/2) / √(λ₁ λ₂ λ₃) · P(χ²(3) ≤ limit / λ₁), equal where the three are; the union over trials. 1 where S is none.
+    """
+    known, _, s = _usable(np.zeros((len(covariance_m2), 3)), covariance_m2)
+    whitening = np.linalg.inv(np.linalg.cholesky(s))
+    total = np.zeros(len(s))
+    for share, variance in rules.parts:
+        widening = np.linalg.eigvalsh(whitening @ np.diag(variance) @ whitening.transpose(0, 2, 1))
+        values = 1.0 + np.maximum(widening, 0.0)
+        largest = values[:, 2]
+        inside = np.array([_chi2_inside(limit / value) for value in largest.tolist()])
+        total += share * np.minimum(largest**1.5 / np.sqrt(values.prod(axis=1)) * inside, 1.0)
+    return np.where(known, np.minimum(np.maximum(trials, 1) * total, 1.0), 1.0)
+
+
+def _chi2_inside(squared: float) -> float:
+    """P(χ²(3) ≤ squared): near zero by its series' first term, (2/9π)^½ x^(3/2), an upper bound."""
+    if squared < 1e-4:
+        return math.sqrt(2.0 / (9.0 * math.pi)) * squared * math.sqrt(squared)
+    return 1.0 - chi2_survival(squared, 3)
+
+
+def _usable(difference_m: Floats, covariance_m2: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
+    """Which rows can be judged, and rows that can be computed with: nothing and the unit matrix elsewhere."""
+    known: NDArray[np.bool_] = np.asarray(
+        np.isfinite(difference_m).all(axis=1) & np.isfinite(covariance_m2).all(axis=(1, 2))
+    )
+    safe = np.where(known[:, None, None], covariance_m2, np.eye(3))
+    known &= np.linalg.eigvalsh(safe)[:, 0] > 0.0
+    return known, np.where(known[:, None], difference_m, 0.0), np.where(known[:, None, None], safe, np.eye(3))
+
+
+def _log_density(d: Floats, s: Floats) -> Floats:
+    """ln N(d; 0, S) (n,) but for the constant that all of three dimensions share."""
+    squared = np.einsum("ni,ni->n", d, np.linalg.solve(s, d[:, :, None])[:, :, 0])
+    return np.asarray(-0.5 * squared - 0.5 * np.linalg.slogdet(s)[1])

@@ -1,0 +1,242 @@
+"""Why fixes and height model differ: told apart where one vehicle can, ambiguous where it cannot."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.causes import ISSUE_CODES, NOTHING, CauseRules, Causes, ChangedRoad
+from camber.integrity.learning import Learning, LearningRules
+from support.residual_drives import KEY, START_NS, Noise, drive, residual
+
+RULES = CauseRules()
+
+
+def hear(causes, first, last, correction_m=0.0, **changes):
+    for epoch in range(first, last):
+        causes.hear(residual(epoch, **changes), correction_m)
+    return causes.common
+
+
+@pytest.fixture
+def causes():
+    causes = Causes(RULES)
+    assert hear(causes, 0, 600) == NOTHING
+    return causes
+
+
+def road(causes, first, last, *, at_s=0.0, up_m=0.3, **changes):
+    """Over surfaces 0, 1, 2 (50 m each), of which the middle one differs."""
+    for epoch in range(first, last):
+        off = up_m if residual(epoch).surface_id == 1 else 0.0
+        here = residual(epoch, up_m=off, **(changes if off else {}))
+        causes.hear(replace(here, time_ns=here.time_ns + round(at_s * 1e9)), 0.0)
+
+
+# --- base, antenna, road ----------------------------------------------------------------------------------------
+
+
+def test_a_base_metres_off_is_named_within_ten_seconds_with_onset_and_value(causes):
+    found = hear(causes, 600, 720, verdict="unknown", up_m=None, east_m=12.0, north_m=-9.0)
+    assert found.cause == "base"
+    assert found.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
+    assert (found.up_m, found.east_north_m) == (None, (12.0, -9.0))
+    assert "+12.00 m east, -9.00 m north" in found.text
+
+
+def test_a_base_is_named_too_where_the_pose_rested_on_fixes_before():
+    causes = Causes(RULES)
+    hear(causes, 0, 300, horizontal_sigma_m=None)
+    found = hear(causes, 300, 450, verdict="unknown", up_m=None, east_m=12.0, north_m=-9.0)
+    assert found.cause == "base"
+    assert found.onset_ns == pytest.approx(residual(300).time_ns, abs=3e9)
+
+
+def test_a_base_decimetres_off_takes_longer_than_wrong_fixes_last(causes):
+    changes = {"verdict": "erroneous", "up_m": 0.4, "east_m": 0.5, "north_m": -0.3}
+    assert hear(causes, 600, 880, **changes).cause != "base"
+    found = hear(causes, 880, 1000, **changes)
+    assert (found.cause, found.up_m) == ("base", pytest.approx(0.4))
+
+
+def test_a_base_that_is_right_again_is_no_cause_any_more(causes):
+    hear(causes, 600, 800, verdict="unknown", up_m=None, east_m=12.0)
+    assert hear(causes, 800, 1000) == NOTHING
+
+
+def test_an_antenna_moves_all_surfaces_alike_where_the_position_is_seen_to_be_right(causes):
+    found = hear(causes, 600, 900, verdict="erroneous", up_m=-0.4)
+    assert (found.cause, found.up_m) == ("antenna", pytest.approx(-0.4))
+    assert found.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
+    assert found.text.startswith("-0.40 m up")
+
+
+def test_on_few_surfaces_it_may_be_the_road(causes):
+    found = hear(causes, 600, 780, verdict="erroneous", up_m=-0.4)
+    assert found.cause == "ambiguous"
+    assert "antenna or road" in found.text
+    assert hear(Causes(RULES), 0, 600, up_m=-0.4, surface_id=16).cause == "ambiguous"
+
+
+def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():
+    causes = Causes(RULES)
+    hear(causes, 0, 300, east_m=None)
+    found = hear(causes, 300, 700, verdict="erroneous", up_m=0.4, east_m=None)
+    assert found.cause == "ambiguous"
+    assert "antenna or base" in found.text
+    wide = Causes(RULES)
+    assert hear(wide, 0, 700, up_m=0.4, horizontal_sigma_m=1.0).cause == "ambiguous"
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause"), [({"base": "receiver:WGS84"}, "base"), ({"antenna": "fixed"}, "antenna")]
+)
+def test_what_changed_at_the_onset_decides(causes, changes, cause):
+    found = hear(causes, 600, 800, up_m=0.2, east_m=None, key=replace(KEY, **changes))
+    assert found.cause == cause
+    assert f"since the {cause} changed" in found.text
+
+
+def test_where_both_changed_at_the_onset_nothing_is_decided_by_that(causes):
+    found = hear(causes, 600, 800, up_m=0.4, key=replace(KEY, antenna="fixed", base="receiver:WGS84"))
+    assert found.cause == "ambiguous"
+
+
+@pytest.mark.parametrize("up_m", [0.3, -0.3])
+def test_a_road_that_was_verified_otherwise_is_named_when_it_is_behind(up_m):
+    causes = Causes(RULES)
+    road(causes, 0, 160, up_m=up_m, verdict="confirmed_after_verification")
+    assert causes.at(1).cause == "road"
+    assert causes.at(1).up_m == pytest.approx(up_m)
+    assert causes.at(1).onset_ns == residual(50).time_ns
+    assert (causes.at(0), causes.at(None)) == (NOTHING, NOTHING)
+    assert [(found.cause, found.surface_id) for found in causes.news()] == [("road", 1)]
+    assert causes.news() == []
+
+
+def test_a_road_seen_otherwise_on_two_drives_is_named_and_on_one_it_is_not():
+    causes = Causes(RULES)
+    road(causes, 0, 160, verdict="erroneous")
+    assert causes.roads == {}
+    road(causes, 0, 160, verdict="erroneous", at_s=1800.0)
+    assert causes.at(1).cause == "road"
+    assert causes.at(1).onset_ns == residual(50).time_ns
+    road(causes, 0, 160, verdict="erroneous", at_s=3600.0)
+    assert len(causes.news()) == 1
+
+
+@pytest.mark.parametrize(("at_s", "up_m"), [(20.0, 0.3), (1800.0, 0.5)], ids=["at once", "another height"])
+def test_two_drives_that_are_one_or_say_otherwise_name_no_road(at_s, up_m):
+    causes = Causes(RULES)
+    road(causes, 0, 160, verdict="erroneous")
+    road(causes, 0, 160, verdict="erroneous", at_s=at_s, up_m=up_m)
+    assert causes.roads == {}
+
+
+def test_wrong_fixes_that_begin_in_the_middle_of_a_surface_are_no_road():
+    causes = Causes(RULES)
+    hear(causes, 0, 71)
+    hear(causes, 71, 100, up_m=0.4, verdict="confirmed_after_verification")
+    hear(causes, 100, 200)
+    assert causes.roads == {}
+
+
+def test_a_run_without_a_known_road_before_it_or_without_heights_in_it_is_no_road():
+    causes = Causes(RULES)
+    hear(causes, 50, 100, up_m=0.4, verdict="confirmed_after_verification")
+    hear(causes, 100, 200)
+    assert causes.roads == {}
+    hear(causes, 200, 250, up_m=0.4, verdict="confirmed_after_verification")
+    hear(causes, 250, 300, up_m=None)
+    hear(causes, 300, 400)
+    assert causes.roads == {}
+
+
+def test_a_surface_of_no_name_is_none():
+    causes = Causes(RULES)
+    hear(causes, 0, 50)
+    hear(causes, 50, 100, up_m=0.4, surface_id=None, verdict="confirmed_after_verification")
+    hear(causes, 100, 200)
+    assert causes.roads == {}
+
+
+def test_a_new_map_forgets_the_roads_of_the_old_and_a_road_unknown_for_a_while_does_not():
+    causes = Causes(RULES, [ChangedRoad(1, KEY.map_version, 0.3, START_NS)])
+    hear(causes, 0, 100)
+    hear(causes, 100, 200, up_m=None, surface_id=None, key=replace(KEY, map_version=0))
+    assert causes.at(1).cause == "road"
+    hear(causes, 200, 300, key=replace(KEY, map_version=4))
+    assert causes.at(1) == NOTHING
+
+
+def test_a_cause_common_to_all_goes_before_that_of_a_road(causes):
+    causes.roads[14] = ChangedRoad(14, KEY.map_version, 0.3, START_NS)
+    hear(causes, 600, 900, verdict="erroneous", up_m=-0.4)
+    assert causes.at(14).cause == "antenna"
+
+
+# --- what is no cause --------------------------------------------------------------------------------------------
+
+
+def test_what_has_been_learnt_is_no_difference(causes):
+    learnt = Causes(RULES)
+    assert hear(learnt, 0, 900, correction_m=0.2, up_m=0.2) == NOTHING
+
+
+def test_what_grows_is_a_drift_and_no_antenna(causes):
+    for epoch in range(600, 1400):
+        causes.hear(residual(epoch, up_m=0.01 * (epoch - 600) / 10), 0.0)
+        assert causes.common.cause != "antenna"
+
+
+def test_wrong_fixes_of_a_few_seconds_are_no_cause():
+    print("seeds 0 to 9")
+    named = []
+    for seed in range(10):
+        learning = Learning(LearningRules())
+        for _ in drive(learning, seed, 300.0, 0.0, Noise(wrong=0.1, wrong_s=2.0)):
+            pass
+        named += [found.cause for found in learning.news()]
+    assert named.count("antenna") + named.count("base") == 0
+    assert len(named) <= 2
+
+
+def test_an_onset_stays_what_it_was_when_it_has_left_the_memory(causes):
+    onset_ns = hear(causes, 600, 900, verdict="erroneous", up_m=-0.4).onset_ns
+    assert hear(causes, 900, 3000, verdict="erroneous", up_m=-0.4).onset_ns == onset_ns
+    assert [found.cause for found in causes.news()] == ["ambiguous", "antenna"]
+
+
+numbers = st.one_of(st.none(), st.floats(allow_nan=True, allow_infinity=True), st.floats(-1.0, 1.0))
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=30, max_size=60))
+def test_no_numbers_whatever_stop_it_and_values_named_are_numbers(rows):
+    causes = Causes(RULES)
+    for number, (up_m, east_m, north_m, sigma_m) in enumerate(rows):
+        values = {"up_m": up_m, "east_m": east_m, "north_m": north_m, "horizontal_sigma_m": sigma_m}
+        causes.hear(residual(20 * number, **values), 0.0)
+        for value in (causes.common.up_m, *(causes.common.east_north_m or ())):
+            assert value is None or math.isfinite(value)
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(st.floats(0.02, 2.0), st.integers(0, 10**6))
+def test_what_is_named_has_lasted_over_several_stretches(up_m, seed):
+    rng, causes = np.random.default_rng(seed), Causes(RULES)
+    for epoch, noise in enumerate(rng.normal(0.0, 0.03, 140).tolist()):
+        causes.hear(residual(epoch, up_m=up_m + noise), 0.0)
+    assert causes.common == NOTHING  # 14 s
+
+
+def test_each_cause_has_its_code_in_health():
+    assert ISSUE_CODES == {
+        "antenna": "antenna_changed",
+        "road": "road_changed",
+        "base": "base_wrong",
+        "ambiguous": "cause_ambiguous",
+    }

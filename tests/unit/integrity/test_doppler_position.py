@@ -1,0 +1,214 @@
+"""Position by satellite velocities: how far it has come and how sure that is, and what ends it."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.doppler_position import DopplerPosition, DopplerRules
+from camber.schemas.gnss import SatelliteVelocity
+from support.judging import START_NS
+
+exactly = settings(derandomize=True, deadline=None)
+STEP_NS = 100_000_000
+PLAIN = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0)
+
+
+def at(k: float) -> int:
+    return START_NS + round(k * STEP_NS)
+
+
+def velocity(k, east=10.0, north=0.0, up=0.0, sigma=0.05, **changes):
+    v = sigma * sigma
+    fields = {
+        "time_ns": at(k),
+        "velocity_enu_m_s": (east, north, up),
+        "covariance_enu_m2_s2": (v, 0.0, 0.0, v, 0.0, v),
+        "hdop": 1.0,
+        "satellites": 8,
+        "heading_rad": math.pi / 2.0,
+    }
+    return SatelliteVelocity(**(fields | changes))
+
+
+def driven(rules=PLAIN, steps=50, wheels=10.0, make=velocity, begin=0):
+    """Velocities of epochs 0 to `steps`; a position is confirmed at `begin`."""
+    position = DopplerPosition(rules)
+    for k in range(steps + 1):
+        if wheels is not None:
+            position.hear_speed(at(k), wheels)
+        position.hear_velocity(make(k))
+        if k == begin:
+            position.begin(at(begin))
+    return position
+
+
+def test_it_has_come_as_far_as_the_velocities_say():
+    found = driven(wheels=9.5, make=lambda k: velocity(k, east=9.0 + 0.02 * k, north=1.0, up=0.1)).at(at(50))
+    assert found.metres == pytest.approx([5.0 * 9.5, 5.0, 0.5])
+    assert found.since_ns == at(0)
+    assert found.yaw_rad == pytest.approx(0.0)
+    assert found.checked
+
+
+def test_its_covariance_is_that_of_draws_of_errors_that_are_alike_for_a_while():
+    rng, n, steps, sigma = np.random.default_rng(4), 20_000, 60, 0.05
+    rho = math.exp(-0.1 / PLAIN.correlation_s)
+    error = rng.normal(0.0, sigma, n)
+    metres = np.zeros(n)
+    for _ in range(steps):
+        later = rho * error + math.sqrt(1.0 - rho**2) * rng.normal(0.0, sigma, n)
+        metres += 0.05 * (error + later)
+        error = later
+    found = driven(steps=steps).at(at(steps))
+    assert found.covariance_m2 == pytest.approx(metres.var() * np.eye(3), rel=0.04, abs=1e-12)
+
+
+@exactly
+@given(st.integers(1, 200), st.floats(0.01, 0.5))
+def test_it_grows_faster_than_of_white_errors_and_no_faster_than_of_a_constant_one(steps, sigma):
+    def variance(k):
+        rules = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0, longest_s=100.0)
+        return driven(rules, k, make=lambda i: velocity(i, sigma=sigma)).at(at(k)).covariance_m2[0, 0]
+
+    once, twice = variance(steps), variance(2 * steps)
+    assert 2.0 * once * (1.0 - 1e-9) <= twice <= 4.0 * once * (1.0 + 1e-9)
+    assert once <= (sigma * 0.1 * steps) ** 2 * (1.0 + 1e-9)
+
+
+@exactly
+@given(st.floats(0.01, 0.5), st.floats(1.0, 5.0), st.integers(1, 40), st.integers(0, 39))
+def test_a_worse_velocity_never_shrinks_it(sigma, factor, steps, which):
+    def variance(f):
+        return (
+            driven(steps=steps, make=lambda k: velocity(k, sigma=sigma * (f if k == which else 1.0)))
+            .at(at(steps))
+            .covariance_m2[2, 2]
+        )
+
+    assert variance(factor) >= variance(1.0) * (1.0 - 1e-9)
+
+
+def test_the_claimed_covariance_is_scaled_and_has_a_floor():
+    rules = DopplerRules(sigma_scale=2.0, sigma_floor_m_s=0.1)
+    sigma = math.hypot(2.0 * 0.05, 0.1)
+    same = driven(steps=10, make=lambda k: velocity(k, sigma=sigma)).at(at(10))
+    assert driven(rules, 10).at(at(10)).covariance_m2 == pytest.approx(same.covariance_m2)
+
+
+def test_between_velocities_it_is_moved_on_and_less_sure():
+    position = driven(steps=10)
+    found = position.at(at(12))
+    assert found.metres == pytest.approx([12.0, 0.0, 0.0])
+    assert found.covariance_m2[0, 0] > position.at(at(10)).covariance_m2[0, 0]
+    assert position.at(at(9)).metres == pytest.approx([9.0, 0.0, 0.0])
+
+
+def test_a_verdict_that_comes_late_finds_the_velocities_since():
+    position = driven(begin=None)
+    position.begin(at(30))
+    assert position.at(at(50)).metres == pytest.approx([20.0, 0.0, 0.0])
+    position.begin(at(29.5))
+    assert position.at(at(50)).metres == pytest.approx([20.5, 0.0, 0.0])
+    assert position.at(at(29)) is None
+
+
+def test_the_first_velocity_may_come_just_after_the_position():
+    position = DopplerPosition(PLAIN)
+    position.hear_velocity(velocity(2))
+    position.begin(at(0))
+    assert position.at(at(2)).metres == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_without_a_velocity_near_the_position_there_is_nothing():
+    position = DopplerPosition(PLAIN)
+    assert position.at(at(0)) is None
+    position.begin(at(0))
+    assert position.at(at(0)) is None
+    position.hear_velocity(velocity(20))
+    position.begin(at(0))
+    assert position.at(at(20)) is None
+    position = driven(begin=None)
+    position.begin(at(30))
+    assert position.at(at(51)) is not None
+    position.hear_velocity(velocity(58))
+    position.begin(at(30))
+    assert position.at(at(58)) is None
+
+
+def test_it_ends_when_it_is_too_old_or_velocities_pause():
+    rules = DopplerRules(longest_s=2.0)
+    position = driven(rules, 20)
+    assert position.at(at(20)) is not None
+    assert position.at(at(21)) is None
+    assert driven().at(at(53)) is not None
+    assert driven().at(at(53.1)) is None
+    paused = driven()
+    paused.hear_velocity(velocity(53.1))
+    assert paused.at(at(53.1)) is None
+
+
+def test_it_ends_on_demand_and_begins_anew_with_the_next_position():
+    position = driven()
+    position.end()
+    assert position.at(at(50)) is None
+    position.hear_velocity(velocity(51))
+    assert position.at(at(51)) is None
+    position.begin(at(51))
+    assert position.at(at(51)).metres == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_speeds_that_contradict_the_wheels_end_it():
+    assert driven(wheels=10.7).at(at(50)) is None
+    assert driven(wheels=-10.0).at(at(50)) is not None
+    spoofed = driven(make=lambda k: velocity(k, east=10.0 if k < 40 else 13.0))
+    assert spoofed.at(at(50)) is None
+
+
+def test_a_slow_drag_ends_it_by_the_path():
+    assert driven(wheels=9.6, steps=10).at(at(10)) is not None
+    assert driven(wheels=9.6, steps=200).at(at(200)) is None
+
+
+@pytest.mark.parametrize("wheels", [None, 10.0])
+def test_without_wheels_all_the_time_it_is_not_checked(wheels):
+    position = driven(wheels=wheels)
+    for k in range(51, 56):
+        position.hear_velocity(velocity(k))
+    assert not position.at(at(55)).checked
+
+
+def test_what_is_older_than_the_last_is_of_no_use():
+    position = driven()
+    position.hear_velocity(velocity(49, east=100.0))
+    position.hear_velocity(velocity(50, east=100.0))
+    position.hear_speed(at(49), 100.0)
+    position.hear_velocity(velocity(51))
+    assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])
+
+
+def test_a_velocity_whose_covariance_is_none_is_not_heard():
+    position = driven()
+    position.hear_velocity(velocity(51, east=12.0, covariance_enu_m2_s2=(1.0, 2.0, 0.0, 1.0, 0.0, 1.0)))
+    assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])
+
+
+def test_the_yaw_is_that_of_the_heading_or_not_known():
+    assert driven(make=lambda k: velocity(k, heading_rad=0.0)).at(at(50)).yaw_rad == pytest.approx(
+        math.pi / 2.0
+    )
+    assert driven(make=lambda k: velocity(k, heading_rad=None)).at(at(50)).yaw_rad is None
+
+
+def test_what_is_dated_ahead_is_forgotten():
+    position = driven()
+    position.forget_future(at(60))
+    assert position.at(at(50)) is not None
+    position.forget_future(at(40))
+    assert position.at(at(40)) is None
+    position.hear_speed(at(41), 10.0)
+    position.hear_velocity(velocity(41))
+    position.begin(at(41))
+    assert position.at(at(41)) is not None

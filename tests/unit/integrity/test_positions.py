@@ -1,0 +1,414 @@
+"""The position of every epoch: which source, which bounds, usable or not; never more trusted than what it rests on."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.bounds import LevelRules, bounds_of
+from camber.integrity.candidates import Suspicion, confirmed_fix
+from camber.integrity.judge import Judge
+from camber.integrity.judgement import Judgement
+from camber.integrity.position import Positions
+from camber.integrity.rules import Rules
+from camber.integrity.situation import Situation
+from camber.integrity.wrong_fix import WrongFixRules
+from camber.schemas.gnss import SatelliteVelocity
+from support.judging import (
+    ALL,
+    ANTENNA_M,
+    ROAD_M,
+    SPEED_M_S,
+    antenna,
+    at,
+    fix,
+    place,
+    pose,
+    provisional,
+    road,
+)
+
+exactly = settings(derandomize=True, deadline=None)
+RULES, LEVELS = Rules(), LevelRules()
+MATCHED = {"mode": "scan_match", "provenance": "scan_match"}
+SLACK = 1.0 + 5e-4
+sigma = st.floats(0.01, 5.0)
+
+
+def velocity(epoch, east=SPEED_M_S, north=0.0, **changes):
+    fields = {
+        "time_ns": at(epoch),
+        "velocity_enu_m_s": (east, north, 0.0),
+        "covariance_enu_m2_s2": (4e-4, 0.0, 0.0, 4e-4, 0.0, 1e-3),
+        "hdop": 1.0,
+        "satellites": 8,
+        "heading_rad": math.pi / 2.0,
+    }
+    return SatelliteVelocity(**(fields | changes))
+
+
+def situation(the_pose=None, the_antenna=None, alive=ALL):
+    return Situation(the_pose, the_antenna, alive)
+
+
+def judged(the_pose, the_fix=None, trials=1):
+    judge = Judge(RULES)
+    judge.hear_pose(the_pose)
+    judge.hear_antenna(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judgement = judge.examine(the_fix or fix(), ALL)
+    return replace(judgement, word="confirmed", trials=trials)
+
+
+def confirmed(positions, the_pose=None, the_fix=None, trials=1):
+    the_pose = the_pose or pose(**MATCHED)
+    return positions.confirmed(judged(the_pose, the_fix, trials), 0.0, situation(the_pose, antenna()))
+
+
+def by_itself(the_fix, trials=1):
+    """The candidate that a fix makes beside a matched pose."""
+    before = Suspicion.before_any(LEVELS.wrong_fix)
+    return confirmed_fix(judged(pose(**MATCHED), the_fix, trials), before, LEVELS, RULES.true_sigma).candidate
+
+
+def fresh(levels=LEVELS, rules=RULES):
+    return Positions(rules, levels)
+
+
+def of_pose(the_pose, the_antenna=None, levels=LEVELS, epoch=0.0, rules=RULES):
+    return fresh(levels, rules).at(at(epoch), situation(the_pose, the_antenna or antenna()), 0.0)
+
+
+def driving(epochs=1, levels=LEVELS, **changes):
+    """After a confirmed fix, velocities and wheels for some epochs."""
+    positions = fresh(levels)
+    positions.hear_velocity(velocity(0))
+    positions.hear_speed(at(0), SPEED_M_S)
+    confirmed(positions)
+    for k in range(1, epochs + 1):
+        positions.hear_speed(at(k), SPEED_M_S)
+        positions.hear_velocity(velocity(k, **changes))
+    return positions
+
+
+def level(position):
+    value = position.horizontal_protection_level_m
+    return math.inf if value is None else value
+
+
+# --- confirmed fixes ---------------------------------------------------------------------------------------------
+
+
+def test_a_confirmed_fix_that_a_matched_pose_bears_out_is_usable_at_1e_7():
+    found = confirmed(fresh())
+    assert (found.source, found.usable, found.reason, found.fix_id) == ("rtk", True, "none", fix().fix_id)
+    assert found.horizontal_protection_level_m < 1.0
+    assert found.vertical_protection_level_m < 1.0
+    assert 0.0 < found.wrong_fix_probability < 1e-3
+    assert found.integrity_risk == 1e-7
+    assert (found.alert_limit_m, found.vertical_alert_limit_m) == (1.5, 2.0)
+    assert found.semi_major_99_m < found.semi_major_999_m < found.horizontal_protection_level_m
+
+
+@pytest.mark.parametrize("word", ["unknown", "erroneous"])
+def test_any_other_is_refused(word):
+    with pytest.raises(ValueError, match=f"is {word}, not confirmed"):
+        fresh().confirmed(Judgement(fix(), word, "none"), 0.0, situation(pose(), antenna()))
+    with pytest.raises(ValueError, match="not confirmed"):
+        fresh().confirmed(Judgement(fix(covariance_enu_m2=None), "confirmed", "none"), 0.0, situation())
+
+
+def test_a_pose_that_knows_nothing_better_than_the_fix_cannot_make_it_usable():
+    for the_pose in (pose(sigma_m=2.0, **MATCHED), provisional(), pose(provenance="confirmed")):
+        found = confirmed(fresh(), the_pose)
+        assert found.source == "rtk"
+        assert not found.usable
+        assert found.reason == "position_unverified"
+        assert found.wrong_fix_probability > 1e-3
+
+
+def test_without_any_comparison_the_prior_alone_counts():
+    found = fresh().confirmed(Judgement(fix(), "confirmed", "none"), 0.0, situation())
+    assert found.wrong_fix_probability == pytest.approx(0.1)
+    assert not found.usable
+    assert found.yaw_rad is None
+
+
+def test_a_fix_whose_height_was_not_compared_has_only_the_place_to_speak_for_it():
+    judgement = judged(pose(**MATCHED))
+    vague = judgement.comparison.covariance_m2.copy()
+    vague[2, 2] = np.inf
+    difference = judgement.comparison.difference_m.copy()
+    difference[2] = np.nan
+    unheard = replace(
+        judgement, comparison=replace(judgement.comparison, difference_m=difference, covariance_m2=vague)
+    )
+    found = fresh().confirmed(unheard, 0.0, situation())
+    assert found.wrong_fix_probability > confirmed(fresh()).wrong_fix_probability
+    assert found.vertical_protection_level_m > confirmed(fresh()).vertical_protection_level_m
+
+
+@exactly
+@given(st.floats(0.0, 0.5), st.floats(0.0, 0.5), st.floats(1.0, 2.0))
+def test_a_larger_contradiction_never_lowers_the_probability_or_a_level(east, up, factor):
+    small = by_itself(fix(east_m=east, up_m=up))
+    large = by_itself(fix(east_m=east * factor, up_m=up * factor))
+    assert large.wrong >= small.wrong * (1.0 - 1e-9)
+    one, other = bounds_of([small.mixture, large.mixture], LEVELS)
+    assert other.horizontal_level_m * SLACK >= one.horizontal_level_m
+    assert other.vertical_level_m * SLACK >= one.vertical_level_m
+
+
+@exactly
+@given(st.integers(2, 100), st.floats(0.0, 0.4))
+def test_every_trial_is_charged(trials, east):
+    once, often = (by_itself(fix(east_m=east), k) for k in (1, trials))
+    assert often.wrong > once.wrong
+    one, other = bounds_of([once.mixture, often.mixture], LEVELS)
+    assert other.horizontal_level_m * SLACK >= one.horizontal_level_m
+
+
+def test_a_pose_that_is_clearly_better_takes_the_place_of_a_vague_fix():
+    vague = fix(covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    found = confirmed(fresh(), pose(sigma_m=0.03, **MATCHED), vague)
+    assert found.source == "scan_match"
+    assert found.fix_id is None
+
+
+# --- what a wrong fix leaves behind ------------------------------------------------------------------------------
+
+
+def test_a_pose_that_confirmed_fixes_anchor_is_no_better_than_they():
+    positions = fresh()
+    confirmed(positions, pose(sigma_m=2.0, **MATCHED))
+    found = positions.at(at(1), situation(pose(1), antenna(1)), 0.0)
+    assert found.wrong_fix_probability > 1e-4
+    assert level(found) > 1.5
+    assert not found.usable
+    matched = positions.at(at(1), situation(pose(1, **MATCHED), antenna(1)), 0.0)
+    assert matched.usable
+    assert matched.wrong_fix_probability is None
+
+
+def test_a_pose_anchored_by_what_is_not_known_here_is_not_usable():
+    found = of_pose(pose())
+    assert found.source == "sensors"
+    assert not found.usable
+    assert found.wrong_fix_probability == pytest.approx(0.1)
+
+
+def test_suspicion_fades_with_the_fixes_that_agree_and_not_with_time_alone():
+    rules = WrongFixRules()
+    start = Suspicion.before_any(rules)
+    now = confirmed_fix(judged(provisional()), start, LEVELS, RULES.true_sigma).suspicion
+    assert now.odds > 1e-3
+    assert now.lasting(now.time_ns + round(1e10), rules) == pytest.approx(math.exp(-1.0))
+    assert now.lasting(now.time_ns - 1, rules) == 1.0
+    later = now
+    for k in range(1, 400):
+        later = confirmed_fix(judged(pose(k, **MATCHED), fix(k)), later, LEVELS, RULES.true_sigma).suspicion
+    assert later.odds < 0.1 * now.odds
+
+
+def test_without_any_odds_the_offset_is_that_of_before():
+    rules = WrongFixRules()
+    nothing = Suspicion(at(0), 0.0, 1.0, 1.0)
+    part = nothing.part(0.0)
+    assert nothing.after(at(1), 0.0, part, rules).horizontal_m2 == 1.0
+
+
+# --- Doppler -----------------------------------------------------------------------------------------------------
+
+
+def test_between_fixes_the_position_is_that_of_the_velocities():
+    found = driving(10).at(at(10), situation(), 0.0)
+    assert (found.source, found.usable, found.fix_id) == ("doppler", True, None)
+    assert (found.latitude_rad, found.longitude_rad) == pytest.approx(place(10), abs=1e-9)
+    assert found.height_m == pytest.approx(ROAD_M + ANTENNA_M, abs=1e-3)
+    assert found.yaw_rad == pytest.approx(0.0)
+    assert found.wrong_fix_probability is not None
+    assert found.horizontal_protection_level_m > level(confirmed(fresh()))
+
+
+def test_it_goes_before_the_sensors_and_before_a_match_that_is_not_clearly_better():
+    positions = driving(10)
+    doppler = positions.at(at(10), situation(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
+    assert doppler.source == "doppler"
+    matched = positions.at(at(10), situation(pose(10, sigma_m=0.03, **MATCHED), antenna(10)), 0.0)
+    assert matched.source == "scan_match"
+    assert level(matched) < level(doppler)
+
+
+@pytest.mark.parametrize("aside", [0.0, 3.0])
+def test_one_that_contradicts_the_pose_ends_until_the_next_confirmed_fix(aside):
+    positions = driving(10, north=aside)
+    found = positions.at(at(10), situation(pose(10, **MATCHED), antenna(10)), 0.0)
+    assert found.source == ("scan_match" if aside else "doppler")
+    assert positions.at(at(10), situation(), 0.0).source == ("none" if aside else "doppler")
+
+
+def test_without_wheels_it_counts_only_beside_a_pose():
+    positions = fresh()
+    positions.hear_velocity(velocity(0))
+    positions.hear_speed(at(0), None)
+    confirmed(positions)
+    positions.hear_velocity(velocity(1))
+    assert positions.at(at(1), situation(), 0.0).source == "none"
+    assert (
+        positions.at(at(1), situation(pose(1, sigma_m=0.2, **MATCHED), antenna(1)), 0.0).source == "doppler"
+    )
+
+
+def test_a_fix_that_is_older_than_the_last_confirmed_one_does_not_set_it_back():
+    positions = driving(10)
+    confirmed(positions, pose(5, **MATCHED), fix(5))
+    confirmed(positions, pose(4, **MATCHED), fix(4))
+    found = positions.at(at(10), situation(), 0.0)
+    assert (found.latitude_rad, found.longitude_rad) == pytest.approx(place(10), abs=1e-9)
+
+
+def test_what_is_dated_ahead_is_forgotten():
+    positions = driving(10)
+    positions.forget_future(at(10))
+    assert positions.at(at(10), situation(), 0.0).source == "doppler"
+    positions.forget_future(at(-10))
+    assert positions.at(at(10), situation(), 0.0).source == "none"
+    assert fresh().forget_future(at(0)) is None
+
+
+# --- poses -------------------------------------------------------------------------------------------------------
+
+
+def test_a_matched_pose_stands_on_the_road_with_its_antenna():
+    found = of_pose(pose(sigma_m=0.08, **MATCHED))
+    assert (found.source, found.usable, found.reason) == ("scan_match", True, "none")
+    assert found.height_m == pytest.approx(ROAD_M + ANTENNA_M)
+    assert found.horizontal_protection_level_m == pytest.approx(1.03 * 0.08 * 5.68, rel=0.02)
+    assert found.vertical_protection_level_m == pytest.approx(math.hypot(0.03, 0.02) * 5.33, rel=0.02)
+    assert found.wrong_fix_probability is None
+
+
+def test_on_a_slope_the_height_shares_the_error_of_the_place():
+    found = of_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2), **MATCHED))
+    assert found.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "the_antenna", "reason"),
+    [
+        ({}, antenna(-11), "antenna_height_stale"),
+        ({}, antenna(status="disagreement"), "antenna_height_disagrees"),
+        ({"road": road(status="unknown", reason="no_surface")}, None, "road_unknown"),
+        ({"road": road(datum=None)}, None, "datum_mismatch"),
+        ({"road": road(slope_east=None)}, None, "road_unknown"),
+        ({"road": road(slope_north=None)}, None, "road_unknown"),
+    ],
+)
+def test_where_the_height_is_not_known_the_position_is_there_but_not_usable(changes, the_antenna, reason):
+    found = of_pose(pose(**MATCHED, **changes), the_antenna)
+    assert found.source == "scan_match"
+    assert (found.usable, found.reason) == (False, reason)
+    assert found.height_m is found.vertical_protection_level_m is None
+    assert found.horizontal_protection_level_m < 1.0
+    assert found.covariance_enu_m2[5] == 1e6
+
+
+@pytest.mark.parametrize(
+    ("the_pose", "reason"),
+    [
+        (provisional(), "pose_provisional"),
+        (pose(mode="none"), "pose_missing"),
+        (pose(latitude_rad=None), "pose_missing"),
+        (pose(covariance_east_north_yaw=None), "pose_missing"),
+        (pose(covariance_east_north_yaw=(1.0, 2.0, 0.0, 1.0, 0.0, 0.0)), "pose_too_uncertain"),
+        (pose(-2), "pose_stale"),
+        (pose(-1), "pose_stale"),
+        (pose(motion_time_ns=at(-2), **MATCHED), "pose_stale"),
+        (None, "pose_missing"),
+    ],
+)
+def test_a_pose_of_no_use_or_another_time_is_none(the_pose, reason):
+    found = of_pose(the_pose)
+    assert (found.source, found.usable, found.reason) == ("none", False, reason)
+    assert found.latitude_rad is found.horizontal_protection_level_m is None
+    assert found.vertical_alert_limit_m == 2.0
+
+
+def test_too_wide_a_pose_is_there_but_not_usable_and_says_why():
+    found = of_pose(pose(sigma_m=0.5, **MATCHED))
+    assert (found.source, found.usable, found.reason) == ("scan_match", False, "pose_too_uncertain")
+    low = of_pose(pose(**MATCHED), levels=LevelRules(vertical_alert_limit_m=0.1))
+    assert (low.usable, low.reason) == (False, "height_unverified")
+
+
+def test_no_risk_to_spend_means_no_level():
+    found = of_pose(pose(**MATCHED), levels=LevelRules(pose_fault_prior=1e-7))
+    assert found.horizontal_protection_level_m is None
+    assert not found.usable
+    assert found.semi_major_999_m < 1.0
+
+
+@exactly
+@given(sigma, sigma, st.floats(-0.99, 0.99), sigma)
+def test_more_uncertainty_never_shrinks_a_bound_and_never_makes_usable(se, sn, rho, more):
+    def found(extra_m2):
+        covariance = (se**2 + extra_m2, rho * se * sn, 0.0, sn**2 + extra_m2, 0.0, 1e-4)
+        return of_pose(pose(covariance_east_north_yaw=covariance, **MATCHED))
+
+    small, large = found(0.0), found(more**2)
+    if large.source != "none":
+        assert large.semi_major_99_m * SLACK >= small.semi_major_99_m
+        assert large.semi_major_999_m * SLACK >= small.semi_major_999_m
+        assert level(large) * SLACK >= level(small)
+    assert small.usable or not large.usable
+
+
+@exactly
+@given(sigma, sigma)
+def test_a_fix_that_agrees_wholly_is_never_surer_by_a_blunter_pose_or_claim(s, more):
+    small, large = (confirmed(fresh(), pose(sigma_m=x, **MATCHED)) for x in (s, math.hypot(s, more)))
+    assert level(large) * SLACK >= level(small)
+    claims = [x**2 for x in (0.1 * s, 0.1 * math.hypot(s, more))]
+    small, large = (confirmed(fresh(), None, fix(covariance_enu_m2=(v, 0.0, 0.0, v, 0.0, v))) for v in claims)
+    if small.source == large.source:
+        assert level(large) * SLACK >= level(small)
+
+
+@exactly
+@given(
+    st.sampled_from(["none", "provisional", "anchored", "dead_reckoning", "scan_match"]),
+    st.sampled_from(["none", "fixes", "given", "confirmed", "scan_match"]),
+    st.floats(-3.0, 3.0),
+    st.booleans(),
+    st.booleans(),
+)
+def test_stale_missing_or_provisional_is_never_usable(mode, provenance, age, with_antenna, with_road):
+    changes = {} if with_road else {"road": road(status="unknown", reason="no_surface")}
+    the_pose = pose(age, mode=mode, provenance=provenance, **changes)
+    found = fresh().at(at(0), situation(the_pose, antenna() if with_antenna else None), 0.0)
+    good = mode not in ("none", "provisional") and provenance not in ("none", "fixes")
+    assert not found.usable or (good and abs(age) <= 0.1 and with_antenna and with_road)
+    assert found.usable == (found.reason == "none")
+
+
+# --- R's formulas ------------------------------------------------------------------------------------------------
+
+
+def test_by_the_reliability_index_levels_are_r_s():
+    levels = LevelRules(levels="reliability_index")
+    positions = driving(10, levels)
+    a = math.sqrt(9.2103)
+    found = positions.at(at(10), situation(), 0.0)
+    assert found.source == "doppler"
+    assert found.horizontal_protection_level_m == pytest.approx(a * (0.025 + 20 * 0.02), rel=1e-4)
+    assert found.integrity_risk == pytest.approx(0.01)
+    again = confirmed(positions, pose(10, **MATCHED), fix(10))
+    assert again.horizontal_protection_level_m == pytest.approx(a * 0.025, rel=1e-4)
+    positions = fresh(levels)
+    confirmed(positions)
+    sensors = positions.at(at(1), situation(pose(1), antenna(1)), 0.0)
+    assert sensors.source == "sensors"
+    assert sensors.horizontal_protection_level_m == pytest.approx(a * (0.025 + 2 * 0.03), rel=1e-4)
+    assert sensors.usable

@@ -1,0 +1,222 @@
+"""Protection levels: against other formulas and against draws; what must always hold."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy import integrate, special, stats
+
+from camber.integrity.protection_level import Tails, horizontal, levels_m, whitened
+
+exactly = settings(derandomize=True, deadline=None)
+sigma = st.floats(0.01, 5.0)
+risks = st.floats(1e-9, 0.1)
+SLACK = 1.0 + 5e-4
+
+
+def alone(covariance):
+    """A mixture of one part, without a mean."""
+    return horizontal(np.ones((1, 1)), np.zeros((1, 1, 2)), np.asarray(covariance, float)[None, None])
+
+
+def vertical(weight, mean, variance):
+    """On a line."""
+    covariance = np.zeros((*variance.shape, 2, 2))
+    covariance[..., 0, 0] = variance
+    return horizontal(weight, np.stack((mean, np.zeros_like(mean)), axis=-1), covariance)
+
+
+def in_ellipses(weight, mean, covariance):
+    """In standard deviations of the first part."""
+    return horizontal(weight, *whitened(mean, covariance))
+
+
+def level(tails, risk):
+    return float(levels_m(tails, np.full(len(tails.weight), risk))[0])
+
+
+def mixture(weights, means, sigmas):
+    covariances = [np.diag([s * s, (s * 0.6) ** 2]) for s in sigmas]
+    return horizontal(np.array([weights]), np.array([means], float), np.array([covariances]))
+
+
+@exactly
+@given(sigma, risks)
+def test_of_a_round_error_it_is_rayleighs(s, risk):
+    exact = s * math.sqrt(-2.0 * math.log(risk))
+    assert exact * (1.0 - 1e-9) <= level(alone(s * s * np.eye(2)), risk) <= exact * SLACK
+
+
+@exactly
+@given(sigma, risks)
+def test_on_a_line_it_is_the_normal_distributions(s, risk):
+    exact = s * stats.norm.isf(risk / 2.0)
+    for tails in (
+        alone([[s * s, 0.0], [0.0, 0.0]]),
+        vertical(np.ones((1, 1)), np.zeros((1, 1)), np.array([[s * s]])),
+    ):
+        assert exact * (1.0 - 1e-6) <= level(tails, risk) <= exact * SLACK
+
+
+@pytest.mark.parametrize(("a", "b", "rho"), [(1.0, 0.5, 0.3), (2.0, 0.1, -0.8), (0.3, 0.31, 0.99)])
+def test_of_an_ellipse_it_is_that_of_quadrature_over_the_plane(a, b, rho):
+    covariance = np.array([[a * a, rho * a * b], [rho * a * b, b * b]])
+    larger, smaller = np.linalg.eigvalsh(covariance)[::-1]
+    found = level(alone(covariance), 1e-5)
+
+    def beyond(x):
+        rest = max(found * found - x * x, 0.0)
+        return stats.norm.pdf(x, scale=math.sqrt(larger)) * special.erfc(math.sqrt(0.5 * rest / smaller))
+
+    inside = integrate.quad(beyond, 0.0, found, epsabs=1e-15, limit=500)[0]
+    outside = stats.norm.sf(found, scale=math.sqrt(larger))
+    assert 2.0 * (inside + outside) == pytest.approx(1e-5, rel=2e-3)
+
+
+def test_of_heights_with_a_mean_it_is_exact():
+    found = level(vertical(np.array([[0.9, 0.1]]), np.array([[0.0, -0.3]]), np.array([[0.01, 0.04]])), 1e-4)
+    p = 0.9 * 2.0 * stats.norm.sf(found, scale=0.1)
+    p += 0.1 * (stats.norm.sf(found, 0.3, 0.2) + stats.norm.cdf(-found, 0.3, 0.2))
+    assert p == pytest.approx(1e-4, rel=2e-3)
+    assert p <= 1e-4
+
+
+def test_draws_of_a_mixture_exceed_it_no_more_often_than_the_risk_and_not_much_more_seldom():
+    rng = np.random.default_rng(5)
+    n = 1_000_000
+    weights, means, sigmas = (0.97, 0.03), ((0.0, 0.0), (0.3, 0.4)), (0.1, 0.2)
+    part = rng.random(n) < weights[1]
+    scale = np.where(part[:, None], sigmas[1], sigmas[0]) * np.array([1.0, 0.6])
+    error = rng.normal(size=(n, 2)) * scale + np.where(part[:, None], means[1], means[0])
+    for risk in (0.1, 1e-2, 1e-3):
+        share = (np.hypot(*error.T) > level(mixture(weights, means, sigmas), risk)).mean()
+        spread = math.sqrt(risk / n)
+        assert share <= risk + 4.0 * spread
+        assert share >= risk - 5.0 * spread
+    assert (
+        np.abs(error[:, 1])
+        > level(vertical(np.array([weights]), np.array([[0.0, 0.4]]), np.array([[0.06**2, 0.12**2]])), 1e-2)
+    ).mean() == pytest.approx(1e-2, rel=0.05)
+
+
+@exactly
+@given(risks, st.floats(1.01, 100.0), st.floats(0.0, 0.5), st.floats(0.0, 3.0), sigma, sigma)
+def test_less_risk_never_shrinks_it(risk, less, w, offset, s, t):
+    tails = mixture((1.0 - w, w), ((0, 0), (offset, 0)), (s, t))
+    assert level(tails, risk / less) * SLACK >= level(tails, risk)
+
+
+@exactly
+@given(risks, st.floats(0.0, 0.5), st.floats(0.0, 3.0), sigma, sigma, sigma, st.booleans())
+def test_more_uncertainty_never_shrinks_it(risk, w, offset, s, t, more, of_first):
+    assume(abs(w - risk) > 0.02 * risk)  # there the level jumps to where the second part counts in full
+
+    def of(extra):
+        sigmas = (math.hypot(s, extra), t) if of_first else (s, math.hypot(t, extra))
+        return level(mixture((1.0 - w, w), ((0, 0), (offset, 0)), sigmas), risk)
+
+    assert of(more) * SLACK >= of(0.0)
+
+
+@exactly
+@given(risks, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 3.0), sigma, sigma)
+def test_more_weight_on_the_worse_part_never_shrinks_it(risk, w, share, offset, s, more):
+    def of(weight):
+        return level(mixture((1.0 - weight, weight), ((0, 0), (offset, 0)), (s, s + more)), risk)
+
+    assert of(w) * SLACK >= of(w * share)
+
+
+@exactly
+@given(risks, st.floats(0.0, 3.0), st.floats(0.0, 2.0), sigma)
+def test_a_mean_farther_off_never_shrinks_it(risk, offset, more, s):
+    for make in (
+        lambda d: mixture((0.5, 0.5), ((0, 0), (d, 0)), (s, s)),
+        lambda d: vertical(np.array([[0.5, 0.5]]), np.array([[0.0, d]]), np.array([[s * s, s * s]])),
+    ):
+        assert level(make(offset + more), risk) * SLACK >= level(make(offset), risk)
+
+
+def test_all_rows_are_solved_alike_however_many():
+    rng = np.random.default_rng(2)
+    spread = rng.uniform(0.01, 2.0, 2500)
+    tails = horizontal(
+        np.ones((2500, 1)), np.zeros((2500, 1, 2)), (spread**2)[:, None, None, None] * np.eye(2)
+    )
+    found = levels_m(tails, np.full(2500, 1e-7))
+    assert found == pytest.approx(spread * math.sqrt(-2.0 * math.log(1e-7)), rel=1e-4)
+    nothing = horizontal(np.ones((0, 1)), np.zeros((0, 1, 2)), np.zeros((0, 1, 2, 2)))
+    assert levels_m(nothing, np.zeros(0)).shape == (0,)
+
+
+def test_rows_of_different_kinds_may_be_solved_together():
+    one, two = alone(np.eye(2)), vertical(np.ones((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
+    both = Tails(*map(np.concatenate, zip(one.columns, two.columns, strict=True)))
+    together = levels_m(both, np.array([1e-7, 1e-7]))
+    assert together == pytest.approx([level(one, 1e-7), level(two, 1e-7)], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "tails",
+    [
+        alone([[math.nan, 0.0], [0.0, 1.0]]),
+        alone([[1.0, math.inf], [math.inf, 1.0]]),
+        alone([[math.inf, 0.0], [0.0, 1.0]]),
+        alone([[1.0, 2.0], [2.0, 1.0]]),
+        alone([[-1.0, 0.0], [0.0, -1.0]]),
+        mixture((math.nan, 0.5), ((0, 0), (0, 0)), (1, 1)),
+        mixture((0.5, 0.5), ((0, 0), (math.nan, 0)), (1, 1)),
+        vertical(np.ones((1, 1)), np.zeros((1, 1)), np.array([[-1.0]])),
+        vertical(np.ones((1, 1)), np.full((1, 1), math.inf), np.ones((1, 1))),
+    ],
+)
+def test_what_is_no_distribution_has_no_level(tails):
+    assert level(tails, 1e-3) == math.inf
+
+
+@pytest.mark.parametrize("risk", [0.0, -1e-9, math.nan])
+def test_without_risk_to_spend_there_is_no_level(risk):
+    assert level(alone(np.eye(2)), risk) == math.inf
+
+
+def test_a_risk_of_all_is_no_distance():
+    assert level(alone(np.eye(2)), 1.0) == pytest.approx(0.0, abs=0.1)
+    assert level(alone(np.zeros((2, 2))), 1e-7) == pytest.approx(0.0, abs=1e-12)
+
+
+@exactly
+@given(st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(-0.95, 0.95), risks)
+def test_the_scale_of_an_ellipse_alone_is_that_of_r(a, b, rho, risk):
+    covariance = np.array([[a * a, rho * a * b], [rho * a * b, b * b]])
+    tails = in_ellipses(np.ones((1, 1)), np.zeros((1, 1, 2)), covariance[None, None])
+    assert level(tails, risk) == pytest.approx(math.sqrt(-2.0 * math.log(risk)), rel=1e-4)
+
+
+def test_draws_of_a_mixture_are_inside_its_ellipse_as_often_as_promised():
+    rng = np.random.default_rng(8)
+    n = 400_000
+    first, second = np.array([[0.04, 0.03], [0.03, 0.09]]), np.array([[1.0, -0.2], [-0.2, 0.3]])
+    wrong = rng.random(n) < 0.004
+    e = np.where(
+        wrong[:, None],
+        rng.multivariate_normal([0.5, -0.3], second, n),
+        rng.multivariate_normal([0.0, 0.0], first, n),
+    )
+    square = np.einsum("ni,ij,nj->n", e, np.linalg.inv(first), e)
+    tails = in_ellipses(
+        np.array([[0.996, 0.004]]), np.array([[[0.0, 0.0], [0.5, -0.3]]]), np.array([[first, second]])
+    )
+    for risk in (0.01, 0.001):
+        outside = (square > level(tails, risk) ** 2).mean()
+        assert outside <= risk + 4.0 * math.sqrt(risk / n)
+        assert outside >= 0.8 * risk
+
+
+@pytest.mark.parametrize(
+    "covariance", [[[0.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]], [[1.0, 2.0], [2.0, 1.0]]]
+)
+def test_a_first_part_without_an_ellipse_has_no_scale(covariance):
+    tails = in_ellipses(np.ones((1, 1)), np.zeros((1, 1, 2)), np.array(covariance)[None, None])
+    assert level(tails, 0.01) == math.inf
