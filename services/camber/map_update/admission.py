@@ -58,9 +58,11 @@ def _observations(contribution: Contribution, now_ns: int, rules: Rules) -> Refu
     rows = contribution.observations
     bounds: tuple[tuple[str, float, float], ...] = (
         ("time_ns", EARLIEST_NS, now_ns + round(rules.future_limit_s * 1e9)),
+        ("fix_id", 0, _LARGEST_ID),
         ("surface_id", 0, _LARGEST_ID),
         ("latitude_rad", -pi / 2, pi / 2),
         ("longitude_rad", -pi, pi),
+        ("horizontal_sigma_m", 0.0, rules.largest_sigma_m),
         ("road_height_m", rules.lowest_road_m, rules.highest_road_m),
         ("road_height_sigma_m", rules.least_sigma_m, rules.largest_sigma_m),
         ("antenna_height_m", 0.0, rules.highest_antenna_m),

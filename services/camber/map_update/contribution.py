@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -10,18 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from camber.schemas.fleet import ElevationUpload, UploadBatch
+from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictWord
 
 VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
 """`verdict` of a row, and of UploadBatch, is an index into these."""
+QUALITIES: tuple[Quality, ...] = get_args(Quality)
+"""`fix_quality` likewise."""
 
 OBSERVATION = np.dtype(
     [
         ("time_ns", "<i8"),
+        ("fix_id", "<i8"),
+        ("fix_quality", "|u1"),
         ("surface_id", "<i8"),
         ("verdict", "|u1"),
         ("latitude_rad", "<f8"),
         ("longitude_rad", "<f8"),
+        ("horizontal_sigma_m", "<f8"),
         ("road_height_m", "<f8"),
         ("road_height_sigma_m", "<f8"),
         ("antenna_height_m", "<f8"),
@@ -36,7 +43,7 @@ Kind = Literal["upload", "batch"]
 class Contribution:
     """A heading, and observations as an array of OBSERVATION (n,). (vehicle, kind, id) names it once and for all.
 
-    What a batch does not carry is None: its reference epoch, the fixes behind it and their covariances.
+    What a batch does not carry is None: the covariances of its fixes, of which it has the largest horizontal σ.
     """
 
     vehicle: str
@@ -44,9 +51,7 @@ class Contribution:
     id: str
     datum: str
     map_version: int
-    epoch_year: float | None
-    fix_id: int | None
-    fix_quality: str | None
+    epoch_year: float
     position_covariance_enu_m2: tuple[float, ...] | None
     observations: npt.NDArray[np.void]
 
@@ -56,8 +61,6 @@ class Contribution:
             self.datum,
             self.map_version,
             self.epoch_year,
-            self.fix_id,
-            self.fix_quality,
             self.position_covariance_enu_m2,
         )
         return hashlib.sha256(repr(heading).encode() + self.observations.tobytes()).digest()
@@ -65,12 +68,16 @@ class Contribution:
 
 def from_upload(upload: ElevationUpload) -> Contribution:
     """The contribution of a single upload."""
+    ee, en, _, nn, _, _ = upload.position_covariance_enu_m2
     row = (
         upload.time_ns,
+        upload.fix_id,
+        QUALITIES.index(upload.fix_quality),
         upload.surface_id,
         VERDICTS.index(upload.verdict),
         upload.latitude_rad,
         upload.longitude_rad,
+        math.sqrt(max(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en), 0.0)),
         upload.road_height_m,
         upload.road_height_sigma_m,
         upload.antenna_height_m,
@@ -82,8 +89,6 @@ def from_upload(upload: ElevationUpload) -> Contribution:
         datum=upload.datum,
         map_version=upload.map_version,
         epoch_year=upload.epoch_year,
-        fix_id=upload.fix_id,
-        fix_quality=upload.fix_quality,
         position_covariance_enu_m2=upload.position_covariance_enu_m2,
         observations=np.array([row], OBSERVATION),
     )
@@ -102,9 +107,7 @@ def from_batch(batch: UploadBatch) -> Contribution:
         id=batch.batch_id,
         datum=batch.datum,
         map_version=batch.map_version,
-        epoch_year=None,
-        fix_id=None,
-        fix_quality=None,
+        epoch_year=batch.epoch_year,
         position_covariance_enu_m2=None,
         observations=rows,
     )

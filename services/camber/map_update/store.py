@@ -34,9 +34,7 @@ CREATE TABLE IF NOT EXISTS contribution (
     records INTEGER NOT NULL,
     datum TEXT NOT NULL,
     map_version INTEGER NOT NULL,
-    epoch_year REAL,
-    fix_id INTEGER,
-    fix_quality TEXT,
+    epoch_year REAL NOT NULL,
     position_covariance_enu_m2 BLOB,
     UNIQUE (vehicle, kind, id)
 );
@@ -47,7 +45,7 @@ CREATE TABLE IF NOT EXISTS observation (
 PRAGMA user_version = {FORMAT};
 COMMIT;
 """
-_INSERT_HEADING = f"INSERT INTO contribution VALUES (NULL{', ?' * 12})"
+_INSERT_HEADING = f"INSERT INTO contribution VALUES (NULL{', ?' * 10})"
 _INSERT_OBSERVATION = f"INSERT INTO observation VALUES (?{', ?' * len(_FIELDS)})"
 
 
@@ -174,8 +172,6 @@ class Store:
             contribution.datum,
             contribution.map_version,
             contribution.epoch_year,
-            contribution.fix_id,
-            contribution.fix_quality,
             None if covariance is None else pack("<6d", *covariance),
         )
         number = self._db.execute(_INSERT_HEADING, heading).lastrowid

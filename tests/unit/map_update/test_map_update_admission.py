@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camber.map_update.admission import Rules, refusal
-from camber.map_update.contribution import OBSERVATION, VERDICTS, from_batch, from_upload
+from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS, from_batch, from_upload
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
@@ -41,15 +41,19 @@ UPLOAD = {
 def batch(records=4, **changes) -> UploadBatch:
     columns = {
         "positioning_time_ns": np.full(records, NOW_NS - 5),
+        "fix_id": np.arange(records),
+        "fix_quality": np.zeros(records, np.uint8),
         "surface_id": np.arange(records),
         "verdict": np.full(records, 2, np.uint8),
         "latitude_rad": np.full(records, 0.61),
         "longitude_rad": np.full(records, 2.39),
+        "horizontal_sigma_m": np.full(records, 0.03),
         "road_height_m": np.linspace(40.0, 41.0, records),
         "road_height_sigma_m": np.full(records, 0.05),
         "antenna_height_m": np.full(records, 1.7),
     }
-    heading = {"time_ns": NOW_NS, "vehicle": "v1", "batch_id": "b1", "datum": "WGS84", "map_version": 3}
+    heading = {"time_ns": NOW_NS, "vehicle": "v1", "batch_id": "b1", "datum": "WGS84", "epoch_year": 2024.5}
+    heading["map_version"] = 3
     return UploadBatch(**{**heading, **columns, **changes})
 
 
@@ -118,6 +122,8 @@ def test_a_possible_batch_is_taken_in():
         ("positioning_time_ns", 0, "time_ns"),
         ("positioning_time_ns", 2**63 - 1, "time_ns"),
         ("surface_id", -1, "surface_id"),
+        ("fix_id", -1, "fix_id"),
+        ("horizontal_sigma_m", 10.5, "horizontal_sigma_m"),
         ("latitude_rad", 1.6, "latitude_rad"),
         ("longitude_rad", -3.2, "longitude_rad"),
         ("road_height_m", 8000.0, "road_height_m"),
@@ -147,10 +153,15 @@ def test_every_field_of_an_upload_is_in_its_contribution():
     contribution = from_upload(upload)
     row = dict(zip(OBSERVATION.names or (), contribution.observations[0].tolist(), strict=True))
     assert VERDICTS[row.pop("verdict")] == upload.verdict
+    assert QUALITIES[row.pop("fix_quality")] == upload.fix_quality
+    # Of [[1, 0.1], [0.1, 1.5]] by hand: (2.5 + sqrt(0.5² + 4 · 0.1²)) / 2.
+    assert row.pop("horizontal_sigma_m") == pytest.approx(((2.5 + 0.29**0.5) / 2) ** 0.5)
     heading = {name: getattr(contribution, name) for name in contribution.__slots__ if name != "observations"}
     assert heading.pop("kind") == "upload"
     assert {**row, **heading} == {
-        ("id" if name == "upload_id" else name): value for name, value in UPLOAD.items() if name != "verdict"
+        ("id" if name == "upload_id" else name): value
+        for name, value in UPLOAD.items()
+        if name not in ("verdict", "fix_quality")
     }
 
 
@@ -161,7 +172,7 @@ def test_every_column_of_a_batch_is_in_its_contribution():
         column = getattr(source, "positioning_time_ns" if name == "time_ns" else name)
         assert np.array_equal(contribution.observations[name], column)
     assert (contribution.vehicle, contribution.kind, contribution.id) == ("v1", "batch", "b1")
-    assert (contribution.datum, contribution.map_version, contribution.fix_id) == ("WGS84", 3, None)
+    assert (contribution.datum, contribution.map_version, contribution.epoch_year) == ("WGS84", 3, 2024.5)
 
 
 @pytest.mark.parametrize("field", sorted(set(UPLOAD) - {"vehicle", "upload_id"}))

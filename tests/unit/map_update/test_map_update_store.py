@@ -35,9 +35,7 @@ def contribution(
         id=name,
         datum=datum,
         map_version=1,
-        epoch_year=2024.0 if kind == "upload" else None,
-        fix_id=1 if kind == "upload" else None,
-        fix_quality="fixed" if kind == "upload" else None,
+        epoch_year=2024.0,
         position_covariance_enu_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 4.0) if kind == "upload" else None,
         observations=rows,
     )
@@ -128,14 +126,14 @@ def test_a_batch_is_one_ledger_row_and_all_its_observations_once(path, store):
             1000,
             1,
         )
-    assert rows_of(path, "epoch_year, fix_id, fix_quality, position_covariance_enu_m2") == [(None,) * 4]
+    assert rows_of(path, "epoch_year, position_covariance_enu_m2") == [(2024.0, None)]
 
 
 def test_numbers_come_back_bit_for_bit(path, store):
     rng = np.random.default_rng(3)
     sent = contribution("b1", kind="batch", records=200)
     for name in OBSERVATION.names or ():
-        limits = {"verdict": 4}.get(name, 2**62)
+        limits = {"verdict": 4, "fix_quality": 8}.get(name, 2**62)
         integers = OBSERVATION[name].kind in "iu"
         sent.observations[name] = rng.integers(0, limits, 200) if integers else rng.normal(0.0, 1e3, 200)
     committed(store, sent)
