@@ -8,8 +8,8 @@ import sys
 SERVICES = {
     "gnss": "receivers and their files → tentative positions",
     "map_server": "map release → road elevation, links, tiles",
-    "localizer": "motion, links, confirmed positions → approximate pose with the road under it",
-    "antenna_height": "fixed value or suspension → height of the antenna above the road",
+    "localizer": "motion, sweeps, map, confirmed positions → approximate pose with the road under it",
+    "antenna_height": "fixed value, suspension, ranging, scan matches → height of the antenna above the road",
     "integrity": "everything above → verdict, position with its bounds, uploads",
     "map_update": "uploads of a fleet → stored, each once",
 }
@@ -17,9 +17,13 @@ TOOLS = {
     "router": ("camber.runtime.router", "a Zenoh router in Python"),
     "replay": ("camber.tools.replay", "run a recorded drive through all processes"),
     "simulate": ("camber.tools.simulate", "make a drive or a fleet from a scenario, with truth"),
+    "localize": ("camber.tools.localize", "a drive through the localizer alone, with plots"),
+    "calibrate": ("camber.tools.calibrate", "lever arm, antenna height, base offset from a recorded drive"),
     "demo": ("camber.tools.demo", "simulate two minutes through a city and replay them"),
     "feed": ("camber.tools.feed", "a recorded drive, live, to services that are running"),
+    "lab": ("camber.tools.lab", "the judge against millions of simulated wrong fixes and faults"),
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
+    "evidence": ("camber.tools.evidence", "recorded and simulated drives, and the page of what came of them"),
     "health": ("camber.tools.health", "ask a running service how it is"),
 }
 GNSS_TOOLS = {
@@ -27,7 +31,7 @@ GNSS_TOOLS = {
     "solve": ("camber.tools.gnss_solve", "positions from a recording's raw observations, and a plot"),
 }
 
-EXTRA_OF = {"numba": "engine", "hatanaka": "engine"}
+EXTRA_OF = {"numba": "engine", "hatanaka": "engine", "small_gicp": "localizer"}
 """Packages that not every service needs, and the extra of the distribution that brings them."""
 
 

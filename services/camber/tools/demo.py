@@ -9,7 +9,8 @@ from pathlib import Path
 
 from camber.schemas.drive import load_manifest
 from camber.simulator.short_drive import write_short_drive
-from camber.tools.replay import in_words, replay, speed_factor
+from camber.tools.in_words import in_words
+from camber.tools.replay import replay, speed_factor
 
 
 def main(argv: Sequence[str]) -> int:

@@ -16,10 +16,12 @@ from camber.schemas.gnss import Fix
 from camber.tools.controls import always_unknown, height_differences_m, height_only, ratio_test_only
 from camber.tools.figures import Episode, Judgement, Tentative, episodes_of, figures, some_known
 from camber.tools.judged import CONFIRMED_WORDS, Judged, put_together
+from camber.tools.localized_summary import Localized
 from camber.tools.protection import (
     Positions,
     availability,
     coverage,
+    levels_by_source,
     percentiles,
     positions_by_epoch,
     stanford,
@@ -27,7 +29,7 @@ from camber.tools.protection import (
 from camber.tools.run_folder import DriveFacts, RunFacts
 from camber.tools.truth import Truth
 
-CHANNELS = ("motion", "fix", "verdict", "position", "pose", "antenna_height")
+CHANNELS = ("motion", "fix", "verdict", "position", "pose", "scan_match", "antenna_height")
 """What evaluation reads of a recording."""
 
 _NOWHERE = (np.nan, np.nan, np.nan)
@@ -49,6 +51,7 @@ class Evaluation:
     fix_rows: Int64
     episodes: list[Episode]
     positions: Positions
+    localized: Localized
 
 
 def evaluate(
@@ -74,6 +77,7 @@ def evaluate(
     positions = positions_by_epoch(
         recorded.get("position", ()), truth, drive.offset_enu_m, drive.alert_limit_m
     )
+    localized = Localized.of(recorded)
     epochs = _epoch_times(recorded.get("motion", ()), positions)
     known = truth is not None
     summary = {
@@ -96,7 +100,9 @@ def evaluate(
         },
         "coverage": coverage(positions) if known else None,
         "stanford": stanford(positions) if known else None,
+        "levels": levels_by_source(positions) if known else None,
         "verdicts": _verdicts(rows),
+        "localizer": localized.summary(),
         "latency_ms": percentiles(_latencies_ms(rows), {"p50": 0.5, "p99": 0.99}),
         "speed_factor": run.speed_factor,
         "wall_s": run.wall_s,
@@ -112,6 +118,7 @@ def evaluate(
         fix_rows=fix_rows,
         episodes=episodes_of(fixes, judgement),
         positions=positions,
+        localized=localized,
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.errors import FormatError
 from camber.formats.observations import Floats, Integers, ObservationEpoch
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtklib_pos import format_pos_header, format_pos_line
@@ -24,10 +22,11 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.engine import Engine, EngineOptions
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.tools.in_words import in_words
 from camber.tools.raw_recording import RawRecording, load_raw
 from camber.tools.recording_summary import time_text
 from camber.tools.solve_plot import plot
-from camber.tools.truth import Truth
+from camber.tools.truth import offset_of, truth_of
 
 _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
@@ -58,21 +57,14 @@ class SolvedDrive:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Solve one drive; 0 done, 2 it cannot be used."""
+    """Solve one drive; 0 done, 2 it cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
-    try:
-        manifest = load_manifest(args.drive, args.set)
-        print(solve(manifest, _options(args), args.out))
-    except (ManifestError, FormatError) as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{_PROG}: interrupted", file=sys.stderr)
-        return 130
-    return 0
+
+    def work() -> int:
+        print(solve(load_manifest(args.drive, args.set), _options(args), args.out))
+        return 0
+
+    return in_words(_PROG, args.out, work)
 
 
 def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
@@ -192,14 +184,10 @@ def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> F
     """Distances in 3D (n,) from the truth, NaN where it is not known; None: there is no truth."""
     if manifest.truth is None:
         return None
-    table = read_truth(manifest.truth.file, manifest.truth.format)
-    truth = Truth(table.time_ns, table.latitude_rad, table.longitude_rad, table.height_m)
-    offset_m = (
-        manifest.truth.receiver_minus_truth_east_m,
-        manifest.truth.receiver_minus_truth_north_m,
-        manifest.truth.receiver_minus_truth_up_m,
+    truth = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
+    error_enu_m = truth.error_enu_m(
+        solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_of(manifest)
     )
-    error_enu_m = truth.error_enu_m(solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_m)
     distance_m: Floats = np.linalg.norm(error_enu_m, axis=1)
     return distance_m
 

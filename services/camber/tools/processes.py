@@ -39,7 +39,7 @@ class Processes:
         for name, config in self.configs.items():
             path = self.folder / "config" / f"{name}.toml"
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(_toml(config), "utf-8")
+            path.write_text(config_text(config), "utf-8")
             self._children[name] = _Child(self._spawn(name))
         self._write_pids()
 
@@ -110,11 +110,12 @@ def _how(code: int) -> str:
     return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
-def _toml(table: Mapping[str, Any], prefix: str = "") -> str:
+def config_text(table: Mapping[str, Any], prefix: str = "") -> str:
+    """A service's settings as TOML."""
     lines = [f"{key} = {_value(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
     for key, value in table.items():
         if isinstance(value, Mapping):
-            lines += ["", f"[{prefix}{key}]", _toml(value, f"{prefix}{key}.")]
+            lines += ["", f"[{prefix}{key}]", config_text(value, f"{prefix}{key}.")]
     return "\n".join(lines)
 
 

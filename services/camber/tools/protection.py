@@ -44,6 +44,9 @@ class Positions:
     vpl_m: Float64
     alert_limit_m: Float64
     error_enu_m: Float64
+    vertical_alert_limit_m: Float64 | None = None
+    semi_major_99_m: Float64 | None = None
+    semi_minor_99_m: Float64 | None = None
 
     @property
     def horizontal_error_m(self) -> Float64:
@@ -52,10 +55,21 @@ class Positions:
 
     def square_in_ellipse(self) -> Float64:
         """(n,) squared distance of the truth in units of the 99.9 % ellipse: inside it up to 1."""
+        return self._square_in(self.semi_major_999_m, self.semi_minor_999_m)
+
+    def square_in_ellipse_99(self) -> Float64:
+        """(n,) the same of the 99 % ellipse: the published one, else the other made smaller."""
+        smaller = self.square_in_ellipse() / _SQUARE_AT_99
+        if self.semi_major_99_m is None or self.semi_minor_99_m is None:
+            return smaller
+        published = self._square_in(self.semi_major_99_m, self.semi_minor_99_m)
+        return np.where(np.isnan(self.semi_major_99_m), smaller, published)
+
+    def _square_in(self, major_m: Float64, minor_m: Float64) -> Float64:
         c, s = np.cos(self.orientation_rad), np.sin(self.orientation_rad)
         east, north = self.error_enu_m[:, 0], self.error_enu_m[:, 1]
-        along = (c * east + s * north) / np.maximum(self.semi_major_999_m, _SMALLEST_AXIS_M)
-        across = (c * north - s * east) / np.maximum(self.semi_minor_999_m, _SMALLEST_AXIS_M)
+        along = (c * east + s * north) / np.maximum(major_m, _SMALLEST_AXIS_M)
+        across = (c * north - s * east) / np.maximum(minor_m, _SMALLEST_AXIS_M)
         return along**2 + across**2
 
 
@@ -92,6 +106,9 @@ def positions_by_epoch(
         vpl_m=column("vertical_protection_level_m"),
         alert_limit_m=limit,
         error_enu_m=error_m,
+        vertical_alert_limit_m=column("vertical_alert_limit_m"),
+        semi_major_99_m=column("semi_major_99_m"),
+        semi_minor_99_m=column("semi_minor_99_m"),
     )
 
 
@@ -123,16 +140,17 @@ def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
 def coverage(positions: Positions) -> dict[str, Any]:
     """By source: how many epochs have ellipse and truth, and the share with the truth inside 99 % and 99.9
     %."""
-    square = positions.square_in_ellipse()
+    square, square_99 = positions.square_in_ellipse(), positions.square_in_ellipse_99()
     known = np.isfinite(square)
     sources = [*sorted(set(positions.source[known].tolist())), "all"]
     result: dict[str, Any] = {}
     for source in sources:
-        chosen = square[known & ((positions.source == source) | (source == "all"))]
+        rows = known & ((positions.source == source) | (source == "all"))
+        chosen = square[rows]
         share = len(chosen) > 0
         result[source] = {
             "epochs": len(chosen),
-            "inside_99": float((chosen <= _SQUARE_AT_99).mean()) if share else None,
+            "inside_99": float((square_99[rows] <= 1.0).mean()) if share else None,
             "inside_999": float((chosen <= 1.0).mean()) if share else None,
         }
     return result
@@ -142,16 +160,49 @@ def stanford(positions: Positions) -> dict[str, dict[str, int]]:
     """Counts of the regions of the Stanford chart, for the 99.9 % radius, HPL and VPL.
 
     With level L, error e, alert limit A: nominal e ≤ L < A; misleading L < e, L < A; hazardous of those: e >
-    A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is held against the same alert
-    limit.
+    A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is held against the vertical alert
+    limit, where there is one.
     """
+    return _charts(positions, np.ones(len(positions.time_ns), bool))
+
+
+def levels_by_source(positions: Positions) -> dict[str, Any]:
+    """By source, and of all: the Stanford charts of HPL and VPL, and how tight the levels are.
+
+    `ratio` is the median level by the median error; None where there is no level or no truth.
+    """
+    sources = sorted(set(positions.source.tolist()) - {"none"})
+    result: dict[str, Any] = {}
+    for source in [*sources, "all"]:
+        rows = (positions.source == source) if source != "all" else np.ones(len(positions.source), bool)
+        charts = _charts(positions, rows)
+        result[source] = {
+            "hpl": charts["hpl"] | _tightness(positions.hpl_m[rows], positions.horizontal_error_m[rows]),
+            "vpl": charts["vpl"] | _tightness(positions.vpl_m[rows], np.abs(positions.error_enu_m[rows, 2])),
+        }
+    return result
+
+
+def _tightness(level_m: Float64, error_m: Float64) -> dict[str, float | None]:
+    both = np.isfinite(level_m) & np.isfinite(error_m)
+    if not both.any():
+        return {"median_level_m": None, "median_error_m": None, "ratio": None}
+    level, error = float(np.median(level_m[both])), float(np.median(error_m[both]))
+    ratio = level / error if error > 0.0 else None
+    return {"median_level_m": level, "median_error_m": error, "ratio": ratio}
+
+
+def _charts(positions: Positions, rows: Flags) -> dict[str, dict[str, int]]:
     horizontal, vertical = positions.horizontal_error_m, np.abs(positions.error_enu_m[:, 2])
+    limit = positions.alert_limit_m
+    upwards = positions.vertical_alert_limit_m
+    upwards = limit if upwards is None else np.where(np.isnan(upwards), limit, upwards)
     levels = {
-        "radius_999": (positions.semi_major_999_m, horizontal),
-        "hpl": (positions.hpl_m, horizontal),
-        "vpl": (positions.vpl_m, vertical),
+        "radius_999": (positions.semi_major_999_m, horizontal, limit),
+        "hpl": (positions.hpl_m, horizontal, limit),
+        "vpl": (positions.vpl_m, vertical, upwards),
     }
-    return {name: _regions(level, error, positions.alert_limit_m) for name, (level, error) in levels.items()}
+    return {name: _regions(*(column[rows] for column in columns)) for name, columns in levels.items()}
 
 
 def _regions(level_m: Float64, error_m: Float64, limit_m: Float64) -> dict[str, int]:

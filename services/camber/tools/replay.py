@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -18,29 +18,29 @@ from typing import Any
 
 from tqdm import tqdm
 
-from camber.formats.errors import FormatError
 from camber.formats.recording import Recorder
 from camber.gnss.warm_up import warm_up
-from camber.runtime.feeder import Feeder, ReplayStuck
-from camber.runtime.session import BusError
+from camber.localizer.warm_up import warm_up as warm_up_matching
+from camber.runtime.feeder import Feeder
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import CHANNELS, SERVICES
-from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.schemas.drive import DriveManifest, load_manifest
 from camber.schemas.gnss import ReceiverBytes
-from camber.schemas.toml_file import FileError
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
 from camber.simulator.sweep_files import SweepReader
 from camber.tools.evaluate import evaluate_folder, headline
+from camber.tools.in_words import in_words
+from camber.tools.localizer_config import localizer_config
 from camber.tools.processes import Processes
 from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
-from camber.tools.truth import Truth
+from camber.tools.truth import offset_of, truth_of
 
 _SUPERVISE_EVERY_S = 0.05
 # Longer than the feeder runs ahead, so that the recording's order is that of the times.
 _RECORD_LAG_NS = 5_000_000_000
 
 
-class _Stopped(Exception):  # noqa: N818  (asked to, not failed)
+class _Stopped(KeyboardInterrupt):
     """SIGINT or SIGTERM."""
 
 
@@ -55,39 +55,27 @@ def main(argv: Sequence[str]) -> int:
     return in_words("camber replay", args.out, work)
 
 
-def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
-    """The exit code of `work`, or a line that says what went wrong and the code for that."""
-    try:
-        return work()
-    except (FileError, FormatError) as error:
-        print(f"{prog}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{prog}: {error.filename or out}: {error.strerror or error}", file=sys.stderr)
-        return 2
-    except (ReplayStuck, BusError) as error:
-        print(f"{prog}: {error}; see {out / 'logs'}", file=sys.stderr)
-        return 1
-    except _Stopped:
-        print(f"{prog}: interrupted", file=sys.stderr)
-        return 130
-
-
 def replay(manifest: DriveManifest, out: Path, *, speed: float, quiet: bool = False) -> int:
     """Run the drive at `speed` times real time (infinite: as fast as it goes) and write the run's folder."""
     out.mkdir(parents=True, exist_ok=True)
     inputs = prepare_drive(manifest, out / "work")
     folder = RunFolder(out)
-    facts = _facts(manifest, inputs)
-    folder.write_drive(facts, _truth(inputs))
+    facts = facts_of(manifest, inputs)
+    folder.write_drive(facts, None if inputs.truth is None else truth_of(inputs.truth))
     for left_over in ("state", "logs"):  # what an earlier run has learnt would change this one's verdicts
         shutil.rmtree(out / left_over, ignore_errors=True)
     if manifest.judged_positions == "engine":
         if not quiet:
             print("camber replay: preparing the engine (a minute, the first time)", file=sys.stderr)
         warm_up()
+    if manifest.sweeps is not None:
+        if not quiet:
+            print(
+                "camber replay: preparing the matching of sweeps (a minute, the first time)", file=sys.stderr
+            )
+        warm_up_matching()
     endpoint = _free_endpoint()
-    processes = Processes(out, _configs(manifest, inputs, out, endpoint))
+    processes = Processes(out, service_configs(manifest, inputs, out, endpoint))
     with Recorder(folder.recording_path) as recorder:
         sweeps = SweepReader()
         wall_s = _run(manifest, inputs, processes, recorder, sweeps, endpoint, speed=speed, quiet=quiet)
@@ -169,7 +157,7 @@ def _feed(
                 processes.kill(kills.pop().service)
             for message in greeting.now(tick.time_ns, feeder.participants):
                 feeder.publish("receiver_bytes", message)
-            for name, message in _messages(tick, sweeps):
+            for name, message in messages_of(tick, sweeps):
                 feeder.publish(name, message)
             feeder.tick(tick.time_ns, last=tick.time_ns == last_ns)
             if tick.time_ns - written_ns >= 2 * _RECORD_LAG_NS:
@@ -194,7 +182,8 @@ class _Greeting:
                 yield message.model_copy(update={"time_ns": time_ns})
 
 
-def _messages(tick: Tick, sweeps: SweepReader) -> Iterator[tuple[str, Any]]:
+def messages_of(tick: Tick, sweeps: SweepReader) -> Iterator[tuple[str, Any]]:
+    """What arrives at a tick, each with the name of its channel."""
     for name, messages in (
         ("receiver_bytes", tick.receiver),
         ("motion", tick.motion),
@@ -206,7 +195,7 @@ def _messages(tick: Tick, sweeps: SweepReader) -> Iterator[tuple[str, Any]]:
             yield name, message
 
 
-def _configs(
+def service_configs(
     manifest: DriveManifest, inputs: DriveInputs, out: Path, endpoint: str
 ) -> dict[str, Mapping[str, Any]]:
     """Each service's settings for this drive."""
@@ -220,22 +209,10 @@ def _configs(
             "zenoh": {"mode": "peer", "connect": [endpoint], "listen": ["tcp/127.0.0.1:0"]},
         }
 
-    antenna, height, start = manifest.lever_arms.antenna, manifest.antenna_height, inputs.initial_pose
-    if height.way not in ("fixed", "stroke"):
-        raise ManifestError(
-            f"{manifest.name}: antenna_height.way {height.way!r}, expected fixed or stroke by now"
-        )
-    optional = {
-        "fixed_height_m": height.height_m,
-        "fixed_sigma_m": height.sigma_m,
-        "suspension_to_antenna_m": height.suspension_to_antenna_m,
-        "tyre_radius_m": height.tyre_radius_m,
-    }
     raw = manifest.observations
     # The files of a day are heard at once.
     engine = {"ephemerides_of_satellite": 150}
     base = {} if raw is None or raw.base_ecef_m is None else {"base_ecef_m": list(raw.base_ecef_m)}
-    given = {} if start is None else {"initial_pose": start.model_dump()}
     return {
         "gnss": config(
             "gnss",
@@ -252,48 +229,46 @@ def _configs(
         ),
         "localizer": config(
             "localizer",
-            antenna_x_m=antenna.x_m,
-            antenna_y_m=antenna.y_m,
-            wheelbase_m=manifest.surrogates.wheelbase_m,
-            **given,
+            match_sweeps=manifest.sweeps is not None,
+            **localizer_config(manifest, inputs.initial_pose),
         ),
-        "antenna_height": config(
-            "antenna_height",
-            way=height.way,
-            **{key: value for key, value in optional.items() if value is not None},
-        ),
+        "antenna_height": config("antenna_height", **antenna_height_config(manifest)),
         "integrity": config("integrity", alert_limit_m=manifest.alert_limit_m),
         "map_update": config("map_update"),
     }
 
 
-def _facts(manifest: DriveManifest, inputs: DriveInputs) -> DriveFacts:
-    truth = manifest.truth
-    offset = (0.0, 0.0, 0.0)
-    if truth is not None:
-        offset = (
-            truth.receiver_minus_truth_east_m,
-            truth.receiver_minus_truth_north_m,
-            truth.receiver_minus_truth_up_m,
-        )
+def antenna_height_config(manifest: DriveManifest) -> dict[str, Any]:
+    """All that the vehicle has to know its antenna's height by, so that the ways are compared."""
+    height, said = manifest.antenna_height, manifest.lever_arms.said
+    there = {
+        "antenna": True,
+        "suspension": manifest.suspension is not None,
+        "ranging": manifest.ranging is not None,
+        "lidar": manifest.sweeps is not None,
+    }
+    known = {
+        "fixed_height_m": height.height_m,
+        "fixed_sigma_m": height.sigma_m,
+        "suspension_to_antenna_m": height.suspension_to_antenna_m,
+        "tyre_radius_m": height.tyre_radius_m,
+        **{name: said[name].model_dump() for name, is_there in there.items() if is_there and name in said},
+    }
+    return {
+        "way": height.way,
+        "beam_azimuth_deg": height.beam_azimuth_deg,
+        **{name: value for name, value in known.items() if value is not None},
+    }
+
+
+def facts_of(manifest: DriveManifest, inputs: DriveInputs) -> DriveFacts:
+    """What evaluation takes of a drive."""
     return DriveFacts(
         drive=manifest.name,
         surrogates=manifest.surrogate_notes(),
         truth=inputs.truth is not None,
-        offset_enu_m=offset,
+        offset_enu_m=offset_of(manifest),
         alert_limit_m=manifest.alert_limit_m,
-    )
-
-
-def _truth(inputs: DriveInputs) -> Truth | None:
-    table = inputs.truth
-    if table is None:
-        return None
-    return Truth(
-        time_ns=table.time_ns,
-        latitude_rad=table.latitude_rad,
-        longitude_rad=table.longitude_rad,
-        height_m=table.height_m,
     )
 
 

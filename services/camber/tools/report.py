@@ -48,6 +48,7 @@ def render(evaluation: Evaluation) -> str:
         "stanford": _stanford(summary),
         "reasons": _reasons(summary),
         "coverage": _coverage(summary),
+        "localizer": _localizer(summary),
         "episodes_note": _episodes_note(summary),
         "episodes": _episodes(evaluation),
         "definitions": _DEFINITIONS,
@@ -244,7 +245,41 @@ def _stanford(summary: dict[str, Any]) -> str:
         )
         rows.append(f"<tr><td>{name}</td>{''.join(cells)}</tr>")
     head = ["Level", "Epochs", "Nominal", "Misleading", "of these hazardous", "Unavailable"]
-    return _table([*head, "Unavailable, misleading"], rows)
+    return _table([*head, "Unavailable, misleading"], rows) + _levels(summary)
+
+
+def _levels(summary: dict[str, Any]) -> str:
+    """By source: the regions of HPL and VPL, and how tight they are."""
+    rows = [
+        f"<tr><td>{_words(source)}, {name.upper()}</td><td>{c['epochs']:,}</td>"
+        f"<td{_flag(c['misleading'])}>{c['misleading']:,}</td><td{_flag(c['hazardous'])}>{c['hazardous']:,}</td>"
+        f"<td>{c['unavailable']:,}</td><td>{c['median_level_m']:.2f} m</td><td>{c['median_error_m']:.2f} m</td></tr>"
+        for source, levels in summary["levels"].items()
+        for name, c in levels.items()
+        if c["epochs"]
+    ]
+    head = ["Source", "Epochs", "Misleading", "of these hazardous", "Unavailable", "Median level"]
+    return _table([*head, "Median error"], rows) if rows else ""
+
+
+def _localizer(summary: dict[str, Any]) -> str:
+    said = summary["localizer"]
+    rows = [
+        f'<tr><td class="left">{what}</td><td class="left">{_words(word)}</td><td>{count:,}</td>'
+        f"<td>{_percent(count / sum(counts.values()))}</td></tr>"
+        for what, counts in (("pose", said["modes"]), ("scan match", said["matches"]))
+        for word, count in counts.items()
+    ]
+    if not rows:
+        return '<p class="note">The localizer said nothing.</p>'
+    heights = {
+        "sensor, by matches": said["sensor_height_m"],
+        "sensor, by its own ground": said["ground_height_m"],
+        **{f"antenna, by {way}": height for way, height in said["antenna_height_m"].items()},
+    }
+    known = [f"{_words(name)} {height:.3f}{_NBSP}m" for name, height in heights.items() if height is not None]
+    told = f'<p class="note">Median height above the road: {"; ".join(known)}.</p>' if known else ""
+    return _table(["<Of what", "<Mode or status", "Count", "Share"], rows) + told
 
 
 def _episodes_note(summary: dict[str, Any]) -> str:

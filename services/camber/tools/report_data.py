@@ -13,12 +13,13 @@ from camber.schemas.base import Float64, Int64
 from camber.tools.evaluation import Evaluation
 from camber.tools.figures import RIGHT_M
 from camber.tools.judged import CONFIRMED_WORDS
+from camber.tools.localized_summary import Localized
 
 
 def start_ns_of(evaluation: Evaluation) -> int:
     """GPS time from which the report counts."""
     firsts = [row.time_ns for row in evaluation.rows[:1]] + evaluation.positions.time_ns[:1].tolist()
-    return min(firsts, default=0)
+    return min(firsts or evaluation.localized.poses.time_ns[:1].tolist(), default=0)
 
 
 def chart_data(evaluation: Evaluation) -> dict[str, Any]:
@@ -71,6 +72,19 @@ def chart_data(evaluation: Evaluation) -> dict[str, Any]:
             "error": _column(positions.horizontal_error_m),
             "radius": _column(positions.semi_major_999_m),
             "hpl": _column(positions.hpl_m),
+        },
+        "localizer": _localizer(evaluation.localized, start_ns),
+    }
+
+
+def _localizer(localized: Localized, start_ns: int) -> dict[str, Any]:
+    matches = localized.matches
+    return {
+        "t": _column((matches.time_ns - start_ns) / 1e9),
+        "layers": [_column(column) for column in matches.layer_mean_distance_m.T],
+        "heights": {
+            way: {"t": _column((time_ns - start_ns) / 1e9), "h": _column(height_m)}
+            for way, (time_ns, height_m) in localized.heights.items()
         },
     }
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from camber.formats.truth_csv import TruthTable
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.schemas.base import Float64, Int64
+from camber.schemas.drive import DriveManifest
 
 MAXIMUM_GAP_S = 1.5
 """Between two rows further apart than this the truth is not known, not even where the vehicle stood."""
@@ -96,3 +98,20 @@ class Truth:
         )
         error_m[known] = enu_m - np.asarray(offset_enu_m)
         return error_m
+
+
+def truth_of(table: TruthTable) -> Truth:
+    """The positions of a truth file."""
+    return Truth(table.time_ns, table.latitude_rad, table.longitude_rad, table.height_m)
+
+
+def offset_of(manifest: DriveManifest) -> tuple[float, float, float]:
+    """The drive's constant offset receiver − truth: east, north, up [m]; none without truth."""
+    truth = manifest.truth
+    if truth is None:
+        return (0.0, 0.0, 0.0)
+    return (
+        truth.receiver_minus_truth_east_m,
+        truth.receiver_minus_truth_north_m,
+        truth.receiver_minus_truth_up_m,
+    )

@@ -330,3 +330,31 @@ def test_nagoya_has_114_wrong_fixes_in_30_episodes() -> None:
     ratio_only = s["controls"]["ratio_test_only"]
     assert (ratio_only["confirmed"]["wrong"], ratio_only["episodes"]["missed"]) == (114, 30)
     assert sum(len(episode.fixes) for episode in evaluation.episodes) == 114
+
+
+def test_levels_are_counted_by_source_with_their_tightness() -> None:
+    drive = by_hand()
+    levels = {
+        "horizontal_protection_level_m": 1.0,
+        "vertical_protection_level_m": 3.0,
+        "vertical_alert_limit_m": 2.0,
+    }
+    drive["position"] = [
+        wrap(position(0, (0.2, 0.0), 0.5, **levels)),
+        wrap(position(1, (1.2, 0.0), 0.5, **levels)),
+        wrap(position(2, (0.2, 0.0), 0.5, source="sensors")),
+    ]
+    found = run(drive)["levels"]
+    assert set(found) == {"rtk", "sensors", "all"}
+    hpl = found["rtk"]["hpl"]
+    assert (hpl["epochs"], hpl["nominal"], hpl["misleading"], hpl["hazardous"]) == (2, 1, 1, 0)
+    assert (hpl["median_level_m"], hpl["ratio"]) == (1.0, pytest.approx(1.0 / 0.7))
+    assert found["rtk"]["vpl"]["unavailable"] == 2
+    assert found["sensors"]["hpl"]["median_level_m"] is None
+
+
+def test_the_99_percent_ellipse_is_the_published_one_where_there_is_one() -> None:
+    drive = by_hand()
+    own = {"semi_major_99_m": 0.6, "semi_minor_99_m": 0.6}
+    drive["position"] = [wrap(position(0, (0.5, 0.0), 0.55, **own)), wrap(position(1, (0.5, 0.0), 0.55))]
+    assert run(drive)["coverage"]["rtk"] == {"epochs": 2, "inside_99": 0.5, "inside_999": 1.0}

@@ -9,17 +9,22 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
-from camber.formats.errors import FormatError
-from camber.runtime.feeder import ReplayStuck
-from camber.runtime.session import BusError
+from camber.antenna_height.settings import AntennaHeightSettings, Place
 from camber.runtime.settings import load
 from camber.schemas.channels import SERVICES
-from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.schemas.drive import (
+    AntennaHeightWay,
+    DriveManifest,
+    LeverArms,
+    OneFile,
+    Sweeps,
+    load_manifest,
+)
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.simulator.drive_inputs import DriveInputs, Tick, prepare_drive
@@ -47,7 +52,7 @@ def test_the_settings_of_a_drive_are_settings_of_the_service(
     service: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / 'a folder "with" späces'
-    configs = replay._configs(*drive, out, "tcp/127.0.0.1:7999")
+    configs = replay.service_configs(*drive, out, "tcp/127.0.0.1:7999")
     assert set(configs) == set(SERVICES)
     monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
     Processes(out, configs).start()
@@ -63,7 +68,7 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
     drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
     manifest, inputs = drive
-    configs = replay._configs(manifest, inputs, tmp_path, "tcp/127.0.0.1:7999")
+    configs = replay.service_configs(manifest, inputs, tmp_path, "tcp/127.0.0.1:7999")
     assert configs["localizer"]["antenna_x_m"] == manifest.lever_arms.antenna.x_m
     assert configs["antenna_height"]["way"] == manifest.antenna_height.way
     assert configs["integrity"]["alert_limit_m"] == manifest.alert_limit_m
@@ -71,13 +76,48 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
     assert configs["localizer"].get("initial_pose") == (None if start is None else start.model_dump())
 
 
-def test_a_way_of_knowing_the_height_that_is_not_there_yet_is_refused(
-    drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+@pytest.mark.parametrize("way", get_args(AntennaHeightWay.model_fields["way"].annotation))
+def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
+    way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
     manifest, inputs = drive
-    height = manifest.antenna_height.model_copy(update={"way": "ranging"})
-    with pytest.raises(ManifestError, match=r"antenna_height\.way 'ranging', expected fixed or stroke"):
-        replay._configs(manifest.model_copy(update={"antenna_height": height}), inputs, tmp_path, "tcp/x:1")
+    arms = LeverArms.model_validate(
+        {name: {"x_m": 1.0, "z_m": 1.5} for name in ("antenna", "lidar", "ranging", "suspension")}
+    )
+    height = AntennaHeightWay.model_validate(
+        {
+            "way": way,
+            "height_m": 1.58,
+            "sigma_m": 0.02,
+            "suspension_to_antenna_m": 0.9,
+            "tyre_radius_m": 0.3,
+            "beam_azimuth_deg": 180.0,
+        }
+    )
+    (tmp_path / "samples.csv").write_text("")
+    table = OneFile.model_construct(file=tmp_path / "samples.csv")
+    there = {
+        "suspension": table,
+        "ranging": table,
+        "sweeps": Sweeps.model_construct(folder=tmp_path),
+        "lever_arms": arms,
+    }
+    told = replay.service_configs(
+        manifest.model_copy(update={"antenna_height": height, **there}), inputs, tmp_path, "tcp/x:1"
+    )["antenna_height"]
+    settings = AntennaHeightSettings(**told)
+    assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (way, 1.58, 0.02)
+    assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
+    assert settings.beam_azimuth_deg == 180.0
+    places = (settings.antenna, settings.lidar, settings.ranging, settings.suspension)
+    assert all(place == Place(x_m=1.0, y_m=0.0, z_m=1.5) for place in places)
+
+
+def test_a_sensor_that_a_drive_has_not_got_is_not_waited_for(
+    drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+) -> None:
+    told = replay.service_configs(*drive, tmp_path, "tcp/x:1")["antenna_height"]
+    assert told.keys() & {"antenna", "lidar", "ranging", "suspension"} == {"antenna"}
 
 
 def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
@@ -89,7 +129,7 @@ def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
         (Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
         (Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
     )
-    names = [name for name, _ in replay._messages(tick, SweepReader())]
+    names = [name for name, _ in replay.messages_of(tick, SweepReader())]
     assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
 
 
@@ -118,30 +158,6 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest
     assert demo.main(["--out", str(tmp_path / "file" / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"camber demo: {tmp_path / 'file'}")
-
-
-@pytest.mark.parametrize(
-    ("fault", "code"),
-    [
-        (ManifestError("drive.toml: bad"), 2),
-        (FormatError("rover.pos", "datum", "WGS84"), 2),
-        (OSError(28, "No space left on device"), 2),
-        (OSError("no number"), 2),
-        (ReplayStuck("tick 7 not done"), 1),
-        (BusError("cannot join"), 1),
-        (replay._Stopped(), 130),
-    ],
-)
-def test_every_way_to_fail_has_a_line_and_a_code(
-    fault: Exception, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def work() -> int:
-        raise fault
-
-    assert replay.in_words("camber replay", tmp_path, work) == code
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("camber replay: ")
-    assert not line.endswith("None")
 
 
 @pytest.mark.parametrize(("text", "speed"), [("max", math.inf), ("1", 1.0), ("0.5", 0.5), ("1e3", 1000.0)])

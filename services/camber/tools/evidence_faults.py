@@ -1,0 +1,194 @@
+"""Evidence from the scenario `faults`: what was said during each fault and after it, and whether it was named."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camber.formats.recording import Recorded
+from camber.formats.truth_csv import WRONG_M, TruthTable
+from camber.schemas.base import Int64
+from camber.schemas.drive import load_manifest
+from camber.simulator.drive_inputs import prepare_drive
+from camber.simulator.scenario import load_scenario
+from camber.tools.evaluation import Evaluation, evaluate
+from camber.tools.one_process import Driven, drive_through
+from camber.tools.replay import facts_of
+from camber.tools.run_folder import RunFacts
+from camber.tools.simulate import simulate
+from camber.tools.truth import truth_of
+
+AFTER_S = 15.0
+"""A cause may be named so long after the fault's end, and not later: what lasts has ended."""
+_PREFIX = "fault_"
+_OF_LIDAR = ("blocked_lidar", "symmetric_scene")
+_NS = 1e9
+
+NAMED_BY: Mapping[str, frozenset[str]] = {
+    "wrong_base": frozenset({"cause base", "verdict common_offset"}),
+    "wrong_map": frozenset({"cause road", "cause ambiguous"}),
+    "changed_road": frozenset({"cause road", "cause ambiguous"}),
+    "changed_tyre": frozenset({"cause antenna", "antenna_height disagreement"}),
+    "changed_load": frozenset({"cause antenna", "antenna_height disagreement"}),
+    "wheel_slip": frozenset({"pose: the wheels do not say how fast the vehicle goes"}),
+    "blocked_lidar": frozenset({"match lost", "match ambiguous"}),
+    "symmetric_scene": frozenset({"match lost", "match ambiguous"}),
+    "spoofing": frozenset(
+        {"verdict common_offset", "verdict position_disagrees", "verdict height_and_position_disagree"}
+    ),
+    "jamming": frozenset({"verdict not_a_fix", "verdict gnss_stale", "verdict receiver_warns"}),
+    "time_jump": frozenset({"verdict fix_implausible", "gnss epoch_from_the_future", "verdict gnss_stale"}),
+    "repeated_epochs": frozenset({"verdict fix_repeated", "gnss repeated_epoch"}),
+    "missing_epochs": frozenset({"verdict gnss_stale"}),
+    "dropped_process": frozenset({"verdict localizer_absent", "verdict gnss_absent"}),
+}
+"""What names a fault: any one of these, said while it acts or within `AFTER_S`.
+
+*Ambiguous* is the right word for a road where one vehicle sees no other before and after it.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """When a fault acts, GPS time; one that acts again on the same link has a window for each time."""
+
+    kind: str
+    begin_ns: int
+    end_ns: int
+
+
+def windows_of(truth: TruthTable) -> list[Window]:
+    """The faults of a simulated drive's truth, in the order of time."""
+    found = []
+    for name, column in truth.more.items():
+        if not name.startswith(_PREFIX):
+            continue
+        acts = np.concatenate(([False], column > 0.0, [False]))
+        edges = np.flatnonzero(np.diff(acts.astype(np.int8)))
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            found.append(
+                Window(name.removeprefix(_PREFIX), int(truth.time_ns[begin]), int(truth.time_ns[end - 1]))
+            )
+    return sorted(found, key=lambda window: window.begin_ns)
+
+
+def said_of(driven: Driven) -> list[tuple[int, str]]:
+    """All that may name a fault, with its time: words of verdicts, causes, matches, antenna heights, issues."""
+    said: list[tuple[int, str]] = []
+    for item in driven.recorded.get("verdict", ()):
+        said.append((item.message.time_ns, f"verdict {item.message.reason}"))
+        if item.message.cause != "none":
+            said.append((item.message.time_ns, f"cause {item.message.cause}"))
+    for item in driven.recorded.get("scan_match", ()):
+        if item.message.status != "converged":
+            said.append((item.message.time_ns, f"match {item.message.status}"))
+    for item in driven.recorded.get("antenna_height", ()):
+        if item.message.status != "known":
+            said.append((item.message.time_ns, f"antenna_height {item.message.status}"))
+    for item in driven.recorded.get("pose", ()):
+        said += [(item.message.time_ns, f"pose: {text}") for text in item.message.reason.split("; ") if text]
+    said += [(issue.time_ns, f"{issue.service} {issue.code}") for issue in driven.issues]
+    return sorted(said)
+
+
+def during(said: Iterable[tuple[int, str]], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
+    """What was said from one time to another: how often, and how long after the first time it came first [s]."""
+    counts: Counter[str] = Counter()
+    first: dict[str, float] = {}
+    for time_ns, text in said:
+        if begin_ns <= time_ns <= end_ns:
+            counts[text] += 1
+            first.setdefault(text, (time_ns - begin_ns) / _NS)
+    return {text: {"count": count, "first_s": first[text]} for text, count in counts.most_common()}
+
+
+def run_faults(
+    folder: Path,
+    *,
+    seed: int,
+    scenario: str = "faults",
+    overrides: Sequence[str] = (),
+    positions: str = "receiver",
+    lidar: bool = True,
+) -> dict[str, Any]:
+    """Simulate the scenario, send it through one process; a row for each fault.
+
+    Without `lidar` the vehicle has none, and the faults that concern it are left out: minutes instead of an hour.
+    """
+    made = load_scenario(scenario, [*overrides, f"seed={seed}"])
+    if not lidar:
+        there = tuple(fault for fault in made.faults if fault.kind not in _OF_LIDAR)
+        made = made.model_copy(update={"lidar": None, "faults": there})
+    drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
+    inputs = prepare_drive(drive, folder / "work")
+    driven = drive_through(inputs, folder)
+    truth = inputs.truth
+    assert truth is not None  # a simulated drive has one
+    evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(truth))
+    said, start_ns = said_of(driven), inputs.tick_times_ns[0]
+    windows = windows_of(truth)
+    next_begins = [window.begin_ns for window in windows[1:]] + [int(truth.time_ns[-1]) + 1]
+    rows = [
+        _row(window, next_ns, said, evaluation, driven.recorded["verdict"], start_ns)
+        for window, next_ns in zip(windows, next_begins, strict=True)
+    ]
+    return {
+        "scenario": scenario,
+        "seed": seed,
+        "overrides": list(overrides),
+        "positions": positions,
+        "sweeps": len(inputs.sweeps),
+        "faults": rows,
+        "confirmed_wrong": evaluation.summary["confirmed"]["wrong"],
+        "wrong": evaluation.summary["tentative"]["wrong"],
+        "right": evaluation.summary["right"]["count"],
+        "right_kept": evaluation.summary["right"]["kept"],
+    }
+
+
+def _row(
+    window: Window,
+    next_ns: int,
+    said: list[tuple[int, str]],
+    evaluation: Evaluation,
+    verdicts: Sequence[Recorded[Any]],
+    start_ns: int,
+) -> dict[str, Any]:
+    end_ns = min(window.end_ns + round(AFTER_S * _NS), next_ns - 1)
+    heard = during(said, window.begin_ns, end_ns)
+    names = {text: found for text, found in heard.items() if text in NAMED_BY.get(window.kind, ())}
+    first = min(names, key=lambda text: names[text]["first_s"], default=None)
+    acts = _within(evaluation.fixes.time_ns, window.begin_ns, window.end_ns)
+    wrong = np.array([row.time_ns for row in evaluation.rows], dtype=np.int64)[
+        evaluation.confirmed_error_m > WRONG_M
+    ]
+    return {
+        "kind": window.kind,
+        "begin_s": (window.begin_ns - start_ns) / _NS,
+        "end_s": (window.end_ns - start_ns) / _NS,
+        "named_by": first,
+        "named_after_s": None if first is None else names[first]["first_s"],
+        "fixed": int(acts.sum()),
+        "wrong": int((acts & evaluation.fixes.wrong).sum()),
+        "wrong_confirmed": int(_within(wrong, window.begin_ns, window.end_ns).sum()),
+        "wrong_confirmed_after": int(_within(wrong, window.end_ns + 1, end_ns).sum()),
+        "said": heard,
+        "correction_before_m": _correction_at(verdicts, window.begin_ns),
+        "correction_at_end_m": _correction_at(verdicts, window.end_ns),
+        "correction_after_m": _correction_at(verdicts, next_ns),
+    }
+
+
+def _within(time_ns: Int64, begin_ns: int, end_ns: int) -> Any:
+    return (time_ns >= begin_ns) & (time_ns <= end_ns)
+
+
+def _correction_at(verdicts: Sequence[Recorded[Any]], time_ns: int) -> float | None:
+    """The correction in force: that of the last verdict on a fix before this time."""
+    before = [v.message for v in verdicts if v.message.fix_id is not None and v.message.time_ns < time_ns]
+    return before[-1].correction_m if before else None

@@ -1,0 +1,32 @@
+"""What goes wrong in a command over one drive, as one line and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from camber.formats.errors import FormatError
+from camber.runtime.feeder import ReplayStuck
+from camber.runtime.session import BusError
+from camber.runtime.settings import ConfigError
+from camber.schemas.toml_file import FileError
+
+
+def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
+    """The exit code of `work`, or a line that says what went wrong and the code for that: 1 the bus, 2 a file or a
+    setting, 130 interrupted."""
+    try:
+        return work()
+    except (FileError, FormatError, ConfigError) as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{prog}: {error.filename or out}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except (ReplayStuck, BusError) as error:
+        print(f"{prog}: {error}; see {out / 'logs'}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"{prog}: interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,71 @@
+"""Bounds of rates that were counted.
+
+Sources: C. Clopper and E. Pearson, Biometrika 26 (1934); the incomplete beta function by its continued fraction, NIST
+DLMF 8.17.22.
+"""
+
+from __future__ import annotations
+
+import math
+
+_TINY = 1e-300
+
+
+def clopper_pearson(events: float, trials: float, confidence: float = 0.95) -> tuple[float, float]:
+    """One-sided lower and upper bound of a probability, each at this confidence; numbers need not be whole.
+
+    Raises ValueError where there are more events than trials, or either is negative.
+    """
+    if not 0.0 <= events <= trials:
+        raise ValueError(f"{events} events of {trials} trials")
+    if trials == 0.0:
+        return 0.0, 1.0
+    beyond = 1.0 - confidence
+    low = 0.0 if events == 0.0 else _beta_quantile(beyond, events, trials - events + 1.0)
+    high = 1.0 if events == trials else _beta_quantile(confidence, events + 1.0, trials - events)
+    return low, high
+
+
+def incomplete_beta(x: float, a: float, b: float) -> float:
+    """I_x(a, b), the distribution function of the beta distribution at x in [0, 1]; a, b > 0."""
+    if x <= 0.0 or x >= 1.0:
+        return 0.0 if x <= 0.0 else 1.0
+    if x > (a + 1.0) / (a + b + 2.0):
+        return 1.0 - incomplete_beta(1.0 - x, b, a)
+    front = math.exp(
+        math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x)
+    )
+    return front * _continued_fraction(x, a, b) / a
+
+
+def _continued_fraction(x: float, a: float, b: float) -> float:
+    """By W. J. Lentz's algorithm."""
+    c, d = 1.0, 1.0 / _not_zero(1.0 - (a + b) * x / (a + 1.0))
+    total = d
+    for m in range(1, 100_000):
+        for factor in (
+            m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)),
+            -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)),
+        ):
+            d = 1.0 / _not_zero(1.0 + factor * d)
+            c = _not_zero(1.0 + factor / c)
+            total *= c * d
+        if abs(c * d - 1.0) < 1e-14:
+            break
+    return total
+
+
+def _not_zero(value: float) -> float:
+    return value if abs(value) > _TINY else _TINY
+
+
+def _beta_quantile(probability: float, a: float, b: float) -> float:
+    """By bisection of the logarithm: rates are small."""
+    low, high = math.log(1e-18), 0.0
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        if incomplete_beta(math.exp(middle), a, b) < probability:
+            low = middle
+        else:
+            high = middle
+    return math.exp(high)

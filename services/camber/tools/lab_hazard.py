@@ -1,0 +1,153 @@
+"""Hazardously misleading information: a usable position whose error is beyond its level and beyond the alert limit.
+
+Per epoch, in three parts whose shares of all epochs are assumed, by the rules' own priors:
+
+- right integers: their error's tail, bounded by Rayleigh's, whatever the judge says of it;
+- wrong integers and a pose that is right: the pose's own error would have to reach from the truth to within the
+  judge's limit of the fix; bounded by Rayleigh's tail of that;
+- wrong integers and a pose at fault, unseen, that happens to lie where the wrong fix does: half of such poses slide
+  along the street by up to 5 m, half lie anywhere within 6 m. By importance sampling (A. Owen, Monte Carlo theory,
+  methods and examples (2013), 9): the fault is drawn near the fix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.integrity.rules import Rules
+from camber.simulator.random_streams import stream
+from camber.simulator.satellites.wrong_fix_shapes import FixShapes
+from camber.tools.lab_alarms import WeightedRate, rate_of, right_fixes
+from camber.tools.lab_controls import Controls
+from camber.tools.lab_errors import Faults, episodes
+from camber.tools.lab_levels import LEVELS, bounds, of_fixes
+from camber.tools.lab_missed import wrong_fixes
+from camber.tools.lab_model import ASSUMED, Scene, judged_covariance, trusted_fix
+
+Floats = NDArray[np.float64]
+
+ALERT_LIMIT_M = 1.5
+SCENE = Scene(0.05, 0.05)
+SLIDES_M, WITHIN_M = 5.0, 6.0
+_NEAR_M, _SKIES, _REPEATS = 0.15, 400, 40
+_TO_LEVEL = math.sqrt(-2.0 * math.log(LEVELS.integrity_risk))
+
+
+def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
+    """Sums of one block: tails of right integers, of wrong ones beside a right pose, and weighted coincidences."""
+    right = right_fixes(seed, block, _SKIES, "hazard")
+    wrong = wrong_fixes("search", seed, block + 2_000_000, _SKIES)
+    rng = stream(seed, f"lab/hazard/{block}")
+    coincidence = WeightedRate()
+    for _ in range(_REPEATS if len(wrong.sky) else 0):
+        coincidence.add(_coincidence(wrong, rules, rng))
+    tail, beside = _right_tail(right, rules), _beside_right_pose(wrong, rules)
+    return {
+        "right": (float(tail.sum()), len(tail)),
+        "wrong": (float(beside.sum()), len(beside)),
+        "coincidence": coincidence,
+    }
+
+
+def hazard_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
+    """The rate per epoch, its upper bound, and the parts."""
+    coincidence = WeightedRate()
+    for block in blocks:
+        coincidence.add(block["coincidence"])
+    prior, fault = LEVELS.wrong_fix.prior, LEVELS.pose_fault_prior
+    parts = [
+        _bounded("right integers", 1.0 - prior, [block["right"] for block in blocks]),
+        _bounded("wrong integers, pose right", prior, [block["wrong"] for block in blocks]),
+        {
+            "part": "wrong integers, pose at fault and unseen",
+            "share": prior * fault,
+            "rate": coincidence.rate,
+            "upper_95": coincidence.upper,
+            "effective": coincidence.effective,
+            "draws": coincidence.draws,
+        },
+    ]
+    return {
+        "alert_limit_m": ALERT_LIMIT_M,
+        "pose_sigma_m": SCENE.pose_sigma_m,
+        "map_sigma_m": SCENE.map_sigma_m,
+        "wrong_fix_prior": prior,
+        "pose_fault_prior": fault,
+        "rate": sum(part["share"] * part["rate"] for part in parts),
+        "upper_95": sum(part["share"] * part["upper_95"] for part in parts),
+        "parts": parts,
+    }
+
+
+def _bounded(name: str, share: float, sums: list[tuple[float, int]]) -> dict[str, Any]:
+    """A part whose rate is an upper bound already."""
+    rate = sum(total for total, _ in sums) / max(sum(n for _, n in sums), 1)
+    draws = sum(n for _, n in sums)
+    return {"part": name, "share": share, "rate": rate, "upper_95": rate, "effective": draws, "draws": draws}
+
+
+def _rayleigh(length_m: Floats, variance_m2: Floats) -> Floats:
+    """P of a horizontal error longer than this, at most, of the larger variance (n,)."""
+    found: Floats = np.exp(-0.5 * np.maximum(length_m, 0.0) ** 2 / np.maximum(variance_m2, 1e-12))
+    return found
+
+
+def _larger(covariance_m2: Floats) -> Floats:
+    ee, en, nn = covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]
+    found: Floats = 0.5 * (ee + nn) + np.hypot(0.5 * (ee - nn), en)
+    return found
+
+
+def _usable_at_most(shapes: FixShapes, rules: Rules) -> NDArray[np.bool_]:
+    """May a level be below the alert limit at all? It is at least that of the larger axis of a right fix, on a line."""
+    sigma = np.sqrt(_larger(trusted_fix(shapes.claimed_m2, rules)))
+    # Two sides of a line at 1e-7: 5.3 σ; the margin makes it more.
+    found: NDArray[np.bool_] = 5.3 * sigma < ALERT_LIMIT_M
+    return found
+
+
+def _right_tail(shapes: FixShapes, rules: Rules) -> Floats:
+    variance = _larger(shapes.reflected_m2) + ASSUMED.frame_sigma_m**2
+    gap = np.full(len(variance), ALERT_LIMIT_M - ASSUMED.reference_m)
+    return np.where(_usable_at_most(shapes, rules), _rayleigh(gap, variance), 0.0)
+
+
+def _beside_right_pose(shapes: FixShapes, rules: Rules) -> Floats:
+    slope = np.zeros((len(shapes.sky), 2))
+    s = judged_covariance(shapes.claimed_m2, slope, SCENE, rules)
+    reach = np.sqrt(rules.determination.limits().position[0] * _larger(s))
+    gap = np.full(len(reach), ALERT_LIMIT_M) - reach
+    return np.where(
+        _usable_at_most(shapes, rules), _rayleigh(gap, np.full(len(gap), SCENE.pose_sigma_m**2)), 0.0
+    )
+
+
+def _coincidence(shapes: FixShapes, rules: Rules, rng: np.random.Generator) -> WeightedRate:
+    """One fault of the pose for each wrong fix, drawn near it, weighted by how likely it is there."""
+    n = len(shapes.sky)
+    slides = rng.random(n) < 0.5
+    near = _NEAR_M * rng.normal(size=(n, 2))
+    shift, along = shapes.shift_m[:, :2], shapes.along
+    at = np.sum(shift * along, axis=1) + near[:, 0]
+    pose = np.where(slides[:, None], at[:, None] * along, shift + near)
+    normal = np.exp(-0.5 * (near / _NEAR_M) ** 2) / (_NEAR_M * math.sqrt(2.0 * math.pi))
+    line = (np.abs(at) <= SLIDES_M) / (2.0 * SLIDES_M) / normal[:, 0]
+    disc = (np.hypot(*pose.T) <= WITHIN_M) / (math.pi * WITHIN_M**2) / (normal[:, 0] * normal[:, 1])
+    run = episodes(shapes, SCENE, rng, replace(Faults.none(n), pose_m=pose), np.ones(n, np.int64))
+    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    agreed = Controls(rules.determination, SCENE.pose_sigma_m).agreed(run.difference_m, s)
+    level = np.full(n, np.inf)
+    if agreed.any():
+        fix = trusted_fix(shapes.claimed_m2[agreed], rules)
+        claimed = of_fixes(
+            run.error_m[agreed, :2], run.difference_m[agreed], s[agreed], fix, SCENE.pose_sigma_m
+        )
+        level[agreed] = bounds(claimed).level_m
+    error = np.hypot(run.error_m[:, 0], run.error_m[:, 1])
+    happens = agreed & (level < ALERT_LIMIT_M) & (error > np.maximum(level, ALERT_LIMIT_M))
+    return rate_of(np.where(slides, line, disc), happens)
