@@ -25,7 +25,7 @@ from camber.simulator.short_drive import short_drive_truth
 from support.running import wait_until
 from support.tree import ROOT
 
-pytestmark = [pytest.mark.container, pytest.mark.slow]
+pytestmark = [pytest.mark.container, pytest.mark.slow, pytest.mark.timed]
 
 HEALTHY_WITHIN_S = 60
 OUTAGE_S = 6.0

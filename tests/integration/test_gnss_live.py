@@ -12,6 +12,8 @@ from camber.schemas.gnss import Fix, SatelliteVelocity
 from support.live_satellites import LiveDrive, LiveGnss, Port, caster, live_gnss, serving
 from support.running import free_port, wait_until
 
+pytestmark = pytest.mark.timed
+
 DURATION_S = 400.0
 PATIENCE_S = 90.0
 RIGHT_M = 0.10

@@ -30,6 +30,8 @@ from camber.schemas.motion import Motion
 from camber.simulator.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from support.running import camber, environment, kill, started, wait_until
 
+pytestmark = pytest.mark.timed
+
 PERIOD_S = 0.1
 STOP_S = 2.0
 _NS = 1_000_000_000

@@ -22,6 +22,8 @@ from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from support.running import camber, free_port, started
 
+pytestmark = pytest.mark.timed
+
 DURATION_S = 8
 RATE_HZ = 10
 NS = 1_000_000_000

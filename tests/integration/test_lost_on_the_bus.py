@@ -30,7 +30,7 @@ from support.messages import build
 START_NS = 1_300_000_000 * 1_000_000_000
 STEP_NS = 100_000_000
 TICKS = 18
-NAMES = ("gnss", "antenna_height", "localizer", "integrity")
+NAMES = ("gnss", "localizer", "antenna_height", "integrity")
 FED = {"suspension": 1, "receiver_bytes": 7, "sweep": 8}
 """Channel of the vehicle → every how many ticks there is something on it."""
 LOST_S = 0.1
@@ -156,7 +156,10 @@ def undisturbed(endpoint):
     [
         pytest.param("integrity", "gnss", 7, id="a done of a service that works on the tick"),
         pytest.param("localizer", "integrity", 7, id="a done for a loop"),
-        pytest.param("antenna_height", "localizer", 0, id="a done for a loop, its sender not working"),
+        pytest.param(
+            "localizer", "integrity", 6, id="a done for a loop, of a tick that was not the hearer's"
+        ),
+        pytest.param("antenna_height", "localizer", 8, id="a done of a service in the middle"),
         pytest.param(FEEDER, "localizer", 8, id="a done for the feeder"),
         pytest.param(FEEDER, "integrity", TICKS - 1, id="the last done"),
         pytest.param("gnss", FEEDER, 0, id="the first tick"),

@@ -111,6 +111,10 @@ def test_the_engine_solves_the_same_drive_and_is_judged_as_a_receiver_is(out: Pa
     fixed = [fix for fix in fixes if fix.quality == "fixed"]
     assert len(fixed) > sum(item.message.quality == "fixed" for item in of_receiver["fix"])
     assert any(fix.ambiguity_continuity == "continuous" for fix in fixed)
+    verdicts = [item.message for item in messages["verdict"]]
+    again = [verdict for verdict in verdicts if "estimates" in verdict.evidence]
+    assert again  # other estimates, asked for and answered within the tick
+    assert all(verdict.verdict == "confirmed" and verdict.trials > 1 for verdict in again)
     velocities = [item.message for item in messages["velocity"]]
     assert len(velocities) > 0.8 * len(fixes)
     assert any(velocity.heading_rad is not None for velocity in velocities)

@@ -6,7 +6,7 @@ from typing import Any
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.antenna import AntennaHeight
-from camber.schemas.gnss import Fix
+from camber.schemas.gnss import Candidate, Fix
 from camber.schemas.pose import Pose, Road
 
 START_NS = 1_373_090_000 * 1_000_000_000
@@ -95,3 +95,28 @@ def antenna(epoch: float = 0, **changes: Any) -> AntennaHeight:
         "sigma_m": 0.02,
     }
     return AntennaHeight(**fields | changes)
+
+
+def candidate(
+    epoch: float = 0,
+    *,
+    up_m: float = 0.0,
+    east_m: float = 0.0,
+    north_m: float = 0.0,
+    excluded: tuple[str, ...] = ("G05",),
+    **changes: Any,
+) -> Candidate:
+    """Another estimate of an epoch's fix, right but for the metres given."""
+    latitude_rad, longitude_rad = place(epoch, east_m, north_m)
+    fields: dict[str, Any] = {
+        "latitude_rad": latitude_rad,
+        "longitude_rad": longitude_rad,
+        "height_m": ROAD_M + ANTENNA_M + up_m,
+        "covariance_enu_m2": (2.5e-5, 0.0, 0.0, 2.5e-5, 0.0, 1e-4),
+        "excluded_satellites": excluded,
+        "ambiguities": 10,
+        "ratio": 5.0,
+        "success_rate": 0.9,
+        "agreeing_subsets": 2,
+    }
+    return Candidate(**fields | changes)
