@@ -4,6 +4,8 @@ BIN := .venv/bin
 # Without --compile: byte code is made of what is imported, and not of all that is installed.
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 OUT := out
+# Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo evidence compile compile-engine compile-localizer compile-simulator test check lint bench fuzz mutation golden docs image clean
 
