@@ -114,6 +114,9 @@ class Fix(Message):
         default=None, description="first fix of the chain whose integers go on to this one"
     )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
+    base_station: Name | None = Field(
+        default=None, description="on whose coordinate it rests; None: on none, or nobody said"
+    )
 
 
 class SatelliteVelocity(Message):

@@ -225,6 +225,7 @@ class NmeaDecoder:
                 satellites=gga.satellites,
                 covariance_enu_m2=None if epoch.gst is None else epoch.gst.covariance_enu_m2,
                 age_s=gga.age_s,
+                station=gga.station,
             )
         ]
 

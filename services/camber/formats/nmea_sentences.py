@@ -54,6 +54,7 @@ class Gga:
     quality: SolutionQuality
     satellites: int | None
     age_s: float | None
+    station: str | None
     byte_offset: int
 
 
@@ -188,6 +189,7 @@ def read_gga(fields: SentenceFields) -> Gga | int:
         QUALITY_FROM_NMEA[quality_number],
         None if satellites is None else int(satellites),
         fields.optional_number(12, "age of corrections", 0.0, _AGE_LIMIT_S),
+        fields.text(13) or None,
         fields.byte_offset,
     )
 

@@ -23,7 +23,8 @@ class ReceiverSolution:
     """One epoch of a receiver-side solution. What the source did not say is None.
 
     `time_ns` is GPS time, `height_m` above the ellipsoid (WGS 84). Covariances are (ee, en, eu, nn, nu, uu).
-    `age_s` is the age of the corrections, `ratio` the ratio of the ambiguity test.
+    `age_s` is the age of the corrections, `ratio` the ratio of the ambiguity test,
+    `station` the reference station of the corrections as the source calls it.
     """
 
     time_ns: int
@@ -37,3 +38,4 @@ class ReceiverSolution:
     ratio: float | None = None
     velocity_enu_m_s: tuple[float, float, float] | None = None
     velocity_covariance_enu_m2_s2: EnuCovariance | None = None
+    station: str | None = None

@@ -7,6 +7,7 @@ outside of what its covariance allows.
 
 from __future__ import annotations
 
+import re
 from typing import Literal
 
 import numpy as np
@@ -25,6 +26,20 @@ Coordinate = Literal["plausible", "implausible", "unknown"]
 _LEAST_MISS_M = 20.0
 _LARGEST_CHI2 = 36.0  # three degrees of freedom: 1e-7 by chance
 _CHECK_EVERY_NS = 10 * NS_PER_SECOND
+
+_NAME_LENGTH = 64  # of `Name`
+_TOLD_LENGTH = 20  # a coordinate to the millimetre takes up to 41
+
+
+def station_name(told: str, position_ecef_m: Floats | None = None) -> str:
+    """By what one base is told from another: what it calls itself (id, marker), and its coordinate (3,) in ECEF.
+
+    Numbers of stations repeat from network to network, and a station that is given another coordinate moves every fix.
+    """
+    name = re.sub(r"[^A-Za-z0-9_.:@+-]", "_", told.strip())[:_TOLD_LENGTH]
+    if position_ecef_m is not None:
+        name += "@" + ":".join(f"{value:.3f}" for value in position_ecef_m)
+    return name[:_NAME_LENGTH]
 
 
 class BaseStation:

@@ -30,9 +30,11 @@ _KEPT = 20
 """Epochs: two seconds at 10 Hz, and the judge asks within one."""
 
 
-def fix_from_solution(solution: Solution, datum: str) -> Fix | None:
-    """The tentative position of an epoch; None where there is no position. Raises ValidationError for one no Fix can
-    have, such as one below the ground by earth radii."""
+def fix_from_solution(solution: Solution, datum: str, base_station: str | None = None) -> Fix | None:
+    """The tentative position of an epoch, with the name of its base; None where there is no position.
+
+    Raises ValidationError for one that no Fix can have, such as one below the ground by earth radii.
+    """
     if solution.quality == "none" or solution.position_ecef_m is None or solution.covariance_ecef_m2 is None:
         return None
     latitude, longitude, height_m = geodetic(solution.position_ecef_m)
@@ -61,6 +63,7 @@ def fix_from_solution(solution: Solution, datum: str) -> Fix | None:
         ambiguity_continuity=solution.continuity,
         continuous_since_ns=solution.continuous_since_ns,
         phase_residuals=residuals,
+        base_station=base_station,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.gnss.base_station import station_name
 from camber.schemas.gnss import Fix, Quality
 
 _QUALITY: dict[SolutionQuality, Quality] = {
@@ -50,4 +51,5 @@ def fix_from(solution: ReceiverSolution, datum: str) -> Fix:
         satellites=solution.satellites,
         ratio=solution.ratio,
         age_of_corrections_s=solution.age_s,
+        base_station=None if solution.station is None else station_name(f"station-{solution.station}"),
     )

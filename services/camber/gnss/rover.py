@@ -8,6 +8,7 @@ import numpy as np
 
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.gnss.base_station import station_name
 from camber.gnss.doppler_velocity import DopplerVelocity
 from camber.gnss.engine import Engine, EngineOptions, Solution
 from camber.gnss.engine_side import LastEpochs
@@ -20,11 +21,15 @@ _WHEEL_AGE_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedEpoch:
-    """One epoch of the receiver: its observations, what the engine made of them, its heading where one is known."""
+    """One epoch of the receiver: its observations, what the engine made of them, its heading where one is known.
+
+    `base_station` is the name of the base that it was differenced with, None where it was not.
+    """
 
     epoch: ObservationEpoch
     solution: Solution
     heading: Heading | None
+    base_station: str | None = None
 
 
 class Rover:
@@ -37,6 +42,7 @@ class Rover:
         self.engine = Engine(options, None if base_ecef_m is None else np.array(base_ecef_m))
         self.last = LastEpochs(options)
         self._base_is_given = base_ecef_m is not None
+        self._base_station = station_name("given", self.engine.base.position_ecef_m)
         self._heading = HeadingFilter()
         self._wheel_speed_m_s: float | None = None
         self._wheel_ns = 0
@@ -54,7 +60,9 @@ class Rover:
             case IonosphereCoefficients() if said.system == "G":
                 self.engine.ionosphere = np.array((*said.alpha, *said.beta))
             case StationPosition() if stream == "base" and not self._base_is_given:
-                self.engine.set_base_position(np.array(said.position_ecef_m))
+                position = np.array(said.position_ecef_m)
+                self.engine.set_base_position(position)
+                self._base_station = station_name(said.told, position)
 
     def moved(self, motion: Motion) -> None:
         """The vehicle's own sensors, for the heading alone: no position rests on them."""
@@ -74,7 +82,9 @@ class Rover:
         self.last.keep(solution)
         if solution.velocity is not None:
             self._turn(epoch.time_ns, solution.velocity)
-        return SolvedEpoch(epoch, solution, self._heading.at(epoch.time_ns))
+        differenced = solution.quality in ("fixed", "float")
+        base_station = self._base_station if differenced else None
+        return SolvedEpoch(epoch, solution, self._heading.at(epoch.time_ns), base_station)
 
     def _turn(self, time_ns: int, found: DopplerVelocity) -> None:
         """The heading goes with the velocity, where the wheels say forward or backward."""

@@ -259,7 +259,7 @@ class GnssService(Service[GnssSettings]):
         found = solution.velocity
         if found is not None:
             self._publish("velocity", lambda: velocity_from(found, solved.heading))
-        self._publish_fix(lambda: fix_from_solution(solution, self.settings.datum))
+        self._publish_fix(lambda: fix_from_solution(solution, self.settings.datum, solved.base_station))
         self._last_ns = solution.time_ns
 
     def _is_refused(self, time_ns: int) -> bool:

@@ -30,9 +30,10 @@ Decoder = PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | R
 
 @dataclass(frozen=True, slots=True)
 class StationPosition:
-    """Where an antenna's reference point is said to be, ECEF."""
+    """Where an antenna's reference point is said to be, ECEF, and what the station is called."""
 
     position_ecef_m: tuple[float, float, float]
+    told: str = "unnamed"
 
 
 Said = (
@@ -101,7 +102,7 @@ class StreamReader:
         if isinstance(result, StationEpoch):
             return [(self._station, result.epoch)]
         if isinstance(result, ReferenceStation):
-            return [(self._station, StationPosition(result.position_ecef_m))]
+            return [(self._station, StationPosition(result.position_ecef_m, f"rtcm-{result.station_id}"))]
         return [(self._stream, result)] if isinstance(result, _KINDS) else []
 
     def _marker(self) -> StationPosition | None:
@@ -117,7 +118,9 @@ class StreamReader:
         latitude, longitude, _ = geodetic(marker)
         up_m, east_m, north_m = header.delta_hen_m or (0.0, 0.0, 0.0)
         x, y, z = marker + np.array([east_m, north_m, up_m]) @ enu_from_ecef_rotation(latitude, longitude)
-        return StationPosition((float(x), float(y), float(z))) if np.isfinite(latitude) else None
+        if not np.isfinite(latitude):
+            return None
+        return StationPosition((float(x), float(y), float(z)), f"rinex-{header.marker or 'unnamed'}")
 
 
 def _decoder(

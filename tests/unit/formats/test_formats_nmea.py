@@ -128,7 +128,9 @@ def test_no_position_is_counted_and_no_error() -> None:
 
 
 def test_alphanumeric_station_does_not_cost_the_position() -> None:
-    assert solution_of(sentence(GGA[:-4] + "VRS1")).quality is SolutionQuality.FIX
+    solution = solution_of(sentence(GGA[:-4] + "VRS1"))
+    assert (solution.quality, solution.station) == (SolutionQuality.FIX, "VRS1")
+    assert solution_of(sentence(GGA[:-4])).station is None
 
 
 @pytest.mark.parametrize(

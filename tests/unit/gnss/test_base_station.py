@@ -4,11 +4,13 @@ import functools
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.base_station import BaseStation
+from camber.gnss.base_station import BaseStation, station_name
 from camber.gnss.ephemeris_store import EphemerisStore
 from camber.gnss.single_point import NO_IONOSPHERE
+from camber.schemas.base import Name
 from support.canyon_statistics import FRAME
 from support.engine_drives import base_ecef_m, open_sky_drive, some_rows
 
@@ -92,3 +94,13 @@ def test_late_epochs_are_not_taken():
     assert [base.add(e) for e in (second, first, third)] == ["next", "late", "next"]
     assert base.epoch is third
     assert base.arcs.size == third.satellite.size
+
+
+def test_whatever_a_station_calls_itself_becomes_a_name_that_a_message_can_have() -> None:
+    longest = np.array([-13_743_895.347, -13_743_895.347, -13_743_895.347])
+    for told in ("rtcm-4095", "rinex-名古屋 1, roof*" + 60 * "x"):
+        for position in (None, longest, 1e30 * longest):
+            name = station_name(told, position)
+            assert TypeAdapter(Name).validate_python(name) == name
+    full = station_name("rinex-" + 60 * "x", longest)
+    assert full.endswith(":".join(3 * ["-13743895.347"]))

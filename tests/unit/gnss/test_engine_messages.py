@@ -77,7 +77,7 @@ def test_the_made_up_epoch_is_fixed() -> None:
 
 
 def test_every_field_of_a_fixed_epoch_is_told() -> None:
-    fix = fix_from_solution(solution(), "JGD2011")
+    fix = fix_from_solution(solution(), "JGD2011", "rtcm-7")
     assert fix is not None
     found = estimate()
     assert (fix.time_ns, fix.fix_id, fix.origin, fix.quality) == (
@@ -89,7 +89,7 @@ def test_every_field_of_a_fixed_epoch_is_told() -> None:
     assert fix.latitude_rad == pytest.approx(LATITUDE, abs=1e-12)
     assert fix.longitude_rad == pytest.approx(LONGITUDE, abs=1e-12)
     assert fix.height_m == pytest.approx(HEIGHT_M, abs=1e-6)
-    assert (fix.datum, fix.satellites, fix.ratio) == ("JGD2011", 11, 7.5)
+    assert (fix.datum, fix.base_station, fix.satellites, fix.ratio) == ("JGD2011", "rtcm-7", 11, 7.5)
     assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, found.fixed)
     assert fix.success_rate == found.success_rate
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("continuous", TIME_NS - NS)

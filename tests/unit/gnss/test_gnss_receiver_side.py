@@ -48,6 +48,11 @@ def test_what_the_receiver_did_not_say_stays_unknown() -> None:
     fix = fix_from(bare, "WGS84")
     assert (fix.satellites, fix.covariance_enu_m2, fix.age_of_corrections_s, fix.ratio) == (None,) * 4
     assert (fix.ambiguity_continuity, fix.phase_residuals) == ("no_evidence", "unknown")
+    assert fix.base_station is None
+
+
+def test_the_station_of_the_corrections_is_named_as_the_receiver_calls_it() -> None:
+    assert fix_from(replace(SOLUTION, station="VRS 1"), "WGS84").base_station == "station-VRS_1"
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,41 @@ def test_only_a_base_that_has_no_given_position_is_where_its_stream_says(sky: Sk
     assert rover.engine.base.position_ecef_m == pytest.approx(sky.station.position_ecef_m)
 
 
+def test_a_fix_names_the_base_that_it_rests_on_and_a_position_by_itself_none(sky: Sky) -> None:
+    rover = ready(sky)
+    rover.hear("rover", sky.rover[0])
+    (alone,) = solved(rover)
+    assert (alone.solution.quality, alone.base_station) == ("single", None)
+    rover.hear("base", sky.base[0])
+    rover.hear("rover", sky.rover[1])
+    (first,) = solved(rover)
+    x, y, z = sky.station.position_ecef_m
+    assert first.solution.quality == "fixed"
+    assert first.base_station == f"{sky.station.told}@{x:.3f}:{y:.3f}:{z:.3f}"
+
+
+def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
+    x, y, z = sky.station.position_ecef_m
+    names = []
+    for told, up_m in (("rtcm-1", 0.0), ("rtcm-2", 0.0), ("rtcm-1", 0.05)):
+        rover = ready(sky)
+        rover.hear("base", StationPosition((x, y, z + up_m), told))
+        rover.hear("base", sky.base[0])
+        rover.hear("rover", sky.rover[0])
+        names += [each.base_station for each in solved(rover)]
+    assert None not in names
+    assert len(set(names)) == 3
+
+
+def test_a_base_that_was_given_is_named_so_whatever_its_stream_calls_it(sky: Sky) -> None:
+    x, y, z = sky.station.position_ecef_m
+    rover = ready(sky, (x, y, z))
+    rover.hear("base", sky.base[0])
+    rover.hear("rover", sky.rover[0])
+    (first,) = solved(rover)
+    assert first.base_station == f"given@{x:.3f}:{y:.3f}:{z:.3f}"
+
+
 def test_the_ionosphere_of_gps_is_taken_and_beidous_is_not(sky: Sky) -> None:
     rover = ready(sky)
     alpha, beta = (1e-8, 2e-8, 3e-8, 4e-8), (1e5, 2e5, 3e5, 4e5)

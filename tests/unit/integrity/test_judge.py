@@ -36,9 +36,9 @@ class Knowing(Learning):
 def judge_with(*, poses=(), antenna_height=None, learning=None, rules=None):
     judge = Judge(rules or Rules(), learning)
     for one in poses:
-        judge.hear_pose(one)
+        judge.heard.hear_pose(one)
     if antenna_height is not None:
-        judge.hear_antenna(antenna_height)
+        judge.heard.hear_antenna(antenna_height)
     return judge
 
 
@@ -46,7 +46,7 @@ def judged(the_fix=None, *, now=0.0, alive=ALL, the_pose=None, the_antenna=None,
     """The judgement of one fix, with everything there and right but for what is given."""
     poses = [the_pose if the_pose is not None else pose()]
     judge = judge_with(poses=poses, antenna_height=the_antenna or antenna(), **others)
-    judge.hear_receiver(ReceiverIntegrity(time_ns=at(0), **statement or {}))
+    judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), **statement or {}))
     judgement = judge.judge(the_fix or fix(), at(now), alive)
     assert judgement is not None
     return judgement
@@ -64,9 +64,9 @@ class Drive:
         self.speed_m_s = speed_m_s
 
     def epoch(self, k, the_fix=None, the_pose=None):
-        self.judge.hear_pose(the_pose or pose(k))
-        self.judge.hear_antenna(antenna(k))
-        self.judge.hear_speed(at(k), self.speed_m_s)
+        self.judge.heard.hear_pose(the_pose or pose(k))
+        self.judge.heard.hear_antenna(antenna(k))
+        self.judge.heard.hear_speed(at(k), self.speed_m_s)
         judgement = self.judge.judge(the_fix or fix(k), at(k), ALL)
         assert judgement is not None
         return judgement
@@ -142,10 +142,10 @@ def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes)
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.hear_antenna(changes.get("the_antenna") or antenna())
-    drive.judge.hear_receiver(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
-    drive.judge._poses.clear()  # the last known pose is the one given
-    drive.judge.hear_pose(changes.get("the_pose") or pose())
+    drive.judge.heard.hear_antenna(changes.get("the_antenna") or antenna())
+    drive.judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
+    drive.judge.heard.poses.clear()  # the last known pose is the one given
+    drive.judge.heard.hear_pose(changes.get("the_pose") or pose())
     judgement = drive.judge.judge(
         changes.get("the_fix") or fix(), at(changes.get("now", 0.0)), changes.get("alive", ALL)
     )
@@ -185,8 +185,8 @@ def test_what_is_not_a_number_is_never_confirmed(where, value):
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.hear_antenna(the_antenna)
-    drive.judge.hear_pose(the_pose)
+    drive.judge.heard.hear_antenna(the_antenna)
+    drive.judge.heard.hear_pose(the_pose)
     judgement = drive.judge.judge(the_fix, at(0), ALL)
     assert judgement is not None
     assert judgement.word == "unknown"
@@ -226,7 +226,7 @@ def test_of_several_poses_the_nearest_in_time_counts():
 
 def test_an_older_pose_does_not_replace_a_newer():
     judge = judge_with(poses=[pose(0), pose(-1), pose(0, east_m=50.0)])
-    assert judge.pose == pose(0)
+    assert judge.heard.pose == pose(0)
     assert Judge(Rules()).pose is None
 
 
@@ -255,10 +255,10 @@ def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
 def test_what_is_dated_ahead_blocks_nothing_once_it_is_forgotten():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.hear_pose(pose(1000))
-    drive.judge.hear_antenna(antenna(1000))
+    drive.judge.heard.hear_pose(pose(1000))
+    drive.judge.heard.hear_antenna(antenna(1000))
     drive.judge.forget_future(at(1))
-    assert drive.judge.pose == pose(0)
+    assert drive.judge.heard.pose == pose(0)
     without = drive.judge.judge(fix(1), at(1), ALL)
     assert without is not None
     assert without.reason == "antenna_height_missing"
@@ -270,7 +270,7 @@ def test_after_the_clock_was_set_back_the_judge_goes_on():
     for k in range(1000, 1003):
         drive.epoch(k)
     drive.judge.forget_future(at(0))
-    assert drive.judge.pose is None
+    assert drive.judge.heard.pose is None
     assert drive.judge.last_fix_ns is None
     assert drive.epoch(0).confirmed
     assert (
@@ -282,7 +282,7 @@ def test_what_is_current_is_not_forgotten():
     drive = Drive()
     drive.epoch(0)
     drive.judge.forget_future(at(0))
-    assert drive.judge.pose == pose(0)
+    assert drive.judge.heard.pose == pose(0)
     assert drive.judge.last_fix_ns == at(0)
     assert drive.epoch(1).confirmed
     Judge(Rules()).forget_future(at(0))
@@ -330,7 +330,7 @@ def test_nor_without_a_right_fix_before():
 def test_nor_where_no_pose_tells_the_way_since():
     drive = Drive()
     drive.epoch(0)
-    drive.judge._poses.clear()
+    drive.judge.heard.poses.clear()
     assert drive.epoch(4, the_pose=off_map(4)).word == "erroneous"
 
 
@@ -403,7 +403,7 @@ def test_without_a_wheel_speed_nothing_starts():
 
 def test_a_stale_wheel_speed_starts_nothing():
     drive = Drive(speed_m_s=None)
-    drive.judge.hear_speed(at(0), 10.0)
+    drive.judge.heard.hear_speed(at(0), 10.0)
     words = [drive.epoch(k, the_pose=provisional(k)).word for k in range(20)]
     assert "confirmed" not in words
 
@@ -412,7 +412,7 @@ def test_a_stale_wheel_speed_starts_nothing():
 
 
 def in_force(drive):
-    return drive.judge.correction(drive.judge.situation(at(0), ALL))
+    return drive.judge.correction(drive.judge.heard.situation(at(0), ALL))
 
 
 def test_right_positions_teach_the_correction_and_later_fixes_are_judged_by_it():
@@ -480,7 +480,17 @@ def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_with
     assert residual.map_sigma_m == 0.03
     assert residual.fix_sigma_m == pytest.approx(math.sqrt((4 * 0.01) ** 2 + 0.05**2 + 0.02**2))
     assert residual.surface_id == 7
-    assert residual.key == Key("fixed", "receiver:WGS84", 3)
+    assert residual.key == Key("fixed", "receiver:WGS84:", 3)
+
+
+def test_another_base_station_has_a_part_of_its_own():
+    learning = Listening()
+    judged(fix(base_station="rtcm-7"), learning=learning)
+    judged(fix(base_station="rtcm-8"), learning=learning)
+    assert [residual.key.base for residual in learning.heard] == [
+        "receiver:WGS84:rtcm-7",
+        "receiver:WGS84:rtcm-8",
+    ]
 
 
 def test_of_a_pose_made_of_fixes_it_hears_the_height_only():
@@ -771,18 +781,18 @@ def test_sweeps_and_phases_together_carry_a_fix_neither_alone():
 def test_what_is_examined_leaves_no_trace_until_it_is_settled():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.hear_pose(far_off_map(1))
-    drive.judge.hear_antenna(antenna(1))
+    drive.judge.heard.hear_pose(far_off_map(1))
+    drive.judge.heard.hear_antenna(antenna(1))
     again = [drive.judge.examine(fix(1), ALL) for _ in range(2)]
     assert [judgement.word for judgement in again] == ["confirmed_after_verification"] * 2
-    assert drive.judge._chain.links == 0
+    assert drive.judge.before.chain.links == 0
     drive.judge.settle(again[0])
-    assert drive.judge._chain.links == 1
+    assert drive.judge.before.chain.links == 1
 
 
 def test_the_receivers_warning_is_forgotten_with_the_clock():
     drive = Drive()
-    drive.judge.hear_receiver(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
+    drive.judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
     assert drive.epoch(1).reason == "receiver_warns"
     drive.judge.forget_future(at(0))
     assert drive.epoch(2).confirmed
