@@ -83,6 +83,38 @@ def test_of_heights_with_a_mean_it_is_exact():
     assert p <= 1e-4
 
 
+def exact(weight, mean, sigma, found):
+    """P of round errors about means: Rice's distribution, by the non-central χ² of two degrees of freedom."""
+    x, m = found[:, None] / sigma, np.maximum((mean / sigma) ** 2, 1e-300)
+    return (weight * stats.ncx2.sf(x**2, 2, m)).sum(axis=1)
+
+
+@pytest.mark.parametrize(("farthest", "most"), [(0.0, 1.0), (10.0, 1.03)])
+def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_exceeds_it_by_what_is_promised(
+    farthest, most
+):
+    rng = np.random.default_rng(17)
+    n = 4000
+    risk = 10.0 ** rng.uniform(-9.0, -1.0, n)
+    second = risk * (1.0 + rng.normal(size=n) * 10.0 ** rng.uniform(-6.0, -0.5, n))
+    weight, sigma = np.column_stack((1.0 - second, second)), 10.0 ** rng.uniform(-2.0, 0.5, (n, 2))
+    mean = np.column_stack((np.zeros(n), rng.uniform(0.0, farthest, n) * sigma[:, 1]))
+    covariance = (sigma**2)[:, :, None, None] * np.eye(2)
+    found = levels_m(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
+    assert (exact(weight, mean, sigma, found) <= most * risk).all()
+
+
+@pytest.mark.parametrize("far", [0.0, 3.0])
+def test_about_where_the_level_jumps_to_another_part_the_risk_is_kept(far):
+    second = 1e-7 * (1.0 + np.linspace(-2e-3, 2e-3, 101))
+    weight = np.column_stack((1.0 - second, second))
+    mean = np.tile([0.0, far], (101, 1))
+    sigma = np.full((101, 2), [0.05, 0.4])
+    covariance = (sigma**2)[:, :, None, None] * np.eye(2)
+    found = levels_m(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), np.full(101, 1e-7))
+    assert (exact(weight, mean, sigma, found) <= 1e-7).all()
+
+
 def test_draws_of_a_mixture_exceed_it_no_more_often_than_the_risk_and_not_much_more_seldom():
     rng = np.random.default_rng(5)
     n = 1_000_000
