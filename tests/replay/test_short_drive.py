@@ -1,11 +1,11 @@
-"""The drive that is made on the spot, through the real processes: the same at any speed, for several seeds."""
+"""The drive that is made on the spot: the same by real processes at any speed and by one process, for several seeds."""
 
 from pathlib import Path
 
 import pytest
 
 from camber.simulator.short_drive import write_short_drive
-from support.running import camber, figures, payloads, summary_of
+from support.running import Drive, camber, figures, in_one_process, payloads, said_alike, summary_of
 
 SPEEDS = ("max", "20")
 SEEDS = (1, 2, 3)
@@ -13,18 +13,36 @@ SEEDS = (1, 2, 3)
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module", params=SEEDS)
-def outs(request, tmp_path_factory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp(f"seed-{request.param}")
-    drive = write_short_drive(folder / "drive", request.param)
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory) -> Path:
+    return write_short_drive(tmp_path_factory.mktemp("drive") / "drive", SEEDS[0])
+
+
+@pytest.fixture(scope="module")
+def outs(manifest, tmp_path_factory) -> dict[str, Path]:
+    """By speed, what the real processes leave of the first seed's drive."""
+    folder = tmp_path_factory.mktemp("replayed")
     for speed in SPEEDS:
-        done = camber("replay", drive, "--speed", speed, "--out", folder / speed, "--quiet", timeout_s=120.0)
+        done = camber(
+            "replay", manifest, "--speed", speed, "--out", folder / speed, "--quiet", timeout_s=120.0
+        )
         assert done.returncode == 0, done.stderr
     return {speed: folder / speed for speed in SPEEDS}
 
 
-def test_no_wrong_fix_is_confirmed_and_nearly_all_right_ones_are(outs):
-    summary = summary_of(outs["max"])
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory) -> dict[int, Drive]:
+    """By seed, in one process."""
+    folder = tmp_path_factory.mktemp("one-process")
+    return {
+        seed: in_one_process(write_short_drive(folder / f"{seed}" / "drive", seed), folder / f"{seed}")
+        for seed in SEEDS
+    }
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_wrong_fix_is_confirmed_and_nearly_all_right_ones_are(drives, seed):
+    summary = drives[seed].summary
     assert summary["tentative"]["wrong"] > 50
     assert summary["confirmed"]["wrong"] == 0
     assert summary["right"]["kept"] >= 0.96
@@ -41,3 +59,13 @@ def test_speed_changes_no_byte_on_any_key(outs):
     }
     for key, found in fast.items():
         assert found == slow[key], f"{key} differs"
+
+
+def test_one_process_says_what_the_processes_of_a_replay_say(outs, drives):
+    drive = drives[SEEDS[0]]
+    words = {item.message.verdict for item in drive.recorded["verdict"]}
+    assert words >= {"confirmed", "erroneous", "unknown"}
+    said_alike(outs["max"], drive)
+    of_replay = summary_of(outs["max"])
+    for name in ("tentative", "confirmed", "right", "episodes", "controls", "position", "verdicts"):
+        assert drive.summary[name] == of_replay[name], name

@@ -8,8 +8,9 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,15 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 
 from camber.formats.recording import Recorded, load_recording
+from camber.schemas.codec import encode
+from camber.schemas.drive import load_manifest
+from camber.simulator.drive_inputs import prepare_drive
 from camber.simulator.short_drive import START_NS
+from camber.tools.evaluation import CHANNELS, evaluate
+from camber.tools.one_process import drive_through
+from camber.tools.replay import facts_of
+from camber.tools.run_folder import RunFacts
+from camber.tools.truth import truth_of
 
 MACHINE = frozenset({"latency_ms", "speed_factor", "wall_s"})
 """What of a summary depends on the machine and its load; nothing else may."""
@@ -146,3 +155,31 @@ def payloads(out: Path) -> dict[str, list[bytes]]:
 def figures(out: Path) -> dict[str, Any]:
     """The summary without what depends on the machine: latency and speed."""
     return {name: value for name, value in summary_of(out).items() if name not in MACHINE}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive in one process: the inputs of a replay and its services, without bus and without other processes."""
+
+    recorded: dict[str, list[Recorded[Any]]]
+    summary: dict[str, Any]
+
+
+def in_one_process(manifest: Path, folder: Path, *overrides: str) -> Drive:
+    """What `camber replay` would record and sum up, at a fifth of the cost."""
+    drive = load_manifest(manifest, overrides)
+    inputs = prepare_drive(drive, folder / "work")
+    said = drive_through(inputs, folder).recorded
+    truth = None if inputs.truth is None else truth_of(inputs.truth)
+    return Drive(said, evaluate(said, facts_of(drive, inputs), RunFacts(), truth).summary)
+
+
+def said_alike(out: Path, drive: Drive) -> None:
+    """Fails where one process says other messages than the processes of a replay: bit for bit, on every channel."""
+
+    def messages(items: Iterable[Recorded[Any]]) -> list[bytes]:
+        return sorted(encode(item.message, source="", sequence=0) for item in items)
+
+    replayed = recorded(out)
+    for name in CHANNELS:
+        assert messages(replayed.get(name, ())) == messages(drive.recorded[name]), f"{name} differs"
