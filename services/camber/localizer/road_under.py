@@ -23,9 +23,9 @@ _REMEMBERED_M = 100.0
 
 
 class _Driven(NamedTuple):
-    """The last road that was known, and where."""
+    """The last road that was known, its level where that was, and where."""
 
-    road: Road
+    level: int | None
     latitude_rad: float
     longitude_rad: float
 
@@ -35,7 +35,8 @@ class RoadUnder:
 
     Where roads part or join, or change their level, several links are in question, and their surfaces lie on one
     another and agree: that is one road, whichever it turns out to be. It keeps the level it was driven with until the
-    links or its edge say otherwise.
+    links or its edge say otherwise. Where the edge is nearer than the pose is known, only the links can tell: while
+    those in question are of several levels the elevation is known and the level is not.
     """
 
     def __init__(self, sigma_limit_m: float, answers: MapAnswers, reports: Reports) -> None:
@@ -61,10 +62,17 @@ class RoadUnder:
             *east_north_between(*driven[1:], latitude_rad, longitude_rad)
         ) > (_REMEMBERED_M):
             self._driven = None
-        self._road = self._look(estimate, latitude_rad, longitude_rad)
-        if self._road.status == "known":
-            self._driven = _Driven(self._road, latitude_rad, longitude_rad)
-        return self._road
+        road = self._look(estimate, latitude_rad, longitude_rad)
+        if (
+            estimate.link_candidates
+            and estimate.link_level is None
+            and estimate.horizontal_sigma_m > _PATCH_ABOVE_M
+        ):
+            road = road.model_copy(update={"level": None})
+        self._road = road
+        if road.status == "known":
+            self._driven = _Driven(road.level, latitude_rad, longitude_rad)
+        return road
 
     def _look(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
         sigma_m = estimate.horizontal_sigma_m
@@ -103,7 +111,7 @@ class RoadUnder:
         """Whether the map could not choose, or chose another level than the one that was driven, of several links."""
         if road.status != "known":
             return road.reason == "levels_ambiguous" and bool(link_ids)
-        return len(link_ids) > 1 and self._driven is not None and road.level != self._driven.road.level
+        return len(link_ids) > 1 and self._driven is not None and road.level != self._driven.level
 
     def _one_road(self, request: ElevationRequest) -> Road | None:
         """The road of each link in question by itself; None where they do not agree."""
@@ -117,7 +125,7 @@ class RoadUnder:
                 roads.append(reply.road)
         if not roads:
             return None
-        level = None if self._driven is None else self._driven.road.level
+        level = None if self._driven is None else self._driven.level
         road = next((road for road in roads if road.level == level), roads[0])
         apart_m, disagree = _apart(road, roads)
         if disagree:

@@ -23,6 +23,7 @@ LINKS = [
     link(3, (2, 4), [(0.0, 0.0), (20.0, 0.0), (40.0, 1.0), (60.0, 5.0)], level=1),
 ]
 ALL = (3, 1, 2)
+RAMP = 3
 ON = PoseEstimate(
     time_ns=NS,
     mode="scan_match",
@@ -76,7 +77,14 @@ class Fork:
         self.epochs += 1
         covariance = np.diag([sigma_m**2, sigma_m**2, 0.01**2])
         time_ns = NS + self.epochs * 100_000_000
-        here = replace(ON, time_ns=time_ns, link_candidates=links, covariance=covariance)
+        levels = {1 if link == RAMP else 0 for link in links}
+        here = replace(
+            ON,
+            time_ns=time_ns,
+            link_level=levels.pop() if len(levels) == 1 else None,
+            link_candidates=links,
+            covariance=covariance,
+        )
         return self.under.under(here, *at(east_m, north_m))
 
 
@@ -99,6 +107,22 @@ def test_on_the_ramp_it_is_the_ramp_as_soon_as_the_street_ends_beside_it(fork: F
     assert levels == sorted(levels, key=lambda level: level or 0)
     assert levels[-1] == 1
     assert roads[-1].elevation_m == pytest.approx(50.08, abs=1e-3)
+
+
+def test_a_vague_pose_has_no_level_while_street_and_ramp_are_in_question(fork: Fork) -> None:
+    assert fork.road(-30.0, links=(1,), sigma_m=2.0).level == 0
+    parting = [fork.road(float(x), 0.5, sigma_m=2.0) for x in range(-10, 40, 2)]
+    assert {(road.status, road.level) for road in parting} == {("known", None)}
+    assert [road.elevation_m for road in parting] == pytest.approx([50.0] * len(parting), abs=0.081)
+    for one, north_m, level in ((2, 0.0, 0), (RAMP, 5.0, 1)):
+        assert fork.road(50.0, north_m, links=(one,), sigma_m=2.0).level == level
+
+
+def test_a_pose_that_was_vague_where_they_parted_does_not_take_up_the_level_from_before(fork: Fork) -> None:
+    assert fork.road(-30.0, links=(1,), sigma_m=2.0).level == 0
+    assert fork.road(10.0, sigma_m=2.0).level is None
+    assert fork.road(12.0).level is None
+    assert fork.road(50.0, 5.0).level == 1
 
 
 def test_its_sigma_holds_what_the_surfaces_differ_by(fork: Fork) -> None:
