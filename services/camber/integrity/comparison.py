@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.integrity.determination import Limits, determine
+from camber.integrity.determination import Limits, determination_of
 from camber.integrity.height_check import Height, RoadPoint
-from camber.integrity.joint_test import Floats, difference_covariance
+from camber.integrity.joint_test import Floats, covariance_of_difference
 from camber.integrity.pose_gate import offset_from_pose
 from camber.integrity.true_sigma import TrueSigma, with_true_sigma
 from camber.schemas.gnss import Fix
@@ -77,43 +77,33 @@ def compare(
     if road is not None and height is not None:
         up_m = fix.height_m - height.expected_m(road)
         variance_m2, slope = height.variance_m2(road), (road.slope_east, road.slope_north)
-    difference_m = np.array([[east_m, north_m, up_m]])
     pose_m2 = _pose_covariance(pose, fix.time_ns)
-    covariance_m2 = difference_covariance(
-        _fix_covariance(fix, sigma),
-        pose_m2,
-        np.array([variance_m2]),
-        np.array([slope]),
-    )
-    found = determine(difference_m, covariance_m2, pose_m2, limits)
+    fix_m2 = with_true_sigma(fix.covariance_enu_m2, sigma)
+    covariance_m2 = covariance_of_difference(fix_m2, pose_m2, variance_m2, slope)
+    found = determination_of((east_m, north_m, up_m), covariance_m2, pose_m2, limits)
     asks_height = limits.rules.asks_height
+    ee, en, eu, nn, nu, uu = covariance_m2
     return Comparison(
-        difference_m=difference_m[0],
-        covariance_m2=covariance_m2[0],
-        outcome=int(found.outcome[0]),
-        position=int(found.position[0]),
+        difference_m=np.array([east_m, north_m, up_m]),
+        covariance_m2=np.array([[ee, en, eu], [en, nn, nu], [eu, nu, uu]]),
+        outcome=found.outcome,
+        position=found.position,
         height_m=-up_m if asks_height and math.isfinite(up_m) else None,
-        height_sigma_m=float(found.distances.height_sigma_m[0]),
-        tolerance_m=float(found.tolerance_m[0]) if asks_height else None,
-        reach_m=float(found.reach_m[0]),
-        joint_distance2=_finite(float(found.distances.joint[0])),
+        height_sigma_m=found.distances.height_sigma_m,
+        tolerance_m=found.tolerance_m if asks_height else None,
+        reach_m=found.reach_m,
+        joint_distance2=_finite(found.distances.joint),
         joint_limit=_finite(limits.joint[1]),
     )
 
 
-def _fix_covariance(fix: Fix, sigma: TrueSigma) -> Floats:
-    assert fix.covariance_enu_m2 is not None
-    ee, en, eu, nn, nu, uu = with_true_sigma(fix.covariance_enu_m2, sigma)
-    return np.array([[[ee, en, eu], [en, nn, nu], [eu, nu, uu]]])
-
-
-def _pose_covariance(pose: Pose, at_ns: int) -> Floats:
-    """The pose's, and what a car may have accelerated by between its time and the fix's."""
+def _pose_covariance(pose: Pose, at_ns: int) -> tuple[float, float, float]:
+    """(ee, en, nn) of the pose, and what a car may have accelerated by between its time and the fix's."""
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     since_s = (at_ns - pose.time_ns) / 1e9
     moved_m2 = (0.5 * _ACCELERATION_M_S2 * since_s * since_s) ** 2
-    return np.array([[[ee + moved_m2, en], [en, nn + moved_m2]]])
+    return ee + moved_m2, en, nn + moved_m2
 
 
 def _finite(value: float) -> float | None:

@@ -6,32 +6,37 @@ common. The height has a cap besides: however badly road and antenna are known, 
 With a fixed tolerance, H (2) and (3), the height agrees or contradicts and there is nothing between. So has the
 position: however wide a fix claims to be, it agrees only as near to the pose as a right fix is.
 
-The judge asks with n = 1, the lab with millions: there is one implementation. numpy only, metres.
+The judge asks of one, in plain floats, the lab of millions: there is one implementation (`either_number`). numpy only,
+metres.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
+from camber.integrity.either_number import Either, larger_eigenvalue, negated, positive, root, where
 from camber.integrity.joint_test import (
     AGREES,
     CONTRADICTS,
     UNVERIFIED,
     Distances,
     Floats,
+    Upper,
     Words,
     chi2_limit,
     distances,
+    upper,
     words,
 )
 from camber.schemas.integrity import Reason
 
 Test = Literal["height", "position", "joint", "phase_residuals", "continuity", "receiver"]
 ALL_TESTS: tuple[Test, ...] = ("height", "position", "joint", "phase_residuals", "continuity", "receiver")
+Said = TypeVar("Said")
 _DEGREES: dict[Test, int] = {"height": 1, "position": 2, "joint": 3}
 
 ALL_AGREE, HEIGHT_UNVERIFIED, POSITION_UNVERIFIED = 0, 1, 2
@@ -124,52 +129,68 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Determination:
-    """What the tests say of n fixes: one outcome each, the words of the tests, and what they rest on, all (n,).
+class Determination(Generic[Said]):
+    """What the tests say of fixes: one outcome each, the words of the tests, and what they rest on; each one number or
+    (n,), a tolerance that is fixed always one.
 
     `tolerance_m` is the largest height difference that would agree, `reach_m` how far from the pose a fix may be and
     agree in any direction. `position` is the word of the horizontal position where it or the joint test is asked.
     """
 
-    outcome: Words
-    position: Words
+    outcome: Said
+    position: Said
     distances: Distances
-    tolerance_m: Floats
-    reach_m: Floats
+    tolerance_m: Either
+    reach_m: Either
 
 
 def determine(
     difference_m: Floats, covariance_m2: Floats, pose_covariance_m2: Floats, limits: Limits
-) -> Determination:
+) -> Determination[Words]:
     """What differences (n, 3) say, if those of right fixes have the covariances (n, 3, 3); see `joint_test`.
 
     `pose_covariance_m2` (n, 2, 2) is the part of the pose in that.
     """
+    pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
+    east_m, north_m, up_m = difference_m.T
+    with np.errstate(all="ignore"):  # what is not finite agrees with nothing
+        found = determination_of((east_m, north_m, up_m), upper(covariance_m2), pose, limits)
+    return replace(found, outcome=found.outcome.astype(np.int8), position=found.position.astype(np.int8))
+
+
+def determination_of(
+    difference_m: tuple[Either, Either, Either],
+    covariance_m2: Upper,
+    pose_m2: tuple[Either, Either, Either],
+    limits: Limits,
+) -> Determination[Either]:
+    """The same of differences east, north, up, with `pose_m2` (ee, en, nn); each part a float or (n,)."""
     rules, found = limits.rules, distances(difference_m, covariance_m2)
-    off_m = np.abs(difference_m[:, 2])
+    east_m, north_m, up_m = difference_m
+    ee, en, _, nn, _, _ = covariance_m2
+    off_m = abs(up_m)
     tolerance_m = _tolerance_m(found.height_sigma_m, limits)
     if rules.tolerance == "fixed" and "height" in rules.tests:
-        height = np.where(off_m <= tolerance_m, AGREES, CONTRADICTS).astype(np.int8)
+        height = where(off_m <= tolerance_m, AGREES, CONTRADICTS)
     else:
         height = words(found.height, *limits.height)
-    position, joint = words(found.position, *limits.position), words(found.joint, *limits.joint)
-    near_m2 = pose_covariance_m2 + np.eye(2) * rules.fix_sigma_cap_m**2
-    reach_m = np.minimum(_reach_m(covariance_m2, limits), _reach_m(near_m2, limits))
-    far = (position == AGREES) & ~(_squared(difference_m[:, :2], near_m2) <= limits.position[0])
-    far &= rules.asks_position
-    position[far] = UNVERIFIED
+    aside, joint = words(found.position, *limits.position), words(found.joint, *limits.joint)
+    cap_m2 = rules.fix_sigma_cap_m**2
+    near_m2 = pose_m2[0] + cap_m2, pose_m2[1], pose_m2[2] + cap_m2
+    reach_m, near_reach_m = _reach_m((ee, en, nn), limits), _reach_m(near_m2, limits)
+    reach_m = where(near_reach_m >= reach_m, reach_m, near_reach_m)
+    near = _squared(east_m, north_m, near_m2) <= limits.position[0]
+    far = (aside == AGREES) & negated(near) & rules.asks_position
+    position = where(far, UNVERIFIED, aside)
     # However wide σ is, no height agrees beyond the tolerance; and a test of the position alone has to have power.
-    tall = ~(off_m <= tolerance_m) if rules.asks_height else np.zeros(off_m.shape, np.bool_)
-    blunt = np.full(off_m.shape, rules.asks_position and not rules.asks_height) & ~(
-        reach_m <= rules.position_cap_m
-    )
-    aside = position if "position" in rules.tests else np.where(far, UNVERIFIED, AGREES).astype(np.int8)
-    nearer_up = found.height >= found.position
-    outcome = np.full(off_m.shape, ALL_AGREE, np.int8)
+    tall = negated(off_m <= tolerance_m) & rules.asks_height
+    blunt = negated(reach_m <= rules.position_cap_m) & (rules.asks_position and not rules.asks_height)
+    aside = position if "position" in rules.tests else where(far, UNVERIFIED, AGREES)
+    outcome: Either = ALL_AGREE
     # What is said later overrides what was said before.
     for applies, said in (
         (joint == UNVERIFIED, POSITION_UNVERIFIED),
-        ((joint == UNVERIFIED) & nearer_up, HEIGHT_UNVERIFIED),
+        ((joint == UNVERIFIED) & (found.height >= found.position), HEIGHT_UNVERIFIED),
         ((aside == UNVERIFIED) | blunt, POSITION_UNVERIFIED),
         ((height == UNVERIFIED) | tall, HEIGHT_UNVERIFIED),
         (joint == CONTRADICTS, BOTH_CONTRADICT),
@@ -177,30 +198,25 @@ def determine(
         (height == CONTRADICTS, HEIGHT_CONTRADICTS),
         ((height == CONTRADICTS) & (aside == CONTRADICTS), BOTH_CONTRADICT),
     ):
-        outcome[applies] = said
+        outcome = where(applies, said, outcome)
     return Determination(outcome, position, found, tolerance_m, reach_m)
 
 
-def _tolerance_m(sigma_m: Floats, limits: Limits) -> Floats:
+def _tolerance_m(sigma_m: Either, limits: Limits) -> Either:
     rules = limits.rules
     if rules.tolerance == "fixed":
-        return np.full(sigma_m.shape, rules.tolerance_m)
-    return np.minimum(rules.height_cap_m, math.sqrt(limits.height[0]) * sigma_m)
+        return rules.tolerance_m
+    tolerance_m = math.sqrt(limits.height[0]) * sigma_m
+    return where(tolerance_m < rules.height_cap_m, tolerance_m, rules.height_cap_m)
 
 
-def _squared(aside_m: Floats, covariance_m2: Floats) -> Floats:
-    """dᵀ C⁻¹ d (n,) of d (n, 2); not a number where C (n, 2, 2) is no covariance."""
-    a, b, c = covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]
-    x, y = aside_m[:, 0], aside_m[:, 1]
-    determinant = a * c - b * b
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        squared = (c * x * x - 2.0 * b * x * y + a * y * y) / np.where(
-            (a > 0.0) & (determinant > 0.0), determinant, np.nan
-        )
-    return np.asarray(squared)
+def _squared(east_m: Either, north_m: Either, covariance_m2: tuple[Either, Either, Either]) -> Either:
+    """dᵀ C⁻¹ d; not a number where C is no covariance."""
+    a, b, c = covariance_m2
+    determinant = where(a > 0.0, positive(a * c - b * b), math.nan)
+    return (c * east_m * east_m - 2.0 * b * east_m * north_m + a * north_m * north_m) / determinant
 
 
-def _reach_m(covariance_m2: Floats, limits: Limits) -> Floats:
-    ee, en, nn = covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]
-    larger: Floats = 0.5 * (ee + nn) + np.hypot(0.5 * (ee - nn), en)
-    return np.sqrt(np.where(larger > 0.0, limits.position[0] * larger, np.nan))
+def _reach_m(covariance_m2: tuple[Either, Either, Either], limits: Limits) -> Either:
+    larger = larger_eigenvalue(*covariance_m2)
+    return root(where(larger > 0.0, limits.position[0] * larger, math.nan))

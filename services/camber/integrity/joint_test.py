@@ -1,4 +1,4 @@
-"""Height and horizontal position together: does a fix agree with road, antenna and pose? For n fixes at once.
+"""Height and horizontal position together: does a fix agree with road, antenna and pose? For one fix or n at once.
 
 The difference d of fix and model is three numbers: the fix less the pose to the east and to the north, and the fix's
 height less that of road + antenna + correction *at the fix's place*. If the fix is right, d has the covariance S made
@@ -6,17 +6,20 @@ here, dᵀ S⁻¹ d is χ² with three degrees of freedom, and each part of it a
 beyond that of the false-alarm rate a fix *contradicts*; only below the tighter one of the hold-back rate it *agrees*;
 between them nobody can say, and the verdict is *unknown*.
 
-numpy only. Arrays (n, …); metres; east, north, up. Source of the distributions: Abramowitz and Stegun, Handbook of
-Mathematical Functions, 26.4 (χ² with 1, 2, 3 degrees of freedom in closed form).
+numpy only; metres; east, north, up; parts are floats or arrays (n,), see `either_number`. Source of the distributions:
+Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4 (χ² with 1, 2, 3 degrees of freedom in closed form).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from camber.integrity.either_number import Either, known, positive, root, where
 
 Floats = NDArray[np.float64]
 Words = NDArray[np.int8]
@@ -24,74 +27,92 @@ Words = NDArray[np.int8]
 AGREES, UNVERIFIED, CONTRADICTS = 0, 1, 2
 
 
+Upper: TypeAlias = tuple[Either, Either, Either, Either, Either, Either]
+"""(ee, en, eu, nn, nu, uu) of symmetric matrices, each a float or (n,)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """Squared distances (n,) in standard deviations: of the height, the horizontal position, and both together.
+    """Squared distances in standard deviations: of the height, the horizontal position, and both together.
 
-    `height_sigma_m` (n,): of the height difference. Anything not finite, and a covariance that is none, is infinitely
-    far off.
+    `height_sigma_m`: of the height difference. Each is a float or (n,). Anything not finite, and a covariance that is
+    none, is infinitely far off.
     """
 
-    height: Floats
-    position: Floats
-    joint: Floats
-    height_sigma_m: Floats
+    height: Either
+    position: Either
+    joint: Either
+    height_sigma_m: Either
 
 
 def difference_covariance(
     fix_covariance_m2: Floats, pose_covariance_m2: Floats, height_variance_m2: Floats, slope: Floats
 ) -> Floats:
-    """S (n, 3, 3) of the difference, if the fix is right.
+    """S (n, 3, 3) of the difference, if the fix is right; see `covariance_of_difference`.
 
-    `fix_covariance_m2` (n, 3, 3), `pose_covariance_m2` (n, 2, 2) east and north, `height_variance_m2` (n,) of road and
-    antenna together, `slope` (n, 2) of the road to the east and north. The road is taken at the fix's place: its
-    horizontal error moves the height difference by the slope, the pose's does not.
+    `fix_covariance_m2` (n, 3, 3), `pose_covariance_m2` (n, 2, 2), `height_variance_m2` (n,), `slope` (n, 2).
     """
-    n = len(height_variance_m2)
-    j = np.zeros((n, 3, 3))
-    j[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    j[:, 2, :2] = -slope
-    s: Floats = j @ fix_covariance_m2 @ j.transpose(0, 2, 1)
-    s[:, :2, :2] += pose_covariance_m2
-    s[:, 2, 2] += height_variance_m2
-    return s
+    pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
+    found = covariance_of_difference(
+        upper(fix_covariance_m2), pose, height_variance_m2, (slope[:, 0], slope[:, 1])
+    )
+    ee, en, eu, nn, nu, uu = np.broadcast_arrays(*found)
+    return np.stack([ee, en, eu, en, nn, nu, eu, nu, uu], axis=-1).reshape(-1, 3, 3)
 
 
-def distances(difference_m: Floats, covariance_m2: Floats) -> Distances:
-    """How far differences (n, 3) are from nothing, by covariances (n, 3, 3), of which the upper triangle counts.
+def covariance_of_difference(
+    fix_m2: Upper,
+    pose_m2: tuple[Either, Either, Either],
+    height_variance_m2: Either,
+    slope: tuple[Either, Either],
+) -> Upper:
+    """S of the difference, if the fix is right, each part a float or (n,).
+
+    `fix_m2` and `pose_m2` (ee, en, nn) are their covariances, `height_variance_m2` is that of road and antenna
+    together, `slope` of the road to the east and north. The road is taken at the fix's place: its horizontal error
+    moves the height difference by the slope, the pose's does not. So with J = [[1, 0, 0], [0, 1, 0], [−s_e, −s_n, 1]]
+    it is J F Jᵀ of the fix's F, and what pose and height add.
+    """
+    (ee, en, eu, nn, nu, uu), (pose_ee, pose_en, pose_nn), (se, sn) = fix_m2, pose_m2, slope
+    level_eu, level_nu = eu - se * ee - sn * en, nu - se * en - sn * nn
+    level_uu = uu - se * eu - sn * nu - se * level_eu - sn * level_nu
+    return ee + pose_ee, en + pose_en, level_eu, nn + pose_nn, level_nu, level_uu + height_variance_m2
+
+
+def upper(matrices: Floats) -> Upper:
+    """The upper triangles of matrices (n, 3, 3)."""
+    m = matrices
+    return m[:, 0, 0], m[:, 0, 1], m[:, 0, 2], m[:, 1, 1], m[:, 1, 2], m[:, 2, 2]
+
+
+def distances(difference_m: tuple[Either, Either, Either], covariance_m2: Upper) -> Distances:
+    """How far differences east, north and up are from nothing, by their covariances; each part a float or (n,).
 
     Golub and Van Loan, Matrix Computations, 4.1.2: S = L D Lᵀ with the horizontal axes first, so that the first two
     terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is nought or less.
     """
-    east, north, up = difference_m[:, 0], difference_m[:, 1], difference_m[:, 2]
-    s = covariance_m2
-    with np.errstate(all="ignore"):
-        pivot_east = s[:, 0, 0]
-        l_north, l_up = s[:, 0, 1] / pivot_east, s[:, 0, 2] / pivot_east
-        pivot_north = s[:, 1, 1] - l_north * s[:, 0, 1]
-        coupled = s[:, 1, 2] - l_up * s[:, 0, 1]
-        pivot_up = s[:, 2, 2] - l_up * s[:, 0, 2] - coupled * coupled / pivot_north
-        off_north = north - l_north * east
-        off_up = up - l_up * east - coupled / pivot_north * off_north
-        horizontal = east * east / pivot_east + off_north * off_north / pivot_north
-        both = horizontal + off_up * off_up / pivot_up
-        alone = up * up / s[:, 2, 2]
-        flat = (pivot_east > 0.0) & (pivot_north > 0.0) & np.isfinite(pivot_east) & np.isfinite(pivot_north)
-        upright = (s[:, 2, 2] > 0.0) & np.isfinite(s[:, 2, 2])
-        whole = flat & upright & (pivot_up > 0.0)
-        return Distances(
-            height=_known(alone, upright),
-            position=_known(horizontal, flat),
-            joint=_known(both, whole),
-            height_sigma_m=np.sqrt(np.where(upright, s[:, 2, 2], np.inf)),
-        )
+    (east, north, up), (ee, en, eu, nn, nu, uu) = difference_m, covariance_m2
+    pivot_east, upright = positive(ee), positive(uu)
+    l_north, l_up = en / pivot_east, eu / pivot_east
+    pivot_north = positive(nn - l_north * en)
+    coupled = nu - l_up * en
+    pivot_up = positive(upright - l_up * eu - coupled * coupled / pivot_north)
+    off_north = north - l_north * east
+    off_up = up - l_up * east - coupled / pivot_north * off_north
+    horizontal = east * east / pivot_east + off_north * off_north / pivot_north
+    return Distances(
+        height=known(up * up / upright),
+        position=known(horizontal),
+        joint=known(horizontal + off_up * off_up / pivot_up),
+        height_sigma_m=root(known(upright)),
+    )
 
 
-def words(squared: Floats, hold_back_limit: float, false_alarm_limit: float) -> Words:
-    """AGREES, UNVERIFIED or CONTRADICTS (n,) of squared distances (n,); what is not a number contradicts."""
-    return np.where(
-        squared <= hold_back_limit, AGREES, np.where(squared <= false_alarm_limit, UNVERIFIED, CONTRADICTS)
-    ).astype(np.int8)
+def words(squared: Either, hold_back_limit: float, false_alarm_limit: float) -> Either:
+    """AGREES, UNVERIFIED or CONTRADICTS of squared distances; what is not a number contradicts."""
+    return where(
+        squared <= hold_back_limit, AGREES, where(squared <= false_alarm_limit, UNVERIFIED, CONTRADICTS)
+    )
 
 
 def chi2_limit(probability: float, degrees: int) -> float:
@@ -125,8 +146,3 @@ def chi2_survival(squared: float, degrees: int) -> float:
     if degrees == 3:
         return math.erfc(root) + 2.0 / math.sqrt(math.pi) * root * math.exp(-0.5 * squared)
     raise ValueError(f"{degrees} degrees of freedom, expected 1, 2 or 3")
-
-
-def _known(squared: Floats, good: NDArray[np.bool_]) -> Floats:
-    """Infinite where the covariance is none or the distance is not a number."""
-    return np.where(good & np.isfinite(squared), squared, np.inf)

@@ -62,15 +62,15 @@ class IntegrityService(Service[IntegritySettings]):
         """Inputs."""
         return {
             "fix": lambda fix: self._pending.append((fix, self.bus.now_ns())),
-            "pose": self._judge.hear_pose,
-            "antenna_height": self._judge.hear_antenna,
-            "receiver_integrity": self._judge.hear_receiver,
+            "pose": self._judge.heard.hear_pose,
+            "antenna_height": self._judge.heard.hear_antenna,
+            "receiver_integrity": self._judge.heard.receiver.hear,
             "velocity": self._positions.hear_velocity,
             "motion": lambda motion: self._hear_speed(motion.time_ns, motion.wheel_speed_m_s),
         }
 
     def _hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
-        self._judge.hear_speed(time_ns, speed_m_s)
+        self._judge.heard.hear_speed(time_ns, speed_m_s)
         self._positions.hear_speed(time_ns, speed_m_s)
 
     def advance(self, now_ns: int) -> None:
@@ -95,7 +95,7 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _should_wait(self, fix: Fix, heard_ns: int, now_ns: int, alive: frozenset[str]) -> bool:
         """A fix waits for the pose of its epoch: not longer than an epoch's width, whatever the clocks do."""
-        pose = self._judge.pose
+        pose = self._judge.heard.pose
         pose_is_there = pose is not None and age_s(pose.time_ns, fix.time_ns) <= SAME_EPOCH_S
         waited = (
             not 0.0 <= age_s(heard_ns, now_ns) < SAME_EPOCH_S or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
@@ -111,7 +111,7 @@ class IntegrityService(Service[IntegritySettings]):
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
         self._spoken.verdict(now_ns)
         if judgement.confirmed:
-            situation = self._judge.situation(judgement.fix.time_ns, alive)
+            situation = self._judge.heard.situation(judgement.fix.time_ns, alive)
             correction_m = self._judge.correction(situation).correction_m
             self.bus.publish("position", self._positions.confirmed(judgement, correction_m, situation))
             self._spoken.rtk(fix.time_ns)
@@ -122,7 +122,7 @@ class IntegrityService(Service[IntegritySettings]):
         """The judgement of another estimate of the fix, where one is called for and passes; else the one there is."""
         rules, fix, asked_ns = self._rules.re_estimation, judgement.fix, self.bus.now_ns()
         question = question_for(judgement, rules)
-        situation = self._judge.situation(fix.time_ns, alive)
+        situation = self._judge.heard.situation(fix.time_ns, alive)
         pose, missing = situation.pose, situation.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it can tell nothing.
         if question is None or pose is None or missing is not None or is_provisional(pose):
@@ -141,10 +141,10 @@ class IntegrityService(Service[IntegritySettings]):
         return found
 
     def _publish_pose_position(self, alive: frozenset[str]) -> None:
-        pose = self._judge.pose
+        pose = self._judge.heard.pose
         if pose is None or not self._spoken.pose_is_due(pose.time_ns):
             return
-        situation = self._judge.situation(pose.time_ns, alive)
+        situation = self._judge.heard.situation(pose.time_ns, alive)
         self._spoken.position(pose.time_ns)
         self.bus.publish(
             "position",
@@ -153,7 +153,7 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
         """A consumer must hear *unknown*, not nothing, when there is no fix or no pose."""
-        situation = self._judge.situation(now_ns, alive)
+        situation = self._judge.heard.situation(now_ns, alive)
         reason = self._silence_reason(now_ns, situation)
         if reason is not None and not self._pending and self._spoken.verdict_is_due(now_ns):
             self._spoken.verdict(now_ns)

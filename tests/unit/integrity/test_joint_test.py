@@ -15,13 +15,27 @@ from camber.integrity.joint_test import (
     chi2_limit,
     chi2_survival,
     difference_covariance,
-    distances,
+    upper,
     words,
 )
+from camber.integrity.joint_test import distances as distances_of
 
 FIX = np.array([[[4e-4, 1e-4, 2e-4], [1e-4, 5e-4, 0.0], [2e-4, 0.0, 1e-3]]])
 POSE = np.array([[[2.5e-3, 1e-3], [1e-3, 3e-3]]])
 SLOPE = np.array([[0.08, -0.03]])
+
+
+def distances(d, covariance_m2):
+    """Of rows (n, 3) and matrices (n, 3, 3); those of each row alone are the same."""
+    with np.errstate(all="ignore"):
+        found = distances_of(tuple(d.T), upper(covariance_m2))
+    for i, row in enumerate(d[:20].tolist()):
+        alone = distances_of(
+            tuple(row), tuple(part[i] for part in map(np.ndarray.tolist, upper(covariance_m2)))
+        )
+        for name in ("height", "position", "joint", "height_sigma_m"):
+            assert getattr(alone, name) == getattr(found, name)[i], name
+    return found
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3])

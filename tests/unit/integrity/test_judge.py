@@ -227,7 +227,7 @@ def test_of_several_poses_the_nearest_in_time_counts():
 def test_an_older_pose_does_not_replace_a_newer():
     judge = judge_with(poses=[pose(0), pose(-1), pose(0, east_m=50.0)])
     assert judge.heard.pose == pose(0)
-    assert Judge(Rules()).pose is None
+    assert Judge(Rules()).heard.pose is None
 
 
 # --- one verdict each, in order ----------------------------------------------------------------------------------
@@ -803,7 +803,7 @@ def test_integers_of_a_future_that_was_none_are_forgotten():
     for k in range(100, 105):
         drive.epoch(k, chained(k, since=100))
     drive.judge.forget_future(at(0))
-    assert drive.judge._integers.confirmed == 0
+    assert drive.judge.before.integers.confirmed == 0
 
 
 # --- more properties ---------------------------------------------------------------------------------------------

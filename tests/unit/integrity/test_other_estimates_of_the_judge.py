@@ -254,8 +254,8 @@ def test_the_more_trials_the_narrower_the_limits_of_agreement_and_those_of_contr
 
 def ready():
     judge = Judge(Rules())
-    judge.hear_pose(pose(0))
-    judge.hear_antenna(antenna(0))
+    judge.heard.hear_pose(pose(0))
+    judge.heard.hear_antenna(antenna(0))
     return judge
 
 
@@ -293,8 +293,8 @@ def test_the_integers_after_another_estimate_are_not_compared_with_its():
         ALL,
         lambda first: concluded(first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES),
     )
-    judge.hear_pose(pose(1))
-    judge.hear_antenna(antenna(1))
+    judge.heard.hear_pose(pose(1))
+    judge.heard.hear_antenna(antenna(1))
     found = judge.judge(
         fix(1, **ENGINE, ambiguity_continuity="broken", continuous_since_ns=at(1)), at(1), ALL
     )

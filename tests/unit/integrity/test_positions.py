@@ -56,8 +56,8 @@ def situation(the_pose=None, the_antenna=None, alive=ALL):
 
 def judged(the_pose, the_fix=None, trials=1):
     judge = Judge(RULES)
-    judge.hear_pose(the_pose)
-    judge.hear_antenna(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judge.heard.hear_pose(the_pose)
+    judge.heard.hear_antenna(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     judgement = judge.examine(the_fix or fix(), ALL)
     return replace(judgement, word="confirmed", trials=trials)
 

@@ -1,0 +1,46 @@
+"""One formula for plain floats and arrays: each of its parts gives the same bits for both."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camber.integrity.either_number import known, larger_eigenvalue, negated, positive, root, where
+
+VALUES = [-math.inf, -1.0, -0.0, 0.0, 5e-324, 0.1, 1.0, 1e308, math.inf, math.nan]
+
+
+def same(one: float, other: float) -> bool:
+    return np.float64(one).tobytes() == np.float64(other).tobytes()
+
+
+@pytest.mark.parametrize("part", [positive, known, lambda x: where(x > 0.5, x, -x), lambda x: root(abs(x))])
+def test_each_part_is_the_same_for_both(part) -> None:
+    for one, other in zip(VALUES, part(np.array(VALUES)), strict=True):
+        assert same(abs(part(one)), abs(other))
+
+
+def test_what_may_be_divided_by_is_above_nought_and_finite() -> None:
+    assert [math.isnan(positive(value)) for value in VALUES] == [*[True] * 4, *[False] * 4, True, True]
+    assert [positive(value) for value in VALUES[4:8]] == VALUES[4:8]
+
+
+def test_what_is_not_known_is_infinite() -> None:
+    assert known(math.nan) == math.inf
+    assert known(3.0) == 3.0
+
+
+def test_a_condition_is_turned_round() -> None:
+    assert negated(np.array([True, False])).tolist() == [False, True]
+    assert (negated(True), negated(False)) == (False, True)
+
+
+@given(st.tuples(*[st.floats(-1e3, 1e3)] * 3))
+def test_the_larger_eigenvalue_is_that_of_another_implementation(m: tuple[float, float, float]) -> None:
+    expected = np.linalg.eigvalsh([[m[0], m[1]], [m[1], m[2]]])[1]
+    assert larger_eigenvalue(*m) == pytest.approx(expected, abs=1e-9)
+    assert same(larger_eigenvalue(*m), larger_eigenvalue(*(np.array([x]) for x in m))[0])
