@@ -28,7 +28,7 @@ from camber.schemas.channels import BY_NAME, SERVICES
 from camber.schemas.health import HealthRequest
 from camber.schemas.motion import Motion
 from camber.simulator.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
-from support.running import camber, environment, kill, started, wait_until
+from support.running import environment, kill, started, wait_until
 
 pytestmark = pytest.mark.timed
 
@@ -168,7 +168,7 @@ def vehicle(tmp_path_factory):
         ends.callback(wheels.ended.set)
         wheels.start()
         with car.listen("verdict") as listener:
-            wait_for(listener, "confirmed", timeout_s=30.0)
+            wait_for(listener, "confirmed", timeout_s=90.0)  # seven processes start: nothing is timed yet
         yield car
 
 
@@ -296,28 +296,6 @@ def test_a_receiver_on_a_serial_line_is_read(vehicle, tmp_path):
         os.close(theirs)
     assert fix.quality == "fixed"
     assert fix.latitude_rad == pytest.approx(float(short_drive_truth().latitude_rad[0]), abs=1e-9)
-
-
-@pytest.mark.parametrize("service", SERVICES)
-def test_settings_are_checked_and_what_is_printed_can_be_read_again(vehicle, service, tmp_path):
-    first = camber(service, "--config", vehicle.config(service), "--check", "--print-config")
-    assert first.returncode == 0, first.stderr
-    assert first.stderr.strip() == f"camber {service}: settings are right"
-    printed = tmp_path / "printed.toml"
-    printed.write_text(first.stdout)
-    assert tomllib.loads(first.stdout)["vehicle"] == "car"
-    second = camber(service, "--config", printed, "--print-config")
-    assert second.stdout == first.stdout
-
-
-@pytest.mark.parametrize("service", SERVICES)
-def test_an_unknown_setting_is_one_line_and_exit_code_2(vehicle, service, tmp_path):
-    config = tmp_path / "typo.toml"
-    config.write_text('vehicel = "car"\n' + vehicle.config(service).read_text())
-    done = camber(service, "--config", config)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert line == f"camber {service}: {config}: vehicel: unknown setting"
 
 
 def test_sigterm_ends_each_service_and_the_router(vehicle):

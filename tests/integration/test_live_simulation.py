@@ -101,7 +101,7 @@ def test_a_drive_that_is_still_to_come_is_fed_at_its_own_time_with_its_raw_obser
         log.open("w") as file,
         started(
             "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=4", "--set", "satellites.rate_hz=2",
-            "--set", "satellites.streams=false", "--live", "--starts-in", "45", "--out", tmp_path / "drive",
+            "--set", "satellites.streams=false", "--live", "--starts-in", "25", "--out", tmp_path / "drive",
             "--connect", endpoint, "--vehicle", "raw", stdout=file,
         ) as process,
     ):  # fmt: skip

@@ -24,12 +24,12 @@ from camber.schemas.drive import load_manifest
 from camber.simulator.drive_inputs import prepare_drive
 from camber.simulator.short_drive import START_NS
 from camber.tools.evaluation import CHANNELS, evaluate
-from camber.tools.one_process import drive_through
+from camber.tools.one_process import Reported, drive_through
 from camber.tools.replay import facts_of
 from camber.tools.run_folder import RunFacts
 from camber.tools.truth import truth_of
 
-MACHINE = frozenset({"latency_ms", "speed_factor", "wall_s"})
+MACHINE = frozenset({"latency_ms", "notes", "speed_factor", "wall_s"})
 """What of a summary depends on the machine and its load; nothing else may."""
 
 _NS = 1_000_000_000
@@ -163,15 +163,17 @@ class Drive:
 
     recorded: dict[str, list[Recorded[Any]]]
     summary: dict[str, Any]
+    issues: list[Reported]
 
 
 def in_one_process(manifest: Path, folder: Path, *overrides: str) -> Drive:
     """What `camber replay` would record and sum up, at a fifth of the cost."""
     drive = load_manifest(manifest, overrides)
     inputs = prepare_drive(drive, folder / "work")
-    said = drive_through(inputs, folder).recorded
+    driven = drive_through(inputs, folder)
     truth = None if inputs.truth is None else truth_of(inputs.truth)
-    return Drive(said, evaluate(said, facts_of(drive, inputs), RunFacts(), truth).summary)
+    summary = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth).summary
+    return Drive(driven.recorded, summary, driven.issues)
 
 
 def said_alike(out: Path, drive: Drive) -> None:
