@@ -11,7 +11,8 @@ from support.running import camber
 OWN = {
     "gnss": 'source = "tcp:127.0.0.1:2101"\nprotocol = "nmea"\n',
     "map_server": 'release = "{folder}/map"\n',
-    "localizer": "[initial_pose]\nlatitude_deg = 35.1\nlongitude_deg = 136.9\nyaw_deg = 10.0\n",
+    "localizer": "[initial_pose]\nlatitude_deg = 35.1\nlongitude_deg = 136.9\nyaw_deg = 10.0\n"
+    "horizontal_sigma_m = 1.0\nyaw_sigma_deg = 2.0\n",
     "antenna_height": "fixed_height_m = 1.6\nfixed_sigma_m = 0.02\n",
 }
 
