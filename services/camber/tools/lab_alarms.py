@@ -1,9 +1,9 @@
 """Right fixes: how often the judge calls one contradictory, and how often it holds one back.
 
-The difference of a right fix is normal, given its sky, but for the antenna's reference point, which is drawn. Rates of
-1e-6 are found by importance sampling: half of the draws come from the distribution itself, half from one three times as
-wide, and each counts by the ratio of the densities, at most 2 (defensive mixture: T. Hesterberg, Technometrics 37
-(1995)). Epochs are drawn one by one: the rate is that of an epoch, not of an episode.
+The difference of a right fix is normal, given its sky and the slope of its road. Rates of 1e-6 are found by importance
+sampling: half of the draws come from the distribution itself, half from one three times as wide, and each counts by the
+ratio of the densities, at most 2 (defensive mixture: T. Hesterberg, Technometrics 37 (1995)). Epochs are drawn one by
+one: the rate is that of an epoch, not of an episode.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from camber.simulator.random_streams import stream
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, fix_shapes
 from camber.tools.lab_controls import Controls
-from camber.tools.lab_errors import constant_errors
 from camber.tools.lab_model import ASSUMED, Scene, judged_covariance
 
 Floats = NDArray[np.float64]
@@ -83,9 +82,9 @@ def right_fixes(seed: int, block: int, skies: int, name: str) -> FixShapes:
 
 
 def right_covariance(shapes: FixShapes, slope: Floats, scene: Scene) -> Floats:
-    """True covariance (n, 3, 3) of right fixes' differences, reference points apart."""
+    """True covariance (n, 3, 3) of right fixes' differences."""
     n = len(shapes.sky)
-    fix = shapes.reflected_m2 + ASSUMED.frame_sigma_m**2 * np.eye(3)
+    fix = shapes.reflected_m2 + ASSUMED.constant_variance_m2 * np.eye(3)
     j = np.tile(np.eye(3), (n, 1, 1))
     j[:, 2, :2] = -slope
     t: Floats = j @ fix @ j.transpose(0, 2, 1)
@@ -108,10 +107,7 @@ def alarms_block(
         for _ in range(repeats):
             n = len(shapes.sky)
             slope = ASSUMED.slope_sigma * rng.normal(size=(n, 2))
-            noise, weights = drawn(right_covariance(shapes, slope, scene), rng)
-            reference = constant_errors(n, rng, 0.0)
-            d = noise + reference
-            d[:, 2] -= np.sum(slope * reference[:, :2], axis=1)
+            d, weights = drawn(right_covariance(shapes, slope, scene), rng)
             s = judged_covariance(shapes.claimed_m2, slope, scene, rules)
             contradicted = controls.contradicted(d, s)
             rates["false_alarm"].add(rate_of(weights, contradicted))

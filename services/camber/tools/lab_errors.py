@@ -67,7 +67,7 @@ def episodes(
     speed = np.where(rng.random(n) < assumed.standing, 0.0, rng.uniform(2.0, 15.0, n))
     time_s = rng.uniform(*assumed.reflection_time_s, n)
     slope: Floats = assumed.slope_sigma * rng.normal(size=(n, 2))
-    constant = constant_errors(n, rng, assumed.frame_sigma_m, assumed) + faults.fix_m
+    constant = np.sqrt(assumed.constant_variance_m2) * rng.normal(size=(n, 3)) + faults.fix_m
     spread = np.asarray(np.linalg.cholesky(shapes.reflected_m2 + 1e-12 * np.eye(3)), np.float64)
     difference, error, pose = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 2))
     _run(
@@ -78,17 +78,6 @@ def episodes(
         difference, error, pose,
     )  # fmt: skip
     return Episodes(first, length, np.repeat(np.arange(n), length), difference, error, pose, slope)
-
-
-def constant_errors(
-    n: int, rng: np.random.Generator, frame_sigma_m: float, assumed: Assumptions = ASSUMED
-) -> Floats:
-    """Reference point and frame of n fixes (n, 3)."""
-    angle = rng.uniform(0.0, 2.0 * np.pi, n)
-    radius = assumed.reference_m * np.sqrt(rng.random(n))
-    up = rng.uniform(-assumed.reference_m, assumed.reference_m, n)
-    reference = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), up))
-    return reference + frame_sigma_m * rng.normal(size=(n, 3))
 
 
 @compiled

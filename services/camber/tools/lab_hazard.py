@@ -112,9 +112,9 @@ def _usable_at_most(shapes: FixShapes, rules: Rules) -> NDArray[np.bool_]:
 
 
 def _right_tail(shapes: FixShapes, rules: Rules) -> Floats:
-    variance = _larger(shapes.reflected_m2) + ASSUMED.frame_sigma_m**2
-    gap = np.full(len(variance), ALERT_LIMIT_M - ASSUMED.reference_m)
-    return np.where(_usable_at_most(shapes, rules), _rayleigh(gap, variance), 0.0)
+    variance = _larger(shapes.reflected_m2) + ASSUMED.constant_variance_m2
+    tail = _rayleigh(np.full(len(variance), ALERT_LIMIT_M), variance)
+    return np.where(_usable_at_most(shapes, rules), tail, 0.0)
 
 
 def _beside_right_pose(shapes: FixShapes, rules: Rules) -> Floats:

@@ -10,6 +10,7 @@ import pytest
 from camber.integrity.determination import DeterminationRules
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
+from camber.tools.lab_alarms import right_covariance
 from camber.tools.lab_controls import ALL, CONTROLS, JUDGE, Controls
 from camber.tools.lab_errors import Faults, episodes
 from camber.tools.lab_faults import FAULTS
@@ -40,14 +41,25 @@ def _phi(z: float) -> float:
 
 
 def test_differences_have_the_variances_of_their_parts() -> None:
-    assumed = Assumptions(reference_m=0.0, slope_sigma=0.0)
+    assumed = Assumptions(reference_m=0.08, slope_sigma=0.0)
     rng = np.random.default_rng(SEED)
     run = episodes(_shapes(60_000), SCENE, rng, length=np.ones(60_000, np.int64), assumed=assumed)
-    fix = 0.01**2 + assumed.frame_sigma_m**2
+    fix = 0.01**2 + 0.08**2 / 2.0 + assumed.frame_sigma_m**2
     plane = fix + SCENE.pose_sigma_m**2
     up = fix + SCENE.map_sigma_m**2 + assumed.antenna_sigma_m**2
     assert np.var(run.difference_m, axis=0) == pytest.approx([plane, plane, up], rel=0.03)
     assert np.var(run.error_m, axis=0) == pytest.approx([fix] * 3, rel=0.03)
+
+
+def test_right_fixes_of_the_lab_of_alarms_and_of_episodes_have_the_same_spread() -> None:
+    rng = np.random.default_rng(SEED)
+    shapes, slope = _shapes(200_000), np.zeros((200_000, 2))
+    run = episodes(
+        shapes, SCENE, rng, length=np.ones(200_000, np.int64), assumed=Assumptions(slope_sigma=0.0)
+    )
+    assert np.cov(run.difference_m.T) == pytest.approx(
+        right_covariance(shapes, slope, SCENE)[0], rel=0.02, abs=1e-4
+    )
 
 
 def test_the_poses_error_is_alike_for_its_correlation_time() -> None:
