@@ -16,13 +16,18 @@ import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.integrity.doppler_position import DopplerRules
-from camber.integrity.protection_level import Floats, horizontal, levels_m, whitened
+from camber.integrity.protection_level import Tails, levels_m
 from camber.integrity.wrong_fix import WrongFixRules
 
 _P99, _P999 = 0.99, 0.999
 # A tenth of a millimetre keeps an ellipse of one that is sure in some direction.
-_LEAST_M2, _UNIT = 1e-8, np.eye(2)
+_LEAST_M2 = 1e-8
 _SURELY = 1.01  # levels are found to a ten-thousandth of the risk
+
+
+Horizontal = tuple[float, float, float]
+Row = tuple[float, float, float, float, float]
+"""Of one part what `Tails` holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +74,7 @@ class Part:
 
     weight: float
     mean_m: tuple[float, float, float]
-    horizontal_m2: tuple[float, float, float]
+    horizontal_m2: Horizontal
     up_m2: float
 
 
@@ -97,22 +102,15 @@ class Bounds:
 def bounds_of(mixtures: Sequence[Mixture], rules: LevelRules) -> list[Bounds]:
     """Of several positions at once."""
     n, k = len(mixtures), max(len(mixture.parts) for mixture in mixtures)
-    table = np.array([_rows(mixture, k) for mixture in mixtures])
-    margin2 = rules.horizontal_margin**2
+    firsts = [_right(mixture, rules) for mixture in mixtures]
+    of_each = [_tails(mixture, first, k, rules) for mixture, first in zip(mixtures, firsts, strict=True)]
     # Four times: ellipses of 99 and of 99.9 %, horizontal, vertical.
-    weight, mean, covariance = np.empty((4, n, k)), np.zeros((4, n, k, 2)), np.zeros((4, n, k, 2, 2))
-    weight[:] = table[..., 0]
-    mean[2], mean[3, ..., 0] = table[..., 1:3], table[..., 3]
-    covariance[2] = margin2 * table[..., 4:8].reshape(n, k, 2, 2) + _LEAST_M2 * _UNIT
-    # Heights are on a line: a horizontal error to the east alone.
-    covariance[3, ..., 0, 0] = table[..., 8]
-    mean[:2], covariance[:2] = whitened(mean[2], covariance[2])
-    rows = 4 * n
-    tails = horizontal(weight.reshape(rows, k), mean.reshape(rows, k, 2), covariance.reshape(rows, k, 2, 2))
-    lost = np.array([mixture.lost for mixture in mixtures])
+    table = np.array([[each[row] for each in of_each] for row in (0, 0, 1, 2)])
+    tails = Tails(*np.ascontiguousarray(table.reshape(4 * n, k, 5).transpose(2, 0, 1)))
     risks = (1.0 - _P99, 1.0 - _P999, rules.integrity_risk, rules.integrity_risk)
-    found = levels_m(tails, np.concatenate([risk - lost for risk in risks])).reshape(4, n)
-    return [_bounds(covariance[2, row, 0], found[:, row]) for row in range(n)]
+    found = levels_m(tails, np.array([risk - mixture.lost for risk in risks for mixture in mixtures]))
+    levels = found.reshape(4, n).T.tolist()
+    return [_bounds(first, level) for first, level in zip(firsts, levels, strict=True)]
 
 
 def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
@@ -128,21 +126,49 @@ def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
     return probability > _SURELY * rules.integrity_risk
 
 
-def _rows(mixture: Mixture, parts: int) -> list[tuple[float, ...]]:
-    """Weight, mean (3), covariance (4), and variance upwards of each part; more of no weight up to this many."""
-    rows: list[tuple[float, ...]] = [
-        (part.weight, *part.mean_m, ee, en, en, nn, part.up_m2)
-        for part in mixture.parts
-        for ee, en, nn in [part.horizontal_m2]
-    ]
-    first = rows[0][4:8]
-    return rows + [(0.0, 0.0, 0.0, 0.0, *first, 1.0)] * (parts - len(rows))
+def _right(mixture: Mixture, rules: LevelRules) -> Horizontal:
+    """(ee, en, nn) of the first part, as the ellipses take it."""
+    return _with_margin(mixture.parts[0].horizontal_m2, rules)
 
 
-def _bounds(covariance_m2: Floats, levels: Floats) -> Bounds:
-    scale_99, scale_999, horizontal_m, vertical_m = (float(level) for level in levels)
-    ee, en, nn = float(covariance_m2[0, 0]), float(covariance_m2[0, 1]), float(covariance_m2[1, 1])
-    major, minor = (math.sqrt(value) for value in eigenvalues_m2((ee, en, nn)))
+def _with_margin(horizontal_m2: Horizontal, rules: LevelRules) -> Horizontal:
+    margin2, (ee, en, nn) = rules.horizontal_margin**2, horizontal_m2
+    return margin2 * ee + _LEAST_M2, margin2 * en, margin2 * nn + _LEAST_M2
+
+
+def _tails(mixture: Mixture, first: Horizontal, parts: int, rules: LevelRules) -> list[list[Row]]:
+    """Rows of the parts, more of no weight up to so many: in σ of the first part, in metres, and upwards."""
+    standard, metres, upwards = list[Row](), list[Row](), list[Row]()
+    ee, en, nn = first
+    rest = nn - en * en / ee if ee > 0.0 else math.nan
+    # The inverse of the lower Cholesky factor [[p, 0], [q, r]]: no numbers where the first part has no ellipse.
+    p, r = (1.0 / math.sqrt(ee), 1.0 / math.sqrt(rest)) if rest > 0.0 else (math.nan, math.nan)
+    q = -en / ee * r
+    for part in mixture.parts:
+        (east, north, up), (ee, en, nn) = part.mean_m, _with_margin(part.horizontal_m2, rules)
+        mixed = q * ee + r * en
+        white = p * p * ee, p * mixed, q * mixed + r * (q * en + r * nn)
+        standard.append((part.weight, *_axes(p * east, q * east + r * north, white)))
+        metres.append((part.weight, *_axes(east, north, (ee, en, nn))))
+        # Heights are on a line: a horizontal error to the east alone.
+        upwards.append((part.weight, up, 0.0, part.up_m2, 0.0))
+    nothing = [(0.0, 0.0, 0.0, 1.0, 1.0)] * (parts - len(mixture.parts))
+    return [standard + nothing, metres + nothing, upwards + nothing]
+
+
+def _axes(east: float, north: float, covariance: Horizontal) -> tuple[float, float, float, float]:
+    """A mean along and across the major axis, and the larger and the smaller variance."""
+    ee, en, nn = covariance
+    middle, spread = 0.5 * (ee + nn), math.hypot(0.5 * (ee - nn), en)
+    tilt = 0.5 * math.atan2(2.0 * en, ee - nn)
+    c, s = math.cos(tilt), math.sin(tilt)
+    return c * east + s * north, c * north - s * east, middle + spread, middle - spread
+
+
+def _bounds(first: Horizontal, levels: Sequence[float]) -> Bounds:
+    scale_99, scale_999, horizontal_m, vertical_m = levels
+    ee, en, nn = first
+    major, minor = (math.sqrt(value) for value in eigenvalues_m2(first))
     return Bounds(
         scale_99 * major,
         scale_99 * minor,

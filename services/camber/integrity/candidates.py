@@ -20,7 +20,7 @@ from camber.integrity.judgement import Judgement
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation
 from camber.integrity.true_sigma import TrueSigma, with_true_sigma
-from camber.integrity.wrong_fix import WrongFixRules, log_odds
+from camber.integrity.wrong_fix import WrongFixRules, log_odds_of
 from camber.schemas.base import Covariance3
 from camber.schemas.pose import Pose
 
@@ -229,23 +229,23 @@ def _if_wrong(
     if found is None or pose is None or pose.covariance_east_north_yaw is None:
         unknown = Part(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
         return judgement.trials * math.exp(rules.prior_log_odds), unknown
-    difference, s = found.difference_m.copy(), found.covariance_m2.copy()
+    east_m, north_m, up_m = found.difference_m.tolist()
+    (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = found.covariance_m2.tolist()
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     if is_provisional(pose) or (before.time_ns is None and rests_on_fixes(pose)):
         # Such a pose is where the fixes are: it says nothing against them.
-        s[0, 0], s[1, 1] = s[0, 0] + horizontal_m2, s[1, 1] + horizontal_m2
+        s_ee, s_nn = s_ee + horizontal_m2, s_nn + horizontal_m2
         ee, nn = ee + horizontal_m2, nn + horizontal_m2
-    model_m2 = float(s[2, 2]) - covariance[5]
-    if not (math.isfinite(difference[2]) and math.isfinite(model_m2)):
-        difference[2], model_m2 = 0.0, vertical_m2
-        s[2, :], s[:, 2] = 0.0, 0.0
-        s[2, 2] = UNKNOWN_HEIGHT_M2
-    odds = math.exp(
-        min(float(log_odds(difference[None], s[None], rules, judgement.trials)[0]), _MOST_LOG_ODDS)
+    model_m2 = s_uu - covariance[5]
+    if not (math.isfinite(up_m) and math.isfinite(model_m2)):
+        up_m, model_m2 = 0.0, vertical_m2
+        s_eu, s_nu, s_uu = 0.0, 0.0, UNKNOWN_HEIGHT_M2
+    against = log_odds_of(
+        (east_m, north_m, up_m), (s_ee, s_en, s_eu, s_nn, s_nu, s_uu), rules, judgement.trials
     )
-    east_m, north_m, up_m = (float(metre) for metre in difference)
     # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
-    return odds, Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
+    wrong = Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
+    return math.exp(min(against, _MOST_LOG_ODDS)), wrong
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:

@@ -43,6 +43,18 @@ def root(value: Either) -> Either:
     return np.sqrt(value) if isinstance(value, np.ndarray) else math.sqrt(value)
 
 
+def log(value: Either) -> Either:
+    """Natural logarithm of what is above nought."""
+    return np.log(value) if isinstance(value, np.ndarray) else math.log(value)
+
+
+def log_of_sum(one: Either, other: Either) -> Either:
+    """ln (eᵃ + eᵇ)."""
+    larger, smaller = where(one > other, one, other), where(one > other, other, one)
+    share = np.exp(smaller - larger) if isinstance(larger, np.ndarray) else math.exp(smaller - larger)
+    return larger + log(1.0 + share)
+
+
 def larger_eigenvalue(ee: Either, en: Either, nn: Either) -> Either:
     """Of [[ee, en], [en, nn]]."""
     half = 0.5 * (ee - nn)

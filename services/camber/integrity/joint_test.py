@@ -86,10 +86,25 @@ def upper(matrices: Floats) -> Upper:
 
 
 def distances(difference_m: tuple[Either, Either, Either], covariance_m2: Upper) -> Distances:
-    """How far differences east, north and up are from nothing, by their covariances; each part a float or (n,).
+    """How far differences east, north and up are from nothing, by their covariances; each part a float or (n,)."""
+    horizontal, joint, _ = terms(difference_m, covariance_m2)
+    up, upright = difference_m[2], positive(covariance_m2[5])
+    return Distances(
+        height=known(up * up / upright),
+        position=known(horizontal),
+        joint=known(joint),
+        height_sigma_m=root(known(upright)),
+    )
+
+
+def terms(
+    difference_m: tuple[Either, Either, Either], covariance_m2: Upper
+) -> tuple[Either, Either, tuple[Either, Either, Either]]:
+    """dᵀ S⁻¹ d of the horizontal position alone and of all, and the three pivots of S, whose product is det S.
 
     Golub and Van Loan, Matrix Computations, 4.1.2: S = L D Lᵀ with the horizontal axes first, so that the first two
-    terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is nought or less.
+    terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is nought or less: not
+    numbers where it is none.
     """
     (east, north, up), (ee, en, eu, nn, nu, uu) = difference_m, covariance_m2
     pivot_east, upright = positive(ee), positive(uu)
@@ -100,12 +115,7 @@ def distances(difference_m: tuple[Either, Either, Either], covariance_m2: Upper)
     off_north = north - l_north * east
     off_up = up - l_up * east - coupled / pivot_north * off_north
     horizontal = east * east / pivot_east + off_north * off_north / pivot_north
-    return Distances(
-        height=known(up * up / upright),
-        position=known(horizontal),
-        joint=known(horizontal + off_up * off_up / pivot_up),
-        height_sigma_m=root(known(upright)),
-    )
+    return horizontal, horizontal + off_up * off_up / pivot_up, (pivot_east, pivot_north, pivot_up)
 
 
 def words(squared: Either, hold_back_limit: float, false_alarm_limit: float) -> Either:

@@ -65,21 +65,28 @@ class Tails:
             sound &= np.isfinite(column)
         return np.asarray(sound.all(axis=1))
 
-    def _nodes(self) -> tuple[Floats, Floats, Floats]:
-        """At the nodes −1 / (2 s) and m·n (n, 1, k, nodes), and |m|² (n, 1, k)."""
+    def _nodes(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """At the nodes −1 / (2 s), m·n and its square (n, 1, k, nodes), and |m|² (n, 1, k)."""
         x = np.sqrt(self.larger_m2)[..., None] * _COS
         y = np.sqrt(np.maximum(self.smaller_m2, 0.0))[..., None] * _SIN
         square = np.maximum(x * x + y * y, _SMALLEST_M2)
         outwards = (self.along_m[..., None] * x + self.across_m[..., None] * y) / np.sqrt(square)
         length2 = self.along_m**2 + self.across_m**2
-        return (-0.5 / square)[:, None], outwards[:, None], length2[:, None]
+        return (-0.5 / square)[:, None], outwards[:, None], (outwards * outwards)[:, None], length2[:, None]
 
-    def _beyond(self, level_m: Floats, nodes: tuple[Floats, Floats, Floats]) -> Floats:
+    def _beyond(self, level_m: Floats, nodes: tuple[Floats, Floats, Floats, Floats]) -> Floats:
         """P(|error| > L) (n, g), or never less, for g levels each (n, g)."""
-        rate, outwards, length2 = nodes
+        rate, outwards, outwards2, length2 = nodes
         room = (level_m * level_m)[:, :, None] - length2
-        leaves = np.sqrt(np.maximum(room, 0.0)[..., None] + outwards * outwards) - outwards
-        tail = np.where(room >= 0.0, np.exp(leaves * leaves * rate) @ _MEAN, 1.0)
+        # In place: an array of its own for each step takes longer than the step.
+        each = np.maximum(room, 0.0)[..., None] + outwards2
+        np.sqrt(each, out=each)
+        each -= outwards
+        each *= each
+        each *= rate
+        np.exp(each, out=each)
+        mean = (each.reshape(-1, _NODES) @ _MEAN).reshape(room.shape)
+        tail = np.where(room >= 0.0, mean, 1.0)
         return np.asarray((tail @ self.weight[:, :, None])[..., 0])
 
     def levels_m(self, risk: Floats) -> Floats:
@@ -90,52 +97,28 @@ class Tails:
         share = np.log(np.maximum(parts, 1.0))
         reach = np.hypot(self.along_m, self.across_m) + np.sqrt(2.0 * share * self.larger_m2)
         low, high = np.zeros(len(risk)), np.where(parts > 1.0, reach, 0.0).max(axis=1)
-        rows = np.arange(len(risk))
+        row = np.arange(len(risk)) * _GRID.size
         for _ in range(_GRIDS):
             grid = low[:, None] + (high - low)[:, None] * _GRID
             beyond = self._beyond(grid, nodes)
             enough = beyond <= risk[:, None]
             enough[:, -1] = True  # by construction: rounding must not deny it
-            first = enough.argmax(axis=1)
-            before = np.maximum(first - 1, 0)
-            low, high = grid[rows, before], grid[rows, first]
+            first = row + enough.argmax(axis=1)
+            before = np.maximum(first - 1, row)
+            low, high = grid.take(before), grid.take(first)
         # Secants of ln P, aimed a ten-thousandth below: the first through both ends of the cell, the second through the
         # lower end and where the first one led. Where ln P is bent downwards the first falls short and the second goes
         # beyond; where upwards both go beyond. Where it jumps neither need lead anywhere: only what was seen to keep to
         # the risk is taken.
-        aim, p_low, at, p_at = np.log(risk) - 1e-4, beyond[rows, before], high, beyond[rows, first]
+        log_low, at, p_at = np.log(beyond.take(before)), high, beyond.take(first)
+        above = log_low - (np.log(risk) - 1e-4)
         for _ in range(2):
-            fall = np.log(p_low) - np.log(np.maximum(p_at, 1e-300))
-            share = (np.log(p_low) - aim) / np.maximum(fall, 1e-12)
-            at = np.clip(low + (at - low) * np.clip(share, 0.0, _GRID.size), low, high)
+            fall = log_low - np.log(np.maximum(p_at, 1e-300))
+            share = np.minimum(np.maximum(above / np.maximum(fall, 1e-12), 0.0), _GRID.size)
+            at = np.minimum(np.maximum(low + (at - low) * share, low), high)
             p_at = self._beyond(at[:, None], nodes)[:, 0]
             high = np.where(p_at <= risk, at, high)
         return np.asarray(high)
-
-
-def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> Tails:
-    """Of horizontal errors: means (n, k, 2), covariances (n, k, 2, 2) east and north."""
-    ee, en, nn = covariance_m2[..., 0, 0], covariance_m2[..., 0, 1], covariance_m2[..., 1, 1]
-    with np.errstate(invalid="ignore"):  # of infinite ones: seen by `known`
-        middle, spread = 0.5 * (ee + nn), np.hypot(0.5 * (ee - nn), en)
-        tilt = 0.5 * np.arctan2(2.0 * en, ee - nn)
-        c, s = np.cos(tilt), np.sin(tilt)
-        along, across = c * mean_m[..., 0] + s * mean_m[..., 1], c * mean_m[..., 1] - s * mean_m[..., 0]
-        return Tails(weight, along, across, middle + spread, middle - spread)
-
-
-def whitened(mean_m: Floats, covariance_m2: Floats) -> tuple[Floats, Floats]:
-    """Means and covariances in standard deviations of the first part; not numbers where that has no ellipse."""
-    # By the inverse of the lower Cholesky factor [[p, 0], [q, r]] of the first part.
-    ee, en, nn = covariance_m2[:, 0, 0, 0], covariance_m2[:, 0, 0, 1], covariance_m2[:, 0, 1, 1]
-    good = (ee > 0.0) & (ee * nn > en * en)
-    p = np.sqrt(np.where(good, ee, 1.0))
-    q = np.where(good, en, np.nan) / p
-    r = np.sqrt(np.where(good, nn - q * q, 1.0))
-    whitening = np.zeros((len(p), 1, 2, 2))
-    whitening[:, 0, 0, 0], whitening[:, 0, 1, 0], whitening[:, 0, 1, 1] = 1.0 / p, -q / (p * r), 1.0 / r
-    mean: Floats = (whitening @ mean_m[..., None])[..., 0]
-    return mean, whitening @ covariance_m2 @ whitening.swapaxes(-1, -2)
 
 
 def levels_m(tails: Tails, risk: Floats) -> Floats:

@@ -19,7 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.joint_test import chi2_survival
+from camber.integrity.either_number import Either, known, log, log_of_sum, where
+from camber.integrity.joint_test import Upper, chi2_survival, terms, upper
 
 Floats = NDArray[np.float64]
 
@@ -66,24 +67,27 @@ def log_odds(
     +∞ where anything is not finite, or S is no covariance. Grows with the difference along any direction, with the
     trials and with the prior.
     """
-    known, d, s = _usable(difference_m, covariance_m2)
-    log_share, variance_m2 = _if_wrong(rules)
-    n = len(d)
-    # The right fix's and those of both ways of being wrong, one below the other.
-    right, *wrong = _log_density(
-        np.concatenate((d, d, d)), (s + variance_m2[:, None]).reshape(3 * n, 3, 3)
-    ).reshape(3, n)
-    ratio = np.logaddexp(log_share[0] + wrong[0], log_share[1] + wrong[1]) - right
-    odds = rules.prior_log_odds + np.log(np.maximum(trials, 1)) + ratio
-    return np.where(known, odds, np.inf)
+    with np.errstate(all="ignore"):  # what is not finite is told
+        return np.asarray(log_odds_of(tuple(difference_m.T), upper(covariance_m2), rules, trials))
+
+
+def log_odds_of(
+    difference_m: tuple[Either, Either, Either], covariance_m2: Upper, rules: WrongFixRules, trials: Either
+) -> Either:
+    """The same of differences east, north, up; each part a float or (n,)."""
+    ee, en, eu, nn, nu, uu = covariance_m2
+    near, far = (
+        log_share + _log_density(difference_m, (ee + east_m2, en, eu, nn + north_m2, nu, uu + up_m2))
+        for log_share, (east_m2, north_m2, up_m2) in _if_wrong(rules)
+    )
+    ratio = log_of_sum(near, far) - _log_density(difference_m, covariance_m2)
+    return known(rules.prior_log_odds + log(where(trials > 1, trials, 1)) + ratio)
 
 
 @lru_cache(maxsize=64)
-def _if_wrong(rules: WrongFixRules) -> tuple[tuple[float, float], Floats]:
-    """ln of the shares of the two parts, and what right and wrong add to S (3, 3, 3): nothing, near, far."""
-    near, far = rules.parts
-    added = np.stack([np.zeros((3, 3)), np.diag(near[1]), np.diag(far[1])])
-    return (math.log(max(near[0], 1e-300)), math.log(max(far[0], 1e-300))), added
+def _if_wrong(rules: WrongFixRules) -> tuple[tuple[float, tuple[float, float, float]], ...]:
+    """ln of the shares of the two parts, and what they add to S."""
+    return tuple((math.log(max(share, 1e-300)), variance_m2) for share, variance_m2 in rules.parts)
 
 
 def probability(log_odds: Floats) -> Floats:
@@ -129,7 +133,7 @@ def _usable(difference_m: Floats, covariance_m2: Floats) -> tuple[NDArray[np.boo
     return known, np.where(known[:, None], difference_m, 0.0), np.where(known[:, None, None], safe, np.eye(3))
 
 
-def _log_density(d: Floats, s: Floats) -> Floats:
-    """ln N(d; 0, S) (n,) but for the constant that all of three dimensions share."""
-    squared = np.einsum("ni,ni->n", d, np.linalg.solve(s, d[:, :, None])[:, :, 0])
-    return np.asarray(-0.5 * squared - 0.5 * np.linalg.slogdet(s)[1])
+def _log_density(d: tuple[Either, Either, Either], s: Upper) -> Either:
+    """ln N(d; 0, S) but for the constant that all of three dimensions share; not a number where S is no covariance."""
+    _, squared, (east, north, up) = terms(d, s)
+    return -0.5 * (squared + log(east) + log(north) + log(up))

@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.integrity.either_number import known, larger_eigenvalue, negated, positive, root, where
+from camber.integrity.either_number import (
+    known,
+    larger_eigenvalue,
+    log,
+    log_of_sum,
+    negated,
+    positive,
+    root,
+    where,
+)
 
 VALUES = [-math.inf, -1.0, -0.0, 0.0, 5e-324, 0.1, 1.0, 1e308, math.inf, math.nan]
 
@@ -44,3 +53,15 @@ def test_the_larger_eigenvalue_is_that_of_another_implementation(m: tuple[float,
     expected = np.linalg.eigvalsh([[m[0], m[1]], [m[1], m[2]]])[1]
     assert larger_eigenvalue(*m) == pytest.approx(expected, abs=1e-9)
     assert same(larger_eigenvalue(*m), larger_eigenvalue(*(np.array([x]) for x in m))[0])
+
+
+@given(st.floats(-800.0, 800.0), st.floats(-800.0, 800.0))
+def test_the_logarithm_of_a_sum_is_that_of_another_implementation(one: float, other: float) -> None:
+    expected = pytest.approx(np.logaddexp(one, other), abs=1e-12)
+    assert log_of_sum(one, other) == expected
+    assert log_of_sum(np.array([one]), np.array([other]))[0] == expected
+
+
+def test_logarithms_are_natural_ones() -> None:
+    assert log(math.e) == pytest.approx(1.0)
+    assert log(np.array([math.e])) == pytest.approx([1.0])

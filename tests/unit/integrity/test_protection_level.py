@@ -8,7 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import integrate, special, stats
 
-from camber.integrity.protection_level import Tails, horizontal, levels_m, whitened
+from camber.integrity.protection_level import Tails, levels_m
+from support.tails import horizontal, whitened
 
 exactly = settings(derandomize=True, deadline=None)
 sigma = st.floats(0.01, 5.0)
