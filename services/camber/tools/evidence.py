@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from camber.tools.evidence_drives import run_drive
+from camber.tools.evidence_drives import WITHOUT, run_drive
 from camber.tools.evidence_faults import run_faults
 from camber.tools.evidence_nagoya import REQUIRED, run_seed
 from camber.tools.evidence_page import page
@@ -48,11 +48,19 @@ class Job:
 
 def main(argv: Sequence[str]) -> int:
     """Run what is asked for and write the page; 0 done, 1 a drive could not be run, 130 interrupted."""
-    args = _parser().parse_args(argv)
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if args.page_only and args.page is None:
+        parser.error("--page-only needs --page")
     notes: list[str] = []
     try:
-        jobs = [job for part in args.only or PARTS for job in _jobs(part, args, notes)]
-        failed = _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
+        parts = () if args.page_only else args.only or PARTS
+        jobs = [job for part in parts for job in _jobs(part, args, notes)]
+        failed = (
+            []
+            if args.page_only
+            else _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
+        )
         notes += failed
         if args.page is not None:
             args.page.write_text(_page(args.out, args.lab, notes), "utf-8")
@@ -93,6 +101,10 @@ def _jobs(part: str, args: argparse.Namespace, notes: list[str]) -> Iterator[Job
             for seed in args.drive_seeds:
                 arguments = {"scenario": scenario, "seed": seed, "overrides": overrides}
                 yield Job(part, f"{scenario}-seed-{seed}", run_drive, arguments)
+        scenario, *overrides = canyon
+        seed = args.drive_seeds[0]
+        arguments = {"scenario": scenario, "seed": seed, "overrides": overrides, "re_estimation": WITHOUT}
+        yield Job(part, f"{scenario}-seed-{seed}-without-re-estimation", run_drive, arguments)
     else:
         seed = args.drive_seeds[0]
         arguments = {"seed": seed, "overrides": (_NO_STREAMS,), "lidar": not args.no_lidar}
@@ -199,6 +211,7 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("out/evidence"), metavar="DIR", help="where figures go"
     )
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there, docs/evidence.md")
+    parser.add_argument("--page-only", action="store_true", help="drive nothing: the page of what is there")
     parser.add_argument("--no-lidar", action="store_true", help="faults without a LiDAR, in minutes")
     parser.add_argument("--keep", action="store_true", help="run only what has no figures yet")
     parser.add_argument("--processes", type=int, default=2, help="drives at a time")

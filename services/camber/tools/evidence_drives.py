@@ -24,6 +24,9 @@ from camber.tools.truth import truth_of
 
 MODES = ("rtk", "doppler", "sensors", "scan_match")
 LIMITS_M = (1.0, 1.5, 2.0)
+RE_ESTIMATION, WITHOUT = "agreement", "off"
+MORE_CONFIRMED = 1.15
+"""What re-estimation has to make of the right fixes that are confirmed without it."""
 BLOCK_S = 20.0
 """Longer than a cause of errors lasts: a stretch without fixes, a wrong fix, a place on the map."""
 
@@ -47,13 +50,19 @@ REQUIRED_BELOW = (0.99, 0.999, 1.0)
 
 
 def run_drive(
-    scenario: str, folder: Path, *, seed: int, overrides: Sequence[str] = (), positions: str = "engine"
+    scenario: str,
+    folder: Path,
+    *,
+    seed: int,
+    overrides: Sequence[str] = (),
+    positions: str = "engine",
+    re_estimation: str = RE_ESTIMATION,
 ) -> dict[str, Any]:
     """Simulate a drive, send it through one process, sum up in blocks of `BLOCK_S`."""
     made = load_scenario(scenario, [*overrides, f"seed={seed}"])
     drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
     inputs = prepare_drive(drive, folder / "work")
-    driven = drive_through(inputs, folder)
+    driven = drive_through(inputs, folder, settings={"integrity": {"re_estimation": re_estimation}})
     assert inputs.truth is not None  # a simulated drive has one
     evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(inputs.truth))
     summary = evaluation.summary
@@ -62,10 +71,12 @@ def run_drive(
         "seed": seed,
         "overrides": list(overrides),
         "positions": positions,
+        "re_estimation": re_estimation,
         "duration_s": summary["duration_s"],
         "epochs": summary["epochs"],
         "fixed": summary["tentative"]["fixed"],
         "wrong": summary["tentative"]["wrong"],
+        "confirmed": summary["confirmed"]["count"],
         "confirmed_wrong": summary["confirmed"]["wrong"],
         "right": summary["right"]["count"],
         "right_kept": summary["right"]["kept"],

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from camber.tools.block_bootstrap import share_interval, share_of
-from camber.tools.evidence_drives import BLOCK_S, LIMITS_M, MODES, REQUIRED_BELOW, R, stacked
+from camber.tools.evidence_drives import (
+    BLOCK_S,
+    LIMITS_M,
+    MODES,
+    MORE_CONFIRMED,
+    REQUIRED_BELOW,
+    WITHOUT,
+    R,
+    stacked,
+)
 from camber.tools.evidence_faults import AFTER_S
 from camber.tools.evidence_nagoya import CONTROLS, REQUIRED, Required, total
 
@@ -171,8 +180,10 @@ def drives_part(results: Results) -> str:
     if not results:
         return NOT_RUN
     text = []
-    for scenario in dict.fromkeys(_name(r) for r in results):
-        chosen = [r for r in results if _name(r) == scenario]
+    without = [r for r in results if r.get("re_estimation") == WITHOUT]
+    usual = [r for r in results if r not in without]
+    for scenario in dict.fromkeys(_name(r) for r in usual):
+        chosen = [r for r in usual if _name(r) == scenario]
         text += [
             f"### {scenario}\n",
             _drives_heading(chosen),
@@ -180,7 +191,36 @@ def drives_part(results: Results) -> str:
             _coverage(chosen),
             _levels(chosen),
         ]
-    return "\n".join(text)
+    return "\n".join([*text, "### Re-estimation\n", _re_estimation(usual, without)])
+
+
+def _re_estimation(usual: Results, without: Results) -> str:
+    """The same drives with and without: right fixes that are confirmed, and wrong ones."""
+    rows = []
+    for one in without:
+        same = [r for r in usual if (_name(r), r["seed"]) == (_name(one), one["seed"])]
+        for other in same:
+            right, before = (r["confirmed"] - (r["confirmed_wrong"] or 0) for r in (other, one))
+            wrong, wrong_before = other["confirmed_wrong"] or 0, one["confirmed_wrong"] or 0
+            met = right >= MORE_CONFIRMED * before > 0 and wrong <= wrong_before
+            more = percent(right / before - 1.0, 1) if before else "none"
+            rows.append(
+                (
+                    _name(one),
+                    one["seed"],
+                    before,
+                    right,
+                    more,
+                    wrong_before,
+                    wrong,
+                    "yes" if met else "**no**",
+                )
+            )
+    if not rows:
+        return NOT_RUN
+    head = ("drive", "seed", "confirmed without it", "with it", "more", "wrong without it", "with it", "met")
+    asked = f"{percent(MORE_CONFIRMED - 1.0, 0)} more confirmed within 0.5 m, and no more wrong ones"
+    return f"Asked for: {asked}.\n\n" + table(head, rows)
 
 
 def _name(result: dict[str, Any]) -> str:

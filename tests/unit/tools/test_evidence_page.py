@@ -86,6 +86,21 @@ def drive(seed: int) -> dict[str, Any]:
     }
 
 
+def test_a_drive_without_re_estimation_stands_beside_the_same_one_with_it_and_in_no_other_table() -> None:
+    with_it = drive(51) | {"re_estimation": "agreement", "confirmed": 116}
+    without = drive(51) | {"re_estimation": "off", "confirmed": 100, "epochs": 10_000}
+    text = page([], [with_it, without], [], None, [])
+    assert "| canyon | 51 | 100 | 116 | 16.0 % | 0 | 0 | yes |" in text
+    assert "10000" not in text
+    for worse in ({"confirmed": 114}, {"confirmed": 117, "confirmed_wrong": 1}):
+        assert "| **no** |" in page([], [with_it | worse, without], [], None, [])
+
+
+def test_without_the_drive_that_has_no_re_estimation_that_part_was_not_run() -> None:
+    text = page([], [drive(51)], [], None, [])
+    assert f"### Re-estimation\n\n{NOT_RUN}" in text
+
+
 def faults() -> dict[str, Any]:
     row = {"begin_s": 30.0, "end_s": 50.0, "fixed": 90, "wrong": 88, "wrong_confirmed": 0}
     row |= {"wrong_confirmed_after": 0, "said": {}, "correction_before_m": 0.0}

@@ -149,6 +149,25 @@ def test_a_drive_that_cannot_be_run_is_a_line_on_the_page_and_an_exit_code(tmp_p
     assert "could not be run" in written.read_text("utf-8")
 
 
+def test_the_page_alone_is_made_of_the_figures_that_are_there_and_drives_nothing(
+    tmp_path, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(evidence, "run_faults", None)
+    (tmp_path / "faults").mkdir()
+    (tmp_path / "faults" / "one.json").write_text(
+        '{"scenario": "faults", "overrides": [], "seed": 4, "sweeps": 0, "wrong": 8, "confirmed_wrong": 0,'
+        ' "right_kept": 0.5, "positions": "receiver", "faults": []}',
+        "utf-8",
+    )
+    written = tmp_path / "evidence.md"
+    arguments = ["--page-only", "--out", str(tmp_path), "--lab", str(tmp_path / "none.json")]
+    assert evidence.main([*arguments, "--page", str(written), "--quiet"]) == 0
+    assert "Wrong fixes 8, confirmed 0" in written.read_text("utf-8")
+    with pytest.raises(SystemExit):
+        evidence.main(arguments)
+    assert "--page-only needs --page" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("part", evidence.PARTS)
 def test_help_names_the_parts(part: str, capsys) -> None:
     with pytest.raises(SystemExit):
