@@ -7,8 +7,10 @@ process along the distance travelled, of the link's own sigma and a length of `d
 of a neighbourhood may lie off to one side, as those do that were drawn from one picture: a shift east and north by a
 share of their sigma, which no amount of driving along them shows. As a perfect
 measurement of the state `(X, r)` row 1 may then be applied as often as one likes: what is old in it brings no
-gain. The document's "r stays what it was when the satellites were lost" is the case of a zero distance; every
-anchor measures r anew through the correlations. At a standstill there is nothing to gain and nothing is coupled.
+gain. Its length is that after which a link has another error, which is set by its vertices: with one taken too long
+a bend seems to lie off as the road before it does, and shows the way along better than it can. The document's "r stays
+what it was when the satellites were lost" is the case of a zero distance; every anchor measures r anew through the
+correlations. At a standstill there is nothing to gain and nothing is coupled.
 """
 
 from __future__ import annotations

@@ -72,8 +72,8 @@ class PoseModel:
     lane_sigma_m: float = 4.0
     lane_wander_m_sqrt_m: float = 0.1
     lane_turn_sigma_m: float = 2.0
-    deviation_length_m: float = 70.0
-    link_shift_share: float = 0.3  # of a link's sigma
+    deviation_length_m: float = 40.0  # a link runs straight between vertices some 50 m apart
+    link_shift_share: float = 0.5  # of a link's sigma: a quarter of its variance is the neighbourhood's
     link_shift_length_m: float = 2000.0
     memory_cell_m: float = 25.0
     memory_cells: int = 100
