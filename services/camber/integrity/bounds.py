@@ -51,6 +51,9 @@ class LevelRules:
     its covariance tells nor any test has shown. `horizontal_margin` scales horizontal σ: with 1.03 the ellipses of a
     normal error hold 99.25 and 99.93 %, so that 3 % of error in a σ do not break the promise. A lower mode is taken
     where its level is less than `clearly_smaller` of that of the mode above.
+
+    `false_match_prior`: how likely scan matching confirms a pose that a wrong fix has pulled metres off; at places
+    `matches_apart_m` apart it would have to do so anew.
     """
 
     levels: Literal["integrity_risk", "reliability_index"] = "integrity_risk"
@@ -63,6 +66,8 @@ class LevelRules:
     wrong_fix: WrongFixRules = field(default_factory=WrongFixRules)
     doppler: DopplerRules = field(default_factory=DopplerRules)
     index: IndexRules = field(default_factory=IndexRules)
+    false_match_prior: float = 1e-3
+    matches_apart_m: float = 20.0
 
 
 @dataclass(frozen=True, slots=True)

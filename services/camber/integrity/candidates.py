@@ -3,7 +3,8 @@
 If a confirmed fix is wrong, the truth is where road and pose say: its error is then N(d, covariance of the pose), d
 being the difference of fix and model. Confirmed fixes anchor the pose: one that was wrong and has passed has pulled it
 along, and agrees with it afterwards. `Suspicion` remembers how likely that is and how far off it may be; it fades as
-episodes of wrong fixes end, which a pose that has been pulled along would show.
+episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching bears the pose
+out place after place (`MatchedPlaces`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.geodesy.offsets import east_north_between
 from camber.integrity.bounds import LevelRules, Mixture, Part
 from camber.integrity.doppler_position import Displacement
 from camber.integrity.judgement import Judgement
@@ -29,6 +31,7 @@ Place = tuple[float, float, float | None]
 
 UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
 _MOST_LOG_ODDS = 30.0
+_SHARP = 4.0  # σ of a match that lie within the offset suspected
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +75,46 @@ class Suspicion:
             self.up_m2 + share * (up_m2 - self.up_m2),
         )
 
+    def borne_out(self, before: Suspicion, rules: LevelRules) -> Suspicion:
+        """After a scan match has found the pose where it is: what is left of `before` would take a wrong match too."""
+        assert self.time_ns is not None
+        left = before.lasting(self.time_ns, rules.wrong_fix) * before.odds
+        return replace(self, odds=self.odds - (1.0 - rules.false_match_prior) * left)
+
     def part(self, weight: float) -> Part:
         """What was pulled along."""
         return Part(weight, (0.0, 0.0, 0.0), (self.horizontal_m2, 0.0, self.horizontal_m2), self.up_m2)
+
+
+class MatchedPlaces:
+    """Places at which scan matching bears the pose out, so far apart that what deceives it at one is gone at the next.
+
+    A witness is a match that is newer than what is suspected, and sharp beside the offset that is suspected.
+    """
+
+    def __init__(self, rules: LevelRules) -> None:
+        self._rules = rules
+        self._last: tuple[float, float] | None = None
+        self._before: Suspicion | None = None
+
+    def hear(self, pose: Pose, suspicion: Suspicion) -> Suspicion:
+        """The suspicion after a pose."""
+        if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
+            return suspicion
+        here = pose.latitude_rad, pose.longitude_rad
+        if self._last is None:
+            self._last = here
+        if self._before is None:
+            far = math.hypot(*east_north_between(*self._last, *here)) >= self._rules.matches_apart_m
+            if far and suspicion.time_ns is not None:
+                self._before = suspicion
+            return suspicion
+        assert self._before.time_ns is not None
+        newer = pose.match_time_ns is not None and pose.match_time_ns > self._before.time_ns
+        if not newer or not _SHARP**2 * _larger_m2(pose) <= suspicion.horizontal_m2:
+            return suspicion
+        before, self._last, self._before = self._before, here, None
+        return suspicion.borne_out(before, self._rules)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +236,14 @@ def is_provisional(pose: Pose) -> bool:
 def rests_on_fixes(pose: Pose) -> bool:
     """Have confirmed positions entered it?"""
     return pose.provenance == "confirmed" or pose.mode == "anchored" or pose.anchor_time_ns is not None
+
+
+def _larger_m2(pose: Pose) -> float:
+    """The larger eigenvalue of the position's covariance; not a number without one."""
+    if pose.covariance_east_north_yaw is None:
+        return math.nan
+    ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
+    return 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
 
 
 def height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:

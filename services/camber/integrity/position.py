@@ -13,6 +13,7 @@ from camber.geodesy.offsets import east_north_between
 from camber.integrity.bounds import Bounds, LevelRules, bounds_of, is_beyond
 from camber.integrity.candidates import (
     Candidate,
+    MatchedPlaces,
     Suspicion,
     confirmed_fix,
     of_doppler,
@@ -43,6 +44,7 @@ class Positions:
         self._doppler = DopplerPosition(levels.doppler)
         self._base: Candidate | None = None
         self._suspicion = Suspicion.before_any(levels.wrong_fix)
+        self._matched = MatchedPlaces(levels)
         self._index = ReliabilityIndex(levels.index)
 
     def hear_velocity(self, velocity: SatelliteVelocity) -> None:
@@ -63,9 +65,11 @@ class Positions:
             self._base = None
         if self._suspicion.time_ns is not None and self._suspicion.time_ns > limit_ns:
             self._suspicion = replace(self._suspicion, time_ns=limit_ns)
+            self._matched = MatchedPlaces(self._levels)
 
     def confirmed(self, judgement: Judgement, correction_m: float, situation: Situation) -> Position:
         """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
+        self._hear_match(situation)
         found = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
         self._suspicion = found.suspicion
         if self._base is None or found.candidate.time_ns > self._base.time_ns:
@@ -76,11 +80,17 @@ class Positions:
 
     def at(self, time_ns: int, situation: Situation, correction_m: float) -> Position:
         """The position of an epoch without a confirmed fix: what there is of it, or why there is none."""
+        self._hear_match(situation)
         pose, missing = self._of_pose(time_ns, situation, correction_m)
         doppler = self._of_doppler(time_ns, pose)
         if doppler is None and pose is None:
             return no_position(time_ns, missing or "pose_stale", self._rules, self._levels)
         return self._best([doppler, pose], situation)
+
+    def _hear_match(self, situation: Situation) -> None:
+        """What scan matching says of what was suspected before this epoch."""
+        if situation.pose is not None:
+            self._suspicion = self._matched.hear(situation.pose, self._suspicion)
 
     def _of_pose(
         self, time_ns: int, situation: Situation, correction_m: float

@@ -80,6 +80,12 @@ class IntegritySettings(ServiceSettings):
     pose_fault_prior: float = Field(
         1e-8, ge=0.0, lt=1.0, description="pose or Doppler off unnoticed beyond its covariance, each epoch"
     )
+    false_match_prior: float = Field(
+        1e-3, ge=0.0, le=1.0, description="scan matching bears out a pose that a wrong fix pulled metres off"
+    )
+    matches_apart_m: float = Field(
+        20.0, gt=0.0, description="so far apart two matches are not wrong for the same reason"
+    )
     horizontal_margin: float = Field(1.03, ge=1.0, description="scales horizontal σ in ellipses and levels")
     time_to_alert_s: float = Field(
         0.3, gt=0.0, description="no position rests on velocities or motion older than this"
@@ -247,6 +253,8 @@ class IntegritySettings(ServiceSettings):
             integrity_risk=self.integrity_risk,
             vertical_alert_limit_m=self.vertical_alert_limit_m,
             pose_fault_prior=self.pose_fault_prior,
+            false_match_prior=self.false_match_prior,
+            matches_apart_m=self.matches_apart_m,
             horizontal_margin=self.horizontal_margin,
             time_to_alert_s=self.time_to_alert_s,
             wrong_fix=WrongFixRules(prior=self.wrong_fix_prior, episode_s=self.wrong_fix_episode_s),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.bounds import LevelRules, bounds_of
-from camber.integrity.candidates import Suspicion, confirmed_fix
+from camber.integrity.candidates import MatchedPlaces, Suspicion, confirmed_fix
 from camber.integrity.judge import Judge
 from camber.integrity.judgement import Judgement
 from camber.integrity.position import Positions
@@ -217,6 +217,79 @@ def test_without_any_odds_the_offset_is_that_of_before():
     nothing = Suspicion(at(0), 0.0, 1.0, 1.0)
     part = nothing.part(0.0)
     assert nothing.after(at(1), 0.0, part, rules).horizontal_m2 == 1.0
+
+
+def matched(k, **changes):
+    """The pose of an epoch, anchored by fixes, that scan matching holds: its match is as old as the epoch."""
+    return pose(k, **{"mode": "scan_match", "match_time_ns": at(k), "anchor_time_ns": at(k), **changes})
+
+
+def heard(poses, start=None, levels=LEVELS):
+    """What is left of a suspicion of even odds after poses."""
+    suspicion, places = start or Suspicion(at(0), 1.0, 1.0, 1.0), MatchedPlaces(levels)
+    for the_pose in poses:
+        suspicion = places.hear(the_pose, suspicion)
+    return suspicion.odds
+
+
+def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_after_place():
+    metres = LEVELS.matches_apart_m / (SPEED_M_S * (at(1) - at(0)) / 1e9)
+    epochs = int(3.9 * metres)
+    assert heard(matched(k) for k in range(epochs)) == pytest.approx(LEVELS.false_match_prior**3)
+    assert heard(pose(k) for k in range(epochs)) == 1.0, "no match"
+    assert heard(matched(k, latitude_rad=None) for k in range(epochs)) == 1.0
+    assert heard(matched(0) for _ in range(epochs)) == 1.0, (
+        "one place says it once: how the suspicion came about"
+    )
+    assert heard(matched(k, mode="dead_reckoning") for k in range(epochs)) == 1.0, "matches and fixes dispute"
+    assert heard(matched(k, sigma_m=0.3) for k in range(epochs)) == 1.0, "it tells no metre from the next"
+    assert heard(matched(k, match_time_ns=at(0)) for k in range(epochs)) == 1.0, (
+        "older than what is suspected"
+    )
+    assert heard(matched(k, match_time_ns=None) for k in range(epochs)) == 1.0
+    assert heard(matched(k, covariance_east_north_yaw=None) for k in range(epochs)) == 1.0
+
+
+def test_of_fixes_that_are_not_known_here_no_match_knows_the_time():
+    before = Suspicion.before_any(WrongFixRules())
+    assert heard((matched(k) for k in range(400)), before) == before.odds
+
+
+def test_what_a_match_refutes_is_what_was_suspected_before_it():
+    places, old, new = (
+        MatchedPlaces(LEVELS),
+        Suspicion(at(0), 1.0, 1.0, 1.0),
+        Suspicion(at(400), 0.5, 1.0, 1.0),
+    )
+    places.hear(matched(0), old)
+    assert places.hear(matched(400), old) == old
+    left = old.lasting(at(400), LEVELS.wrong_fix)
+    grown = replace(new, odds=new.odds + left)
+    found = places.hear(matched(401), grown)
+    assert found.odds == pytest.approx(new.odds + LEVELS.false_match_prior * left)
+
+
+def test_a_drive_that_began_with_fixes_alone_is_usable_once_matches_have_borne_it_out():
+    usable = {}
+    for kind in (pose, matched):
+        positions = fresh()
+        confirmed(positions, provisional())
+        for k in range(1, 450):
+            the_pose = kind(k, sigma_m=0.05)
+            found = positions.confirmed(judged(the_pose, fix(k)), 0.0, situation(the_pose, antenna(k)))
+        usable[kind] = found.usable, level(found)
+    assert usable[matched][0]
+    assert usable[matched][1] < 1.0
+    assert usable[matched][1] < 0.5 * usable[pose][1]
+
+
+def test_a_match_dated_ahead_bears_nothing_out_once_the_clock_is_right():
+    positions = fresh()
+    confirmed(positions, provisional(400), fix(400))
+    positions.forget_future(at(0))
+    for k in (0, 400):
+        found = positions.at(at(k), situation(matched(k), antenna(k)), 0.0)
+    assert found.wrong_fix_probability > 1e-3
 
 
 # --- Doppler -----------------------------------------------------------------------------------------------------
