@@ -1,10 +1,10 @@
 """Hazardously misleading information: a usable position whose error is beyond its level and beyond the alert limit.
 
-Per epoch, in three parts whose shares of all epochs are assumed, by the rules' own priors:
+Per epoch, in four parts whose shares of all epochs are assumed, by the rules' own priors:
 
-- right integers: their error's tail, bounded by Rayleigh's, whatever the judge says of it;
-- wrong integers and a pose that is right: the pose's own error would have to reach from the truth to within the
-  judge's limit of the fix; bounded by Rayleigh's tail of that;
+- a pose that is right, beside right or wrong integers: the pose's own error would have to reach from the truth to
+  within the judge's limit of the fix; bounded by Rayleigh's tail of that;
+- right integers and a pose at fault, unseen: their error's tail, bounded by Rayleigh's, whatever the judge says of it;
 - wrong integers and a pose at fault, unseen, that happens to lie where the wrong fix does: half of such poses slide
   along the street by up to 5 m, half lie anywhere within 6 m. By importance sampling (A. Owen, Monte Carlo theory,
   methods and examples (2013), 9): the fault is drawn near the fix.
@@ -46,31 +46,30 @@ def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
     coincidence = WeightedRate()
     for _ in range(_REPEATS if len(wrong.sky) else 0):
         coincidence.add(_coincidence(wrong, rules, rng))
-    tail, beside = _right_tail(right, rules), _beside_right_pose(wrong, rules)
     return {
-        "right": (float(tail.sum()), len(tail)),
-        "wrong": (float(beside.sum()), len(beside)),
+        "right": _mean_of(_beside_right_pose(right, rules)),
+        "right_alone": _mean_of(_right_tail(right, rules)),
+        "wrong": _mean_of(_beside_right_pose(wrong, rules)),
         "coincidence": coincidence,
     }
 
 
 def hazard_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
     """The rate per epoch, its upper bound, and the parts."""
-    coincidence = WeightedRate()
-    for block in blocks:
-        coincidence.add(block["coincidence"])
     prior, fault = LEVELS.wrong_fix.prior, LEVELS.pose_fault_prior
     parts = [
-        _bounded("right integers", 1.0 - prior, [block["right"] for block in blocks]),
-        _bounded("wrong integers, pose right", prior, [block["wrong"] for block in blocks]),
-        {
-            "part": "wrong integers, pose at fault and unseen",
-            "share": prior * fault,
-            "rate": coincidence.rate,
-            "upper_95": coincidence.upper,
-            "effective": coincidence.effective,
-            "draws": coincidence.draws,
-        },
+        _part("right integers, pose right", 1.0 - prior, [block["right"] for block in blocks]),
+        _part(
+            "right integers, pose at fault and unseen",
+            (1.0 - prior) * fault,
+            [block["right_alone"] for block in blocks],
+        ),
+        _part("wrong integers, pose right", prior, [block["wrong"] for block in blocks]),
+        _part(
+            "wrong integers, pose at fault and unseen",
+            prior * fault,
+            [block["coincidence"] for block in blocks],
+        ),
     ]
     return {
         "alert_limit_m": ALERT_LIMIT_M,
@@ -84,11 +83,23 @@ def hazard_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _bounded(name: str, share: float, sums: list[tuple[float, int]]) -> dict[str, Any]:
-    """A part whose rate is an upper bound already."""
-    rate = sum(total for total, _ in sums) / max(sum(n for _, n in sums), 1)
-    draws = sum(n for _, n in sums)
-    return {"part": name, "share": share, "rate": rate, "upper_95": rate, "effective": draws, "draws": draws}
+def _part(name: str, share: float, blocks: list[WeightedRate]) -> dict[str, Any]:
+    total = WeightedRate()
+    for block in blocks:
+        total.add(block)
+    return {
+        "part": name,
+        "share": share,
+        "rate": total.rate,
+        "upper_95": total.upper,
+        "effective": total.effective,
+        "draws": total.draws,
+    }
+
+
+def _mean_of(probability: Floats) -> WeightedRate:
+    """Of the skies that were drawn: a few weak ones make most of it, and others might have been drawn."""
+    return WeightedRate(float(probability.sum()), float((probability**2).sum()), len(probability))
 
 
 def _rayleigh(length_m: Floats, variance_m2: Floats) -> Floats:

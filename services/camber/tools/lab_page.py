@@ -255,10 +255,11 @@ def _levels(figures: dict[str, Any]) -> Iterator[str]:
     ]
     yield table(("part", "share of epochs (assumed)", "hazardous in it", "effective events of draws"), rows)
     yield ""
-    often = hazard["wrong_fix_prior"] * 1e-3 * hazard["parts"][-1]["upper_95"]
+    at_fault = [part for part in hazard["parts"] if "pose at fault" in part["part"]]
+    often = 1e-3 / hazard["pose_fault_prior"] * sum(part["share"] * part["upper_95"] for part in at_fault)
     yield (
         f"Were poses at fault and unseen in one epoch of a thousand, not in {hazard['pose_fault_prior']:g} of them, "
-        f"the last part would be {often:.0e} per epoch."
+        f"the parts with such a pose would be {often:.0e} per epoch."
     )
 
 

@@ -99,6 +99,9 @@ def test_hazard_is_the_sum_of_its_parts_by_their_shares() -> None:
     figures = hazard_figures([hazard_block(SEED, 0, Rules())])
     parts = figures["parts"]
     assert figures["upper_95"] == pytest.approx(sum(part["share"] * part["upper_95"] for part in parts))
-    assert parts[0]["share"] + parts[1]["share"] == pytest.approx(1.0)
-    coincidence = parts[2]
+    assert sum(part["share"] for part in parts) == pytest.approx(1.0)
+    for part in parts:
+        assert part["rate"] < part["upper_95"] < 3.0 * part["rate"]
+        assert 1.0 <= part["effective"] <= part["draws"]
+    coincidence = parts[3]
     assert 0.0 < coincidence["rate"] < coincidence["upper_95"] < 1e-2
