@@ -51,6 +51,16 @@ class Place(Model):
     changed_roads: bool = Field(
         default=False, description="have roads been raised or lowered since the survey?"
     )
+    route: Literal["default", "rounds"] = Field(
+        default="default",
+        description="way through the district; rounds: in a city, for nine minutes and more",
+    )
+
+    @model_validator(mode="after")
+    def _has_the_route(self) -> Self:
+        if self.route == "rounds" and self.kind != "city":
+            raise PydanticCustomError("route", "route is rounds, expected default: only a city has rounds")
+        return self
 
 
 class Lidar(Model):

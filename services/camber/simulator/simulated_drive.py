@@ -207,7 +207,7 @@ def _laid_out(scenario: Scenario, body: VehicleBody) -> tuple[District, Path, Tr
 
     def made(changes: dict[int, float] | None) -> tuple[District, Path, Trajectory]:
         district = district_of(scenario, changes)
-        path = district.path()
+        path = district.path(scenario.place.route)
         trajectory = drive(
             path,
             body,

@@ -159,7 +159,8 @@ def _row(
     verdicts: Sequence[Recorded[Any]],
     start_ns: int,
 ) -> dict[str, Any]:
-    end_ns = min(window.end_ns + round(AFTER_S * _NS), next_ns - 1)
+    # Another may begin while this one acts: a link is driven again, a second fault is at work on it.
+    end_ns = max(window.end_ns, min(window.end_ns + round(AFTER_S * _NS), next_ns - 1))
     heard = during(said, window.begin_ns, end_ns)
     names = {text: found for text, found in heard.items() if text in NAMED_BY.get(window.kind, ())}
     first = min(names, key=lambda text: names[text]["first_s"], default=None)

@@ -10,6 +10,7 @@ import pytest
 
 from camber.simulator.faults import Jamming, WrongBase, of_kind
 from camber.simulator.scenario import ScenarioError, load_scenario, shipped
+from camber.simulator.world.district import make_district
 
 
 def test_the_scenarios_that_the_readme_names_come_with_camber() -> None:
@@ -155,3 +156,13 @@ def test_faults_that_follow_or_undo_one_another_are_taken(vehicle: str) -> None:
     faults = [tyre(1, 5, -0.1), tyre(5, 20, -0.1), tyre(6, 7, 0.1)]
     scenario = load_scenario("open-sky", [f'vehicle="{vehicle}"', f"faults=[{', '.join(faults)}]"])
     assert len(scenario.faults) == 3
+
+
+def test_the_faults_drive_to_their_end_and_rounds_are_the_citys() -> None:
+    faults = load_scenario("faults", [])
+    district = make_district("city", faults.seed, changed_roads={})
+    path = district.path(faults.place.route)
+    # At 10 m/s, the mean of its streets, and with the stops.
+    assert len(path.east_m) * path.step_m / 10.0 + path.stop_s.sum() >= faults.duration_s
+    with pytest.raises(ScenarioError, match="only a city has rounds"):
+        load_scenario("canyon", ['place.route="rounds"'])

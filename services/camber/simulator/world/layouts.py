@@ -49,7 +49,8 @@ def city_layout(seed: int) -> Layout:
     """A grid of streets with a canyon and an avenue, an overpass with a ramp, an open stretch, a tunnel; 1.1 × 0.5 km.
 
     The arterial "A-C", "C-D" goes over the street "R-E" at level 1, the tunnel "T-U" under the street "W-J1" at level
-    −1. The open stretch in the east crosses a hill of 5.5 m. The route "round" ends where it begins.
+    −1. The open stretch in the east crosses a hill of 5.5 m. The route "round" ends where it begins; "rounds" goes
+    three times about the east, 5.2 km under an open sky, without canyon and tunnel.
     """
     b = RoadBuilder()
     for column, east in zip("JKL", (0.0, 200.0, 400.0), strict=True):
@@ -80,6 +81,7 @@ def city_layout(seed: int) -> Layout:
         "ramp": _route(n, "K1-L1 L1-R R-C C-D -L2-D", start_m=100.0),
         "open": _route(n, outside, start_m=5.0),
         "round": _route(n, f"J1-K1 {main} J0-T T-U U-J2 -J1-J2", start_m=90.0),
+        "rounds": _route(n, " ".join(3 * [f"L0-L1 {outside} -L0-A"])),
         "all": _route(n, f"W-J1 J1-K1 {main} J0-T T-U U-J2 J2-K2 K2-L2 -L1-L2 {outside}"),
     }
     return Layout(b.roads(terrain), routes)
