@@ -44,7 +44,8 @@ class CauseRules:
 
     A height counts beyond `least_height_m` and `sigmas` of the mean, a horizontal one beyond `least_horizontal_m` and
     `horizontal_sigmas` of a single stretch: errors of scan matching are alike from stretch to stretch. `coherent` is
-    the share of the stretches that must agree with one another.
+    the share of the stretches that must agree with one another. Roads are built, and surveyed, from crossing to
+    crossing: `antenna_distance_m` is more than one of these.
     """
 
     cell_m: float = 20.0
@@ -61,13 +62,16 @@ class CauseRules:
     least_aside_s: float = 30.0
     least_s: float = 15.0
     antenna_surfaces: int = 4
-    antenna_distance_m: float = 200.0
+    antenna_distance_m: float = 400.0
     again_s: float = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """A cause with its onset, its vector as far as it is known, and for a road its surface."""
+    """A cause with its onset, its vector as far as it is known, and for a road its surface.
+
+    `after_right`: as many stretches before its onset were seen as a cause needs, and did not differ so.
+    """
 
     cause: Cause = "none"
     onset_ns: int | None = None
@@ -75,6 +79,7 @@ class Diagnosis:
     east_north_m: tuple[float, float] | None = None
     surface_id: int | None = None
     text: str = ""
+    after_right: bool = False
 
 
 NOTHING = Diagnosis()
@@ -161,7 +166,9 @@ class Causes:
             if offset is not None:
                 cells = [s.cell for s in seen[first:]]
                 before = seen[first - 1].cell if first else None
-                return _cause_of(cells, before, offset, self.rules)
+                found = _cause_of(cells, before, offset, self.rules)
+                after_right = found is not NOTHING and first >= self.rules.least_cells
+                return replace(found, after_right=after_right)
         return NOTHING
 
     def _follow_roads(self, seen: _Seen) -> None:

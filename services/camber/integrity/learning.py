@@ -126,7 +126,7 @@ class Learning:
         self.causes.hear(residual, self.correction(residual.key).correction_m)
         part = self._parts.get((residual.key.antenna, residual.key.base))
         if self.causes.common.cause != before.cause and part is not None:
-            self._forget(self.causes.common, part)
+            self._forget(before, self.causes.common, part)
         if not self._may_learn(residual):
             return
         if self.rules.mode == "document":
@@ -161,6 +161,8 @@ class Learning:
             return
         last_ns = part.cells[-1][0].end_ns if part.cells else cell.begin_ns
         part.cells.append((cell, part.correction.correction_m))
+        if _may_be_the_road(self.causes.common):
+            return
         found = common_part(
             _differences(part.cells), self.rules.correlation_m, part.prior_m, part.prior_sigma_m
         )
@@ -182,23 +184,38 @@ class Learning:
         part.held_m = None
         return found.value_m if abs(found.value_m) <= rules.cap_m else part.correction.correction_m
 
-    def _forget(self, diagnosis: Diagnosis, part: Part) -> None:
-        """Stretches before an antenna changed say nothing of it; those since a base went wrong were never true."""
+    def _forget(self, earlier: Diagnosis, diagnosis: Diagnosis, part: Part) -> None:
+        """Stretches before an antenna changed say nothing of it; those since a base went wrong were never true.
+
+        What may be the road is not learnt until it is known to be the antenna; where it ends before, it was the road.
+        """
+        if diagnosis.cause == "none" and _may_be_the_road(earlier):
+            self._undo(part, earlier.onset_ns)
+        elif _may_be_the_road(diagnosis):
+            self._undo(part, diagnosis.onset_ns, keep=True)
         if diagnosis.onset_ns is None or diagnosis.cause not in ("antenna", "base"):
             return
         if diagnosis.cause == "antenna" and part.held_m is not None:
             return  # what drifts is not made right by having gone far
         since = [(cell, m) for cell, m in part.cells if cell.end_ns > diagnosis.onset_ns]
-        before = [(cell, m) for cell, m in part.cells if cell.end_ns <= diagnosis.onset_ns]
         part.held_m = None
         if diagnosis.cause == "antenna":
             part.prior_m, part.prior_sigma_m = part.correction.correction_m, self.rules.prior_sigma_m
             part.cells = deque(since, _MOST_CELLS)
             return
-        part.cells = deque(before, _MOST_CELLS)
+        self._undo(part, diagnosis.onset_ns)
+
+    @staticmethod
+    def _undo(part: Part, onset_ns: int | None, *, keep: bool = False) -> None:
+        """Take back what was learnt since then; `keep` the stretches, of which it is not known yet."""
+        assert onset_ns is not None
+        before = [(cell, m) for cell, m in part.cells if cell.end_ns <= onset_ns]
+        since = [m for cell, m in part.cells if cell.end_ns > onset_ns]
         if since:
             known = part.correction
-            part.correction = Correction(since[0][1], known.sigma_m, known.samples)
+            part.correction = Correction(since[0], known.sigma_m, known.samples)
+        if not keep:
+            part.cells = deque(before, _MOST_CELLS)
 
     def _part(self, key: Key) -> Part:
         """The part of this antenna and base, made where there is none, fit for this version of the map."""
@@ -231,6 +248,11 @@ class Learning:
     def _same_antenna(self, key: Key) -> Part | None:
         """The newest part of this antenna with whatever base."""
         return next((p for p in reversed(self._parts.values()) if p.antenna == key.antenna), None)
+
+
+def _may_be_the_road(diagnosis: Diagnosis) -> bool:
+    """Road or antenna, since a moment before which neither was off."""
+    return diagnosis.cause == "ambiguous" and diagnosis.after_right
 
 
 def _differences(cells: Sequence[tuple[Cell, float]]) -> Differences:

@@ -68,7 +68,7 @@ def test_a_base_that_is_right_again_is_no_cause_any_more(causes):
 
 
 def test_an_antenna_moves_all_surfaces_alike_where_the_position_is_seen_to_be_right(causes):
-    found = hear(causes, 600, 900, verdict="erroneous", up_m=-0.4)
+    found = hear(causes, 600, 1100, verdict="erroneous", up_m=-0.4)
     assert (found.cause, found.up_m) == ("antenna", pytest.approx(-0.4))
     assert found.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
     assert found.text.startswith("-0.40 m up")
@@ -78,17 +78,22 @@ def test_on_few_surfaces_it_may_be_the_road(causes):
     found = hear(causes, 600, 780, verdict="erroneous", up_m=-0.4)
     assert found.cause == "ambiguous"
     assert "antenna or road" in found.text
+    assert found.after_right
+    assert (
+        hear(causes, 780, 900, verdict="erroneous", up_m=-0.4).cause == "ambiguous"
+    )  # it may be one long road
     assert hear(Causes(RULES), 0, 600, up_m=-0.4, surface_id=16).cause == "ambiguous"
 
 
 def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():
     causes = Causes(RULES)
     hear(causes, 0, 300, east_m=None)
-    found = hear(causes, 300, 700, verdict="erroneous", up_m=0.4, east_m=None)
+    found = hear(causes, 300, 800, verdict="erroneous", up_m=0.4, east_m=None)
     assert found.cause == "ambiguous"
     assert "antenna or base" in found.text
     wide = Causes(RULES)
-    assert hear(wide, 0, 700, up_m=0.4, horizontal_sigma_m=1.0).cause == "ambiguous"
+    found = hear(wide, 0, 700, up_m=0.4, horizontal_sigma_m=1.0)
+    assert (found.cause, found.after_right) == ("ambiguous", False)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +179,7 @@ def test_a_new_map_forgets_the_roads_of_the_old_and_a_road_unknown_for_a_while_d
 
 def test_a_cause_common_to_all_goes_before_that_of_a_road(causes):
     causes.roads[14] = ChangedRoad(14, KEY.map_version, 0.3, START_NS)
-    hear(causes, 600, 900, verdict="erroneous", up_m=-0.4)
+    hear(causes, 600, 1100, verdict="erroneous", up_m=-0.4)
     assert causes.at(14).cause == "antenna"
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.causes import ChangedRoad, Diagnosis
+from camber.integrity.causes import NOTHING, ChangedRoad, Diagnosis
 from camber.integrity.learning import Correction, Learning, LearningRules
 from camber.integrity.residuals import Key
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
@@ -227,7 +227,7 @@ def test_a_base_metres_off_leaves_what_was_learnt_as_it_is(learnt):
 def test_an_antenna_named_while_something_drifts_does_not_make_right_what_drifted(learnt):
     (part,) = learnt.parts
     part.held_m, known = 0.0, len(part.cells)
-    learnt._forget(Diagnosis("antenna", residual(600).time_ns), part)
+    learnt._forget(NOTHING, Diagnosis("antenna", residual(600).time_ns), part)
     assert (part.held_m, len(part.cells)) == (0.0, known)
 
 
@@ -236,6 +236,18 @@ def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
     (named,) = [found for found in learnt.news() if found.cause == "antenna"]
     assert named.onset_ns == pytest.approx(residual(1200).time_ns, abs=3e9)
     assert hear(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.01)
+
+
+def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(learnt):
+    before = learnt.correction(KEY).correction_m
+    hear(learnt, 1200, 1500, up_m=before + 0.25)
+    assert learnt.diagnosis(None).cause == "ambiguous"
+    assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
+    hear(learnt, 1500, 1900, up_m=before)
+    assert learnt.diagnosis(None).cause == "none"
+    assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
+    (part,) = learnt.parts
+    assert all(abs(cell.up_m - before) < 0.05 for cell, _ in part.cells)
 
 
 def test_an_erroneous_run_is_named_and_not_learnt(learnt):
