@@ -25,6 +25,8 @@ from camber.tools.truth import truth_of
 
 AFTER_S = 15.0
 """A cause may be named so long after the fault's end, and not later: what lasts has ended."""
+LASTING_S = 2.0
+"""What was said so short a time before is not said anew: it names what there was before."""
 _PREFIX = "fault_"
 _OF_LIDAR = ("blocked_lidar", "symmetric_scene")
 _NS = 1e9
@@ -47,7 +49,7 @@ NAMED_BY: Mapping[str, frozenset[str]] = {
     "missing_epochs": frozenset({"verdict gnss_stale"}),
     "dropped_process": frozenset({"verdict localizer_absent", "verdict gnss_absent"}),
 }
-"""What names a fault: any one of these, said while it acts or within `AFTER_S`.
+"""What names a fault: any one of these, begun to be said while it acts or within `AFTER_S`.
 
 *Ambiguous* is the right word for a road where one vehicle sees no other before and after it.
 """
@@ -97,14 +99,23 @@ def said_of(driven: Driven) -> list[tuple[int, str]]:
 
 
 def during(said: Iterable[tuple[int, str]], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
-    """What was said from one time to another: how often, and how long after the first time it came first [s]."""
+    """What was said from one time to another: how often, and how long after the first time it first began [s].
+
+    Without `begun_s` it was said before already, and never began anew. `said` is in the order of time.
+    """
     counts: Counter[str] = Counter()
-    first: dict[str, float] = {}
+    begun: dict[str, float] = {}
+    last: dict[str, int] = {}
     for time_ns, text in said:
         if begin_ns <= time_ns <= end_ns:
             counts[text] += 1
-            first.setdefault(text, (time_ns - begin_ns) / _NS)
-    return {text: {"count": count, "first_s": first[text]} for text, count in counts.most_common()}
+            if text not in last or time_ns - last[text] > LASTING_S * _NS:
+                begun.setdefault(text, (time_ns - begin_ns) / _NS)
+        last[text] = time_ns
+    return {
+        text: {"count": count} | ({"begun_s": begun[text]} if text in begun else {})
+        for text, count in counts.most_common()
+    }
 
 
 def run_faults(
@@ -162,8 +173,9 @@ def _row(
     # Another may begin while this one acts: a link is driven again, a second fault is at work on it.
     end_ns = max(window.end_ns, min(window.end_ns + round(AFTER_S * _NS), next_ns - 1))
     heard = during(said, window.begin_ns, end_ns)
-    names = {text: found for text, found in heard.items() if text in NAMED_BY.get(window.kind, ())}
-    first = min(names, key=lambda text: names[text]["first_s"], default=None)
+    begun_s = {text: found["begun_s"] for text, found in heard.items() if "begun_s" in found}
+    names = {text: after_s for text, after_s in begun_s.items() if text in NAMED_BY.get(window.kind, ())}
+    first = min(names, key=lambda text: names[text], default=None)
     acts = _within(evaluation.fixes.time_ns, window.begin_ns, window.end_ns)
     wrong = np.array([row.time_ns for row in evaluation.rows], dtype=np.int64)[
         evaluation.confirmed_error_m > WRONG_M
@@ -173,7 +185,7 @@ def _row(
         "begin_s": (window.begin_ns - start_ns) / _NS,
         "end_s": (window.end_ns - start_ns) / _NS,
         "named_by": first,
-        "named_after_s": None if first is None else names[first]["first_s"],
+        "named_after_s": None if first is None else names[first],
         "fixed": int(acts.sum()),
         "wrong": int((acts & evaluation.fixes.wrong).sum()),
         "wrong_confirmed": int(_within(wrong, window.begin_ns, window.end_ns).sum()),

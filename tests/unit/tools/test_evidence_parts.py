@@ -90,9 +90,16 @@ def test_each_time_that_a_fault_acts_is_a_window_in_the_order_of_time() -> None:
     assert found == [("jamming", 0, 0), ("wrong_map", 2, 3), ("wrong_map", 5, 5)]
 
 
-def test_what_was_said_in_a_window_is_counted_with_its_first_time() -> None:
-    said = [(1 * NS, "a"), (3 * NS, "b"), (4 * NS, "b"), (9 * NS, "b")]
-    assert during(said, 2 * NS, 5 * NS) == {"b": {"count": 2, "first_s": 1.0}}
+def test_what_was_said_in_a_window_is_counted_with_the_time_when_it_began() -> None:
+    said = [(10 * NS, "a"), (30 * NS, "b"), (31 * NS, "b"), (90 * NS, "b")]
+    assert during(said, 20 * NS, 50 * NS) == {"b": {"count": 2, "begun_s": 10.0}}
+
+
+def test_what_lasts_from_before_a_window_names_nothing_in_it_until_it_has_ceased_and_begins_anew() -> None:
+    lasting = [(k * NS, "cause antenna") for k in range(10)]
+    assert during(lasting, 5 * NS, 9 * NS) == {"cause antenna": {"count": 5}}
+    anew = [*lasting, (20 * NS, "cause antenna")]
+    assert during(anew, 5 * NS, 20 * NS) == {"cause antenna": {"count": 6, "begun_s": 15.0}}
 
 
 def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_time() -> None:
