@@ -23,7 +23,7 @@ _REMEMBERED_M = 100.0
 
 
 class _Driven(NamedTuple):
-    """The last road that was known, its level where that was, and where."""
+    """The last road that was known, and where; the level is the last that was certain."""
 
     level: int | None
     latitude_rad: float
@@ -34,9 +34,9 @@ class RoadUnder:
     """Remembers the last road and what lies ahead; nothing of a height comes in but the map's own.
 
     Where roads part or join, or change their level, several links are in question, and their surfaces lie on one
-    another and agree: that is one road, whichever it turns out to be. It keeps the level it was driven with until the
-    links or its edge say otherwise. Where the edge is nearer than the pose is known, only the links can tell: while
-    those in question are of several levels the elevation is known and the level is not.
+    another and agree: that is one road, whichever it turns out to be. Its elevation is known, and stays that of the
+    level it was driven with; its level is not known until the links are of one level, or only surfaces of one are left
+    under the antenna. Where their edges are nearer than the pose is known, only the links can tell.
     """
 
     def __init__(self, sigma_limit_m: float, answers: MapAnswers, reports: Reports) -> None:
@@ -62,16 +62,12 @@ class RoadUnder:
             *east_north_between(*driven[1:], latitude_rad, longitude_rad)
         ) > (_REMEMBERED_M):
             self._driven = None
-        road = self._look(estimate, latitude_rad, longitude_rad)
-        if (
-            estimate.link_candidates
-            and estimate.link_level is None
-            and estimate.horizontal_sigma_m > _PATCH_ABOVE_M
-        ):
-            road = road.model_copy(update={"level": None})
-        self._road = road
+        road = self._road = self._look(estimate, latitude_rad, longitude_rad)
         if road.status == "known":
-            self._driven = _Driven(road.level, latitude_rad, longitude_rad)
+            level = road.level
+            if level is None and self._driven is not None:
+                level = self._driven.level
+            self._driven = _Driven(level, latitude_rad, longitude_rad)
         return road
 
     def _look(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
@@ -81,6 +77,9 @@ class RoadUnder:
         candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
         link_ids = tuple(int(link) for link in candidates)[:_MOST_LINKS]
         certain = sigma_m <= _PATCH_ABOVE_M
+        several_levels = bool(estimate.link_candidates) and estimate.link_level is None
+        if several_levels:
+            self._ahead = None  # it holds one surface for each place
         if certain and self._ahead is not None and self._answers.is_there():
             place = latitude_rad, longitude_rad
             known = self._ahead.under(estimate.time_ns, *place, link_ids, _PATCH_SIGMAS * sigma_m)
@@ -95,26 +94,24 @@ class RoadUnder:
             link_ids=link_ids,
             last_surface_id=None if self._driven is None else self._road.surface_id,
             radius_m=0.0 if certain else _PATCH_SIGMAS * sigma_m,
-            ahead=ahead if certain else None,
+            ahead=ahead if certain and not several_levels else None,
         )
         reply = self._answers.elevation(request)
         if isinstance(reply, NoAnswer):
             self._reports.issue("no_elevation", reply.text)
             absent = reply.failure in ("absent", "timeout")
             return Road(status="unknown", reason="map_server_absent" if absent else "map_missing")
-        if self._in_doubt(reply.road, link_ids):
-            return self._one_road(request) or reply.road
+        ambiguous = reply.road.reason == "levels_ambiguous" and bool(link_ids)
+        one = self._one_road(request) if several_levels or ambiguous else None
+        if several_levels and (one is None or not certain):
+            return (one or reply.road).model_copy(update={"level": None})
+        if one is not None or ambiguous:
+            return one or reply.road
         self._ahead = RoadAhead.of(request, reply)
         return reply.road
 
-    def _in_doubt(self, road: Road, link_ids: tuple[int, ...]) -> bool:
-        """Whether the map could not choose, or chose another level than the one that was driven, of several links."""
-        if road.status != "known":
-            return road.reason == "levels_ambiguous" and bool(link_ids)
-        return len(link_ids) > 1 and self._driven is not None and road.level != self._driven.level
-
     def _one_road(self, request: ElevationRequest) -> Road | None:
-        """The road of each link in question by itself; None where they do not agree."""
+        """The road of each link in question by itself; None where they do not agree. Its level is that of them all."""
         if len(request.link_ids) > _MOST_ASKED_ALONE:
             return None
         roads: list[Road] = []
@@ -130,7 +127,7 @@ class RoadUnder:
         apart_m, disagree = _apart(road, roads)
         if disagree:
             return None
-        alike = road.level == level or len({road.level for road in roads}) == 1
+        alike = len({road.level for road in roads}) == 1
         sigma_m = max(road.sigma_m or 0.0, apart_m)
         return road.model_copy(update={"sigma_m": sigma_m, "level": road.level if alike else None})
 

@@ -1,4 +1,4 @@
-"""The road under the antenna where roads part: one road while the surfaces agree, of the level it was driven with."""
+"""The road under the antenna where roads part: one road while the surfaces agree, of no level until they part."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Fork:
         up_m = 50.0 + ramp_above_m
         rows += [
             surface(50 + k, 10.0 + 20.0 * k, north_m, link_id=3, level=1, heights_m=up_m)
-            for k, north_m in enumerate((0.0, 1.0, 5.0))
+            for k, north_m in enumerate((0.0, 1.0, 4.0))
         ]
         write(folder, rows, LINKS)
         self.counts: Counter[str] = Counter()
@@ -94,19 +94,26 @@ def fork(tmp_path: Path) -> Fork:
     return Fork(tmp_path / "map", 0.08)
 
 
-def test_the_street_keeps_its_level_where_a_ramp_lies_on_it(fork: Fork) -> None:
-    roads = [fork.road(float(x), links=(1,) if x < -20 else ALL) for x in range(-40, 90)]
-    assert {road.level for road in roads} == {0}
-    assert [road.elevation_m for road in roads] == pytest.approx([50.0] * len(roads), abs=1e-3)
+def test_where_a_ramp_lies_on_the_street_the_level_is_not_known_and_the_elevation_stays_the_streets(
+    fork: Fork,
+) -> None:
+    roads = {x: fork.road(float(x), links=(1,) if x < -20 else ALL) for x in range(-40, 90)}
+    assert {roads[x].level for x in range(-40, 0)} == {0}
+    assert {roads[x].level for x in range(40)} == {None}
+    assert {roads[x].level for x in range(65, 90)} == {0}
+    assert [road.elevation_m for road in roads.values()] == pytest.approx([50.0] * len(roads), abs=1e-3)
 
 
 def test_on_the_ramp_it_is_the_ramp_as_soon_as_the_street_ends_beside_it(fork: Fork) -> None:
     roads = [fork.road(float(x), float(np.interp(x, (20, 40, 60), (0, 2, 5)))) for x in range(-40, 60)]
     assert all(road.status == "known" for road in roads)
     levels = [road.level for road in roads]
-    assert levels == sorted(levels, key=lambda level: level or 0)
-    assert levels[-1] == 1
-    assert roads[-1].elevation_m == pytest.approx(50.08, abs=1e-3)
+    assert set(levels[:40]) == {0}
+    assert set(levels[40:]) == {None, 1}
+    first = levels.index(1)
+    assert set(levels[first:]) == {1}
+    elevations = [road.elevation_m for road in roads]
+    assert elevations == pytest.approx([50.0] * first + [50.08] * (len(roads) - first), abs=1e-3)
 
 
 def test_a_vague_pose_has_no_level_while_street_and_ramp_are_in_question(fork: Fork) -> None:
@@ -133,13 +140,20 @@ def test_its_sigma_holds_what_the_surfaces_differ_by(fork: Fork) -> None:
 def test_an_epoch_without_a_road_is_no_loss_of_memory(fork: Fork) -> None:
     assert fork.road(-2.0, links=(1,)).level == 0
     assert fork.road(-1.0, sigma_m=16.0).reason == "pose_too_uncertain"
-    assert fork.road(10.0).level == 0
+    assert fork.road(10.0).elevation_m == pytest.approx(50.0, abs=1e-3)
 
 
 def test_nobody_knows_the_level_who_begins_where_they_agree_but_the_height(fork: Fork) -> None:
     road = fork.road(10.0)
     assert (road.status, road.level) == ("known", None)
     assert road.elevation_m == pytest.approx(50.0, abs=0.081)
+
+
+def test_of_more_links_than_are_asked_one_by_one_the_road_has_no_level_either(fork: Fork) -> None:
+    assert fork.road(-2.0, links=(1,)).level == 0
+    road = fork.road(25.0, links=(*ALL, 4, 5, 6))
+    assert road.level is None
+    assert road.elevation_m is None or road.elevation_m == pytest.approx(50.0, abs=0.081)
 
 
 @pytest.mark.parametrize("jump", [True, False])
