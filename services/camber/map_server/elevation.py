@@ -49,9 +49,11 @@ class RoadColumns:
     """Roads under n points: what is known as columns (k,), for the points numbered in `known`.
 
     `ambiguous` (n,) is true where surfaces are there and none could be chosen; neither known nor ambiguous: no surface.
+    `elsewhere` (n,) is true where that is so because they are on levels that no candidate link is on.
     """
 
     ambiguous: NDArray[np.bool_]
+    elsewhere: NDArray[np.bool_]
     known: NDArray[np.int64]
     surface_id: NDArray[np.int64]
     level: NDArray[np.int64]
@@ -123,10 +125,13 @@ class ElevationMap:
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
     ) -> Road:
-        """`road` with a patch of samples within `radius_m`; the point itself may lie beside the road."""
+        """`road` with a patch of samples within `radius_m`; the point itself may lie beside the road.
+
+        Surfaces of levels that no candidate link is on are not of the patch, as if they were not there.
+        """
         links = tuple(link_ids)
         road = self.road(latitude_rad, longitude_rad, links, last_surface_id)
-        if radius_m <= 0.0 or road.reason == "levels_ambiguous":
+        if radius_m <= 0.0:
             return road
         east_m, north_m = radius_m * _LATTICE[0], radius_m * _LATTICE[1]
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
@@ -135,7 +140,7 @@ class ElevationMap:
         )
         found = self.roads(points[0], points[1], links, last_surface_id)
         undecided = not links and len(np.unique(found.level)) > 1
-        if undecided or found.ambiguous.any():
+        if undecided or (found.ambiguous & ~found.elsewhere).any():
             # Surfaces of several levels within reach: where exactly the vehicle is would decide which one it is on.
             return LEVELS_AMBIGUOUS
         if len(found.known) == 0:
@@ -212,7 +217,7 @@ class ElevationMap:
         links = frozenset(link_ids)
         x, y = tiles_of(latitude, longitude)
         number = np.where(x < 0, -1, x * TILES + y)
-        ambiguous = np.zeros(len(latitude), bool)
+        ambiguous, elsewhere = np.zeros(len(latitude), bool), np.zeros(len(latitude), bool)
         pieces = [_EMPTY_PIECE]
         for name in np.unique(number[number >= 0]).tolist():
             tile = divmod(name, TILES)
@@ -224,13 +229,14 @@ class ElevationMap:
                 latitude[points], longitude[points], np.zeros(len(points))
             )
             hits = index.hits_of(plane_m[:, 0], plane_m[:, 1])
-            chosen = choose_each(index, hits, self._topology(tile, links, last_surface_id))
+            chosen, other = choose_each(index, hits, self._topology(tile, links, last_surface_id))
             ambiguous[points[hits.point]] = True
             ambiguous[points[hits.point[chosen]]] = False
+            elsewhere[points[hits.point[other]]] = True
             pieces.append(_piece(points, index, hits, chosen))
         known, *columns = (np.concatenate(column) for column in zip(*pieces, strict=True))
         order = np.argsort(known)
-        return RoadColumns(ambiguous, known[order], *(column[order] for column in columns))
+        return RoadColumns(ambiguous, elsewhere, known[order], *(column[order] for column in columns))
 
     def _find_topology(self, tile: Tile, candidates: frozenset[int], last_surface_id: int | None) -> Topology:
         connected: frozenset[int] = frozenset()

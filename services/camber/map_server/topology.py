@@ -55,10 +55,16 @@ def _agree(hits: Sequence[Hit], with_hit: Hit) -> bool:
     return all(abs(hit.height_m - with_hit.height_m) <= hit.sigma_m + with_hit.sigma_m for hit in hits)
 
 
-def choose_each(index: TileIndex, hits: Hits, topology: Topology) -> NDArray[np.int64]:
-    """`choose` for each point that has hits: ascending numbers into `hits`, without the points that are ambiguous."""
+def choose_each(
+    index: TileIndex, hits: Hits, topology: Topology
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """`choose` for each point that has hits: ascending numbers into `hits`, without the points that are ambiguous.
+
+    And, of the first hits of points, those where all surfaces are on levels that no candidate is on: by topology the
+    vehicle is not there.
+    """
     if not len(hits.point):
-        return np.zeros(0, np.int64)
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
     _, first, count = np.unique(hits.point, return_index=True, return_counts=True)
     group = np.repeat(np.arange(len(first)), count)
 
@@ -82,10 +88,13 @@ def choose_each(index: TileIndex, hits: Hits, topology: Topology) -> NDArray[np.
     ambiguous = (low != high) & any_of(left & ~connected)
     for known_level in topology.levels:
         ambiguous |= ~any_of(plausible) & ~any_of(left & (level == known_level))
+    elsewhere = ~any_of(plausible | np.isin(level, list(topology.levels)))
+    if not (topology.candidates and topology.levels):
+        elsewhere[:] = False
     left = those(left & hits.inside, left)
     tie = np.rint(hits.offset_m / _TIE_M).astype(np.int64)
     order = np.lexsort((surface, tie, ~left, group))
     best = order[np.searchsorted(group[order], np.arange(len(first)))]
     disagree = np.abs(hits.height_m - hits.height_m[best][group]) > sigma_m + sigma_m[best][group]
     ambiguous |= any_of(left & disagree)
-    return np.sort(best[~ambiguous[first]])
+    return np.sort(best[~ambiguous[first]]), first[elsewhere[first]]

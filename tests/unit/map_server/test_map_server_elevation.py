@@ -371,6 +371,25 @@ def test_another_level_within_the_radius_leaves_the_road_ambiguous() -> None:
     assert around(OVERPASS, 6.0, 6.0, 0.0, link_ids=[BRIDGE, GROUND]).reason == "levels_ambiguous"
 
 
+@pytest.mark.parametrize("east_m", [6.0, 0.0])
+def test_a_level_that_no_candidate_is_on_is_not_of_the_patch(east_m: float) -> None:
+    found = around(OVERPASS, 6.0, east_m, 0.0, link_ids=[GROUND])
+    assert found.patch is not None
+    assert set(found.patch.surface_id.tolist()) == {10}
+    assert found.elevation_m == pytest.approx(50.0)
+
+
+def test_a_point_on_such_a_level_is_beside_the_road() -> None:
+    assert road(OVERPASS, 0.0, 4.0, LINKS, link_ids=[GROUND]).reason == "levels_ambiguous"
+    found = around(OVERPASS, 6.0, 0.0, 4.0, link_ids=[GROUND])
+    assert (found.status, found.surface_id, found.level, found.extent_m) == ("known", 10, 0, 0.0)
+
+
+def test_where_only_such_levels_are_about_the_road_is_not_known() -> None:
+    assert around(OVERPASS, 6.0, 60.0, 0.0, link_ids=[BRIDGE]).reason == "levels_ambiguous"
+    assert around(OVERPASS, 6.0, 60.0, 0.0, last_surface_id=21).reason == "levels_ambiguous"
+
+
 # -- many points -----------------------------------------------------------------------------------------------------
 
 
@@ -407,6 +426,7 @@ def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -
         the_map.road(*point, **topology) for point in zip(latitude.tolist(), longitude.tolist(), strict=True)
     ]
     assert columns.known.tolist() == [i for i, found in enumerate(alone) if found.status == "known"]
+    assert not (columns.elsewhere & ~columns.ambiguous).any()
     assert np.flatnonzero(columns.ambiguous).tolist() == [
         i for i, found in enumerate(alone) if found.reason == "levels_ambiguous"
     ]
