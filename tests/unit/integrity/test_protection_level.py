@@ -191,6 +191,16 @@ def test_rows_of_different_kinds_may_be_solved_together():
     assert together == pytest.approx([level(one, 1e-7), level(two, 1e-7)], rel=1e-4)
 
 
+def test_a_level_does_not_depend_on_those_that_are_found_with_it():
+    rng = np.random.default_rng(4)
+    weight, sigma = 10.0 ** rng.uniform(-8.0, 0.0, (200, 3)), 10.0 ** rng.uniform(-2.0, 0.5, (200, 3))
+    mean = np.array([0.0, 1.0, 0.0]) * rng.uniform(0.0, 3.0, (200, 3))
+    tails, risk = Tails(weight, mean, 0.3 * mean, sigma**2, 0.2 * sigma**2), 10.0 ** rng.uniform(-9, -1, 200)
+    for row, together in enumerate(levels_m(tails, risk)[:20]):
+        one = Tails(*(column[row : row + 1] for column in tails.columns))
+        assert levels_m(one, risk[row : row + 1])[0] == pytest.approx(together, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     "tails",
     [
