@@ -3,7 +3,7 @@
 PYTHONPATH=tests python -m support.localization_statistics city --seeds 1 2 3 --drives 5
 PYTHONPATH=tests python -m support.localization_statistics tunnel-950s --seeds 1 2 3 --between 200 1100 --given 0.1
 PYTHONPATH=tests python -m support.localization_statistics city --seeds 1 2 3 --drives 10 --alone
-PYTHONPATH=tests python -m support.localization_statistics overpass --seeds 1 2 3 --whole [--no-lidar]
+PYTHONPATH=tests python -m support.localization_statistics overpass --seeds 1 2 3 --whole [--route ramp] [--no-lidar]
 
 Drives of --seconds at places evenly along the route, each from a pose that is given with σ 1 m and 2°; the first
 --settling seconds are judged apart. --alone: the matcher by itself, each match from half a metre and two degrees off.
@@ -49,6 +49,7 @@ class Asked:
     every: int
     given: float
     keep: Path | None
+    route: str
 
 
 def one(asked: Asked) -> Localized | Errors:
@@ -61,6 +62,7 @@ def one(asked: Asked) -> Localized | Errors:
         duration_s=asked.seconds,
         every=asked.every,
         **({} if asked.beams == 32 else {"beams": asked.beams}),
+        **({} if asked.route == "default" else {"route": asked.route}),
     )
     if asked.alone:
         return matched_alone(drive)
@@ -188,13 +190,13 @@ def _asked(args: argparse.Namespace) -> list[Asked]:
     found = []
     for seed in args.seeds:
         first_s, last_s = args.between or (3.0, math.inf)
-        last_s = min(last_s, route_duration_s(args.scenario, seed))
+        last_s = min(last_s, route_duration_s(args.scenario, seed, args.route))
         seconds = math.floor(last_s - 1.0) if args.whole else args.seconds
         starts = [0.0] if args.whole else np.linspace(first_s, last_s - seconds - 0.5, args.drives).tolist()
         found += [
             Asked(
                 args.scenario, seed, round(start_s, 1), seconds, args.beams, not args.no_lidar, args.alone,
-                args.every, args.given, args.keep,
+                args.every, args.given, args.keep, args.route,
             )
             for start_s in starts
         ]  # fmt: skip
@@ -219,6 +221,7 @@ def main() -> None:
     )
     parser.add_argument("--alone", action="store_true", help="the matcher by itself")
     parser.add_argument("--no-lidar", action="store_true", help="no sweep is heard")
+    parser.add_argument("--route", default="default", help="one of the scenario's")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder of simulated drives")
     args = parser.parse_args()
