@@ -33,6 +33,7 @@ Quality = Literal["fixed", "float", "dgps", "single", "ppp", "sbas", "estimated"
 Protocol = Literal["pos", "nmea", "ubx", "rtcm", "rinex", "mixed"]
 """`mixed`: frames and sentences of several protocols, one after another."""
 Stream = Literal["rover", "base", "ephemerides"]
+SubsetAgreement = Literal["agree", "disagree", "unknown"]
 
 
 class ReceiverBytes(Message):
@@ -116,6 +117,9 @@ class Fix(Message):
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
     base_station: Name | None = Field(
         default=None, description="on whose coordinate it rests; None: on none, or nobody said"
+    )
+    subset_agreement: SubsetAgreement = Field(
+        default="unknown", description="of fixes from its satellites less one system; unknown: there is none"
     )
 
 

@@ -32,6 +32,7 @@ Reason = Literal[
     "height_unverified",
     "position_unverified",
     "phase_residuals_contradict",
+    "subsets_disagree",
     "estimates_disagree",
     "receiver_warns",
     "common_offset",
@@ -63,6 +64,7 @@ Evidence = Literal[
     "scan_matching",
     "track",
     "phase_residuals",
+    "subset_agreement",
     "estimates",
 ]
 Cause = Literal["none", "antenna", "road", "base", "ambiguous"]

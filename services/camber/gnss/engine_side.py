@@ -24,13 +24,19 @@ from camber.schemas.gnss import (
     Fix,
     Observations,
     SatelliteVelocity,
+    SubsetAgreement,
 )
 
 _KEPT = 20
 """Epochs: two seconds at 10 Hz, and the judge asks within one."""
 
 
-def fix_from_solution(solution: Solution, datum: str, base_station: str | None = None) -> Fix | None:
+def fix_from_solution(
+    solution: Solution,
+    datum: str,
+    base_station: str | None = None,
+    subset_agreement: SubsetAgreement = "unknown",
+) -> Fix | None:
     """The tentative position of an epoch, with the name of its base; None where there is no position.
 
     Raises ValidationError for one that no Fix can have, such as one below the ground by earth radii.
@@ -64,6 +70,7 @@ def fix_from_solution(solution: Solution, datum: str, base_station: str | None =
         continuous_since_ns=solution.continuous_since_ns,
         phase_residuals=residuals,
         base_station=base_station,
+        subset_agreement=subset_agreement,
     )
 
 

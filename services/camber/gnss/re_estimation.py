@@ -35,7 +35,9 @@ _ALL: tuple[Strategy, ...] = (
     "leave_one_out",
 )
 """In turn: the number of trials is limited, and what one strategy leaves out first is what it suspects most."""
-_IDENTICAL_M, _AGREEMENT_M = 1.0e-9, 0.05
+IDENTICAL_M = 1.0e-9
+"""Where a satellite that is left out had been rejected anyway, the position is the very same: no second opinion."""
+_AGREEMENT_M = 0.05
 _LEAST_SATELLITES = 4
 _LEAST_SUCCESS = 0.5
 """Less than a fix by itself needs: agreement is asked for beside it, and each estimate tells its own."""
@@ -85,8 +87,7 @@ def other_estimates(
     )
     passed = np.flatnonzero(status == RESOLVED)
     apart = np.linalg.norm(dx[passed, None] - dx[None, passed], axis=2)
-    # Where a satellite that is left out had been rejected anyway, the position is the very same: no second opinion.
-    agreeing = ((apart > _IDENTICAL_M) & (apart < _AGREEMENT_M)).sum(axis=1)
+    agreeing = ((apart > IDENTICAL_M) & (apart < _AGREEMENT_M)).sum(axis=1)
     found = [
         OtherEstimate(
             approximate_ecef_m + dx[t],

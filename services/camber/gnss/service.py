@@ -20,6 +20,7 @@ from camber.gnss.receiver_side import fix_from, refuse
 from camber.gnss.rover import Rover, SolvedEpoch
 from camber.gnss.settings import GnssSettings
 from camber.gnss.streams import Heard, Stream, StreamProtocol, StreamReader
+from camber.gnss.subset_agreement import subset_agreement
 from camber.gnss.warm_up import compile_readers, warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
@@ -64,6 +65,8 @@ class GnssService(Service[GnssSettings]):
         self._fed_ns: dict[tuple[Stream, StreamProtocol], int] = {}
         self._damage: dict[StreamReader, dict[str, int]] = {}
         self._rover = Rover(settings.engine.options(), settings.base_ecef_m) if self._solves else None
+        engine = settings.engine
+        self._limits = engine.options().limits() if engine.subset_agreement else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
         self._warnings = EngineWarnings()
@@ -259,7 +262,10 @@ class GnssService(Service[GnssSettings]):
         found = solution.velocity
         if found is not None:
             self._publish("velocity", lambda: velocity_from(found, solved.heading))
-        self._publish_fix(lambda: fix_from_solution(solution, self.settings.datum, solved.base_station))
+        subsets = subset_agreement(solution, self._limits) if self._limits is not None else "unknown"
+        self._publish_fix(
+            lambda: fix_from_solution(solution, self.settings.datum, solved.base_station, subsets)
+        )
         self._last_ns = solution.time_ns
 
     def _is_refused(self, time_ns: int) -> bool:

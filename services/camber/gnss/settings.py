@@ -53,6 +53,9 @@ class EngineSettings(BaseModel):
     longest_base_age_s: float = Field(
         10.0, gt=0.0, le=60.0, description="older epochs of the base are not used"
     )
+    subset_agreement: bool = Field(
+        True, description="a fix says whether those from its satellites less one system agree with it"
+    )
 
     @model_validator(mode="after")
     def _known_bands(self) -> Self:

@@ -34,8 +34,19 @@ from camber.integrity.joint_test import (
 )
 from camber.schemas.integrity import Reason
 
-Test = Literal["height", "position", "joint", "phase_residuals", "continuity", "receiver"]
-ALL_TESTS: tuple[Test, ...] = ("height", "position", "joint", "phase_residuals", "continuity", "receiver")
+Test = Literal["height", "position", "joint", "phase_residuals", "subset_agreement", "continuity", "receiver"]
+ALL_TESTS: tuple[Test, ...] = (
+    "height",
+    "position",
+    "joint",
+    "phase_residuals",
+    "subset_agreement",
+    "continuity",
+    "receiver",
+)
+_SPEAK_FOR: frozenset[Test] = frozenset(
+    {"height", "position", "joint", "phase_residuals", "subset_agreement"}
+)
 Said = TypeVar("Said")
 _DEGREES: dict[Test, int] = {"height": 1, "position": 2, "joint": 3}
 
@@ -74,8 +85,9 @@ class DeterminationRules:
 
     def __post_init__(self) -> None:
         """Raises ValueError where nothing could ever speak for a fix, or the limits are the wrong way round."""
-        if not {"height", "position", "joint", "phase_residuals"}.intersection(self.tests):
-            raise ValueError("tests: expected one at least of height, position, joint, phase_residuals")
+        if not _SPEAK_FOR.intersection(self.tests):
+            names = ", ".join(test for test in ALL_TESTS if test in _SPEAK_FOR)
+            raise ValueError(f"tests: expected one at least of {names}")
         if not 0.0 < self.false_alarm_rate <= self.hold_back_rate < 1.0:
             raise ValueError("false_alarm_rate: expected above 0 and at most hold_back_rate, below 1")
 

@@ -129,6 +129,8 @@ class Examination:
         """Confirmed, where anything speaks for the fix and the start is over."""
         assert draft.pose is not None
         starting, rules = is_provisional(draft.pose), self._rules
+        if "subset_agreement" in rules.determination.tests and draft.fix.subset_agreement == "disagree":
+            return self._split(draft)
         evidence = self._evidence(draft, found)
         if not evidence:
             detail = "nothing that is asked speaks for the fix"
@@ -155,7 +157,15 @@ class Examination:
             evidence.append("position")
         if "phase_residuals" in rules.tests and draft.fix.phase_residuals == "consistent":
             evidence.append("phase_residuals")
+        if "subset_agreement" in rules.tests and draft.fix.subset_agreement == "agree":
+            evidence.append("subset_agreement")
         return tuple(evidence)
+
+    def _split(self, draft: Judgement) -> Judgement:
+        """All else agrees, but a part of its satellites is fixed elsewhere: one of both is wrong. Verified?"""
+        detail = "without one system its satellites are fixed elsewhere"
+        held = replace(draft, reason="subsets_disagree", detail=detail)
+        return self._unless_verified(held, self._witnesses(held)) if self._may_be_verified(held) else held
 
     def _disagreed(self, draft: Judgement, found: Comparison, outcome: int) -> Judgement:
         """Common to all fixes? Verified by something else? Else erroneous, or not known."""
@@ -170,13 +180,22 @@ class Examination:
         road = None if found.position == CONTRADICTS else draft.road
         word: VerdictWord = "erroneous" if wrong else "unknown"
         held = replace(draft, word=word, reason=reason, detail=detail, road=road)
-        if starting or not is_sharp(draft.fix, self._rules):
+        if not self._may_be_verified(draft):
             return held
         witnesses = self._witnesses(draft)
         if found.position != AGREES:
             # With the height agreed, the pose is in doubt as much as the fix: what speaks owes nothing to the pose.
             doubtful = outcome == POSITION_UNVERIFIED
             witnesses = tuple(w for w in witnesses if doubtful and w == "ambiguity_continuity")
+        return self._unless_verified(held, witnesses)
+
+    def _may_be_verified(self, draft: Judgement) -> bool:
+        """Is the pose of its own making, and the fix sharp enough not to fit anything?"""
+        assert draft.pose is not None
+        return not is_provisional(draft.pose) and is_sharp(draft.fix, self._rules)
+
+    def _unless_verified(self, held: Judgement, witnesses: tuple[Evidence, ...]) -> Judgement:
+        """As it was held, or confirmed where what speaks for it suffices."""
         if not verified(frozenset(witnesses), self._rules.verification):
             return held
         return replace(held, word="confirmed_after_verification", evidence=witnesses)

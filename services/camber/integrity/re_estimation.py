@@ -126,6 +126,7 @@ def other_fix(fix: Fix, candidate: Candidate) -> Fix:
             "ambiguity_continuity": "no_evidence",
             "continuous_since_ns": None,
             "phase_residuals": "unknown",
+            "subset_agreement": "unknown",
         }
     )
 

@@ -29,7 +29,7 @@ class IntegritySettings(ServiceSettings):
 
     tests: tuple[Test, ...] = Field(
         ALL_TESTS,
-        description="what a fix is asked; one at least of height, position, joint and phase_residuals",
+        description="what a fix is asked; not continuity and receiver alone, which speak for none",
     )
     tolerance: Literal["from_covariances", "fixed"] = Field(
         "from_covariances", description="of the height: by the uncertainties at hand, or one number, H (3)"

@@ -93,8 +93,15 @@ def test_every_field_of_a_fixed_epoch_is_told() -> None:
     assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, found.fixed)
     assert fix.success_rate == found.success_rate
     assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("continuous", TIME_NS - NS)
-    assert fix.phase_residuals == "consistent"
+    assert (fix.phase_residuals, fix.subset_agreement) == ("consistent", "unknown")
     assert fix.covariance_enu_m2 is not None
+
+
+@pytest.mark.parametrize("said", ["agree", "disagree", "unknown"])
+def test_what_its_subsets_say_is_told_with_the_fix(said: Any) -> None:
+    fix = fix_from_solution(solution(), "WGS84", None, said)
+    assert fix is not None
+    assert fix.subset_agreement == said
 
 
 def test_of_an_epoch_that_is_not_fixed_nothing_is_said_about_fixed_ambiguities() -> None:

@@ -216,6 +216,14 @@ def test_the_judge_gets_other_estimates_of_an_epoch(raw_drive: RawDrive) -> None
     assert len(known.candidates) > 5  # type: ignore[attr-defined]
 
 
+def test_a_fix_says_whether_its_subsets_agree_where_that_is_asked_for(raw_drive: RawDrive) -> None:
+    asked = Run(raw_drive, streams(raw_drive), epochs=3).fixed()
+    assert {fix.subset_agreement for fix in asked} == {"agree"}
+    spared = Run(raw_drive, streams(raw_drive), epochs=3, engine={"subset_agreement": False}).fixed()
+    assert {fix.subset_agreement for fix in spared} == {"unknown"}
+    assert [(f.fix_id, f.height_m) for f in spared] == [(f.fix_id, f.height_m) for f in asked]
+
+
 def test_a_base_position_that_is_configured_counts_whatever_the_stream_says(raw_drive: RawDrive) -> None:
     true = station(raw_drive)
     lies = format_reference_station((true[0] + 500.0, true[1], true[2]), station_id=1)

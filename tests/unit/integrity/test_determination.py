@@ -81,6 +81,7 @@ def test_what_is_not_asked_is_against_nothing():
     assert reason((0.1, 0.0, 9.0), tests=("position",)) == "height_agrees"
     assert reason((0.1, 0.0, math.nan), tests=("position",)) == "height_agrees"
     assert reason((9.0, 9.0, 9.0), tests=("phase_residuals",)) == "height_agrees"
+    assert reason((9.0, 9.0, 9.0), tests=("subset_agreement",)) == "height_agrees"
 
 
 def test_the_joint_test_alone_sees_both():

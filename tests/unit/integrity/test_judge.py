@@ -592,6 +592,7 @@ AGAINST = {
         {"the_fix": fix(phase_residuals="contradictory")},
         ("erroneous", "phase_residuals_contradict"),
     ),
+    "subset_agreement": ({"the_fix": fix(subset_agreement="disagree")}, ("unknown", "subsets_disagree")),
     "receiver": ({"statement": {"raim": "failed"}}, ("unknown", "receiver_warns")),
 }
 
@@ -653,6 +654,50 @@ def test_residuals_alone_confirm_only_what_is_consistent():
 
 def test_consistent_residuals_stand_beside_the_other_evidence():
     assert judged(fix(phase_residuals="consistent")).evidence == ("height", "position", "phase_residuals")
+
+
+def test_subsets_alone_confirm_only_what_agrees():
+    alone = by("subset_agreement")
+    assert judged(fix(subset_agreement="agree"), rules=alone).evidence == ("subset_agreement",)
+    assert word_and_reason(judged(rules=alone)) == ("unknown", "height_unverified")
+    assert judged(fix(subset_agreement="agree"), rules=by("height")).evidence == ("height",)
+    assert judged(fix(subset_agreement="agree")).evidence == ("height", "position", "subset_agreement")
+
+
+def test_subsets_that_disagree_are_the_reason_only_where_all_else_agrees():
+    split = {"subset_agreement": "disagree"}
+    for changes in (
+        {"the_fix": fix(up_m=0.6, **split)},
+        {"the_fix": fix(north_m=1.0, **split)},
+        {"the_fix": fix(phase_residuals="contradictory", **split)},
+        {"the_fix": fix(**split), "the_pose": pose(road=no_road())},
+    ):
+        unsplit = changes["the_fix"].model_copy(update={"subset_agreement": "unknown"})
+        assert word_and_reason(judged(**changes)) == word_and_reason(
+            judged(**{**changes, "the_fix": unsplit})
+        )
+    held = judged(fix(**split))
+    assert (held.evidence, held.detail) == ((), "without one system its satellites are fixed elsewhere")
+
+
+def test_a_fix_whose_subsets_disagree_is_confirmed_where_enough_else_speaks_for_it():
+    drive = Drive()
+    drive.epoch(0)
+    carried = drive.epoch(1, fix(1, subset_agreement="disagree"))
+    assert word_and_reason(carried) == ("confirmed_after_verification", "subsets_disagree")
+    assert carried.evidence == ("time_series",)
+    vague = fix(2, subset_agreement="disagree", covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    assert word_and_reason(drive.epoch(2, vague)) == ("unknown", "subsets_disagree")
+
+
+def test_a_fix_whose_subsets_disagree_does_not_count_at_the_start():
+    drive = Drive()
+    words = [
+        drive.epoch(k, fix(k, subset_agreement="disagree" if k == 4 else "agree"), provisional(k))
+        for k in range(10)
+    ]
+    assert [judgement.reason for judgement in words[:5]] == ["starting"] * 4 + ["subsets_disagree"]
+    assert [judgement.confirmed for judgement in words] == [False] * 9 + [True]
 
 
 def test_the_fixed_tolerance_is_that_of_the_document():
@@ -832,10 +877,11 @@ def test_more_uncertainty_never_confirms_what_is_beyond_the_cap(
     st.sampled_from(["broken", "continuous", "no_evidence"]),
     st.sampled_from(["contradictory", "unknown", "consistent"]),
     st.sampled_from(["none", "indicated", "affirmed", "unknown"]),
+    st.sampled_from(["agree", "disagree", "unknown"]),
     st.floats(-1.0, 1.0),
 )
 def test_no_good_word_of_the_receiver_or_the_engine_makes_up_for_the_height(
-    continuity, residuals, spoofing, up_m
+    continuity, residuals, spoofing, subsets, up_m
 ):
     the_fix = fix(
         up_m=up_m,
@@ -843,9 +889,11 @@ def test_no_good_word_of_the_receiver_or_the_engine_makes_up_for_the_height(
         continuous_since_ns=at(0),
         phase_residuals=residuals,
         ambiguities_fixed=20,
+        subset_agreement=subsets,
     )
     judgement = judged(the_fix, statement={"spoofing": spoofing})
     if judgement.confirmed:
         assert judged(fix(up_m=up_m)).confirmed
         assert residuals != "contradictory"
+        assert subsets != "disagree"
         assert spoofing in ("none", "unknown")

@@ -166,13 +166,14 @@ def test_of_a_wrong_fix_whose_other_estimates_name_several_places_that_is_the_re
 
 def test_an_estimate_brings_nothing_of_the_fix_that_failed():
     first = fix(0, up_m=1.0, **ENGINE, ratio=9.0, satellites=12, phase_residuals="contradictory")
+    first = first.model_copy(update={"subset_agreement": "disagree"})
     first = first.model_copy(
         update={"ambiguity_continuity": "broken", "continuous_since_ns": at(-5), "ambiguities_fixed": 20}
     )
     other = other_fix(first, candidate(ambiguities=7, ratio=4.0, success_rate=0.97))
     assert (other.quality, other.height_m) == ("fixed", candidate().height_m)
     assert (other.ambiguities_fixed, other.ratio, other.success_rate) == (7, 4.0, 0.97)
-    assert (other.satellites, other.phase_residuals) == (None, "unknown")
+    assert (other.satellites, other.phase_residuals, other.subset_agreement) == (None, "unknown", "unknown")
     assert (other.ambiguity_continuity, other.continuous_since_ns) == ("no_evidence", None)
     assert other.covariance_enu_m2 == candidate().covariance_enu_m2
 
