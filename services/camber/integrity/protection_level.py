@@ -36,7 +36,9 @@ _SMALLEST_M2 = 1e-30  # in place of no variance at all
 _LEAST = 1e-300  # in place of nothing that divides or has a logarithm
 _ROWS = 100  # at a time: what their nodes take stays in the cache, and few wait for the slowest
 _ROUNDING = 1e-9
-_MARGIN = 2e-4  # of the risk: what the nodes are wrong by, of errors without a mean
+_MARGIN = (
+    0.03  # of the risk: what the nodes are wrong by where an ellipse is thin or a part's mean just within
+)
 _AIM = 1e-4  # below the risk, in ln P; what is as much below that is near enough
 _NARROW = 1e-4  # of L²: between what keeps to the risk and what does not, where P jumps
 
@@ -150,9 +152,10 @@ class Tails:
 def levels_m(tails: Tails, risk: Floats) -> Floats:
     """The smallest L (n,) with P(|error| > L) ≤ risk (n,); ∞ where there is none.
 
-    P, the mean over the nodes, is at most the risk less two ten-thousandths, which is more than the nodes are wrong by;
-    but at a level that lies just beyond a part's mean, where P falls steeply or jumps, they are by up to 3 %. L is too
-    large by no more than four ten-thousandths of the risk make, or, beside such a jump, by a ten-thousandth.
+    P, the mean over the nodes, is at most the risk less 3 %, which is more than the nodes are wrong by: 1 % of errors
+    without a mean, 2 % with, and 3 % at a level that lies just beyond a part's mean, where P falls steeply or jumps. L
+    is too large by what twice that share of the risk makes, a five-hundredth of it at 1e-7, or beside such a jump by a
+    ten-thousandth more.
     """
     possible = np.flatnonzero(tails.known & (risk > 0.0))
     if 0 < len(possible) == len(risk) <= _ROWS:

@@ -15,6 +15,8 @@ exactly = settings(derandomize=True, deadline=None)
 sigma = st.floats(0.01, 5.0)
 risks = st.floats(1e-9, 0.1)
 SLACK = 1.0 + 5e-4
+SPENT = 0.97
+"""Of the risk: the rest is for what the nodes are wrong by."""
 
 
 def alone(covariance):
@@ -46,19 +48,19 @@ def mixture(weights, means, sigmas):
 @exactly
 @given(sigma, risks)
 def test_of_a_round_error_it_is_rayleighs(s, risk):
-    exact = s * math.sqrt(-2.0 * math.log(risk))
-    assert exact * (1.0 - 1e-9) <= level(alone(s * s * np.eye(2)), risk) <= exact * SLACK
+    exact = s * math.sqrt(-2.0 * math.log(SPENT * risk))
+    assert level(alone(s * s * np.eye(2)), risk) == pytest.approx(exact, rel=5e-4)
 
 
 @exactly
 @given(sigma, risks)
 def test_on_a_line_it_is_the_normal_distributions(s, risk):
-    exact = s * stats.norm.isf(risk / 2.0)
+    exact = s * stats.norm.isf(SPENT * risk / 2.0)
     for tails in (
         alone([[s * s, 0.0], [0.0, 0.0]]),
         vertical(np.ones((1, 1)), np.zeros((1, 1)), np.array([[s * s]])),
     ):
-        assert exact * (1.0 - 1e-6) <= level(tails, risk) <= exact * SLACK
+        assert level(tails, risk) == pytest.approx(exact, rel=5e-4)
 
 
 @pytest.mark.parametrize(("a", "b", "rho"), [(1.0, 0.5, 0.3), (2.0, 0.1, -0.8), (0.3, 0.31, 0.99)])
@@ -73,14 +75,14 @@ def test_of_an_ellipse_it_is_that_of_quadrature_over_the_plane(a, b, rho):
 
     inside = integrate.quad(beyond, 0.0, found, epsabs=1e-15, limit=500)[0]
     outside = stats.norm.sf(found, scale=math.sqrt(larger))
-    assert 2.0 * (inside + outside) == pytest.approx(1e-5, rel=2e-3)
+    assert 2.0 * (inside + outside) == pytest.approx(SPENT * 1e-5, rel=2e-3)
 
 
 def test_of_heights_with_a_mean_it_is_exact():
     found = level(vertical(np.array([[0.9, 0.1]]), np.array([[0.0, -0.3]]), np.array([[0.01, 0.04]])), 1e-4)
     p = 0.9 * 2.0 * stats.norm.sf(found, scale=0.1)
     p += 0.1 * (stats.norm.sf(found, 0.3, 0.2) + stats.norm.cdf(-found, 0.3, 0.2))
-    assert p == pytest.approx(1e-4, rel=2e-3)
+    assert p == pytest.approx(SPENT * 1e-4, rel=2e-3)
     assert p <= 1e-4
 
 
@@ -90,10 +92,8 @@ def exact(weight, mean, sigma, found):
     return (weight * stats.ncx2.sf(x**2, 2, m)).sum(axis=1)
 
 
-@pytest.mark.parametrize(("farthest", "most"), [(0.0, 1.0), (10.0, 1.03)])
-def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_exceeds_it_by_what_is_promised(
-    farthest, most
-):
+@pytest.mark.parametrize("farthest", [0.0, 10.0])
+def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_keeps_to_it(farthest):
     rng = np.random.default_rng(17)
     n = 4000
     risk = 10.0 ** rng.uniform(-9.0, -1.0, n)
@@ -102,7 +102,7 @@ def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_exceeds_it_by
     mean = np.column_stack((np.zeros(n), rng.uniform(0.0, farthest, n) * sigma[:, 1]))
     covariance = (sigma**2)[:, :, None, None] * np.eye(2)
     found = levels_m(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
-    assert (exact(weight, mean, sigma, found) <= most * risk).all()
+    assert (exact(weight, mean, sigma, found) <= risk).all()
 
 
 @pytest.mark.parametrize("far", [0.0, 3.0])
@@ -127,7 +127,7 @@ def test_draws_of_a_mixture_exceed_it_no_more_often_than_the_risk_and_not_much_m
         share = (np.hypot(*error.T) > level(mixture(weights, means, sigmas), risk)).mean()
         spread = math.sqrt(risk / n)
         assert share <= risk + 4.0 * spread
-        assert share >= risk - 5.0 * spread
+        assert share >= SPENT * risk - 5.0 * spread
     assert (
         np.abs(error[:, 1])
         > level(vertical(np.array([weights]), np.array([[0.0, 0.4]]), np.array([[0.06**2, 0.12**2]])), 1e-2)
@@ -179,7 +179,7 @@ def test_all_rows_are_solved_alike_however_many():
         np.ones((2500, 1)), np.zeros((2500, 1, 2)), (spread**2)[:, None, None, None] * np.eye(2)
     )
     found = levels_m(tails, np.full(2500, 1e-7))
-    assert found == pytest.approx(spread * math.sqrt(-2.0 * math.log(1e-7)), rel=1e-4)
+    assert found == pytest.approx(spread * math.sqrt(-2.0 * math.log(SPENT * 1e-7)), rel=1e-4)
     nothing = horizontal(np.ones((0, 1)), np.zeros((0, 1, 2)), np.zeros((0, 1, 2, 2)))
     assert levels_m(nothing, np.zeros(0)).shape == (0,)
 
@@ -225,7 +225,7 @@ def test_without_risk_to_spend_there_is_no_level(risk):
 
 
 def test_a_risk_of_all_is_no_distance():
-    assert level(alone(np.eye(2)), 1.0) == pytest.approx(0.0, abs=0.1)
+    assert level(alone(np.eye(2)), 1.0) == pytest.approx(math.sqrt(-2.0 * math.log(SPENT)), abs=0.01)
     assert level(alone(np.zeros((2, 2))), 1e-7) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -234,7 +234,7 @@ def test_a_risk_of_all_is_no_distance():
 def test_the_scale_of_an_ellipse_alone_is_that_of_r(a, b, rho, risk):
     covariance = np.array([[a * a, rho * a * b], [rho * a * b, b * b]])
     tails = in_ellipses(np.ones((1, 1)), np.zeros((1, 1, 2)), covariance[None, None])
-    assert level(tails, risk) == pytest.approx(math.sqrt(-2.0 * math.log(risk)), rel=1e-4)
+    assert level(tails, risk) == pytest.approx(math.sqrt(-2.0 * math.log(SPENT * risk)), rel=1e-4)
 
 
 def test_draws_of_a_mixture_are_inside_its_ellipse_as_often_as_promised():
