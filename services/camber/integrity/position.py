@@ -124,7 +124,10 @@ class Positions:
         return None
 
     def _best(self, candidates: list[Candidate | None], situation: Situation) -> Position:
-        """The first of them, or a later one whose level is clearly smaller."""
+        """The first of them, or a later one whose level is clearly smaller and whose vertical level holds its height.
+
+        A road that has changed since the survey shows as a height that a fix contradicts.
+        """
         best, *others = [candidate for candidate in candidates if candidate is not None]
         bounds = self._bounds(best)
         for other in others:
@@ -133,7 +136,7 @@ class Positions:
             if self._levels.levels == "integrity_risk" and is_beyond(other.mixture, limit_m, self._levels):
                 continue
             found = self._bounds(other)
-            if found.horizontal_level_m < limit_m:
+            if found.horizontal_level_m < limit_m and _holds(other, found, best):
                 best, bounds = other, found
         self._index.keep(best.time_ns, bounds)
         return self._position(best, bounds, situation)
@@ -194,6 +197,12 @@ def no_position(time_ns: int, reason: Reason, rules: Rules, levels: LevelRules |
         alert_limit_m=rules.alert_limit_m,
         vertical_alert_limit_m=levels.vertical_alert_limit_m if levels is not None else None,
     )
+
+
+def _holds(one: Candidate, bounds: Bounds, other: Candidate) -> bool:
+    """Is the height of the other within the vertical level of the one, as far as both are known?"""
+    here_m, there_m = one.place[2], other.place[2]
+    return here_m is None or there_m is None or abs(there_m - here_m) <= bounds.vertical_level_m
 
 
 def _distance2(east_m: float, north_m: float, one: Covariance3, other: Covariance3) -> float:

@@ -177,6 +177,18 @@ def test_a_pose_that_is_clearly_better_takes_the_place_of_a_vague_fix():
     assert found.fix_id is None
 
 
+def test_a_pose_on_a_road_that_has_changed_does_not_take_the_place_of_a_fix_that_shows_it():
+    vague = {"covariance_enu_m2": (0.04, 0.0, 0.0, 0.04, 0.0, 1e-4)}
+    the_pose = pose(sigma_m=0.03, **MATCHED)
+
+    def found(up_m):
+        return confirmed(fresh(), the_pose, fix(height_m=ROAD_M + ANTENNA_M + up_m, **vague))
+
+    assert found(0.0).source == "scan_match"
+    beyond_m = found(0.0).vertical_protection_level_m + 0.01
+    assert found(beyond_m).source == found(-beyond_m).source == "rtk"
+
+
 # --- what a wrong fix leaves behind ------------------------------------------------------------------------------
 
 
