@@ -197,6 +197,7 @@ def test_what_grows_is_a_drift_and_no_antenna(causes):
         assert causes.common.cause != "antenna"
 
 
+@pytest.mark.slow
 def test_wrong_fixes_of_a_few_seconds_are_no_cause():
     print("seeds 0 to 9")
     named = []

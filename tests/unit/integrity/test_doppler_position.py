@@ -66,6 +66,7 @@ def test_its_covariance_is_that_of_draws_of_errors_that_are_alike_for_a_while():
     assert found.covariance_m2 == pytest.approx(metres.var() * np.eye(3), rel=0.04, abs=1e-12)
 
 
+@pytest.mark.slow
 @exactly
 @given(st.integers(1, 200), st.floats(0.01, 0.5))
 def test_it_grows_faster_than_of_white_errors_and_no_faster_than_of_a_constant_one(steps, sigma):

@@ -83,6 +83,7 @@ def test_a_place_that_is_none_is_left_out():
 # --- how fast, how far ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_from_ten_centimetres_off_three_are_reached_in_a_minute_in_nine_of_ten_drives():
     print("seeds 0 to 499")
     errors_m = []
@@ -94,6 +95,7 @@ def test_from_ten_centimetres_off_three_are_reached_in_a_minute_in_nine_of_ten_d
     assert reached >= 0.9
 
 
+@pytest.mark.slow
 def test_wrong_fixes_that_pass_do_not_pull_it():
     noise = Noise(wrong=0.15, wrong_s=3.0)
     with_wrong = [[*drive(Learning(RULES), seed, 120.0, 0.0, noise)][-1] for seed in range(20)]
