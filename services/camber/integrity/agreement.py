@@ -75,14 +75,10 @@ def agreement_of(candidates: Sequence[Candidate], rules: AgreementRules) -> Agre
 
 
 def _positions_m(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
-    """East, north and up (n, 3) from the first."""
-    first = candidates[0]
-    at = (first.latitude_rad, first.longitude_rad)
+    """East and north from the first, and the height (n, 3)."""
+    at = (candidates[0].latitude_rad, candidates[0].longitude_rad)
     return np.array(
-        [
-            (*east_north_between(*at, c.latitude_rad, c.longitude_rad), c.height_m - first.height_m)
-            for c in candidates
-        ]
+        [(*east_north_between(*at, c.latitude_rad, c.longitude_rad), c.height_m) for c in candidates]
     )
 
 

@@ -92,7 +92,7 @@ def concluded(judgement: Judgement, answer: Estimates, judged: Judged, rules: Re
         elif other.word == "confirmed":
             left_out = ", ".join(candidate.excluded_satellites)
             detail = f"of {answer.trials} other estimates, {words}; this one without {left_out}"
-            return replace(other, evidence=(*other.evidence, "estimates"), detail=_cut(detail), trials=trials)
+            return replace(other, evidence=(*other.evidence, "estimates"), detail=_cut(detail))
         elif rules.way == "agreement":
             why = f"{words}, {other.reason}: {other.detail}"
     detail = _joined(judgement.detail, f"{answer.trials} other estimates: {why}")

@@ -92,7 +92,7 @@ def _if_wrong(rules: WrongFixRules) -> tuple[tuple[float, tuple[float, float, fl
 
 def probability(log_odds: Floats) -> Floats:
     """P(wrong) of ln of wrong : right; what is not a number counts as wrong."""
-    odds = np.exp(np.clip(np.nan_to_num(log_odds, nan=700.0), -700.0, 700.0))
+    odds = np.exp(np.fmin(log_odds, 700.0))  # of which NaN is none
     return np.asarray(odds / (1.0 + odds))
 
 
@@ -104,7 +104,7 @@ def missed_detection_probability(
     With the eigenvalues λ of S⁻¹ W, d's covariance W if it is wrong, and the largest one λ₁: at most
     λ₁^(3/2) / √(λ₁ λ₂ λ₃) · P(χ²(3) ≤ limit / λ₁), equal where the three are; the union over trials. 1 where S is none.
     """
-    known, _, s = _usable(np.zeros((len(covariance_m2), 3)), covariance_m2)
+    known, s = _usable(covariance_m2)
     whitening = np.linalg.inv(np.linalg.cholesky(s))
     total = np.zeros(len(s))
     for share, variance in rules.parts:
@@ -123,14 +123,12 @@ def _chi2_inside(squared: float) -> float:
     return 1.0 - chi2_survival(squared, 3)
 
 
-def _usable(difference_m: Floats, covariance_m2: Floats) -> tuple[NDArray[np.bool_], Floats, Floats]:
-    """Which rows can be judged, and rows that can be computed with: nothing and the unit matrix elsewhere."""
-    known: NDArray[np.bool_] = np.asarray(
-        np.isfinite(difference_m).all(axis=1) & np.isfinite(covariance_m2).all(axis=(1, 2))
-    )
+def _usable(covariance_m2: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """Which are covariances, and with the unit matrix in place of those that are none."""
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(covariance_m2).all(axis=(1, 2)))
     safe = np.where(known[:, None, None], covariance_m2, np.eye(3))
     known &= np.linalg.eigvalsh(safe)[:, 0] > 0.0
-    return known, np.where(known[:, None], difference_m, 0.0), np.where(known[:, None, None], safe, np.eye(3))
+    return known, np.where(known[:, None, None], safe, np.eye(3))
 
 
 def _log_density(d: tuple[Either, Either, Either], s: Upper) -> Either:

@@ -63,6 +63,7 @@ def test_the_very_same_position_counts_once():
 def test_places_apart_are_not_one():
     found = agreement_of([candidate(success_rate=0.9), candidate(up_m=0.11, success_rate=0.9)], RULES)
     assert found.candidate is None
+    assert (found.subsets, found.disputed) == (1, True)
     assert found.why == "1 estimates name one place, 1 another"
 
 
@@ -71,10 +72,12 @@ def test_what_is_linked_by_others_is_one_place():
     assert agreement_of(chain, RULES).subsets == 4
 
 
-@pytest.mark.parametrize(("rivals", "agrees"), [(1, True), (2, False)])
-def test_a_place_must_be_named_twice_as_often_as_any_other(rivals, agrees):
+@pytest.mark.parametrize(("rivals", "named", "agrees"), [(1, 3, True), (2, 3, False), (1, 2, True)])
+def test_a_place_must_be_named_twice_as_often_as_any_other(rivals, named, agrees):
     others = [candidate(east_m=3.0 + 0.01 * k) for k in range(rivals)]
-    assert (agreement_of([*others, *trio()], RULES).candidate is not None) == agrees
+    found = agreement_of([*others, *trio()[:named]], RULES)
+    assert (found.candidate is not None) == agrees
+    assert found.disputed == (not agrees)
 
 
 def test_many_places_of_one_each_do_not_add_up_against_it():

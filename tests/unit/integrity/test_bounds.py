@@ -176,6 +176,8 @@ def test_before_any_fix_and_of_a_match_the_level_is_the_ellipse():
     index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
     assert index.bounds("sensors", at(0), own, known=True).horizontal_level_m == own.semi_major_99_m
     assert index.bounds("scan_match", at(0), own, known=True).horizontal_level_m == own.semi_major_99_m
+    index.keep(at(0), index.bounds("rtk", at(0), own, known=True))
+    assert index.bounds("scan_match", at(1), own, known=True).horizontal_level_m == own.semi_major_99_m
 
 
 def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_forgotten():

@@ -73,6 +73,32 @@ def test_of_a_patch_the_nearest_sample_speaks_with_its_own_plane_and_surface():
     assert point == RoadPoint(pytest.approx(41.0 - 0.1 - 0.2), 0.05, 0.1, -0.2, 8)
 
 
+@pytest.mark.parametrize("offset_m", [(9.0, 1.0), (-8.5, -11.0), (2.0, -9.5), (-1.5, 8.0), (0.5, -0.5)])
+def test_of_samples_all_around_it_is_the_nearest(offset_m):
+    east_m, north_m = (axis.ravel() for axis in np.meshgrid([-10.0, 0.0, 10.0], [-10.0, 0.0, 10.0]))
+    slope_east, slope_north = 0.01 * np.arange(9), -0.02 * np.arange(9)
+    around = patch(
+        surface_id=np.arange(9),
+        east_m=east_m,
+        north_m=north_m,
+        elevation_m=40.0 + np.arange(9),
+        sigma_m=0.01 * np.arange(9),
+        slope_east=slope_east,
+        slope_north=slope_north,
+    )
+    k = min(range(9), key=lambda k: math.dist(offset_m, (east_m[k], north_m[k])))
+    elevation_m = 40.0 + k + slope_east[k] * (offset_m[0] - east_m[k])
+    elevation_m += slope_north[k] * (offset_m[1] - north_m[k])
+    assert road_at(road(patch=around), *offset_m) == RoadPoint(
+        pytest.approx(elevation_m), 0.01 * k, slope_east[k], slope_north[k], k
+    )
+
+
+def test_a_plane_and_a_sample_reach_as_far_as_they_say():
+    assert road_at(road(), 20.0, 0.0) is not None
+    assert road_at(road(patch=patch()), 0.0, 3.0) is not None
+
+
 @pytest.mark.parametrize("offset", [(5.0, 0.0), (0.0, 3.1), (math.nan, 0.0), (math.inf, math.inf)])
 def test_out_of_reach_of_all_samples_there_is_no_road(offset):
     assert road_at(road(patch=patch()), *offset) is None

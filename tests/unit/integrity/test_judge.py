@@ -719,8 +719,13 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
 
 
 def test_a_fix_beyond_the_road_and_off_the_pose_contradicts_the_pose():
-    assert word_and_reason(judged(fix(east_m=30.0))) == ("erroneous", "position_disagrees")
-    assert judged(fix(east_m=30.0), rules=by("height")).reason == "pose_too_uncertain"
+    off = judged(fix(east_m=30.0))
+    assert word_and_reason(off) == ("erroneous", "position_disagrees")
+    assert off.comparison is not None
+    assert off.comparison.position_m == pytest.approx((30.0, 0.0), abs=1e-2)
+    in_doubt = judged(fix(east_m=30.0), rules=by("height"))
+    assert word_and_reason(in_doubt) == ("unknown", "pose_too_uncertain")
+    assert in_doubt.detail == "the fix is beyond the surface's plane"
 
 
 # --- integers, sweeps and phases ---------------------------------------------------------------------------------

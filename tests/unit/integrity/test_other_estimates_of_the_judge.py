@@ -160,18 +160,30 @@ def test_without_agreement_nothing_is_judged():
 
 def test_of_a_wrong_fix_whose_other_estimates_name_several_places_that_is_the_reason():
     found = concluded(erroneous(), answer(candidate(), candidate(up_m=2.0)), Judged(), RULES)
-    assert (found.word, found.reason) == ("erroneous", "estimates_disagree")
+    assert (found.word, found.reason, found.trials) == ("erroneous", "estimates_disagree", 21)
     assert found.detail.startswith("height_disagrees: height +1.00 m; 20 other estimates: 1 estimates name")
 
 
 def test_an_estimate_brings_nothing_of_the_fix_that_failed():
-    first = fix(0, up_m=1.0, **ENGINE, ratio=9.0, satellites=12, phase_residuals="contradictory")
+    first = fix(
+        0,
+        up_m=1.0,
+        east_m=3.0,
+        north_m=2.0,
+        **ENGINE,
+        quality="float",
+        covariance_enu_m2=(9.0, 0.0, 0.0, 9.0, 0.0, 9.0),
+        ratio=9.0,
+        satellites=12,
+        phase_residuals="contradictory",
+    )
     first = first.model_copy(update={"subset_agreement": "disagree"})
     first = first.model_copy(
         update={"ambiguity_continuity": "broken", "continuous_since_ns": at(-5), "ambiguities_fixed": 20}
     )
     other = other_fix(first, candidate(ambiguities=7, ratio=4.0, success_rate=0.97))
     assert (other.quality, other.height_m) == ("fixed", candidate().height_m)
+    assert (other.latitude_rad, other.longitude_rad) == (candidate().latitude_rad, candidate().longitude_rad)
     assert (other.ambiguities_fixed, other.ratio, other.success_rate) == (7, 4.0, 0.97)
     assert (other.satellites, other.phase_residuals, other.subset_agreement) == (None, "unknown", "unknown")
     assert (other.ambiguity_continuity, other.continuous_since_ns) == ("no_evidence", None)
@@ -196,6 +208,11 @@ def test_one_after_the_other_is_judged_until_one_passes():
     assert found.word == "confirmed"
     assert found.trials == 21
     assert found.detail == "of 20 other estimates, one after the other; this one without G03"
+
+
+def test_all_satellites_that_were_left_out_are_named():
+    found = concluded(erroneous(), answer(candidate(excluded=("G05", "E11"))), Judged("confirmed"), LOOP)
+    assert found.detail.endswith("this one without G05, E11")
 
 
 def test_at_the_limit_the_error_is_final():
@@ -231,6 +248,7 @@ def test_after_silence_gnss_is_left_alone_for_two_seconds():
     answering = Answering()
     assert answering.may_be_asked(at(0))
     answering.fell_silent(at(0))
+    assert not answering.may_be_asked(at(0))
     assert not answering.may_be_asked(at(9.9))
     assert answering.may_be_asked(at(10))
     assert answering.may_be_asked(at(-1))  # the clock was set back

@@ -22,6 +22,14 @@ def test_the_pose_is_moved_on_to_the_time_of_the_fix():
     assert (east_m, north_m) == (pytest.approx(0.5, abs=1e-3), pytest.approx(-0.3, abs=1e-3))
 
 
+def test_it_is_moved_on_the_way_it_looks():
+    yaw_rad = math.radians(120.0)
+    travelled_m = 0.2 * SPEED_M_S
+    there = place(0, travelled_m * math.cos(yaw_rad), travelled_m * math.sin(yaw_rad))
+    offset_m = offset_from_pose(*there, pose(0, yaw_rad=yaw_rad), at(1))
+    assert offset_m == (pytest.approx(0.0, abs=1e-3), pytest.approx(0.0, abs=1e-3))
+
+
 @pytest.mark.parametrize("changes", [{"speed_m_s": None}, {"yaw_rad": None}])
 def test_one_that_does_not_say_how_it_moves_stays(changes):
     east_m, _ = offset_from_pose(*place(1), pose(0, **changes), at(1))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from camber.integrity.joint_test import chi2_limit
 from camber.integrity.wrong_fix import WrongFixRules, log_odds, missed_detection_probability, probability
@@ -102,6 +103,28 @@ def test_a_sharp_test_lets_through_its_volume_times_the_density_at_the_middle():
     )
     volume = 4.0 / 3.0 * math.pi * (3.0 * 1e-3) ** 3
     assert sharp[0] == pytest.approx(volume / math.sqrt(2.0 * math.pi) ** 3, rel=1e-4)
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.0, 3.0, 30.0])
+def test_where_a_wrong_fix_is_as_wide_in_all_directions_it_is_what_a_chi_square_says(scale):
+    rules = WrongFixRules(near_horizontal_m=scale, near_vertical_m=scale, far_share=0.0)
+    missed = missed_detection_probability(np.eye(3)[None], 9.0, rules)[0]
+    assert missed == pytest.approx(chi2.cdf(9.0 / (1.0 + scale**2), 3), rel=1e-2)
+
+
+def test_a_part_of_the_wrong_fixes_is_never_missed_oftener_than_there_are_such():
+    """The bound is loose where the test is sharp in one direction alone: it must not count the near ones twice."""
+    sharp_in_one = np.diag([0.01, 1e4, 1e4])[None]
+    rules = WrongFixRules(near_vertical_m=1.0, far_m=1e4, far_share=0.5)
+    assert missed_detection_probability(sharp_in_one, 16.27, rules)[0] <= 0.51
+
+
+def test_many_at_once_are_told_as_each_alone():
+    many = np.stack([S, np.full((3, 3), math.nan), 4.0 * S, np.diag([1.0, -1.0, 1.0])])
+    missed = missed_detection_probability(many, 16.27, RULES)
+    alone = [missed_detection_probability(one[None], 16.27, RULES)[0] for one in many]
+    assert missed.tolist() == alone
+    assert missed[0] < missed[2] < missed[1] == missed[3] == 1.0
 
 
 def test_the_mean_square_of_wrong_fixes_is_that_of_both_parts():
