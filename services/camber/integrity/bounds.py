@@ -54,6 +54,9 @@ class LevelRules:
 
     `false_match_prior`: how likely scan matching confirms a pose that a wrong fix has pulled metres off; at places
     `matches_apart_m` apart it would have to do so anew.
+
+    `changed_road_prior`: how likely the road under a pose has changed since it was surveyed, by a height of the
+    standard deviation `changed_road_sigma_m`.
     """
 
     levels: Literal["integrity_risk", "reliability_index"] = "integrity_risk"
@@ -68,6 +71,8 @@ class LevelRules:
     index: IndexRules = field(default_factory=IndexRules)
     false_match_prior: float = 1e-3
     matches_apart_m: float = 20.0
+    changed_road_prior: float = 1e-2
+    changed_road_sigma_m: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,10 @@ being the difference of fix and model. Confirmed fixes anchor the pose: one that
 along, and agrees with it afterwards. `Suspicion` remembers how likely that is and how far off it may be; it fades as
 episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching bears the pose
 out place after place (`MatchedPlaces`).
+
+A height that is the road's is off where the road has changed since the survey. What fixes have said of the road is not
+remembered: a level grows with the logarithm of the odds, so to know for certain that a road has changed would raise it
+by a fifth.
 """
 
 from __future__ import annotations
@@ -150,7 +154,7 @@ def confirmed_fix(judgement: Judgement, before: Suspicion, rules: LevelRules, si
     total = 1.0 + odds + pulled
     parts = (
         Part(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
-        Part(odds / total, wrong.mean_m, wrong.horizontal_m2, wrong.up_m2),
+        *_by_road(replace(wrong, weight=odds / total), rules),
         _wider(before.part(pulled / total), covariance),
     )
     probability = (odds + pulled) / total
@@ -206,7 +210,7 @@ def of_pose(
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     height_m, up_m2 = height_on_road(situation, correction_m, rules)
     alone = Part(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
-    parts: tuple[Part, ...] = (alone,)
+    parts: tuple[Part, ...] = _by_road(alone, levels)
     wrong: float | None = None
     if rests_on_fixes(pose):
         wrong = suspicion.odds / (1.0 + suspicion.odds)
@@ -216,7 +220,7 @@ def of_pose(
             (ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
             alone.up_m2,  # the height is that of the road
         )
-        parts = (replace(alone, weight=1.0 - wrong), pulled)
+        parts = (*_by_road(replace(alone, weight=1.0 - wrong), levels), *_by_road(pulled, levels))
     return Candidate(
         "scan_match" if pose.mode == "scan_match" else "sensors",
         pose.time_ns,
@@ -294,6 +298,15 @@ def _if_wrong(
     # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
     wrong = Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
     return math.exp(min(against, _MOST_LOG_ODDS)), wrong
+
+
+def _by_road(part: Part, rules: LevelRules) -> tuple[Part, Part]:
+    """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
+    changed, sigma_m = rules.changed_road_prior, rules.changed_road_sigma_m
+    return (
+        replace(part, weight=(1.0 - changed) * part.weight),
+        replace(part, weight=changed * part.weight, up_m2=part.up_m2 + sigma_m * sigma_m),
+    )
 
 
 def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ Usable is what has both levels below their alert limits: what is not known is no
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from camber.geodesy.offsets import east_north_between
@@ -33,6 +34,7 @@ from camber.schemas.integrity import Position, Reason
 
 _CONTRADICTION = 27.6  # squared distance of two positions: χ²(2) at 1e-6
 _FLOOR_M2 = 0.01
+_AS_SURVEYED = 5.33  # σ that a height may be off at 1e-7
 _LARGEST_M = 1e9  # that a message holds
 
 
@@ -124,10 +126,7 @@ class Positions:
         return None
 
     def _best(self, candidates: list[Candidate | None], situation: Situation) -> Position:
-        """The first of them, or a later one whose level is clearly smaller and whose vertical level holds its height.
-
-        A road that has changed since the survey shows as a height that a fix contradicts.
-        """
+        """The first of them, or a later one whose level is clearly smaller and whose height is borne out."""
         best, *others = [candidate for candidate in candidates if candidate is not None]
         bounds = self._bounds(best)
         for other in others:
@@ -136,10 +135,30 @@ class Positions:
             if self._levels.levels == "integrity_risk" and is_beyond(other.mixture, limit_m, self._levels):
                 continue
             found = self._bounds(other)
-            if found.horizontal_level_m < limit_m and _holds(other, found, best):
+            if found.horizontal_level_m < limit_m and self._bears_out(best, bounds, other, found):
                 best, bounds = other, found
         self._index.keep(best.time_ns, bounds)
         return self._position(best, bounds, situation)
+
+    def _bears_out(self, best: Candidate, bounds: Bounds, other: Candidate, found: Bounds) -> bool:
+        """Is the height of the other within the vertical level that was found, as far as both are known?
+
+        Where a position is usable, the other has to be on a road as it was surveyed: one that has changed since shows
+        as a height that a fix contradicts, and the fix knows it better.
+        """
+        here_m, there_m = best.place[2], other.place[2]
+        if here_m is None or there_m is None:
+            return True
+        reach_m = _AS_SURVEYED * math.sqrt(other.covariance_enu_m2[5])
+        limit_m = min(reach_m, found.vertical_level_m) if self._is_small(bounds) else found.vertical_level_m
+        return abs(there_m - here_m) <= limit_m
+
+    def _is_small(self, bounds: Bounds) -> bool:
+        """Are both levels below their alert limits?"""
+        return (
+            bounds.horizontal_level_m < self._rules.alert_limit_m
+            and bounds.vertical_level_m < self._levels.vertical_alert_limit_m
+        )
 
     def _bounds(self, of: Candidate) -> Bounds:
         (found,) = bounds_of([of.mixture], self._levels)
@@ -197,12 +216,6 @@ def no_position(time_ns: int, reason: Reason, rules: Rules, levels: LevelRules |
         alert_limit_m=rules.alert_limit_m,
         vertical_alert_limit_m=levels.vertical_alert_limit_m if levels is not None else None,
     )
-
-
-def _holds(one: Candidate, bounds: Bounds, other: Candidate) -> bool:
-    """Is the height of the other within the vertical level of the one, as far as both are known?"""
-    here_m, there_m = one.place[2], other.place[2]
-    return here_m is None or there_m is None or abs(there_m - here_m) <= bounds.vertical_level_m
 
 
 def _distance2(east_m: float, north_m: float, one: Covariance3, other: Covariance3) -> float:

@@ -179,6 +179,10 @@ class IntegritySettings(ServiceSettings):
         5.0, gt=0.0, le=600.0, description="one batch of uploads for each such stretch of GPS time"
     )
     outbox_limit_mb: float = Field(256.0, ge=1.0, description="disk the waiting uploads may take")
+    changed_road_prior: float = Field(
+        0.01, ge=0.0, le=1.0, description="the road under a pose has changed since its survey"
+    )
+    changed_road_sigma_m: float = Field(0.2, gt=0.0, description="σ by which its height is then off")
 
     @model_validator(mode="after")
     def _can_be_judged_by(self) -> Self:
@@ -255,6 +259,8 @@ class IntegritySettings(ServiceSettings):
             pose_fault_prior=self.pose_fault_prior,
             false_match_prior=self.false_match_prior,
             matches_apart_m=self.matches_apart_m,
+            changed_road_prior=self.changed_road_prior,
+            changed_road_sigma_m=self.changed_road_sigma_m,
             horizontal_margin=self.horizontal_margin,
             time_to_alert_s=self.time_to_alert_s,
             wrong_fix=WrongFixRules(prior=self.wrong_fix_prior, episode_s=self.wrong_fix_episode_s),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from camber.integrity.bounds import LevelRules, bounds_of
 from camber.integrity.candidates import MatchedPlaces, Suspicion, confirmed_fix
+from camber.integrity.candidates import of_pose as candidate_of_pose
 from camber.integrity.judge import Judge
 from camber.integrity.judgement import Judgement
 from camber.integrity.position import Positions
@@ -177,16 +178,33 @@ def test_a_pose_that_is_clearly_better_takes_the_place_of_a_vague_fix():
     assert found.fix_id is None
 
 
-def test_a_pose_on_a_road_that_has_changed_does_not_take_the_place_of_a_fix_that_shows_it():
-    vague = {"covariance_enu_m2": (0.04, 0.0, 0.0, 0.04, 0.0, 1e-4)}
-    the_pose = pose(sigma_m=0.03, **MATCHED)
+def beside_a_sharp_pose(up_m, east_m=0.0, **rules):
+    """The source beside a vague fix that is as far off; it is not usable."""
+    off = {"height_m": ROAD_M + ANTENNA_M + up_m, "east_m": east_m}
+    vague = fix(**off, covariance_enu_m2=(0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))
+    return confirmed(fresh(rules=replace(RULES, **rules)), pose(sigma_m=0.03, **MATCHED), vague).source
 
-    def found(up_m):
-        return confirmed(fresh(), the_pose, fix(height_m=ROAD_M + ANTENNA_M + up_m, **vague))
 
-    assert found(0.0).source == "scan_match"
-    beyond_m = found(0.0).vertical_protection_level_m + 0.01
-    assert found(beyond_m).source == found(-beyond_m).source == "rtk"
+def test_a_pose_on_a_road_that_has_changed_does_not_take_the_place_of_a_usable_fix_that_shows_it():
+    as_surveyed_m = 5.33 * math.hypot(0.03, 0.02)
+    for sign in (1.0, -1.0):
+        assert beside_a_sharp_pose(sign * (as_surveyed_m - 0.001), alert_limit_m=1e3) == "scan_match"
+        assert beside_a_sharp_pose(sign * (as_surveyed_m + 0.001), alert_limit_m=1e3) == "rtk"
+        assert beside_a_sharp_pose(sign * (as_surveyed_m + 0.001)) == "scan_match", "the fix is not usable"
+
+
+def test_a_pose_whose_vertical_level_a_fix_contradicts_never_takes_its_place():
+    level_m = of_pose(pose(sigma_m=0.03, **MATCHED)).vertical_protection_level_m
+    for sign in (1.0, -1.0):
+        assert beside_a_sharp_pose(sign * (level_m - 0.001), east_m=2.0) == "scan_match"
+        assert beside_a_sharp_pose(sign * (level_m + 0.001), east_m=2.0) == "rtk"
+
+
+def test_where_the_height_of_a_pose_is_not_known_none_contradicts_it():
+    the_pose = pose(sigma_m=0.03, road=road(datum=None), **MATCHED)
+    vague = fix(covariance_enu_m2=(0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))
+    judgement = replace(judged(pose(**MATCHED), vague), pose=the_pose)
+    assert fresh().confirmed(judgement, 0.0, situation(the_pose, antenna())).source == "scan_match"
 
 
 # --- what a wrong fix leaves behind ------------------------------------------------------------------------------
@@ -371,8 +389,60 @@ def test_a_matched_pose_stands_on_the_road_with_its_antenna():
     assert (found.source, found.usable, found.reason) == ("scan_match", True, "none")
     assert found.height_m == pytest.approx(ROAD_M + ANTENNA_M)
     assert found.horizontal_protection_level_m == pytest.approx(1.03 * 0.08 * 5.68, rel=0.02)
-    assert found.vertical_protection_level_m == pytest.approx(math.hypot(0.03, 0.02) * 5.33, rel=0.02)
+    as_surveyed = of_pose(pose(sigma_m=0.08, **MATCHED), levels=LevelRules(changed_road_prior=0.0))
+    assert as_surveyed.vertical_protection_level_m == pytest.approx(math.hypot(0.03, 0.02) * 5.33, rel=0.02)
     assert found.wrong_fix_probability is None
+
+
+def test_the_vertical_level_of_a_pose_holds_a_road_that_has_changed():
+    found = of_pose(pose(sigma_m=0.08, **MATCHED))
+    # One road in a hundred: 1e-5 of those that have changed may be beyond.
+    assert found.vertical_protection_level_m == pytest.approx(math.hypot(0.2, 0.03, 0.02) * 4.42, rel=0.02)
+    as_surveyed = of_pose(pose(sigma_m=0.08, **MATCHED), levels=LevelRules(changed_road_prior=0.0))
+    assert as_surveyed.horizontal_protection_level_m == pytest.approx(
+        found.horizontal_protection_level_m, rel=1e-6
+    )
+    assert found.height_m == as_surveyed.height_m
+    assert found.covariance_enu_m2 == as_surveyed.covariance_enu_m2
+
+
+@pytest.mark.parametrize("the_pose", [pose(**MATCHED), pose()], ids=["no fix behind it", "anchored by fixes"])
+def test_a_pose_is_one_of_its_parts_whatever_has_changed(the_pose):
+    for prior in (0.0, 0.01, 1.0):
+        levels = LevelRules(changed_road_prior=prior)
+        suspicion = Suspicion.before_any(levels.wrong_fix)
+        found = candidate_of_pose(situation(the_pose, antenna()), 0.0, suspicion, RULES, levels)
+        assert sum(part.weight for part in found.mixture.parts) == pytest.approx(1.0)
+        odd = [part.weight for part in found.mixture.parts if part.up_m2 > 0.2**2]
+        assert sum(odd) == pytest.approx(prior)
+
+
+@exactly
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 1.0), st.floats(1.0, 5.0), st.booleans())
+def test_roads_that_change_more_or_more_often_never_shrink_a_vertical_level(one, other, sigma_m, factor, rtk):
+    low, high = sorted((one, other))
+
+    def found(prior, sigma_m):
+        levels = LevelRules(changed_road_prior=prior, changed_road_sigma_m=sigma_m)
+        the_position = confirmed(fresh(levels)) if rtk else of_pose(pose(**MATCHED), levels=levels)
+        return the_position.vertical_protection_level_m
+
+    assert found(high, factor * sigma_m) * SLACK >= found(low, sigma_m)
+
+
+def test_where_a_wrong_fix_would_stand_on_a_changed_road_the_level_of_a_fix_holds_both():
+    def parts(prior):
+        before = Suspicion.before_any(LEVELS.wrong_fix)
+        levels = LevelRules(changed_road_prior=prior)
+        return confirmed_fix(
+            judged(pose(**MATCHED)), before, levels, RULES.true_sigma
+        ).candidate.mixture.parts
+
+    right, wrong, and_changed, pulled = parts(0.01)
+    assert and_changed.weight == pytest.approx(wrong.weight * 0.01 / 0.99)
+    assert (and_changed.mean_m, and_changed.horizontal_m2) == (wrong.mean_m, wrong.horizontal_m2)
+    assert and_changed.up_m2 == pytest.approx(wrong.up_m2 + 0.2**2)
+    assert (right, pulled) == (parts(0.0)[0], parts(0.0)[-1])
 
 
 def test_on_a_slope_the_height_shares_the_error_of_the_place():
