@@ -1,18 +1,24 @@
 """Does a test notice when the judge is changed? `PYTHONPATH=tests python -m mutation.run` (`make mutation`).
 
-Every pure module of `camber.integrity` is changed in thousands of small ways by mutmut, each of which a test must
-notice. mutmut wants one source root and writes beside what it changes: so all is laid out anew in a folder of its own.
-What no test can notice stands in `survivors.toml`, each with why; what neither a test nor that file explains is listed.
+Every function of the pure modules of `camber.integrity` is changed in thousands of small ways by mutmut, each of which
+a test must notice. mutmut wants one source root and writes beside what it changes: so all is laid out anew in a folder
+of its own. What no test can notice stands in `survivors.toml`, each with why; what neither a test nor that file
+explains is listed. mutmut leaves alone what is not within a function (defaults of dataclasses, constants) and what has
+a decorator (properties).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import re
 import shutil
 import subprocess
 import sys
+import time
+import tokenize
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -20,10 +26,18 @@ from pathlib import Path
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGE = "integrity"
 _PROCESS = frozenset({"__init__.py", "__main__.py", "service.py", "settings.py"})
+_OF_PROCESSES = ("camber.runtime", f"camber.{_PACKAGE}.service", f"camber.{_PACKAGE}.settings")
+"""Tests that import these are left out: they are slow, and the pure modules have tests of their own."""
 _NOTICED = frozenset({"killed", "timeout", "segfault", "caught by type check"})
 _LEAST_SHARE = 0.95
-_PAGES = "test_integrity_page.py"
-"""Compares with a page of the repository, which is not there where mutants live."""
+_NEARLY_THE_SAME = 1e-6
+_FEW_EXAMPLES = """\
+from hypothesis import settings
+
+settings.register_profile("mutation", max_examples=20, derandomize=True, deadline=None)
+settings.load_profile("mutation")
+"""
+"""Properties take most of the time of a mutant that nobody notices; what many examples would notice few do."""
 
 
 def main() -> int:
@@ -38,7 +52,7 @@ def main() -> int:
         for path in (_ROOT / "services/camber" / _PACKAGE).glob("*.py")
         if path.name not in _PROCESS and (not args.only or path.stem in args.only)
     )
-    folder = args.out.resolve()
+    folder, began_s = args.out.resolve(), time.monotonic()
     _lay_out(folder, modules)
     command = [str(Path(sys.executable).parent / "mutmut")]
     # Without a check of its own tests first mutmut stops and says so.
@@ -53,7 +67,9 @@ def main() -> int:
     if ran.returncode != 0:
         print((folder / "mutmut.log").read_text(errors="replace")[-4000:])
         return 1
-    return _report(_results(command, folder), command, folder)
+    code = _report(_results(command, folder), modules, folder)
+    print(f"mutation: {(time.monotonic() - began_s) / 60.0:.0f} minutes")
+    return code
 
 
 def _lay_out(folder: Path, modules: list[str]) -> None:
@@ -64,7 +80,10 @@ def _lay_out(folder: Path, modules: list[str]) -> None:
         shutil.copytree(_ROOT / root, folder / "src/camber", ignore=without, dirs_exist_ok=True)
     for part in (f"unit/{_PACKAGE}", "support"):
         shutil.copytree(_ROOT / "tests" / part, folder / "tests" / part, ignore=without)
-    (folder / "tests/unit" / _PACKAGE / _PAGES).unlink(missing_ok=True)
+    for test in (folder / "tests/unit" / _PACKAGE).glob("*.py"):
+        if any(module in test.read_text() for module in _OF_PROCESSES):
+            test.unlink()
+    (folder / "tests/conftest.py").write_text(_FEW_EXAMPLES)
     names = ", ".join(f'"src/camber/{_PACKAGE}/{module}.py"' for module in modules)
     (folder / "pyproject.toml").write_text(
         f"""\
@@ -80,6 +99,8 @@ pytest_add_cli_args_test_selection = ["tests/unit/{_PACKAGE}"]
 pytest_add_cli_args = ["-p", "no:cacheprovider", "-m", "not slow"]
 track_dependencies = false
 use_git_change_detection = false
+timeout_multiplier = 5.0
+timeout_constant = 5.0
 """
     )
 
@@ -93,31 +114,79 @@ def _results(command: list[str], folder: Path) -> dict[str, str]:
     return {row[0]: row[1] for row in rows if len(row) == 2}
 
 
-def _report(results: dict[str, str], command: list[str], folder: Path) -> int:
+def _report(results: dict[str, str], modules: list[str], folder: Path) -> int:
     if not results:
         print("mutation: nothing was changed")
         return 1
-    survivors = tomllib.loads((Path(__file__).parent / "survivors.toml").read_text())["survivor"]
-    explained = {(entry["in"], entry["was"], entry["becomes"]): entry["why"] for entry in survivors}
-    noticed = sum(outcome in _NOTICED for outcome in results.values())
-    unexplained = 0
-    for name in (name for name, outcome in results.items() if outcome not in _NOTICED):
-        place, was, becomes = _change(name, command, folder)
-        why = explained.get((place, was, becomes))
-        unexplained += why is None
-        print(f"{place}: {was or '(nothing)'}  ->  {becomes or '(nothing)'}: {why or 'NOT EXPLAINED'}")
-    share = noticed / len(results)
+    explained, seen, unexplained, small = _explained(), set(), 0, 0
+    for name, outcome in results.items():
+        if outcome in _NOTICED and outcome != "timeout":
+            continue
+        change = place, was, becomes = _change(name, folder)
+        if outcome == "timeout":
+            why = "timeout"
+        elif _is_small(was, becomes):
+            small += 1
+            continue
+        else:
+            seen.add(change)
+            why = explained.get(change, "NOT EXPLAINED")
+            unexplained += change not in explained
+        print(f"{place}: {was or '(nothing)'}  ->  {becomes or '(nothing)'}: {why}")
+    for place, was, becomes in sorted(explained.keys() - seen):
+        if re.split("[ .]", place)[1] in modules:
+            print(f"{place}: {was}  ->  {becomes}: explained, and noticed or gone")
+    for module in modules:
+        of = [outcome for name, outcome in results.items() if name.split(".")[2] == module]
+        if of:
+            print(f"{module:20} {len(of):5} {100.0 * _share(of):6.1f} %")
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(results.values()).items()))
+    share = _share(list(results.values()))
     print(
-        f"mutation: {len(results)} mutants, {counts}: {100.0 * share:.1f} % noticed, {unexplained} unexplained"
+        f"mutation: {len(results)} mutants, {counts}: {100.0 * share:.1f} % noticed, {unexplained} unexplained, "
+        f"{small} numbers less than a millionth off"
     )
     return int(share < _LEAST_SHARE or unexplained > 0)
 
 
-def _change(name: str, command: list[str], folder: Path) -> tuple[str, str, str]:
+def _share(outcomes: list[str]) -> float:
+    return sum(outcome in _NOTICED for outcome in outcomes) / len(outcomes)
+
+
+def _explained() -> dict[tuple[str, str, str], str]:
+    """Why, by place and change."""
+    entries = tomllib.loads((Path(__file__).parent / "survivors.toml").read_text())["survivor"]
+    return {
+        (entry["in"], was, becomes): entry["why"] for entry in entries for was, becomes in entry["changes"]
+    }
+
+
+def _is_small(was: str, becomes: str) -> bool:
+    """Is all that differs one number, by less than a millionth? mutmut adds 1 to each: a second of 1e9 + 1 ns."""
+    differ = [pair for pair in zip(_tokens(was), _tokens(becomes), strict=False) if pair[0] != pair[1]]
+    if len(differ) != 1:
+        return False
+    try:
+        one, other = map(float, differ[0])
+    except ValueError:
+        return False
+    return abs(other - one) <= _NEARLY_THE_SAME * abs(one)
+
+
+def _tokens(line: str) -> list[str]:
+    with contextlib.suppress(tokenize.TokenError):
+        return [token.string for token in tokenize.generate_tokens(io.StringIO(line).readline)]
+    return line.split()
+
+
+def _change(name: str, folder: Path) -> tuple[str, str, str]:
     """Module and function, what stood there, and what stands there instead, each as one line."""
-    shown = subprocess.run([*command, "show", name], cwd=folder, capture_output=True, text=True, check=True)
-    lines = [line for line in shown.stdout.splitlines() if not line.startswith(("---", "+++", "#"))]
+    with contextlib.chdir(folder):
+        from mutmut.mutation.diff_apply import get_diff_for_mutant  # reads its settings when it is imported
+
+        module = name.split(".")[2]
+        shown = get_diff_for_mutant(name, path=f"src/camber/{_PACKAGE}/{module}.py")
+    lines = [line for line in shown.splitlines() if not line.startswith(("---", "+++", "#"))]
     was = " ".join(line[1:].strip() for line in lines if line.startswith("-"))
     becomes = " ".join(line[1:].strip() for line in lines if line.startswith("+"))
     found = re.fullmatch(r"camber\.(.+)\.x(.+)__mutmut_\d+", name)

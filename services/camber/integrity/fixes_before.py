@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from camber.geodesy.offsets import east_north_between
 from camber.integrity.height_check import RoadPoint
 from camber.integrity.judgement import Judgement
@@ -49,7 +51,7 @@ class FixesBefore:
 
     def start_after(self, fix: Fix, speed_m_s: float | None) -> StartCount:
         """Agreeing fixes in a row, if this is one more."""
-        start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, fix.height_m, speed_m_s)
+        start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, speed_m_s)
         return self._start.after(start, self._rules.start)
 
     def are_continued_by(self, fix: Fix, pose_then: Pose | None, pose_now: Pose | None) -> bool:
@@ -57,8 +59,8 @@ class FixesBefore:
         last = self.chain
         if last is None or pose_then is None or pose_now is None:
             return False
-        moved = east_north_between(
-            last.latitude_rad, last.longitude_rad, fix.latitude_rad, fix.longitude_rad, fix.height_m
+        east_m, north_m = east_north_between(
+            last.latitude_rad, last.longitude_rad, fix.latitude_rad, fix.longitude_rad
         )
         east_then, north_then = offset_from_pose(
             last.latitude_rad, last.longitude_rad, pose_then, last.time_ns
@@ -68,11 +70,10 @@ class FixesBefore:
             last,
             self._rules.series,
             time_ns=fix.time_ns,
-            moved_east_m=moved[0],
-            moved_north_m=moved[1],
-            # What the vehicle moved is what the fix moved, less what the fix moved against the pose.
-            vehicle_east_m=moved[0] - (east_now - east_then),
-            vehicle_north_m=moved[1] - (north_now - north_then),
+            moved_east_m=east_m,
+            moved_north_m=north_m,
+            # It has moved otherwise than the vehicle by as much as it has moved against the pose.
+            astray_m=math.hypot(east_now - east_then, north_now - north_then),
             height_m=fix.height_m,
         )
 

@@ -35,7 +35,6 @@ class StartFix:
     time_ns: int
     latitude_rad: float
     longitude_rad: float
-    height_m: float
     speed_m_s: float | None
 
 
@@ -66,7 +65,5 @@ def follows(before: StartFix, now: StartFix, rules: StartRules) -> bool:
     if before.speed_m_s is None or now.speed_m_s is None or not 0.0 < gap_s <= rules.longest_gap_s:
         return False
     rolled_m = 0.5 * abs(before.speed_m_s + now.speed_m_s) * gap_s
-    moved = east_north_between(
-        before.latitude_rad, before.longitude_rad, now.latitude_rad, now.longitude_rad, now.height_m
-    )
+    moved = east_north_between(before.latitude_rad, before.longitude_rad, now.latitude_rad, now.longitude_rad)
     return abs(math.hypot(*moved) - rolled_m) <= rules.distance_m + rules.distance_share * rolled_m

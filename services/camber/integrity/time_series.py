@@ -7,7 +7,6 @@ the map all the same, it is the height model that is off. The evidence fades wit
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 
@@ -41,21 +40,19 @@ def continues(
     time_ns: int,
     moved_east_m: float,
     moved_north_m: float,
-    vehicle_east_m: float,
-    vehicle_north_m: float,
+    astray_m: float,
     height_m: float,
 ) -> bool:
     """Does the fix continue the last right one?
 
-    `moved_*` is the fix's displacement since then, `vehicle_*` the vehicle's by its own sensors, in metres; the height
-    must have changed by the road's slope at the last fix times the displacement.
+    `moved_*` is the fix's displacement since then, `astray_m` how far that is from the vehicle's by its own sensors;
+    the height must have changed by the road's slope at the last fix times the displacement.
     """
     if last is None or last.links >= rules.longest_chain:
         return False
     gap_s = (time_ns - last.time_ns) / 1e9
     if not 0.0 < gap_s <= rules.longest_gap_s:
         return False
-    astray_m = math.hypot(moved_east_m - vehicle_east_m, moved_north_m - vehicle_north_m)
     risen_m = last.slope_east * moved_east_m + last.slope_north * moved_north_m
     return astray_m <= rules.horizontal_m and abs(height_m - last.height_m - risen_m) <= rules.vertical_m
 

@@ -72,6 +72,18 @@ def test_differences_of_right_fixes_are_as_large_as_the_covariance_says() -> Non
     assert np.mean(found.height > chi2_limit(0.01, 1)) == pytest.approx(0.01, abs=1e-3)
 
 
+def test_the_covariance_is_that_of_fix_pose_and_height_along_the_slope_of_each() -> None:
+    fix_m2, pose_m2 = np.concatenate([FIX, 4.0 * FIX, FIX]), np.concatenate([POSE, POSE, 0.0 * POSE])
+    height_m2, slope = np.array([1e-3, 2e-3, 3e-3]), np.array([[0.08, -0.03], [0.0, 0.1], [-0.2, 0.05]])
+    found = difference_covariance(fix_m2, pose_m2, height_m2, slope)
+    for k in range(3):
+        j = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-slope[k, 0], -slope[k, 1], 1.0]])
+        expected = j @ fix_m2[k] @ j.T
+        expected[:2, :2] += pose_m2[k]
+        expected[2, 2] += height_m2[k]
+        assert found[k] == pytest.approx(expected)
+
+
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.floats(1.0, 5.0))
 def test_a_larger_contradiction_is_further_off(d: tuple[float, float, float], times: float) -> None:
     covariance_m2 = difference_covariance(FIX, POSE, np.array([1e-3]), SLOPE)

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camber.integrity.start import StartCount, StartFix, StartRules, follows
-from support.judging import ROAD_M, SPEED_M_S, at, place
+from support.judging import SPEED_M_S, at, place
 
 RULES = StartRules(fixes=5, duration_s=0.8, longest_gap_s=1.0, distance_m=0.3, distance_share=0.02)
 
 
 def fix(epoch, *, east_m=0.0, speed_m_s=SPEED_M_S):
-    return StartFix(at(epoch), *place(epoch, east_m), ROAD_M, speed_m_s)
+    return StartFix(at(epoch), *place(epoch, east_m), speed_m_s)
 
 
 def count_after(fixes, rules=RULES):
@@ -62,12 +62,17 @@ def test_after_one_without_a_speed_the_next_begins_too():
 
 
 def test_a_vehicle_that_stands_counts():
-    standing = [StartFix(at(k), *place(0), ROAD_M, 0.0) for k in range(5)]
+    standing = [StartFix(at(k), *place(0), 0.0) for k in range(5)]
     assert count_after(standing).enough(RULES)
 
 
 def test_a_vehicle_that_goes_backwards_counts():
     assert follows(fix(0, speed_m_s=-SPEED_M_S), fix(1, speed_m_s=-SPEED_M_S), RULES)
+
+
+@pytest.mark.parametrize(("east_m", "does"), [(0.49, True), (-0.49, True), (0.51, False), (-0.51, False)])
+def test_wheels_may_be_two_percent_off_the_way(east_m, does):
+    assert follows(fix(0), fix(5, east_m=east_m), RULES) is does  # 10 m in a second
 
 
 @given(jump_m=st.floats(0.4, 1000.0))

@@ -12,15 +12,14 @@ RULES = SeriesRules(longest_gap_s=1.0, longest_chain=3, horizontal_m=0.15, verti
 LAST = Link(10**18, 0.6, 2.4, 41.8, 0.05, 0.0)
 
 
-def says(last=LAST, *, after_s=0.2, east_m=2.0, north_m=0.0, vehicle_m=(2.0, 0.0), up_m=0.1):
+def says(last=LAST, *, after_s=0.2, east_m=2.0, north_m=0.0, astray_m=0.0, up_m=0.1):
     return continues(
         last,
         RULES,
         time_ns=LAST.time_ns + round(after_s * 1e9),
         moved_east_m=east_m,
         moved_north_m=north_m,
-        vehicle_east_m=vehicle_m[0],
-        vehicle_north_m=vehicle_m[1],
+        astray_m=astray_m,
         height_m=LAST.height_m + up_m,
     )
 
@@ -36,14 +35,13 @@ def test_a_fix_that_moved_with_vehicle_and_road_continues():
         {"after_s": 1.01},
         {"after_s": 0.0},
         {"after_s": -0.2},
-        {"east_m": 2.2},
-        {"north_m": 0.2},
+        {"astray_m": 0.16},
         {"up_m": 0.23},
         {"up_m": -0.03},
         {"up_m": math.nan},
         {"east_m": math.nan},
-        {"vehicle_m": (math.nan, 0.0)},
-        {"vehicle_m": (math.inf, 0.0)},
+        {"astray_m": math.nan},
+        {"astray_m": math.inf},
     ],
     ids=str,
 )
@@ -55,12 +53,20 @@ def test_a_road_that_climbs_explains_the_rise():
     assert says(up_m=0.1)
     flat = Link(LAST.time_ns, 0.6, 2.4, 41.8, 0.0, 0.0)
     assert not says(flat, up_m=0.13)
+    assert says(flat, up_m=0.11)
+    to_the_north = Link(LAST.time_ns, 0.6, 2.4, 41.8, 0.0, 0.1)
+    assert says(to_the_north, east_m=0.0, north_m=2.0, up_m=0.2)
+    assert not says(to_the_north, east_m=0.0, north_m=2.0, up_m=0.0)
+
+
+def test_a_second_is_not_too_long():
+    assert says(after_s=1.0)
 
 
 @given(jump_m=st.floats(0.0, 10.0), more_m=st.floats(0.0, 10.0))
 def test_a_larger_jump_never_continues_where_a_smaller_does_not(jump_m, more_m):
     assert says(up_m=0.1 + jump_m) or not says(up_m=0.1 + jump_m + more_m)
-    assert says(east_m=2.0 + jump_m, up_m=0.1) or not says(east_m=2.0 + jump_m + more_m, up_m=0.1)
+    assert says(astray_m=jump_m) or not says(astray_m=jump_m + more_m)
 
 
 def test_a_chain_of_verified_fixes_ends():
