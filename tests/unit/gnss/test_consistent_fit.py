@@ -1,6 +1,7 @@
 """Weighted least squares with tests, against numpy, scipy and leaving out one row after another."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -72,6 +73,63 @@ def test_false_alarms_come_as_often_as_was_asked_for():
     alarms = sum(not fit(*problem(seed)[:3], 0.05).used.all() for seed in range(1000))
     # One test at 5 % of the sum of squares and one of all residuals at 5 %, which go together in part.
     assert 40 <= alarms <= 110
+
+
+# Sixteen satellites of a street, of which two came by a wall: those two agree with each other, and one after the other
+# the right ones would go. Elevation and azimuth [°], what the two are wrong by [m/s].
+HIDING = [
+    (35, 10), (60, 80), (25, 180), (75, 200), (40, 350), (30, 170), (65, 20), (50, 5), (22, 190), (45, 185),
+    (28, 12), (70, 120), (33, 352), (55, 300), (38, 178), (80, 60),
+]  # fmt: skip
+
+
+def lines_of_sight(angles: list[tuple[float, float]]) -> np.ndarray:
+    elevation, azimuth = np.radians(np.array(angles, float)).T
+    flat = np.cos(elevation)
+    return -np.column_stack(
+        (flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation), -np.ones(len(angles)))
+    )
+
+
+def test_two_wrong_rows_that_hide_behind_one_another_go_and_the_right_ones_stay():
+    """Over many such skies: where no more than two are wrong, and by a lot, no other rows go with them."""
+    tried = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        chosen = rng.permutation(len(HIDING))[: rng.integers(10, 17)]
+        design = lines_of_sight([HIDING[k] for k in chosen])
+        sigma = rng.uniform(0.03, 0.1, len(chosen))
+        truth = np.array([-3.7, 0.2, 0.0, 0.05])
+        observed = design @ truth + sigma * rng.normal(size=len(chosen))
+        observed[:2] += np.array([-6.0, -5.6]) + 0.2 * rng.normal(size=2)
+        if not fit(design[2:], observed[2:], sigma[2:], 1e-4).used.all():
+            continue
+        tried += 1
+        found = fit(design, observed, sigma, 1e-4)
+        assert found.status == OK
+        assert found.used.sum() >= len(chosen) - 2, f"seed {seed}"
+        if found.used[2:].all():
+            miss = found.value - truth
+            assert miss @ np.linalg.solve(found.covariance, miss) < chi2.isf(1e-6, 4)
+    assert tried > 150
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_what_goes_is_the_fewest_that_have_to_go(count):
+    """Every two and every three are tried by numpy: no smaller set than the one that was left out would do."""
+    for seed in range(40):
+        rng = np.random.default_rng(1000 + seed)
+        design, observed, sigma, _ = problem(seed, n=12)
+        wrong = rng.permutation(12)[:count]
+        observed[wrong] += rng.choice([-1.0, 1.0]) * 12.0 * sigma[wrong]
+        found = fit(design, observed, sigma)
+        left_out = 12 - int(found.used.sum())
+        if found.status != OK or left_out < 2:
+            continue
+        for rows in combinations(range(12), left_out - 1):
+            kept = np.ones(12, np.bool_)
+            kept[list(rows)] = False
+            assert not fit(design[kept], observed[kept], sigma[kept]).used.all(), f"seed {seed}: {rows}"
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
