@@ -49,6 +49,7 @@ class DopplerRules:
     path_share: float = 0.02
     acceleration_m_s2: float = 3.0
     sigmas: float = 5.0
+    steepest: float = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +117,15 @@ class DopplerPosition:
         if not first or abs(first[0].time_ns - time_ns) > self._rules.longest_pause_s * 1e9:
             self._sum = None
             return
+        wheels_m_s = self._speed_at(first[0].time_ns)
+        if wheels_m_s is not None and not self._is_driven(first[0], wheels_m_s):
+            self._sum = None
+            return
         nothing = np.zeros((3, 3))
         at_start = replace(first[0], time_ns=time_ns)
-        running: _Sum | None = _Sum(time_ns, at_start, np.zeros(3), nothing, nothing)
+        running: _Sum | None = _Sum(
+            time_ns, at_start, np.zeros(3), nothing, nothing, checked=wheels_m_s is not None
+        )
         for velocity in later:
             running = self._after(running, velocity) if running is not None else None
         self._sum = running
@@ -188,13 +195,21 @@ class DopplerPosition:
             return _Sum(
                 last.since_ns, now, metres, covariance, with_velocity, last.path_m, last.slip_m, False
             )
-        over_m_s = float(np.hypot(now.metres_s[0], now.metres_s[1])) - abs(wheels_m_s)
+        over_m_s = _over_m_s(now, wheels_m_s)
         path_m, slip_m = last.path_m + abs(wheels_m_s) * step_s, last.slip_m + over_m_s * step_s
-        speed_limit = rules.speed_gate_m_s + rules.sigmas * _largest_sigma(now.covariance_m2_s2)
         path_limit = rules.path_gate_m + rules.path_share * path_m + rules.sigmas * _largest_sigma(covariance)
-        if not (abs(over_m_s) <= speed_limit and abs(slip_m) <= path_limit):
+        if not (self._is_driven(now, wheels_m_s) and abs(slip_m) <= path_limit):
             return None
         return _Sum(last.since_ns, now, metres, covariance, with_velocity, path_m, slip_m, last.checked)
+
+    def _is_driven(self, velocity: _Velocity, wheels_m_s: float) -> bool:
+        """Is it one that a vehicle whose wheels turn so fast can have, along its way and upwards?"""
+        rules = self._rules
+        limit = rules.speed_gate_m_s + rules.sigmas * _largest_sigma(velocity.covariance_m2_s2)
+        up_sigma_m_s = math.sqrt(velocity.covariance_m2_s2[2, 2])
+        climb_limit = rules.speed_gate_m_s + rules.steepest * abs(wheels_m_s) + rules.sigmas * up_sigma_m_s
+        climbs = abs(velocity.metres_s[2]) <= climb_limit
+        return bool(abs(_over_m_s(velocity, wheels_m_s)) <= limit and climbs)
 
     def _speed_at(self, time_ns: int) -> float | None:
         near = min(self._speeds, key=lambda speed: abs(speed[0] - time_ns), default=None)
@@ -206,6 +221,11 @@ class DopplerPosition:
 def _matrix(upper: Covariance3) -> Floats:
     ee, en, eu, nn, nu, uu = upper
     return np.array([[ee, en, eu], [en, nn, nu], [eu, nu, uu]])
+
+
+def _over_m_s(velocity: _Velocity, wheels_m_s: float) -> float:
+    """By how much it is faster over the ground than the wheels are."""
+    return float(np.hypot(velocity.metres_s[0], velocity.metres_s[1])) - abs(wheels_m_s)
 
 
 def _largest_sigma(covariance: Floats) -> float:

@@ -168,6 +168,35 @@ def test_speeds_that_contradict_the_wheels_end_it():
     assert spoofed.at(at(50)) is None
 
 
+def test_a_velocity_that_the_wheels_contradict_begins_none():
+    wrong = driven(steps=0, make=lambda k: velocity(k, east=7.0))
+    assert wrong.at(at(0)) is None
+    right_again = driven(steps=3, make=lambda k: velocity(k, east=7.0 if k < 2 else 10.0), begin=2)
+    assert right_again.at(at(3)).metres == pytest.approx([1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("up", "goes_on"), [(-8.0, False), (-3.0, True), (3.0, True), (8.0, False)])
+def test_what_climbs_as_no_road_does_ends_it_and_begins_none(up, goes_on):
+    """At 10 m/s a road of 30 % rises by 3 m/s; the gate and 5 σ of 5 cm/s come on top."""
+    later = driven(steps=5, make=lambda k: velocity(k, up=up if k == 5 else 0.0))
+    assert (later.at(at(5)) is not None) is goes_on
+    assert (driven(steps=0, make=lambda k: velocity(k, up=up)).at(at(0)) is not None) is goes_on
+
+
+def test_what_is_not_known_well_upwards_may_climb_so_much_more():
+    def unsure(k):
+        return velocity(k, up=-8.0, covariance_enu_m2_s2=(0.0025, 0.0, 0.0, 0.0025, 0.0, 1.0))
+
+    assert driven(steps=2, make=unsure).at(at(2)) is not None
+
+
+def test_what_began_without_wheels_is_not_checked():
+    position = DopplerPosition(PLAIN)
+    position.hear_velocity(velocity(0))
+    position.begin(at(0))
+    assert not position.at(at(0)).checked
+
+
 def test_a_slow_drag_ends_it_by_the_path():
     assert driven(wheels=9.6, steps=10).at(at(10)) is not None
     assert driven(wheels=9.6, steps=200).at(at(200)) is None
