@@ -19,7 +19,7 @@ from camber.simulator.faults import Fault, refused_sum
 
 _FOLDER = Path(__file__).parent / "scenarios"
 
-DistrictKind = Literal["open-sky", "city", "canyon", "overpass", "tunnel"]
+DistrictKind = Literal["open-sky", "city", "canyon", "canyons", "overpass", "tunnel"]
 Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.truth_csv import WRONG_M
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.faults import (
     ChangedLoad,
@@ -113,6 +114,14 @@ class SimulatedDrive:
     fixed: NDArray[np.bool_]
     fix_wrong: NDArray[np.bool_]
     map_offset_m: dict[int, float]
+
+    @property
+    def arrives_s(self) -> float:
+        """When the vehicle comes to the end of its way, from the first epoch on; it stands there for what is left."""
+        moving = np.flatnonzero(self.trajectory.speed_m_s > 0.0)
+        if len(moving) == 0:
+            return 0.0
+        return float(self.trajectory.time_ns[moving[-1]] - self.trajectory.time_ns[0]) / NS_PER_SECOND
 
 
 def simulate_drive(scenario: Scenario) -> SimulatedDrive:

@@ -31,6 +31,7 @@ from camber.tools.feed import add_bus_arguments, feed, stopped_by_signals
 
 _PROG = "camber simulate"
 _MARK = "scenario.json"
+_LONG_STOP_S = 5.0  # longer than this at the end is worth a word: the way may be too short for the time
 
 
 def main(argv: Sequence[str]) -> int:
@@ -106,6 +107,7 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
     _check_room(out)
     began = time.monotonic()
     hidden = quiet or not sys.stderr.isatty()
+    stands = ""
     if scenario.fleet is not None:
         _make_room(out, scenario)
         with tqdm(total=scenario.fleet.vehicles, unit="vehicle", disable=hidden) as bar:
@@ -114,6 +116,8 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
         made = out
     else:
         drive = simulate_drive(scenario)
+        if drive.arrives_s < scenario.duration_s - _LONG_STOP_S:
+            stands = f", at the end of its way after {drive.arrives_s:.0f} s"
         _make_room(out, scenario)
         with tqdm(total=parts_of(drive), unit="part", disable=hidden) as bar:
             for part in write_drive(out, drive):
@@ -121,7 +125,9 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
                 bar.update()
         made = out / "drive.toml"
     if not quiet:
-        print(f"simulated {scenario.name}, seed {scenario.seed}, in {time.monotonic() - began:.0f} s: {made}")
+        print(
+            f"simulated {scenario.name}, seed {scenario.seed}, in {time.monotonic() - began:.0f} s{stands}: {made}"
+        )
     return made
 
 

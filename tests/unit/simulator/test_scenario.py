@@ -16,6 +16,7 @@ from camber.simulator.world.district import make_district
 def test_the_scenarios_that_the_readme_names_come_with_camber() -> None:
     assert shipped() == (
         "canyon",
+        "canyons",
         "changed-road",
         "city",
         "faults",
@@ -55,7 +56,7 @@ def test_a_file_of_ones_own_is_read_and_values_can_be_overridden(tmp_path: Path)
     [
         (
             "place.kind=town",
-            "place.kind is 'town': should be 'open-sky', 'city', 'canyon', 'overpass' or 'tunnel'",
+            "place.kind is 'town': should be 'open-sky', 'city', 'canyon', 'canyons', 'overpass' or 'tunnel'",
         ),
         ("place.colour=1", "place.colour is not known; expected one of kind, latitude_deg"),
         ("start=2026-03-20T01:30:00Z", "expected a date and time of GPS time, without a zone"),
@@ -79,7 +80,7 @@ def test_what_is_wrong_is_one_line_that_names_it(override: str, said: str) -> No
 
 
 def test_a_scenario_that_is_not_there_is_told_which_are() -> None:
-    with pytest.raises(ScenarioError, match="expected a scenario file or one of canyon, changed-road, city"):
+    with pytest.raises(ScenarioError, match="expected a scenario file or one of canyon, canyons, changed-road, city"):
         load_scenario("nowhere")
 
 
@@ -158,11 +159,15 @@ def test_faults_that_follow_or_undo_one_another_are_taken(vehicle: str) -> None:
     assert len(scenario.faults) == 3
 
 
-def test_the_faults_drive_to_their_end_and_rounds_are_the_citys() -> None:
-    faults = load_scenario("faults", [])
-    district = make_district("city", faults.seed, changed_roads={})
-    path = district.path(faults.place.route)
-    # At 10 m/s, the mean of its streets, and with the stops.
-    assert len(path.east_m) * path.step_m / 10.0 + path.stop_s.sum() >= faults.duration_s
+@pytest.mark.parametrize(("name", "mean_m_s"), [("faults", 10.0), ("canyons", 8.0)])
+def test_a_long_scenario_drives_to_its_end(name: str, mean_m_s: float) -> None:
+    """At the mean speed of its streets, and with the stops."""
+    scenario = load_scenario(name, [])
+    district = make_district(scenario.place.kind, scenario.seed, changed_roads={})
+    path = district.path(scenario.place.route)
+    assert len(path.east_m) * path.step_m / mean_m_s + path.stop_s.sum() >= scenario.duration_s
+
+
+def test_rounds_are_the_citys() -> None:
     with pytest.raises(ScenarioError, match="only a city has rounds"):
         load_scenario("canyon", ['place.route="rounds"'])

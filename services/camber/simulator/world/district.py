@@ -19,6 +19,7 @@ from camber.simulator.scene import Material, Path, Shapes, Walls
 from camber.simulator.world.layouts import (
     Layout,
     canyon_layout,
+    canyons_layout,
     city_layout,
     open_layout,
     overpass_layout,
@@ -32,8 +33,8 @@ from camber.simulator.world.tunnel_fittings import tunnel_fittings
 
 Floats = NDArray[np.float64]
 
-Kind = Literal["open-sky", "city", "canyon", "overpass", "tunnel"]
-KINDS: tuple[Kind, ...] = ("open-sky", "city", "canyon", "overpass", "tunnel")
+Kind = Literal["open-sky", "city", "canyon", "canyons", "overpass", "tunnel"]
+KINDS: tuple[Kind, ...] = ("open-sky", "city", "canyon", "canyons", "overpass", "tunnel")
 NAGOYA_RAD = (math.radians(35.17), math.radians(136.88))
 CHANGED_SHARE = 0.2
 _RESURFACED_M = (0.03, 0.30)
@@ -141,6 +142,7 @@ def make_district(
         "open-sky": lambda: open_layout(seed),
         "city": lambda: city_layout(seed),
         "canyon": lambda: canyon_layout(seed, heading_rad, length_m),
+        "canyons": lambda: canyons_layout(seed),
         "overpass": lambda: overpass_layout(seed),
         "tunnel": lambda: tunnel_layout(seed),
     }[kind]()

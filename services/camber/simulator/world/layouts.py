@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from camber.simulator.world.road_building import LinkKind, RoadBuilder
 from camber.simulator.world.roads import Roads
@@ -196,6 +197,30 @@ def canyon_layout(seed: int, heading_rad: float, length_m: float) -> Layout:
     n = b.link_numbers()
     routes = {"default": _route(n, "A-B", signals=False), "back": _route(n, "-A-B", signals=False)}
     return Layout(b.roads(rolling_terrain(seed, base_m=_GROUND_M, slope=0.02)), routes)
+
+
+def canyons_layout(seed: int) -> Layout:
+    """Four by four crossings of canyon streets, 0.6 × 0.78 km; the default way takes every street, and twice, 16 km.
+
+    Three blocks of 30 m fit between houses of two streets: lines of sight are as narrow as in one street alone.
+    """
+    b = RoadBuilder()
+    kind = LinkKind("canyon", speed_m_s=8.0, half_width_m=6.5, lane_offset_m=3.0, crossfall=0.015)
+    for column in range(4):
+        for row in range(4):
+            b.node(f"{column}{row}", 200.0 * column - 300.0, 260.0 * row - 390.0)
+    for line in range(4):
+        for at in range(3):
+            b.straight(f"{at}{line}", f"{at + 1}{line}", kind)
+            b.straight(f"{line}{at}", f"{line}{at + 1}", kind)
+    rows = "00 10 20 30 31 21 11 01 02 12 22 32 33 23 13 03"
+    columns = "02 01 00 10 11 12 13 23 22 21 20 30 31 32 33 23 13 03 02 01 00"
+    stops = [*f"{rows} {columns}".split(), *f"{rows} {columns}".split()[1:]]
+    n = b.link_numbers()
+    legs = [f"{p}-{q}" if f"{p}-{q}" in n else f"-{q}-{p}" for p, q in pairwise(stops)]
+    return Layout(
+        b.roads(rolling_terrain(seed, base_m=_GROUND_M, slope=0.02)), {"default": _route(n, " ".join(legs))}
+    )
 
 
 def open_layout(seed: int) -> Layout:
