@@ -30,7 +30,7 @@ PARTS = ("faults", "drives", "nagoya")
 """The longest job first."""
 NAGOYA = Path("tests/replay/nagoya.toml")
 DRIVE_SEEDS = (9301, 9302, 9303)
-CANYON_S = 1800.0
+CANYONS_S = 1800.0
 LIDAR_S = 60.0
 _NO_STREAMS = "satellites.streams=false"
 _SYSTEMS_OF_R = 'satellites.systems="GJC"'
@@ -90,18 +90,18 @@ def _jobs(part: str, args: argparse.Namespace, notes: list[str]) -> Iterator[Job
                     part, name, run_seed, {"manifest": args.nagoya, "seed": seed, "map_sigma_m": sigma_m}
                 )
     elif part == "drives":
-        canyon = ("canyon", f"duration_s={args.duration_s or CANYON_S}", _NO_STREAMS, _SYSTEMS_OF_R)
+        canyons = ("canyons", f"duration_s={args.duration_s or CANYONS_S}", _NO_STREAMS, _SYSTEMS_OF_R)
         city = (
             "city",
             f"duration_s={min(args.duration_s or LIDAR_S, LIDAR_S)}",
             _NO_STREAMS,
             "lidar.beams=32",
         )
-        for scenario, *overrides in (canyon, city):
+        for scenario, *overrides in (canyons, city):
             for seed in args.drive_seeds:
                 arguments = {"scenario": scenario, "seed": seed, "overrides": overrides}
                 yield Job(part, f"{scenario}-seed-{seed}", run_drive, arguments)
-        scenario, *overrides = canyon
+        scenario, *overrides = canyons
         seed = args.drive_seeds[0]
         arguments = {"scenario": scenario, "seed": seed, "overrides": overrides, "re_estimation": WITHOUT}
         yield Job(part, f"{scenario}-seed-{seed}-without-re-estimation", run_drive, arguments)

@@ -93,7 +93,8 @@ def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
 
     `errors` (b, 5): epochs, those with a position whose error is known, those below each of `LIMITS_M`; `modes`, by
     mode (b, 3): positions with an ellipse and an error, those with the truth inside at 99 and at 99.9 %. The position
-    of an epoch is the nearest one within half a step.
+    of an epoch is the last one within half a step: a receiver's clock puts its fix a millisecond or two beside the
+    epoch, and what was said before it came is no longer what holds.
     """
     row, found = _rows_of(positions.time_ns, epoch_ns)
     block = ((epoch_ns - epoch_ns[:1]) / 1e9 // BLOCK_S).astype(np.int64)
@@ -121,14 +122,11 @@ def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
 
 
 def _rows_of(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
-    """The row nearest in time to each epoch (n,), and whether it is within half a step of the epochs."""
+    """The last row within half a step of each epoch (n,), and whether there is one. Both are in the order of time."""
     if not len(time_ns) or not len(epoch_ns):
         return np.zeros(len(epoch_ns), np.int64), np.zeros(len(epoch_ns), bool)
-    half_step_ns = float(np.median(np.diff(epoch_ns))) / 2.0 if len(epoch_ns) > 1 else 0.0
-    after = np.searchsorted(time_ns, epoch_ns).clip(0, len(time_ns) - 1)
-    before = (after - 1).clip(0)
-    nearer = np.abs(time_ns[before] - epoch_ns) <= np.abs(time_ns[after] - epoch_ns)
-    row = np.where(nearer, before, after)
+    half_step_ns = int(np.median(np.diff(epoch_ns))) // 2 if len(epoch_ns) > 1 else 0
+    row = (np.searchsorted(time_ns, epoch_ns + half_step_ns, side="right") - 1).clip(0)
     return row, np.abs(time_ns[row] - epoch_ns) <= half_step_ns
 
 

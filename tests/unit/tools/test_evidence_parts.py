@@ -12,7 +12,7 @@ from camber.formats.truth_csv import TruthTable
 from camber.simulator.faults import Fault
 from camber.tools import evidence
 from camber.tools.evidence_drives import BLOCK_S, blocks_of, stacked
-from camber.tools.evidence_faults import NAMED_BY, during, said_of, windows_of
+from camber.tools.evidence_faults import NAMED_BY, Said, during, said_of, windows_of
 from camber.tools.one_process import Driven, Reported
 from camber.tools.protection import Positions
 
@@ -59,6 +59,24 @@ def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_its_own() -> N
     assert np.sum(blocks_of(made, later_ns)["errors"], axis=0).tolist() == [5, 4, 4, 4, 4]
 
 
+def test_the_last_that_was_said_of_an_epoch_is_its_position() -> None:
+    """A receiver's clock is 2 ms off: before its fix came, the vehicle's sensors gave a position of the epoch."""
+    sensors = positions([0.5] * 4, ["sensors"] * 4)
+    fixes = positions([0.1] * 4, ["rtk"] * 4)
+    both = {
+        name: np.concatenate([np.asarray(getattr(made, name)) for made in (sensors, fixes)])
+        for name in Positions.__dataclass_fields__
+        if getattr(sensors, name) is not None
+    }
+    both["time_ns"][4:] += 2_000_000
+    order = np.argsort(both["time_ns"], kind="stable")
+    made = Positions(**{name: column[order] for name, column in both.items()})
+    counted = blocks_of(made, sensors.time_ns)
+    assert counted["modes"]["rtk"] == [[4, 4, 4]]
+    assert counted["modes"]["sensors"] == [[0, 0, 0]]
+    assert counted["errors"] == [[4, 4, 4, 4, 4]]
+
+
 def test_a_drive_without_positions_has_epochs_that_lack_them() -> None:
     counted = blocks_of(positions([], []), np.arange(3, dtype=np.int64) * NS)
     assert counted["errors"] == [[3, 0, 0, 0, 0]]
@@ -91,14 +109,14 @@ def test_each_time_that_a_fault_acts_is_a_window_in_the_order_of_time() -> None:
 
 
 def test_what_was_said_in_a_window_is_counted_with_the_time_when_it_began() -> None:
-    said = [(10 * NS, "a"), (30 * NS, "b"), (31 * NS, "b"), (90 * NS, "b")]
+    said = [Said(10 * NS, "a"), Said(30 * NS, "b"), Said(31 * NS, "b"), Said(90 * NS, "b")]
     assert during(said, 20 * NS, 50 * NS) == {"b": {"count": 2, "begun_s": 10.0}}
 
 
 def test_what_lasts_from_before_a_window_names_nothing_in_it_until_it_has_ceased_and_begins_anew() -> None:
-    lasting = [(k * NS, "cause antenna") for k in range(10)]
+    lasting = [Said(k * NS, "cause antenna") for k in range(10)]
     assert during(lasting, 5 * NS, 9 * NS) == {"cause antenna": {"count": 5}}
-    anew = [*lasting, (20 * NS, "cause antenna")]
+    anew = [*lasting, Said(20 * NS, "cause antenna")]
     assert during(anew, 5 * NS, 20 * NS) == {"cause antenna": {"count": 6, "begun_s": 15.0}}
 
 
@@ -113,7 +131,7 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
         "pose": [at(7, reason="no speed; no rotation"), at(8, reason="")],
     }
     driven = Driven(recorded, [Reported(0, "gnss", "repeated_epoch", "")])
-    assert [text for _, text in said_of(driven)] == [
+    assert [word.text for word in said_of(driven)] == [
         "gnss repeated_epoch",
         "match lost",
         "cause base",
@@ -122,6 +140,17 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
         "verdict height_agrees",
         "pose: no rotation",
         "pose: no speed",
+    ]
+
+
+def test_a_road_is_named_by_the_surfaces_that_are_said_to_have_changed() -> None:
+    verdict = SimpleNamespace(time_ns=5, reason="height_agrees", cause="road", surface_id=7)
+    issues = [Reported(6, "integrity", "road_changed", "surface 8 lies +0.30 m from map version 1")]
+    driven = Driven({"verdict": [SimpleNamespace(message=verdict)]}, issues)
+    assert said_of(driven) == [
+        Said(5, "cause road", 7),
+        Said(5, "verdict height_agrees"),
+        Said(6, "integrity road_changed", 8),
     ]
 
 
