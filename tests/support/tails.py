@@ -1,21 +1,30 @@
-"""Tails of many mixtures from arrays of matrices: an implementation beside that of `integrity.bounds`."""
+"""The parts of many mixtures from arrays of matrices: an implementation beside that of `integrity.bounds`."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from camber.integrity.protection_level import Floats, Tails
+from camber.integrity.protection_level import TailPart
+
+Floats = NDArray[np.float64]
 
 
-def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> Tails:
+def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> list[TailPart]:
     """Of horizontal errors: means (n, k, 2), covariances (n, k, 2, 2) east and north."""
     ee, en, nn = covariance_m2[..., 0, 0], covariance_m2[..., 0, 1], covariance_m2[..., 1, 1]
-    with np.errstate(invalid="ignore"):  # of infinite ones: seen by `known`
+    with np.errstate(invalid="ignore"):  # of infinite ones: seen by `levels_m`
         middle, spread = 0.5 * (ee + nn), np.hypot(0.5 * (ee - nn), en)
         tilt = 0.5 * np.arctan2(2.0 * en, ee - nn)
         c, s = np.cos(tilt), np.sin(tilt)
         along, across = c * mean_m[..., 0] + s * mean_m[..., 1], c * mean_m[..., 1] - s * mean_m[..., 0]
-        return Tails(weight, along, across, middle + spread, middle - spread)
+        return in_parts(weight, along, across, middle + spread, middle - spread)
+
+
+def in_parts(*columns: Floats) -> list[TailPart]:
+    """Of columns (n, k) k parts of arrays (n,)."""
+    weight, along, across, larger, smaller = (np.ascontiguousarray(column.T) for column in columns)
+    return list(zip(weight, along, across, larger, smaller, strict=True))
 
 
 def whitened(mean_m: Floats, covariance_m2: Floats) -> tuple[Floats, Floats]:

@@ -16,7 +16,8 @@ import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.integrity.doppler_position import DopplerRules
-from camber.integrity.protection_level import Tails, levels_m
+from camber.integrity.either_number import Either
+from camber.integrity.protection_level import TailPart, levels_m
 from camber.integrity.wrong_fix import WrongFixRules
 
 _P99, _P999 = 0.99, 0.999
@@ -26,8 +27,6 @@ _SURELY = 1.01  # levels are found to a ten-thousandth of the risk
 
 
 Horizontal = tuple[float, float, float]
-Row = tuple[float, float, float, float, float]
-"""Of one part what `Tails` holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,16 +110,28 @@ class Bounds:
 
 def bounds_of(mixtures: Sequence[Mixture], rules: LevelRules) -> list[Bounds]:
     """Of several positions at once."""
-    n, k = len(mixtures), max(len(mixture.parts) for mixture in mixtures)
     firsts = [_right(mixture, rules) for mixture in mixtures]
-    of_each = [_tails(mixture, first, k, rules) for mixture, first in zip(mixtures, firsts, strict=True)]
-    # Four times: ellipses of 99 and of 99.9 %, horizontal, vertical.
-    table = np.array([[each[row] for each in of_each] for row in (0, 0, 1, 2)])
-    tails = Tails(*np.ascontiguousarray(table.reshape(4 * n, k, 5).transpose(2, 0, 1)))
-    risks = (1.0 - _P99, 1.0 - _P999, rules.integrity_risk, rules.integrity_risk)
-    found = levels_m(tails, np.array([risk - mixture.lost for risk in risks for mixture in mixtures]))
-    levels = found.reshape(4, n).T.tolist()
-    return [_bounds(first, level) for first, level in zip(firsts, levels, strict=True)]
+    tails = [_tails(mixture, first, rules) for mixture, first in zip(mixtures, firsts, strict=True)]
+    if len(mixtures) == 1:  # in plain floats
+        return [_bounds(firsts[0], _levels(tails[0], mixtures[0].lost, rules))]
+    lost = np.array([mixture.lost for mixture in mixtures])
+    levels = np.array(_levels([_columns(of_each) for of_each in zip(*tails, strict=True)], lost, rules))
+    return [_bounds(first, level) for first, level in zip(firsts, levels.T.tolist(), strict=True)]
+
+
+def _columns(of_each: Sequence[Sequence[TailPart]]) -> list[TailPart]:
+    """The parts of several as one mixture of arrays: to those that have fewer, some of no weight."""
+    nothing, k = (0.0, 0.0, 0.0, 1.0, 1.0), max(map(len, of_each))
+    table = np.array([[*parts, *[nothing] * (k - len(parts))] for parts in of_each])
+    return [tuple(columns) for columns in np.ascontiguousarray(table.transpose(1, 2, 0))]
+
+
+def _levels(tails: Sequence[Sequence[TailPart]], lost: Either, rules: LevelRules) -> list[Either]:
+    """Scales of the ellipses of 99 and of 99.9 %, horizontal and vertical level."""
+    standard, metres, upwards = tails
+    risk = rules.integrity_risk - lost
+    ellipses = levels_m(standard, [1.0 - _P99 - lost, 1.0 - _P999 - lost])
+    return [*ellipses, *levels_m(metres, [risk]), *levels_m(upwards, [risk])]
 
 
 def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
@@ -146,30 +157,37 @@ def _with_margin(horizontal_m2: Horizontal, rules: LevelRules) -> Horizontal:
     return margin2 * ee + _LEAST_M2, margin2 * en, margin2 * nn + _LEAST_M2
 
 
-def _tails(mixture: Mixture, first: Horizontal, parts: int, rules: LevelRules) -> list[list[Row]]:
-    """Rows of the parts, more of no weight up to so many: in σ of the first part, in metres, and upwards."""
-    standard, metres, upwards = list[Row](), list[Row](), list[Row]()
+def _tails(mixture: Mixture, first: Horizontal, rules: LevelRules) -> list[list[TailPart]]:
+    """Of the parts what their tails take: in σ of the first part, in metres, and upwards. What is alike is one."""
+    in_plane: dict[tuple[float, float, Horizontal], float] = {}
+    on_line: dict[tuple[float, float], float] = {}
+    for part in mixture.parts:
+        east, north, up = part.mean_m
+        plane, line = (east, north, part.horizontal_m2), (up, part.up_m2)
+        in_plane[plane] = in_plane.get(plane, 0.0) + part.weight
+        on_line[line] = on_line.get(line, 0.0) + part.weight
     ee, en, nn = first
     rest = nn - en * en / ee if ee > 0.0 else math.nan
     # The inverse of the lower Cholesky factor [[p, 0], [q, r]]: no numbers where the first part has no ellipse.
     p, r = (1.0 / math.sqrt(ee), 1.0 / math.sqrt(rest)) if rest > 0.0 else (math.nan, math.nan)
     q = -en / ee * r
-    for part in mixture.parts:
-        (east, north, up), (ee, en, nn) = part.mean_m, _with_margin(part.horizontal_m2, rules)
+    standard, metres = list[TailPart](), list[TailPart]()
+    for (east, north, horizontal_m2), weight in in_plane.items():
+        ee, en, nn = _with_margin(horizontal_m2, rules)
         mixed = q * ee + r * en
         white = p * p * ee, p * mixed, q * mixed + r * (q * en + r * nn)
-        standard.append((part.weight, *_axes(p * east, q * east + r * north, white)))
-        metres.append((part.weight, *_axes(east, north, (ee, en, nn))))
-        # Heights are on a line: a horizontal error to the east alone.
-        upwards.append((part.weight, up, 0.0, part.up_m2, 0.0))
-    nothing = [(0.0, 0.0, 0.0, 1.0, 1.0)] * (parts - len(mixture.parts))
-    return [standard + nothing, metres + nothing, upwards + nothing]
+        standard.append((weight, *_axes(p * east, q * east + r * north, white)))
+        metres.append((weight, *_axes(east, north, (ee, en, nn))))
+    # Heights are on a line: a horizontal error to the east alone.
+    return [standard, metres, [(weight, up, 0.0, up_m2, 0.0) for (up, up_m2), weight in on_line.items()]]
 
 
 def _axes(east: float, north: float, covariance: Horizontal) -> tuple[float, float, float, float]:
     """A mean along and across the major axis, and the larger and the smaller variance."""
     ee, en, nn = covariance
     middle, spread = 0.5 * (ee + nn), math.hypot(0.5 * (ee - nn), en)
+    if east == north == 0.0:
+        return 0.0, 0.0, middle + spread, middle - spread
     tilt = 0.5 * math.atan2(2.0 * en, ee - nn)
     c, s = math.cos(tilt), math.sin(tilt)
     return c * east + s * north, c * north - s * east, middle + spread, middle - spread

@@ -8,12 +8,23 @@ nought (NaN will do), for that would raise. Both kinds of number give the same b
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import Any, TypeAlias
 
 import numpy as np
 
 Either: TypeAlias = Any
 """A float or an array of them, all (n,); of words and truths too. numpy's types cannot say that both give the same."""
+
+
+def functions_of(value: Either) -> ModuleType:
+    """Where the functions of its kind of number are, under the same names: `sqrt`, `exp`, `log`, `log1p`."""
+    return np if isinstance(value, np.ndarray) else math
+
+
+def any_of(condition: Either) -> bool:
+    """Does it apply to one of them at least?"""
+    return bool(condition.any()) if isinstance(condition, np.ndarray) else condition
 
 
 def where(condition: Either, yes: Either, no: Either) -> Either:

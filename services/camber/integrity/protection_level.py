@@ -14,27 +14,33 @@ part counts in full.
 P falls with L, and its slope comes with it: L is found by Newton's steps of ln P over L², between what was seen to keep
 to the risk and what was not.
 
-numpy only. Shapes: n positions, k parts of the mixture; weights (n, k). An input that is not finite, a covariance that
-is none, or no risk left to spend gives an infinite level.
+The judge asks of one mixture, in plain floats, the lab of many: there is one implementation (`either_number`). An input
+that is not finite, a covariance that is none, or no risk left to spend gives an infinite level.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from camber.integrity.either_number import Either, any_of, functions_of, negated, where
+
+TailPart: TypeAlias = tuple[Either, Either, Either, Either, Either]
+"""Of one part of the mixture: weight, mean along and across the major axis, larger and smaller variance; each a float
+or (n,)."""
 
 _NODES = 24
-_COS = np.cos((np.arange(_NODES) + 0.5) * (2.0 * math.pi / _NODES))
-_SIN = np.sin((np.arange(_NODES) + 0.5) * (2.0 * math.pi / _NODES))
-_STEPS = 40  # two to four do, some fourteen where P jumps
-_SMALLEST_M2 = 1e-30  # in place of no variance at all
+_ANGLES = [(k + 0.5) * (2.0 * math.pi / _NODES) for k in range(_NODES // 2)]
+_AROUND = [(math.cos(angle), math.sin(angle)) for angle in _ANGLES]
+_SQUARES = [(c * c, s * s) for c, s in _AROUND[: _NODES // 4]]
+_DIAGONAL = [(0.5, 0.5)]
+_STEPS = 40  # two or three do, some fourteen where P jumps
+_SMALLEST_M2 = 1e-30  # beside a variance that may be nothing at all
 _LEAST = 1e-300  # in place of nothing that divides or has a logarithm
-_ROWS = 100  # at a time: what their nodes take stays in the cache, and few wait for the slowest
+_ROWS = 4000  # at a time: what their nodes take stays in the cache
 _ROUNDING = 1e-9
 _MARGIN = (
     0.03  # of the risk: what the nodes are wrong by where an ellipse is thin or a part's mean just within
@@ -43,125 +49,138 @@ _AIM = 1e-4  # below the risk, in ln P; what is as much below that is near enoug
 _NARROW = 1e-4  # of L²: between what keeps to the risk and what does not, where P jumps
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tails:
-    """What is needed of n mixtures to tell P(|error| > L).
-
-    Weights, means along and across the major axis, larger and smaller variance, all (n, k).
-    """
-
-    weight: Floats
-    along_m: Floats
-    across_m: Floats
-    larger_m2: Floats
-    smaller_m2: Floats
-
-    def __getitem__(self, rows: NDArray[np.intp]) -> Tails:
-        return Tails(*(column[rows] for column in self.columns))
-
-    @property
-    def columns(self) -> tuple[Floats, ...]:
-        """All of them, in the order of the fields."""
-        return self.weight, self.along_m, self.across_m, self.larger_m2, self.smaller_m2
-
-    @property
-    def known(self) -> NDArray[np.bool_]:
-        """Which rows (n,) are finite throughout, and all of whose covariances are some."""
-        sound = (self.smaller_m2 >= -_ROUNDING * self.larger_m2) & (self.larger_m2 < np.inf)
-        for column in self.columns[:3]:
-            sound &= np.isfinite(column)
-        return np.asarray(sound.all(axis=1))
-
-    def _nodes(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """At the nodes −1 / (2 s), m·n and its square (n, k, nodes), and |m|² (n, k).
-
-        A quarter of the nodes where no part has a mean: the others give the same.
-        """
-        used = _NODES if self.along_m.any() or self.across_m.any() else _NODES // 4
-        x = np.sqrt(self.larger_m2)[..., None] * _COS[:used]
-        y = np.sqrt(np.maximum(self.smaller_m2, 0.0))[..., None] * _SIN[:used]
-        square = np.maximum(x * x + y * y, _SMALLEST_M2)
-        outwards = (self.along_m[..., None] * x + self.across_m[..., None] * y) / np.sqrt(square)
-        length2 = self.along_m * self.along_m + self.across_m * self.across_m
-        return -0.5 / square, outwards, outwards * outwards, length2
-
-    def _beyond(
-        self, level_m2: Floats, nodes: tuple[Floats, Floats, Floats, Floats]
-    ) -> tuple[Floats, Floats]:
-        """P(|error| > L), or never less, and its slope over L², both (n,)."""
-        rate, outwards, outwards2, length2 = nodes
-        room = level_m2[:, None] - length2
-        # In place: an array of its own for each step takes longer than the step.
-        straight = np.maximum(room, _LEAST)[..., None] + outwards2
-        np.sqrt(straight, out=straight)
-        both = np.empty((2, *rate.shape))
-        tail, fall = both
-        way = straight - outwards
-        np.multiply(way, rate, out=fall)
-        np.multiply(way, fall, out=tail)
-        np.exp(tail, out=tail)
-        fall *= tail
-        fall /= straight
-        mean = np.add.reduce(both, axis=-1)
-        mean /= rate.shape[-1]
-        tail, fall = mean
-        # By more than rounding: where P jumps the level is on the far side for whoever looks again.
-        nearer = room < _ROUNDING * level_m2[:, None]
-        np.putmask(tail, nearer, 1.0)
-        np.putmask(fall, nearer, 0.0)
-        mean *= self.weight
-        probability, slope = np.add.reduce(mean, axis=-1)
-        return probability, slope
-
-    def levels_m(self, risk: Floats) -> Floats:
-        """Of rows that are known, risks above 0."""
-        nodes, risk = self._nodes(), (1.0 - _MARGIN) * risk
-        low, high, at = self._about(risk, np.sqrt(nodes[3]))
-        aim = np.log(risk) - _AIM
-        found, steps = np.zeros(len(risk), bool), 0
-        while steps < _STEPS and not found.all():
-            steps += 1
-            probability, slope = self._beyond(at, nodes)
-            kept = probability <= risk
-            np.putmask(high, kept, at)
-            np.putmask(low, ~kept, at)
-            above = np.log(np.maximum(probability, _LEAST)) - aim
-            found = (kept & (above >= -_AIM)) | (high - low <= _NARROW * high)
-            at = at - above * probability / np.minimum(slope, -_LEAST)
-            outside = ~((at > low) & (at < high))
-            np.putmask(at, outside, 0.5 * (low + high))
-            # Once found a level stays as it is: it does not depend on those beside it.
-            np.putmask(at, found, high)
-        return np.asarray(np.sqrt(high))
-
-    def _about(self, risk: Floats, length_m: Floats) -> tuple[Floats, Floats, Floats]:
-        """L² (n,) that is too small, one that is large enough, and one between to begin with."""
-        alone = np.log(np.maximum(self.weight / risk[:, None], _LEAST))
-        twice_m2 = 2.0 * self.larger_m2
-        # Each part's tail is at most Rayleigh's of its larger variance: here each has its even share of the risk.
-        share = np.maximum(alone + math.log(self.weight.shape[1]), 0.0)
-        reach = ((length_m + np.sqrt(share * twice_m2)) * (share > 0.0)).max(axis=1)
-        # Far out it is about exp(−t) / √(π t (1 − b / a)), with t = L² / (2 a): where the part alone spends the risk.
-        alone = np.maximum(alone, 0.0)
-        thin = 1.0 - self.smaller_m2 / np.maximum(self.larger_m2, _SMALLEST_M2)
-        rest = np.maximum(alone - 0.5 * np.log1p(math.pi * thin * alone), 0.0)
-        first = ((length_m + np.sqrt(rest * twice_m2)) * (alone > 0.0)).max(axis=1)
-        return np.zeros(len(risk)), reach * reach, np.minimum(first, reach) ** 2
-
-
-def levels_m(tails: Tails, risk: Floats) -> Floats:
-    """The smallest L (n,) with P(|error| > L) ≤ risk (n,); ∞ where there is none.
+def levels_m(parts: Sequence[TailPart], risks: Sequence[Either]) -> list[Either]:
+    """Of each of these risks the smallest L with P(|error| > L) ≤ risk; ∞ where there is none. All floats, or (n,).
 
     P, the mean over the nodes, is at most the risk less 3 %, which is more than the nodes are wrong by: 1 % of errors
     without a mean, 2 % with, and 3 % at a level that lies just beyond a part's mean, where P falls steeply or jumps. L
     is too large by what twice that share of the risk makes, a five-hundredth of it at 1e-7, or beside such a jump by a
     ten-thousandth more.
     """
-    possible = np.flatnonzero(tails.known & (risk > 0.0))
-    if 0 < len(possible) == len(risk) <= _ROWS:
-        return tails.levels_m(risk)
-    levels = np.full(len(risk), np.inf)
+    known = _known(parts)
+    if not isinstance(known, np.ndarray):
+        return _levels_m(parts, risks) if known else [math.inf] * len(risks)
+    found = np.full((len(risks), len(known)), np.inf)
+    possible = np.flatnonzero(known)
     for at in range(0, len(possible), _ROWS):
         rows = possible[at : at + _ROWS]
-        levels[rows] = tails[rows].levels_m(risk[rows])
-    return levels
+        some: list[TailPart] = [(w[rows], x[rows], y[rows], a[rows], b[rows]) for w, x, y, a, b in parts]
+        found[:, rows] = _levels_m(some, [risk[rows] for risk in risks])
+    return list(found)
+
+
+def _known(parts: Sequence[TailPart]) -> Either:
+    """Is all of it finite, and each covariance one?"""
+    sound: Either = True
+    for weight, along_m, across_m, larger_m2, smaller_m2 in parts:
+        sound = sound & (smaller_m2 >= -_ROUNDING * larger_m2) & (larger_m2 >= 0.0) & (larger_m2 < math.inf)
+        sound = sound & (abs(weight) < math.inf) & (abs(along_m) < math.inf) & (abs(across_m) < math.inf)
+    return sound
+
+
+def _levels_m(parts: Sequence[TailPart], risks: Sequence[Either]) -> list[Either]:
+    """Of what is known."""
+    mixture = _Mixture(parts)
+    levels = [mixture.level_m((1.0 - _MARGIN) * where(risk > 0.0, risk, 1.0)) for risk in risks]
+    return [where(risk > 0.0, level, math.inf) for risk, level in zip(risks, levels, strict=True)]
+
+
+class _Mixture:
+    """P(|error| > L) by what is needed of each part at its nodes: −1 / (2 s), m·n and its square.
+
+    Opposite nodes differ in the sign of m·n alone, so a half of them is held; a quarter where the mean lies along the
+    axis, for those on both sides of it say the same, and without a mean; one where all directions are alike.
+    """
+
+    def __init__(self, parts: Sequence[TailPart]) -> None:
+        self._by = functions_of(parts[0][0])
+        self._reaches: list[tuple[Either, Either, Either, Either]] = []
+        self._centred: list[tuple[Either, Either]] = []
+        self._aside: list[tuple[Either, Either, list[tuple[Either, Either, Either]]]] = []
+        log, sqrt = self._by.log, self._by.sqrt
+        for weight, along_m, across_m, larger_m2, smaller_m2 in parts:
+            smaller_m2 = where(smaller_m2 > 0.0, smaller_m2, 0.0)
+            thin = 1.0 - smaller_m2 / (larger_m2 + _SMALLEST_M2)
+            length2 = along_m * along_m + across_m * across_m
+            self._reaches.append((log(weight + _LEAST), sqrt(length2), 2.0 * larger_m2, math.pi * thin))
+            if not any_of(length2 > 0.0):
+                squares = _SQUARES if any_of(thin > _ROUNDING) else _DIAGONAL
+                share = weight / len(squares)
+                self._centred += [
+                    (share, -0.5 / (larger_m2 * c2 + smaller_m2 * s2 + _SMALLEST_M2)) for c2, s2 in squares
+                ]
+                continue
+            major_m, minor_m, nodes = sqrt(larger_m2), sqrt(smaller_m2), []
+            for c, s in _AROUND if any_of(across_m != 0.0) else _AROUND[: _NODES // 4]:
+                x, y = major_m * c, minor_m * s
+                square = x * x + y * y + _SMALLEST_M2
+                outwards = (along_m * x + across_m * y) / sqrt(square)
+                nodes.append((-0.5 / square, outwards, outwards * outwards))
+            self._aside.append((weight, length2, nodes))
+
+    def level_m(self, risk: Either) -> Either:
+        """By what the nodes say."""
+        log_risk = self._by.log(risk)
+        low, high, at = self._about(log_risk)
+        found: Either = False
+        steps = 0
+        while steps < _STEPS and any_of(negated(found)):
+            steps += 1
+            probability, slope = self._beyond(at)
+            kept = probability <= risk
+            high, low = where(kept, at, high), where(kept, low, at)
+            above = self._by.log(probability + _LEAST) - log_risk + _AIM
+            found = (kept & (above >= -_AIM)) | (high - low <= _NARROW * high)
+            at = at + above * probability / (_LEAST - slope)
+            at = where((at > low) & (at < high), at, 0.5 * (low + high))
+            # Once found a level stays as it is: it does not depend on those beside it.
+            at = where(found, high, at)
+        return self._by.sqrt(high)
+
+    def _beyond(self, level_m2: Either) -> tuple[Either, Either]:
+        """P(|error| > L), or never less, and its slope over L²."""
+        exp, sqrt = self._by.exp, self._by.sqrt
+        probability, slope = 0.0, 0.0
+        for share, rate in self._centred:
+            at_node = share * exp(level_m2 * rate)
+            probability = probability + at_node
+            slope = slope + at_node * rate
+        for weight, length2, nodes in self._aside:
+            room = level_m2 - length2
+            # By more than rounding: where P jumps the level is on the far side for whoever looks again.
+            nearer = room < _ROUNDING * level_m2
+            room = where(nearer, _LEAST, room)
+            tail, fall = 0.0, 0.0
+            for rate, outwards, outwards2 in nodes:
+                straight = sqrt(room + outwards2)
+                near, far = straight - outwards, straight + outwards
+                steep, steeper = near * rate, far * rate
+                at_node, opposite = exp(near * steep), exp(far * steeper)
+                tail = tail + (at_node + opposite)
+                fall = fall + (at_node * steep + opposite * steeper) / straight
+            share = 0.5 * weight / len(nodes)
+            probability = probability + where(nearer, weight, share * tail)
+            slope = slope + where(nearer, 0.0, share * fall)
+        return probability, slope
+
+    def _about(self, log_risk: Either) -> tuple[Either, Either, Either]:
+        """L² that is too small, one that is large enough, and one between to begin with."""
+        log1p, sqrt = self._by.log1p, self._by.sqrt
+        reach, first, parts = 0.0, 0.0, math.log(len(self._reaches))
+        for log_weight, length_m, twice_m2, thin in self._reaches:
+            alone = log_weight - log_risk
+            # Each part's tail is at most Rayleigh's of its larger variance: here each has its even share of the risk.
+            share = alone + parts
+            spends = share > 0.0
+            if not any_of(spends):
+                continue
+            far = where(spends, length_m + sqrt(where(spends, share, 0.0) * twice_m2), 0.0)
+            reach = where(far > reach, far, reach)
+            # Far out it is about exp(−t) / √(π t (1 − b / a)), t = L² / (2 a): where the part alone spends the risk.
+            spends = alone > 0.0
+            alone = where(spends, alone, 0.0)
+            rest = alone - 0.5 * log1p(thin * alone)
+            far = length_m + sqrt(where(rest > 0.0, rest, 0.0) * twice_m2)
+            first = where(spends & (far > first), far, first)
+        first = where(first < reach, first, reach)
+        return 0.0 * reach, reach * reach, first * first

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from camber.integrity.either_number import (
+    any_of,
+    functions_of,
     known,
     larger_eigenvalue,
     log,
@@ -41,6 +43,19 @@ def test_what_may_be_divided_by_is_above_nought_and_finite() -> None:
 def test_what_is_not_known_is_infinite() -> None:
     assert known(math.nan) == math.inf
     assert known(3.0) == 3.0
+
+
+def test_a_condition_applies_to_one_at_least() -> None:
+    assert [any_of(np.array(a)) for a in ([False, False], [False, True], [True, True])] == [False, True, True]
+    assert (any_of(True), any_of(False)) == (True, False)
+
+
+@pytest.mark.parametrize("name", ["sqrt", "exp", "log", "log1p"])
+def test_both_kinds_find_their_functions_under_one_name(name: str) -> None:
+    one, many = (getattr(functions_of(x), name)(x) for x in (0.3, np.array([0.3])))
+    assert isinstance(one, float)
+    assert many.shape == (1,)
+    assert one == pytest.approx(many[0], rel=1e-15)
 
 
 def test_a_condition_is_turned_round() -> None:

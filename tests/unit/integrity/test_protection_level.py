@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import integrate, special, stats
 
-from camber.integrity.protection_level import Tails, levels_m
-from support.tails import horizontal, whitened
+from camber.integrity.protection_level import levels_m
+from support.tails import horizontal, in_parts, whitened
 
 exactly = settings(derandomize=True, deadline=None)
 sigma = st.floats(0.01, 5.0)
@@ -36,8 +36,19 @@ def in_ellipses(weight, mean, covariance):
     return horizontal(weight, *whitened(mean, covariance))
 
 
-def level(tails, risk):
-    return float(levels_m(tails, np.full(len(tails.weight), risk))[0])
+def of_rows(parts, risk):
+    return levels_m(parts, [risk])[0]
+
+
+def in_floats(parts, row=0):
+    """One of many mixtures as the judge has it."""
+    return [tuple(column[row].item() for column in part) for part in parts]
+
+
+def level(parts, risk):
+    (found,) = levels_m(in_floats(parts), [risk])
+    assert isinstance(found, float)
+    return found
 
 
 def mixture(weights, means, sigmas):
@@ -101,7 +112,7 @@ def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_keeps_to_it(f
     weight, sigma = np.column_stack((1.0 - second, second)), 10.0 ** rng.uniform(-2.0, 0.5, (n, 2))
     mean = np.column_stack((np.zeros(n), rng.uniform(0.0, farthest, n) * sigma[:, 1]))
     covariance = (sigma**2)[:, :, None, None] * np.eye(2)
-    found = levels_m(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
+    found = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
     assert (exact(weight, mean, sigma, found) <= risk).all()
 
 
@@ -112,7 +123,7 @@ def test_about_where_the_level_jumps_to_another_part_the_risk_is_kept(far):
     mean = np.tile([0.0, far], (101, 1))
     sigma = np.full((101, 2), [0.05, 0.4])
     covariance = (sigma**2)[:, :, None, None] * np.eye(2)
-    found = levels_m(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), np.full(101, 1e-7))
+    found = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), np.full(101, 1e-7))
     assert (exact(weight, mean, sigma, found) <= 1e-7).all()
 
 
@@ -174,31 +185,63 @@ def test_a_mean_farther_off_never_shrinks_it(risk, offset, more, s):
 
 def test_all_rows_are_solved_alike_however_many():
     rng = np.random.default_rng(2)
-    spread = rng.uniform(0.01, 2.0, 2500)
+    spread = rng.uniform(0.01, 2.0, 9000)
     tails = horizontal(
-        np.ones((2500, 1)), np.zeros((2500, 1, 2)), (spread**2)[:, None, None, None] * np.eye(2)
+        np.ones((9000, 1)), np.zeros((9000, 1, 2)), (spread**2)[:, None, None, None] * np.eye(2)
     )
-    found = levels_m(tails, np.full(2500, 1e-7))
+    found = of_rows(tails, np.full(9000, 1e-7))
     assert found == pytest.approx(spread * math.sqrt(-2.0 * math.log(SPENT * 1e-7)), rel=1e-4)
     nothing = horizontal(np.ones((0, 1)), np.zeros((0, 1, 2)), np.zeros((0, 1, 2, 2)))
-    assert levels_m(nothing, np.zeros(0)).shape == (0,)
+    assert of_rows(nothing, np.zeros(0)).shape == (0,)
 
 
 def test_rows_of_different_kinds_may_be_solved_together():
     one, two = alone(np.eye(2)), vertical(np.ones((1, 1)), np.zeros((1, 1)), np.ones((1, 1)))
-    both = Tails(*map(np.concatenate, zip(one.columns, two.columns, strict=True)))
-    together = levels_m(both, np.array([1e-7, 1e-7]))
+    ((*both,),) = [
+        tuple(map(np.concatenate, zip(*of_both, strict=True))) for of_both in zip(one, two, strict=True)
+    ]
+    together = of_rows([tuple(both)], np.array([1e-7, 1e-7]))
     assert together == pytest.approx([level(one, 1e-7), level(two, 1e-7)], rel=1e-4)
 
 
-def test_a_level_does_not_depend_on_those_that_are_found_with_it():
-    rng = np.random.default_rng(4)
+def some_mixtures(seed):
+    """200 of three parts, the second with a mean, and a risk for each."""
+    rng = np.random.default_rng(seed)
     weight, sigma = 10.0 ** rng.uniform(-8.0, 0.0, (200, 3)), 10.0 ** rng.uniform(-2.0, 0.5, (200, 3))
     mean = np.array([0.0, 1.0, 0.0]) * rng.uniform(0.0, 3.0, (200, 3))
-    tails, risk = Tails(weight, mean, 0.3 * mean, sigma**2, 0.2 * sigma**2), 10.0 ** rng.uniform(-9, -1, 200)
-    for row, together in enumerate(levels_m(tails, risk)[:20]):
-        one = Tails(*(column[row : row + 1] for column in tails.columns))
-        assert levels_m(one, risk[row : row + 1])[0] == pytest.approx(together, rel=1e-12)
+    return in_parts(weight, mean, 0.3 * mean, sigma**2, 0.2 * sigma**2), 10.0 ** rng.uniform(-9, -1, 200)
+
+
+def test_a_level_does_not_depend_on_those_that_are_found_with_it():
+    parts, risk = some_mixtures(4)
+    for row, together in enumerate(of_rows(parts, risk)[:20]):
+        one = [tuple(column[row : row + 1] for column in part) for part in parts]
+        assert of_rows(one, risk[row : row + 1])[0] == pytest.approx(together, rel=1e-12)
+
+
+def test_one_in_plain_floats_has_the_level_that_it_has_among_many():
+    parts, risk = some_mixtures(6)
+    for row, among_many in enumerate(of_rows(parts, risk)):
+        assert level([tuple(c[row:] for c in part) for part in parts], risk[row].item()) == pytest.approx(
+            among_many, rel=1e-9
+        )
+
+
+def test_levels_at_several_risks_are_those_of_each():
+    parts, risk = some_mixtures(7)
+    both = levels_m(parts, [risk, 0.1 * risk])
+    assert (both[0] == of_rows(parts, risk)).all()
+    assert (both[1] == of_rows(parts, 0.1 * risk)).all()
+    assert levels_m(in_floats(parts), [0.01, -1.0]) == [level(parts, 0.01), math.inf]
+
+
+@pytest.mark.parametrize("across", [0.0, 1e-9])
+@pytest.mark.parametrize("round_by", [0.0, 1e-7])
+def test_nodes_that_say_the_same_need_not_be_asked(across, round_by):
+    few = [(0.9, 0.0, 0.0, 1.0, 1.0), (0.1, 2.0, 0.0, 0.4, 0.2)]
+    all_of_them = [(0.9, 0.0, 0.0, 1.0, 1.0 - round_by), (0.1, 2.0, across, 0.4, 0.2)]
+    for risk in (0.05, 1e-3, 1e-7):
+        assert levels_m(few, [risk]) == pytest.approx(levels_m(all_of_them, [risk]), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -217,11 +260,13 @@ def test_a_level_does_not_depend_on_those_that_are_found_with_it():
 )
 def test_what_is_no_distribution_has_no_level(tails):
     assert level(tails, 1e-3) == math.inf
+    assert of_rows(tails, np.full(1, 1e-3)) == math.inf
 
 
 @pytest.mark.parametrize("risk", [0.0, -1e-9, math.nan])
 def test_without_risk_to_spend_there_is_no_level(risk):
     assert level(alone(np.eye(2)), risk) == math.inf
+    assert of_rows(alone(np.eye(2)), np.array([risk])) == math.inf
 
 
 def test_a_risk_of_all_is_no_distance():
