@@ -1,4 +1,4 @@
-"""Residuals of a vehicle that drives straight over surfaces of 50 m, ten a second, at 10 m/s."""
+"""Residuals of a vehicle that drives straight over links of 200 m, surfaces of 50 m, ten a second, at 10 m/s."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from camber.integrity.learning import Learning
 from camber.integrity.residuals import Key, Residual
 
 START_NS = 1_400_000_000 * 1_000_000_000
-SPEED_M_S, RATE_HZ, SURFACE_M = 10.0, 10, 50.0
+SPEED_M_S, RATE_HZ, SURFACE_M, LINK_M = 10.0, 10, 50.0, 200.0
 EARTH_M = 6_350_000.0
 """Of the meridian there, a little too small: twenty metres are a little more."""
 KEY = Key("stroke", "engine:WGS84", 3)
@@ -33,6 +33,7 @@ def residual(epoch: float = 0, **changes: Any) -> Residual:
         "north_m": 0.0,
         "horizontal_sigma_m": 0.1,
         "surface_id": int(driven_m // SURFACE_M),
+        "link_id": int(driven_m // LINK_M),
         "speed_m_s": SPEED_M_S,
         "key": KEY,
     }

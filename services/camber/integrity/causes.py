@@ -3,11 +3,12 @@
 All judged fixes are heard, also those found erroneous: one wrong fix is a wrong fix, but where stretch after stretch
 differs by the same vector, something else is wrong.
 
-- **base** (or datum): fixes are off by one vector. Its horizontal part shows against a pose that owes nothing to fixes.
-- **antenna**: heights are off alike on several surfaces, and the horizontal position is seen to be right.
+- **base** (or datum): fixes are off by one vector. Its horizontal part shows against a pose that owes nothing to them:
+  a scan match, or one that leans on no fix since they are off.
+- **antenna**: heights are off alike on several links, and the horizontal position is seen to be right.
 - **road**: one stretch differs, the roads before and after it do not; and a fix there was verified otherwise, or
   another drive over it found the same.
-- **ambiguous**: it lasts, but is one of several: on too few surfaces antenna or road; without an independent pose
+- **ambiguous**: it lasts, but is one of several: on too few links antenna or road; without an independent pose
   antenna or base. What changed at the onset decides: another base's key, another antenna's.
 
 A base that is wrong in height alone looks like an antenna, unless its key changed; a wrong fix whose integers hold for
@@ -19,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 import statistics
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -45,7 +46,8 @@ class CauseRules:
     A height counts beyond `least_height_m` and `sigmas` of the mean, a horizontal one beyond `least_horizontal_m` and
     `horizontal_sigmas` of a single stretch: errors of scan matching are alike from stretch to stretch. `coherent` is
     the share of the stretches that must agree with one another. Roads are built, and surveyed, from crossing to
-    crossing: `antenna_distance_m` is more than one of these.
+    crossing, and sometimes on to the next: an antenna shows on `antenna_links`, with `link_cells` on each, over
+    `antenna_distance_m`.
     """
 
     cell_m: float = 20.0
@@ -61,9 +63,10 @@ class CauseRules:
     least_far_s: float = 8.0
     least_aside_s: float = 30.0
     least_s: float = 15.0
-    antenna_surfaces: int = 4
+    antenna_links: int = 3
     antenna_distance_m: float = 400.0
     again_s: float = 60.0
+    link_cells: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +152,8 @@ class Causes:
 
     def _name(self, found: Diagnosis) -> None:
         if found.cause == self.common.cause:
-            # It began when it was first seen to begin, also when that has left the memory.
-            self.common = replace(found, onset_ns=self.common.onset_ns)
+            # It began when it was first seen to begin, and after what, also when that has left the memory.
+            self.common = replace(found, onset_ns=self.common.onset_ns, after_right=self.common.after_right)
             return
         if found.cause != "none":
             self._news.append(found)
@@ -242,7 +245,7 @@ def _offset_of(seen: Sequence[_Seen], first: int, rules: CauseRules) -> _Offset 
     cells, before = [s.cell for s in seen[first:]], seen[max(first - _BEFORE, 0) : first]
     before_m = (before[-1] if before else seen[0]).correction_m
     up_m, up_is_one = _height(cells, before_m, rules)
-    east_north_m, aside = _horizontal([cell.horizontal_m for cell in cells], rules)
+    east_north_m, aside = _horizontal([_side(cell, cells[0].begin_ns) for cell in cells], rules)
     up_is_one = up_is_one and not _had_begun([d for s in before if (d := _difference_m(s)) is not None], up_m)
     aside = aside and not _had_begun([_along(s.cell, east_north_m) for s in before], 1.0)
     return _Offset(up_m, up_is_one, east_north_m, aside) if up_is_one or aside else None
@@ -282,6 +285,11 @@ def _height(cells: Sequence[Cell], before_m: float, rules: CauseRules) -> tuple[
     return middle_m, goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
 
 
+def _side(cell: Cell, since_ns: int) -> tuple[float, float, float] | None:
+    """Fix less pose, where the pose leans on no fix since then: it owes nothing to those that are in question."""
+    return None if cell.anchored_ns is not None and cell.anchored_ns >= since_ns else cell.horizontal_m
+
+
 def _horizontal(
     sides: Sequence[tuple[float, float, float] | None], rules: CauseRules
 ) -> tuple[tuple[float, float] | None, bool]:
@@ -294,7 +302,16 @@ def _horizontal(
         return (east_m, north_m), False
     nearer = [math.hypot(e - east_m, n - north_m) < 0.5 * size_m for e, n, _ in known]
     goes_on = nearer[0] and all(nearer[-2:])
-    return (east_m, north_m), goes_on and sum(nearer) >= rules.coherent * len(nearer)
+    half = len(known) // 2
+    grown_m = math.hypot(
+        *(
+            statistics.median(side[axis] for side in known[half:])
+            - statistics.median(side[axis] for side in known[:half])
+            for axis in (0, 1)
+        )
+    )
+    stands = grown_m <= max(rules.least_horizontal_m, rules.horizontal_sigmas * sigma_m)
+    return (east_m, north_m), goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
 
 
 def _cause_of(cells: Sequence[Cell], before: Cell | None, offset: _Offset, rules: CauseRules) -> Diagnosis:
@@ -311,13 +328,14 @@ def _cause_of(cells: Sequence[Cell], before: Cell | None, offset: _Offset, rules
             return _said(replace(diagnosis, cause="base"), "since the base changed")
         if new_antenna and not new_base:
             return _said(replace(diagnosis, cause="antenna"), "since the antenna changed")
-    surfaces = {cell.surface_id for cell in cells} - {None}
+    cells_on = Counter(cell.link_id for cell in cells if cell.link_id is not None)
+    links = sum(count >= rules.link_cells for count in cells_on.values())
     driven_m = sum(distance_m(a, b) for a, b in itertools.pairwise(cells))
-    if len(surfaces) < rules.antenna_surfaces or driven_m < rules.antenna_distance_m:
-        return _said(diagnosis, f"antenna or road, {len(surfaces)} surfaces so far")
+    if links < rules.antenna_links or driven_m < rules.antenna_distance_m:
+        return _said(diagnosis, f"antenna or road, {links} links so far")
     if offset.east_north_m is None:
         return _said(diagnosis, "antenna or base: no pose that owes nothing to fixes")
-    return _said(replace(diagnosis, cause="antenna"), f"alike on {len(surfaces)} surfaces")
+    return _said(replace(diagnosis, cause="antenna"), f"alike on {links} links")
 
 
 def _least_s(offset: _Offset, rules: CauseRules) -> float:

@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 _OUTLIER = 3.0
 _ROUNDS = 3
 _LEAST_SCATTER = 0.1
+_ENOUGH_FOR_SCATTER = 8
+_NORMAL_MAD = 1.4826  # σ of a normal distribution by its median absolute deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +83,18 @@ def common_part(
 def _rest(
     differences: Differences, correlation_m: float, prior_m: float, prior_sigma_m: float
 ) -> NDArray[np.bool_]:
-    """Which agree with one another; the prior has a voice, so that it takes two to outvote it."""
+    """Which agree with one another; the prior has a voice, so that it takes two to outvote it.
+
+    A fix's σ is that of an error which is mostly the same in all of them (reference point, frame, a sky that changes
+    slowly): it says little of how far they may lie apart. Where there are enough, what scatter is seen says more.
+    """
     sigma_m = np.sqrt(differences.variance_m2 + differences.map_sigma_m**2)
     centre_m = float(np.median(np.append(differences.up_m, prior_m)))
-    spread_m = _OUTLIER * np.hypot(sigma_m, prior_sigma_m if len(sigma_m) < 3 else 0.0)
+    if len(sigma_m) < _ENOUGH_FOR_SCATTER:
+        spread_m = _OUTLIER * np.hypot(sigma_m, prior_sigma_m if len(sigma_m) < 3 else 0.0)
+    else:
+        seen = _NORMAL_MAD * float(np.median(np.abs(differences.up_m - centre_m) / sigma_m))
+        spread_m = _OUTLIER * np.clip(seen * sigma_m, differences.map_sigma_m, sigma_m)
     kept = np.abs(differences.up_m - centre_m) <= spread_m
     for _ in range(_ROUNDS):
         centre_m = _estimate(differences.only(kept), correlation_m, prior_m, prior_sigma_m)[0]

@@ -122,11 +122,13 @@ class Learning:
 
     def hear(self, residual: Residual) -> None:
         """Learn from one judged fix what may be learnt from it."""
-        before = self.causes.common
+        before, roads = self.causes.common, len(self.causes.roads)
         self.causes.hear(residual, self.correction(residual.key).correction_m)
         part = self._parts.get((residual.key.antenna, residual.key.base))
         if self.causes.common.cause != before.cause and part is not None:
             self._forget(before, self.causes.common, part)
+        if len(self.causes.roads) > roads and part is not None:
+            self._forget_roads(part)
         if not self._may_learn(residual):
             return
         if self.rules.mode == "document":
@@ -204,6 +206,11 @@ class Learning:
             part.cells = deque(since, _MOST_CELLS)
             return
         self._undo(part, diagnosis.onset_ns)
+
+    def _forget_roads(self, part: Part) -> None:
+        """Stretches of a road that is known now to have changed say nothing of the antenna: they did not before."""
+        known = self.causes.roads
+        part.cells = deque((seen for seen in part.cells if seen[0].surface_id not in known), _MOST_CELLS)
 
     @staticmethod
     def _undo(part: Part, onset_ns: int | None, *, keep: bool = False) -> None:

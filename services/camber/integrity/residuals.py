@@ -31,8 +31,9 @@ class Residual:
     """One judged fix less its model, without any learnt correction; None: not known.
 
     `up_m` is `h_r − (h_m + h_a)` of H (4), `fix_sigma_m` that of fix and antenna together, `map_sigma_m` the road's.
-    `east_m`, `north_m` are fix less pose, known only where the pose owes nothing to fixes; `horizontal_sigma_m` is
-    theirs in the worst direction.
+    `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
+    time of the newest confirmed fix that the pose leans on, None where it leans on none. `link_id` is the road's, from
+    crossing to crossing; a surface is a piece of it.
     """
 
     time_ns: int
@@ -48,6 +49,8 @@ class Residual:
     surface_id: int | None = None
     speed_m_s: float | None = None
     key: Key = Key()
+    link_id: int | None = None
+    anchored_ns: int | None = None
 
     @property
     def confirmed(self) -> bool:
@@ -73,7 +76,8 @@ class Residual:
 class Cell:
     """The fixes of one stretch on one surface: medians, and how many of the fixes were verified against the height.
 
-    Where it lies is where it began. `horizontal_m` is east, north and their σ.
+    Where it lies is where it began. `horizontal_m` is east, north and their σ, `anchored_ns` the newest fix that one of
+    their poses leans on.
     """
 
     key: Key
@@ -88,6 +92,8 @@ class Cell:
     horizontal_m: tuple[float, float, float] | None
     fixes: int
     verified: int
+    link_id: int | None = None
+    anchored_ns: int | None = None
 
 
 class CellCollector:
@@ -137,6 +143,8 @@ def cell_of(residuals: list[Residual]) -> Cell:
         horizontal_m=horizontal_m,
         fixes=len(residuals),
         verified=sum(r.verdict == "confirmed_after_verification" for r in residuals),
+        link_id=first.link_id,
+        anchored_ns=max((r.anchored_ns for r in residuals if r.anchored_ns is not None), default=None),
     )
 
 

@@ -12,7 +12,8 @@ from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 
-_FREE_OF_FIXES = ("scan_match", "given")
+_FREE_OF_THIS_FIX = ("scan_match", "given", "confirmed")
+"""Such a pose owes nothing to a fix that is not confirmed yet; to those before, where no scan match holds it."""
 
 
 def base_of(fix: Fix) -> str:
@@ -38,10 +39,16 @@ def residual_of(judgement: Judgement, found: Comparison, speed_m_s: float | None
         speed_m_s=speed_m_s,
         key=key_of(base_of(fix), pose, antenna),
     )
-    if pose is not None and pose.provenance in _FREE_OF_FIXES:
+    if pose is not None:
+        residual = replace(residual, link_id=pose.link_id)
+    if pose is not None and pose.provenance in _FREE_OF_THIS_FIX:
         east_m, north_m = found.position_m
         residual = replace(
-            residual, east_m=east_m, north_m=north_m, horizontal_sigma_m=found.position_sigma_m
+            residual,
+            east_m=east_m,
+            north_m=north_m,
+            horizontal_sigma_m=found.position_sigma_m,
+            anchored_ns=None if pose.mode == "scan_match" else pose.anchor_time_ns,
         )
     if road is None or antenna is None or antenna.height_m is None:
         return residual

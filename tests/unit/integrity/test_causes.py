@@ -55,6 +55,30 @@ def test_a_base_is_named_too_where_the_pose_rested_on_fixes_before():
     assert found.onset_ns == pytest.approx(residual(300).time_ns, abs=3e9)
 
 
+def test_a_base_is_named_by_a_pose_that_leans_on_no_fix_since_it_is_off():
+    causes, right_ns = Causes(RULES), residual(299).time_ns
+    for epoch in range(300):
+        causes.hear(residual(epoch, anchored_ns=residual(epoch - 1).time_ns), 0.0)
+    off = {"verdict": "erroneous", "up_m": None, "east_m": 12.0, "north_m": -9.0}
+    assert hear(causes, 300, 430, anchored_ns=right_ns, **off).cause == "base"
+
+
+def test_a_pose_that_leans_on_the_fixes_in_question_names_no_base():
+    causes = Causes(RULES)
+    for epoch in range(600):
+        off_m = 12.0 if epoch >= 200 else 0.0
+        leaning = residual(epoch, up_m=None, east_m=off_m, anchored_ns=residual(epoch - 1).time_ns)
+        causes.hear(leaning, 0.0)
+    assert causes.common == NOTHING
+
+
+def test_what_grows_aside_is_led_astray_and_no_base(causes):
+    for epoch in range(600, 1200):
+        east_m = 0.3 * (epoch - 600) / 10
+        causes.hear(residual(epoch, verdict="erroneous", up_m=None, east_m=east_m), 0.0)
+        assert causes.common.cause == "none"
+
+
 def test_a_base_decimetres_off_takes_longer_than_wrong_fixes_last(causes):
     changes = {"verdict": "erroneous", "up_m": 0.4, "east_m": 0.5, "north_m": -0.3}
     assert hear(causes, 600, 880, **changes).cause != "base"
@@ -74,15 +98,32 @@ def test_an_antenna_moves_all_surfaces_alike_where_the_position_is_seen_to_be_ri
     assert found.text.startswith("-0.40 m up")
 
 
-def test_on_few_surfaces_it_may_be_the_road(causes):
+def test_on_a_link_or_two_it_may_be_the_road(causes):
     found = hear(causes, 600, 780, verdict="erroneous", up_m=-0.4)
     assert found.cause == "ambiguous"
-    assert "antenna or road" in found.text
+    assert "antenna or road, 1 links so far" in found.text
     assert found.after_right
-    assert (
-        hear(causes, 780, 900, verdict="erroneous", up_m=-0.4).cause == "ambiguous"
-    )  # it may be one long road
-    assert hear(Causes(RULES), 0, 600, up_m=-0.4, surface_id=16).cause == "ambiguous"
+    assert hear(causes, 780, 1010, verdict="erroneous", up_m=-0.4).cause == "ambiguous"
+    one_long = Causes(RULES)
+    assert hear(one_long, 0, 600, up_m=-0.4, link_id=3).cause == "ambiguous"
+
+
+def test_a_crossing_passed_is_no_link_on_which_an_antenna_shows(causes):
+    for epoch in range(600, 1300):
+        at_crossing = 20 <= epoch % 100 < 30
+        link_id = 90 + epoch // 100 if at_crossing else epoch // 650
+        causes.hear(residual(epoch, verdict="erroneous", up_m=-0.4, link_id=link_id), 0.0)
+    assert causes.common.cause == "ambiguous"
+
+
+def test_where_no_link_is_known_it_may_be_the_road(causes):
+    assert hear(causes, 600, 1200, verdict="erroneous", up_m=-0.4, link_id=None).cause == "ambiguous"
+
+
+def test_that_all_was_right_before_is_not_forgotten_with_what_was_before(causes):
+    changes = {"verdict": "erroneous", "up_m": -0.4, "link_id": 3}
+    assert hear(causes, 600, 800, **changes).after_right
+    assert hear(causes, 800, 2000, **changes).after_right
 
 
 def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():

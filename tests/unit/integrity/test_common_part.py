@@ -63,6 +63,17 @@ def test_outliers_are_left_out_while_they_are_fewer():
     assert found.value_m == pytest.approx(0.05, abs=0.005)
 
 
+def test_what_the_fixes_could_be_off_alike_makes_no_room_for_a_changed_road():
+    found = part([0.01, -0.01, 0.0, 0.02] * 4 + [0.28] * 6, sigma_m=0.1, map_sigma_m=0.03)
+    assert found.used == 16
+    assert found.value_m == pytest.approx(0.005, abs=0.002)
+
+
+def test_of_a_few_that_scatter_little_by_chance_the_next_may_still_differ_by_its_sigma():
+    assert part([0.0, 0.0, 0.0, 0.0, 0.12], map_sigma_m=0.05).used == 5
+    assert part([0.0] * 10 + [0.12], map_sigma_m=0.05).used == 11  # the map's own
+
+
 def test_where_nothing_agrees_the_prior_stays():
     found = part([40.0], prior_m=0.02)
     assert (found.used, found.value_m, found.sigma_m) == (0, 0.02, 0.0)

@@ -493,11 +493,23 @@ def test_another_base_station_has_a_part_of_its_own():
     ]
 
 
-def test_of_a_pose_made_of_fixes_it_hears_the_height_only():
+def test_of_a_pose_made_of_unconfirmed_fixes_it_hears_the_height_only():
     learning = Listening()
-    judged(learning=learning)
+    judged(learning=learning, the_pose=pose(provenance="fixes"))
     assert learning.heard[0].east_m is None
     assert learning.heard[0].up_m is not None
+
+
+@pytest.mark.parametrize(("mode", "leans"), [("dead_reckoning", True), ("scan_match", False)])
+def test_it_hears_on_which_confirmed_fix_the_pose_leans_and_on_which_link_it_is(mode, leans):
+    learning, the_pose = (
+        Listening(),
+        pose(provenance="confirmed", mode=mode, anchor_time_ns=at(-1.0), link_id=4),
+    )
+    judged(learning=learning, the_pose=the_pose)
+    assert learning.heard[0].east_m == 0.0
+    assert learning.heard[0].anchored_ns == (at(-1.0) if leans else None)
+    assert learning.heard[0].link_id == 4
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():

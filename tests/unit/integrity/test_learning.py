@@ -252,6 +252,26 @@ def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(lea
     assert all(abs(cell.up_m - before) < 0.05 for cell, _ in part.cells)
 
 
+def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
+    learning = Learning(RULES)
+    hear(learning, 0, 200)
+    for epoch in range(200, 300):
+        off = {"up_m": 0.25, "verdict": "confirmed_after_verification"} if epoch < 250 else {}
+        learning.hear(residual(epoch, **off))
+    assert set(learning.causes.roads) == {4}
+    (part,) = learning.parts
+    assert {cell.surface_id for cell, _ in part.cells} == {0, 1, 2, 3, 5}
+
+
+def test_a_changed_road_of_a_few_hundred_metres_that_fits_the_height_check_is_not_learnt(learnt):
+    before = learnt.correction(KEY).correction_m
+    for epoch in range(1200, 1360):
+        learnt.hear(residual(epoch, up_m=before + 0.28, fix_sigma_m=0.1))
+    for epoch in range(1360, 1800):
+        learnt.hear(residual(epoch, up_m=before, fix_sigma_m=0.1))
+        assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.01)
+
+
 def test_an_erroneous_run_is_named_and_not_learnt(learnt):
     before = learnt.correction(KEY).correction_m
     assert hear(learnt, 1200, 1800, up_m=0.6, verdict="erroneous").correction_m == before

@@ -30,6 +30,12 @@ def test_a_wrong_fix_or_two_do_not_move_it():
     assert (found.begin_ns, found.end_ns) == (residual(0).time_ns, residual(8).time_ns)
 
 
+def test_it_knows_its_link_and_the_newest_fix_that_one_of_its_poses_leans_on():
+    assert cell_of([residual(0), residual(1)]).anchored_ns is None
+    found = cell_of([residual(k, anchored_ns=at) for k, at in enumerate([3, None, 7, 5])])
+    assert (found.link_id, found.anchored_ns) == (0, 7)
+
+
 def test_how_many_were_verified_against_the_height_is_known():
     words = ["confirmed", "confirmed_after_verification", "erroneous", "confirmed_after_verification"]
     assert cell_of([residual(k, verdict=word) for k, word in enumerate(words)]).verified == 2
