@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,17 +29,19 @@ AFTER_S = 15.0
 LASTING_S = 2.0
 """What was said so short a time before is not said anew: it names what there was before."""
 _PREFIX = "fault_"
+NO_SURFACE = -1
+_SURFACE = re.compile(r"surface (\d+)")
 _OF_LIDAR = ("blocked_lidar", "symmetric_scene")
 _NS = 1e9
 
 NAMED_BY: Mapping[str, frozenset[str]] = {
     "wrong_base": frozenset({"cause base", "verdict common_offset"}),
-    "wrong_map": frozenset({"cause road", "cause ambiguous"}),
-    "changed_road": frozenset({"cause road", "cause ambiguous"}),
+    "wrong_map": frozenset({"cause road", "cause ambiguous", "integrity road_changed"}),
+    "changed_road": frozenset({"cause road", "cause ambiguous", "integrity road_changed"}),
     "changed_tyre": frozenset({"cause antenna", "antenna_height disagreement"}),
     "changed_load": frozenset({"cause antenna", "antenna_height disagreement"}),
     "wheel_slip": frozenset({"pose: the wheels do not say how fast the vehicle goes"}),
-    "blocked_lidar": frozenset({"match lost", "match ambiguous"}),
+    "blocked_lidar": frozenset({"match lost", "match ambiguous", "localizer sweep_half_sweep"}),
     "symmetric_scene": frozenset({"match lost", "match ambiguous"}),
     "spoofing": frozenset(
         {"verdict common_offset", "verdict position_disagrees", "verdict height_and_position_disagree"}
@@ -51,7 +54,8 @@ NAMED_BY: Mapping[str, frozenset[str]] = {
 }
 """What names a fault: any one of these, begun to be said while it acts or within `AFTER_S`.
 
-*Ambiguous* is the right word for a road where one vehicle sees no other before and after it.
+*Ambiguous* is the right word for a road where one vehicle sees no other before and after it. A road counts as named
+where one of the surfaces is named on which the fault was met.
 """
 
 
@@ -79,26 +83,41 @@ def windows_of(truth: TruthTable) -> list[Window]:
     return sorted(found, key=lambda window: window.begin_ns)
 
 
-def said_of(driven: Driven) -> list[tuple[int, str]]:
-    """All that may name a fault, with its time: words of verdicts, causes, matches, antenna heights, issues."""
-    said: list[tuple[int, str]] = []
+@dataclass(frozen=True, slots=True, order=True)
+class Said:
+    """A word, and the surface of which it was said where it was said of one."""
+
+    time_ns: int
+    text: str
+    surface_id: int = NO_SURFACE
+
+
+def said_of(driven: Driven) -> list[Said]:
+    """All that may name a fault: words of verdicts, causes, matches, antenna heights, poses, issues."""
+    said: list[Said] = []
     for item in driven.recorded.get("verdict", ()):
-        said.append((item.message.time_ns, f"verdict {item.message.reason}"))
-        if item.message.cause != "none":
-            said.append((item.message.time_ns, f"cause {item.message.cause}"))
+        said.append(Said(item.message.time_ns, f"verdict {item.message.reason}"))
+        if item.message.cause == "road":
+            said.append(Said(item.message.time_ns, "cause road", item.message.surface_id))
+        elif item.message.cause != "none":
+            said.append(Said(item.message.time_ns, f"cause {item.message.cause}"))
     for item in driven.recorded.get("scan_match", ()):
         if item.message.status != "converged":
-            said.append((item.message.time_ns, f"match {item.message.status}"))
+            said.append(Said(item.message.time_ns, f"match {item.message.status}"))
     for item in driven.recorded.get("antenna_height", ()):
         if item.message.status != "known":
-            said.append((item.message.time_ns, f"antenna_height {item.message.status}"))
+            said.append(Said(item.message.time_ns, f"antenna_height {item.message.status}"))
     for item in driven.recorded.get("pose", ()):
-        said += [(item.message.time_ns, f"pose: {text}") for text in item.message.reason.split("; ") if text]
-    said += [(issue.time_ns, f"{issue.service} {issue.code}") for issue in driven.issues]
+        reasons = item.message.reason.split("; ")
+        said += [Said(item.message.time_ns, f"pose: {text}") for text in reasons if text]
+    for issue in driven.issues:
+        named = _SURFACE.search(issue.text) if issue.code == "road_changed" else None
+        surface_id = NO_SURFACE if named is None else int(named[1])
+        said.append(Said(issue.time_ns, f"{issue.service} {issue.code}", surface_id))
     return sorted(said)
 
 
-def during(said: Iterable[tuple[int, str]], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
+def during(said: Iterable[Said], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
     """What was said from one time to another: how often, and how long after the first time it first began [s].
 
     Without `begun_s` it was said before already, and never began anew. `said` is in the order of time.
@@ -106,7 +125,8 @@ def during(said: Iterable[tuple[int, str]], begin_ns: int, end_ns: int) -> dict[
     counts: Counter[str] = Counter()
     begun: dict[str, float] = {}
     last: dict[str, int] = {}
-    for time_ns, text in said:
+    for word in said:
+        time_ns, text = word.time_ns, word.text
         if begin_ns <= time_ns <= end_ns:
             counts[text] += 1
             if text not in last or time_ns - last[text] > LASTING_S * _NS:
@@ -165,14 +185,14 @@ def run_faults(
 def _row(
     window: Window,
     next_ns: int,
-    said: list[tuple[int, str]],
+    said: Sequence[Said],
     evaluation: Evaluation,
     verdicts: Sequence[Recorded[Any]],
     start_ns: int,
 ) -> dict[str, Any]:
     # Another may begin while this one acts: a link is driven again, a second fault is at work on it.
     end_ns = max(window.end_ns, min(window.end_ns + round(AFTER_S * _NS), next_ns - 1))
-    heard = during(said, window.begin_ns, end_ns)
+    heard = during(_of_here(said, window, verdicts), window.begin_ns, end_ns)
     begun_s = {text: found["begun_s"] for text, found in heard.items() if "begun_s" in found}
     names = {text: after_s for text, after_s in begun_s.items() if text in NAMED_BY.get(window.kind, ())}
     first = min(names, key=lambda text: names[text], default=None)
@@ -197,11 +217,22 @@ def _row(
     }
 
 
+def _of_here(said: Iterable[Said], window: Window, verdicts: Sequence[Recorded[Any]]) -> list[Said]:
+    """Without what was said of surfaces on which the fault was not met."""
+    here = {NO_SURFACE} | {
+        item.message.surface_id
+        for item in verdicts
+        if window.begin_ns <= item.message.time_ns <= window.end_ns
+    }
+    return [word for word in said if word.surface_id in here]
+
+
 def _within(time_ns: Int64, begin_ns: int, end_ns: int) -> Any:
     return (time_ns >= begin_ns) & (time_ns <= end_ns)
 
 
 def _correction_at(verdicts: Sequence[Recorded[Any]], time_ns: int) -> float | None:
-    """The correction in force: that of the last verdict on a fix before this time."""
-    before = [v.message for v in verdicts if v.message.fix_id is not None and v.message.time_ns < time_ns]
+    """The correction in force: that of the last verdict before this time by which a height was judged."""
+    judged = (v.message for v in verdicts if v.message.height_difference_m is not None)
+    before = [verdict for verdict in judged if verdict.time_ns < time_ns]
     return before[-1].correction_m if before else None
