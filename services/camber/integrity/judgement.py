@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from camber.integrity.comparison import Comparison
 from camber.integrity.height_check import RoadPoint
@@ -44,7 +45,15 @@ def verdict_of(judgement: Judgement, sigma: TrueSigma) -> Verdict:
     fix, found, point = judgement.fix, judgement.comparison, judgement.road
     road = judgement.pose.road if judgement.pose is not None else None
     surface_id = point.surface_id if point is not None else road.surface_id if road is not None else None
-    verdict = Verdict(
+    place: dict[str, Any] = {}
+    if judgement.confirmed and fix.covariance_enu_m2 is not None:
+        place = {
+            "latitude_rad": fix.latitude_rad,
+            "longitude_rad": fix.longitude_rad,
+            "height_m": fix.height_m,
+            "covariance_enu_m2": with_true_sigma(fix.covariance_enu_m2, sigma),
+        }
+    return Verdict(
         time_ns=fix.time_ns,
         fix_id=fix.fix_id,
         verdict=judgement.word,
@@ -61,14 +70,5 @@ def verdict_of(judgement: Judgement, sigma: TrueSigma) -> Verdict:
         trials=judgement.trials,
         surface_id=surface_id,
         map_version=road.map_version if road is not None else None,
-    )
-    if not judgement.confirmed or fix.covariance_enu_m2 is None:
-        return verdict
-    return verdict.model_copy(
-        update={
-            "latitude_rad": fix.latitude_rad,
-            "longitude_rad": fix.longitude_rad,
-            "height_m": fix.height_m,
-            "covariance_enu_m2": with_true_sigma(fix.covariance_enu_m2, sigma),
-        }
+        **place,
     )

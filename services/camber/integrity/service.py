@@ -41,6 +41,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._state = settings.state_dir / "correction.json" if settings.state_dir else None
         self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))
         self._saved = self._judge.learning.samples
+        self._newest_ns = 0  # of all that was heard
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was heard
         self._spoken = Spoken()
         self._levels = settings.level_rules()
@@ -61,13 +62,20 @@ class IntegrityService(Service[IntegritySettings]):
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
         return {
-            "fix": lambda fix: self._pending.append((fix, self.bus.now_ns())),
-            "pose": self._judge.heard.hear_pose,
-            "antenna_height": self._judge.heard.hear_antenna,
-            "receiver_integrity": self._judge.heard.receiver.hear,
-            "velocity": self._positions.hear_velocity,
-            "motion": lambda motion: self._hear_speed(motion.time_ns, motion.wheel_speed_m_s),
+            "fix": self._hearing(lambda fix: self._pending.append((fix, self.bus.now_ns()))),
+            "pose": self._hearing(self._judge.heard.hear_pose),
+            "antenna_height": self._hearing(self._judge.heard.hear_antenna),
+            "receiver_integrity": self._hearing(self._judge.heard.receiver.hear),
+            "velocity": self._hearing(self._positions.hear_velocity),
+            "motion": self._hearing(lambda motion: self._hear_speed(motion.time_ns, motion.wheel_speed_m_s)),
         }
+
+    def _hearing(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def hear(message: Any) -> None:
+            self._newest_ns = max(self._newest_ns, message.time_ns)
+            take(message)
+
+        return hear
 
     def _hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
         self._judge.heard.hear_speed(time_ns, speed_m_s)
@@ -76,9 +84,11 @@ class IntegrityService(Service[IntegritySettings]):
     def advance(self, now_ns: int) -> None:
         """Judge what can be judged, then say where the vehicle is."""
         alive = self._alive()
-        self._judge.forget_future(now_ns)
-        self._positions.forget_future(now_ns)
-        self._spoken.forget_after(now_ns + round(self._rules.future_limit_s * 1e9))
+        limit_ns = now_ns + round(self._rules.future_limit_s * 1e9)
+        if self._newest_ns > limit_ns:  # else nothing that is remembered can be dated later
+            self._judge.forget_future(now_ns)
+            self._positions.forget_future(now_ns)
+            self._spoken.forget_after(limit_ns)
         pending, self._pending = self._pending, []
         for fix, heard_ns in pending:
             if self._should_wait(fix, heard_ns, now_ns, alive):
@@ -120,12 +130,14 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _other_estimate(self, judgement: Judgement, alive: frozenset[str]) -> Judgement:
         """The judgement of another estimate of the fix, where one is called for and passes; else the one there is."""
-        rules, fix, asked_ns = self._rules.re_estimation, judgement.fix, self.bus.now_ns()
+        rules, fix = self._rules.re_estimation, judgement.fix
         question = question_for(judgement, rules)
-        situation = self._judge.heard.situation(fix.time_ns, alive)
+        if question is None:
+            return judgement
+        asked_ns, situation = self.bus.now_ns(), self._judge.heard.situation(fix.time_ns, alive)
         pose, missing = situation.pose, situation.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it can tell nothing.
-        if question is None or pose is None or missing is not None or is_provisional(pose):
+        if pose is None or missing is not None or is_provisional(pose):
             return judgement
         if not self._gnss.may_be_asked(asked_ns):
             return unanswered(judgement, "gnss has just not answered")
@@ -153,15 +165,19 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
         """A consumer must hear *unknown*, not nothing, when there is no fix or no pose."""
+        verdict_is_due = not self._pending and self._spoken.verdict_is_due(now_ns)
+        position_is_due = self._spoken.position_is_due(now_ns, self._rules.pose_max_age_s)
+        if not (verdict_is_due or position_is_due):
+            return
         situation = self._judge.heard.situation(now_ns, alive)
         reason = self._silence_reason(now_ns, situation)
-        if reason is not None and not self._pending and self._spoken.verdict_is_due(now_ns):
+        if reason is not None and verdict_is_due:
             self._spoken.verdict(now_ns)
             self.bus.publish(
                 "verdict", Verdict(time_ns=now_ns, fix_id=None, verdict="unknown", reason=reason)
             )
         missing = situation.missing_pose(now_ns, self._rules) or reason
-        if missing is not None and self._spoken.position_is_due(now_ns, self._rules.pose_max_age_s):
+        if missing is not None and position_is_due:
             self._spoken.no_position(now_ns)
             position = self._positions.at(now_ns, situation, self._judge.correction(situation).correction_m)
             if position.source == "none":

@@ -31,7 +31,7 @@ class TrueSigma:
 
 def with_true_sigma(covariance_enu_m2: Covariance3, sigma: TrueSigma) -> Covariance3:
     """The covariance of a right fix from the one its receiver claims."""
-    scale2 = sigma.scale**2
-    ee, en, eu, nn, nu, uu = (scale2 * value for value in covariance_enu_m2)
-    horizontal, vertical = sigma.horizontal_m**2, sigma.vertical_m**2
-    return ee + horizontal, en, eu, nn + horizontal, nu, uu + vertical
+    scale2, horizontal, vertical = sigma.scale**2, sigma.horizontal_m**2, sigma.vertical_m**2
+    ee, en, eu, nn, nu, uu = covariance_enu_m2
+    level = scale2 * en, scale2 * eu, scale2 * nn + horizontal
+    return scale2 * ee + horizontal, *level, scale2 * nu, scale2 * uu + vertical
