@@ -62,7 +62,7 @@ def agreement_of(candidates: Sequence[Candidate], rules: AgreementRules) -> Agre
     rival = int(max(np.delete(support, best), default=0))
     if subsets < rules.lead * rival:
         return Agreement(None, subsets, f"{subsets} estimates name one place, {rival} another", disputed=True)
-    members = [c for c, k in zip(candidates, place.tolist(), strict=True) if k == best]
+    members = [candidates[k] for k in np.flatnonzero(place == best).tolist()]
     surest, needed = max(c.success_rate for c in members), rules.success[min(subsets, len(rules.success)) - 1]
     if not surest >= needed:
         why = f"the success rate of the surest of {subsets} that agree is {surest:.3f}, {needed} is needed"

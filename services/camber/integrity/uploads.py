@@ -11,9 +11,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import gpst_from_gps_ns
@@ -77,8 +78,8 @@ def batch_of(uploads: Sequence[ElevationUpload]) -> UploadBatch:
         )
     (vehicle, datum, map_version), last = headings.pop(), uploads[-1]
 
-    def column(name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        return np.array([getattr(upload, name) for upload in uploads], "<f8")
+    def column(name: str) -> NDArray[Any]:
+        return np.array([getattr(upload, name) for upload in uploads])
 
     digest = hashlib.sha256("\n".join(upload.model_dump_json() for upload in uploads).encode()).digest()
     return UploadBatch(
@@ -88,14 +89,14 @@ def batch_of(uploads: Sequence[ElevationUpload]) -> UploadBatch:
         datum=datum,
         epoch_year=uploads[0].epoch_year,
         map_version=map_version,
-        positioning_time_ns=np.array([upload.time_ns for upload in uploads], "<i8"),
-        fix_id=np.array([upload.fix_id for upload in uploads], "<i8"),
+        positioning_time_ns=column("time_ns"),
+        fix_id=column("fix_id"),
         fix_quality=np.array([_QUALITIES.index(upload.fix_quality) for upload in uploads], "|u1"),
-        surface_id=np.array([upload.surface_id for upload in uploads], "<i8"),
+        surface_id=column("surface_id"),
         verdict=np.array([_VERDICTS.index(upload.verdict) for upload in uploads], "|u1"),
         latitude_rad=column("latitude_rad"),
         longitude_rad=column("longitude_rad"),
-        horizontal_sigma_m=np.array([_horizontal_sigma_m(upload) for upload in uploads], "<f8"),
+        horizontal_sigma_m=np.array([_horizontal_sigma_m(upload) for upload in uploads]),
         road_height_m=column("road_height_m"),
         road_height_sigma_m=column("road_height_sigma_m"),
         antenna_height_m=column("antenna_height_m"),

@@ -88,7 +88,7 @@ def test_many_places_of_one_each_do_not_add_up_against_it():
 @pytest.mark.parametrize(("ambiguities", "agrees"), [(6, True), (5, False)])
 def test_few_ambiguities_make_no_estimate(ambiguities, agrees):
     found = agreement_of(trio(ambiguities=ambiguities), RULES)
-    assert (found.candidate is not None) == agrees
+    assert (found.candidate is not None, found.subsets) == (agrees, 3)
     assert ("5 ambiguities" in found.why) == (not agrees)
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.integrity.height_check import RoadPoint
 from camber.integrity.judgement import Judgement
 from camber.integrity.true_sigma import TrueSigma
-from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, upload_for
+from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, decimal_year, upload_for
 from camber.map_update.contribution import QUALITIES, VERDICTS
 from camber.schemas.antenna import HeightByWay
 from support.judging import ROAD_M, antenna, at, fix, pose, road
@@ -40,6 +41,27 @@ def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
     assert found.surface_id == 8
     assert found.map_version == 3
     assert found.epoch_year == pytest.approx(2023.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("gpst", "year"),
+    [
+        ((2024, 1, 1), 2024.0),
+        ((2024, 1, 31), 2024 + 30 / 366),
+        ((2023, 7, 2), 2023 + 182 / 365),
+        ((2023, 12, 31), 2023 + 364 / 365),
+    ],
+    ids=str,
+)
+def test_the_epoch_is_the_decimal_year_to_two_days(gpst, year):
+    found = decimal_year(gps_ns_from_gpst(CalendarTime(*gpst, 0, 0, 0, 0)))
+    assert found == pytest.approx(year, abs=2 / 365, rel=0.0)
+    assert found == year or gpst[1:] != (1, 1)
+
+
+def test_an_antenna_may_be_as_low_as_it_likes():
+    assert upload(antenna=antenna(height_m=0.0)).antenna_height_m == 0.0
+    assert upload(antenna=antenna(height_m=0.4)).road_height_m == pytest.approx(ROAD_M + 1.4)
 
 
 def test_the_height_is_free_of_what_was_learnt_against_the_map():

@@ -288,6 +288,14 @@ def test_what_is_current_is_not_forgotten():
     Judge(Rules()).forget_future(at(0))
 
 
+@pytest.mark.parametrize(("ahead_s", "kept"), [(0.49, True), (0.51, False)])
+def test_half_a_second_ahead_is_still_now(ahead_s, kept):
+    drive = Drive()
+    drive.epoch(ahead_s / 0.2)
+    drive.judge.forget_future(at(0))
+    assert (drive.judge.last_fix_ns is not None, drive.judge.heard.pose is not None) == (kept, kept)
+
+
 # --- verification ------------------------------------------------------------------------------------------------
 
 
@@ -510,6 +518,19 @@ def test_it_hears_on_which_confirmed_fix_the_pose_leans_and_on_which_link_it_is(
     assert learning.heard[0].east_m == 0.0
     assert learning.heard[0].anchored_ns == (at(-1.0) if leans else None)
     assert learning.heard[0].link_id == 4
+
+
+def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and_of_the_newest_base():
+    class Asked(Learning):
+        def correction(self, key):
+            return Correction(0.01, 0.02) if key == Key("fixed", "receiver:WGS84:rtcm-8", 3) else Correction()
+
+    judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
+    situation = judge.heard.situation(at(0), ALL)
+    judge.judge(fix(0, base_station="rtcm-7"), at(0), ALL)
+    assert judge.correction(situation) == Correction()
+    judge.judge(fix(1, base_station="rtcm-8"), at(1), ALL)
+    assert judge.correction(situation) == Correction(0.01, 0.02)
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
