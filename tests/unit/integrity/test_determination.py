@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from camber.integrity.determination import ALL_TESTS, REASONS, DeterminationRules, determine
+from camber.integrity.joint_test import AGREES, CONTRADICTS, UNVERIFIED
 
 SIGMA_M = np.array([0.1, 0.1, 0.08])
 metres = st.floats(-3.0, 3.0)
@@ -223,3 +224,11 @@ def test_what_is_not_a_number_never_agrees(axis, value, d):
 @given(st.lists(st.tuples(metres, metres, metres), min_size=1, max_size=20), sigmas)
 def test_many_at_once_are_judged_as_each_alone(d, sigma_m):
     assert reasons(d, sigma_m) == [reason(one, sigma_m) for one in d]
+
+
+def test_the_words_of_many_are_small_numbers_one_each():
+    d = np.array([(0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.0, 0.6, 0.0)])
+    covariance_m2 = np.repeat(np.diag(np.square(SIGMA_M))[None], 3, axis=0)
+    found = determine(d, covariance_m2, covariance_m2[:, :2, :2], DeterminationRules().limits())
+    assert found.position.tolist() == [AGREES, UNVERIFIED, CONTRADICTS]
+    assert found.outcome.dtype == found.position.dtype == np.int8

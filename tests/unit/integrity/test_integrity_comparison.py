@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,26 @@ def test_all_figures_are_told_in_words():
     assert "together " in text
     assert len(text) <= 200
     assert compared(tests=("position",)).in_words(0.1).startswith("0.00 m from the pose")
+
+
+def test_the_words_are_those_of_the_figures():
+    found = replace(
+        compared(),
+        difference_m=np.array([0.3, -0.4, 0.15]),
+        height_m=-0.15,
+        height_sigma_m=0.061,
+        tolerance_m=0.2,
+        reach_m=0.55,
+        joint_distance2=4.52,
+        joint_limit=16.27,
+    )
+    assert found.in_words(0.123) == (
+        "height -0.15 m of σ 0.06 m, 0.20 m would agree; "
+        "0.50 m from the pose of σ 0.12 m, 0.55 m would agree; together 4.5 of 16.3"
+    )
+    assert replace(found, joint_limit=None).in_words(0.1) == replace(found, joint_distance2=None).in_words(
+        0.1
+    )
 
 
 @pytest.mark.parametrize(

@@ -404,6 +404,14 @@ def test_after_an_anchored_pose_was_lost_the_start_begins_at_nought():
     assert word_and_reason(drive.epoch(6, the_pose=provisional(6))) == ("unknown", "starting")
 
 
+def test_above_a_provisional_pose_a_fix_elsewhere_is_not_known_and_one_off_the_height_is_wrong():
+    elsewhere = judged(fix(north_m=2.0), the_pose=provisional())
+    assert word_and_reason(elsewhere) == ("unknown", "position_disagrees")
+    assert word_and_reason(judged(fix(up_m=1.0), the_pose=provisional())) == ("erroneous", "height_disagrees")
+    both = judged(fix(north_m=2.0, up_m=1.0), the_pose=provisional())
+    assert word_and_reason(both) == ("erroneous", "height_and_position_disagree")
+
+
 def test_without_a_wheel_speed_nothing_starts():
     drive = Drive(speed_m_s=None)
     assert {drive.epoch(k, the_pose=provisional(k)).reason for k in range(20)} == {"starting"}

@@ -59,6 +59,10 @@ def test_what_is_not_known_takes_nothing_back_but_good_news_does():
     assert warning(said((0, {"spoofing": "affirmed"}), (1, {"jamming": "none"}))) == "spoofing affirmed"
 
 
+def test_of_two_of_one_time_the_later_heard_counts():
+    assert warning(said((0, {"raim": "failed"}), (0, {"raim": "passed"}))) is None
+
+
 def test_what_comes_late_does_not_replace_what_is_newer():
     assert warning(said((1, {"raim": "failed"}), (0, {"raim": "passed"}))) == "raim failed"
 
@@ -73,6 +77,8 @@ def test_it_holds_as_long_as_its_age_allows(epoch, expected):
 def test_what_is_dated_ahead_is_forgotten_when_the_clock_is_set_back():
     word = said((0, {"raim": "failed"}), (5, {"spoofing": "affirmed"}))
     word.forget_after(at(4))
+    assert warning(word) == "raim failed"
+    word.forget_after(at(0))
     assert warning(word) == "raim failed"
 
 
