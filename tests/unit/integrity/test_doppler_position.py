@@ -66,6 +66,30 @@ def test_its_covariance_is_that_of_draws_of_errors_that_are_alike_for_a_while():
     assert found.covariance_m2 == pytest.approx(metres.var() * np.eye(3), rel=0.04, abs=1e-12)
 
 
+@pytest.mark.parametrize("correlation_s", [0.3, 1.0, 5.0])
+def test_one_step_is_as_unsure_as_the_mean_velocity_and_the_errors_it_keeps(correlation_s):
+    rules = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0, correlation_s=correlation_s)
+    found = driven(rules, 1).at(at(1)).covariance_m2
+    rho = math.exp(-0.1 / correlation_s)
+    assert found == pytest.approx(0.5 * 0.1**2 * (1.0 + rho) * 0.05**2 * np.eye(3))
+
+
+@pytest.mark.parametrize("correlation_s", [0.3, 5.0])
+def test_long_after_it_grows_as_twice_the_variance_times_correlation_and_time(correlation_s):
+    rules = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0, correlation_s=correlation_s, longest_s=1000.0)
+    early, late = (driven(rules, k).at(at(k)).covariance_m2[0, 0] for k in (400, 500))
+    assert late - early == pytest.approx(2.0 * 0.05**2 * correlation_s * 10.0, rel=0.02)
+
+
+def test_where_velocities_become_worse_so_do_the_errors_they_share():
+    """The same as if they had been so bad from the beginning, but for what has been summed up already."""
+    worse = driven(steps=2, make=lambda k: velocity(k, sigma=0.2 if k == 2 else 0.05)).at(at(2)).covariance_m2
+    rho, v, w = math.exp(-0.1), 0.05**2, 0.2**2
+    shared = 4.0 * 0.05 * (rho * v + v)  # after the first step, four times worse
+    expected = 0.005 * (1.0 + rho) * v + 0.1 * (1.0 + rho) * shared + 0.005 * (1.0 + rho) * 0.5 * (v + w)
+    assert worse[0, 0] == pytest.approx(expected)
+
+
 @pytest.mark.slow
 @exactly
 @given(st.integers(1, 200), st.floats(0.01, 0.5))
@@ -195,6 +219,43 @@ def test_what_began_without_wheels_is_not_checked():
     position.hear_velocity(velocity(0))
     position.begin(at(0))
     assert not position.at(at(0)).checked
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_what_is_not_known_well_along_either_axis_may_differ_so_much_more(axis):
+    variances = [0.0025, 0.0025]
+    variances[axis] = 1.0
+    covariance = (variances[0], 0.0, 0.0, variances[1], 0.0, 0.0025)
+    unsure = driven(steps=2, wheels=8.0, make=lambda k: velocity(k, covariance_enu_m2_s2=covariance))
+    assert unsure.at(at(2)) is not None
+
+
+def test_what_it_rises_by_is_not_driven():
+    assert driven(make=lambda k: velocity(k, east=6.0, north=8.0, up=2.0)).at(at(50)) is not None
+    assert driven(make=lambda k: velocity(k, east=10.0, north=5.0)).at(at(50)) is None
+
+
+def test_slips_one_way_make_up_for_those_the_other_way():
+    """Half a metre and 2 % of the way, and 5 σ: for ten seconds 0.3 m/s too fast, then as long too slow."""
+    for first in (0.3, -0.3):
+        position = driven(steps=0)
+        for k in range(1, 201):
+            position.hear_speed(at(k), 10.0 + (first if k <= 20 else -first if k <= 40 else 0.0))
+            position.hear_velocity(velocity(k))
+        assert position.at(at(200)) is not None
+
+
+def test_the_path_goes_on_where_the_wheels_were_silent_for_a_while():
+    position = driven(wheels=9.6, steps=20)
+    for k in range(21, 200):
+        if k > 30:
+            position.hear_speed(at(k), 9.6)
+        position.hear_velocity(velocity(k))
+        found = position.at(at(k))
+        if found is None:
+            break
+        assert found.checked is (k <= 23)
+    assert position.at(at(199)) is None
 
 
 def test_a_slow_drag_ends_it_by_the_path():
