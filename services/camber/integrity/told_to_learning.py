@@ -38,9 +38,8 @@ def residual_of(judgement: Judgement, found: Comparison, speed_m_s: float | None
         fix.longitude_rad,
         speed_m_s=speed_m_s,
         key=key_of(base_of(fix), pose, antenna),
+        link_id=pose.link_id if pose is not None else None,
     )
-    if pose is not None:
-        residual = replace(residual, link_id=pose.link_id)
     if pose is not None and pose.provenance in _FREE_OF_THIS_FIX:
         east_m, north_m = found.position_m
         residual = replace(
