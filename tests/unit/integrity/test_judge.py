@@ -296,6 +296,19 @@ def test_half_a_second_ahead_is_still_now(ahead_s, kept):
     assert (drive.judge.last_fix_ns is not None, drive.judge.heard.pose is not None) == (kept, kept)
 
 
+def test_another_estimate_may_take_the_place_of_a_solution_that_is_no_fix():
+    judge, asked = judge_with(poses=[pose()], antenna_height=antenna()), []
+
+    def others(judgement):
+        asked.append(judgement)
+        return judge.examine(fix(0), ALL, trials=3)
+
+    found = judge.judge(fix(0, quality="float"), at(0), ALL, others)
+    assert [(one.fix.quality, one.word, one.reason) for one in asked] == [("float", "unknown", "not_a_fix")]
+    assert (found.fix, found.word, found.trials) == (fix(0), "confirmed", 3)
+    assert judge.before.chain is not None
+
+
 # --- verification ------------------------------------------------------------------------------------------------
 
 

@@ -92,6 +92,7 @@ def test_the_integers_of_five_fixes_that_the_height_confirmed_carry_the_next():
         (after(*FIVE), fix(5, ambiguity_continuity="continuous")),
         (after(*FIVE), continued(4)),
         (after(*FIVE), continued(155)),
+        (after(*FIVE), continued(3.9)),
         (after(*FIVE, confirmed=False), continued(5)),
         (after(*FIVE, first(5)), continued(6, since=5)),
     ],
@@ -104,6 +105,7 @@ def test_the_integers_of_five_fixes_that_the_height_confirmed_carry_the_next():
         "not said since when",
         "not later",
         "too long ago",
+        "before",
         "none was confirmed",
         "one of a new chain",
     ],
@@ -129,10 +131,16 @@ def test_other_integers_than_those_confirmed_just_before_contradict():
     assert not after(*FIVE).contradict(fix(5, ambiguity_continuity="continuous"), 1.0)
 
 
+def test_one_that_was_confirmed_is_enough_to_be_contradicted():
+    assert after(first(5)).contradict(broken(6), 1.0)
+    again = after(*FIVE).after(continued(5), confirmed=False, contradicted=False)
+    assert again.after(continued(6), confirmed=True, contradicted=False).contradict(broken(7), 1.0)
+
+
 def test_those_that_differ_from_a_fix_that_was_not_confirmed_do_not():
     assert not after(*FIVE, confirmed=False).contradict(broken(5), 1.0)
     unsure = after(*FIVE).after(first(5), confirmed=False, contradicted=False)
-    assert not unsure.contradict(broken(6), 1.0)
+    assert unsure.contradict(broken(6), 1.0) is False
 
 
 def test_a_chain_that_contradicts_goes_on_contradicting_for_a_second():
@@ -142,7 +150,7 @@ def test_a_chain_that_contradicts_goes_on_contradicting_for_a_second():
     assert integers.contradict(continued(9, since=5), 1.0)
     assert not integers.contradict(continued(10, since=5), 1.0)
     assert not integers.contradict(continued(9, since=0), 1.0)
-    assert not integers.contradict(broken(6), 1.0)  # back from the wrong ones: the old are right again
+    assert integers.contradict(broken(6), 1.0) is False  # back from the wrong ones: the old are right again
 
 
 def test_once_the_old_chain_is_confirmed_again_the_dispute_is_over():
