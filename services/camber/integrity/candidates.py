@@ -26,7 +26,7 @@ from camber.integrity.judgement import Judgement
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation
 from camber.integrity.true_sigma import TrueSigma, with_true_sigma
-from camber.integrity.wrong_fix import WrongFixRules, log_odds_of
+from camber.integrity.wrong_fix import WrongFixRules, log_odds_of, log_odds_of_share
 from camber.schemas.base import Covariance3
 from camber.schemas.pose import Pose
 
@@ -53,7 +53,7 @@ class Suspicion:
     @classmethod
     def before_any(cls, rules: WrongFixRules) -> Suspicion:
         """Of a pose that rests on fixes of which nothing is known here."""
-        return cls(None, math.exp(rules.prior_log_odds), *rules.second_moment_m2)
+        return cls(None, math.exp(log_odds_of_share(rules.prior)), *rules.second_moment_m2)
 
     def lasting(self, time_ns: int, rules: WrongFixRules) -> float:
         """The share of it that is left at a later time: episodes of wrong fixes end."""
@@ -278,9 +278,10 @@ def _if_wrong(
     """Odds that the fix is wrong, by itself, and how far off it is then."""
     found, pose = judgement.comparison, judgement.pose
     horizontal_m2, vertical_m2 = rules.second_moment_m2
+    prior_log_odds = rules.prior_log_odds(judgement.fix.satellites)
     if found is None or pose is None or pose.covariance_east_north_yaw is None:
         unknown = Part(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
-        return judgement.trials * math.exp(rules.prior_log_odds), unknown
+        return judgement.trials * math.exp(prior_log_odds), unknown
     east_m, north_m, up_m = found.difference_m.tolist()
     (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = found.covariance_m2.tolist()
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
@@ -293,7 +294,11 @@ def _if_wrong(
         up_m, model_m2 = 0.0, vertical_m2
         s_eu, s_nu, s_uu = 0.0, 0.0, UNKNOWN_HEIGHT_M2
     against = log_odds_of(
-        (east_m, north_m, up_m), (s_ee, s_en, s_eu, s_nn, s_nu, s_uu), rules, judgement.trials
+        (east_m, north_m, up_m),
+        (s_ee, s_en, s_eu, s_nn, s_nu, s_uu),
+        rules,
+        prior_log_odds,
+        judgement.trials,
     )
     # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
     wrong = Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))

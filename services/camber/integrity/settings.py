@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,6 +20,8 @@ from camber.integrity.verification import VerificationRules, Witness
 from camber.integrity.wrong_fix import WrongFixRules
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME
+
+Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 class IntegritySettings(ServiceSettings):
@@ -74,7 +76,10 @@ class IntegritySettings(ServiceSettings):
         1e-7, gt=0.0, lt=0.1, description="probability, each epoch, that the error exceeds a level"
     )
     wrong_fix_prior: float = Field(
-        0.1, gt=0.0, lt=1.0, description="share of the tentative fixes that are wrong, before any test"
+        0.1,
+        gt=0.0,
+        lt=1.0,
+        description="share of tentative fixes that are wrong, before any test, with many satellites",
     )
     wrong_fix_episode_s: float = Field(10.0, gt=0.0, description="mean length of an episode of wrong fixes")
     pose_fault_prior: float = Field(
@@ -183,6 +188,10 @@ class IntegritySettings(ServiceSettings):
         0.01, ge=0.0, le=1.0, description="the road under a pose has changed since its survey"
     )
     changed_road_sigma_m: float = Field(0.2, gt=0.0, description="σ by which its height is then off")
+    wrong_fix_prior_of_few: tuple[tuple[int, Share], ...] = Field(
+        WrongFixRules().of_few,
+        description="at least that, with up to so many satellites; not known how many: with the fewest",
+    )
 
     @model_validator(mode="after")
     def _can_be_judged_by(self) -> Self:
@@ -263,7 +272,11 @@ class IntegritySettings(ServiceSettings):
             changed_road_sigma_m=self.changed_road_sigma_m,
             horizontal_margin=self.horizontal_margin,
             time_to_alert_s=self.time_to_alert_s,
-            wrong_fix=WrongFixRules(prior=self.wrong_fix_prior, episode_s=self.wrong_fix_episode_s),
+            wrong_fix=WrongFixRules(
+                prior=self.wrong_fix_prior,
+                episode_s=self.wrong_fix_episode_s,
+                of_few=self.wrong_fix_prior_of_few,
+            ),
             doppler=DopplerRules(
                 sigma_scale=self.doppler_sigma_scale,
                 sigma_floor_m_s=self.doppler_sigma_floor_m_s,

@@ -1,8 +1,8 @@
 """How likely is it that a fix that has passed all tests is wrong all the same? For n fixes at once.
 
-Of the tentative fixes in a street a share is wrong (the prior). A wrong fix's error owes nothing to road and pose, so
-its difference d from them (`joint_test`) is spread widely: a mixture of two normal distributions, one of metres, one
-far off. A right fix's d is N(0, S). By Bayes' theorem, in odds:
+Of the tentative fixes in a street a share is wrong (the prior), of those of few satellites nearly all. A wrong fix's
+error owes nothing to road and pose, so its difference d from them (`joint_test`) is spread widely: a mixture of two
+normal distributions, one of metres, one far off. A right fix's d is N(0, S). By Bayes' theorem, in odds:
 
     wrong : right = trials · prior / (1 − prior) · p(d | wrong) / p(d | right)
 
@@ -29,7 +29,8 @@ Floats = NDArray[np.float64]
 class WrongFixRules:
     """What is assumed of wrong fixes.
 
-    `prior`: the share of tentative fixes that are wrong; 7 to 29 % in streets, without any gate. Their errors have the
+    `prior`: the share of tentative fixes that are wrong, where many satellites were used; `of_few`: with up to so many
+    satellites it is at least so large, and with an unknown number of them as with the fewest. Their errors have the
     standard deviations `near_…` each axis, but for `far_share` of them, which have `far_m`. An episode of wrong fixes
     lasts `episode_s` in the mean.
     """
@@ -40,11 +41,16 @@ class WrongFixRules:
     far_m: float = 10.0
     far_share: float = 0.3
     episode_s: float = 10.0
+    of_few: tuple[tuple[int, float], ...] = ((7, 0.95), (12, 0.3))
 
-    @property
-    def prior_log_odds(self) -> float:
+    def prior_of(self, satellites: int | None) -> float:
+        """The share of tentative fixes with so many satellites that are wrong; None: nobody said how many."""
+        few = [share for most, share in self.of_few if satellites is None or satellites <= most]
+        return max(self.prior, *few) if few else self.prior
+
+    def prior_log_odds(self, satellites: int | None) -> float:
         """ln of wrong : right before anything is tested."""
-        return math.log(self.prior) - math.log1p(-self.prior)
+        return log_odds_of_share(self.prior_of(satellites))
 
     @property
     def parts(self) -> tuple[tuple[float, tuple[float, float, float]], ...]:
@@ -59,20 +65,36 @@ class WrongFixRules:
         return near * v[0] + far * w[0], near * v[2] + far * w[2]
 
 
+def log_odds_of_share(share: float) -> float:
+    """ln of share : rest."""
+    return math.log(share) - math.log1p(-share)
+
+
 def log_odds(
-    difference_m: Floats, covariance_m2: Floats, rules: WrongFixRules, trials: int | Floats = 1
+    difference_m: Floats,
+    covariance_m2: Floats,
+    rules: WrongFixRules,
+    prior_log_odds: float | Floats,
+    trials: int | Floats = 1,
 ) -> Floats:
     """ln of wrong : right (n,) of fixes with differences (n, 3) and their covariances S (n, 3, 3) if they are right.
 
+    `prior_log_odds` (n,) are those before any test.
     +∞ where anything is not finite, or S is no covariance. Grows with the difference along any direction, with the
     trials and with the prior.
     """
     with np.errstate(all="ignore"):  # what is not finite is told
-        return np.asarray(log_odds_of(tuple(difference_m.T), upper(covariance_m2), rules, trials))
+        return np.asarray(
+            log_odds_of(tuple(difference_m.T), upper(covariance_m2), rules, prior_log_odds, trials)
+        )
 
 
 def log_odds_of(
-    difference_m: tuple[Either, Either, Either], covariance_m2: Upper, rules: WrongFixRules, trials: Either
+    difference_m: tuple[Either, Either, Either],
+    covariance_m2: Upper,
+    rules: WrongFixRules,
+    prior_log_odds: Either,
+    trials: Either,
 ) -> Either:
     """The same of differences east, north, up; each part a float or (n,)."""
     ee, en, eu, nn, nu, uu = covariance_m2
@@ -81,7 +103,7 @@ def log_odds_of(
         for log_share, (east_m2, north_m2, up_m2) in _if_wrong(rules)
     )
     ratio = log_of_sum(near, far) - _log_density(difference_m, covariance_m2)
-    return known(rules.prior_log_odds + log(where(trials > 1, trials, 1)) + ratio)
+    return known(prior_log_odds + log(where(trials > 1, trials, 1)) + ratio)
 
 
 @lru_cache(maxsize=64)

@@ -1,6 +1,7 @@
 """Hazardously misleading information: a usable position whose error is beyond its level and beyond the alert limit.
 
-Per epoch, in four parts whose shares of all epochs are assumed, by the rules' own priors:
+Per epoch, in four parts whose shares of all epochs are assumed, by the rules' own priors, that of wrong fixes as the
+skies have satellites:
 
 - a pose that is right, beside right or wrong integers: the pose's own error would have to reach from the truth to
   within the judge's limit of the fix; bounded by Rayleigh's tail of that;
@@ -25,7 +26,7 @@ from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.tools.lab_alarms import WeightedRate, rate_of, right_fixes
 from camber.tools.lab_controls import Controls
 from camber.tools.lab_errors import Faults, episodes
-from camber.tools.lab_levels import LEVELS, bounds, of_fixes
+from camber.tools.lab_levels import LEVELS, bounds, of_fixes, prior_shares
 from camber.tools.lab_missed import wrong_fixes
 from camber.tools.lab_model import ASSUMED, Scene, judged_covariance, trusted_fix
 
@@ -47,6 +48,7 @@ def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
     for _ in range(_REPEATS if len(wrong.sky) else 0):
         coincidence.add(_coincidence(wrong, rules, rng))
     return {
+        "prior": _mean_of(prior_shares(right)),
         "right": _mean_of(_beside_right_pose(right, rules)),
         "right_alone": _mean_of(_right_tail(right, rules)),
         "wrong": _mean_of(_beside_right_pose(wrong, rules)),
@@ -56,7 +58,10 @@ def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
 
 def hazard_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
     """The rate per epoch, its upper bound, and the parts."""
-    prior, fault = LEVELS.wrong_fix.prior, LEVELS.pose_fault_prior
+    shares, fault = WeightedRate(), LEVELS.pose_fault_prior
+    for block in blocks:
+        shares.add(block["prior"])
+    prior = shares.rate
     parts = [
         _part("right integers, pose right", 1.0 - prior, [block["right"] for block in blocks]),
         _part(
@@ -156,7 +161,12 @@ def _coincidence(shapes: FixShapes, rules: Rules, rng: np.random.Generator) -> W
     if agreed.any():
         fix = trusted_fix(shapes.claimed_m2[agreed], rules)
         claimed = of_fixes(
-            run.error_m[agreed, :2], run.difference_m[agreed], s[agreed], fix, SCENE.pose_sigma_m
+            run.error_m[agreed, :2],
+            run.difference_m[agreed],
+            s[agreed],
+            fix,
+            SCENE.pose_sigma_m,
+            prior_shares(shapes)[agreed],
         )
         level[agreed] = bounds(claimed).level_m
     error = np.hypot(run.error_m[:, 0], run.error_m[:, 1])

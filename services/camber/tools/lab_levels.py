@@ -1,9 +1,9 @@
 """Do bounds hold? Positions of each mode with true errors, beside the ellipses and levels that the product would claim.
 
-`rtk`: tentative fixes of which the rules' prior share is wrong, judged; those confirmed. `doppler`: from such a
-position on the sum of velocities with the errors that their rules assume, for up to 30 s. `sensors` and `scan_match`:
-poses that rest on no fix, whose covariances, the localizer's claims, are taken to be true: what is tested of them is
-the step from a covariance to a bound.
+`rtk`: tentative fixes of which the rules' prior share for their satellites is wrong, judged; those confirmed.
+`doppler`: from such a position on the sum of velocities with the errors that their rules assume, for up to 30 s.
+`sensors` and `scan_match`: poses that rest on no fix, whose covariances, the localizer's claims, are taken to be true:
+what is tested of them is the step from a covariance to a bound.
 """
 
 from __future__ import annotations
@@ -89,36 +89,56 @@ def levels_figures(blocks: list[dict[str, dict[str, Any]]]) -> dict[str, Any]:
 
 
 def _rtk(seed: int, block: int, rules: Rules, draws: int, rng: np.random.Generator) -> Claimed:
-    """Right and wrong fixes in the proportion of the prior, those that the judge confirms."""
+    """Right and wrong fixes in the proportion of the prior of their satellites, those that the judge confirms."""
     right = right_fixes(seed, block, _SKIES, "levels")
     wrong = wrong_fixes("search", seed, block + 1_000_000, _SKIES)
-    prior = LEVELS.wrong_fix.prior
+    row = rng.integers(len(right.sky), size=draws)
+    prior, prior_of_wrong = prior_shares(right)[row], prior_shares(wrong)
     is_wrong = rng.random(draws) < prior if len(wrong.sky) else np.zeros(draws, np.bool_)
-    parts = []
-    for shapes, count in ((right, int((~is_wrong).sum())), (wrong, int(is_wrong.sum()))):
-        if count:
-            parts.append(_confirmed(shapes.chosen(rng.integers(len(shapes.sky), size=count)), rules, rng))
+    parts = [_confirmed(right.chosen(row[~is_wrong]), prior[~is_wrong], rules, rng)]
+    for share in np.unique(prior[is_wrong]).tolist():
+        # Those of as many satellites; where the search found none, as with many, any of them.
+        alike = np.flatnonzero(prior_of_wrong == share)
+        pool = alike if len(alike) else np.arange(len(prior_of_wrong))
+        count = int((is_wrong & (prior == share)).sum())
+        drawn = wrong.chosen(pool[rng.integers(len(pool), size=count)])
+        parts.append(_confirmed(drawn, np.full(count, share), rules, rng))
     return Claimed(*(np.concatenate([getattr(p, name) for p in parts]) for name in Claimed.__slots__))
 
 
-def _confirmed(shapes: FixShapes, rules: Rules, rng: np.random.Generator) -> Claimed:
+def prior_shares(shapes: FixShapes) -> Floats:
+    """The share (n,) that is wrong of tentative fixes with as many satellites, by the rules."""
+    return np.array([LEVELS.wrong_fix.prior_of(count) for count in shapes.satellites.tolist()], np.float64)
+
+
+def _confirmed(shapes: FixShapes, prior: Floats, rules: Rules, rng: np.random.Generator) -> Claimed:
     run = episodes(shapes, SCENE, rng, length=np.ones(len(shapes.sky), np.int64))
     s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
     agreed = Controls(rules.determination, SCENE.pose_sigma_m).agreed(run.difference_m, s)
     fix = trusted_fix(shapes.claimed_m2[agreed], rules)
-    return of_fixes(run.error_m[agreed, :2], run.difference_m[agreed], s[agreed], fix, SCENE.pose_sigma_m)
+    return of_fixes(
+        run.error_m[agreed, :2], run.difference_m[agreed], s[agreed], fix, SCENE.pose_sigma_m, prior[agreed]
+    )
 
 
 def of_fixes(
-    error_m: Floats, difference_m: Floats, covariance_m2: Floats, fix_m2: Floats, pose_sigma_m: float
+    error_m: Floats,
+    difference_m: Floats,
+    covariance_m2: Floats,
+    fix_m2: Floats,
+    pose_sigma_m: float,
+    prior: Floats,
 ) -> Claimed:
     """Confirmed fixes as the judge claims them: right, or wrong and then where road and pose say.
 
-    Errors (n, 2), differences (n, 3) with their covariances (n, 3, 3), those of the fixes (n, 3, 3). The poses rest on
-    no fix: nothing has pulled them along.
+    Errors (n, 2), differences (n, 3) with their covariances (n, 3, 3), those of the fixes (n, 3, 3), the share
+    `prior` (n,) of such fixes that is wrong. The poses rest on no fix: nothing has pulled them along.
     """
     n = len(error_m)
-    w = wrong_fix.probability(wrong_fix.log_odds(difference_m, covariance_m2, LEVELS.wrong_fix))
+    prior_log_odds = np.log(prior) - np.log1p(-prior)
+    w = wrong_fix.probability(
+        wrong_fix.log_odds(difference_m, covariance_m2, LEVELS.wrong_fix, prior_log_odds)
+    )
     pose = np.broadcast_to(np.eye(2) * pose_sigma_m**2, (n, 2, 2))
     mean = np.stack((np.zeros((n, 2)), difference_m[:, :2]), axis=1)
     covariance = np.stack((fix_m2[:, :2, :2], pose), axis=1)

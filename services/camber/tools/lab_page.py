@@ -281,4 +281,7 @@ def _assumptions(figures: dict[str, Any]) -> Iterator[str]:
 
 
 def _text(value: Any) -> str:
-    return ", ".join(str(v) for v in value) if isinstance(value, (list, tuple)) else str(value)
+    if not isinstance(value, (list, tuple)):
+        return str(value)
+    nested = any(isinstance(item, (list, tuple)) for item in value)
+    return ("; " if nested else ", ").join(_text(item) for item in value)

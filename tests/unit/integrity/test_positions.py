@@ -1,5 +1,6 @@
 """The position of every epoch: which source, which bounds, usable or not; never more trusted than what it rests on."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -103,7 +104,7 @@ def level(position):
 
 
 def test_a_confirmed_fix_that_a_matched_pose_bears_out_is_usable_at_1e_7():
-    found = confirmed(fresh())
+    found = confirmed(fresh(), the_fix=fix(satellites=16))
     assert (found.source, found.usable, found.reason, found.fix_id) == ("rtk", True, "none", fix().fix_id)
     assert found.horizontal_protection_level_m < 1.0
     assert found.vertical_protection_level_m < 1.0
@@ -130,9 +131,11 @@ def test_a_pose_that_knows_nothing_better_than_the_fix_cannot_make_it_usable():
         assert found.wrong_fix_probability > 1e-3
 
 
-def test_without_any_comparison_the_prior_alone_counts():
-    found = fresh().confirmed(Judgement(fix(), "confirmed", "none"), 0.0, situation())
-    assert found.wrong_fix_probability == pytest.approx(0.1)
+@pytest.mark.parametrize(("satellites", "prior"), [(16, 0.1), (10, 0.3), (6, 0.95), (None, 0.95)])
+def test_without_any_comparison_the_prior_of_the_satellites_alone_counts(satellites, prior):
+    the_fix = fix(satellites=satellites)
+    found = fresh().confirmed(Judgement(the_fix, "confirmed", "none"), 0.0, situation())
+    assert found.wrong_fix_probability == pytest.approx(prior)
     assert not found.usable
     assert found.yaw_rad is None
 
@@ -160,6 +163,17 @@ def test_a_larger_contradiction_never_lowers_the_probability_or_a_level(east, up
     one, other = bounds_of([small.mixture, large.mixture], LEVELS)
     assert other.horizontal_level_m * SLACK >= one.horizontal_level_m
     assert other.vertical_level_m * SLACK >= one.vertical_level_m
+
+
+def test_a_fix_of_fewer_satellites_is_never_surer_all_else_the_same():
+    found = [by_itself(fix(satellites=count)) for count in (None, *range(4, 20))]
+    wrong = [candidate.wrong for candidate in found]
+    assert wrong == sorted(wrong, reverse=True)
+    bounds = bounds_of([candidate.mixture for candidate in found], LEVELS)
+    for less, more in itertools.pairwise(bounds):
+        assert less.horizontal_level_m * SLACK >= more.horizontal_level_m
+        assert less.vertical_level_m * SLACK >= more.vertical_level_m
+    assert bounds[0].horizontal_level_m > bounds[-1].horizontal_level_m
 
 
 @exactly

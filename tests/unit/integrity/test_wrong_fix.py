@@ -19,8 +19,12 @@ metres = st.floats(-5.0, 5.0)
 exactly = settings(derandomize=True, deadline=None)
 
 
-def odds(d, s=S, rules=RULES, trials=1):
-    return float(log_odds(np.array([d], float), np.asarray(s, float)[None], rules, trials)[0])
+MANY = 20
+
+
+def odds(d, s=S, rules=RULES, trials=1, satellites=MANY):
+    prior = rules.prior_log_odds(satellites)
+    return float(log_odds(np.array([d], float), np.asarray(s, float)[None], rules, prior, trials)[0])
 
 
 def test_the_share_of_wrong_fixes_among_draws_is_the_mean_of_the_probabilities():
@@ -33,7 +37,7 @@ def test_the_share_of_wrong_fixes_among_draws_is_the_mean_of_the_probabilities()
     d = rng.normal(size=(n, 3)) * np.sqrt(np.diag(S)) + np.where(
         wrong[:, None], rng.normal(size=(n, 3)) * size, 0
     )
-    p = probability(log_odds(d, np.broadcast_to(S, (n, 3, 3)), RULES))
+    p = probability(log_odds(d, np.broadcast_to(S, (n, 3, 3)), RULES, RULES.prior_log_odds(MANY)))
     passed = np.einsum("ni,ij,nj->n", d, np.linalg.inv(S), d) <= chi2_limit(1e-3, 3)
     for low, high in [(0.0, 1e-3), (1e-3, 1e-2), (1e-2, 0.5), (0.5, 1.0)]:
         chosen = (p >= low) & (p <= high)
@@ -64,7 +68,30 @@ def test_trials_and_prior_never_lower_it(d, trials, prior):
 def test_with_full_agreement_a_blunter_test_says_less(sigmas, more):
     s = np.diag(np.square(sigmas))
     assert odds((0, 0, 0), s + more**2 * np.eye(3)) >= odds((0, 0, 0), s)
-    assert odds((0, 0, 0), s) <= RULES.prior_log_odds
+    assert odds((0, 0, 0), s) <= RULES.prior_log_odds(MANY)
+
+
+@exactly
+@given(st.integers(0, 60), st.integers(0, 60), st.tuples(metres, metres, metres))
+def test_fewer_satellites_never_make_a_fix_surer_and_an_unknown_number_is_the_fewest(one, other, d):
+    few, many = sorted((one, other))
+    assert odds(d, satellites=few) >= odds(d, satellites=many)
+    assert odds(d, satellites=None) == odds(d, satellites=0)
+    assert RULES.prior <= RULES.prior_of(many) <= RULES.prior_of(None) < 1.0
+
+
+def test_the_prior_is_at_least_that_of_many_satellites_whatever_is_said_of_few():
+    rules = replace(RULES, prior=0.2, of_few=((5, 0.1), (7, 0.6), (12, 0.9)))
+    assert [rules.prior_of(count) for count in (5, 7, 8, 12, 13)] == [0.9, 0.9, 0.9, 0.9, 0.2]
+    assert replace(rules, of_few=()).prior_of(None) == 0.2
+
+
+def test_the_prior_is_no_smaller_than_what_was_recorded_and_simulated():
+    # Nagoya, a receiver's fixes: satellites at least and at most, wrong ones, all.
+    recorded = ((0, 5, 52, 53), (6, 7, 34, 36), (8, 9, 7, 26), (10, 12, 14, 49), (13, 15, 7, 244))
+    for least, most, wrong, fixes in (*recorded, (16, 60, 0, 1391)):
+        prior = RULES.prior_of(most)
+        assert prior >= wrong / fixes - 0.05, (least, most)
 
 
 @pytest.mark.parametrize(

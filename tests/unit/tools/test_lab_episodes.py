@@ -33,6 +33,7 @@ def _shapes(n: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Fi
         np.full(n, 9),
         np.ones(n, np.bool_),
         np.tile((1.0, 0.0), (n, 1)),
+        np.full(n, 9),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from camber.integrity.rules import Rules
+from camber.tools.lab_alarms import right_fixes
 from camber.tools.lab_hazard import hazard_block, hazard_figures
 from camber.tools.lab_levels import (
     ALERT_LIMITS_M,
@@ -20,6 +21,7 @@ from camber.tools.lab_levels import (
     levels_block,
     levels_figures,
     of_fixes,
+    prior_shares,
 )
 
 SEED = 13
@@ -73,13 +75,23 @@ def test_the_sum_of_velocities_grows_as_an_integrated_gauss_markov_process() -> 
 def test_a_fix_that_is_far_from_its_pose_is_bounded_where_the_pose_is() -> None:
     difference = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     s, fix = np.tile(np.eye(3) * 0.01, (2, 1, 1)), np.tile(np.eye(3) * 0.0025, (2, 1, 1))
-    claimed = of_fixes(np.zeros((2, 2)), difference, s, fix, 0.05)
+    claimed = of_fixes(np.zeros((2, 2)), difference, s, fix, 0.05, np.full(2, 0.1))
     assert claimed.weight.sum(axis=1) == pytest.approx([1.0, 1.0])
     assert claimed.weight[0, 1] < 1e-3
     assert claimed.weight[1, 1] > 0.999
     near, far = bounds(claimed).level_m
     assert near < 0.4
     assert far > 2.0
+
+
+def test_the_lab_draws_as_many_wrong_fixes_as_the_prior_of_their_satellites_says() -> None:
+    shapes = right_fixes(SEED, 0, 100, "levels")
+    shares = prior_shares(shapes)
+    assert set(shares[shapes.satellites <= 7]) == {0.95}
+    assert set(shares[(shapes.satellites > 7) & (shapes.satellites <= 12)]) == {0.3}
+    assert set(shares[shapes.satellites > 12]) == {0.1}
+    hazard = hazard_figures([hazard_block(SEED, 0, Rules())])
+    assert 0.1 < hazard["wrong_fix_prior"] < 0.95
 
 
 def test_a_block_counts_every_mode_and_its_figures_are_shares_of_its_draws() -> None:

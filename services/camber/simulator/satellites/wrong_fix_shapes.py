@@ -40,7 +40,7 @@ class FixShapes:
     `shift_m`, `rate_m_s` (n, 3): of the position by wrong integers, now and its change as the satellites move.
     `claimed_m2` (n, 3, 3): covariance that the engine claims. `reflected_m2` (n, 3, 3): of a right fix by the phases'
     errors as they are there. `residuals_agree` (n,): the fixed phases' residuals pass. `sky` (n,) its index;
-    `along` (n, 2) the street's direction, east and north.
+    `along` (n, 2) the street's direction, east and north; `satellites` (n,) that the sky has.
     """
 
     sky: Integers
@@ -52,6 +52,7 @@ class FixShapes:
     ambiguities: Integers
     street: Booleans
     along: Floats
+    satellites: Integers
 
     def chosen(self, which: Booleans | Integers) -> FixShapes:
         """Some of them."""
@@ -76,8 +77,9 @@ def fix_shapes(skies: RandomSkies, kind: Kind, tries: int, rng: np.random.Genera
     good = status > 0
     sky = np.repeat(np.arange(len(skies.rows)), tries)
     along = np.column_stack((np.cos(skies.street_rad), np.sin(skies.street_rad)))
+    seen = np.array([len(np.unique(row[:m])) for row, m in zip(skies.satellite, skies.rows, strict=True)])
     return FixShapes(
-        sky, shift, rate, claimed, reflected, status == 1, count, skies.street[sky], along[sky]
+        sky, shift, rate, claimed, reflected, status == 1, count, skies.street[sky], along[sky], seen[sky]
     ).chosen(good)
 
 
