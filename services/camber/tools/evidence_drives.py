@@ -16,7 +16,7 @@ from camber.simulator.scenario import load_scenario
 from camber.tools.evaluation import evaluate
 from camber.tools.figures import Flags
 from camber.tools.one_process import drive_through
-from camber.tools.protection import Positions, levels_by_source
+from camber.tools.protection import Positions, last_of_epochs, levels_by_source
 from camber.tools.replay import facts_of
 from camber.tools.run_folder import RunFacts
 from camber.tools.simulate import simulate
@@ -93,10 +93,9 @@ def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
 
     `errors` (b, 5): epochs, those with a position whose error is known, those below each of `LIMITS_M`; `modes`, by
     mode (b, 3): positions with an ellipse and an error, those with the truth inside at 99 and at 99.9 %. The position
-    of an epoch is the last one within half a step: a receiver's clock puts its fix a millisecond or two beside the
-    epoch, and what was said before it came is no longer what holds.
+    of an epoch is `last_of_epochs`.
     """
-    row, found = _rows_of(positions.time_ns, epoch_ns)
+    row, found = last_of_epochs(positions.time_ns, epoch_ns)
     block = ((epoch_ns - epoch_ns[:1]) / 1e9 // BLOCK_S).astype(np.int64)
     n = int(block.max()) + 1 if len(block) else 0
 
@@ -119,15 +118,6 @@ def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
     every = np.ones(len(epoch_ns), bool)
     errors = counted(every, np.isfinite(error_m), *(error_m < limit_m for limit_m in LIMITS_M))
     return {"errors": errors, "modes": modes}
-
-
-def _rows_of(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
-    """The last row within half a step of each epoch (n,), and whether there is one. Both are in the order of time."""
-    if not len(time_ns) or not len(epoch_ns):
-        return np.zeros(len(epoch_ns), np.int64), np.zeros(len(epoch_ns), bool)
-    half_step_ns = int(np.median(np.diff(epoch_ns))) // 2 if len(epoch_ns) > 1 else 0
-    row = (np.searchsorted(time_ns, epoch_ns + half_step_ns, side="right") - 1).clip(0)
-    return row, np.abs(time_ns[row] - epoch_ns) <= half_step_ns
 
 
 def stacked(results: Sequence[dict[str, Any]], mode: str | None) -> Float64:

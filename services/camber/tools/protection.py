@@ -127,14 +127,22 @@ def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
         return None
     if not len(positions.time_ns):
         return 0.0
-    # Sensors sample by clocks of their own: the position of an epoch is the nearest one within half a step of it.
-    half_step_ns = float(np.median(np.diff(epoch_time_ns))) / 2.0 if len(epoch_time_ns) > 1 else 0.0
-    after = np.clip(np.searchsorted(positions.time_ns, epoch_time_ns), 1, max(len(positions.time_ns) - 1, 1))
-    pair = np.minimum(np.stack((after, after - 1)), len(positions.time_ns) - 1)
-    away_ns = np.abs(positions.time_ns[pair] - epoch_time_ns)
-    nearest = np.take_along_axis(pair, np.argmin(away_ns, axis=0)[None], axis=0)[0]
+    row, found = last_of_epochs(positions.time_ns, epoch_time_ns)
     small = positions.semi_major_999_m < positions.alert_limit_m
-    return float((small[nearest] & (away_ns.min(axis=0) <= half_step_ns)).mean())
+    return float((small[row] & found).mean())
+
+
+def last_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
+    """The last row within half a step of each epoch (n,), and whether there is one. Both are in the order of time.
+
+    Sensors and receivers sample by clocks of their own, so an epoch's position is dated a little beside it; and what
+    was said of it before its fix came is no longer what holds.
+    """
+    if not len(time_ns) or not len(epoch_ns):
+        return np.zeros(len(epoch_ns), np.int64), np.zeros(len(epoch_ns), bool)
+    half_step_ns = int(np.median(np.diff(epoch_ns))) // 2 if len(epoch_ns) > 1 else 0
+    row = (np.searchsorted(time_ns, epoch_ns + half_step_ns, side="right") - 1).clip(0)
+    return row, np.abs(time_ns[row] - epoch_ns) <= half_step_ns
 
 
 def coverage(positions: Positions) -> dict[str, Any]:

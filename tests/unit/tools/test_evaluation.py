@@ -229,12 +229,12 @@ def test_without_truth_nothing_that_rests_on_it_is_a_number() -> None:
     assert s["speed_factor"] is None
 
 
-def test_the_position_of_an_epoch_is_the_nearest_one_within_half_a_step() -> None:
+def test_the_position_of_an_epoch_is_the_last_one_within_half_a_step() -> None:
     recorded = by_hand()
     # The motion sensor's clock is 7 ms off that of the receiver.
     recorded["motion"] = [wrap(Motion(time_ns=time_ns(i) + 7 * MS)) for i in range(6)]
     assert run(recorded)["position"]["availability"] == pytest.approx(4 / 6)
-    # 120 ms of 200: the position after is nearer, and radii 0.6, 0.9, 0.1 of 1 to 3 are below the limit.
+    # 120 ms of 200: it is the position after, and radii 0.6, 0.9, 0.1 of 1 to 3 are below the limit.
     recorded["motion"] = [wrap(Motion(time_ns=time_ns(i) + 120 * MS)) for i in range(6)]
     assert run(recorded)["position"]["availability"] == pytest.approx(3 / 6)
 
