@@ -82,6 +82,10 @@ def test_the_same_fix_has_the_same_id_and_another_has_not():
     assert len({upload(k).upload_id for k in range(50)}) == 50
 
 
+def test_a_later_release_gives_a_fix_the_same_id():
+    assert upload().upload_id == "1373090000000000000-136f6cc5e3351f5d"
+
+
 @pytest.mark.parametrize(
     "changes",
     [
