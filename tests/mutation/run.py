@@ -32,13 +32,6 @@ _NOTICED = frozenset({"killed", "timeout", "segfault", "caught by type check"})
 _LEAST_SHARE = 0.95
 _NEARLY_THE_SAME = 1e-6
 _STRICT = re.compile(r",\s*(strict=\w+)?\s*\)")
-_FEW_EXAMPLES = """\
-from hypothesis import settings
-
-settings.register_profile("mutation", max_examples=20, derandomize=True, deadline=None)
-settings.load_profile("mutation")
-"""
-"""Properties take most of the time of a mutant that nobody notices; what many examples would notice few do."""
 
 
 def main() -> int:
@@ -84,7 +77,7 @@ def _lay_out(folder: Path, modules: list[str]) -> None:
     for test in (folder / "tests/unit" / _PACKAGE).glob("*.py"):
         if any(module in test.read_text() for module in _OF_PROCESSES):
             test.unlink()
-    (folder / "tests/conftest.py").write_text(_FEW_EXAMPLES)
+    shutil.copy(Path(__file__).parent / "for_mutants.py", folder / "tests/conftest.py")
     names = ", ".join(f'"src/camber/{_PACKAGE}/{module}.py"' for module in modules)
     (folder / "pyproject.toml").write_text(
         f"""\
@@ -101,7 +94,7 @@ pytest_add_cli_args = ["-p", "no:cacheprovider", "-m", "not slow"]
 track_dependencies = false
 use_git_change_detection = false
 timeout_multiplier = 5.0
-timeout_constant = 5.0
+timeout_constant = 30.0
 """
     )
 
