@@ -180,6 +180,14 @@ def test_before_any_fix_and_of_a_match_the_level_is_the_ellipse():
     assert index.bounds("scan_match", at(1), own, known=True).horizontal_level_m == own.semi_major_99_m
 
 
+def test_of_two_positions_of_one_time_the_levels_go_on_from_the_later():
+    index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
+    rtk = index.bounds("rtk", at(0), own, known=True)
+    index.keep(at(0), own)
+    index.keep(at(0), rtk)
+    assert index.bounds("doppler", at(0), own, known=True).horizontal_level_m == rtk.horizontal_level_m
+
+
 def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_forgotten():
     index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
     index.keep(at(10), index.bounds("rtk", at(10), own, known=True))
