@@ -154,7 +154,7 @@ def confirmed_fix(judgement: Judgement, before: Suspicion, rules: LevelRules, si
     total = 1.0 + odds + pulled
     parts = (
         Part(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
-        *_by_road(replace(wrong, weight=odds / total), rules),
+        *_by_road(wrong, odds / total, rules),
         _wider(before.part(pulled / total), covariance),
     )
     probability = (odds + pulled) / total
@@ -210,9 +210,11 @@ def of_pose(
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     height_m, up_m2 = height_on_road(situation, correction_m, rules)
     alone = Part(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
-    parts: tuple[Part, ...] = _by_road(alone, levels)
+    parts: tuple[Part, ...]
     wrong: float | None = None
-    if rests_on_fixes(pose):
+    if not rests_on_fixes(pose):
+        parts = _by_road(alone, 1.0, levels)
+    else:
         wrong = suspicion.odds / (1.0 + suspicion.odds)
         pulled = Part(
             wrong,
@@ -220,7 +222,7 @@ def of_pose(
             (ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
             alone.up_m2,  # the height is that of the road
         )
-        parts = (*_by_road(replace(alone, weight=1.0 - wrong), levels), *_by_road(pulled, levels))
+        parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
     return Candidate(
         "scan_match" if pose.mode == "scan_match" else "sensors",
         pose.time_ns,
@@ -305,12 +307,12 @@ def _if_wrong(
     return math.exp(min(against, _MOST_LOG_ODDS)), wrong
 
 
-def _by_road(part: Part, rules: LevelRules) -> tuple[Part, Part]:
+def _by_road(part: Part, weight: float, rules: LevelRules) -> tuple[Part, Part]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
     changed, sigma_m = rules.changed_road_prior, rules.changed_road_sigma_m
     return (
-        replace(part, weight=(1.0 - changed) * part.weight),
-        replace(part, weight=changed * part.weight, up_m2=part.up_m2 + sigma_m * sigma_m),
+        Part((1.0 - changed) * weight, part.mean_m, part.horizontal_m2, part.up_m2),
+        Part(changed * weight, part.mean_m, part.horizontal_m2, part.up_m2 + sigma_m * sigma_m),
     )
 
 

@@ -29,9 +29,9 @@ def any_of(condition: Either) -> bool:
 
 def where(condition: Either, yes: Either, no: Either) -> Either:
     """`yes` where it applies, else `no`; what does not apply may be anything."""
-    if isinstance(condition, np.ndarray):
-        return np.where(condition, yes, no)
-    return yes if condition else no
+    if condition is True or condition is False:  # by far the most often asked, and the soonest told
+        return yes if condition else no
+    return np.where(condition, yes, no) if isinstance(condition, np.ndarray) else yes if condition else no
 
 
 def negated(condition: Either) -> Either:

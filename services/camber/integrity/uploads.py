@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, get_args
 
 import numpy as np
@@ -29,6 +30,7 @@ _VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
 _QUALITIES: tuple[Quality, ...] = get_args(Quality)
 LARGEST_SIGMA_M = 10.0
 MOST_ROWS = 64
+_DAY_NS = 86_400_000_000_000
 
 
 def upload_for(judgement: Judgement, vehicle: str, sigma: TrueSigma) -> ElevationUpload | None:
@@ -164,5 +166,10 @@ def _name(time_ns: int, content: bytes) -> str:
 
 def decimal_year(time_ns: int) -> float:
     """The epoch of a GPS time as geodesists write it, to about two days."""
-    calendar = gpst_from_gps_ns(time_ns)
+    return _decimal_year(time_ns // _DAY_NS)
+
+
+@lru_cache(maxsize=16)
+def _decimal_year(day: int) -> float:
+    calendar = gpst_from_gps_ns(day * _DAY_NS)
     return calendar.year + (calendar.month - 1) / 12.0 + (calendar.day - 1) / 365.25
