@@ -122,9 +122,10 @@ class Causes:
         self._news: list[Diagnosis] = []
 
     def at(self, surface_id: int | None) -> Diagnosis:
-        """The cause of a difference on this surface."""
+        """The cause of a difference on this surface: a road that is known goes before what is not told apart."""
         road = self.roads.get(surface_id) if surface_id is not None else None
-        return _diagnosis_of(road) if road is not None and self.common.cause == "none" else self.common
+        told_apart = self.common.cause not in ("none", "ambiguous")
+        return self.common if road is None or told_apart else _diagnosis_of(road)
 
     def news(self) -> list[Diagnosis]:
         """What has been named since the last call."""

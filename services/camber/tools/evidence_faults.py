@@ -163,10 +163,10 @@ def run_faults(
     evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(truth))
     said, start_ns = said_of(driven), inputs.tick_times_ns[0]
     windows = windows_of(truth)
-    next_begins = [window.begin_ns for window in windows[1:]] + [int(truth.time_ns[-1]) + 1]
+    last_ns = int(truth.time_ns[-1])
     rows = [
-        _row(window, next_ns, said, evaluation, driven.recorded["verdict"], start_ns)
-        for window, next_ns in zip(windows, next_begins, strict=True)
+        _row(window, windows[number + 1 :], last_ns, said, evaluation, driven.recorded["verdict"], start_ns)
+        for number, window in enumerate(windows)
     ]
     return {
         "scenario": scenario,
@@ -184,14 +184,16 @@ def run_faults(
 
 def _row(
     window: Window,
-    next_ns: int,
+    later: Sequence[Window],
+    last_ns: int,
     said: Sequence[Said],
     evaluation: Evaluation,
     verdicts: Sequence[Recorded[Any]],
     start_ns: int,
 ) -> dict[str, Any]:
-    # Another may begin while this one acts: a link is driven again, a second fault is at work on it.
-    end_ns = max(window.end_ns, min(window.end_ns + round(AFTER_S * _NS), next_ns - 1))
+    next_ns = later[0].begin_ns if later else last_ns + 1
+    end_ns = named_until_ns(window, later, last_ns)
+    after_ns = max(window.end_ns, min(end_ns, next_ns - 1))
     heard = during(_of_here(said, window, verdicts), window.begin_ns, end_ns)
     begun_s = {text: found["begun_s"] for text, found in heard.items() if "begun_s" in found}
     names = {text: after_s for text, after_s in begun_s.items() if text in NAMED_BY.get(window.kind, ())}
@@ -209,12 +211,23 @@ def _row(
         "fixed": int(acts.sum()),
         "wrong": int((acts & evaluation.fixes.wrong).sum()),
         "wrong_confirmed": int(_within(wrong, window.begin_ns, window.end_ns).sum()),
-        "wrong_confirmed_after": int(_within(wrong, window.end_ns + 1, end_ns).sum()),
+        "wrong_confirmed_after": int(_within(wrong, window.end_ns + 1, after_ns).sum()),
         "said": heard,
         "correction_before_m": _correction_at(verdicts, window.begin_ns),
         "correction_at_end_m": _correction_at(verdicts, window.end_ns),
         "correction_after_m": _correction_at(verdicts, next_ns),
     }
+
+
+def named_until_ns(window: Window, later: Iterable[Window], last_ns: int) -> int:
+    """Until when a fault may be named: no longer than until one begins that the same words would name.
+
+    Another may begin while this one acts, too: a link is driven again, a second fault is at work on it.
+    """
+    words = NAMED_BY.get(window.kind, frozenset())
+    rivals = (other.begin_ns for other in later if words & NAMED_BY.get(other.kind, frozenset()))
+    most_ns = min(window.end_ns + round(AFTER_S * _NS), last_ns, next(rivals, last_ns + 1) - 1)
+    return max(window.end_ns, most_ns)
 
 
 def _of_here(said: Iterable[Said], window: Window, verdicts: Sequence[Recorded[Any]]) -> list[Said]:

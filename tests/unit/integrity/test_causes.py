@@ -224,6 +224,12 @@ def test_a_cause_common_to_all_goes_before_that_of_a_road(causes):
     assert causes.at(14).cause == "antenna"
 
 
+def test_a_road_that_is_known_goes_before_what_is_not_told_apart(causes):
+    causes.roads[14] = ChangedRoad(14, KEY.map_version, 0.3, START_NS)
+    hear(causes, 600, 780, verdict="erroneous", up_m=-0.4)
+    assert (causes.at(14).cause, causes.at(15).cause) == ("road", "ambiguous")
+
+
 # --- what is no cause --------------------------------------------------------------------------------------------
 
 

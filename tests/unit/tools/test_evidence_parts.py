@@ -12,7 +12,7 @@ from camber.formats.truth_csv import TruthTable
 from camber.simulator.faults import Fault
 from camber.tools import evidence
 from camber.tools.evidence_drives import BLOCK_S, blocks_of, stacked
-from camber.tools.evidence_faults import NAMED_BY, Said, during, said_of, windows_of
+from camber.tools.evidence_faults import NAMED_BY, Said, Window, during, named_until_ns, said_of, windows_of
 from camber.tools.one_process import Driven, Reported
 from camber.tools.protection import Positions
 
@@ -141,6 +141,14 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
         "pose: no rotation",
         "pose: no speed",
     ]
+
+
+def test_a_fault_may_be_named_until_one_begins_that_the_same_words_name() -> None:
+    dropped, again = Window("dropped_process", 10 * NS, 10 * NS), Window("changed_road", 11 * NS, 20 * NS)
+    jump, silence = Window("time_jump", 30 * NS, 35 * NS), Window("missing_epochs", 40 * NS, 45 * NS)
+    assert named_until_ns(dropped, [again], 90 * NS) == 25 * NS
+    assert named_until_ns(jump, [silence], 90 * NS) == 40 * NS - 1
+    assert named_until_ns(silence, [], 50 * NS) == 50 * NS
 
 
 def test_a_road_is_named_by_the_surfaces_that_are_said_to_have_changed() -> None:
