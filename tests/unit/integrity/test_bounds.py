@@ -147,6 +147,46 @@ def test_a_level_far_beyond_is_seen_without_finding_it():
     assert not is_beyond(Mixture((Part(1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),)), 0.0, RULES)
 
 
+def turned(mixture, angle_rad):
+    """The same errors, seen in axes turned the other way round."""
+    turn = np.array([[math.cos(angle_rad), -math.sin(angle_rad)], [math.sin(angle_rad), math.cos(angle_rad)]])
+    parts = []
+    for part in mixture.parts:
+        (ee, en, nn), (east_m, north_m, up_m) = part.horizontal_m2, part.mean_m
+        covariance = turn @ np.array([[ee, en], [en, nn]]) @ turn.T
+        mean = turn @ [east_m, north_m]
+        parts.append(
+            Part(
+                part.weight,
+                (float(mean[0]), float(mean[1]), up_m),
+                (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
+                part.up_m2,
+            )
+        )
+    return Mixture(tuple(parts), mixture.lost)
+
+
+@exactly
+@given(st.floats(-3.0, 3.0), st.floats(0.0, 1.5), st.floats(-1.0, 1.0))
+def test_no_direction_is_special(angle_rad, offset, slant):
+    right = Part(0.99, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0025), 0.01)
+    wrong = Part(0.01, (offset, 0.5 * offset, 0.2), (0.09, 0.02 * slant, 0.01), 0.04)
+    mixture = Mixture((right, wrong), 1e-9)
+    one, other = of(mixture), of(turned(mixture, angle_rad))
+    for name in ("semi_major_99_m", "semi_minor_99_m", "semi_major_999_m", "horizontal_level_m"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), rel=2e-3)
+    assert other.vertical_level_m == one.vertical_level_m
+    # The main axis has turned along.
+    assert math.sin(other.orientation_rad - one.orientation_rad - angle_rad) == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("angle_rad", [0.5, -0.5, math.pi / 4, -math.pi / 4])
+def test_a_level_far_beyond_is_seen_in_any_direction(angle_rad):
+    narrow = Mixture((Part(1.0, (0.0, 0.0, 0.0), (0.25, 0.0, 1e-4), 0.01),))
+    assert is_beyond(turned(narrow, angle_rad), 2.4, RULES)
+    assert not is_beyond(turned(narrow, angle_rad), 3.0, RULES)
+
+
 # --- the reliability index ---------------------------------------------------------------------------------------
 
 A99 = math.sqrt(9.2103)

@@ -232,3 +232,9 @@ def test_the_words_of_many_are_small_numbers_one_each():
     found = determine(d, covariance_m2, covariance_m2[:, :2, :2], DeterminationRules().limits())
     assert found.position.tolist() == [AGREES, UNVERIFIED, CONTRADICTS]
     assert found.outcome.dtype == found.position.dtype == np.int8
+
+
+def test_it_is_said_which_tests_speak_for_a_fix():
+    speak = "height, position, joint, phase_residuals, subset_agreement"
+    with pytest.raises(ValueError, match=f"^tests: expected one at least of {speak}$"):
+        DeterminationRules(tests=("continuity", "receiver"))
