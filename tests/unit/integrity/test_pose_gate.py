@@ -51,7 +51,7 @@ def test_moving_on_needs_a_speed_and_a_direction(changes, can):
 
 @pytest.mark.parametrize("name", ["latitude_rad", "longitude_rad"])
 def test_there_is_no_offset_from_a_pose_without_a_place(name):
-    with pytest.raises(ValueError, match="no position"):
+    with pytest.raises(ValueError, match=r"^the pose has no position$"):
         offset_from_pose(*place(0), pose(**{name: None}), at(0))
 
 
