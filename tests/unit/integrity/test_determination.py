@@ -238,3 +238,8 @@ def test_it_is_said_which_tests_speak_for_a_fix():
     speak = "height, position, joint, phase_residuals, subset_agreement"
     with pytest.raises(ValueError, match=f"^tests: expected one at least of {speak}$"):
         DeterminationRules(tests=("continuity", "receiver"))
+
+
+def test_both_rates_may_be_the_same_and_then_nothing_is_between():
+    limits = DeterminationRules(false_alarm_rate=1e-3, hold_back_rate=1e-3).limits()
+    assert limits.height[0] == limits.height[1] < math.inf
