@@ -266,6 +266,7 @@ def test_an_onset_stays_what_it_was_when_it_has_left_the_memory(causes):
 numbers = st.one_of(st.none(), st.floats(allow_nan=True, allow_infinity=True), st.floats(-1.0, 1.0))
 
 
+@pytest.mark.slow
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.lists(st.tuples(numbers, numbers, numbers, numbers), min_size=30, max_size=60))
 def test_no_numbers_whatever_stop_it_and_values_named_are_numbers(rows):

@@ -118,6 +118,7 @@ def test_the_same_stretch_again_and_again_makes_it_no_surer():
     assert learning.correction(KEY).sigma_m > 1.5 * other.correction(KEY).sigma_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drift_m_s", "most_m"), [(0.0003, 0.1), (0.001, 0.2), (0.002, 0.1), (0.005, 0.1), (0.02, 0.05)]
 )
