@@ -17,7 +17,7 @@ help:
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
 	@echo "make evidence  drives through all services, and docs/evidence.md; the recording needs CAMBER_DATA; an hour"
 	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
-	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; half an hour"
+	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; an hour, MODULE=learning some minutes"
 	@echo "make image   container image camber, with everything for any service"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
@@ -89,7 +89,7 @@ fuzz: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.run --minutes $(or $(FUZZ_MINUTES),10) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED)) --out $(OUT)/fuzz
 
 mutation: setup .venv/.mutation
-	PYTHONPATH=tests $(BIN)/python -m mutation.run --out $(OUT)/mutation
+	PYTHONPATH=tests $(BIN)/python -m mutation.run $(if $(MODULE),--only $(MODULE)) --out $(OUT)/mutation
 
 golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden
