@@ -56,6 +56,8 @@ class LevelRules:
 
     `changed_road_prior`: how likely the road under a pose has changed since it was surveyed, by a height of the
     standard deviation `changed_road_sigma_m`.
+
+    `disputed_pose_prior`: how likely it is the pose that is wrong where a fix at the height of the road contradicts it.
     """
 
     levels: Literal["integrity_risk", "reliability_index"] = "integrity_risk"
@@ -72,6 +74,7 @@ class LevelRules:
     matches_apart_m: float = 20.0
     changed_road_prior: float = 1e-2
     changed_road_sigma_m: float = 0.2
+    disputed_pose_prior: float = 1e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,9 @@ along, and agrees with it afterwards. `Suspicion` remembers how likely that is a
 episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching bears the pose
 out place after place (`MatchedPlaces`).
 
+A fix whose height agrees and whose place the pose contradicts leaves it open which of both is wrong (`Dispute`): until
+one that agrees, the vehicle may be where the fix was.
+
 A height that is the road's is off where the road has changed since the survey. What fixes have said of the road is not
 remembered: a level grows with the logarithm of the odds, so to know for certain that a road has changed would raise it
 by a fifth.
@@ -21,7 +24,9 @@ from typing import Literal
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from camber.geodesy.offsets import east_north_between
 from camber.integrity.bounds import LevelRules, Mixture, Part
+from camber.integrity.determination import POSITION_CONTRADICTS
 from camber.integrity.doppler_position import Displacement
+from camber.integrity.joint_test import AGREES
 from camber.integrity.judgement import Judgement
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation
@@ -35,6 +40,8 @@ Place = tuple[float, float, float | None]
 
 UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
 _MOST_LOG_ODDS = 30.0
+_NOT_OF_THE_POSE = frozenset({"phase_residuals_contradict", "receiver_warns", "common_offset"})
+"""It is the fix by its own account, or the base: neither says that the pose is wrong."""
 _SHARP = 4.0  # σ of a match that lie within the offset suspected
 
 
@@ -122,6 +129,70 @@ class MatchedPlaces:
 
 
 @dataclass(frozen=True, slots=True)
+class Dispute:
+    """A fix whose height agrees and whose place the pose contradicts: one of both is wrong, and which is not known.
+
+    `east_m`, `north_m` from the pose to the fix, `covariance_enu_m2` of the fix, `begun_ns` when the first said so.
+    `matches` newer than that have borne the pose out, the last at the place `matched_at`.
+    """
+
+    begun_ns: int
+    time_ns: int
+    east_m: float
+    north_m: float
+    covariance_enu_m2: Covariance3
+    matches: int = 0
+    matched_at: tuple[float, float] | None = None
+
+    def weight(self, rules: LevelRules) -> float:
+        """How likely it is the pose. It does not fade: a pose gone astray stays so."""
+        return rules.disputed_pose_prior * rules.false_match_prior**self.matches
+
+    def hear(self, pose: Pose, rules: LevelRules) -> Dispute:
+        """After a pose: a newer match bears it out, and another one as far on as what deceives a match reaches."""
+        if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
+            return self
+        here = pose.latitude_rad, pose.longitude_rad
+        if pose.match_time_ns is None or not pose.match_time_ns > self.begun_ns:
+            return self
+        if self.matched_at is not None:
+            moved_m = math.hypot(*east_north_between(*self.matched_at, *here))
+            if not moved_m >= rules.matches_apart_m:
+                return self
+        return replace(self, matches=self.matches + 1, matched_at=here)
+
+    def beside(self, parts: tuple[Part, ...], alone: Part, weight: float) -> tuple[Part, ...]:
+        """The parts of a pose, of which `alone` is the one that is right, and that the vehicle is where the fix is."""
+        # The fix's height is the road's, as the pose's is.
+        there = replace(alone, weight=weight, mean_m=(self.east_m, self.north_m, 0.0))
+        others = [replace(part, weight=(1.0 - weight) * part.weight) for part in parts]
+        return (*others, _wider(there, self.covariance_enu_m2))
+
+
+def dispute_after(judgement: Judgement, before: Dispute | None, sigma: TrueSigma) -> Dispute | None:
+    """What is disputed after a judgement: a fix that agrees with the pose ends it, one that was not compared does not.
+
+    Those that contradict in height too, or by their own account, are wrong by themselves and say nothing of the pose.
+    """
+    found, fix = judgement.comparison, judgement.fix
+    if judgement.confirmed:
+        return None
+    if found is None or fix.covariance_enu_m2 is None or judgement.reason in _NOT_OF_THE_POSE:
+        return before
+    if found.position == AGREES:
+        return None
+    # Where the map knows no road under the fix, its height speaks neither for it nor against it.
+    if found.outcome != POSITION_CONTRADICTS and judgement.reason != "position_disagrees":
+        return before
+    newest = Dispute(
+        fix.time_ns, fix.time_ns, *found.position_m, with_true_sigma(fix.covariance_enu_m2, sigma)
+    )
+    if before is None:
+        return newest
+    return replace(newest, begun_ns=before.begun_ns, matches=before.matches, matched_at=before.matched_at)
+
+
+@dataclass(frozen=True, slots=True)
 class Candidate:
     """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does."""
 
@@ -199,7 +270,12 @@ def of_doppler(base: Candidate, moved: Displacement, time_ns: int, rules: LevelR
 
 
 def of_pose(
-    situation: Situation, correction_m: float, suspicion: Suspicion, rules: Rules, levels: LevelRules
+    situation: Situation,
+    correction_m: float,
+    suspicion: Suspicion,
+    rules: Rules,
+    levels: LevelRules,
+    dispute: Dispute | None = None,
 ) -> Candidate:
     """The pose's antenna on its road. `situation.missing_pose` has to be None."""
     pose = situation.pose
@@ -223,6 +299,8 @@ def of_pose(
             alone.up_m2,  # the height is that of the road
         )
         parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
+    if dispute is not None:
+        parts = dispute.beside(parts, alone, dispute.weight(levels))
     return Candidate(
         "scan_match" if pose.mode == "scan_match" else "sensors",
         pose.time_ns,

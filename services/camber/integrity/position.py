@@ -14,9 +14,11 @@ from camber.geodesy.offsets import east_north_between
 from camber.integrity.bounds import Bounds, LevelRules, bounds_of, is_beyond
 from camber.integrity.candidates import (
     Candidate,
+    Dispute,
     MatchedPlaces,
     Suspicion,
     confirmed_fix,
+    dispute_after,
     of_doppler,
     of_pose,
 )
@@ -47,6 +49,7 @@ class Positions:
         self._base: Candidate | None = None
         self._suspicion = Suspicion.before_any(levels.wrong_fix)
         self._matched = MatchedPlaces(levels)
+        self._dispute: Dispute | None = None
         self._index = ReliabilityIndex(levels.index)
 
     def hear_velocity(self, velocity: SatelliteVelocity) -> None:
@@ -58,6 +61,10 @@ class Positions:
         if speed_m_s is not None:
             self._doppler.hear_speed(time_ns, speed_m_s)
 
+    def hear_judgement(self, judgement: Judgement) -> None:
+        """What has become of a fix, whatever it is: one that the pose contradicts makes the pose doubtful too."""
+        self._dispute = dispute_after(judgement, self._dispute, self._rules.true_sigma)
+
     def forget_future(self, now_ns: int) -> None:
         """Drop what is dated ahead: from a clock that is wrong, or from before ours was set back."""
         limit_ns = now_ns + round(self._rules.future_limit_s * 1e9)
@@ -68,6 +75,8 @@ class Positions:
         if self._suspicion.time_ns is not None and self._suspicion.time_ns > limit_ns:
             self._suspicion = replace(self._suspicion, time_ns=limit_ns)
             self._matched = MatchedPlaces(self._levels)
+        if self._dispute is not None and self._dispute.time_ns > limit_ns:
+            self._dispute = replace(self._dispute, begun_ns=limit_ns, time_ns=limit_ns)
 
     def confirmed(self, judgement: Judgement, correction_m: float, situation: Situation) -> Position:
         """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
@@ -90,9 +99,11 @@ class Positions:
         return self._best([doppler, pose], situation)
 
     def _hear_match(self, situation: Situation) -> None:
-        """What scan matching says of what was suspected before this epoch."""
+        """What scan matching says of what was suspected, or disputed, before this epoch."""
         if situation.pose is not None:
             self._suspicion = self._matched.hear(situation.pose, self._suspicion)
+            if self._dispute is not None:
+                self._dispute = self._dispute.hear(situation.pose, self._levels)
 
     def _of_pose(
         self, time_ns: int, situation: Situation, correction_m: float
@@ -107,7 +118,8 @@ class Positions:
         old = not abs(age_s(moved_ns, time_ns)) <= self._levels.time_to_alert_s
         if old or not abs(age_s(pose.time_ns, time_ns)) <= SAME_EPOCH_S:
             return None, "pose_stale"
-        return of_pose(situation, correction_m, self._suspicion, self._rules, self._levels), None
+        found = of_pose(situation, correction_m, self._suspicion, self._rules, self._levels, self._dispute)
+        return found, None
 
     def _of_doppler(self, time_ns: int, pose: Candidate | None) -> Candidate | None:
         """The position by Doppler where it can be checked and agrees; where it does not it ends."""

@@ -120,6 +120,7 @@ class IntegrityService(Service[IntegritySettings]):
         self.bus.count(f"verdict.{judgement.word}")
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
         self._spoken.verdict(now_ns)
+        self._positions.hear_judgement(judgement)
         if judgement.confirmed:
             situation = self._judge.heard.situation(judgement.fix.time_ns, alive)
             correction_m = self._judge.correction(situation).correction_m

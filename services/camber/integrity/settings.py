@@ -192,6 +192,9 @@ class IntegritySettings(ServiceSettings):
         WrongFixRules().of_few,
         description="at least that, with up to so many satellites; not known how many: with the fewest",
     )
+    disputed_pose_prior: float = Field(
+        1e-3, ge=0.0, le=1.0, description="a pose that a fix with the road's height contradicts is wrong"
+    )
 
     @model_validator(mode="after")
     def _can_be_judged_by(self) -> Self:
@@ -270,6 +273,7 @@ class IntegritySettings(ServiceSettings):
             matches_apart_m=self.matches_apart_m,
             changed_road_prior=self.changed_road_prior,
             changed_road_sigma_m=self.changed_road_sigma_m,
+            disputed_pose_prior=self.disputed_pose_prior,
             horizontal_margin=self.horizontal_margin,
             time_to_alert_s=self.time_to_alert_s,
             wrong_fix=WrongFixRules(
