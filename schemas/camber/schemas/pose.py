@@ -109,7 +109,9 @@ class Pose(Message):
         default=None, description="of the last confirmed position that entered"
     )
     motion_time_ns: TimeNs | None = Field(default=None, description="of the last motion sample that entered")
-    match_time_ns: TimeNs | None = Field(default=None, description="of the last scan match that entered")
+    match_time_ns: TimeNs | None = Field(
+        default=None, description="of the last scan match that entered and left no direction open"
+    )
     road: Road
 
 

@@ -40,6 +40,7 @@ from camber.localizer.filter_state import DEVIATION, LANE, FilterState
 from camber.localizer.link_coupling import CouplingResult, LinkCoupling
 from camber.localizer.link_filter import Array, wrapped
 from camber.localizer.link_matching import LinkMatch
+from camber.localizer.match_covariance import DEGENERATE_SIGMA_M
 from camber.localizer.match_run import SeenMatch
 from camber.localizer.pose_beginning import PoseBeginning
 from camber.localizer.pose_estimate import Mode, PoseEstimate, Prediction, Provenance
@@ -93,6 +94,7 @@ class PoseFilter:
         self._rotation_ns: int | None = None
         self._anchor_ns: int | None = None
         self._match_ns: int | None = None
+        self._placed_ns: int | None = None  # of the last match that told both directions
         self._heard_ns = 0  # the latest time of which anything was said
         self._travelled_m = 0.0
 
@@ -115,15 +117,15 @@ class PoseFilter:
 
     @property
     def mode(self) -> Mode:
-        """none, provisional (fixes alone), scan_match (one holds the pose), anchored (a confirmed fix just now), or
-        dead_reckoning; the last too where matches and anchors contradict each other."""
+        """none, provisional (fixes alone), scan_match (one holds the pose, along and across), anchored (a confirmed
+        fix just now), or dead_reckoning; the last too where matches and anchors contradict each other."""
         if self._provenance == "none":
             return "none"
         if self._provenance == "fixes":
             return "provisional"
         if self._dispute.by(self.time_ns) is not None:
             return "dead_reckoning"
-        if self._is_fresh(self._match_ns, self._model.match_fresh_s):
+        if self._is_fresh(self._placed_ns, self._model.match_fresh_s):
             return "scan_match"
         fresh = self._is_fresh(self._anchor_ns, self._model.anchored_for_s)
         return "anchored" if fresh and self._provenance == "confirmed" else "dead_reckoning"
@@ -158,7 +160,7 @@ class PoseFilter:
             speed_age_s=self._age_s(self._speed_ns),
             rotation_age_s=self._age_s(self._rotation_ns),
             anchor_age_s=self._age_s(self._anchor_ns),
-            match_age_s=self._age_s(self._match_ns),
+            match_age_s=self._age_s(self._placed_ns),
             link_age_s=self._age_s(self._link.coupled_ns),
             link_status=match.status,
             link_id=match.link_id,
@@ -354,7 +356,7 @@ class PoseFilter:
             return self._show_heading(seen, here, unique=unique)
         result = self._matches.update(seen, here, unique=unique)
         if result.accepted:
-            self._match_ns = time_ns
+            self._taken(seen)
             self._dispute.settled("matches")
         elif self._matches.insist:
             result = self._hear_insisting(seen, here, result)
@@ -413,7 +415,13 @@ class PoseFilter:
         self._wheels.forget()
         self._matches.forget()
         self._matches.taken(seen)
+        self._taken(seen)
+
+    def _taken(self, seen: SeenMatch) -> None:
+        """A match has entered; one that leaves a direction open places nothing along it."""
         self._match_ns = seen.time_ns
+        if largest_variance(seen.covariance) <= DEGENERATE_SIGMA_M**2:
+            self._placed_ns = seen.time_ns
 
     # Start and loss
 
@@ -449,7 +457,7 @@ class PoseFilter:
         self._forget_witnesses()
 
     def _forget_witnesses(self) -> None:
-        self._anchor_ns = self._match_ns = None
+        self._anchor_ns = self._match_ns = self._placed_ns = None
         self._anchors.forget()
         self._dispute.forget()
         self._link.forget()

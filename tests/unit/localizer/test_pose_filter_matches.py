@@ -136,6 +136,21 @@ def test_a_match_holds_the_pose_and_its_age_is_told():
     assert vehicle.filter.estimate().match_age_s == pytest.approx(1.3)
 
 
+def test_a_match_that_leaves_the_way_ahead_open_enters_and_holds_no_place():
+    """Between two walls: across it is centimetres, along it says nothing, so it bears out no way that was driven."""
+    vehicle = matched_vehicle()
+    for _ in range(10):
+        vehicle.step(8.0)
+        ahead = np.array([math.cos(vehicle.truth[2]), math.sin(vehicle.truth[2]), 0.0])
+        assert vehicle.match(covariance=MATCH + 100.0 * np.outer(ahead, ahead)).outcome == "accepted"
+    e = vehicle.filter.estimate()
+    assert e.mode == "dead_reckoning"
+    assert e.match_age_s == pytest.approx(1.3)
+    vehicle.step(8.0)
+    vehicle.match(covariance=MATCH + 0.04 * np.outer(ahead, ahead))
+    assert vehicle.filter.mode == "scan_match", "two decimetres along are a place"
+
+
 def test_poses_held_by_matches_lie_where_the_covariance_says():
     """20 drives with curves, a map that errs over 15 m, matches 0.2 s late; without tuning of the filter."""
     nees = []
