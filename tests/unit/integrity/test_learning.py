@@ -275,6 +275,35 @@ def test_a_changed_road_of_a_few_hundred_metres_that_fits_the_height_check_is_no
         assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.01)
 
 
+@pytest.mark.parametrize("keep", [False, True])
+def test_what_is_taken_back_leaves_it_as_sure_as_it_was_and_where_it_was_then(learnt, keep):
+    (part,) = learnt.parts
+    cells, known = list(part.cells), part.correction
+    learnt._undo(part, cells[-1][0].end_ns, keep=True)
+    assert (part.correction, list(part.cells)) == (known, cells), "nothing was learnt since"
+    learnt._undo(part, cells[-4][0].end_ns, keep=keep)
+    assert part.correction == Correction(cells[-3][1], known.sigma_m, known.samples)
+    assert list(part.cells) == (cells if keep else cells[:-3])
+    assert part.cells.maxlen == 96
+
+
+def test_far_from_where_it_should_be_it_goes_there_at_its_rate_stretch_by_stretch():
+    learning, steps = Learning(RULES), []
+    before = learning.correction(KEY)
+    for epoch in range(400):
+        learning.hear(residual(epoch, up_m=0.25))
+        now = learning.correction(KEY)
+        if now.samples != before.samples:
+            assert now.samples == before.samples + 1
+            steps.append(now.correction_m - before.correction_m)
+            assert now.samples < 4 or now.sigma_m > 0.2 - now.correction_m, (
+                "it is not there yet, and says so"
+            )
+        before = now
+    # Twenty metres at ten metres a second.
+    assert steps[2:] == pytest.approx([2.0 * RULES.rate_m_s] * (len(steps) - 2), rel=0.06)
+
+
 def test_an_erroneous_run_is_named_and_not_learnt(learnt):
     before = learnt.correction(KEY).correction_m
     assert hear(learnt, 1200, 1800, up_m=0.6, verdict="erroneous").correction_m == before
