@@ -16,7 +16,7 @@ import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.integrity.doppler_position import DopplerRules
-from camber.integrity.either_number import Either
+from camber.integrity.either_number import Either, larger_eigenvalue
 from camber.integrity.protection_level import TailPart, levels_m
 from camber.integrity.wrong_fix import WrongFixRules
 
@@ -141,8 +141,7 @@ def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
     """Is the horizontal level surely larger than this? By the errors along each part's major axis alone."""
     probability = mixture.lost
     for part in mixture.parts:
-        ee, en, nn = part.horizontal_m2
-        larger_m2 = 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+        larger_m2 = larger_eigenvalue(*part.horizontal_m2)
         if not larger_m2 > 0.0:
             continue
         sigma_m = rules.horizontal_margin * math.sqrt(larger_m2)

@@ -26,6 +26,7 @@ from camber.geodesy.offsets import east_north_between
 from camber.integrity.bounds import LevelRules, Mixture, Part
 from camber.integrity.determination import POSITION_CONTRADICTS
 from camber.integrity.doppler_position import Displacement
+from camber.integrity.either_number import larger_eigenvalue
 from camber.integrity.joint_test import AGREES
 from camber.integrity.judgement import Judgement
 from camber.integrity.rules import Rules
@@ -327,7 +328,8 @@ def _larger_m2(pose: Pose) -> float:
     if pose.covariance_east_north_yaw is None:
         return math.nan
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    return 0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en)
+    larger_m2: float = larger_eigenvalue(ee, en, nn)
+    return larger_m2
 
 
 def height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from camber.integrity.determination import Limits, determination_of
+from camber.integrity.either_number import larger_eigenvalue
 from camber.integrity.height_check import Height, RoadPoint
 from camber.integrity.joint_test import Floats, covariance_of_difference
 from camber.integrity.pose_gate import offset_from_pose
@@ -48,8 +49,8 @@ class Comparison:
     @property
     def position_sigma_m(self) -> float:
         """Of that difference in its worst direction."""
-        ee, en, nn = self.covariance_m2[0, 0], self.covariance_m2[0, 1], self.covariance_m2[1, 1]
-        return math.sqrt(0.5 * (ee + nn) + math.hypot(0.5 * (ee - nn), en))
+        (ee, en, _), (_, nn, _), _ = self.covariance_m2.tolist()
+        return math.sqrt(larger_eigenvalue(ee, en, nn))
 
     def in_words(self, pose_sigma_m: float) -> str:
         """All figures, for the detail of a verdict."""
