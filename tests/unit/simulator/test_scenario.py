@@ -80,7 +80,9 @@ def test_what_is_wrong_is_one_line_that_names_it(override: str, said: str) -> No
 
 
 def test_a_scenario_that_is_not_there_is_told_which_are() -> None:
-    with pytest.raises(ScenarioError, match="expected a scenario file or one of canyon, canyons, changed-road, city"):
+    with pytest.raises(
+        ScenarioError, match="expected a scenario file or one of canyon, canyons, changed-road, city"
+    ):
         load_scenario("nowhere")
 
 
