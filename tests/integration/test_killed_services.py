@@ -76,7 +76,7 @@ class Saboteur:
         self.kills: list[Kill] = []
 
     def sabotage(self, service: str, *, from_s: float) -> None:
-        kill_s = self.wait_for_good_time(from_s)
+        kill_s = self.wait_for_good_time(from_s, 1.5 + OLDEST_S.get(service, 0.0))
         pid = process_ids(self.out)[service]
         kill(pid)
         self.kills.append(Kill(service, kill_s))
@@ -94,13 +94,14 @@ class Saboteur:
                 kill(now)
                 pid, since = now, time.monotonic()
 
-    def wait_for_good_time(self, from_s: float) -> float:
+    def wait_for_good_time(self, from_s: float, right_s: float) -> float:
+        """Fixes are right for so long that what the service said last is too old while they are."""
         confirmed = 0
         while True:
             verdict = self.next_verdict()
             confirmed = confirmed + 1 if verdict.verdict == "confirmed" else 0
             now_s = drive_s(verdict.time_ns)
-            if confirmed >= 3 and now_s >= from_s and right_for(now_s, 1.5):
+            if confirmed >= 3 and now_s >= from_s and right_for(now_s, right_s):
                 return now_s
 
     def next_verdict(self):
@@ -189,14 +190,14 @@ def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
         Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
         saboteur = Saboteur(out, listener)
-        frozen_s = saboteur.wait_for_good_time(8.0)
+        frozen_s = saboteur.wait_for_good_time(8.0, 3.5)
         pid = process_ids(out)["antenna_height"]
         kill(pid, signal.SIGSTOP)
         began = time.monotonic()
         while saboteur.next_verdict().reason != "antenna_height_absent":
             assert time.monotonic() - began < 15.0, "the barrier waits for a frozen service"
         kill(pid, signal.SIGCONT)
-        back_s = saboteur.wait_for_good_time(frozen_s)
+        back_s = saboteur.wait_for_good_time(frozen_s, 1.5)
         output, _ = replay.communicate(timeout=180.0)
         assert replay.returncode == 0, output
     assert back_s > frozen_s
