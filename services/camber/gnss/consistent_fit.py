@@ -149,17 +149,24 @@ def _fewest_left_out(
 
 
 @compiled
+def _with_both(v: Floats, left: Floats, i: int, j: int) -> tuple[float, float]:
+    """Determinant of what is left of two rows, and what χ² loses with them: nothing where all others hang on them."""
+    a, b, c = left[i, i], left[i, j], left[j, j]
+    determinant = a * c - b * b
+    if not determinant > _TESTABLE:
+        return determinant, 0.0
+    return determinant, (c * v[i] * v[i] - 2.0 * b * v[i] * v[j] + a * v[j] * v[j]) / determinant
+
+
+@compiled
 def _two(v: Floats, left: Floats) -> Integers:
     """The two rows with which χ² loses most; empty where all others hang on any two."""
     n, best, greatest = v.size, np.empty(0, np.int64), 0.0
     for i in range(n):
         for j in range(i):
-            a, b, c = left[i, i], left[i, j], left[j, j]
-            determinant = a * c - b * b
-            if determinant > _TESTABLE:
-                lost = (c * v[i] * v[i] - 2.0 * b * v[i] * v[j] + a * v[j] * v[j]) / determinant
-                if lost > greatest:
-                    greatest, best = lost, np.array([j, i])
+            _, lost = _with_both(v, left, i, j)
+            if lost > greatest:
+                greatest, best = lost, np.array([j, i])
     return best
 
 
@@ -169,11 +176,10 @@ def _three(v: Floats, left: Floats) -> Integers:
     n, best, greatest = v.size, np.empty(0, np.int64), 0.0
     for i in range(n):
         for j in range(i):
-            a, b, c = left[i, i], left[i, j], left[j, j]
-            determinant = a * c - b * b
+            determinant, lost = _with_both(v, left, i, j)
             if not determinant > _TESTABLE:
                 continue
-            lost = (c * v[i] * v[i] - 2.0 * b * v[i] * v[j] + a * v[j] * v[j]) / determinant
+            a, b, c = left[i, i], left[i, j], left[j, j]
             for k in range(j):
                 d, e = left[i, k], left[j, k]
                 # The third beside the two: what it has on its own, and how far it is off what they say of it.
