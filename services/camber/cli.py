@@ -31,7 +31,17 @@ GNSS_TOOLS = {
     "solve": ("camber.tools.gnss_solve", "positions from a recording's raw observations, and a plot"),
 }
 
-EXTRA_OF = {"numba": "engine", "hatanaka": "engine", "small_gicp": "localizer"}
+EXTRA_OF = {
+    "asyncpg": "fleet",
+    "hatanaka": "engine",
+    "laspy": "map",
+    "nats": "fleet",
+    "numba": "engine",
+    "open3d": "map",
+    "pyproj": "map",
+    "rasterio": "map",
+    "small_gicp": "localizer",
+}
 """Packages that not every service needs, and the extra of the distribution that brings them."""
 
 

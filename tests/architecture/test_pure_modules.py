@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -17,7 +18,7 @@ PURE = [
     (name, path) for name, path in modules() if name.split(".")[1] in SERVICES and path.stem not in WIRING
 ]
 # What a distribution is imported as, where it is not its own name with underscores.
-IMPORTED_AS = {"eclipse_zenoh": "zenoh", "pyserial": "serial"}
+IMPORTED_AS = {"eclipse_zenoh": "zenoh", "nats_py": "nats", "pyserial": "serial"}
 
 
 def imports(path: Path) -> set[str]:
@@ -49,8 +50,7 @@ def test_every_import_is_declared() -> None:
         line for name, lines in project["optional-dependencies"].items() if name != "dev" for line in lines
     ]
     names = {
-        line.split(">")[0].split("=")[0].strip().replace("-", "_")
-        for line in [*project["dependencies"], *extras]
+        re.split(r"[\[>=]", line)[0].strip().replace("-", "_") for line in [*project["dependencies"], *extras]
     }
     declared = {IMPORTED_AS.get(name, name) for name in names} | {"pydantic_core", "camber"}
     for name, path in modules():
