@@ -24,6 +24,7 @@ TOOLS = {
     "lab": ("camber.tools.lab", "the judge against millions of simulated wrong fixes and faults"),
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
     "evidence": ("camber.tools.evidence", "recorded and simulated drives, and the page of what came of them"),
+    "map": ("camber.tools.maps.command", "releases of the map: build, inspect, compare, give away"),
     "health": ("camber.tools.health", "ask a running service how it is"),
 }
 GNSS_TOOLS = {

@@ -1,0 +1,119 @@
+"""`camber map build KIND`: a release of the map from what people have."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Callable, Sequence
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+
+from camber.formats.map_release import ROOT_NAME, load_signing_key, open_release, write_release
+from camber.formats.map_roads import ReleaseError
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.runtime.clock import SystemClock
+from camber.tools.in_words import in_words
+from camber.tools.maps.built_map import BuiltMap
+from camber.tools.maps.command import dispatched
+
+_PROG = "camber map build"
+
+KINDS: dict[str, tuple[str, str]] = {}
+"""Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
+`build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the
+arguments that all have, `args` has `datum`, `epoch_year`, `surveyed_ns` (GPS time of the newest evidence) and
+`previous_release` (Release or None) beside those of `_parser`."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Build one release; 0 done, 2 something is not as it must be, said in one line."""
+    kind = dispatched(_PROG, "KIND", KINDS, argv)
+    if kind is None:
+        return 2
+    module = importlib.import_module(KINDS[kind][0])
+    parser = _parser(f"{_PROG} {kind}", module.__doc__)
+    module.add_arguments(parser)
+    args = parser.parse_args(argv[1:])
+    return in_words(f"{_PROG} {kind}", args.out, lambda: _build(args, module.build))
+
+
+def _build(args: argparse.Namespace, build: Callable[[argparse.Namespace], BuiltMap]) -> int:
+    previous = None if args.previous is None else open_release(args.previous)
+    if previous is None and (args.out / ROOT_NAME).exists():
+        raise ReleaseError(
+            str(args.out), "folder", "one without a release, or --previous with the one before"
+        )
+    key = None if args.signing_key is None else load_signing_key(args.signing_key)
+    args.surveyed_ns = _begin_of(args.surveyed or _day_of(args.epoch_year))
+    args.previous_release = previous
+    built: BuiltMap = build(args)
+    for remark in built.remarks:
+        print(remark)
+    before = 0 if previous is None else previous.root.map_version
+    root = write_release(
+        args.out,
+        region=args.region,
+        map_version=before + 1 if args.map_version is None else args.map_version,
+        datum=args.datum,
+        epoch_year=args.epoch_year,
+        time_ns=SystemClock().now_ns(),
+        surfaces=built.surfaces,
+        links=built.links,
+        clouds=built.clouds,
+        lineage=built.lineage,
+        surrogate=built.surrogate,
+        previous=None if previous is None else previous.root,
+        signing_key=key,
+    )
+    signed = "unsigned" if root.key_id is None else f"signed by {root.key_id}"
+    print(
+        f"{args.out}: region {root.region}, version {root.map_version}, {signed}: "
+        f"{len(built.surfaces)} surfaces, {len(built.links)} links, {len(built.clouds)} tiles of clouds"
+    )
+    return 0
+
+
+def _day_of(epoch_year: float) -> date:
+    year = int(epoch_year)
+    return date(year, 1, 1) + timedelta(days=int((epoch_year - year) * 365.0))
+
+
+def _begin_of(day: date) -> int:
+    return gps_ns_from_utc(CalendarTime(day.year, day.month, day.day, 0, 0, 0))
+
+
+def _parser(prog: str, description: str | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the release")
+    parser.add_argument("--region", required=True, help="name of the region that the map is of")
+    parser.add_argument(
+        "--datum",
+        required=True,
+        help="of the positions and ellipsoidal heights of the release, as receivers name it: WGS84, ITRF2020, …",
+    )
+    parser.add_argument(
+        "--epoch-year",
+        type=_epoch_year,
+        required=True,
+        metavar="YEAR",
+        help="at which the datum's positions hold",
+    )
+    parser.add_argument(
+        "--surveyed",
+        type=date.fromisoformat,
+        metavar="YYYY-MM-DD",
+        help="when the road was last seen; else the day of --epoch-year",
+    )
+    parser.add_argument("--map-version", type=int, help="else the previous release's and one, or 1")
+    parser.add_argument("--previous", type=Path, metavar="DIR", help="the release that this one comes after")
+    parser.add_argument(
+        "--signing-key", type=Path, metavar="PEM", help="Ed25519; else the release is unsigned"
+    )
+    return parser
+
+
+def _epoch_year(text: str) -> float:
+    year = float(text)
+    if not 1980.1 <= year <= datetime.now(UTC).year + 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r}, expected a year from 1980.1 to this one")
+    return year
