@@ -1,0 +1,169 @@
+"""Points of PLY files: `ascii`, `binary_little_endian` and `binary_big_endian`, version 1.0.
+
+Read are x, y and z of the element `vertex`; other properties and the elements after it are passed over. Elements before
+it must be of a fixed size. A point whose coordinates are NaN is left out. Source: Greg Turk, "The PLY Polygon File
+Format" (1994).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+
+Floats = NDArray[np.float64]
+
+_KINDS = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
+    "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LONGEST_HEADER_BYTES = 65_536
+_MOST_ROWS = 200_000_000
+_MOST_PROPERTIES = 1_024
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    """`kinds` are numpy's codes without the order of bytes, None for a list."""
+
+    name: str
+    count: int
+    names: list[str]
+    kinds: list[str | None]
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """The data begins at byte `begin`, after `lines` lines."""
+
+    order: str
+    elements: list[_Element]
+    begin: int
+    lines: int
+
+
+def read_ply(path: Path) -> Floats:
+    """Points (n, 3) of a file. Raises FormatError for what is no such file, OSError if it cannot be read."""
+    return points_from_ply(path.read_bytes(), path.name)
+
+
+def points_from_ply(data: bytes, source_name: str) -> Floats:
+    """Points (n, 3) of a file's bytes. Raises FormatError."""
+    header = _read_header(data, source_name)
+    before, vertex = _up_to_vertex(header, source_name)
+    if header.order:
+        points = _binary_points(data, header, before, vertex, source_name)
+    else:
+        points = _ascii_points(data, header, before, vertex, source_name)
+    if np.isinf(points).any():
+        raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
+    kept: Floats = points[~np.isnan(points).any(axis=1)]
+    return kept
+
+
+def _read_header(data: bytes, source_name: str) -> _Header:
+    order: str | None = None
+    elements: list[_Element] = []
+    begin, number = 0, 0
+    while True:
+        number += 1
+        end = data.find(b"\n", begin, begin + 4_096)
+        if end < 0 or end > _LONGEST_HEADER_BYTES:
+            found = data[begin : begin + 40]
+            raise FormatError(source_name, "header", "end_header", found=found, line_number=number)
+        words = data[begin:end].decode("latin-1").split()
+        begin = end + 1
+        if number == 1:
+            if words != ["ply"]:
+                raise FormatError(source_name, "header", "ply", found=" ".join(words), line_number=1)
+        elif words[:1] == ["end_header"]:
+            break
+        elif words[:1] in (["comment"], ["obj_info"], []):
+            continue
+        elif words[0] == "format" and len(words) == 3 and words[1] in _ORDERS and words[2] == "1.0":
+            order = _ORDERS[words[1]]
+        elif words[0] == "element" and len(words) == 3 and _is_count(words[2]):
+            elements.append(_Element(words[1], int(words[2]), [], []))
+        elif words[0] == "property" and elements and len(elements[-1].names) < _MOST_PROPERTIES:
+            _add_property(elements[-1], words, source_name, number)
+        else:
+            expected = "a format of version 1.0, an element with its count, or a property"
+            raise FormatError(source_name, "header", expected, found=" ".join(words), line_number=number)
+    if order is None:
+        raise FormatError(source_name, "header", "a format")
+    return _Header(order, elements, begin, number)
+
+
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 12 and int(text) <= _MOST_ROWS
+
+
+def _add_property(element: _Element, words: list[str], source_name: str, number: int) -> None:
+    is_list = len(words) == 5 and words[1] == "list" and words[2] in _KINDS and words[3] in _KINDS
+    if not is_list and not (len(words) == 3 and words[1] in _KINDS):
+        expected = "property TYPE NAME or property list TYPE TYPE NAME"
+        raise FormatError(source_name, "header", expected, found=" ".join(words), line_number=number)
+    element.names.append(words[-1])
+    element.kinds.append(None if is_list else _KINDS[words[1]])
+
+
+def _up_to_vertex(header: _Header, source_name: str) -> tuple[list[_Element], _Element]:
+    names = [element.name for element in header.elements]
+    if "vertex" not in names:
+        raise FormatError(source_name, "header", "an element vertex")
+    place = names.index("vertex")
+    before, vertex = header.elements[:place], header.elements[place]
+    if any(vertex.names.count(axis) != 1 for axis in "xyz"):
+        raise FormatError(source_name, "vertex", "x, y and z, each once")
+    if any(None in element.kinds for element in (*before, vertex)):
+        raise FormatError(source_name, "vertex", "no lists in it or before it")
+    return before, vertex
+
+
+def _binary_points(
+    data: bytes, header: _Header, before: list[_Element], vertex: _Element, source_name: str
+) -> Floats:
+    begin = header.begin + sum(element.count * _row(element, header).itemsize for element in before)
+    row = _row(vertex, header)
+    want = row.itemsize * vertex.count
+    if len(data) - begin < want:
+        found = f"{max(len(data) - begin, 0)} bytes"
+        raise FormatError(source_name, "data", f"{want} bytes of vertices", found=found, byte_offset=begin)
+    rows = np.frombuffer(data, row, vertex.count, begin)
+    columns = [rows[f"{vertex.names.index(axis)}"].astype(np.float64) for axis in "xyz"]
+    return np.column_stack(columns)
+
+
+def _row(element: _Element, header: _Header) -> np.dtype[Any]:
+    return np.dtype([(f"{k}", f"{header.order}{kind}") for k, kind in enumerate(element.kinds)])
+
+
+def _ascii_points(
+    data: bytes, header: _Header, before: list[_Element], vertex: _Element, source_name: str
+) -> Floats:
+    first = sum(element.count for element in before)
+    lines = data[header.begin :].decode("latin-1").split("\n")
+    rows = lines[first : first + vertex.count]
+    if len(rows) < vertex.count or (rows and not rows[-1].strip()):
+        found = f"{sum(bool(row.strip()) for row in rows)} lines"
+        raise FormatError(source_name, "data", f"{vertex.count} lines of vertices", found=found)
+    columns = [vertex.names.index(axis) for axis in "xyz"]
+    points = np.empty((vertex.count, 3))
+    for number, line in enumerate(rows):
+        words = line.split()
+        try:
+            if len(words) != len(vertex.names) or "_" in line:  # Python's own way of writing numbers
+                raise ValueError
+            points[number] = [float(words[column]) for column in columns]
+        except ValueError:
+            expected = f"{len(vertex.names)} numbers, one a property"
+            at = header.lines + first + number + 1
+            raise FormatError(source_name, "data", expected, found=line, line_number=at) from None
+    return points
