@@ -3,7 +3,6 @@
 import os
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from camber.map_update.sqlite_store import SqliteStore
 from camber.runtime.clock import SystemClock
 
 UPLOADS = 10_000
@@ -145,10 +145,14 @@ def test_every_upload_is_stored_once_through_kills_of_router_store_and_vehicle(t
             if kill == ROUNDS // 2:
                 fleet.restart("vehicle")
         fleet.wait_for(UPLOADS, deadline_s)
-    with closing(sqlite3.connect(fleet.store)) as db:
-        assert db.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
-        rows = db.execute(
-            "SELECT id, time_ns, surface_id, road_height_m FROM contribution JOIN observation"
-            " ON contribution = number ORDER BY time_ns"
-        ).fetchall()
-    assert rows == [(f"u{n}", fleet.time_ns + n, n % 50, 40.0 + n * 1e-3) for n in range(UPLOADS)]
+    with closing(SqliteStore(fleet.store)) as store:
+        found = store.observations_after(0, 2 * UPLOADS)
+    rows = sorted(
+        (time_ns, found.headings[heading].id, surface_id, height_m)
+        for heading, time_ns, surface_id, height_m in zip(
+            found.heading_of.tolist(),
+            *(found.rows[name].tolist() for name in ("time_ns", "surface_id", "road_height_m")),
+            strict=True,
+        )
+    )
+    assert rows == [(fleet.time_ns + n, f"u{n}", n % 50, 40.0 + n * 1e-3) for n in range(UPLOADS)]

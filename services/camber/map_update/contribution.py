@@ -55,6 +55,11 @@ class Contribution:
     position_covariance_enu_m2: tuple[float, ...] | None
     observations: npt.NDArray[np.void]
 
+    @property
+    def name(self) -> tuple[str, str, str]:
+        """(vehicle, kind, id)."""
+        return self.vehicle, self.kind, self.id
+
     def digest(self) -> bytes:
         """SHA-256 of everything but the name: equal when the same is sent again."""
         heading: tuple[Any, ...] = (

@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 from camber.map_update.admission import Refusal, refusal
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.settings import MapUpdateSettings
-from camber.map_update.store import Outcome, Store, StoreError
+from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.store import Outcome, StoreError
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -25,7 +26,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
     def __init__(self, settings: MapUpdateSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         self._rules = settings.rules()
-        self._store = Store(settings.state_dir / "uploads.sqlite", busy_s=settings.busy_s)
+        self._store = SqliteStore(settings.state_dir / "uploads.sqlite", busy_s=settings.busy_s)
         self._stores = True
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:

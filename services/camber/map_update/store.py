@@ -1,56 +1,42 @@
-"""Where contributions are kept: each once, and for good before anyone is told so.
+"""Where contributions are kept, each once, and what the fusion has made of them; without saying in which database.
 
-An SQLite file with a write-ahead log and `synchronous=FULL`. A group of contributions is one transaction and one
-flush: about as fast for a hundred as for one. Tables:
+Two implementations: `sqlite_store.SqliteStore`, a file beside the service, and `postgres_store.PostgresStore`, a
+server. Both hold the same, and the same tests run over both:
 
-    contribution    one row for each (vehicle, kind, id): its heading, the digest of its contents, when it came
-    observation     its observations, as columns of OBSERVATION
+    contribution    the ledger: a row for each (vehicle, kind, id) with its contents' digest, numbered as committed
+    observation     what a contribution brought, until the retention time is over
+    vote            what the fusion has made of observations, by surface
+    state           what else the fusion keeps, by name
+    progress        the last contribution that the fusion has taken in, and how often it has written
 
-The ledger row and the observations are committed together, so a repeated upload can never be counted twice.
+A ledger row and its observations are one transaction, so a repeated upload is never counted twice. Votes, state and
+progress are one transaction, so a contribution is never fused twice, nor left out.
 """
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from struct import pack
+import abc
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from camber.map_update.admission import Refusal
-from camber.map_update.contribution import OBSERVATION, Contribution
+import numpy as np
+import numpy.typing as npt
 
-FORMAT = 1
-_FIELDS = OBSERVATION.names or ()
-_SCHEMA = f"""
-BEGIN IMMEDIATE;
-CREATE TABLE IF NOT EXISTS contribution (
-    number INTEGER PRIMARY KEY,
-    vehicle TEXT NOT NULL,
-    kind TEXT NOT NULL,
-    id TEXT NOT NULL,
-    digest BLOB NOT NULL,
-    received_ns INTEGER NOT NULL,
-    records INTEGER NOT NULL,
-    datum TEXT NOT NULL,
-    map_version INTEGER NOT NULL,
-    epoch_year REAL NOT NULL,
-    position_covariance_enu_m2 BLOB,
-    UNIQUE (vehicle, kind, id)
-);
-CREATE TABLE IF NOT EXISTS observation (
-    contribution INTEGER NOT NULL REFERENCES contribution (number),
-    {", ".join(f"{name} {'REAL' if OBSERVATION[name].kind == 'f' else 'INTEGER'} NOT NULL" for name in _FIELDS)}
-);
-PRAGMA user_version = {FORMAT};
-COMMIT;
-"""
-_INSERT_HEADING = f"INSERT INTO contribution VALUES (NULL{', ?' * 10})"
-_INSERT_OBSERVATION = f"INSERT INTO observation VALUES (?{', ?' * len(_FIELDS)})"
+from camber.map_update.admission import Refusal
+from camber.map_update.contribution import OBSERVATION, Contribution, Kind
+
+Judge = Callable[[Contribution], Refusal | None]
+Rows = npt.NDArray[np.void]
+Ids = npt.NDArray[np.int64]
 
 
 class StoreError(RuntimeError):
-    """Nothing of this group was stored, nothing may be acknowledged; the text names the file and what hinders it."""
+    """Nothing of this was stored, nothing may be acknowledged; the text names the database and what hinders it."""
+
+
+class OvertakenError(StoreError):
+    """Somebody else has written votes or state since they were read: read again, and work from there."""
 
 
 class Outcome(NamedTuple):
@@ -61,119 +47,168 @@ class Outcome(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """How much is stored."""
+    """How much has been stored, also of what is forgotten since."""
 
     contributions: int
     observations: int
 
 
-class Store:
-    """The file; used from one thread. A damaged one is never replaced: what it holds has been acknowledged.
+class Heading(NamedTuple):
+    """The ledger's row of a contribution; `number` rises in the order of commits."""
 
-    Raises StoreError when the file cannot be opened, is damaged (it is read through at the start) or comes from a
-    later version of this program. `busy_s`: how long a commit waits for another process that has the file locked.
+    number: int
+    vehicle: str
+    kind: Kind
+    id: str
+    received_ns: int
+    datum: str
+    map_version: int
+    epoch_year: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Whole contributions in the order of commits, within each by time.
+
+    `rows` (n,) of OBSERVATION; `heading_of` (n,) is the index into `headings` of each; `cursor` is where to go on.
     """
 
-    def __init__(self, path: Path, *, busy_s: float = 1.0) -> None:
-        self.path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._db = sqlite3.connect(path, timeout=busy_s, isolation_level=None)
-        except (sqlite3.Error, OSError) as error:
-            raise StoreError(f"{path}: {error}") from error
-        try:
-            self._prepare()
-        except sqlite3.Error as error:
-            self._db.close()
-            raise StoreError(f"{path}: {error}") from error
-        except StoreError:
-            self._db.close()
-            raise
+    cursor: int
+    headings: tuple[Heading, ...]
+    rows: Rows
+    heading_of: npt.NDArray[np.intp]
 
-    def commit(
-        self,
-        contributions: Sequence[Contribution],
-        now_ns: int,
-        judge: Callable[[Contribution], Refusal | None],
-    ) -> list[Outcome]:
+
+class Progress(NamedTuple):
+    """How far the fusion has come: the last contribution taken in, and a count of its writes."""
+
+    cursor: int
+    revision: int
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What the fusion writes at once. `votes` replace all votes of `surfaces`; a state of None is removed."""
+
+    cursor: int
+    surfaces: Ids = field(default_factory=lambda: np.empty(0, np.int64))
+    votes: Rows | None = None
+    state: Mapping[str, bytes | None] = field(default_factory=dict)
+
+
+class Store(abc.ABC):
+    """A database of contributions; used from one thread. Every method raises StoreError where it cannot be reached."""
+
+    @abc.abstractmethod
+    def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
         """Store what is new and not refused by `judge`, in one transaction; returns when it is on the disk.
 
         What is known already is a duplicate whatever `judge` would say of it now: its vehicle missed the receipt. Other
-        contents under a known name are refused. Raises StoreError: then nothing of this group was stored.
+        contents under a known name are refused. Raises StoreError: then nothing of this group was stored, or it is not
+        known whether it was (the connection broke on the commit); sent again, it is stored once either way.
         """
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            try:
-                outcomes = [self._store(contribution, now_ns, judge) for contribution in contributions]
-                self._db.execute("COMMIT")
-            except BaseException:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
-        except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from error
-        return outcomes
 
+    @abc.abstractmethod
+    def check(self) -> None:
+        """Raise StoreError if the database cannot be used now; connects again where the connection was lost."""
+
+    @abc.abstractmethod
     def counts(self) -> Counts:
         """How much there is."""
-        try:
-            row = self._db.execute("SELECT count(*), coalesce(sum(records), 0) FROM contribution").fetchone()
-        except sqlite3.Error as error:
-            raise StoreError(f"{self.path}: {error}") from error
-        return Counts(*row)
 
+    @abc.abstractmethod
+    def observations_after(self, cursor: int, limit: int) -> Observed:
+        """Contributions after `cursor`, at most `limit` observations but at least one contribution if there is one.
+
+        No contribution with a smaller number is ever committed later, so going on at `Observed.cursor` leaves none out.
+        """
+
+    @abc.abstractmethod
+    def forget(self, before_ns: int, *, most: int = 10_000) -> int:
+        """Delete the observations of at most `most` contributions received before `before_ns` (GPS time) and fused.
+
+        Their ledger rows stay: what comes again is still a duplicate. Returns of how many; none are left when fewer
+        than `most`.
+        """
+
+    @abc.abstractmethod
+    def progress(self) -> Progress:
+        """How far the fusion has come."""
+
+    @abc.abstractmethod
+    def votes_of(self, surfaces: Ids | None = None) -> Rows:
+        """Votes (n,) of VOTE of these surfaces (k,), or of all; ordered by surface, within one as they were written."""
+
+    @abc.abstractmethod
+    def state_of(self, name: str) -> bytes | None:
+        """What the fusion keeps under a name; None: nothing."""
+
+    @abc.abstractmethod
+    def advance(self, seen: Progress, step: Step) -> Progress:
+        """Write a step of the fusion in one transaction; returns the progress after it.
+
+        Raises OvertakenError unless the progress is still `seen`, that of before everything was read that the step was
+        made from.
+        """
+
+    @abc.abstractmethod
     def close(self) -> None:
-        """Close the file."""
-        self._db.close()
+        """Leave the database."""
 
-    def _prepare(self) -> None:
-        self._db.execute("PRAGMA journal_mode = WAL")
-        self._db.execute("PRAGMA synchronous = FULL")
-        self._db.execute("PRAGMA cell_size_check = ON")
-        (verdict,) = self._db.execute("PRAGMA integrity_check(1)").fetchone()
-        if verdict != "ok":
-            raise StoreError(f"{self.path}: damaged, restore it from a copy: {verdict}")
-        (found,) = self._db.execute("PRAGMA user_version").fetchone()
-        if found > FORMAT:
-            raise StoreError(
-                f"{self.path}: format {found}, expected at most {FORMAT}: made by a later version"
-            )
-        if found < FORMAT:
-            self._db.executescript(_SCHEMA)
 
-    def _store(
-        self, contribution: Contribution, now_ns: int, judge: Callable[[Contribution], Refusal | None]
-    ) -> Outcome:
+def settle(
+    contributions: Sequence[Contribution],
+    known: Mapping[tuple[str, str, str], bytes],
+    judge: Judge,
+) -> tuple[list[Outcome], list[tuple[Contribution, bytes]]]:
+    """What becomes of each, where the ledger has the digests `known`; and those to store, with their digests."""
+    stored = dict(known)
+    outcomes, new = [], []
+    for contribution in contributions:
         digest = contribution.digest()
-        known = self._db.execute(
-            "SELECT digest FROM contribution WHERE vehicle = ? AND kind = ? AND id = ?",
-            (contribution.vehicle, contribution.kind, contribution.id),
-        ).fetchone()
-        if known == (digest,):
-            return Outcome("duplicate")
-        if known is not None:
+        before = stored.get(contribution.name)
+        refusal: Refusal | None = None
+        if before == digest:
+            outcomes.append(Outcome("duplicate"))
+            continue
+        if before is not None:
             text = f"{contribution.kind} {contribution.id}: other contents are stored under this id"
-            return Outcome("refused", Refusal("id_reused", text))
-        refusal = judge(contribution)
+            refusal = Refusal("id_reused", text)
+        refusal = refusal or judge(contribution)
         if refusal is not None:
-            return Outcome("refused", refusal)
-        self._insert(contribution, digest, now_ns)
-        return Outcome("stored")
+            outcomes.append(Outcome("refused", refusal))
+            continue
+        stored[contribution.name] = digest
+        new.append((contribution, digest))
+        outcomes.append(Outcome("stored"))
+    return outcomes, new
 
-    def _insert(self, contribution: Contribution, digest: bytes, now_ns: int) -> None:
-        covariance = contribution.position_covariance_enu_m2
-        heading = (
-            contribution.vehicle,
-            contribution.kind,
-            contribution.id,
-            digest,
-            now_ns,
-            len(contribution.observations),
-            contribution.datum,
-            contribution.map_version,
-            contribution.epoch_year,
-            None if covariance is None else pack("<6d", *covariance),
-        )
-        number = self._db.execute(_INSERT_HEADING, heading).lastrowid
-        rows = ((number, *row) for row in contribution.observations.tolist())
-        self._db.executemany(_INSERT_OBSERVATION, rows)
+
+def observed(
+    cursor: int, headings: Sequence[Heading], rows: Rows, heading_of: npt.NDArray[np.intp]
+) -> Observed:
+    """`Observed` with its rows in order, however the database gave them."""
+    order = np.lexsort((rows["fix_id"], rows["time_ns"], heading_of))
+    return Observed(cursor, tuple(headings), rows[order], heading_of[order])
+
+
+def votes_by_surface(step: Step, vote: np.dtype[np.void]) -> tuple[list[int], list[bytes]]:
+    """The surfaces of a step, and the bytes of each one's votes (empty: none are left).
+
+    Raises ValueError for votes of another layout, or of a surface that the step does not name.
+    """
+    votes = np.empty(0, vote) if step.votes is None else step.votes
+    if votes.dtype != vote:
+        raise ValueError(f"votes of layout {votes.dtype}, expected {vote}")
+    surfaces = np.unique(step.surfaces)
+    if not np.isin(votes["surface_id"], surfaces).all():
+        raise ValueError("votes of a surface that the step does not name")
+    ordered = votes[np.argsort(votes["surface_id"], kind="stable")]
+    starts = np.searchsorted(ordered["surface_id"], surfaces, side="left").tolist()
+    ends = np.searchsorted(ordered["surface_id"], surfaces, side="right").tolist()
+    return surfaces.tolist(), [ordered[a:b].tobytes() for a, b in zip(starts, ends, strict=True)]
+
+
+def empty_rows() -> Rows:
+    """No observations."""
+    return np.empty(0, OBSERVATION)
