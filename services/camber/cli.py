@@ -36,6 +36,7 @@ EXTRA_OF = {
     "asyncpg": "fleet",
     "hatanaka": "engine",
     "laspy": "map",
+    "nanoarrow": "map",
     "nats": "fleet",
     "numba": "engine",
     "open3d": "map",

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from camber.formats.las import cloud_from_las, read_las
 
 laspy = pytest.importorskip("laspy")
 
-POINTS = np.random.default_rng(7).uniform(0.0, 500.0, (200, 3)) + [400_000.0, 3_900_000.0, 0.0]
+POINTS = np.random.default_rng(7).uniform((4e5, 3.9e6, 0.0), (400_500.0, 3_900_500.0, 500.0), (200, 3))
 
 
 def las(*, compressed: bool, version: str = "1.4", crs: str | None = None) -> bytes:
@@ -78,7 +79,5 @@ def test_damage_raises_nothing_else() -> None:
             data = bytearray(whole)
             for place in rng.integers(0, reach, 4).tolist():
                 data[place] = int(rng.integers(256))
-            try:
+            with contextlib.suppress(FormatError):
                 cloud_from_las(bytes(data), "f")
-            except FormatError as error:
-                assert "\n" not in str(error)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camber.formats.argoverse import ArgoverseLog, Floats, LidarSweep, read_log
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
 from camber.localizer.cloud_blocks import Block
@@ -21,7 +22,6 @@ from camber.localizer.road_line import ground_plane
 from camber.localizer.set_down import SensorHeights, sensor_heights, set_down
 from camber.localizer.sweep_preparation import SensorMount, SweepOptions
 from camber.localizer.voxel_grid import voxel_means
-from support.argoverse import ArgoverseLog, Floats, LidarSweep, read_log
 
 SENSORS = ("up_lidar", "down_lidar")
 AXLES_M = (0.25, 0.40)

@@ -1,0 +1,234 @@
+"""A log of Argoverse 2 (the sensor data set): poses, calibration, sweeps, the raster of the ground's height, lanes.
+
+Frames, by the data set's own documents (github.com/argoverse/av2-api: guide/src/datasets/sensor.md and
+src/av2/map/README.md): *egovehicle* has its origin at the middle of the rear axle, x forward, y left, z up; *city* is
+flat metres, z up. A sweep holds the returns of two LiDARs, `up_lidar` and `down_lidar`, which hangs upside down; its
+points are in egovehicle already, moved to the pose of the sweep's time, which is the file's name. The raster has cells
+of 0.3 m, each counting from its corner; a height is kept in half precision, which at 70 m is a grid of 6 cm.
+
+Feather is read by nanoarrow, which comes with the extra `map` and is imported when a file is read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+from camber.geodesy.se3 import rigid_motion
+
+Floats = NDArray[np.float64]
+
+_MAGIC = b"ARROW1\0\0"  # of an Arrow file; what follows can be read as a stream
+_UP_LASERS = 32  # of 64: the first belong to up_lidar
+_POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_SWEEP_COLUMNS = ("x", "y", "z", "laser_number")
+
+
+def read_feather(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    """These columns (n,) of a Feather file (version 2) without gaps: numbers, and texts as objects.
+
+    Raises FormatError for what is no such file or lacks one of them, OSError if it cannot be read.
+    """
+    import nanoarrow
+    from nanoarrow import ipc
+
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise FormatError(path.name, "signature", "an Arrow file")
+        try:
+            table = nanoarrow.ArrayStream(ipc.InputStream.from_readable(file)).read_all()
+            columns = {field.name: _column(table.child(k)) for k, field in enumerate(table.schema.fields)}
+        except Exception as error:  # nanoarrow raises nearly anything for damaged files
+            why = " ".join(str(error).split())[:120] or type(error).__name__
+            raise FormatError(path.name, "Arrow", f"a whole file ({why})") from None
+    missing = [name for name in names if name not in columns]
+    if missing:
+        raise FormatError(path.name, "columns", ", ".join(names), found=", ".join(columns))
+    return columns
+
+
+def _column(array: Any) -> NDArray[Any]:
+    if array.schema.type.name == "STRING":
+        return np.array(array.to_pylist(), object)
+    return np.concatenate([np.asarray(part.buffer(1)) for part in array.iter_chunks()])
+
+
+@dataclass(frozen=True, eq=False)
+class LidarSweep:
+    """Points (n, 3) [m] in egovehicle, numbers of their lasers (n,), and where egovehicle was (4, 4)."""
+
+    time_ns: int
+    points_m: Floats
+    laser: NDArray[np.uint8]
+    city_from_egovehicle: Floats
+
+    def of_sensor(self, name: str) -> NDArray[np.bool_]:
+        """Which points (n,) are of `up_lidar` or `down_lidar`."""
+        own: NDArray[np.bool_] = (self.laser < _UP_LASERS) == (name == "up_lidar")
+        return own
+
+
+@dataclass(frozen=True, eq=False)
+class GroundRaster:
+    """Heights (rows, columns) [m], NaN beyond the roads; cell (0, 0) begins at `corner_m` (2,) in city."""
+
+    height_m: Floats
+    corner_m: Floats
+    cell_m: float
+
+    def height(self, city_m: Floats) -> Floats:
+        """Of the cell that each place (n, 2 or 3) is in (n,); NaN where none is known."""
+        column, row = np.floor((city_m[:, :2] - self.corner_m) / self.cell_m).astype(np.int64).T
+        rows, columns = self.height_m.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        found = self.height_m[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return np.where(inside, found, np.nan)
+
+    def height_between(self, city_m: Floats) -> Floats:
+        """Bilinear between the middles of cells (n,); NaN where one of the four is not known."""
+        at = (city_m[:, :2] - self.corner_m) / self.cell_m - 0.5
+        first = np.floor(at).astype(np.int64)
+        rows, columns = self.height_m.shape
+        inside = (first >= 0).all(axis=1) & (first[:, 0] < columns - 1) & (first[:, 1] < rows - 1)
+        column, row = np.where(inside[:, None], first, 0).T
+        u, v = (at - first).T
+        h = self.height_m
+        lower = (1.0 - u) * h[row, column] + u * h[row, column + 1]
+        upper = (1.0 - u) * h[row + 1, column] + u * h[row + 1, column + 1]
+        return np.where(inside, (1.0 - v) * lower + v * upper, np.nan)
+
+    def points_near(self, city_m: Floats, reach_m: float) -> Floats:
+        """Middles of the cells within a square around a place: (n, 3) in city, only those with a height."""
+        rows, columns = np.nonzero(np.isfinite(self.height_m))
+        places = self.corner_m + self.cell_m * (np.column_stack((columns, rows)) + 0.5)
+        near = (np.abs(places - city_m[:2]) < reach_m).all(axis=1)
+        return np.column_stack((places[near], self.height_m[rows[near], columns[near]]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """A lane segment; boundaries (k, 3) in city, in the direction of travel, of any number of points."""
+
+    lane_id: int
+    kind: str
+    left_m: Floats
+    right_m: Floats
+    successors: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ArgoverseLog:
+    """What of a log is at hand; `egovehicle_from_sensor` by name (4, 4), empty where there is no calibration."""
+
+    city: str
+    """The abbreviation in the names of the files of its map, e.g. PIT."""
+    time_ns: NDArray[np.int64]
+    city_from_egovehicle: Floats
+    """(n, 4, 4) at `time_ns`."""
+    egovehicle_from_sensor: dict[str, Floats]
+    ground: GroundRaster
+    lanes: tuple[Lane, ...]
+    sweeps: tuple[LidarSweep, ...]
+
+
+def read_log(folder: Path) -> ArgoverseLog:
+    """Read a log's folder. Raises FormatError for what is not as the data set has it, OSError for a missing file."""
+    poses = read_feather(folder / "city_SE3_egovehicle.feather", ("timestamp_ns", *_POSE_COLUMNS))
+    time_ns, motions = poses["timestamp_ns"], _motions(poses, "city_SE3_egovehicle.feather")
+    calibration = folder / "calibration" / "egovehicle_SE3_sensor.feather"
+    sensors: dict[str, Floats] = {}
+    if calibration.exists():
+        found = read_feather(calibration, ("sensor_name", *_POSE_COLUMNS))
+        sensors = dict(zip(found["sensor_name"], _motions(found, calibration.name), strict=True))
+    sweeps = []
+    for path in sorted((folder / "sensors" / "lidar").glob("*.feather")):
+        columns = read_feather(path, _SWEEP_COLUMNS)
+        at = np.flatnonzero(time_ns == (int(path.stem) if path.stem.isdecimal() else -1))
+        if len(at) != 1:
+            raise FormatError(path.name, "name", "the time of one of the poses in ns")
+        points_m = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+        sweeps.append(LidarSweep(int(path.stem), points_m, columns["laser_number"], motions[at[0]]))
+    raster = _only(folder / "map", "*_ground_height_surface____*.npy")
+    city = raster.stem.rsplit("____", 1)[1]
+    return ArgoverseLog(
+        city, time_ns, motions, sensors, _ground(raster), _lanes(folder / "map"), tuple(sweeps)
+    )
+
+
+def _motions(columns: Mapping[str, NDArray[Any]], source_name: str) -> Floats:
+    """Unit quaternions qw, qx, qy, qz and translations of rows, as (n, 4, 4)."""
+    w, x, y, z = (columns[name] for name in _POSE_COLUMNS[:4])
+    rotations = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    places = np.column_stack([columns[name] for name in _POSE_COLUMNS[4:]])
+    try:
+        return np.array([rigid_motion(r, t) for r, t in zip(rotations, places, strict=True)])
+    except ValueError as error:
+        raise FormatError(source_name, "poses", f"rigid motions ({error})") from None
+
+
+def _ground(path: Path) -> GroundRaster:
+    """Raster and `Sim2`: array = scale (R city + t), and R is the identity in all logs."""
+    similarity = _only(path.parent, "*___img_Sim2_city.json")
+    said = _read_json(similarity)
+    try:
+        turn, shift, scale = said["R"], np.array(said["t"], np.float64), float(said["s"])
+        heights = np.load(path, allow_pickle=False).astype(np.float64)
+    except (KeyError, TypeError, ValueError, EOFError) as error:
+        raise FormatError(path.name, "raster", f"heights, and R, t, s beside them ({error})") from None
+    if turn != [1.0, 0.0, 0.0, 1.0] or shift.shape != (2,) or not scale > 0.0 or heights.ndim != 2:
+        expected = "R the identity, t of two numbers, s above 0 and a raster of two axes"
+        raise FormatError(similarity.name, "R, t, s", expected, found=str(said))
+    return GroundRaster(heights, -shift, 1.0 / scale)
+
+
+def _lanes(folder: Path) -> tuple[Lane, ...]:
+    path = _only(folder, "log_map_archive_*.json")
+    try:
+        segments = _read_json(path)["lane_segments"]
+        return tuple(
+            Lane(
+                int(lane["id"]),
+                str(lane["lane_type"]),
+                _line(lane["left_lane_boundary"]),
+                _line(lane["right_lane_boundary"]),
+                tuple(int(other) for other in lane["successors"]),
+            )
+            for _, lane in sorted(segments.items(), key=lambda item: int(item[0]))
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        why = " ".join(f"{type(error).__name__} {error}".split())
+        raise FormatError(path.name, "lane_segments", f"lanes with their boundaries ({why})") from None
+
+
+def _line(points: Any) -> Floats:
+    line = np.array([[point[axis] for axis in "xyz"] for point in points], np.float64)
+    if line.ndim != 2 or len(line) < 2 or not np.isfinite(line).all():
+        raise ValueError("a boundary of less than two points")
+    return line
+
+
+def _only(folder: Path, pattern: str) -> Path:
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        raise FormatError(str(folder), "files", f"one {pattern}", found=f"{len(found)} of them")
+    return found[0]
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise FormatError(path.name, "JSON", f"a whole file ({error})") from None
