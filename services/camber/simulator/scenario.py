@@ -55,6 +55,10 @@ class Place(Model):
         default="default",
         description="way through the district; rounds: in a city, for nine minutes and more",
     )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+        default=None,
+        description="seed of the district and its survey, so that other drives see the same; else the scenario's",
+    )
 
     @model_validator(mode="after")
     def _has_the_route(self) -> Self:

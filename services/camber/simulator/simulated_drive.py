@@ -202,7 +202,7 @@ def district_of(scenario: Scenario, changed_roads: dict[int, float] | None) -> D
     place = scenario.place
     return make_district(
         place.kind,
-        scenario.seed,
+        scenario.seed if place.seed is None else place.seed,
         math.radians(place.latitude_deg),
         math.radians(place.longitude_deg),
         heading_rad=math.radians(place.heading_deg or 0.0),

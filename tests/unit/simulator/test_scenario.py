@@ -10,6 +10,7 @@ import pytest
 
 from camber.simulator.faults import Jamming, WrongBase, of_kind
 from camber.simulator.scenario import ScenarioError, load_scenario, shipped
+from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.district import make_district
 
 
@@ -173,3 +174,12 @@ def test_a_long_scenario_drives_to_its_end(name: str, mean_m_s: float) -> None:
 def test_rounds_are_the_citys() -> None:
     with pytest.raises(ScenarioError, match="only a city has rounds"):
         load_scenario("canyon", ['place.route="rounds"'])
+
+
+def test_drives_of_other_seeds_see_the_same_place_where_it_has_a_seed_of_its_own() -> None:
+    def heights_of(seed: int, *more: str) -> bytes:
+        district = district_of(load_scenario("city", [f"seed={seed}", *more]), None)
+        return district.path("default").up_m.tobytes()
+
+    assert heights_of(1, "place.seed=5") == heights_of(2, "place.seed=5") == heights_of(5)
+    assert heights_of(1) != heights_of(2)
