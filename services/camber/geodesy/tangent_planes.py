@@ -1,0 +1,50 @@
+"""Positions in tangent planes, compiled: for loops over many points, each perhaps in a plane of its own.
+
+The same plane as `LocalFrame` at height zero gives with `east_north_from_geodetic`, in closed form: with φ, λ the point
+and φ₀, λ₀ the origin, r = N cos φ the distance from the earth's axis and z = N (1 − e²) sin φ the one from the equator,
+
+    east  = r sin(λ − λ₀)
+    north = (z − z₀) cos φ₀ − (r cos(λ − λ₀) − r₀) sin φ₀
+
+That is the conversion to earth-centred coordinates (see `ellipsoid`), turned into the plane's axes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from camber.geodesy.compiled import compiled
+from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M
+
+_COS_REACH = math.cos(0.016)
+
+
+def plane_origins(latitude_rad: ArrayLike, longitude_rad: ArrayLike) -> NDArray[np.float64]:
+    """What `east_north` takes of n origins at height zero: (n, 5)."""
+    latitude, longitude = np.asarray(latitude_rad, np.float64), np.asarray(longitude_rad, np.float64)
+    sin, cos = np.sin(latitude), np.cos(latitude)
+    normal_m = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sin * sin)
+    return np.column_stack(
+        (sin, cos, longitude, normal_m * cos, normal_m * (1.0 - ECCENTRICITY_SQUARED) * sin)
+    )
+
+
+@compiled
+def east_north(origin: NDArray[np.float64], latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
+    """East and north [m] of a point in the tangent plane of an origin (5,).
+
+    Infinite where the point is more than 100 km off, so that nothing of the other side of the earth seems near, and
+    where it is not a number.
+    """
+    sin, cos = math.sin(latitude_rad), math.cos(latitude_rad)
+    turn_rad = longitude_rad - origin[2]
+    cos_turn = math.cos(turn_rad)
+    if not sin * origin[0] + cos * origin[1] * cos_turn > _COS_REACH:
+        return math.inf, math.inf
+    normal_m = SEMI_MAJOR_AXIS_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin * sin)
+    axis_m, z_m = normal_m * cos, normal_m * (1.0 - ECCENTRICITY_SQUARED) * sin
+    north_m = (z_m - origin[4]) * origin[1] - (axis_m * cos_turn - origin[3]) * origin[0]
+    return axis_m * math.sin(turn_rad), north_m
