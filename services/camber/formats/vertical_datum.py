@@ -1,0 +1,173 @@
+"""Ellipsoidal heights from the heights that maps have, or a refusal: never a height that is nearly right.
+
+Two geoid models of one country differ by up to 24 cm, and PROJ, asked without care, answers without a grid as if
+heights were ellipsoidal. So a height is converted only where PROJ has the very grid that ties the vertical datum to the
+horizontal datum of the map, in one step and offline (PROJ's "ballpark" answers are off, and so are detours over other
+datums, whose metres are lost in a null transformation). Source: EPSG guidance note 373-7-2, 2.2.7; PROJ,
+`proj_create_operations` with `ALLOW_BALLPARK=NO` and `ONLY_BEST=YES`.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+
+ELLIPSOIDAL = "ellipsoidal"
+FIELD = "vertical datum"
+MOST_UNDULATION_M = 110.0
+"""No geoid is farther from the ellipsoid (EGM2008: −107 m to +86 m)."""
+CONSTANT_REACH_M = 10_000.0
+"""A constant undulation serves a map of this extent at most; geoids slope by some centimetres a kilometre."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VerticalDatum:
+    """Heights of a kind, and what makes ellipsoidal heights of them.
+
+    `how` says it to people. `surrogate` is not empty where the user answers for the conversion. `sigma_m` is what the
+    conversion adds to the σ of heights. `reach_m` is the extent of a map that it serves.
+    """
+
+    how: str
+    _convert: Callable[[Floats, Floats, Floats], Floats]
+    surrogate: str = ""
+    sigma_m: float = 0.0
+    reach_m: float = math.inf
+
+    def ellipsoidal_m(
+        self, latitude_rad: Floats, longitude_rad: Floats, height_m: Floats, file: str
+    ) -> Floats:
+        """Ellipsoidal heights (n,) [m]; FormatError where a place is beyond the grid, or a map beyond `reach_m`."""
+        if not len(height_m):
+            return np.asarray(height_m, np.float64)
+        extent_m = 6.4e6 * math.hypot(
+            np.ptp(latitude_rad), np.ptp(longitude_rad) * math.cos(float(np.mean(latitude_rad)))
+        )
+        if extent_m > self.reach_m:
+            expected = f"a map of at most {self.reach_m / 1e3:.0f} km for one undulation"
+            raise FormatError(file, "extent", expected, found=f"{extent_m / 1e3:.1f} km")
+        converted = self._convert(latitude_rad, longitude_rad, height_m)
+        wrong = ~np.isfinite(converted)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            place = f"{math.degrees(latitude_rad[k]):.5f}°, {math.degrees(longitude_rad[k]):.5f}°"
+            raise FormatError(file, FIELD, f"a place within the grid of {self.how}", found=place)
+        return converted
+
+
+def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
+    """Heights above what `name` says, in a map whose positions are of `datum` (as EPSG names it: WGS84, ETRS89, …).
+
+    `name` is `ellipsoidal`, or a vertical CRS as PROJ knows it ("EPSG:7837", "EGM2008 height"). Raises FormatError
+    where it is not known, or the grid that the conversion needs is not there: the text names the file.
+    """
+    if name.strip().lower() == ELLIPSOIDAL:
+        return VerticalDatum("ellipsoidal heights", lambda latitude, longitude, height: height)
+    import pyproj
+    from pyproj.crs import CompoundCRS
+
+    vertical = crs_of(name, file, FIELD, "ellipsoidal or a vertical CRS (EPSG:7837, EGM2008 height, …)")
+    if not vertical.is_vertical:
+        raise FormatError(file, FIELD, "a vertical CRS", found=f"{name} ({vertical.type_name})")
+    missing: list[str] = []
+    for horizontal in _horizontals(datum, file):
+        group = _operations(CompoundCRS("heights", [horizontal, vertical]), horizontal.to_3d())
+        direct = [step for step in group.transformers if _is_one_step(step.description)]
+        if group.best_available and direct:
+            how = f"{vertical.name} by {direct[0].description}"
+            return VerticalDatum(how, _by_transformer(direct[0]))
+        missing += [
+            grid.short_name
+            for step in group.unavailable_operations
+            if " + " not in step.name and " using " not in step.name
+            for grid in step.grids
+            if not grid.available
+        ]
+    where = f"{pyproj.datadir.get_data_dir()} or {pyproj.datadir.get_user_data_dir()}"
+    if missing:
+        files = " or ".join(dict.fromkeys(missing))
+        raise FormatError(
+            file, FIELD, f"the grid {files} in {where} (https://cdn.proj.org)", found=vertical.name
+        )
+    raise FormatError(file, FIELD, f"one that PROJ ties to {datum} by a grid", found=vertical.name)
+
+
+def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> VerticalDatum:
+    """Heights above a geoid that is everywhere `undulation_m` above the ellipsoid; the user answers for it.
+
+    Raises ValueError for what no geoid is, for a σ that is not positive, and without a source.
+    """
+    if not abs(undulation_m) <= MOST_UNDULATION_M:
+        raise ValueError(
+            f"undulation is {undulation_m} m, expected −{MOST_UNDULATION_M} to {MOST_UNDULATION_M}"
+        )
+    if not 0.0 < sigma_m < 10.0:
+        raise ValueError(f"σ of the undulation is {sigma_m} m, expected more than 0, less than 10")
+    if not source.strip():
+        raise ValueError("the undulation's source is not said, expected where it is from")
+    how = f"geoid taken as {undulation_m:+.3f} ± {sigma_m:.3f} m above the ellipsoid everywhere ({source.strip()})"
+    return VerticalDatum(
+        how,
+        lambda latitude, longitude, height: height + undulation_m,
+        surrogate=f"heights: {how}",
+        sigma_m=sigma_m,
+        reach_m=CONSTANT_REACH_M,
+    )
+
+
+def crs_of(text: str, file: str, field: str, expected: str) -> Any:
+    """The coordinate reference system that a text names (pyproj.CRS); FormatError where it names none."""
+    import pyproj
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return pyproj.CRS.from_user_input(text)
+    except (pyproj.exceptions.CRSError, UnicodeError) as error:
+        raise FormatError(file, field, expected, found=text) from error
+
+
+def _horizontals(datum: str, file: str) -> list[Any]:
+    """Two-dimensional geographic systems of a datum: its own and, where that is aligned to WGS 84, WGS 84."""
+    own = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
+    if own is None:
+        raise FormatError(file, "datum", "one of positions (WGS84, ITRF2014, ETRS89, …)", found=datum)
+    return [own.to_2d()] + ([crs_of("WGS84", file, "datum", "WGS84")] if aligned_to_wgs84(own.name) else [])
+
+
+def aligned_to_wgs84(name: str) -> bool:
+    """Is this the International Terrestrial Reference Frame or a realisation of WGS 84? They agree to centimetres."""
+    plain = "".join(letter for letter in name.upper() if letter.isalnum())
+    return plain.startswith(("ITRF", "WGS84"))
+
+
+def _operations(source: Any, target: Any) -> Any:
+    from pyproj.transformer import TransformerGroup
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that the best one is missing is said by whoever asks
+        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+
+
+def _is_one_step(description: str) -> bool:
+    """Nothing but the grid: no way round over another datum."""
+    steps = [step for step in description.split(" + ") if not step.startswith("axis order change")]
+    return len(steps) == 1 and " using " not in description
+
+
+def _by_transformer(step: Any) -> Callable[[Floats, Floats, Floats], Floats]:
+    def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
+        _, _, converted = step.transform(np.degrees(longitude_rad), np.degrees(latitude_rad), height_m)
+        return np.asarray(converted, np.float64)
+
+    return convert
