@@ -60,7 +60,7 @@ class VerticalDatum:
         wrong = ~np.isfinite(converted)
         if wrong.any():
             k = int(np.argmax(wrong))
-            place = f"{math.degrees(latitude_rad[k]):.5f}°, {math.degrees(longitude_rad[k]):.5f}°"
+            place = f"{math.degrees(latitude_rad[k]):.5f}, {math.degrees(longitude_rad[k]):.5f}"
             raise FormatError(file, FIELD, f"a place within the grid of {self.how}", found=place)
         return converted
 
@@ -69,37 +69,23 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
     """Heights above what `name` says, in a map whose positions are of `datum` (as EPSG names it: WGS84, ETRS89, …).
 
     `name` is `ellipsoidal`, or a vertical CRS as PROJ knows it ("EPSG:7837", "EGM2008 height"). Raises FormatError
-    where it is not known, or the grid that the conversion needs is not there: the text names the file.
+    where it is not known. Whether the grid is there shows when heights are converted, as grids of one datum serve
+    different places: `ellipsoidal_m` then raises FormatError that names the missing file and where PROJ looks for it.
     """
     if name.strip().lower() == ELLIPSOIDAL:
         return VerticalDatum("ellipsoidal heights", lambda latitude, longitude, height: height)
-    import pyproj
-    from pyproj.crs import CompoundCRS
-
     vertical = crs_of(name, file, FIELD, "ellipsoidal or a vertical CRS (EPSG:7837, EGM2008 height, …)")
     if not vertical.is_vertical:
         raise FormatError(file, FIELD, "a vertical CRS", found=f"{name} ({vertical.type_name})")
-    missing: list[str] = []
-    for horizontal in _horizontals(datum, file):
-        group = _operations(CompoundCRS("heights", [horizontal, vertical]), horizontal.to_3d())
-        direct = [step for step in group.transformers if _is_one_step(step.description)]
-        if group.best_available and direct:
-            how = f"{vertical.name} by {direct[0].description}"
-            return VerticalDatum(how, _by_transformer(direct[0]))
-        missing += [
-            grid.short_name
-            for step in group.unavailable_operations
-            if " + " not in step.name and " using " not in step.name
-            for grid in step.grids
-            if not grid.available
-        ]
-    where = f"{pyproj.datadir.get_data_dir()} or {pyproj.datadir.get_user_data_dir()}"
-    if missing:
-        files = " or ".join(dict.fromkeys(missing))
-        raise FormatError(
-            file, FIELD, f"the grid {files} in {where} (https://cdn.proj.org)", found=vertical.name
-        )
-    raise FormatError(file, FIELD, f"one that PROJ ties to {datum} by a grid", found=vertical.name)
+    horizontal = _horizontal(datum, file)
+
+    def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
+        longitude_deg, latitude_deg = np.degrees(longitude_rad), np.degrees(latitude_rad)
+        step = _step(vertical, horizontal, datum, file, longitude_deg, latitude_deg)
+        _, _, converted = step.transform(longitude_deg, latitude_deg, height_m)
+        return np.asarray(converted, np.float64)
+
+    return VerticalDatum(vertical.name, convert)
 
 
 def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> VerticalDatum:
@@ -137,12 +123,12 @@ def crs_of(text: str, file: str, field: str, expected: str) -> Any:
         raise FormatError(file, field, expected, found=text) from error
 
 
-def _horizontals(datum: str, file: str) -> list[Any]:
-    """Two-dimensional geographic systems of a datum: its own and, where that is aligned to WGS 84, WGS 84."""
+def _horizontal(datum: str, file: str) -> Any:
+    """Two-dimensional geographic system of a datum; WGS 84 where it is aligned to that, as grids are tied to that."""
     own = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
     if own is None:
         raise FormatError(file, "datum", "one of positions (WGS84, ITRF2014, ETRS89, …)", found=datum)
-    return [own.to_2d()] + ([crs_of("WGS84", file, "datum", "WGS84")] if aligned_to_wgs84(own.name) else [])
+    return crs_of("WGS84", file, "datum", "WGS84") if aligned_to_wgs84(own.name) else own.to_2d()
 
 
 def aligned_to_wgs84(name: str) -> bool:
@@ -151,23 +137,39 @@ def aligned_to_wgs84(name: str) -> bool:
     return plain.startswith(("ITRF", "WGS84"))
 
 
-def _operations(source: Any, target: Any) -> Any:
+def _step(
+    vertical: Any, horizontal: Any, datum: str, file: str, longitude_deg: Floats, latitude_deg: Floats
+) -> Any:
+    """The operation of the best grid that covers the places, or FormatError."""
+    import pyproj
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.crs import CompoundCRS
     from pyproj.transformer import TransformerGroup
 
+    area = AreaOfInterest(*(float(f(a)) for f in (np.min, np.max) for a in (longitude_deg, latitude_deg)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the best one is missing is said by whoever asks
-        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+        warnings.simplefilter("ignore")  # that the best one is missing is said below
+        group = TransformerGroup(
+            CompoundCRS("heights", [horizontal, vertical]),
+            horizontal.to_3d(),
+            always_xy=True,
+            area_of_interest=area,  # type: ignore[arg-type]
+            allow_ballpark=False,
+        )
+    direct = [step for step in group.transformers if _is_one_step(step.description)]
+    if group.best_available and direct:
+        return direct[0]
+    unavailable = [step for step in group.unavailable_operations if _is_one_step(step.name)]
+    missing = [grid.short_name for step in unavailable for grid in step.grids if not grid.available]
+    if not missing:
+        expected = f"one that PROJ ties to {datum} by a grid at this place"
+        raise FormatError(file, FIELD, expected, found=vertical.name)
+    folders = (pyproj.datadir.get_data_dir(), pyproj.datadir.get_user_data_dir())  # type: ignore[attr-defined]
+    where, files = " or ".join(map(str, folders)), " or ".join(dict.fromkeys(missing))
+    raise FormatError(file, FIELD, f"the grid {files} in {where} (https://cdn.proj.org)", found=vertical.name)
 
 
 def _is_one_step(description: str) -> bool:
     """Nothing but the grid: no way round over another datum."""
     steps = [step for step in description.split(" + ") if not step.startswith("axis order change")]
     return len(steps) == 1 and " using " not in description
-
-
-def _by_transformer(step: Any) -> Callable[[Floats, Floats, Floats], Floats]:
-    def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
-        _, _, converted = step.transform(np.degrees(longitude_rad), np.degrees(latitude_rad), height_m)
-        return np.asarray(converted, np.float64)
-
-    return convert
