@@ -20,7 +20,6 @@ from contextlib import contextmanager
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from struct import pack
 
 import numpy as np
 
@@ -39,6 +38,7 @@ from camber.map_update.store import (
     Store,
     StoreError,
     empty_rows,
+    ledger_row,
     observed,
     settle,
     votes_by_surface,
@@ -112,7 +112,7 @@ class SqliteStore(Store):
             db.executemany(
                 f"INSERT INTO contribution VALUES (?{', ?' * 10}, 1)",
                 [
-                    _ledger_row(number, contribution, digest, now_ns)
+                    ledger_row(number, contribution, digest, now_ns)
                     for number, (contribution, digest) in enumerate(new, last + 1)
                 ],
             )
@@ -156,7 +156,7 @@ class SqliteStore(Store):
         last = headings[-1].number if headings else cursor
         return observed(last, headings, np.concatenate(parts), heading_of)
 
-    def forget(self, before_ns: int, *, most: int = 10_000) -> int:
+    def forget(self, before_ns: int, *, most: int = 1000) -> int:
         """See `Store.forget`."""
         with self._writing() as db:
             numbers = db.execute(
@@ -255,21 +255,6 @@ class SqliteStore(Store):
             layout = dict(db.execute("SELECT name, descr FROM layout").fetchall())
         if wrong := [name for name, descr in _LAYOUT.items() if layout.get(name) != descr]:
             raise StoreError(f"{self.path}: table {wrong[0]} is of another layout: {layout.get(wrong[0])}")
-
-
-def _ledger_row(number: int, contribution: Contribution, digest: bytes, now_ns: int) -> tuple[object, ...]:
-    covariance = contribution.position_covariance_enu_m2
-    return (
-        number,
-        *contribution.name,
-        digest,
-        now_ns,
-        len(contribution.observations),
-        contribution.datum,
-        contribution.map_version,
-        contribution.epoch_year,
-        None if covariance is None else pack("<6d", *covariance),
-    )
 
 
 def _make(db: sqlite3.Connection) -> None:

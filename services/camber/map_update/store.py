@@ -18,7 +18,8 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from struct import pack
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -124,7 +125,7 @@ class Store(abc.ABC):
         """
 
     @abc.abstractmethod
-    def forget(self, before_ns: int, *, most: int = 10_000) -> int:
+    def forget(self, before_ns: int, *, most: int = 1000) -> int:
         """Delete the observations of at most `most` contributions received before `before_ns` (GPS time) and fused.
 
         Their ledger rows stay: what comes again is still a duplicate. Returns of how many; none are left when fewer
@@ -182,6 +183,22 @@ def settle(
         new.append((contribution, digest))
         outcomes.append(Outcome("stored"))
     return outcomes, new
+
+
+def ledger_row(number: int, contribution: Contribution, digest: bytes, now_ns: int) -> tuple[Any, ...]:
+    """The ledger's columns, in their order; a covariance as six numbers of eight bytes, little-endian."""
+    covariance = contribution.position_covariance_enu_m2
+    return (
+        number,
+        *contribution.name,
+        digest,
+        now_ns,
+        len(contribution.observations),
+        contribution.datum,
+        contribution.map_version,
+        contribution.epoch_year,
+        None if covariance is None else pack("<6d", *covariance),
+    )
 
 
 def observed(

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.map_update.contribution import Contribution
+from camber.map_update.postgres_store import PostgresStore
 from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import OvertakenError, Step, Store
 from camber.map_update.votes import VOTE
@@ -22,17 +23,31 @@ from support.contributions import (
     refuse_tokyo,
     take_all,
 )
+from support.databases import PostgresServer, needs_postgres, running
 
 Open = Callable[[], Store]
 
 
-@pytest.fixture(params=["sqlite"])
+@pytest.fixture(scope="module")
+def postgres(tmp_path_factory) -> Iterator[PostgresServer]:
+    server = PostgresServer(tmp_path_factory.mktemp("servers") / "postgres")
+    with running(server):
+        yield server
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])
 def database(request, tmp_path) -> Iterator[Open]:
     """Opens one database, empty at first, as often as it is called."""
+    path = tmp_path / "state" / "uploads.sqlite"
+    postgres = request.getfixturevalue("postgres") if request.param == "postgres" else None
+    address = postgres.new_database() if postgres else ""
     with ExitStack() as ends:
 
         def opened() -> Store:
-            return ends.enter_context(closing(SqliteStore(tmp_path / "state" / "uploads.sqlite")))
+            # The limits are those of a machine with other things to do.
+            store = PostgresStore(address, limit_s=10.0) if address else SqliteStore(path, busy_s=10.0)
+            ends.callback(store.close)
+            return store
 
         yield opened
 
@@ -213,21 +228,28 @@ def test_a_fault_in_the_middle_of_a_group_stores_nothing_of_it(store):
     assert committed(store, contribution("u1")) == ["stored"]
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(
+GROUPS = st.lists(
     st.lists(
-        st.lists(
-            st.tuples(
-                st.sampled_from("ab"), st.sampled_from("xyz"), st.sampled_from([1.0, 2.0]), st.booleans()
-            ),
-            max_size=5,
-        ),
-        max_size=8,
-    )
+        st.tuples(st.sampled_from("ab"), st.sampled_from("xyz"), st.sampled_from([1.0, 2.0]), st.booleans()),
+        max_size=5,
+    ),
+    max_size=8,
 )
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(GROUPS)
 def test_any_sequence_of_groups_stores_the_first_accepted_content_of_each_id_once(tmp_path_factory, groups):
     path = tmp_path_factory.mktemp("store") / "uploads.sqlite"
     with closing(SqliteStore(path)) as store:
+        check_sequence(store, groups)
+
+
+@needs_postgres
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(groups=GROUPS)
+def test_so_does_any_sequence_in_postgres(postgres, groups):
+    with closing(PostgresStore(postgres.new_database(), limit_s=10.0)) as store:
         check_sequence(store, groups)
 
 

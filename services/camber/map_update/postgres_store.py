@@ -1,0 +1,384 @@
+"""The store in PostgreSQL, 14 or later, for what one file cannot carry.
+
+Any number of processes may use one database. The order of the ledger is the order of commits, without gaps that fill
+later: who commits holds the row of `ledger_end` from before it looks what is known until its commit, so numbers are
+given to one transaction after another (a sequence gives them before, and transactions overtake one another).
+
+Observations come as a binary COPY, one for a group of contributions, into the partition of their numbers. Partitions
+have no index, which would cost a third of the rate: the fusion reads them in the order in which they were written, so
+it scans one partition, a second's worth at the highest rate. A partition is dropped once all of it is forgotten.
+
+The server may go away at any time: what is asked meanwhile raises StoreError at once, and a connection is tried again
+after 0.2 s to 2 s. Only a commit that the server has confirmed is one: it is asked for `synchronous_commit`, and a
+server that runs with `fsync = off` is refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+import asyncpg
+import numpy as np
+
+from camber.map_update.contribution import OBSERVATION, Contribution
+from camber.map_update.postgres_rows import COLUMNS, DEFINITION, from_copy, to_copy
+from camber.map_update.store import (
+    Counts,
+    Heading,
+    Ids,
+    Judge,
+    Observed,
+    Outcome,
+    OvertakenError,
+    Progress,
+    Rows,
+    Step,
+    Store,
+    StoreError,
+    empty_rows,
+    ledger_row,
+    observed,
+    settle,
+    votes_by_surface,
+)
+from camber.map_update.votes import VOTE
+
+T = TypeVar("T")
+
+FORMAT = 1
+PARTITION = 8192
+"""Contributions of one partition; batches of 64 make it half a million rows, 60 MB."""
+SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
+_PAGE = 1024
+_LAYOUT = {
+    "format": str(FORMAT),
+    "observation": json.dumps(OBSERVATION.descr),
+    "vote": json.dumps(VOTE.descr),
+}
+_MAKE = f"""
+CREATE TABLE contribution (
+    number bigint PRIMARY KEY,
+    vehicle text NOT NULL,
+    kind text NOT NULL,
+    id text NOT NULL,
+    digest bytea NOT NULL,
+    received_ns bigint NOT NULL,
+    records integer NOT NULL,
+    datum text NOT NULL,
+    map_version bigint NOT NULL,
+    epoch_year double precision NOT NULL,
+    position_covariance_enu_m2 bytea,
+    kept boolean NOT NULL DEFAULT true,
+    UNIQUE (vehicle, kind, id)
+);
+CREATE INDEX contribution_kept ON contribution (received_ns) WHERE kept;
+CREATE TABLE ledger_end (number bigint NOT NULL, partitions bigint NOT NULL);
+INSERT INTO ledger_end VALUES (0, 0);
+CREATE TABLE observation ({DEFINITION}) PARTITION BY RANGE (contribution);
+CREATE TABLE vote (surface_id bigint PRIMARY KEY, rows bytea NOT NULL);
+CREATE TABLE state (name text PRIMARY KEY, value bytea NOT NULL);
+CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL);
+INSERT INTO progress VALUES (0, 0);
+CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL);
+"""
+_KNOWN = """
+SELECT vehicle, kind, id, digest FROM contribution
+JOIN unnest($1::text[], $2::text[], $3::text[]) AS asked (vehicle, kind, id) USING (vehicle, kind, id)"""
+_INSERT = """
+INSERT INTO contribution SELECT * FROM unnest(
+    $1::bigint[], $2::text[], $3::text[], $4::text[], $5::bytea[], $6::bigint[], $7::integer[], $8::text[],
+    $9::bigint[], $10::double precision[], $11::bytea[])"""
+_HEADINGS = f"""
+SELECT number, vehicle, kind, id, received_ns, datum, map_version, epoch_year,
+    CASE WHEN kept THEN records ELSE 0 END
+FROM contribution WHERE number > $1 ORDER BY number LIMIT {_PAGE}"""
+
+
+class PostgresStore(Store):
+    """A database of a server, by `address`: `postgresql://user@host:port/database`.
+
+    `limit_s`: how long to wait for the server. Raises StoreError when the database holds something else or comes from
+    a later version; a server that is not there is waited for.
+    """
+
+    def __init__(self, address: str, *, password: str | None = None, limit_s: float = 1.0) -> None:
+        parts = urlsplit(address)
+        self._name = f"{parts.scheme}://{parts.hostname or ''}:{parts.port or 5432}{parts.path}"
+        self._address, self._password, self._limit_s = address, password, limit_s
+        self._loop = asyncio.new_event_loop()
+        self._connection: asyncpg.Connection | None = None
+        self._pause_s, self._closed_until_s, self._why = SHORTEST_PAUSE_S, 0.0, ""
+        try:
+            self.check()
+        except _WrongDatabaseError:
+            self._loop.close()
+            raise
+        except StoreError:
+            pass  # it is not there yet
+
+    def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
+        """See `Store.commit`."""
+        return self._run(lambda db: self._commit(db, contributions, now_ns, judge))
+
+    def check(self) -> None:
+        """See `Store.check`."""
+        self._run(lambda db: db.fetchval('SELECT "cursor" FROM progress'))
+
+    def counts(self) -> Counts:
+        """See `Store.counts`."""
+        row = self._run(
+            lambda db: db.fetchrow("SELECT count(*), coalesce(sum(records), 0) FROM contribution")
+        )
+        return Counts(*map(int, row))
+
+    def observations_after(self, cursor: int, limit: int) -> Observed:
+        """See `Store.observations_after`."""
+        return self._run(lambda db: self._observations_after(db, cursor, limit))
+
+    def forget(self, before_ns: int, *, most: int = 1000) -> int:
+        """See `Store.forget`."""
+        return self._run(lambda db: self._forget(db, before_ns, most))
+
+    def progress(self) -> Progress:
+        """See `Store.progress`."""
+        return Progress(*self._run(lambda db: db.fetchrow('SELECT "cursor", revision FROM progress')))
+
+    def votes_of(self, surfaces: Ids | None = None) -> Rows:
+        """See `Store.votes_of`."""
+        if surfaces is None:
+            found = self._run(lambda db: db.fetch("SELECT rows FROM vote ORDER BY surface_id"))
+        else:
+            wanted = np.unique(surfaces).tolist()
+            query = "SELECT rows FROM vote WHERE surface_id = ANY ($1::bigint[]) ORDER BY surface_id"
+            found = self._run(lambda db: db.fetch(query, wanted))
+        return np.frombuffer(b"".join(rows for (rows,) in found), VOTE)
+
+    def state_of(self, name: str) -> bytes | None:
+        """See `Store.state_of`."""
+        value = self._run(lambda db: db.fetchval("SELECT value FROM state WHERE name = $1", name))
+        return None if value is None else bytes(value)
+
+    def advance(self, seen: Progress, step: Step) -> Progress:
+        """See `Store.advance`."""
+        surfaces, votes = votes_by_surface(step, VOTE)
+        return self._run(lambda db: self._advance(db, seen, step, surfaces, votes))
+
+    def close(self) -> None:
+        """Leave the server."""
+        self._drop()
+        self._loop.close()
+
+    # -- the connection ---------------------------------------------------------------------------------------------
+
+    def _run(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
+        """What `work` returns of a live connection; StoreError for whatever hinders it, and then none is left."""
+        if self._loop.time() < self._closed_until_s:
+            raise StoreError(self._why)
+        try:
+            return self._loop.run_until_complete(self._work(work))
+        except (asyncpg.PostgresError, asyncpg.InterfaceError, OSError, TimeoutError) as error:
+            self._drop()
+            what = str(error) or type(error).__name__
+            self._why = f"{self._name}: {what}"
+            self._closed_until_s = self._loop.time() + self._pause_s
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            raise StoreError(self._why) from error
+
+    async def _work(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
+        if self._connection is None or self._connection.is_closed():
+            self._connection = await self._connected()
+            self._pause_s = SHORTEST_PAUSE_S
+        return await work(self._connection)
+
+    async def _connected(self) -> asyncpg.Connection:
+        limit_ms = str(round(1000 * self._limit_s))
+        connection = await asyncpg.connect(
+            self._address,
+            password=self._password,
+            timeout=self._limit_s,
+            command_timeout=self._limit_s,
+            server_settings={
+                "application_name": "camber map_update",
+                "synchronous_commit": "on",
+                # Of a client that is gone without a word nothing may stay locked.
+                "lock_timeout": limit_ms,
+                "idle_in_transaction_session_timeout": "10000",
+            },
+        )
+        try:
+            await self._prepare(connection)
+        except BaseException:
+            connection.terminate()
+            raise
+        return connection
+
+    async def _prepare(self, db: asyncpg.Connection) -> None:
+        if await db.fetchval("SHOW fsync") != "on":
+            raise _WrongDatabaseError(
+                f"{self._name}: fsync is off: a commit would not survive a loss of power"
+            )
+        async with db.transaction():
+            await db.execute("SELECT pg_advisory_xact_lock(hashtext('camber map_update'))")
+            if await db.fetchval("SELECT to_regclass('contribution') IS NULL"):
+                await db.execute(_MAKE)
+                await db.executemany("INSERT INTO layout VALUES ($1, $2)", list(_LAYOUT.items()))
+            if await db.fetchval("SELECT to_regclass('layout') IS NULL"):
+                raise _WrongDatabaseError(f"{self._name}: its table contribution is not Camber's")
+            found = dict(await db.fetch("SELECT name, descr FROM layout"))
+        if found.get("format") != str(FORMAT):
+            raise _WrongDatabaseError(f"{self._name}: format {found.get('format')}, expected {FORMAT}")
+        if wrong := [name for name, descr in _LAYOUT.items() if found.get(name) != descr]:
+            raise _WrongDatabaseError(
+                f"{self._name}: table {wrong[0]} is of another layout: {found.get(wrong[0])}"
+            )
+
+    def _drop(self) -> None:
+        if self._connection is not None:
+            self._connection.terminate()
+            self._connection = None
+            self._loop.run_until_complete(asyncio.sleep(0))  # the transport closes in the loop
+
+    # -- what is done over it -----------------------------------------------------------------------------------------
+
+    async def _commit(
+        self, db: asyncpg.Connection, contributions: Sequence[Contribution], now_ns: int, judge: Judge
+    ) -> list[Outcome]:
+        async with db.transaction():
+            last, partitions = await db.fetchrow("SELECT number, partitions FROM ledger_end FOR UPDATE")
+            names = [contribution.name for contribution in contributions]
+            found = await db.fetch(_KNOWN, *([name[k] for name in names] for k in range(3)))
+            known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in found}
+            outcomes, new = settle(contributions, known, judge)
+            if new:
+                await self._insert(db, new, last, partitions, now_ns)
+        return outcomes
+
+    async def _insert(
+        self,
+        db: asyncpg.Connection,
+        new: Sequence[tuple[Contribution, bytes]],
+        last: int,
+        partitions: int,
+        now_ns: int,
+    ) -> None:
+        end = last + len(new)
+        needed = (end - 1) // PARTITION + 1
+        for k in range(partitions, needed):
+            await db.execute(
+                f"CREATE TABLE observation_{k} PARTITION OF observation"
+                f" FOR VALUES FROM ({k * PARTITION + 1}) TO ({(k + 1) * PARTITION + 1})"
+            )
+        ledger = [
+            ledger_row(number, contribution, digest, now_ns)
+            for number, (contribution, digest) in enumerate(new, last + 1)
+        ]
+        await db.execute(_INSERT, *(list(column) for column in zip(*ledger, strict=True)))
+        await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, partitions))
+        numbers = np.arange(last + 1, end + 1)
+        of = (numbers - 1) // PARTITION
+        for k in np.unique(of).tolist():
+            inside = [
+                contribution.observations for (contribution, _), at in zip(new, of, strict=True) if at == k
+            ]
+            number = np.repeat(numbers[of == k], [len(rows) for rows in inside])
+            await db.copy_to_table(
+                f"observation_{k}",
+                source=to_copy(number, np.concatenate(inside)),
+                columns=COLUMNS,
+                format="binary",
+            )
+
+    async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> Observed:
+        headings: list[Heading] = []
+        total, last, full = 0, cursor, False
+        while not full:
+            page = await db.fetch(_HEADINGS, last)
+            for *heading, records in page:
+                total += records
+                full = bool(headings) and (total > limit or len(headings) >= limit)
+                if full:
+                    break
+                headings.append(Heading(*heading))
+                last = headings[-1].number
+            full |= len(page) < _PAGE
+        if not headings:
+            return observed(cursor, (), empty_rows(), np.empty(0, np.intp))
+        parts: list[bytes] = []
+
+        async def took(data: bytes) -> None:
+            parts.append(data)
+
+        await db.copy_from_query(
+            f"SELECT {', '.join(COLUMNS)} FROM observation WHERE contribution BETWEEN $1 AND $2",
+            headings[0].number,
+            last,
+            output=took,
+            format="binary",
+        )
+        number, rows = from_copy(b"".join(parts))
+        heading_of = np.searchsorted([heading.number for heading in headings], number)
+        return observed(last, headings, rows, heading_of)
+
+    async def _forget(self, db: asyncpg.Connection, before_ns: int, most: int) -> int:
+        async with db.transaction():
+            found = await db.fetch(
+                'SELECT number FROM contribution WHERE kept AND received_ns < $1 AND number <= (SELECT "cursor" FROM'
+                " progress) ORDER BY received_ns LIMIT $2",
+                before_ns,
+                most,
+            )
+            numbers = np.sort(np.array([number for (number,) in found], np.int64))
+            await db.execute(
+                "UPDATE contribution SET kept = false WHERE number = ANY ($1::bigint[])", numbers.tolist()
+            )
+            end = await db.fetchval("SELECT number FROM ledger_end")
+            of = (numbers - 1) // PARTITION
+            for k in np.unique(of).tolist():
+                first, beyond = k * PARTITION + 1, (k + 1) * PARTITION + 1
+                left = await db.fetchval(
+                    "SELECT count(*) FROM contribution WHERE kept AND number >= $1 AND number < $2",
+                    first,
+                    beyond,
+                )
+                if not left and end >= beyond - 1:
+                    await db.execute(f"DROP TABLE observation_{k}")
+                else:
+                    await db.execute(
+                        f"DELETE FROM observation_{k} WHERE contribution = ANY ($1::bigint[])",
+                        numbers[of == k].tolist(),
+                    )
+        return len(numbers)
+
+    async def _advance(
+        self, db: asyncpg.Connection, seen: Progress, step: Step, surfaces: list[int], votes: list[bytes]
+    ) -> Progress:
+        async with db.transaction():
+            moved = await db.execute(
+                'UPDATE progress SET "cursor" = $1, revision = revision + 1 WHERE "cursor" = $2 AND revision = $3',
+                step.cursor,
+                *seen,
+            )
+            if moved != "UPDATE 1":
+                raise OvertakenError(f"{self._name}: others have written since revision {seen.revision}")
+            pairs = [(surface, rows) for surface, rows in zip(surfaces, votes, strict=True) if rows]
+            await db.execute(
+                "INSERT INTO vote SELECT * FROM unnest($1::bigint[], $2::bytea[])"
+                " ON CONFLICT (surface_id) DO UPDATE SET rows = excluded.rows",
+                [surface for surface, _ in pairs],
+                [rows for _, rows in pairs],
+            )
+            gone = [surface for surface, rows in zip(surfaces, votes, strict=True) if not rows]
+            await db.execute("DELETE FROM vote WHERE surface_id = ANY ($1::bigint[])", gone)
+            for name, value in step.state.items():
+                await db.execute("DELETE FROM state WHERE name = $1", name)
+                if value is not None:
+                    await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
+        return Progress(step.cursor, seen.revision + 1)
+
+
+class _WrongDatabaseError(StoreError):
+    """It is there, and not what this program may use."""

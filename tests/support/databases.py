@@ -1,0 +1,200 @@
+"""PostgreSQL and NATS, as Debian packages them, on free ports of the loopback; with data in a folder of the test."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from support.running import free_port
+
+T = TypeVar("T")
+
+_FOLDERS = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
+_NATS = shutil.which("nats-server", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+needs_postgres = pytest.mark.skipif(not _FOLDERS, reason="PostgreSQL is not installed")
+needs_nats = pytest.mark.skipif(_NATS is None, reason="nats-server is not installed")
+START_LIMIT_S = 30.0
+CONFIGURATION = """
+listen_addresses = '127.0.0.1'
+unix_socket_directories = ''
+max_connections = 40
+max_wal_size = 4GB
+shared_buffers = 128MB
+log_min_messages = fatal
+"""
+
+
+def in_a_loop(coroutine: Coroutine[Any, Any, T]) -> T:
+    """The result of a coroutine, in an event loop of its own."""
+    return asyncio.run(coroutine)
+
+
+class Server:
+    """A server that is started, killed and started again; ended by its process id."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = free_port()
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def command(self) -> list[str]:
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Start it, and wait until it listens."""
+        with (self.folder / "log").open("ab") as log:
+            self.process = subprocess.Popen(
+                self.command(),
+                cwd=self.folder,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                **self.identity(),
+            )
+        deadline = time.monotonic() + START_LIMIT_S
+        while not self.ready():
+            assert self.process.poll() is None, (self.folder / "log").read_text()[-2000:]
+            assert time.monotonic() < deadline, f"{self.command()[0]} does not answer"
+            time.sleep(0.02)
+
+    def identity(self) -> dict[str, Any]:
+        return {}
+
+    def ready(self) -> bool:
+        with socket.socket() as probe:
+            probe.settimeout(1.0)
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def end(self, number: int = signal.SIGKILL) -> None:
+        """Send it a signal and wait for its end."""
+        if self.process is not None:
+            self.process.send_signal(number)
+            self.process.wait()
+            self.process = None
+
+
+class PostgresServer(Server):
+    """A cluster of one's own, durable as a real one. As root it is run as the user postgres, which it insists on."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self._made = 0
+        folder.mkdir()
+        self.data = folder / "data"
+        if os.geteuid() == 0:
+            os.chown(folder, *self._ids())
+            for parent in folder.parents[:-2]:  # pytest's folders are closed to other users
+                parent.chmod(parent.stat().st_mode | 0o011)
+        subprocess.run(
+            [
+                _FOLDERS[-1] / "initdb",
+                "-D",
+                self.data,
+                "-U",
+                "camber",
+                "-A",
+                "trust",
+                "-E",
+                "UTF8",
+                "--no-locale",
+                "-N",
+            ],
+            check=True,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            **self.identity(),
+        )
+        with (self.data / "postgresql.conf").open("a") as file:
+            file.write(f"{CONFIGURATION}port = {self.port}\n")
+
+    @staticmethod
+    def _ids() -> tuple[int, int]:
+        user = pwd.getpwnam("postgres")
+        return user.pw_uid, user.pw_gid
+
+    def identity(self) -> dict[str, Any]:
+        if os.geteuid() != 0:
+            return {}
+        uid, gid = self._ids()
+        return {"user": uid, "group": gid, "extra_groups": []}
+
+    def command(self) -> list[str]:
+        return [str(_FOLDERS[-1] / "postgres"), "-D", str(self.data)]
+
+    def ready(self) -> bool:
+        return super().ready() and self.answers()
+
+    def answers(self) -> bool:
+        try:
+            self.execute("SELECT 1")
+        except Exception:  # whatever it is, it does not answer yet
+            return False
+        return True
+
+    def address(self, database: str = "postgres") -> str:
+        return f"postgresql://camber@127.0.0.1:{self.port}/{database}"
+
+    def execute(self, *statements: str, database: str = "postgres") -> list[Any]:
+        """The rows of the last statement."""
+        import asyncpg
+
+        async def run() -> list[Any]:
+            connection = await asyncpg.connect(self.address(database), timeout=5.0)
+            try:
+                rows: list[Any] = []
+                for statement in statements:
+                    rows = await connection.fetch(statement)
+                return rows
+            finally:
+                await connection.close(timeout=5.0)
+
+        return in_a_loop(run())
+
+    def new_database(self) -> str:
+        """An address at which nothing is stored yet: a schema of its own, which is made faster than a database."""
+        self._made += 1
+        name = f"camber_{self._made}"
+        self.execute(f"CREATE SCHEMA {name}")
+        return f"{self.address()}?search_path={name}"
+
+
+class NatsServer(Server):
+    """JetStream with its streams in files."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        folder.mkdir()
+        (folder / "nats.conf").write_text(
+            f'listen: "127.0.0.1:{self.port}"\nmax_payload: 8MB\njetstream: {{store_dir: "{folder / "data"}"}}\n'
+        )
+
+    def command(self) -> list[str]:
+        assert _NATS is not None
+        return [_NATS, "-c", str(self.folder / "nats.conf")]
+
+    @property
+    def address(self) -> str:
+        return f"nats://127.0.0.1:{self.port}"
+
+
+@contextmanager
+def running(server: Server) -> Iterator[Server]:
+    """Started, and ended whatever happens."""
+    try:
+        server.start()
+        yield server
+    finally:
+        server.end(signal.SIGQUIT if isinstance(server, PostgresServer) else signal.SIGTERM)
