@@ -18,7 +18,9 @@ from camber.tools.maps.command import dispatched
 
 _PROG = "camber map build"
 
-KINDS: dict[str, tuple[str, str]] = {}
+KINDS: dict[str, tuple[str, str]] = {
+    "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
+}
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
 `build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the
 arguments that all have, `args` has `datum`, `epoch_year`, `surveyed_ns` (GPS time of the newest evidence) and
