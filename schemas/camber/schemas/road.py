@@ -215,6 +215,12 @@ class Manifest(Message):
     epoch_year: Annotated[float, Field(ge=1980.0, le=2200.0)]
     surrogate: Text = Field(default="", description="not empty: not surveyed, and made how")
     previous_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    reference_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
+        default=None, description="manifest of the survey or import that this release corrects; None: it is one"
+    )
+    corrections_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
+        default=None, description="SurfaceCorrections, kept where releases are made; None: it has none"
+    )
     tile_x: Annotated[Int32, ArrayOf("<i4", ("blobs",))]
     tile_y: Annotated[Int32, ArrayOf("<i4", ("blobs",))]
     layer: Annotated[UInt8, ArrayOf("|u1", ("blobs",), le=3)] = Field(description="index into LAYERS")
@@ -225,6 +231,24 @@ class Manifest(Message):
     )
     lineage_parent_id: Annotated[Int64, ArrayOf("<i8", ("lineage",))] = Field(
         description="a surface of an earlier release that it was split or merged from"
+    )
+
+
+class SurfaceCorrections(Message):
+    """By how much the surfaces of a release differ from those of its reference; `time_ns` as of the release.
+
+    Row i is about one surface, in the order of ids: the whole surface lies `offset_m` higher than in the reference.
+    """
+
+    surface_id: Annotated[Int64, ArrayOf("<i8", ("surfaces",), ge=0)]
+    offset_m: Annotated[Float64, ArrayOf("<f8", ("surfaces",), ge=-100.0, le=100.0)]
+    sigma_m: Annotated[Float64, ArrayOf("<f8", ("surfaces",), ge=0.0, le=1000.0)] = Field(
+        description="of the corrected height"
+    )
+    vehicles: Annotated[Int32, ArrayOf("<i4", ("surfaces",), ge=0)]
+    last_seen_ns: Annotated[Int64, ArrayOf("<i8", ("surfaces",))]
+    since_map_version: Annotated[Int64, ArrayOf("<i8", ("surfaces",), ge=0)] = Field(
+        description="the release that first had this offset"
     )
 
 

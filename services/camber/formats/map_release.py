@@ -1,4 +1,4 @@
-"""Releases of the map on disk: written at once or not at all, and never read where a byte is not as it was written.
+"""Releases of the map: written at once or not at all, and never read where a byte is not as it was written.
 
     root.msgpack            ReleaseRoot: version, SHA-256 of the manifest, Ed25519 signature
     blobs/<2 hex>/<sha256>  Manifest and tiles, as `codec.encode` writes them
@@ -7,7 +7,8 @@ The trust goes from the signature over the root to the manifest's hash, and from
 configured key the hashes still find every fault of disk and transport, but not a forger.
 
 A newer release may be written into the folder of its predecessor: equal tiles are there already, the root changes last,
-and readers of the old one keep what they have. Blobs of older releases stay.
+and readers of the old one keep what they have. Blobs of older releases stay. A vehicle has the same bytes in its store
+(`map_store.py`), of which some tiles may be missing: these are known to be.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from camber.formats.map_release_files import (
     MAX_BLOB_BYTES,
     ROOT_NAME,
-    blob_path,
+    BlobMissing,
+    BlobSource,
+    ReleaseFolder,
     decoded,
-    read_blob,
-    read_file,
 )
 from camber.formats.map_release_keys import (
     check_signature,
@@ -40,8 +41,6 @@ from camber.formats.map_tile_checks import wrong_in_tile
 from camber.formats.map_tiles import TILES, Tile
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
-_MAX_ROOT_BYTES = 1 << 14
-
 TileT = TypeVar("TileT", SurfaceTile, LinkTile, CloudTile)
 
 
@@ -49,10 +48,11 @@ TileT = TypeVar("TileT", SurfaceTile, LinkTile, CloudTile)
 class Release:
     """One release; tiles are read when asked for, and verified each time.
 
-    Every method that gives a tile raises ReleaseError where the tile is not the one that the manifest names.
+    Every method that gives a tile raises ReleaseError where the tile is not the one that the manifest names, and of
+    these BlobMissing where it has not been fetched.
     """
 
-    folder: Path
+    source: BlobSource
     root: ReleaseRoot
     manifest: Manifest
     _rows: dict[tuple[Layer, int, int], int] = field(repr=False)
@@ -94,7 +94,8 @@ class Release:
     def check(self, known: Collection[str] = ()) -> Iterator[int]:
         """Verify tile after tile, but for those whose hash is `known` to be right; yields the size of each."""
         for (layer, x, y), row in self._rows.items():
-            if self.manifest.sha256[row].tobytes().hex() not in known:
+            digest = self.manifest.sha256[row].tobytes().hex()
+            if digest not in known and self.source.to_verify(digest):
                 match layer:
                     case "surfaces":
                         self.surface_tile(x, y)
@@ -112,44 +113,55 @@ class Release:
         row = self._rows.get((layer, x, y))
         if row is None:
             return None
-        data = self._read(row)
-        file = str(blob_path(self.folder, self.manifest.sha256[row].tobytes().hex()))
-        tile = decoded(cls, data, file)
-        if (tile.x, tile.y) != (x, y):
-            raise ReleaseError(file, "x, y", f"tile {x}, {y} as in the manifest", found=f"{tile.x}, {tile.y}")
-        if isinstance(tile, CloudTile) and tile.layer != layer:
-            raise ReleaseError(file, "layer", f"{layer} as in the manifest", found=tile.layer)
-        wrong = wrong_in_tile(tile)
-        if wrong is not None:
-            raise ReleaseError(file, *wrong)
-        return tile
+        return checked_tile(cls, self._read(row), self.source.name(self._digest(row)), layer, x, y)
 
     def _read(self, row: int) -> bytes:
-        digest = self.manifest.sha256[row].tobytes().hex()
-        return read_blob(self.folder, digest, int(self.manifest.size_bytes[row]))
+        return self.source.blob(self._digest(row), int(self.manifest.size_bytes[row]))
+
+    def _digest(self, row: int) -> str:
+        return str(self.manifest.sha256[row].tobytes().hex())
 
 
-def open_release(folder: Path, *, public_key: Ed25519PublicKey | None = None) -> Release:
-    """The release in a folder with only root and manifest verified; each tile is verified when it is read.
+def checked_tile(cls: type[TileT], data: bytes, file: str, layer: Layer, x: int, y: int) -> TileT:
+    """The tile in these bytes, which must be the one of the manifest and possible as a map; else ReleaseError."""
+    tile = decoded(cls, data, file)
+    if (tile.x, tile.y) != (x, y):
+        raise ReleaseError(file, "x, y", f"tile {x}, {y} as in the manifest", found=f"{tile.x}, {tile.y}")
+    if isinstance(tile, CloudTile) and tile.layer != layer:
+        raise ReleaseError(file, "layer", f"{layer} as in the manifest", found=tile.layer)
+    wrong = wrong_in_tile(tile)
+    if wrong is not None:
+        raise ReleaseError(file, *wrong)
+    return tile
+
+
+def open_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
+    """The release in a folder or store with only root and manifest verified; each tile is verified when it is read.
 
     With `public_key` a release that is unsigned or signed with another key is refused. Raises ReleaseError only.
     """
-    file = str(folder / ROOT_NAME)
-    root = decoded(ReleaseRoot, read_file(folder / ROOT_NAME, _MAX_ROOT_BYTES), file)
+    source = ReleaseFolder(source) if isinstance(source, Path) else source
+    file = source.name(None)
+    root = decoded(ReleaseRoot, source.root(), file)
     if public_key is not None:
         check_signature(root, public_key, file)
-    manifest_file = str(blob_path(folder, root.manifest_sha256))
-    manifest = decoded(Manifest, read_blob(folder, root.manifest_sha256, None), manifest_file)
+    return release_of(source, root, file)
+
+
+def release_of(source: BlobSource, root: ReleaseRoot, file: str) -> Release:
+    """The release that a root names, whose own trust is settled; `file` is what to call the root."""
+    manifest_file = source.name(root.manifest_sha256)
+    manifest = decoded(Manifest, source.blob(root.manifest_sha256, None), manifest_file)
     for name in ("region", "map_version", "time_ns"):
         if getattr(root, name) != getattr(manifest, name):
             found = str(getattr(root, name))
             raise ReleaseError(file, name, f"{getattr(manifest, name)} as in the manifest", found=found)
-    return Release(folder, root, manifest, _rows_of(manifest, manifest_file))
+    return Release(source, root, manifest, _rows_of(manifest, manifest_file))
 
 
-def read_release(folder: Path, *, public_key: Ed25519PublicKey | None = None) -> Release:
+def read_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
     """The release in a folder, every byte of it verified: `open_release`, and each tile read once."""
-    release = open_release(folder, public_key=public_key)
+    release = open_release(source, public_key=public_key)
     for _ in release.check():
         pass
     return release
@@ -171,14 +183,19 @@ def _rows_of(manifest: Manifest, file: str) -> dict[tuple[Layer, int, int], int]
 __all__ = [
     "MAX_BLOB_BYTES",
     "ROOT_NAME",
+    "BlobMissing",
+    "BlobSource",
     "Release",
     "ReleaseError",
+    "ReleaseFolder",
     "RoadLinks",
     "RoadSurfaces",
+    "checked_tile",
     "key_id",
     "load_public_key",
     "load_signing_key",
     "open_release",
     "read_release",
+    "release_of",
     "write_release",
 ]

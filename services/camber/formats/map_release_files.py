@@ -8,16 +8,71 @@ import os
 import stat
 import tempfile
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from camber.formats.map_roads import ReleaseError
 from camber.schemas.base import Message
 from camber.schemas.codec import DecodeError, decode, encode
 
 ROOT_NAME = "root.msgpack"
+MAX_ROOT_BYTES = 1 << 14
 MAX_BLOB_BYTES = 64 << 20
 
 MessageT = TypeVar("MessageT", bound=Message)
+
+
+class BlobSource(Protocol):
+    """Where the bytes of releases are: a folder, or a vehicle's store. What cannot be read raises ReleaseError."""
+
+    def stamp(self) -> object | None:
+        """Something that is another after the root has changed, found at little cost; None: there is no root."""
+
+    def root(self) -> bytes:
+        """The bytes of the root that is in force."""
+
+    def blob(self, digest: str, size: int | None) -> bytes:
+        """The bytes of a blob, verified against its hash and, where it is known, its size."""
+
+    def name(self, digest: str | None) -> str:
+        """What to call a blob, or for None the root, where something is wrong with it."""
+
+    def to_verify(self, digest: str) -> bool:
+        """Must this blob be read through before its release is used? Not where it was verified when it came."""
+
+
+class BlobMissing(ReleaseError):  # noqa: N818 (the name says what is the matter)
+    """A blob that its manifest names is not here, and need not be: what it holds is not known."""
+
+
+class ReleaseFolder:
+    """The folder of a release as a source of its blobs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def stamp(self) -> object | None:
+        """One `stat` of the root."""
+        try:
+            status = (self.folder / ROOT_NAME).stat()
+        except (OSError, ValueError):
+            return None
+        return status.st_ino, status.st_mtime_ns, status.st_size
+
+    def root(self) -> bytes:
+        """The bytes of the root file."""
+        return read_file(self.folder / ROOT_NAME, MAX_ROOT_BYTES)
+
+    def blob(self, digest: str, size: int | None) -> bytes:
+        """The bytes of a blob's file, verified."""
+        return read_blob(self.folder, digest, size)
+
+    def name(self, digest: str | None) -> str:
+        """The path of a file."""
+        return str(self.folder / ROOT_NAME if digest is None else blob_path(self.folder, digest))
+
+    def to_verify(self, digest: str) -> bool:
+        """Every file: nobody has looked at it before."""
+        return True
 
 
 def decoded(cls: type[MessageT], data: bytes, file: str) -> MessageT:

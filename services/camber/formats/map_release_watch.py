@@ -1,4 +1,4 @@
-"""The newest good release in a folder, followed while it is in use."""
+"""The release that a folder or a store holds in force, followed while it is in use."""
 
 from __future__ import annotations
 
@@ -7,31 +7,29 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from camber.formats.map_release import ROOT_NAME, Release, ReleaseError, open_release
-
-_Stamp = tuple[int, int, int]
+from camber.formats.map_release import BlobSource, Release, ReleaseError, ReleaseFolder, open_release
 
 
 class ReleaseWatch:
     """Notices a new root, verifies what is new of its release piece by piece, and only then puts it in place.
 
-    `current` is the release to use, None while there was none. `problem` says why what the folder holds now is not in
+    `current` is the release to use, None while there was none. `problem` says why what the source holds now is not in
     use; None: it is, or it is being verified. `acceptable` may refuse a release by raising ReleaseError.
     """
 
     def __init__(
         self,
-        folder: Path,
+        source: Path | BlobSource,
         *,
         public_key: Ed25519PublicKey | None = None,
         acceptable: Callable[[Release], None] = lambda release: None,
     ) -> None:
         self.current: Release | None = None
         self.problem: ReleaseError | None = None
-        self._folder = folder
+        self._source: BlobSource = ReleaseFolder(source) if isinstance(source, Path) else source
         self._public_key = public_key
         self._acceptable = acceptable
-        self._seen: _Stamp | None = None
+        self._seen: object | None = None
         self._pending: tuple[Release, Iterator[int]] | None = None
 
     @property
@@ -40,15 +38,15 @@ class ReleaseWatch:
         return self._pending is not None
 
     def look(self) -> None:
-        """One `stat` of the root; where it is another than the last time, begin to verify its release."""
-        stamp = self._stamp()
+        """Where the root's stamp is another than the last time, begin to verify its release."""
+        stamp = self._source.stamp()
         if stamp is not None and stamp == self._seen:
             return
         # The stamp is taken before the root is read: a change in between shows as another stamp the next time.
         self._seen = stamp
         self._pending = None
         try:
-            release = open_release(self._folder, public_key=self._public_key)
+            release = open_release(self._source, public_key=self._public_key)
             self._acceptable(release)
         except ReleaseError as error:
             self.problem = error
@@ -78,10 +76,3 @@ class ReleaseWatch:
     def forget(self) -> None:
         """Take the root for changed at the next look: its blobs may have come meanwhile."""
         self._seen = None
-
-    def _stamp(self) -> _Stamp | None:
-        try:
-            status = (self._folder / ROOT_NAME).stat()
-        except (OSError, ValueError):
-            return None
-        return status.st_ino, status.st_mtime_ns, status.st_size
