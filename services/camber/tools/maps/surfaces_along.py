@@ -1,8 +1,8 @@
 """Road surfaces along lines, from whatever says how high the ground is: a raster, a cloud, a track.
 
 A line is cut into pieces of at most 20 m whose chord leaves it by 0.2 m at most. Each becomes a rectangle about its
-chord with a grid of heights, or several smaller ones: where the ground is not known there is no surface. What is too
-short or too narrow then to drive on is left out.
+chord with a grid of heights, or several smaller ones: where the ground is not known there is no surface, nor where
+it rises like a wall. What is too short or too narrow then to drive on is left out.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ _SHORTEST_M = 1.0
 _NARROWEST_M = 0.5
 _WORTH_SPLITTING = 0.75
 """Rows are shared out between shorter rectangles where together they are narrower than this share of the widest."""
+_STEEPEST = 1.0
+"""Between neighbouring heights; what is steeper is a wall, an edge or an error, and no road."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -233,7 +235,8 @@ def _known_parts(piece: _Piece, height_m: Floats, sigma_m: Floats, between_m: Fl
     bilinear_m = (1.0 - u) * ((1.0 - v) * height_m[:-1, :-1] + v * height_m[:-1, 1:])
     bilinear_m += u * ((1.0 - v) * height_m[1:, :-1] + v * height_m[1:, 1:])
     off_m2 = (between_m.reshape(n - 1, m - 1) - bilinear_m) ** 2
-    for first, last, left, right in _known_blocks(piece, np.isfinite(height_m) & np.isfinite(sigma_m)):
+    known = np.isfinite(height_m) & np.isfinite(sigma_m) & ~_walls(piece, height_m)
+    for first, last, left, right in _known_blocks(piece, known):
         along_m, across_m = piece.along_m[first:last], piece.across_m[left:right]
         off = off_m2[first : last - 1, left : right - 1]
         off = off[np.isfinite(off)]
@@ -247,6 +250,18 @@ def _known_parts(piece: _Piece, height_m: Floats, sigma_m: Floats, between_m: Fl
             height_m[inner].copy(),
             math.sqrt(float(np.mean(sigma_m[inner] ** 2)) + roughness_m2),
         )
+
+
+def _walls(piece: _Piece, height_m: Floats) -> Mask:
+    """Nodes (n, m) from which it is too steep to a neighbour."""
+    walls = np.zeros(height_m.shape, bool)
+    along = np.abs(np.diff(height_m, axis=0)) > _STEEPEST * np.diff(piece.along_m)[:, None]
+    across = np.abs(np.diff(height_m, axis=1)) > _STEEPEST * np.diff(piece.across_m)
+    walls[1:] |= along
+    walls[:-1] |= along
+    walls[:, 1:] |= across
+    walls[:, :-1] |= across
+    return walls
 
 
 def _known_blocks(piece: _Piece, known: Mask) -> Iterator[tuple[int, int, int, int]]:

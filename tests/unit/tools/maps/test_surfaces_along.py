@@ -117,6 +117,19 @@ def test_a_road_known_to_one_side_only_has_surfaces_as_wide_as_is_known() -> Non
     assert outside_m[2] > 0.5
 
 
+def test_what_rises_like_a_wall_is_no_road() -> None:
+    def walled(latitude: Floats, longitude: Floats, _: Integers) -> tuple[Floats, Floats]:
+        east, north = FRAME.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude).T
+        return hill(east, north) + np.where(north > 1.1, 3.0, 0.0), np.full(len(east), 0.02)
+
+    line = np.array([[0.0, 0.0], [40.0, 0.0]])
+    surfaces = surfaces_along(roads(line), walled, spacing_m=0.5, seen_ns=SEEN_NS)
+    height_m, outside_m = covering(surfaces, np.array([[20.0, 0.0], [20.0, 1.6]]))
+    assert outside_m[0] == 0.0
+    assert abs(height_m[0] - hill(np.array(20.0), np.array(0.0))) < 0.001
+    assert outside_m[1] > 0.4
+
+
 def test_where_nothing_is_known_there_is_nothing() -> None:
     hole = HillWithHole((0.0, 0.0), 1e6)
     line = np.array([[0.0, 0.0], [60.0, 0.0]])
