@@ -7,7 +7,7 @@ OUT := out
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-simulator test check lint bench fuzz mutation golden docs image clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-map-server compile-simulator test check lint bench fuzz mutation golden docs image clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -44,13 +44,16 @@ demo: .venv/.runtime
 	$(BIN)/camber demo --out $(OUT)/demo
 
 # Machine code is made once, before any worker needs it.
-compile: compile-engine compile-simulator compile-localizer
+compile: compile-engine compile-simulator compile-localizer compile-map-server
 
 compile-engine: setup
 	$(BIN)/python -m camber.gnss.warm_up
 
 compile-localizer: setup
 	$(BIN)/python -m camber.localizer.warm_up
+
+compile-map-server: setup
+	$(BIN)/python -m camber.map_server.warm_up
 
 compile-simulator: setup
 	$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out $(OUT)/compile --quiet

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camber.formats.map_tiles import TILES, Tile, tile_of, tiles_of
+from camber.formats.map_tiles import TILES, Tile, tile_of
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.tile_index import Hits, TileIndex
-from camber.map_server.topology import Topology, choose, choose_each
-from camber.schemas.pose import Road, RoadPatch
+from camber.map_server.point_groups import group_rows, members, tile_numbers
+from camber.map_server.road_choice import KNOWN, find_roads, nothing_found, topologies
+from camber.map_server.road_choice import LEVELS_AMBIGUOUS as AMBIGUOUS
+from camber.map_server.tile_index import TileIndex
+from camber.map_server.topology import Topology, choose
+from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
 
 T = TypeVar("T")
@@ -26,6 +29,8 @@ _STEPS = np.arange(-1.0, 1.0 + 1e-9, _LATTICE_STEP)
 _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
 
+REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
+"""What the numbers of `RoadColumns.reason` say."""
 NO_SURFACE = Road(status="unknown", reason="no_surface")
 LEVELS_AMBIGUOUS = Road(status="unknown", reason="levels_ambiguous")
 
@@ -46,13 +51,13 @@ class _Links:
 
 @dataclass(frozen=True, slots=True)
 class RoadColumns:
-    """Roads under n points: what is known as columns (k,), for the points numbered in `known`.
+    """Roads under n points: what is known as columns (k,), for the points numbered in `known`, ascending.
 
-    `ambiguous` (n,) is true where surfaces are there and none could be chosen; neither known nor ambiguous: no surface.
-    `elsewhere` (n,) is true where that is so because they are on levels that no candidate link is on.
+    `reason` (n,) says of each point why its road is not known, as an index into REASONS, 0 where it is known.
+    `elsewhere` (n,) is true where surfaces are there, but on levels that no candidate link is on.
     """
 
-    ambiguous: NDArray[np.bool_]
+    reason: NDArray[np.uint8]
     elsewhere: NDArray[np.bool_]
     known: NDArray[np.int64]
     surface_id: NDArray[np.int64]
@@ -62,6 +67,12 @@ class RoadColumns:
     slope_east: NDArray[np.float64]
     slope_north: NDArray[np.float64]
     extent_m: NDArray[np.float64]
+
+    @property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """Points (n,) where surfaces are, and none could be chosen."""
+        ambiguous: NDArray[np.bool_] = self.reason == AMBIGUOUS
+        return ambiguous
 
 
 class ElevationMap:
@@ -209,34 +220,75 @@ class ElevationMap:
         last_surface_id: int | None = None,
     ) -> RoadColumns:
         """The roads under n points given as two arrays (n,), all by the same links and last surface: n times `road`."""
-        latitude, longitude = np.asarray(latitude_rad, np.float64), np.asarray(longitude_rad, np.float64)
-        if latitude.ndim != 1 or latitude.shape != longitude.shape:
-            raise ValueError(
-                f"latitude_rad, longitude_rad: expected (n,), got {latitude.shape}, {longitude.shape}"
-            )
+        latitude, longitude = _columns(latitude_rad, longitude_rad)
         links = frozenset(link_ids)
-        x, y = tiles_of(latitude, longitude)
-        number = np.where(x < 0, -1, x * TILES + y)
-        ambiguous, elsewhere = np.zeros(len(latitude), bool), np.zeros(len(latitude), bool)
-        pieces = [_EMPTY_PIECE]
-        for name in np.unique(number[number >= 0]).tolist():
-            tile = divmod(name, TILES)
+        number = tile_numbers(latitude, longitude)
+        return self._roads(latitude, longitude, number[:, None], lambda _: (links, last_surface_id))
+
+    def roads_each(
+        self,
+        latitude_rad: ArrayLike,
+        longitude_rad: ArrayLike,
+        link_ids: ArrayLike,
+        last_surface_id: ArrayLike,
+    ) -> RoadColumns:
+        """`roads`, each point by its own candidate links (n, c) and last surface (n,); −1 stands for none.
+
+        The poses of a drive: it is fast where neighbours, or many, have the same links and last surface in a tile.
+        """
+        latitude, longitude = _columns(latitude_rad, longitude_rad)
+        links, last = np.asarray(link_ids, np.int64), np.asarray(last_surface_id, np.int64)
+        if links.ndim != 2 or len(links) != len(latitude) or last.shape != latitude.shape:
+            count = len(latitude)
+            raise ValueError(
+                f"link_ids, last_surface_id: expected ({count}, c), ({count},), got {links.shape}, {last.shape}"
+            )
+        keys = np.column_stack((tile_numbers(latitude, longitude), last, links))
+
+        def topology(row: int) -> tuple[frozenset[int], int | None]:
+            _, surface, *candidates = keys[row].tolist()
+            return frozenset(link for link in candidates if link >= 0), None if surface < 0 else surface
+
+        return self._roads(latitude, longitude, keys, topology)
+
+    def _roads(
+        self,
+        latitude_rad: NDArray[np.float64],
+        longitude_rad: NDArray[np.float64],
+        keys: NDArray[np.int64],
+        names: Callable[[int], tuple[frozenset[int], int | None]],
+    ) -> RoadColumns:
+        """Points with equal rows of `keys` (n, k) are asked alike; the first column is the number of the tile.
+
+        `names` gives the candidate links and the last surface of a point.
+        """
+        group, first = group_rows(keys)
+        points, start = members(group, len(first))
+        found = nothing_found(len(keys))
+        tiles = keys[first, 0]
+        for number in np.unique(tiles[tiles >= 0]).tolist():
+            tile = divmod(number, TILES)
             index = self._surfaces(tile)
             if index is None:
                 continue
-            points = np.flatnonzero(number == name)
-            plane_m = index.frame.east_north_from_geodetic_array(
-                latitude[points], longitude[points], np.zeros(len(points))
-            )
-            hits = index.hits_of(plane_m[:, 0], plane_m[:, 1])
-            chosen, other = choose_each(index, hits, self._topology(tile, links, last_surface_id))
-            ambiguous[points[hits.point]] = True
-            ambiguous[points[hits.point[chosen]]] = False
-            elsewhere[points[hits.point[other]]] = True
-            pieces.append(_piece(points, index, hits, chosen))
-        known, *columns = (np.concatenate(column) for column in zip(*pieces, strict=True))
-        order = np.argsort(known)
-        return RoadColumns(ambiguous, elsewhere, known[order], *(column[order] for column in columns))
+            groups = np.flatnonzero(tiles == number)
+            here = np.concatenate([points[start[g] : start[g + 1]] for g in groups])
+            which = np.repeat(np.arange(len(groups)), np.diff(start)[groups])
+            known = topologies([self._topology(tile, *names(row)) for row in first[groups].tolist()])
+            find_roads(index.table, here, latitude_rad, longitude_rad, which, known, found)
+        rows = np.flatnonzero(found.reason == KNOWN)
+        return RoadColumns(
+            reason=found.reason,
+            elsewhere=found.elsewhere,
+            known=rows,
+            surface_id=found.surface_id[rows],
+            level=found.level[rows],
+            elevation_m=found.elevation_m[rows],
+            sigma_m=found.sigma_m[rows],
+            slope_east=found.slope_east[rows],
+            slope_north=found.slope_north[rows],
+            extent_m=found.extent_m[rows],
+        )
 
     def _find_topology(self, tile: Tile, candidates: frozenset[int], last_surface_id: int | None) -> Topology:
         connected: frozenset[int] = frozenset()
@@ -273,27 +325,15 @@ def _neighbours(tile: Tile) -> list[Tile]:
     return [((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES]
 
 
-def _piece(
-    points: NDArray[np.int64], index: TileIndex, hits: Hits, chosen: NDArray[np.int64]
-) -> tuple[NDArray[Any], ...]:
-    """The columns of RoadColumns, from `known` on, for the hits chosen in one tile."""
-    row = hits.row[chosen]
-    return (
-        points[hits.point[chosen]],
-        index.surface_id[row],
-        index.level[row],
-        hits.height_m[chosen],
-        index.sigma_m[row],
-        hits.slope_east[chosen],
-        hits.slope_north[chosen],
-        index.extent_m[row],
-    )
-
-
-_EMPTY_PIECE: tuple[NDArray[Any], ...] = (
-    *(np.zeros(0, np.int64) for _ in range(3)),
-    *(np.zeros(0) for _ in range(5)),
-)
+def _columns(
+    latitude_rad: ArrayLike, longitude_rad: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    latitude = np.ascontiguousarray(latitude_rad, np.float64)
+    longitude = np.ascontiguousarray(longitude_rad, np.float64)
+    if latitude.ndim != 1 or latitude.shape != longitude.shape:
+        shapes = f"{np.shape(latitude_rad)}, {np.shape(longitude_rad)}"
+        raise ValueError(f"latitude_rad, longitude_rad: expected (n,), got {shapes}")
+    return latitude, longitude
 
 
 def _kept(

@@ -11,6 +11,7 @@ from camber.map_server.links import unknown_links
 from camber.map_server.release_answers import ReleaseAnswers
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.tile_parts import unknown_tile
+from camber.map_server.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
@@ -37,6 +38,11 @@ class MapServerService(Service[MapServerSettings]):
 
     NAME: ClassVar[str] = "map_server"
     SETTINGS: ClassVar[type[MapServerSettings]] = MapServerSettings
+
+    @classmethod
+    def prepare(cls, settings: MapServerSettings) -> None:
+        """Compile what questions will need."""
+        warm_up()
 
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

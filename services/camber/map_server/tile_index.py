@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,15 @@ from numpy.typing import NDArray
 
 from camber.formats.map_tile_checks import surface_slopes
 from camber.formats.map_tiles import MARGIN_M, tile_corners_rad, tile_frame
+from camber.geodesy.tangent_planes import plane_origins
 from camber.schemas.road import SurfaceTile
 
 TOLERANCE_M = 0.5
 """A surface reaches this far beyond its rectangle, and no farther."""
-_CELL_M = 10.0
-_EDGE_M = 1e-6  # rounding of positions, so that a point on an edge is inside whichever way it was computed
+CELL_M = 10.0
+"""Side of the cells of the search structure."""
+EDGE_M = 1e-6
+"""Rounding of positions: a point on an edge is inside whichever way it was computed."""
 _LEAST_SIGMA_M = 0.01  # planes are not called curved for less than this
 
 Floats = NDArray[np.float64]
@@ -45,17 +47,26 @@ class Hit(NamedTuple):
     extent_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
-    """`Hit` for many points: columns (k,), by point and then by surface id."""
+class SurfaceTable(NamedTuple):
+    """The surfaces of a tile for compiled loops; rows by surface id.
 
-    point: Integers
-    row: Integers
-    inside: NDArray[np.bool_]
-    offset_m: Floats
-    height_m: Floats
-    slope_east: Floats
-    slope_north: Floats
+    `origin` (5,) is of the tile's plane, `shape` (n, 8) centre east and north, cosine and sine of the yaw, half length,
+    half width, σ and extent, `grid` (n, 3) first height, rows and columns, `names` (n, 3) surface, link and level.
+    Cells: of cell i the rows are `cell_rows[cell_start[i] : cell_start[i + 1]]`, `most_in_cell` at most.
+    """
+
+    origin: Floats
+    west_m: float
+    south_m: float
+    columns: int
+    lines: int
+    most_in_cell: int
+    cell_start: Integers
+    cell_rows: Integers
+    shape: Floats
+    grid: Integers
+    names: Integers
+    heights_m: Floats
 
 
 class TileIndex:
@@ -77,11 +88,34 @@ class TileIndex:
         cos, sin = np.cos(tile.yaw_rad[order]), np.sin(tile.yaw_rad[order])
         self._heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
         self._shape = np.column_stack(
-            (tile.centre_east_m[order], tile.centre_north_m[order], cos, sin, half_length_m, half_width_m)
+            (
+                tile.centre_east_m[order],
+                tile.centre_north_m[order],
+                cos,
+                sin,
+                half_length_m,
+                half_width_m,
+                self.sigma_m,
+                self.extent_m,
+            )
         )
         self._grid = np.column_stack((tile.first_height, tile.rows, tile.columns)).astype(np.int64)[order]
         self._row_of = {int(surface): row for row, surface in enumerate(self.surface_id.tolist())}
         self._make_cells(tile.x, tile.y)
+        self.table = SurfaceTable(
+            origin=plane_origins([self.frame.latitude_rad], [self.frame.longitude_rad])[0],
+            west_m=self._west_m,
+            south_m=self._south_m,
+            columns=self._columns,
+            lines=self._lines,
+            most_in_cell=int(np.diff(self._cell_start).max(initial=0)),
+            cell_start=self._cell_start,
+            cell_rows=self._cell_rows,
+            shape=self._shape,
+            grid=self._grid,
+            names=np.column_stack((self.surface_id, self.link_id, self.level)),
+            heights_m=self._heights_m,
+        )
         # The same as plain numbers: for one point they are many times faster than numpy's.
         self._plain_shape: list[list[float]] = self._shape.tolist()
         self._plain_grid: list[list[int]] = self._grid.tolist()
@@ -94,18 +128,16 @@ class TileIndex:
         """Row of a surface; None: it is not in this tile."""
         return self._row_of.get(surface_id)
 
-    # one point
-
     def hits(self, east_m: float, north_m: float) -> list[Hit]:
         """The surfaces at a point of the tile, by surface id."""
         found = []
         for row in self._plain_cell(east_m, north_m):
-            centre_east, centre_north, cos, sin, half_length, half_width = self._plain_shape[row]
+            centre_east, centre_north, cos, sin, half_length, half_width, _, _ = self._plain_shape[row]
             de, dn = east_m - centre_east, north_m - centre_north
             u, v = cos * de + sin * dn, cos * dn - sin * de
             beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
             if beyond_u <= TOLERANCE_M and beyond_v <= TOLERANCE_M and _near(beyond_u, beyond_v):
-                inside = beyond_u <= _EDGE_M and beyond_v <= _EDGE_M
+                inside = beyond_u <= EDGE_M and beyond_v <= EDGE_M
                 height, slope_u, slope_v = self._plane(row, u, v, half_length, half_width)
                 surface_id, link_id, level, sigma, extent = self._plain[row]
                 slope_east, slope_north = slope_u * cos - slope_v * sin, slope_u * sin + slope_v * cos
@@ -144,75 +176,11 @@ class TileIndex:
         return height + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v
 
     def _plain_cell(self, east_m: float, north_m: float) -> Sequence[int]:
-        column = math.floor((east_m - self._west_m) / _CELL_M)
-        line = math.floor((north_m - self._south_m) / _CELL_M)
+        column = math.floor((east_m - self._west_m) / CELL_M)
+        line = math.floor((north_m - self._south_m) / CELL_M)
         if not (0 <= column < self._columns and 0 <= line < self._lines):
             return ()
         return self._cells.get(line * self._columns + column, ())
-
-    # n points
-
-    def hits_of(self, east_m: Floats, north_m: Floats) -> Hits:
-        """The surfaces at n points of the tile, given as two arrays (n,)."""
-        column = np.floor((east_m - self._west_m) / _CELL_M).astype(np.int64)
-        line = np.floor((north_m - self._south_m) / _CELL_M).astype(np.int64)
-        there = (column >= 0) & (column < self._columns) & (line >= 0) & (line < self._lines)
-        cell = np.where(there, line * self._columns + column, 0)
-        count = np.where(there, self._cell_start[cell + 1] - self._cell_start[cell], 0)
-        point = np.repeat(np.arange(len(east_m)), count)
-        nth = np.arange(len(point)) - np.repeat(np.cumsum(count) - count, count)
-        row = self._cell_rows[self._cell_start[cell][point] + nth]
-        centre_east, centre_north, cos, sin, half_length, half_width = self._shape[row].T
-        de, dn = east_m[point] - centre_east, north_m[point] - centre_north
-        u, v = cos * de + sin * dn, cos * dn - sin * de
-        beyond_u, beyond_v = np.abs(u) - half_length, np.abs(v) - half_width
-        outside = np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0))
-        keep = outside <= TOLERANCE_M
-        point, row, u, v = point[keep], row[keep], u[keep], v[keep]
-        cos, sin = cos[keep], sin[keep]
-        height_m, slope_u, slope_v = self._planes(row, u, v)
-        return Hits(
-            point=point,
-            row=row,
-            inside=(beyond_u[keep] <= _EDGE_M) & (beyond_v[keep] <= _EDGE_M),
-            offset_m=np.abs(v),
-            height_m=height_m,
-            slope_east=slope_u * cos - slope_v * sin,
-            slope_north=slope_u * sin + slope_v * cos,
-        )
-
-    def hit(self, hits: Hits, k: int) -> Hit:
-        """Entry `k` of `hits` as a `Hit`."""
-        row = int(hits.row[k])
-        surface_id, link_id, level, sigma_m, extent_m = self._plain[row]
-        return Hit(
-            row,
-            surface_id,
-            link_id,
-            level,
-            bool(hits.inside[k]),
-            float(hits.offset_m[k]),
-            float(hits.height_m[k]),
-            sigma_m,
-            float(hits.slope_east[k]),
-            float(hits.slope_north[k]),
-            extent_m,
-        )
-
-    def _planes(self, row: Integers, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
-        first, rows, columns = self._grid[row].T
-        half_length, half_width = self._shape[row, 4], self._shape[row, 5]
-        at_u, at_v = np.clip(u, -half_length, half_length), np.clip(v, -half_width, half_width)
-        step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
-        p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
-        i, j = np.minimum(p.astype(np.int64), rows - 2), np.minimum(q.astype(np.int64), columns - 2)
-        p, q = p - i, q - j
-        k = first + i * columns + j
-        a, b, c, d = (self._heights_m[k + step] for step in (0, 1, columns, columns + 1))
-        slope_u = ((c - a) * (1.0 - q) + (d - b) * q) / step_u
-        slope_v = ((b - a) * (1.0 - p) + (d - c) * p) / step_v
-        height = (a * (1.0 - q) + b * q) * (1.0 - p) + (c * (1.0 - q) + d * q) * p
-        return height + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v
 
     def _make_cells(self, x: int, y: int) -> None:
         """Cells over the tile as rows of a table: of cell i `_cell_rows[_cell_start[i] : _cell_start[i + 1]]`."""
@@ -222,10 +190,10 @@ class TileIndex:
         )
         self._west_m, self._south_m = (corners_m.min(axis=0) - MARGIN_M).tolist()
         size_m = np.ptp(corners_m, axis=0) + 2.0 * MARGIN_M
-        self._columns, self._lines = (math.ceil(size / _CELL_M) for size in size_m.tolist())
-        centre_east, centre_north, cos, sin, half_length, half_width = self._shape.T
-        half_east = np.abs(cos) * half_length + np.abs(sin) * half_width + TOLERANCE_M + _EDGE_M
-        half_north = np.abs(sin) * half_length + np.abs(cos) * half_width + TOLERANCE_M + _EDGE_M
+        self._columns, self._lines = (math.ceil(size / CELL_M) for size in size_m.tolist())
+        centre_east, centre_north, cos, sin, half_length, half_width, _, _ = self._shape.T
+        half_east = np.abs(cos) * half_length + np.abs(sin) * half_width + TOLERANCE_M + EDGE_M
+        half_north = np.abs(sin) * half_length + np.abs(cos) * half_width + TOLERANCE_M + EDGE_M
         first_column, last_column = _span(centre_east - self._west_m, half_east, self._columns)
         first_line, last_line = _span(centre_north - self._south_m, half_north, self._lines)
         wide = np.maximum(last_column - first_column + 1, 0)
@@ -250,6 +218,6 @@ def _near(beyond_u: float, beyond_v: float) -> bool:
 
 
 def _span(centre_m: Floats, half_m: Floats, cells: int) -> tuple[Integers, Integers]:
-    first = np.floor((centre_m - half_m) / _CELL_M).astype(np.int64)
-    last = np.floor((centre_m + half_m) / _CELL_M).astype(np.int64)
+    first = np.floor((centre_m - half_m) / CELL_M).astype(np.int64)
+    last = np.floor((centre_m + half_m) / CELL_M).astype(np.int64)
     return np.maximum(first, 0), np.minimum(last, cells - 1)

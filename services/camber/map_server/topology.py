@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from camber.map_server.tile_index import Hit
 
-from camber.map_server.tile_index import Hit, Hits, TileIndex
-
-_TIE_M = 1e-6  # centre lines this near to one another are equally near: the smaller id is taken
+TIE_M = 1e-6
+"""Centre lines this near to one another are equally near: the smaller id is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,54 +45,9 @@ def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
     if not plausible and topology.levels - levels:
         return None
     left = [hit for hit in left if hit.inside] or left
-    chosen = min(left, key=lambda hit: (round(hit.offset_m / _TIE_M), hit.surface_id))
+    chosen = min(left, key=lambda hit: (round(hit.offset_m / TIE_M), hit.surface_id))
     return chosen if _agree(left, chosen) else None
 
 
 def _agree(hits: Sequence[Hit], with_hit: Hit) -> bool:
     return all(abs(hit.height_m - with_hit.height_m) <= hit.sigma_m + with_hit.sigma_m for hit in hits)
-
-
-def choose_each(
-    index: TileIndex, hits: Hits, topology: Topology
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """`choose` for each point that has hits: ascending numbers into `hits`, without the points that are ambiguous.
-
-    And, of the first hits of points, those where all surfaces are on levels that no candidate is on: by topology the
-    vehicle is not there.
-    """
-    if not len(hits.point):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    _, first, count = np.unique(hits.point, return_index=True, return_counts=True)
-    group = np.repeat(np.arange(len(first)), count)
-
-    def any_of(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """For each hit: is it so for any hit of its point?"""
-        of_group: NDArray[np.bool_] = np.logical_or.reduceat(mask, first)[group]
-        return of_group
-
-    def those(mask: NDArray[np.bool_], otherwise: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        return np.where(any_of(mask), mask, otherwise)
-
-    link, level = index.link_id[hits.row], index.level[hits.row]
-    sigma_m, surface = index.sigma_m[hits.row], index.surface_id[hits.row]
-    connected = np.isin(link, list(topology.connected))
-    plausible = np.isin(link, list(topology.candidates))
-    everything = np.ones(len(link), bool)
-    plausible = those(plausible & connected, plausible) if topology.candidates else connected
-    left = those(plausible, everything)
-    low = np.minimum.reduceat(np.where(left, level, np.iinfo(np.int64).max), first)[group]
-    high = np.maximum.reduceat(np.where(left, level, np.iinfo(np.int64).min), first)[group]
-    ambiguous = (low != high) & any_of(left & ~connected)
-    for known_level in topology.levels:
-        ambiguous |= ~any_of(plausible) & ~any_of(left & (level == known_level))
-    elsewhere = ~any_of(plausible | np.isin(level, list(topology.levels)))
-    if not (topology.candidates and topology.levels):
-        elsewhere[:] = False
-    left = those(left & hits.inside, left)
-    tie = np.rint(hits.offset_m / _TIE_M).astype(np.int64)
-    order = np.lexsort((surface, tie, ~left, group))
-    best = order[np.searchsorted(group[order], np.arange(len(first)))]
-    disagree = np.abs(hits.height_m - hits.height_m[best][group]) > sigma_m + sigma_m[best][group]
-    ambiguous |= any_of(left & disagree)
-    return np.sort(best[~ambiguous[first]]), first[elsewhere[first]]

@@ -17,7 +17,7 @@ from camber.formats.map_release import read_release
 from camber.formats.map_road_tiles import link_tiles, surface_tiles
 from camber.formats.map_tiles import tile_corners_rad, tile_of
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import ElevationMap
+from camber.map_server.elevation import REASONS, ElevationMap, RoadColumns
 from camber.schemas.pose import Road
 from support.small_map import FRAME, at, link, links, surface, surfaces, write
 
@@ -393,7 +393,7 @@ def test_where_only_such_levels_are_about_the_road_is_not_known() -> None:
 # -- many points -----------------------------------------------------------------------------------------------------
 
 
-def _tangle(seed: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _tangle(seed: int, frame: LocalFrame = FRAME) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Surfaces all over one another on two levels, partly agreeing."""
     rng = np.random.default_rng(seed)
     rows = [
@@ -406,37 +406,65 @@ def _tangle(seed: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
             half_length_m=rng.uniform(3.0, 25.0),
             sigma_m=0.05,
             heights_m=rng.normal(50.0, 0.05) + rng.normal(0.0, 0.01, rng.integers(2, 4, 2)),
+            frame=frame,
         )
         for i in range(30)
     ]
-    lines = [link(i, (i, i + 1), rng.uniform(-40.0, 40.0, (2, 2)).tolist(), level=i // 3) for i in range(5)]
+    ends = [[at(*end, frame) for end in rng.uniform(-40.0, 40.0, (2, 2))] for _ in range(5)]
+    lines = [link(i, (i, i + 1), [], level=i // 3) | {"vertices": ends[i]} for i in range(5)]
     return rows, lines
 
 
-@pytest.mark.parametrize("topology", [{}, {"link_ids": (1,)}, {"link_ids": (0, 4)}, {"last_surface_id": 6}])
-@pytest.mark.parametrize("seed", range(4))
-def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -> None:
-    the_map = map_of(*_tangle(seed))
-    points_m = np.random.default_rng(seed + 100).uniform(-300.0, 300.0, (3000, 2))
-    points_m[:2500] *= 0.15
-    latitude, longitude, _ = FRAME.geodetic_from_east_north_array(points_m, np.zeros(len(points_m)))
+CORNER = LocalFrame(*tile_corners_rad(57686, 25920)[:2], 0.0)
+"""Where four tiles meet."""
+
+
+def _points(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Most of them among the surfaces of a tangle, some far from it, one where there are no tiles."""
+    points_m = np.random.default_rng(seed + 100).uniform(-300.0, 300.0, (1000, 2))
+    points_m[:900] *= 0.15
+    latitude, longitude, _ = CORNER.geodetic_from_east_north_array(points_m, np.zeros(len(points_m)))
     latitude[-1] = 1.55
-    columns = the_map.roads(latitude, longitude, **topology)
-    alone = [
-        the_map.road(*point, **topology) for point in zip(latitude.tolist(), longitude.tolist(), strict=True)
-    ]
+    return latitude, longitude
+
+
+def _assert_each_as_if_alone(columns: RoadColumns, alone: list[Road]) -> None:
+    assert [REASONS[code] for code in columns.reason] == [found.reason for found in alone]
     assert columns.known.tolist() == [i for i, found in enumerate(alone) if found.status == "known"]
     assert not (columns.elsewhere & ~columns.ambiguous).any()
-    assert np.flatnonzero(columns.ambiguous).tolist() == [
-        i for i, found in enumerate(alone) if found.reason == "levels_ambiguous"
-    ]
     known = [alone[i] for i in columns.known]
     assert len(known) > 100
     assert columns.surface_id.tolist() == [found.surface_id for found in known]
     assert columns.level.tolist() == [found.level for found in known]
     for name in ("elevation_m", "sigma_m", "slope_east", "slope_north", "extent_m"):
         want = np.array([getattr(found, name) for found in known])
-        assert np.allclose(getattr(columns, name), want, rtol=1e-9, atol=1e-7), name
+        assert np.abs(getattr(columns, name) - want).max() < 1e-9, name
+
+
+@pytest.mark.parametrize("topology", [{}, {"link_ids": (1,)}, {"link_ids": (0, 4)}, {"last_surface_id": 6}])
+@pytest.mark.parametrize("seed", range(4))
+def test_many_points_are_each_as_if_alone(seed: int, topology: dict[str, Any]) -> None:
+    the_map = map_of(*_tangle(seed, CORNER))
+    latitude, longitude = _points(seed)
+    points = zip(latitude.tolist(), longitude.tolist(), strict=True)
+    alone = [the_map.road(*point, **topology) for point in points]
+    _assert_each_as_if_alone(the_map.roads(latitude, longitude, **topology), alone)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_many_points_each_by_its_own_links_and_last_surface_are_each_as_if_alone(seed: int) -> None:
+    the_map = map_of(*_tangle(seed, CORNER))
+    latitude, longitude = _points(seed)
+    rng = np.random.default_rng(seed + 200)
+    # Of 5 links and 30 surfaces, with one more that nobody has heard of, and none.
+    links, last = rng.integers(-1, 7, (len(latitude), 3)), rng.integers(-1, 32, len(latitude))
+    links[rng.random(links.shape) < 0.5] = -1
+    each = zip(latitude.tolist(), longitude.tolist(), links.tolist(), last.tolist(), strict=True)
+    alone = [
+        the_map.road(*point, [i for i in of_point if i >= 0], None if surface_id < 0 else surface_id)
+        for *point, of_point, surface_id in each
+    ]
+    _assert_each_as_if_alone(the_map.roads_each(latitude, longitude, links, last), alone)
 
 
 def test_no_points_give_no_roads() -> None:
@@ -446,6 +474,8 @@ def test_no_points_give_no_roads() -> None:
 def test_points_of_a_wrong_shape_are_refused() -> None:
     with pytest.raises(ValueError, match=r"expected \(n,\), got \(2,\), \(1,\)"):
         map_of([surface(5)]).roads([0.0, 0.0], [0.0])
+    with pytest.raises(ValueError, match=r"expected \(1, c\), \(1,\), got \(1,\), \(1,\)"):
+        map_of([surface(5)]).roads_each([0.0], [0.0], [1], [1])
 
 
 def test_a_release_on_disk_answers_as_the_tables_it_was_made_of(tmp_path: Path) -> None:
