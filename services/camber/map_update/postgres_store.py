@@ -25,6 +25,7 @@ import asyncpg
 import numpy as np
 
 from camber.map_update.contribution import OBSERVATION, Contribution
+from camber.map_update.link import Link, LinkError
 from camber.map_update.postgres_rows import COLUMNS, DEFINITION, from_copy, to_copy
 from camber.map_update.store import (
     Counts,
@@ -52,7 +53,6 @@ T = TypeVar("T")
 FORMAT = 1
 PARTITION = 8192
 """Contributions of one partition; batches of 64 make it half a million rows, 60 MB."""
-SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
 _PAGE = 1024
 _LAYOUT = {
     "format": str(FORMAT),
@@ -109,13 +109,12 @@ class PostgresStore(Store):
         parts = urlsplit(address)
         self._name = f"{parts.scheme}://{parts.hostname or ''}:{parts.port or 5432}{parts.path}"
         self._address, self._password, self._limit_s = address, password, limit_s
-        self._loop = asyncio.new_event_loop()
-        self._connection: asyncpg.Connection | None = None
-        self._pause_s, self._closed_until_s, self._why = SHORTEST_PAUSE_S, 0.0, ""
+        broken = (asyncpg.PostgresError, asyncpg.InterfaceError)
+        self._link: Link[asyncpg.Connection] = Link(self._name, self._connected, _terminate, broken)
         try:
             self.check()
         except _WrongDatabaseError:
-            self._loop.close()
+            self._link.close()
             raise
         except StoreError:
             pass  # it is not there yet
@@ -169,30 +168,13 @@ class PostgresStore(Store):
 
     def close(self) -> None:
         """Leave the server."""
-        self._drop()
-        self._loop.close()
-
-    # -- the connection ---------------------------------------------------------------------------------------------
+        self._link.close()
 
     def _run(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
-        """What `work` returns of a live connection; StoreError for whatever hinders it, and then none is left."""
-        if self._loop.time() < self._closed_until_s:
-            raise StoreError(self._why)
         try:
-            return self._loop.run_until_complete(self._work(work))
-        except (asyncpg.PostgresError, asyncpg.InterfaceError, OSError, TimeoutError) as error:
-            self._drop()
-            what = str(error) or type(error).__name__
-            self._why = f"{self._name}: {what}"
-            self._closed_until_s = self._loop.time() + self._pause_s
-            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-            raise StoreError(self._why) from error
-
-    async def _work(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
-        if self._connection is None or self._connection.is_closed():
-            self._connection = await self._connected()
-            self._pause_s = SHORTEST_PAUSE_S
-        return await work(self._connection)
+            return self._link.run(work)
+        except LinkError as error:
+            raise StoreError(str(error)) from error
 
     async def _connected(self) -> asyncpg.Connection:
         limit_ms = str(round(1000 * self._limit_s))
@@ -235,14 +217,6 @@ class PostgresStore(Store):
             raise _WrongDatabaseError(
                 f"{self._name}: table {wrong[0]} is of another layout: {found.get(wrong[0])}"
             )
-
-    def _drop(self) -> None:
-        if self._connection is not None:
-            self._connection.terminate()
-            self._connection = None
-            self._loop.run_until_complete(asyncio.sleep(0))  # the transport closes in the loop
-
-    # -- what is done over it -----------------------------------------------------------------------------------------
 
     async def _commit(
         self, db: asyncpg.Connection, contributions: Sequence[Contribution], now_ns: int, judge: Judge
@@ -378,6 +352,11 @@ class PostgresStore(Store):
                 if value is not None:
                     await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
         return Progress(step.cursor, seen.revision + 1)
+
+
+async def _terminate(connection: asyncpg.Connection) -> None:
+    connection.terminate()
+    await asyncio.sleep(0)  # the transport closes in the loop
 
 
 class _WrongDatabaseError(StoreError):

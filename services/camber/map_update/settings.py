@@ -1,13 +1,15 @@
-"""Settings of the fleet's store."""
+"""Settings of the fleet's store: where, in which role of how many workers, and what is impossible."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal, Self
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import Field, SecretStr, ValidationInfo, field_validator, model_validator
 
 from camber.map_update.admission import Rules
+from camber.map_update.shards import Shards
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 
@@ -19,7 +21,7 @@ class MapUpdateSettings(ServiceSettings):
 
     state_dir: Path = Field(Path("state/map_update"), description="folder of uploads.sqlite; on a local disk")
     busy_s: float = Field(
-        0.5, ge=0.0, le=5.0, description="longest wait of a commit for another user of the file"
+        0.5, ge=0.0, le=5.0, description="longest wait of a commit for another user of uploads.sqlite"
     )
     datums: list[Name] = Field(
         default_factory=lambda: ["WGS84", "ITRF2014", "ITRF2020", "JGD2011"],
@@ -39,6 +41,70 @@ class MapUpdateSettings(ServiceSettings):
     )
     highest_antenna_m: float = Field(20.0, gt=0.0, description="highest antenna above the road")
     most_records: int = Field(20_000, ge=1, description="most records in one batch")
+
+    store: str | None = Field(
+        None,
+        description="database of uploads, `postgresql://user@host:port/database`; unset: uploads.sqlite in `state_dir`",
+    )
+    store_password: SecretStr | None = Field(
+        None, description="password of `store`; unset: PGPASSWORD or the file of passwords, as for psql"
+    )
+    queue: str | None = Field(
+        None,
+        description="JetStream between workers that receive and that store, `nats://user@host:port`; unset: none",
+    )
+    queue_password: SecretStr | None = Field(None, description="password of `queue`")
+    role: Literal["all", "receive", "store"] = Field(
+        "all",
+        description="all: receive and store; receive: hand over to `queue`; store: take what is of `shard` from it",
+    )
+    shards: list[str] = Field(
+        default_factory=lambda: [""],
+        description="parts of the world with a database each, by how the keys of their tiles begin; empty: all",
+    )
+    shard: str = Field("", description="the one of `shards` that this worker stores")
+    answer_s: float = Field(
+        2.0, gt=0.0, le=5.0, description="longest wait for an answer of `store` or `queue`; vehicles wait 5 s"
+    )
+    retention_days: float = Field(
+        30.0,
+        gt=0.0,
+        le=36500.0,
+        description="observations are deleted this long after they came, once they are fused",
+    )
+
+    @field_validator("store", "queue")
+    @classmethod
+    def _address(cls, address: str | None, info: ValidationInfo) -> str | None:
+        if address is None:
+            return None
+        schemes = {"store": ("postgresql", "postgres"), "queue": ("nats",)}[info.field_name or ""]
+        try:
+            parts = urlsplit(address)
+            known = parts.scheme in schemes and bool(parts.hostname) and parts.port != 0
+        except ValueError:
+            known = False
+        if not known:
+            raise ValueError(f"expected {schemes[0]}://user@host:port")
+        if parts.password is not None or "password=" in parts.query:
+            raise ValueError(
+                "no password in an address, which logs and the list of processes show;"
+                f" set CAMBER_MAP_UPDATE_{(info.field_name or '').upper()}_PASSWORD"
+            )
+        return address
+
+    @model_validator(mode="after")
+    def _workers(self) -> Self:
+        if (self.queue is None) != (self.role == "all"):
+            raise ValueError(
+                "role: a worker that receives or stores needs a queue, and one that does both has none"
+            )
+        Shards(self.shards)
+        if self.role == "store" and self.shard not in self.shards:
+            raise ValueError(f"shard: {self.shard!r}, expected one of {self.shards}")
+        if self.role == "all" and self.shards != [""]:
+            raise ValueError("shards: a worker that receives and stores has one")
+        return self
 
     def rules(self) -> Rules:
         """The bounds as the admission wants them."""

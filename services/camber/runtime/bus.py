@@ -38,12 +38,14 @@ _NO_NAME = re.compile(r"[^A-Za-z0-9_.:@+-]")
 # Why each departs from Zenoh's default (drop when congested, priority `data`, batching):
 # small: goes at once (express), ahead of bulk; dropped when congested because a consumer judges freshness anyway.
 # bulk: behind everything else, the consumer keeps only the newest.
+# upload, fetch: behind what a vehicle drives by; both are tried again.
 # barrier and all of a replay: blocking, because a replay may lose nothing.
 _PRIORITY = {
     "small": zenoh.Priority.INTERACTIVE_HIGH,
     "bulk": zenoh.Priority.BACKGROUND,
     "query": zenoh.Priority.INTERACTIVE_HIGH,
     "upload": zenoh.Priority.DATA_LOW,
+    "fetch": zenoh.Priority.DATA_LOW,
     "barrier": zenoh.Priority.INTERACTIVE_HIGH,
 }
 
@@ -262,7 +264,9 @@ class Bus:
             events.put(("query", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
-        self._entities.append(self._session.declare_queryable(key, direct(asked)))
+        # Complete: of several workers that take uploads the nearest is asked, and not all of them.
+        complete = channel.delivery == "upload"
+        self._entities.append(self._session.declare_queryable(key, direct(asked), complete=complete))
 
     def announce(self) -> None:
         """Declare this service alive, and watch who else is."""
