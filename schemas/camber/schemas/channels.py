@@ -12,10 +12,11 @@ from typing import Literal
 from camber.schemas import antenna, fleet, gnss, health, integrity, lidar, motion, pose, road
 from camber.schemas.base import Message
 
-Delivery = Literal["small", "bulk", "query", "upload", "barrier"]
+Delivery = Literal["small", "bulk", "query", "upload", "fetch", "barrier"]
 """small: reliable, dropped when congested, high priority, judged by age. bulk: low priority, newest only.
 query: query and reply, at most 256 kB a reply, explicit timeout. upload: durable outbox, acknowledged after commit,
-deduplicated. barrier: reliable, blocking, in replays only."""
+deduplicated. fetch: query and reply at low priority, at most 256 kB a reply, asked again until it comes. barrier:
+reliable, blocking, in replays only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,10 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("upload_batch", _F + "upload_batch", fleet.UploadBatch, ("integrity",), ("map_update",), 0.2, None,
             "upload", reply=fleet.UploadReceipt),
     Channel("release", _F + "release", fleet.ReleaseHead, ("map_update",), ("map_server",), None, None, "small"),
+    Channel("map_root", _F + "map/root", fleet.MapRootRequest, ("map_server",), ("map_update",), None, 5.0, "fetch",
+            reply=fleet.MapRootReply, note="after a notice, and now and then: notices can be lost"),
+    Channel("map_blob", _F + "map/blob", fleet.MapBlobRequest, ("map_server",), ("map_update",), None, 5.0, "fetch",
+            reply=fleet.MapBlobReply, note="only what the asker lacks"),
     Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), SERVICES, None, 1.0, "query",
             reply=health.Health, note="answered by the work loop"),
     Channel("tick", _V + "replay/tick/{service}", health.Tick, (FEEDER,), SERVICES, None, None, "barrier"),

@@ -24,6 +24,7 @@ from camber.schemas.base import (
 from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictWord
 
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
 
@@ -91,4 +92,38 @@ class ReleaseHead(Message):
 
     region: Name
     map_version: Count
-    manifest_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    manifest_sha256: Sha256
+
+
+class MapRootRequest(Message):
+    """Which release of a region is the newest?"""
+
+    region: Name
+    have_sha256: Sha256 | None = Field(default=None, description="manifest of the release the asker has")
+
+
+class MapRootReply(Message):
+    """The root of the newest release, as its bytes; it is signed itself, so that it may come from anywhere."""
+
+    status: Literal["known", "unchanged", "unknown"]
+    reason: Text = ""
+    payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
+
+
+class MapBlobRequest(Message):
+    """A manifest or a tile by its hash, packed as `camber.formats.map_delta` does, a part of it."""
+
+    sha256: Sha256
+    base_sha256: Sha256 | None = Field(
+        default=None, description="a blob that the asker has: the reply may be a difference against it"
+    )
+    part: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
+
+
+class MapBlobReply(Message):
+    """A part of a packed blob, at most 256 kB. Whoever has all parts verifies what comes out by its hash."""
+
+    status: Literal["known", "unknown"]
+    reason: Text = ""
+    parts: Annotated[int, Field(ge=0, le=1 << 16)] = 0
+    payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]

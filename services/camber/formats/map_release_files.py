@@ -17,6 +17,8 @@ from camber.schemas.codec import DecodeError, decode, encode
 ROOT_NAME = "root.msgpack"
 MAX_ROOT_BYTES = 1 << 14
 MAX_BLOB_BYTES = 64 << 20
+PART_BYTES = 250_000
+"""Of a blob in one reply: with the header below the 256 kB that a reply may have."""
 
 MessageT = TypeVar("MessageT", bound=Message)
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from camber.formats.map_release_files import PART_BYTES
 from camber.schemas.road import TileReply, TileRequest
-
-PART_BYTES = 250_000
-"""With the header below the 256 kB that a reply may have."""
 
 
 def tile_part(blob: bytes, sha256: str, request: TileRequest, *, time_ns: int) -> TileReply:

@@ -46,6 +46,7 @@ _DELIVERY = """\
 | `bulk` | the newest only | dropped, at low priority | as above | sweeps |
 | `query` | a question and its reply, at most 256 kB; no reply in time is an answer of its own, never a value | asker waits up to the age in the table | the reply must come within it | the map, other estimates, health |
 | `upload` | kept in a durable outbox until the receipt says it is committed; the receiver keeps each once | waits and tries again | any age | fleet uploads |
+| `fetch` | a question and its reply, at most 256 kB, at low priority; verified by signature and hash, asked again until it comes | asker waits up to the age in the table and tries again | the reply must come within it | releases of the map |
 | `barrier` | reliable, and the sender waits | waits | none | replays only |
 
 Every message carries the time of its measurement, a sequence number and its source. Consumers count and drop what is

@@ -31,7 +31,7 @@ def test_ends_are_services_or_known_others(channel: Channel) -> None:
 
 @every_channel
 def test_only_what_is_asked_has_a_reply(channel: Channel) -> None:
-    assert (channel.reply is not None) == (channel.delivery in ("query", "upload"))
+    assert (channel.reply is not None) == (channel.delivery in ("query", "upload", "fetch"))
 
 
 @every_channel

@@ -1,0 +1,105 @@
+"""Releases for whoever asks: the newest root of a region, and blobs by their hash, whole or as differences."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camber.formats.map_delta import packed
+from camber.formats.map_release import ReleaseError, ReleaseFolder
+from camber.formats.map_release_files import PART_BYTES, decoded
+from camber.schemas.base import Message
+from camber.schemas.fleet import (
+    MapBlobReply,
+    MapBlobRequest,
+    MapRootReply,
+    MapRootRequest,
+    ReleaseHead,
+)
+from camber.schemas.road import ReleaseRoot
+
+_KEPT_BYTES = 64 << 20
+_NOTHING = np.zeros(0, np.uint8)
+
+
+class ReleaseServing:
+    """Answers from a folder of releases. What is signed and hashed needs no trust in who serves it.
+
+    A service adds `answers` to its own, and publishes `head()` on the channel `release` after each new release.
+    """
+
+    def __init__(self, folder: Path, *, kept_bytes: int = _KEPT_BYTES) -> None:
+        self._source = ReleaseFolder(folder)
+        self._kept_bytes = kept_bytes
+        # All vehicles ask for the same few differences: each is made once.
+        self._packed: OrderedDict[tuple[str, str | None], bytes] = OrderedDict()
+        self._size = 0
+
+    def answers(
+        self, now_ns: Callable[[], int]
+    ) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
+        """The two questions, as a service answers them."""
+        return {
+            "map_root": lambda requests: [self.root(request, time_ns=now_ns()) for request in requests],
+            "map_blob": lambda requests: [self.blob(request, time_ns=now_ns()) for request in requests],
+        }
+
+    def head(self, *, time_ns: int) -> ReleaseHead:
+        """The notice of the newest release; ReleaseError where there is none."""
+        root = decoded(ReleaseRoot, self._source.root(), self._source.name(None))
+        return ReleaseHead(
+            time_ns=time_ns,
+            region=root.region,
+            map_version=root.map_version,
+            manifest_sha256=root.manifest_sha256,
+        )
+
+    def root(self, request: MapRootRequest, *, time_ns: int) -> MapRootReply:
+        """The newest root, unless the asker has it."""
+        try:
+            data = self._source.root()
+            root = decoded(ReleaseRoot, data, self._source.name(None))
+        except ReleaseError:
+            return MapRootReply(time_ns=time_ns, status="unknown", reason="no release", payload=_NOTHING)
+        if root.region != request.region:
+            reason = f"releases here are of {root.region}"
+            return MapRootReply(time_ns=time_ns, status="unknown", reason=reason, payload=_NOTHING)
+        if root.manifest_sha256 == request.have_sha256:
+            return MapRootReply(time_ns=time_ns, status="unchanged", payload=_NOTHING)
+        return MapRootReply(time_ns=time_ns, status="known", payload=np.frombuffer(data, np.uint8))
+
+    def blob(self, request: MapBlobRequest, *, time_ns: int) -> MapBlobReply:
+        """A part of a packed blob; without its base, where that is not here, as a whole."""
+        try:
+            data = self._in_few_bytes(request.sha256, request.base_sha256)
+        except ReleaseError:
+            return MapBlobReply(time_ns=time_ns, status="unknown", reason="no such blob", payload=_NOTHING)
+        parts = -(-len(data) // PART_BYTES)
+        if request.part >= parts:
+            reason = f"part {request.part} of {parts}"
+            return MapBlobReply(time_ns=time_ns, status="unknown", reason=reason, payload=_NOTHING)
+        begin = request.part * PART_BYTES
+        payload = np.frombuffer(data[begin : begin + PART_BYTES], np.uint8)
+        return MapBlobReply(time_ns=time_ns, status="known", parts=parts, payload=payload)
+
+    def _in_few_bytes(self, digest: str, base_digest: str | None) -> bytes:
+        key = digest, base_digest
+        if key in self._packed:
+            self._packed.move_to_end(key)
+            return self._packed[key]
+        blob = self._source.blob(digest, None)
+        base: bytes | None = None
+        if base_digest is not None:
+            try:
+                base = self._source.blob(base_digest, None)
+            except ReleaseError:  # an older release than those that are kept, or of another folder
+                base = None
+        data = self._packed[key] = packed(blob, base)
+        self._size += len(data)
+        while self._size > self._kept_bytes and len(self._packed) > 1:
+            self._size -= len(self._packed.popitem(last=False)[1])
+        return data
