@@ -19,6 +19,7 @@ from camber.tools.maps.command import dispatched
 _PROG = "camber map build"
 
 KINDS: dict[str, tuple[str, str]] = {
+    "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
     "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
