@@ -96,7 +96,7 @@ def voter_of(vehicle: str, secret: bytes) -> int:
 
     Raises ValueError for a secret shorter than 16 bytes: names can be guessed, the key must not be.
     """
-    _check(secret)
+    checked_secret(secret)
     digest = hashlib.blake2b(vehicle.encode(), digest_size=8, key=secret, person=b"camber voter").digest()
     return int.from_bytes(digest, "little") >> 1
 
@@ -119,7 +119,7 @@ def votes_from(
 
     `votes_from` of a whole is `merged` of its parts' votes, however it is cut and whatever is in several parts.
     """
-    _check(secret)
+    checked_secret(secret)
     if observations.dtype != OBSERVATION:
         raise ValueError("observations: expected rows of OBSERVATION")
     gate = gate or Gate()
@@ -157,15 +157,20 @@ def merged(*votes: Votes) -> Votes:
     return _of_any_order(together.view(_SAMPLES))
 
 
-def values_of(votes: Votes) -> tuple[Floats, Floats]:
-    """Deviation from the reference (n,) and σ (n,) of each vote: medians of its samples."""
+def values_of(votes: Votes) -> tuple[Floats, Floats, Floats]:
+    """Deviation from the reference (n,) and σ (n,) of each vote, medians of its samples, and their variance (n,).
+
+    The variance is NaN where there are fewer than three.
+    """
     samples = votes.view(_SAMPLES)
     return _medians(samples["rank"], samples["deviation_m"], samples["sigma_m"])
 
 
-def _check(secret: bytes) -> None:
+def checked_secret(secret: bytes) -> bytes:
+    """The secret itself; ValueError where it is too short to be one, or too long for BLAKE2b."""
     if not _SECRET_BYTES <= len(secret) <= hashlib.blake2b.MAX_KEY_SIZE:
         raise ValueError(f"secret: {len(secret)} bytes, expected {_SECRET_BYTES} to 64")
+    return secret
 
 
 def _number(secret: bytes, purpose: bytes) -> int:
@@ -240,9 +245,9 @@ def _keep_lowest(
 @compiled
 def _medians(
     rank: NDArray[np.int32], deviation_m: NDArray[np.float32], sigma_m: NDArray[np.float32]
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     n = len(rank)
-    middle_m, middle_sigma_m = np.empty(n), np.empty(n)
+    middle_m, middle_sigma_m, variance_m2 = np.empty(n), np.empty(n), np.full(n, np.nan)
     value, sigma = np.empty(SAMPLES), np.empty(SAMPLES)
     for i in range(n):
         count = 0
@@ -265,7 +270,9 @@ def _medians(
         else:
             middle_m[i] = 0.5 * (value[half - 1] + value[half])
             middle_sigma_m[i] = 0.5 * (sigma[half - 1] + sigma[half])
-    return middle_m, middle_sigma_m
+        if count >= 3:
+            variance_m2[i] = np.var(value[:count]) * count / (count - 1)
+    return middle_m, middle_sigma_m, variance_m2
 
 
 @compiled
