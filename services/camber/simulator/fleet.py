@@ -1,8 +1,9 @@
 """Many vehicles over one district at the level of measurements: what each would upload, without satellites or rays.
 
 What a vehicle says of a road's height is off by its own bias (antenna height, lever arm), by that of the drive (base
-station, load), by correlated and white noise of its fixes, and in episodes by wrong fixes. An attacker adds a
-constant of its own. The verdict is that of a height check against the map; epochs that fail it are uploaded too.
+station, load), by correlated and white noise of its fixes, and in episodes, or for a whole drive, by wrong fixes. An
+attacker adds a constant of its own. The verdict is that of a height check against the map; epochs that fail it are
+uploaded too.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ class FleetErrors:
     wrong_episode_s: float = 2.5
     wrong_height_m: float = 0.8
     """Scale of the Laplace distribution of a wrong fix's height error."""
+    wrong_drives: float = 0.0
+    """Share of the drives of which every fix is wrong, all by the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +124,13 @@ def vehicles_of(count: int, attackers: float, errors: FleetErrors, seed: int) ->
     )
 
 
+def drive_days(vehicle: FleetVehicle, drives: int, days: int, seed: int) -> list[int]:
+    """On which of the days each drive of a vehicle is: different ones, in order, where there are enough."""
+    rng = stream(seed, f"fleet days {vehicle.name}")
+    chosen = rng.permutation(days)[:drives] if drives <= days else rng.integers(0, days, drives)
+    return sorted(chosen.tolist())
+
+
 def drive_uploads(
     track: Track,
     vehicle: FleetVehicle,
@@ -149,6 +159,8 @@ def drive_uploads(
     )
     error_m = noise_m + rng.normal(0.0, errors.white_m, n) + rng.normal(0.0, errors.drive_m)
     error_m += vehicle.bias_m + vehicle.attack_m + _wrong_fixes(rng, n, rate_hz, errors)
+    if rng.random() < errors.wrong_drives:
+        error_m += rng.laplace(0.0, errors.wrong_height_m)
     road_m = track.road_m[sample] + track.crossfall[sample] * sideways_m + error_m
     difference_m = np.abs(road_m - (track.map_m[sample] + track.crossfall[sample] * sideways_m))
     time_ns = start_ns + np.round(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)

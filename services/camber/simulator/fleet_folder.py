@@ -16,7 +16,7 @@ from camber.formats.recording import Recorder
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import encode
-from camber.simulator.fleet import FleetErrors, FleetVehicle, drive_uploads, track_of, vehicles_of
+from camber.simulator.fleet import FleetErrors, FleetVehicle, drive_days, drive_uploads, track_of, vehicles_of
 from camber.simulator.scenario import Scenario
 from camber.simulator.simulated_drive import district_of, drawn_or_none
 from camber.simulator.world.survey import DATUM, SURVEYED_BEFORE_NS, SurveyErrors, write_survey
@@ -42,7 +42,7 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
         datum=DATUM,
         map_version=release.manifest.map_version,
     )
-    errors = FleetErrors()
+    errors = FleetErrors(wrong_drives=fleet.wrong_drives)
     tracks = [track_of(district.path(name), district.frame, the_map) for name in district.layout.routes]
     vehicles = vehicles_of(fleet.vehicles, fleet.attackers, errors, scenario.seed)
     _write_truth(folder, district.changed_roads, vehicles)
@@ -50,12 +50,12 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
     with Recorder(folder / "uploads.mcap", limit_bytes=1 << 30) as recorder:
         for nth, vehicle in enumerate(vehicles):
             sequence = 0
-            for number in range(fleet.drives_each):
+            for number, day in enumerate(drive_days(vehicle, fleet.drives_each, fleet.days, scenario.seed)):
                 for batch in drive_uploads(
                     tracks[(nth + number) % len(tracks)],
                     vehicle,
                     number,
-                    start_ns=scenario.start_ns + number * _DAY_NS,
+                    start_ns=scenario.start_ns + day * _DAY_NS,
                     duration_s=scenario.duration_s,
                     rate_hz=fleet.rate_hz,
                     map_version=release.manifest.map_version,

@@ -100,6 +100,12 @@ class Fleet(Model):
     attackers: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
         default=0.0, description="share of vehicles that upload a made-up height"
     )
+    days: Annotated[int, Field(ge=1, le=1_000)] = Field(
+        default=3, description="over how many days the drives are spread"
+    )
+    wrong_drives: Annotated[float, Field(ge=0.0, le=0.5)] = Field(
+        default=0.0, description="share of drives of which every fix is wrong"
+    )
 
 
 class Scenario(Model):
