@@ -1,7 +1,7 @@
 """A release from a log of Argoverse 2: its lanes as links, the raster of the ground's height as their surfaces.
 
 City coordinates are metres of the city's UTM zone from a published origin. How high a city's zero is above the
-ellipsoid is not published: name it with --zero-height, or the heights of the release are the city's own.
+ellipsoid is not published: name it with --zero-height-m, or the heights of the release are the city's own.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from camber.formats.errors import FormatError
 from camber.formats.map_roads import RoadLinks
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.built_map import BuiltMap
+from camber.tools.maps.lane_map import lineage
 from camber.tools.maps.surfaces_along import Floats, Integers, Roads, surfaces_along
 
 CITIES: dict[str, tuple[int, float, float]] = {
@@ -83,9 +84,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only this kind needs."""
     parser.add_argument("log", type=Path, help="folder of a log: city_SE3_egovehicle.feather and map/")
     parser.add_argument(
-        "--zero-height",
+        "--zero-height-m",
         type=float,
-        metavar="M",
+        metavar="H",
         help="ellipsoidal height of the city's zero, where it is known",
     )
     parser.add_argument(
@@ -95,9 +96,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("LAT", "LON"),
         help="degrees: take city coordinates for the plane there, not for those of the city in the files' names",
     )
-    parser.add_argument("--sigma", type=float, default=0.03, metavar="M", help="of the raster's heights")
+    parser.add_argument("--sigma-m", type=float, default=0.03, metavar="S", help="σ of the raster's heights")
     parser.add_argument(
-        "--spacing", type=float, metavar="M", help="of the surfaces' heights; else the raster's"
+        "--spacing-m", type=float, metavar="D", help="between the surfaces' heights; else the raster's cells"
     )
 
 
@@ -105,7 +106,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     """Lanes for vehicles, each with surfaces as wide as it is."""
     log = read_log(args.log)
     city = CityFrame.of_city(log.city) if args.origin is None else CityFrame.at(*args.origin)
-    zero_m = 0.0 if args.zero_height is None else args.zero_height
+    zero_m = 0.0 if args.zero_height_m is None else args.zero_height_m
     lanes, elsewhere = _on_the_raster(log)
     if not lanes:
         raise FormatError(str(args.log), "lanes", "one for vehicles that lies on the raster")
@@ -115,14 +116,22 @@ def build(args: argparse.Namespace) -> BuiltMap:
         height_m = (
             log.ground.height_between(np.column_stack(city.from_geodetic(latitude, longitude))) + zero_m
         )
-        return height_m, np.where(np.isfinite(height_m), args.sigma, np.nan)
+        return height_m, np.where(np.isfinite(height_m), args.sigma_m, np.nan)
 
-    spacing_m = log.ground.cell_m if args.spacing is None else args.spacing
+    spacing_m = log.ground.cell_m if args.spacing_m is None else args.spacing_m
     surfaces = surfaces_along(roads, ground, spacing_m=spacing_m, seen_ns=args.surveyed_ns)
     remarks = [f"{elsewhere} lanes lie on another level than the raster: no surfaces"] if elsewhere else []
-    own = "" if args.zero_height is not None else "; heights are above the city's own zero, not the ellipsoid"
+    own = (
+        "" if args.zero_height_m is not None else "; heights are above the city's own zero, not the ellipsoid"
+    )
     surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m{own}"
-    return BuiltMap(surfaces, roads.links, surrogate=surrogate, remarks=remarks)
+    return BuiltMap(
+        surfaces,
+        roads.links,
+        lineage=lineage(surfaces, args.previous_release),
+        surrogate=surrogate,
+        remarks=remarks,
+    )
 
 
 def centre_line(lane: Lane) -> tuple[Floats, float]:

@@ -21,6 +21,8 @@ _PROG = "camber map build"
 KINDS: dict[str, tuple[str, str]] = {
     "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
     "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
+    "geojson": ("camber.tools.maps.geojson_roads", "surfaces and links, as `camber map export` writes them"),
+    "geotiff": ("camber.tools.maps.rasters", "heights of a raster along roads that are given"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
 `build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the

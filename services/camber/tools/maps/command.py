@@ -10,6 +10,7 @@ _PROG = "camber map"
 
 SUBCOMMANDS: dict[str, tuple[str, str]] = {
     "build": ("camber.tools.maps.build", "a release from a map, a survey or clouds that people have"),
+    "export": ("camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, or PCD cells for Autoware"),
 }
 """Name → module with `main(argv) -> exit code`, and a line of help."""
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_roads import ReleaseError, RoadLinks, RoadSurfaces
+from camber.formats.map_roads import RoadLinks, RoadSurfaces
 from camber.formats.map_tiles import tile_frame, tile_of
 from camber.geodesy.local_frame import LocalFrame
+from camber.tools.maps.lanes import named_id
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,9 +27,6 @@ Ground = Callable[[Floats, Floats, Integers], tuple[Floats, Floats]]
 """Of places (n,), latitude and longitude [rad], and the rows (n,) of their links: ellipsoidal heights and their σ [m],
 NaN where the ground is not known there."""
 
-IDS_PER_LINK = 1_000_000
-"""Surface ids are `link_id · IDS_PER_LINK + 100 · piece + metres into it`: the same line gives the same ids again."""
-_PARTS = 100
 _LONGEST_M = 20.0
 _SAGITTA_M = 0.2
 _OVERLAP_M = 0.5
@@ -57,7 +55,7 @@ def surfaces_along(
     """Surfaces of all links, heights every `spacing_m`.
 
     σ: that of the heights, and with it how far the ground is off the grid between its nodes (root mean square): what
-    the grid cannot follow. Raises ReleaseError for a link too long for its ids.
+    the grid cannot follow.
     """
     links = roads.links
     pieces = [piece for row in range(len(links)) for piece in _pieces(roads, row, spacing_m)]
@@ -218,14 +216,11 @@ class _Part:
         )
 
     def surface_id(self, links: RoadLinks) -> int:
-        """Raises ReleaseError where its link has more surfaces than ids."""
+        """The same for the same part of the same line, whatever its height is."""
+        line = np.rint(np.degrees(links.vertices[self.piece.row]) * 1e8).astype(np.int64).tolist()
         begin_m = self.centre_m[0] - self.half_length_m - float(self.piece.along_m[0])
-        number = _PARTS * self.piece.number + int(begin_m + 1e-6)
         link_id = int(links.link_id[self.piece.row])
-        if number >= IDS_PER_LINK:
-            expected = f"a link of at most {IDS_PER_LINK // _PARTS} pieces: split it"
-            raise ReleaseError("links", f"link {link_id}", expected)
-        return link_id * IDS_PER_LINK + number
+        return named_id("surface", link_id, line, self.piece.number, int(begin_m + 1e-6))
 
 
 def _known_parts(piece: _Piece, height_m: Floats, sigma_m: Floats, between_m: Floats) -> Iterator[_Part]:

@@ -1,0 +1,219 @@
+"""`camber map export RELEASE --to FORMAT --out PATH`: a release for other programs.
+
+geotiff   one file for each level, LEVEL.tif in a folder: band 1 heights above the ellipsoid, band 2 their σ
+geojson   one file: surfaces with all their columns, and links; `camber map build geojson` reads it again
+pcd       a folder for Autoware: the clouds in square cells, their metadata, and how coordinates are projected
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.map_release import Release, load_public_key, read_release
+from camber.formats.map_release_files import write_file
+from camber.formats.map_roads import RoadSurfaces
+from camber.formats.map_surface_heights import SurfaceHeights
+from camber.formats.map_tiles import tile_frame, tiles_of
+from camber.formats.pcd import PointCloud, pcd_bytes
+from camber.formats.vertical_datum import aligned_to_wgs84, crs_of
+from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.schemas.road import CloudTile, Layer
+from camber.tools.in_words import in_words
+from camber.tools.maps.geojson import geojson_text
+from camber.tools.maps.rasters import quiet_rasterio
+from camber.tools.maps.surfaces_along import Floats, Integers
+
+_PROG = "camber map export"
+_MOST_CELLS = 200_000_000
+_NODATA = -9999.0
+_CLOUDS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Export one release; 0 done, 2 something is not as it must be, said in one line."""
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
+    parser.add_argument("--to", required=True, choices=sorted(_WAYS))
+    parser.add_argument("--out", type=Path, required=True, metavar="PATH")
+    parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
+    parser.add_argument(
+        "--cell-m", type=float, metavar="D", help="side of a cell: geotiff 0.5, pcd 20 where it is not given"
+    )
+    args = parser.parse_args(argv)
+    return in_words(_PROG, args.out, lambda: _export(args))
+
+
+def _export(args: argparse.Namespace) -> int:
+    if args.cell_m is not None and not 0.01 <= args.cell_m <= 1e4:
+        raise FormatError(_PROG, "--cell-m", "0.01 to 10,000", found=f"{args.cell_m:g}")
+    key = None if args.public_key is None else load_public_key(args.public_key)
+    release = read_release(args.release, public_key=key)
+    for line in _WAYS[args.to](release, str(args.release), args.out, args.cell_m):
+        print(line)
+    return 0
+
+
+# -- GeoJSON ---------------------------------------------------------------------------------------------------------
+
+
+def export_geojson(release: Release, name: str, out: Path, _: float | None) -> list[str]:
+    """Write one file."""
+    datum = crs_of(release.manifest.datum, name, "datum", "one that PROJ knows").geodetic_crs.name
+    surfaces, links = release.road_surfaces(), release.road_links()
+    write_file(out, geojson_text(surfaces, links).encode())
+    said = datum == "WGS 84" or aligned_to_wgs84(datum)
+    remark = "" if said else f"; positions are of {datum}, which GeoJSON cannot say"
+    return [f"{out}: {len(surfaces)} surfaces, {len(links)} links{remark}"]
+
+
+# -- GeoTIFF ---------------------------------------------------------------------------------------------------------
+
+
+def export_geotiff(release: Release, name: str, out: Path, cell_m: float | None) -> list[str]:
+    """Write a file for each level. Raises FormatError for a map too large for cells of this size.
+
+    Latitude, longitude and ellipsoidal height are the one system of three dimensions that GeoTIFF has keys for: a
+    projected one would lose its vertical part to a file beside it.
+    """
+    surfaces, side_m = release.road_surfaces(), cell_m or 0.5
+    if not len(surfaces):
+        raise FormatError(name, "surfaces", "at least one")
+    crs = crs_of(
+        release.manifest.datum, name, "datum", "one that PROJ knows (WGS84, ITRF2014, …)"
+    ).geodetic_crs.to_3d()
+    latitude_rad = float(np.median(surfaces.latitude_rad))
+    cell_rad = np.array([side_m / prime_vertical_radius_m(latitude_rad) / np.cos(latitude_rad),
+                         side_m / meridian_radius_m(latitude_rad)])  # fmt: skip
+    out.mkdir(parents=True, exist_ok=True)
+    lines = []
+    for level in np.unique(surfaces.level).tolist():
+        path = out / f"level_{level}.tif"
+        known = _write_level(path, surfaces, np.flatnonzero(surfaces.level == level), crs, cell_rad)
+        lines.append(f"{path}: {known} cells of {side_m:g} m with a height, {crs.name}, ellipsoidal heights")
+    return lines
+
+
+def _write_level(path: Path, surfaces: RoadSurfaces, rows: Integers, crs: Any, cell_rad: Floats) -> int:
+    """`cell_rad`: sides of a cell along longitude and latitude. Returns how many cells are known."""
+    import rasterio
+
+    low, high = _boxes(surfaces, rows, cell_rad)
+    corner = np.floor(low.min(axis=0))
+    size = np.ceil(high.max(axis=0)).astype(np.int64) - corner.astype(np.int64)
+    if size[0] * size[1] > _MOST_CELLS:
+        expected = f"at most {_MOST_CELLS} cells: a larger --cell-m"
+        raise FormatError(str(path), "size", expected, found=f"{size[0]} × {size[1]}")
+    weight, height, variance = (np.zeros(size[::-1]) for _ in range(3))
+    heights = SurfaceHeights(surfaces)
+    for row, box_low, box_high in zip(rows.tolist(), low - corner, high - corner, strict=True):
+        first, last = np.floor(box_low).astype(np.int64), np.ceil(box_high).astype(np.int64)
+        axes = np.arange(first[0], last[0]), np.arange(first[1], last[1])
+        column, line = (a.ravel() for a in np.meshgrid(*axes))
+        longitude, latitude = ((corner + np.column_stack((column, line)) + 0.5) * cell_rad).T
+        found, outside = heights.heights_m(np.full(len(column), row), latitude, longitude)
+        inside = outside == 0.0
+        share = 1.0 / max(float(surfaces.sigma_m[row]), 1e-3) ** 2
+        at = size[1] - 1 - line[inside], column[inside]  # from the north downwards
+        weight[at] += share
+        height[at] += share * found[inside]
+        # Surfaces that overlap are of one survey: lying there twice makes nothing surer.
+        variance[at] = np.maximum(variance[at], surfaces.sigma_m[row] ** 2)
+    known = weight > 0.0
+    bands = np.full((2, *weight.shape), _NODATA, np.float32)
+    bands[0][known] = height[known] / weight[known]
+    bands[1][known] = np.sqrt(variance[known])
+    dx, dy = np.degrees(cell_rad).tolist()
+    transform = rasterio.Affine(dx, 0.0, corner[0] * dx, 0.0, -dy, (corner[1] + size[1]) * dy)
+    options = {"compress": "deflate", "tiled": True, "blockxsize": 256, "blockysize": 256, "nodata": _NODATA}
+    with quiet_rasterio(), rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(
+        path, "w", driver="GTiff", width=int(size[0]), height=int(size[1]), count=2, dtype="float32",
+        crs=crs.to_wkt(), transform=transform, **options,
+    ) as file:  # fmt: skip
+        file.write(bands)
+        file.set_band_description(1, "height above the ellipsoid [m]")
+        file.set_band_description(2, "sigma of the height [m]")
+    return int(known.sum())
+
+
+def _boxes(surfaces: RoadSurfaces, rows: Integers, cell_rad: Floats) -> tuple[Floats, Floats]:
+    """South-western and north-eastern corners (n, 2) of boxes that hold the surfaces, however they are turned; cells
+    of longitude and latitude."""
+    longitude, latitude = surfaces.longitude_rad[rows], surfaces.latitude_rad[rows]
+    reach_m = np.hypot(surfaces.half_length_m[rows], surfaces.half_width_m[rows])
+    # Both radii of curvature are least at the equator.
+    reach = 1.01 * np.column_stack(
+        (
+            reach_m / prime_vertical_radius_m(0.0) / np.cos(latitude),
+            reach_m / meridian_radius_m(0.0),
+        )
+    )
+    centre = np.column_stack((longitude, latitude))
+    return (centre - reach) / cell_rad, (centre + reach) / cell_rad
+
+
+# -- PCD -------------------------------------------------------------------------------------------------------------
+
+
+def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> list[str]:
+    """Write the cells that Autoware's map loaders take. Raises FormatError for a release without clouds."""
+    side_m = cell_m or 20.0
+    tiles = [t for layer in _CLOUDS for xy in release.tiles(layer) if (t := release.cloud_tile(layer, *xy))]
+    places = [_points(tile) for tile in tiles]
+    points = np.concatenate([np.zeros((0, 3)), *places])
+    if not len(points):
+        raise FormatError(name, "clouds", "points of an environment or a road")
+    import pyproj
+
+    origin_deg = np.floor(np.degrees(points[:, :2].min(axis=0)) * 100.0) / 100.0
+    zone = int((origin_deg[1] + 180.0) // 6.0) % 60 + 1
+    utm = pyproj.Proj(proj="utm", zone=zone, south=bool(origin_deg[0] < 0.0), ellps="WGS84")
+    east0, north0 = utm(origin_deg[1], origin_deg[0])
+    east, north = utm(np.degrees(points[:, 1]), np.degrees(points[:, 0]))
+    plane = np.column_stack((east - east0, north - north0, points[:, 2]))
+    cell = np.floor(plane[:, :2] / side_m).astype(np.int64)
+    order = np.lexsort((cell[:, 1], cell[:, 0]))
+    cells, first = np.unique(cell[order], axis=0, return_index=True)
+    metadata = [f"x_resolution: {side_m}", f"y_resolution: {side_m}"]
+    for (x, y), part in zip((cells * side_m).tolist(), np.split(plane[order], first[1:]), strict=True):
+        cell_name = f"{x:g}_{y:g}.pcd"
+        write_file(out / "pointcloud_map" / cell_name, pcd_bytes(PointCloud(part.astype(np.float32))))
+        metadata.append(f"{cell_name}: [{x:g}, {y:g}]")
+    projector = [
+        "projector_type: LocalCartesianUTM",
+        "vertical_datum: WGS84",
+        "map_origin:",
+        f"  latitude: {origin_deg[0]:.2f}",
+        f"  longitude: {origin_deg[1]:.2f}",
+        "  altitude: 0.0",
+    ]
+    write_file(out / "pointcloud_map_metadata.yaml", ("\n".join(metadata) + "\n").encode())
+    write_file(out / "map_projector_info.yaml", ("\n".join(projector) + "\n").encode())
+    return [f"{out}: {len(points)} points in {len(cells)} cells of {side_m:g} m"]
+
+
+def _points(tile: CloudTile) -> Floats:
+    """Latitude, longitude [rad] and ellipsoidal height [m] (n, 3) of the points that are in no other tile.
+
+    Of those within half a quantum of a border, which two tiles may place differently, some are in neither.
+    """
+    about = tile.quanta * tile.resolution_m
+    latitude, longitude, _ = tile_frame(tile.x, tile.y).geodetic_from_east_north_array(about[:, :2], 0.0)
+    x, y = tiles_of(latitude, longitude)
+    own = (x == tile.x) & (y == tile.y)
+    points: Floats = np.column_stack((latitude, longitude, about[:, 2] + tile.base_height_m))[own]
+    return points
+
+
+_WAYS: dict[str, Callable[[Release, str, Path, float | None], list[str]]] = {
+    "geojson": export_geojson,
+    "geotiff": export_geotiff,
+    "pcd": export_pcd,
+}

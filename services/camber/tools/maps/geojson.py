@@ -1,0 +1,149 @@
+"""Roads as GeoJSON (RFC 7946): positions are WGS 84, the third coordinate is the height above its ellipsoid.
+
+    surface   Polygon, its corners with their heights; properties hold all columns of RoadSurfaces
+    link      LineString; properties hold all columns of RoadLinks
+
+What is written is read again as it was. Lines of another origin need no properties: ids come from their places.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.map_road_tiles import surface_tiles, surfaces_from_tiles
+from camber.formats.map_roads import ReleaseError, RoadLinks, RoadSurfaces
+from camber.geodesy.local_frame import LocalFrame
+from camber.tools.maps.lanes import named_id
+
+_DECIMALS = 10  # of degrees: a hundredth of a millimetre
+_SURFACE = (
+    "surface_id",
+    "link_id",
+    "level",
+    "sigma_m",
+    "vehicles",
+    "last_seen_ns",
+    "half_length_m",
+    "half_width_m",
+)
+_LINK = ("link_id", "start_node", "end_node", "level", "sigma_m")
+_MOST_BYTES = 1 << 31
+
+
+def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:
+    """A FeatureCollection, a feature on each line: surfaces, then links, both by id."""
+    features = [_surface(surfaces, int(row)) for row in np.argsort(surfaces.surface_id)]
+    features += [_link(links, int(row)) for row in np.argsort(links.link_id)]
+    body = ",\n".join(json.dumps(feature, allow_nan=False, separators=(",", ":")) for feature in features)
+    return '{"type":"FeatureCollection","features":[\n' + body + "\n]}\n"
+
+
+def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[float | None]]:
+    """Surfaces, links, and how wide each link's road is [m] where its `width_m` says so.
+
+    Raises FormatError for what is not as above, OSError if the file cannot be read.
+    """
+    name = str(path)
+    if path.stat().st_size > _MOST_BYTES:
+        raise FormatError(name, "size", f"at most {_MOST_BYTES} bytes", found=str(path.stat().st_size))
+    try:
+        features = json.loads(path.read_bytes())["features"]
+        surfaces = [f for f in features if f["geometry"]["type"] == "Polygon"]
+        lines = [f for f in features if f["geometry"]["type"] == "LineString"]
+        if len(surfaces) + len(lines) != len(features):
+            raise FormatError(name, "geometry", "Polygon for a surface, LineString for a link")
+        widths = [_number((line.get("properties") or {}).get("width_m")) for line in lines]
+        return _surfaces(surfaces), _links(lines), widths
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
+        if isinstance(error, FormatError):
+            raise
+        why = " ".join(f"{type(error).__name__} {error}".split())[:120]
+        raise FormatError(name, "GeoJSON", f"features of surfaces and links ({why})") from None
+
+
+def _surface(surfaces: RoadSurfaces, row: int) -> dict[str, Any]:
+    grid = surfaces.heights_m[row]
+    latitude, longitude = float(surfaces.latitude_rad[row]), float(surfaces.longitude_rad[row])
+    yaw, half = (
+        float(surfaces.yaw_rad[row]),
+        (float(surfaces.half_length_m[row]), float(surfaces.half_width_m[row])),
+    )
+    # Counter-clockwise from the rear right corner, as the format wants outer rings.
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
+    c, s = math.cos(yaw), math.sin(yaw)
+    corners = np.column_stack((c * signs[:, 0] - s * signs[:, 1], s * signs[:, 0] + c * signs[:, 1]))
+    lat, lon, _ = LocalFrame(latitude, longitude, 0.0).geodetic_from_east_north_array(corners, 0.0)
+    heights = [grid[0, 0], grid[-1, 0], grid[-1, -1], grid[0, -1], grid[0, 0]]
+    ring = [[_degrees(x), _degrees(y), round(float(h), 4)] for x, y, h in zip(lon, lat, heights, strict=True)]
+    properties = {name: getattr(surfaces, name)[row].item() for name in _SURFACE} | {
+        "centre": [_degrees(longitude), _degrees(latitude)],
+        "yaw_rad": yaw,
+        "heights_m": np.round(grid, 4).tolist(),
+    }
+    return _feature(properties["surface_id"], "Polygon", [ring], properties)
+
+
+def _link(links: RoadLinks, row: int) -> dict[str, Any]:
+    line = [[_degrees(longitude), _degrees(latitude)] for latitude, longitude in links.vertices[row]]
+    properties = {name: getattr(links, name)[row].item() for name in _LINK}
+    return _feature(properties["link_id"], "LineString", line, properties)
+
+
+def _feature(number: int, kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "id": number, "geometry": geometry, "properties": properties}
+
+
+def _degrees(angle_rad: float) -> float:
+    return round(math.degrees(angle_rad), _DECIMALS)
+
+
+def _surfaces(features: list[Mapping[str, Any]]) -> RoadSurfaces:
+    rows = [feature["properties"] for feature in features]
+    centre = np.radians(np.array([row["centre"] for row in rows], np.float64).reshape(-1, 2))
+    columns: dict[str, Any] = {
+        name: [row[name] for row in rows] for name in (*_SURFACE, "yaw_rad", "heights_m")
+    }
+    found = RoadSurfaces(**columns, latitude_rad=centre[:, 1], longitude_rad=centre[:, 0])
+    # Rounded as releases are: what came from one is what it was.
+    return surfaces_from_tiles(surface_tiles(found))
+
+
+def _links(features: list[Mapping[str, Any]]) -> RoadLinks:
+    rows, vertices = [feature.get("properties") or {} for feature in features], []
+    for feature in features:
+        line = np.array([point[:2] for point in feature["geometry"]["coordinates"]], np.float64)
+        if line.ndim != 2 or len(line) < 2:
+            raise ReleaseError("links", "coordinates", "two places or more")
+        vertices.append(np.radians(line[:, ::-1]))
+    places = [np.rint(np.degrees(line) * 1e8).astype(np.int64).tolist() for line in vertices]
+
+    def column(name: str, otherwise: list[Any]) -> Any:
+        return np.array([row.get(name, value) for row, value in zip(rows, otherwise, strict=True)])
+
+    if not rows:
+        return RoadLinks(**{field.name: [] for field in fields(RoadLinks)})  # type: ignore[arg-type]
+    return RoadLinks(
+        link_id=column("link_id", [named_id("link", line) for line in places]),
+        start_node=column("start_node", [named_id("node", line[0]) for line in places]),
+        end_node=column("end_node", [named_id("node", line[-1]) for line in places]),
+        level=column("level", [0] * len(rows)),
+        sigma_m=column("sigma_m", [0.5] * len(rows)),
+        vertices=vertices,
+    )
+
+
+def _number(value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.5 <= value <= 100.0:
+        raise ValueError(f"width_m is {value!r}, expected 0.5 to 100")
+    return float(value)
