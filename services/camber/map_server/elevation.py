@@ -96,6 +96,8 @@ class ElevationMap:
         self._links = _kept(links, _Links, tiles_kept)
         # A vehicle asks many times from the same tile, links and last surface.
         self._topology = lru_cache(maxsize=256)(self._find_topology)
+        self._links_near = lru_cache(maxsize=tiles_kept)(self._find_links_near)
+        self._connected = lru_cache(maxsize=4096)(self._find_connected)
 
     def road(
         self,
@@ -263,31 +265,36 @@ class ElevationMap:
         `names` gives the candidate links and the last surface of a point.
         """
         group, first = group_rows(keys)
-        points, start = members(group, len(first))
+        numbers, tile_of_group = np.unique(keys[first, 0], return_inverse=True)
+        points, start = members(tile_of_group[group], len(numbers))
+        place = np.zeros(len(first), np.int64)
         found = nothing_found(len(keys))
-        tiles = keys[first, 0]
-        for number in np.unique(tiles[tiles >= 0]).tolist():
+        for t, number in enumerate(numbers.tolist()):
             tile = divmod(number, TILES)
-            index = self._surfaces(tile)
+            index = self._surfaces(tile) if number >= 0 else None
             if index is None:
                 continue
-            groups = np.flatnonzero(tiles == number)
-            here = np.concatenate([points[start[g] : start[g + 1]] for g in groups])
-            which = np.repeat(np.arange(len(groups)), np.diff(start)[groups])
+            here = points[start[t] : start[t + 1]]
+            groups = np.flatnonzero(tile_of_group == t)
             known = topologies([self._topology(tile, *names(row)) for row in first[groups].tolist()])
-            find_roads(index.table, here, latitude_rad, longitude_rad, which, known, found)
+            place[groups] = np.arange(len(groups))
+            find_roads(index.table, here, latitude_rad, longitude_rad, place[group[here]], known, found)
         rows = np.flatnonzero(found.reason == KNOWN)
+        surface_id, level = (found.names[rows, column] for column in range(2))
+        elevation_m, sigma_m, slope_east, slope_north, extent_m = (
+            found.numbers[rows, column] for column in range(5)
+        )
         return RoadColumns(
             reason=found.reason,
             elsewhere=found.elsewhere,
             known=rows,
-            surface_id=found.surface_id[rows],
-            level=found.level[rows],
-            elevation_m=found.elevation_m[rows],
-            sigma_m=found.sigma_m[rows],
-            slope_east=found.slope_east[rows],
-            slope_north=found.slope_north[rows],
-            extent_m=found.extent_m[rows],
+            surface_id=surface_id,
+            level=level,
+            elevation_m=elevation_m,
+            sigma_m=sigma_m,
+            slope_east=slope_east,
+            slope_north=slope_north,
+            extent_m=extent_m,
         )
 
     def _find_topology(self, tile: Tile, candidates: frozenset[int], last_surface_id: int | None) -> Topology:
@@ -296,7 +303,7 @@ class ElevationMap:
         if last_surface_id is not None:
             connected, levels = self._find_last(tile, last_surface_id)
         if candidates:
-            near = [links for around in _neighbours(tile) if (links := self._links(around)) is not None]
+            near = self._links_near(tile)
             levels = frozenset(
                 links.level[link] for links in near for link in candidates if link in links.level
             )
@@ -311,18 +318,24 @@ class ElevationMap:
                 break
         else:
             return frozenset(), frozenset()
-        link, level = int(index.link_id[row]), int(index.level[row])
-        near = [links for around in _neighbours(tile) if (links := self._links(around)) is not None]
+        return self._connected(tile, int(index.link_id[row])), frozenset({int(index.level[row])})
+
+    def _find_connected(self, tile: Tile, link: int) -> frozenset[int]:
+        """A link and those that share a node with it, as far as they come near a tile."""
+        near = self._links_near(tile)
         nodes = {node for links in near for node in links.nodes.get(link, ())}
-        sharing = {other for links in near for node in nodes for other in links.at_node.get(node, ())}
-        return frozenset(sharing | {link}), frozenset({level})
+        return frozenset({link}.union(*(links.at_node.get(node, ()) for links in near for node in nodes)))
+
+    def _find_links_near(self, tile: Tile) -> tuple[_Links, ...]:
+        return tuple(links for around in _neighbours(tile) if (links := self._links(around)) is not None)
 
 
-def _neighbours(tile: Tile) -> list[Tile]:
+@lru_cache(maxsize=4096)
+def _neighbours(tile: Tile) -> tuple[Tile, ...]:
     """A tile and the eight around it, itself first."""
     x, y = tile
     steps = [(0, 0)] + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-    return [((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES]
+    return tuple(((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES)
 
 
 def _columns(

@@ -37,29 +37,39 @@ def group_rows(rows: Integers) -> tuple[Integers, Integers]:
     Groups are numbered as they are met.
     """
     n, k = rows.shape
-    slots = 16
-    while slots < 2 * n:
-        slots *= 2
-    in_slot = np.full(slots, -1, np.int64)
+    # Small as long as there are few groups: then it stays near the processor.
+    in_slot, met = np.full(16, -1, np.int32), np.empty((8, k), np.int64)
     group, first = np.empty(n, np.int64), np.empty(n, np.int64)
     count = 0
     for i in range(n):
-        if i > 0 and _equal(rows, i, i - 1):
+        if i > 0 and _equal(rows[i], rows[i - 1]):
             group[i] = group[i - 1]
             continue
-        mixed = np.int64(0)
-        for j in range(k):
-            mixed = (mixed ^ rows[i, j]) * np.int64(_SPREAD)
-            mixed ^= mixed >> 29
-        slot = mixed & (slots - 1)
-        while in_slot[slot] >= 0 and not _equal(rows, i, first[in_slot[slot]]):
-            slot = (slot + 1) & (slots - 1)
+        slot = _slot(rows[i], in_slot, met)
         if in_slot[slot] < 0:
-            in_slot[slot] = count
-            first[count] = i
+            if count == len(met):
+                met = np.concatenate((met, np.empty((count, k), np.int64)))
+                in_slot = np.full(4 * count, -1, np.int32)
+                for g in range(count):
+                    in_slot[_slot(met[g], in_slot, met)] = g
+                slot = _slot(rows[i], in_slot, met)
+            met[count], first[count], in_slot[slot] = rows[i], i, count
             count += 1
         group[i] = in_slot[slot]
     return group, first[:count].copy()
+
+
+@compiled
+def _slot(row: Integers, in_slot: NDArray[np.int32], met: Integers) -> np.int64:
+    """Where a row is among those met, or where it is to be put."""
+    mixed = np.int64(0)
+    for j in range(len(row)):
+        mixed = (mixed ^ row[j]) * np.int64(_SPREAD)
+        mixed ^= mixed >> 29
+    slot = mixed & (len(in_slot) - 1)
+    while in_slot[slot] >= 0 and not _equal(row, met[in_slot[slot]]):
+        slot = (slot + 1) & (len(in_slot) - 1)
+    return slot
 
 
 @compiled
@@ -78,8 +88,8 @@ def members(group: Integers, groups: int) -> tuple[Integers, Integers]:
 
 
 @compiled
-def _equal(rows: Integers, i: int, j: int) -> bool:
-    for k in range(rows.shape[1]):  # noqa: SIM110 (all() over a generator is not compiled)
-        if rows[i, k] != rows[j, k]:
+def _equal(a: Integers, b: Integers) -> bool:
+    for k in range(len(a)):  # noqa: SIM110 (all() over a generator is not compiled)
+        if a[k] != b[k]:
             return False
     return True

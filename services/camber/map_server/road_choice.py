@@ -31,20 +31,16 @@ class Topologies(NamedTuple):
 
 
 class FoundRoads(NamedTuple):
-    """The roads under n points; where `reason` is not KNOWN the other columns but `elsewhere` say nothing.
+    """The roads under n points; where `reason` is not KNOWN, `names` and `numbers` say nothing.
 
     `elsewhere`: all surfaces there are on levels that no candidate is on: by topology the vehicle is not there.
+    `names` (n, 2): surface and level; `numbers` (n, 5): elevation, σ, slope to the east and to the north, extent.
     """
 
     reason: NDArray[np.uint8]
     elsewhere: NDArray[np.bool_]
-    surface_id: Integers
-    level: Integers
-    elevation_m: Floats
-    sigma_m: Floats
-    slope_east: Floats
-    slope_north: Floats
-    extent_m: Floats
+    names: Integers
+    numbers: Floats
 
 
 def nothing_found(count: int) -> FoundRoads:
@@ -52,13 +48,8 @@ def nothing_found(count: int) -> FoundRoads:
     return FoundRoads(
         reason=np.full(count, NO_SURFACE, np.uint8),
         elsewhere=np.zeros(count, np.bool_),
-        surface_id=np.zeros(count, np.int64),
-        level=np.zeros(count, np.int64),
-        elevation_m=np.zeros(count),
-        sigma_m=np.zeros(count),
-        slope_east=np.zeros(count),
-        slope_north=np.zeros(count),
-        extent_m=np.zeros(count),
+        names=np.zeros((count, 2), np.int64),
+        numbers=np.zeros((count, 5)),
     )
 
 
@@ -170,14 +161,12 @@ def find_roads(
         if not agree:
             continue
         found.reason[i] = KNOWN
-        found.surface_id[i], found.level[i] = table.names[k, 0], table.names[k, 2]
-        found.elevation_m[i], found.sigma_m[i] = height_m, table.shape[k, 6]
+        found.names[i, 0], found.names[i, 1] = table.names[k, 0], table.names[k, 2]
         cos, sin = table.shape[k, 2], table.shape[k, 3]
-        found.slope_east[i], found.slope_north[i] = (
-            slope_u * cos - slope_v * sin,
-            slope_u * sin + slope_v * cos,
-        )
-        found.extent_m[i] = table.shape[k, 7]
+        found.numbers[i, 0], found.numbers[i, 1] = height_m, table.shape[k, 6]
+        found.numbers[i, 2] = slope_u * cos - slope_v * sin
+        found.numbers[i, 3] = slope_u * sin + slope_v * cos
+        found.numbers[i, 4] = table.shape[k, 7]
 
 
 @compiled
