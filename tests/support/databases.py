@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import pwd
+import random
 import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Coroutine, Iterator
 from contextlib import contextmanager
@@ -16,8 +19,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
-
-from support.running import free_port
 
 T = TypeVar("T")
 
@@ -41,12 +42,26 @@ def in_a_loop(coroutine: Coroutine[Any, Any, T]) -> T:
     return asyncio.run(coroutine)
 
 
-class Server:
-    """A server that is started, killed and started again; ended by its process id."""
+def lasting_port() -> int:
+    """A free port of the loopback that stays free while its server is down.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.port = free_port()
+    Below those that the system gives to whoever connects (from 32768): a client that tries again and again would
+    sooner or later be given the port that it tries, and hold it.
+    """
+    while True:
+        port = random.SystemRandom().randrange(12_000, 32_000)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
+class Server:
+    """A server that is started, killed and started again, with a folder of its own; ended by its process id."""
+
+    def __init__(self) -> None:
+        # Not in a folder of pytest's, which are closed to the user that PostgreSQL runs as.
+        self.folder = Path(tempfile.mkdtemp(prefix="camber-"))
+        self.port = lasting_port()
         self.process: subprocess.Popen[bytes] | None = None
 
     def command(self) -> list[str]:
@@ -61,6 +76,7 @@ class Server:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
+                start_new_session=True,
                 **self.identity(),
             )
         deadline = time.monotonic() + START_LIMIT_S
@@ -78,25 +94,30 @@ class Server:
             return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def end(self, number: int = signal.SIGKILL) -> None:
-        """Send it a signal and wait for its end."""
+        """Send it a signal and wait for its end; SIGKILL also goes to the processes that it has started."""
         if self.process is not None:
-            self.process.send_signal(number)
+            if number == signal.SIGKILL:
+                os.killpg(self.process.pid, number)
+            else:
+                self.process.send_signal(number)
             self.process.wait()
             self.process = None
+
+    def remove(self) -> None:
+        """End it for good, with all it holds."""
+        self.end()
+        shutil.rmtree(self.folder)
 
 
 class PostgresServer(Server):
     """A cluster of one's own, durable as a real one. As root it is run as the user postgres, which it insists on."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
+    def __init__(self) -> None:
+        super().__init__()
         self._made = 0
-        folder.mkdir()
-        self.data = folder / "data"
+        self.data = self.folder / "data"
         if os.geteuid() == 0:
-            os.chown(folder, *self._ids())
-            for parent in folder.parents[:-2]:  # pytest's folders are closed to other users
-                parent.chmod(parent.stat().st_mode | 0o011)
+            os.chown(self.folder, *self._ids())
         subprocess.run(
             [
                 _FOLDERS[-1] / "initdb",
@@ -112,7 +133,7 @@ class PostgresServer(Server):
                 "-N",
             ],
             check=True,
-            cwd=folder,
+            cwd=self.folder,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             **self.identity(),
@@ -174,11 +195,11 @@ class PostgresServer(Server):
 class NatsServer(Server):
     """JetStream with its streams in files."""
 
-    def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
-        folder.mkdir()
-        (folder / "nats.conf").write_text(
-            f'listen: "127.0.0.1:{self.port}"\nmax_payload: 8MB\njetstream: {{store_dir: "{folder / "data"}"}}\n'
+    def __init__(self) -> None:
+        super().__init__()
+        (self.folder / "nats.conf").write_text(
+            f'listen: "127.0.0.1:{self.port}"\nmax_payload: 8MB\n'
+            f'jetstream: {{store_dir: "{self.folder / "data"}"}}\n'
         )
 
     def command(self) -> list[str]:
@@ -190,11 +211,14 @@ class NatsServer(Server):
         return f"nats://127.0.0.1:{self.port}"
 
 
+S = TypeVar("S", bound=Server)
+
+
 @contextmanager
-def running(server: Server) -> Iterator[Server]:
-    """Started, and ended whatever happens."""
+def running(server: S) -> Iterator[S]:
+    """Started, and removed whatever happens."""
     try:
         server.start()
         yield server
     finally:
-        server.end(signal.SIGQUIT if isinstance(server, PostgresServer) else signal.SIGTERM)
+        server.remove()

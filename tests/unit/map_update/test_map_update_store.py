@@ -29,8 +29,8 @@ Open = Callable[[], Store]
 
 
 @pytest.fixture(scope="module")
-def postgres(tmp_path_factory) -> Iterator[PostgresServer]:
-    server = PostgresServer(tmp_path_factory.mktemp("servers") / "postgres")
+def postgres() -> Iterator[PostgresServer]:
+    server = PostgresServer()
     with running(server):
         yield server
 

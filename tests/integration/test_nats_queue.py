@@ -1,0 +1,186 @@
+"""The queue between workers: divided by shards, answered after the commit, lost without loss."""
+
+import shutil
+import threading
+from collections import Counter
+from contextlib import ExitStack, closing, contextmanager
+
+import pytest
+
+from camber.map_update.admission import Refusal
+from camber.map_update.nats_queue import Sending, Taking
+from camber.map_update.queue_messages import Parcel, QueueError, pack_parcels
+from camber.map_update.shards import Shards
+from camber.map_update.sqlite_store import SqliteStore
+from support.contributions import NOW_NS, contribution
+from support.databases import NatsServer, in_a_loop, needs_nats, running
+from support.running import wait_until
+
+pytestmark = needs_nats
+
+QUARTERS = Shards(["0", "1", "2", "3"])
+WHOLE = Shards([""])
+
+
+@pytest.fixture
+def server():
+    with running(NatsServer()) as server:
+        yield server
+
+
+def sender(server, shards=WHOLE, limit_s=5.0):
+    return closing(Sending(server.address, shards, limit_s=limit_s))
+
+
+class Worker(threading.Thread):
+    """Takes what is of a shard and commits it, as the service does."""
+
+    def __init__(self, server, shard, path):
+        super().__init__()
+        self.server, self.shard, self.path = server, shard, path
+        self.over = threading.Event()
+        self.fails = 0
+        self.rounds = 0
+
+    def run(self):
+        with (
+            closing(Taking(self.server.address, self.shard, limit_s=5.0)) as taking,
+            closing(SqliteStore(self.path)) as store,
+        ):
+            while not self.over.is_set():
+                try:
+                    self.round(taking, store)
+                except QueueError:
+                    self.over.wait(0.05)
+
+    def round(self, taking, store):
+        deliveries = taking.take(0.05)
+        if not deliveries:
+            return
+        if self.fails:
+            self.fails -= 1
+            taking.again(deliveries)
+            return
+        self.rounds += 1
+        parcels = [parcel for delivery in deliveries for parcel in delivery.parcels]
+        refusals = {id(parcel.contribution): parcel.refusal for parcel in parcels}
+        outcomes = iter(store.commit([p.contribution for p in parcels], NOW_NS, lambda c: refusals[id(c)]))
+        taking.stored(deliveries, [[next(outcomes) for _ in d.parcels] for d in deliveries])
+
+
+@contextmanager
+def storing(server, folder, *shards):
+    with ExitStack() as ends:
+        workers = {}
+        for shard in shards:
+            worker = workers[shard] = Worker(server, shard, folder / f"{shard}.sqlite")
+            worker.start()
+            ends.callback(worker.join)
+            ends.callback(worker.over.set)
+        yield workers
+
+
+def sent(sending, *contributions, refused=None):
+    """What became of each; the queue is asked again while it is not there."""
+    parcels = [Parcel(c, refused) for c in contributions]
+
+    def heard():
+        try:
+            outcomes = sending.send(parcels)
+        except QueueError:
+            return None
+        return None if None in outcomes else [outcome.status for outcome in outcomes]
+
+    return wait_until(heard, timeout_s=30.0, why="no answer from the queue")
+
+
+def test_what_is_sent_is_answered_after_its_commit_and_again_it_is_a_duplicate(server, tmp_path):
+    with sender(server) as sending, storing(server, tmp_path, "world"):
+        uploads = [contribution(f"u{n}") for n in range(300)]
+        assert Counter(sent(sending, *uploads)) <= Counter({"stored": 300, "duplicate": 300})
+        assert sent(sending, *uploads) == ["duplicate"] * 300
+        assert sent(sending, contribution("u0", height_m=41.0)) == ["refused"]
+    with closing(SqliteStore(tmp_path / "world.sqlite")) as store:
+        assert store.counts() == (300, 300)
+
+
+def test_what_its_receiver_refuses_is_refused_unless_it_is_known(server, tmp_path):
+    refusal = Refusal("datum", "datum Tokyo, expected WGS84")
+    with sender(server) as sending, storing(server, tmp_path, "world"):
+        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+        assert sent(sending, contribution("u1"), contribution("u2"), refused=refusal) == [
+            "duplicate",
+            "refused",
+        ]
+        assert sent(sending, contribution("u2"))[0] in ("stored", "duplicate")
+
+
+def test_a_batch_across_shards_is_stored_in_each_and_acknowledged_once_all_have_it(server, tmp_path):
+    batch = contribution("b1", kind="batch", records=10)
+    batch.observations["latitude_rad"][3:] *= -1.0
+    with sender(server, QUARTERS, limit_s=1.5) as sending:
+        with storing(server, tmp_path, "1"):
+            assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+            assert sending.send([Parcel(batch, None)]) == [None]
+        with storing(server, tmp_path, "1", "3"):
+            assert sent(sending, batch)[0] in ("stored", "duplicate")
+            assert sent(sending, batch) == ["duplicate"]
+    for shard, rows in (("1", batch.observations[:3]), ("3", batch.observations[3:])):
+        with closing(SqliteStore(tmp_path / f"{shard}.sqlite")) as store:
+            found = store.observations_after(0, 100)
+            heading = [h.id for h in found.headings].index("b1")
+            assert found.rows[found.heading_of == heading].tobytes() == rows.tobytes()
+
+
+def test_nobody_who_stores_means_no_acknowledgement(server):
+    with sender(server, limit_s=0.3) as sending:
+        assert sending.send([Parcel(contribution("u1"), None)]) == [None]
+
+
+def test_what_could_not_be_stored_comes_again_without_its_sender(server, tmp_path):
+    with sender(server, limit_s=5.0) as sending, storing(server, tmp_path, "world") as workers:
+        assert sent(sending, contribution("u0"))[0] in ("stored", "duplicate")
+        workers["world"].fails = 1
+        (outcome,) = sending.send([Parcel(contribution("u1"), None)])
+        assert outcome is not None
+        assert outcome.status == "stored"
+
+
+@pytest.mark.parametrize("emptied", [False, True], ids=["killed", "killed and emptied"])
+def test_a_server_that_is_killed_loses_nothing_acknowledged(server, tmp_path, emptied):
+    uploads = [contribution(f"u{n}") for n in range(40)]
+    with sender(server) as sending, storing(server, tmp_path, "world"):
+        sent(sending, *uploads[:20])
+        server.end()
+        with pytest.raises(QueueError, match=r"nats://127\.0\.0\.1:\d+: "):
+            sending.send([Parcel(uploads[20], None)])
+        if emptied:
+            shutil.rmtree(server.folder / "data")
+        server.start()
+        sent(sending, *uploads)
+        assert sent(sending, *uploads) == ["duplicate"] * 40
+
+
+def test_what_is_no_message_is_dropped_and_does_not_stop_the_others(server, tmp_path):
+    import nats
+
+    async def publish(data):
+        client = await nats.connect(server.address)
+        await client.jetstream().publish("camber.uploads.world", data)
+        await client.close()
+
+    with sender(server) as sending, storing(server, tmp_path, "world") as workers:
+        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+        in_a_loop(publish(b"no message"))
+        in_a_loop(publish(pack_parcels("x", [Parcel(contribution("u2"), None)])[:-7]))
+        assert sent(sending, contribution("u3"))[0] in ("stored", "duplicate")
+        assert workers["world"].rounds >= 2
+
+
+def test_a_contribution_beyond_the_servers_limit_is_not_acknowledged_and_the_others_are(server, tmp_path):
+    with sender(server) as sending, storing(server, tmp_path, "world"):
+        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+        huge = contribution("b1", kind="batch", records=120_000)
+        outcomes = sending.send([Parcel(contribution("u2"), None), Parcel(huge, None)])
+        assert [outcome and outcome.status for outcome in outcomes] == ["stored", None]
+        assert sending.too_large == 1
