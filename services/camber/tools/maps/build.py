@@ -20,6 +20,7 @@ _PROG = "camber map build"
 
 KINDS: dict[str, tuple[str, str]] = {
     "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
+    "opendrive": ("camber.tools.maps.opendrive_roads", "an OpenDRIVE map, .xodr"),
     "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
     "geojson": ("camber.tools.maps.geojson_roads", "surfaces and links, as `camber map export` writes them"),
     "geotiff": ("camber.tools.maps.rasters", "heights of a raster along roads that are given"),

@@ -1,0 +1,127 @@
+"""An OpenDRIVE map made up: a street with spirals and superelevation, a bridge over it, a ramp and a junction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.opendrive import (
+    Connection,
+    DriveLane,
+    Geometry,
+    LaneSection,
+    OpenDrive,
+    Road,
+    RoadEnd,
+)
+from camber.formats.opendrive_geometry import reference_line
+
+Floats = NDArray[np.float64]
+
+GEOREFERENCE = "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"
+EAST_M, NORTH_M = 691_000.0, 5_334_000.0
+NO_ROWS = np.zeros((0, 5))
+RADIUS_M = 60.0
+
+
+def cubics(*rows: tuple[float, ...]) -> Floats:
+    return np.array(rows, np.float64).reshape(-1, 5)
+
+
+def lane(
+    lane_id: int, width_m: float = 3.5, before: int | None = None, after: int | None = None
+) -> DriveLane:
+    return DriveLane(lane_id, "driving", cubics((0.0, width_m, 0.0, 0.0, 0.0)), NO_ROWS, before, after)
+
+
+def road(identity: str, geometries: list[Geometry], sections: list[LaneSection], **more: object) -> Road:
+    names = ("elevation", "superelevation", "crossfall_left", "crossfall_right", "lane_offset")
+    profiles: dict[str, object] = dict.fromkeys(names, NO_ROWS)
+    length_m = geometries[-1].s_m + geometries[-1].length_m
+    values = profiles | {"shape": np.zeros((0, 6))} | more
+    return Road(identity, length_m, geometries, sections, **values)  # type: ignore[arg-type]
+
+
+def street_geometries() -> list[Geometry]:
+    """100 m straight, a clothoid of 40 m to the left, 60 m of arc, a clothoid out of it, 30 m straight."""
+    k = 1.0 / RADIUS_M
+    parts: list[tuple[str, float, tuple[float, ...]]] = [
+        ("line", 100.0, ()), ("spiral", 40.0, (0.0, k)), ("arc", 60.0, (k,)),
+        ("spiral", 40.0, (k, 0.0)), ("line", 30.0, ()),
+    ]  # fmt: skip
+    return chained(EAST_M, NORTH_M, 0.2, parts)
+
+
+def chained(
+    x_m: float, y_m: float, heading: float, parts: list[tuple[str, float, tuple[float, ...]]]
+) -> list[Geometry]:
+    """Geometries one after the other."""
+    found: list[Geometry] = []
+    s = 0.0
+    for shape, length, numbers in parts:
+        found.append(Geometry(s, x_m, y_m, heading, length, shape, numbers))
+        piece = road("", [Geometry(0.0, x_m, y_m, heading, length, shape, numbers)], [])
+        x_m, y_m, heading = reference_line(piece, np.array([length]))[0].tolist()
+        s += length
+    return found
+
+
+def town() -> OpenDrive:
+    """Street 1 (its second section has a lane more), bridge 2 over it, ramp 3 after 2, junction 9 behind 1."""
+    street = street_geometries()
+    street_road = road(
+        "1",
+        street,
+        [
+            LaneSection(0.0, [lane(1, after=1), lane(-1, after=-1)]),
+            LaneSection(150.0, [lane(1, before=1), lane(-1, before=-1), lane(-2, 3.0)]),
+        ],
+        elevation=cubics((0.0, 520.0, 0.02, 0.0, 0.0), (120.0, 522.4, 0.02, -2e-4, 4e-7)),
+        superelevation=cubics(
+            (100.0, 0.0, 0.0015, 0.0, 0.0), (140.0, 0.06, 0.0, 0.0, 0.0),
+            (200.0, 0.06, -0.0015, 0.0, 0.0), (240.0, 0.0, 0.0, 0.0, 0.0),
+        ),
+        successor=RoadEnd("junction", "9"),
+    )  # fmt: skip
+    middle = reference_line(street_road, np.array([50.0]))[0]
+    across = middle[2] + 0.5 * math.pi
+    x, y = middle[0] - 60.0 * math.cos(across), middle[1] - 60.0 * math.sin(across)
+    bridge = road(
+        "2",
+        [Geometry(0.0, x, y, across, 120.0, "line")],
+        [LaneSection(0.0, [lane(1, before=None, after=1), lane(-1, after=-1)])],
+        elevation=cubics((0.0, 525.0, 0.08, -0.08 / 120.0, 0.0)),
+        successor=RoadEnd("road", "3", "start"),
+    )
+    end = reference_line(bridge, np.array([120.0]))[0]
+    bend = (0.0, 80.0, 0.0, 0.0, 0.0, 0.0, 20.0, -10.0)
+    ramp = road(
+        "3",
+        [Geometry(0.0, *end.tolist(), 81.2, "paramPoly3", bend, normalised=True)],
+        [LaneSection(0.0, [lane(1, before=1), lane(-1, before=-1)])],
+        elevation=cubics((0.0, 525.0, -0.05, 0.0, 0.0)),
+        predecessor=RoadEnd("road", "2", "end"),
+    )
+    last = reference_line(street_road, np.array([street_road.length_m]))[0]
+    turn = road(
+        "4",
+        [Geometry(0.0, *last.tolist(), 25.0, "arc", (-0.05,))],
+        [LaneSection(0.0, [lane(-1, before=-1)])],
+        elevation=cubics((0.0, *_rise(street_road), 0.0, 0.0)),
+        predecessor=RoadEnd("road", "1", "end"),
+    )
+    return OpenDrive(
+        GEOREFERENCE,
+        (0.0, 0.0, 0.0),
+        [street_road, bridge, ramp, turn],
+        [Connection("9", "1", "4", "start", [(-1, -1)])],
+    )
+
+
+def _rise(own: Road) -> tuple[float, float]:
+    """Height and slope at the end of a road."""
+    s, a, b, c, d = own.elevation[-1].tolist()
+    ds = own.length_m - s
+    return a + ds * (b + ds * (c + ds * d)), b + ds * (2.0 * c + 3.0 * d * ds)

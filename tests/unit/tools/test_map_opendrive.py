@@ -1,0 +1,139 @@
+"""`camber map build opendrive`: levels, topology and heights of a made-up town are those of its formulas."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camber import cli
+from camber.formats.map_release import Release, read_release
+from camber.formats.opendrive import OpenDrive, Road, opendrive_bytes
+from camber.formats.opendrive_geometry import cubics_at, reference_line
+from camber.map_server.elevation import ElevationMap
+from camber.tools.maps.lanes import named_id
+from support.opendrive_maps import town
+
+pyproj = pytest.importorskip("pyproj")
+
+Floats = NDArray[np.float64]
+
+COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--sigma-m", "0.02")
+
+
+def build(folder: Path, drive: OpenDrive, *options: str) -> int:
+    (folder / "town.xodr").write_bytes(opendrive_bytes(drive))
+    words = ["map", "build", "opendrive", str(folder / "town.xodr"), *COMMON, "--out", str(folder / "map")]
+    return cli.main([*words, *options])
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
+    folder = tmp_path_factory.mktemp("town")
+    assert build(folder, town(), "--vertical-datum", "ellipsoidal") == 0
+    return read_release(folder / "map")
+
+
+def link(road: str, section: int, lane: int) -> int:
+    return named_id("link", f"road {road}, section {section}, lane {lane}")
+
+
+def off_m(release: Release, road: Road, section: int, lane: int, s: Floats, t: Floats) -> float:
+    """How far elevations of the release are at most from the formulas, at points (s, t) of a road."""
+    line, roll = reference_line(road, s), cubics_at(road.superelevation, s)
+    x = line[:, 0] - np.sin(line[:, 2]) * t * np.cos(roll)
+    y = line[:, 1] + np.cos(line[:, 2]) * t * np.cos(roll)
+    expected = cubics_at(road.elevation, s) + t * np.sin(roll)
+    longitude, latitude = pyproj.Proj(proj="utm", zone=32, datum="WGS84")(x, y, inverse=True)
+    heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
+    found = heights.roads(np.radians(latitude), np.radians(longitude), [link(road.identity, section, lane)])
+    assert len(found.known) == len(s)
+    return float(np.abs(found.elevation_m - expected).max())
+
+
+def test_elevations_are_those_of_the_formulas_within_a_millimetre(release: Release) -> None:
+    rng = np.random.default_rng(11)
+    street, bridge, ramp, turn = town().roads
+    for road, section, lane, begin, end, low, high in (
+        (street, 0, -1, 0.0, 150.0, -3.5, 0.0),
+        (street, 0, 1, 0.0, 150.0, 0.0, 3.5),
+        (street, 1, -2, 150.0, 270.0, -6.5, -3.5),
+        (bridge, 0, 1, 0.0, 120.0, 0.0, 3.5),
+        (ramp, 0, -1, 0.0, 81.2, -3.5, 0.0),
+        (turn, 0, -1, 0.0, 25.0, -3.5, 0.0),
+    ):
+        s, t = np.sort(rng.uniform(begin, end, 300)), rng.uniform(low, high, 300)
+        assert off_m(release, road, section, lane, s, t) < 1e-3, road.identity
+
+
+def test_the_bridge_is_on_a_level_above_the_street(release: Release) -> None:
+    links = release.road_links()
+    levels = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
+    assert {levels[link("2", 0, lane)] for lane in (1, -1)} == {1}
+    assert {level for own, level in levels.items() if own not in (link("2", 0, 1), link("2", 0, -1))} == {0}
+
+
+def test_lanes_that_go_on_to_one_another_share_a_node(release: Release) -> None:
+    links = release.road_links()
+    columns = (links.link_id.tolist(), links.start_node.tolist(), links.end_node.tolist())
+    ends = {own: (start, end) for own, start, end in zip(*columns, strict=True)}
+    # To the right of the reference line traffic goes along it, to the left against it.
+    assert ends[link("1", 0, -1)][1] == ends[link("1", 1, -1)][0]
+    assert ends[link("1", 0, 1)][0] == ends[link("1", 1, 1)][1]
+    assert ends[link("2", 0, -1)][1] == ends[link("3", 0, -1)][0]
+    assert ends[link("1", 1, -1)][1] == ends[link("4", 0, -1)][0]
+    assert len(ends) == 10
+    assert len({node for pair in ends.values() for node in pair}) == 2 * 10 - 5
+
+
+def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -> None:
+    drive = town()
+    left = [dataclasses.replace(road, left_hand_traffic=True) for road in drive.roads]
+    assert build(tmp_path, dataclasses.replace(drive, roads=left), "--vertical-datum", "ellipsoidal") == 0
+    lines = []
+    for own in (release, read_release(tmp_path / "map")):
+        links = own.road_links()
+        lines.append(links.vertices[links.link_id.tolist().index(link("2", 0, -1))])
+    np.testing.assert_allclose(lines[0], lines[1][::-1], atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("georeference", "options", "said"),
+    [
+        (None, ("--vertical-datum", "ellipsoidal"), "header, geoReference is 'none', expected a projection"),
+        ("+proj=utm +zone=32 +datum=WGS84", (), "vertical datum is 'not stated'"),
+        ("+proj=nonsense", ("--vertical-datum", "ellipsoidal"), "header, geoReference is '+proj=nonsense'"),
+        ("EPSG:4326", ("--vertical-datum", "ellipsoidal"), "geoReference is 'EPSG:4326', expected a projection in"),
+        ("EPSG:25832", ("--vertical-datum", "ellipsoidal"), "geoReference, datum is 'ETRS89', expected WGS84"),
+        ("EPSG:25832+7837", (), "geoReference, datum is 'ETRS89', expected WGS84"),
+        ("+proj=utm +zone=32 +datum=WGS84 +geoidgrids=egm96_15.gtx +vunits=m", (), "the grid us_nga_egm96_15.tif"),
+        (
+            "+proj=utm +zone=32 +datum=WGS84 +geoidgrids=egm96_15.gtx +vunits=m",
+            ("--vertical-datum", "ellipsoidal"),
+            "vertical datum is 'ellipsoidal', expected EPSG:5773, as the file says",
+        ),
+    ],
+)  # fmt: skip
+def test_a_place_or_height_that_is_not_known_is_refused_in_one_line(
+    georeference: str | None,
+    options: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert build(tmp_path, dataclasses.replace(town(), georeference=georeference), *options) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"camber map build opendrive: {tmp_path / 'town.xodr'}: ")
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_the_projection_may_be_named_where_the_file_does_not(tmp_path: Path) -> None:
+    named = ("--georeference", "EPSG:32632", "--vertical-datum", "ellipsoidal")
+    assert build(tmp_path, dataclasses.replace(town(), georeference=None), *named) == 0
+    latitude = read_release(tmp_path / "map").road_surfaces().latitude_rad
+    assert math.degrees(float(latitude.mean())) == pytest.approx(48.13, abs=0.01)
