@@ -22,6 +22,10 @@ KINDS: dict[str, tuple[str, str]] = {
     "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
     "opendrive": ("camber.tools.maps.opendrive_roads", "an OpenDRIVE map, .xodr"),
     "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
+    "drive": (
+        "camber.tools.maps.survey_drive",
+        "confirmed positions of a drive, from a replay or a truth.csv",
+    ),
     "geojson": ("camber.tools.maps.geojson_roads", "surfaces and links, as `camber map export` writes them"),
     "geotiff": ("camber.tools.maps.rasters", "heights of a raster along roads that are given"),
 }
