@@ -1,5 +1,6 @@
 """Blobs of a release as they travel: packed, where the receiver has an older blob as a difference against it.
 
+    r   as it is
     z   zstd (RFC 8878) of the whole
     p   zstd with the older blob as dictionary, so that what is in both costs nothing
     s   surfaces of a tile that have other heights, σ, vehicles or times, and nothing else: zstd of numbers (below)
@@ -60,13 +61,18 @@ class _Change(enum.IntFlag):
 
 def packed(blob: bytes, base: bytes | None = None) -> bytes:
     """The fewest bytes that `unpacked` makes the blob of again, by whoever has `base`."""
-    ways = [b"z" + _compressed(blob, None)]
+    ways = [as_it_is(blob), b"z" + _compressed(blob, None)]
     if base is not None:
         ways.append(b"p" + _compressed(blob, base))
         numbers = _surface_numbers(blob, base)
         if numbers is not None:
             ways.append(b"s" + _compressed(_leb128(numbers), None))
     return min(ways, key=len)
+
+
+def as_it_is(blob: bytes) -> bytes:
+    """The blob for `unpacked`, at no cost."""
+    return b"r" + blob
 
 
 def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) -> bytes:
@@ -77,6 +83,8 @@ def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) ->
     way = data[:1]
     if way in (b"p", b"s") and base is None:
         raise ReleaseError("packed blob", "way", "one without another blob", found=way.decode())
+    if way == b"r" and len(data) - 1 <= limit:
+        return data[1:]
     if way == b"z":
         return _decompressed(data[1:], None, limit)
     if way == b"p":
@@ -89,7 +97,7 @@ def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) ->
             raise ReleaseError(
                 "packed blob", "surfaces", f"changes of surfaces of the tile ({error})"
             ) from None
-    raise ReleaseError("packed blob", "way", "z, p or s", found=repr(way))
+    raise ReleaseError("packed blob", "way", "r, z, p or s", found=repr(way))
 
 
 # -- zstd ------------------------------------------------------------------------------------------------------------

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from camber.formats.map_release import Release
+from contextlib import suppress
+
+from camber.formats.map_release import BlobMissing, Release
 from camber.formats.map_tiles import tiles_around
 from camber.map_server.elevation import ElevationMap
 from camber.map_server.links import links_around
@@ -20,7 +22,10 @@ from camber.schemas.road import (
 
 
 class ReleaseAnswers:
-    """Answers of one release. Each raises ReleaseError where a tile can no longer be read as it was written."""
+    """Answers of one release. Each raises ReleaseError where a tile can no longer be read as it was written.
+
+    Where a tile that is needed has not been fetched they raise BlobMissing: it is not known what is there.
+    """
 
     def __init__(self, release: Release, *, tiles_kept: int = 256) -> None:
         self._release = release
@@ -41,7 +46,8 @@ class ReleaseAnswers:
         road: Road = self._elevation.road_around(*point, request.radius_m, *topology)
         ahead: RoadsAhead | None = None
         if request.ahead is not None and road.status == "known":
-            ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
+            with suppress(BlobMissing):
+                ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
         return ElevationReply(time_ns=time_ns, road=road, ahead=ahead)
 
     def links(self, request: LinksRequest, *, time_ns: int) -> LinksReply:

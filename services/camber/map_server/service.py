@@ -1,21 +1,29 @@
-"""Wires the release on disk to the questions on the bus."""
+"""Wires the release on disk to the questions on the bus, and newer releases in the cloud to the disk."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
-from camber.formats.map_release import Release, ReleaseError, load_public_key
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+from camber.formats.map_release import BlobMissing, Release, ReleaseError, load_public_key
 from camber.formats.map_release_watch import ReleaseWatch
+from camber.formats.map_store import MapStore
+from camber.map_server.fetch_thread import FetchThread, Times
+from camber.map_server.fetching import FolderSupplier, NoAnswer, Wishes
 from camber.map_server.links import unknown_links
 from camber.map_server.release_answers import ReleaseAnswers
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.tile_parts import unknown_tile
 from camber.map_server.warm_up import warm_up
-from camber.runtime.bus import Bus
+from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
 from camber.schemas.base import Message
-from camber.schemas.fleet import ReleaseHead
+from camber.schemas.codec import DecodeError, decode, encode
+from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest, ReleaseHead
 from camber.schemas.pose import Road, RoadReason
 from camber.schemas.road import (
     ElevationReply,
@@ -25,6 +33,8 @@ from camber.schemas.road import (
     TileReply,
     TileRequest,
 )
+
+MessageT = TypeVar("MessageT", bound=Message)
 
 _DAY_NS = 86_400 * 1_000_000_000
 
@@ -47,12 +57,20 @@ class MapServerService(Service[MapServerSettings]):
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         key = None if settings.public_key is None else load_public_key(settings.public_key)
-        self._watch = ReleaseWatch(settings.release, public_key=key, acceptable=self._check_datum)
+        self._store: MapStore | None = None if settings.store is None else self._open_store(settings.store)
+        source = self._store or settings.release
+        assert source is not None, "the settings have seen to it"
+        self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_datum)
         self._answers: ReleaseAnswers | None = None
         self._unreadable = False
+        self._fetched = (0, 0)
+        self._fetch: FetchThread | None = None
         self._looked_ns = self._tried_ns = bus.now_ns()
         self._look()
         self._verify(float("inf"))
+        # In a replay nothing comes from outside: the map is what is here.
+        if self._store is not None and settings.clock == "system":
+            self._fetch = self._fetcher(key)
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
         """The three questions."""
@@ -68,6 +86,8 @@ class MapServerService(Service[MapServerSettings]):
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
         """The road under a point."""
+        if self._fetch is not None:
+            self._fetch.near(request.latitude_rad, request.longitude_rad)
         now_ns = self.bus.now_ns()
         reason = self._why_unknown(now_ns) or "map_missing"
         reply = ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason))
@@ -106,7 +126,10 @@ class MapServerService(Service[MapServerSettings]):
         return unknown_tile(self._why_unknown(now_ns) or "map_missing", time_ns=now_ns)
 
     def on_release(self, head: ReleaseHead) -> None:
-        """There is a release somewhere; one that is newer than the one here is what an operator should know of."""
+        """There is a release somewhere: it is fetched, or else is what an operator should know of."""
+        if self._fetch is not None:
+            self._fetch.notice()
+            return
         release = self._watch.current
         here = None if release is None or release.root.region != head.region else release.root.map_version
         if here is None or head.map_version > here:
@@ -121,7 +144,9 @@ class MapServerService(Service[MapServerSettings]):
             self._unreadable = False
             if self._watch.problem is not None:
                 self._watch.forget()
-        if _due(now_ns, self._looked_ns, self.settings.look_every_s):
+        self._hear_of_fetching()
+        fetched = self._fetch is not None and self._fetch.has_changed()
+        if fetched or _due(now_ns, self._looked_ns, self.settings.look_every_s):
             self._looked_ns = now_ns
             self._look()
             if self._why_unknown(now_ns) == "map_stale":
@@ -130,9 +155,51 @@ class MapServerService(Service[MapServerSettings]):
             self._verify(self.settings.verify_bytes)
 
     def healthy(self) -> bool:
-        """A map is in use, what the folder holds is that map, and its tiles could be read."""
+        """A map is in use, what the disk holds is that map, its tiles could be read, and newer ones can come."""
         usable = self._why_unknown(self.bus.now_ns()) is None
-        return usable and self._watch.problem is None and not self._unreadable
+        troubled = self._fetch is not None and self._fetch.troubled()
+        return usable and self._watch.problem is None and not self._unreadable and not troubled
+
+    def close(self) -> None:
+        """Fetch no more."""
+        if self._fetch is not None:
+            self._fetch.close()
+        if self._store is not None:
+            self._store.close()
+
+    def _open_store(self, path: Path) -> MapStore:
+        store = MapStore(path, limit_bytes=self.settings.store_limit_bytes)
+        if store.notice is not None:
+            self.bus.issue("store_damaged", store.notice)
+        return store
+
+    def _fetcher(self, key: Ed25519PublicKey | None) -> FetchThread:
+        settings, bus = self.settings, self.bus
+        path = settings.store
+        assert path is not None
+        around_m = None if settings.around_km is None else 1000.0 * settings.around_km
+        fetch = FetchThread(
+            lambda: MapStore(path, limit_bytes=settings.store_limit_bytes),
+            Wishes(settings.region, key, around_m, self._check_datum),
+            cloud=_Cloud(bus),
+            folder=None if settings.release is None else FolderSupplier(settings.release),
+            times=Times(settings.ask_every_s, settings.ask_spread_s, settings.retry_every_s),
+            now_ns=bus.now_ns,
+            monotonic_s=time.monotonic,
+            wake=bus.wake,
+        )
+        fetch.start(None if self._watch.current is None else self._watch.current.manifest.map_version)
+        return fetch
+
+    def _hear_of_fetching(self) -> None:
+        if self._fetch is None:
+            return
+        for code, text in self._fetch.problems():
+            self.bus.issue(code, text)
+        before, self._fetched = self._fetched, self._fetch.counts()
+        for name, was, now in zip(("fetched_bytes", "fetched_blobs"), before, self._fetched, strict=True):
+            if now > was:
+                self.bus.count(f"release.{name}", now - was)
 
     def _in_force(self, now_ns: int) -> ReleaseAnswers | None:
         """The answers of the release in use; None where nothing can be answered now."""
@@ -163,13 +230,15 @@ class MapServerService(Service[MapServerSettings]):
         manifest = release.manifest
         self._answers = ReleaseAnswers(release, tiles_kept=self.settings.tiles_kept)
         self._unreadable = False
+        if self._fetch is not None:
+            self._fetch.uses(manifest.map_version)
         self.bus.count("release.loaded")
         if manifest.surrogate:
             self.bus.issue("surrogate_map", manifest.surrogate)
 
     def _check_datum(self, release: Release) -> None:
         if release.manifest.datum != self.settings.datum:
-            file = str(self.settings.release)
+            file = release.source.name(None)
             raise _DatumMismatchError(file, "datum", self.settings.datum, found=release.manifest.datum)
 
     def _report_problem(self, before: ReleaseError | None) -> None:
@@ -179,8 +248,40 @@ class MapServerService(Service[MapServerSettings]):
             self.bus.issue(code, str(problem))
 
     def _report_unreadable(self, error: ReleaseError) -> None:
+        if isinstance(error, BlobMissing):  # this part of the map is not here, or not yet
+            self.bus.count("tile.not_fetched")
+            return
         self._unreadable = True
+        if self._fetch is not None:
+            self._fetch.repair()
         self.bus.issue("tile_unreadable", str(error))
+
+
+class _Cloud:
+    """map_update, over the bus; asked from the thread that fetches."""
+
+    name = "map_update"
+    may_be_old = False
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def region(self) -> str | None:
+        return None
+
+    def root(self, request: MapRootRequest) -> MapRootReply:
+        return self._ask("map_root", request, MapRootReply)
+
+    def blob(self, request: MapBlobRequest) -> MapBlobReply:
+        return self._ask("map_blob", request, MapBlobReply)
+
+    def _ask(self, name: str, request: Message, reply: type[MessageT]) -> MessageT:
+        try:
+            return decode(reply, *self._bus.ask_bytes(name, encode(request, source="map_server"))).message
+        except QueryFailed as error:
+            raise NoAnswer(f"{self.name}: {error}") from None
+        except DecodeError as error:
+            raise ReleaseError(self.name, name, f"a reply ({error})") from None
 
 
 def _due(now_ns: int, last_ns: int, every_s: float) -> bool:

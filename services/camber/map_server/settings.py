@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from camber.formats.map_release import ReleaseError, load_public_key
 from camber.runtime.settings import ServiceSettings
@@ -17,7 +17,10 @@ class MapServerSettings(ServiceSettings):
 
     SERVICE: ClassVar[str] = "map_server"
 
-    release: Path = Field(description="folder of the release; it may come later")
+    release: Path | None = Field(
+        None,
+        description="folder of a release, which may come later: served, or taken into `store` where that is set",
+    )
     public_key: Path | None = Field(
         None,
         description="PEM file of the Ed25519 key that releases must be signed with; unset: signatures are not asked",
@@ -34,6 +37,31 @@ class MapServerSettings(ServiceSettings):
         4_000_000, gt=0, description="about how much of a new release is verified in a round of the work loop"
     )
     tiles_kept: int = Field(256, ge=32, description="how many tiles are kept ready for questions")
+    store: Path | None = Field(
+        None,
+        description="file with the vehicle's releases, brought there from the cloud; unset: `release` is served",
+    )
+    region: Name | None = Field(
+        None, description="region whose releases are fetched; unset: that of the map that is here"
+    )
+    around_km: float | None = Field(
+        None, gt=0.5, le=1000.0, description="fetch the map this far around the vehicle; unset: all of it"
+    )
+    ask_every_s: float = Field(
+        600.0, ge=0.1, description="how often at the least the cloud is asked for a newer release"
+    )
+    ask_spread_s: float = Field(
+        10.0,
+        ge=0.0,
+        description="a notice of a release is followed within this time, at random: a fleet hears it at once",
+    )
+    store_limit_bytes: int = Field(4 << 30, ge=1 << 20, description="largest size of `store`")
+
+    @model_validator(mode="after")
+    def _there_is_a_map(self) -> Self:
+        if self.release is None and self.store is None:
+            raise ValueError("release or store: missing; one of them must be set")
+        return self
 
     @field_validator("public_key")
     @classmethod

@@ -159,7 +159,7 @@ def test_another_datum_makes_everything_unknown(tmp_path: Path) -> None:
     server = Server(tmp_path)
     server.assert_unknown("datum_mismatch")
     assert [text for code, text in server.bus.issues if code == "datum_mismatch"] == [
-        f"{tmp_path}: datum is 'JGD2011', expected WGS84"
+        f"{tmp_path / ROOT_NAME}: datum is 'JGD2011', expected WGS84"
     ]
     assert Server(tmp_path, datum="JGD2011").road().datum == "JGD2011"
     # The mismatch is a state, not an event: it is still there at the next question and after the next look.

@@ -10,9 +10,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.formats.map_delta import unpacked
 from camber.formats.map_release import open_release
+from camber.formats.map_serving import ReleaseServing
 from camber.map_update.corrections import CORRECTION
 from camber.map_update.release_making import ReleaseMaking
-from camber.map_update.release_serving import ReleaseServing
 from camber.schemas.codec import decode, encode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from camber.schemas.road import CloudTile, ReleaseRoot

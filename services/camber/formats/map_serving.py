@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from camber.formats.map_delta import packed
+from camber.formats.map_delta import as_it_is, packed
 from camber.formats.map_release import ReleaseError, ReleaseFolder
 from camber.formats.map_release_files import PART_BYTES, decoded
 from camber.schemas.base import Message
@@ -29,11 +29,14 @@ _NOTHING = np.zeros(0, np.uint8)
 class ReleaseServing:
     """Answers from a folder of releases. What is signed and hashed needs no trust in who serves it.
 
-    A service adds `answers` to its own, and publishes `head()` on the channel `release` after each new release.
+    map_update adds `answers` to its own, and publishes `head()` on the channel `release` after each new release. A
+    vehicle takes a folder into its store through the same answers; `near`: the asker is in this process, and what
+    need not travel is not packed.
     """
 
-    def __init__(self, folder: Path, *, kept_bytes: int = _KEPT_BYTES) -> None:
+    def __init__(self, folder: Path, *, near: bool = False, kept_bytes: int = _KEPT_BYTES) -> None:
         self._source = ReleaseFolder(folder)
+        self._near = near
         self._kept_bytes = kept_bytes
         # All vehicles ask for the same few differences: each is made once.
         self._packed: OrderedDict[tuple[str, str | None], bytes] = OrderedDict()
@@ -92,6 +95,8 @@ class ReleaseServing:
             self._packed.move_to_end(key)
             return self._packed[key]
         blob = self._source.blob(digest, None)
+        if self._near:
+            return as_it_is(blob)
         base: bytes | None = None
         if base_digest is not None:
             try:

@@ -1,0 +1,66 @@
+"""Releases for tests: a reference over several tiles, what is made of it, and a supplier that can be led astray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from camber.formats.map_release import open_release
+from camber.formats.map_serving import ReleaseServing
+from camber.map_server.fetching import NoAnswer
+from camber.map_update.corrections import CORRECTION, Corrections
+from camber.map_update.release_making import ReleaseMaking
+from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
+from support.small_map import MADE_NS, link, surface, write
+
+KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+OTHER_KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(1, 33)))
+LINK = link(1, (1, 2), [(-20.0, 0.0), (20.0, 0.0)])
+STEP_M = 400.0
+"""From one surface to the next, so that most stand in tiles of their own."""
+
+
+def offsets(**by_surface: float) -> Corrections:
+    """Corrections of surfaces given as `s3=0.05`."""
+    rows = [(int(name[1:]), offset_m, 0.01, 7, MADE_NS, 0) for name, offset_m in by_surface.items()]
+    return np.array(rows, CORRECTION)
+
+
+def making(folder: Path, count: int = 8, *, key: Any = KEY, **changed: Any) -> ReleaseMaking:
+    """Makes releases in `folder/out` from a reference in `folder/in`: `count` surfaces to the east of the origin."""
+    rows = [surface(k, STEP_M * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(count)]
+    write(folder / "in", rows, [LINK], **changed)
+    return ReleaseMaking(folder / "out", open_release(folder / "in"), signing_key=key)
+
+
+class Cloud:
+    """A supplier that answers from a folder; `cut` and `spoil` stand between it and whoever asks."""
+
+    name = "cloud"
+    may_be_old = False
+
+    def __init__(self, folder: Path) -> None:
+        self.asked: list[MapBlobRequest] = []
+        self.sent_bytes = 0
+        self.cut_after: int | None = None
+        self.spoil: Callable[[bytes], bytes] = lambda data: data
+        self._serving = ReleaseServing(folder)
+
+    def region(self) -> str | None:
+        return None
+
+    def root(self, request: MapRootRequest) -> MapRootReply:
+        return self._serving.root(request, time_ns=MADE_NS)
+
+    def blob(self, request: MapBlobRequest) -> MapBlobReply:
+        if self.cut_after is not None and len(self.asked) >= self.cut_after:
+            raise NoAnswer("the connection is cut")
+        self.asked.append(request)
+        reply = self._serving.blob(request, time_ns=MADE_NS)
+        payload = np.frombuffer(self.spoil(reply.payload.tobytes()), np.uint8)
+        self.sent_bytes += len(payload)
+        return reply.model_copy(update={"payload": payload})
