@@ -1,19 +1,27 @@
-"""Wires uploads to the store: commit all that have arrived, then acknowledge."""
+"""Wires uploads to the store, the store to the fusion, and what that makes to whoever asks for releases."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import SecretStr
 
+from camber.formats.map_release import ReleaseError, load_signing_key, read_release
+from camber.formats.map_serving import ReleaseServing
 from camber.map_update.admission import Refusal, refusal
 from camber.map_update.contribution import Contribution, from_batch, from_upload
+from camber.map_update.fusion import Fusion
+from camber.map_update.publication import DECISIONS, REASONS
 from camber.map_update.queue_messages import Parcel, QueueError
+from camber.map_update.release_making import ReleaseMaking
+from camber.map_update.rounds import Round, Rounds, Taken
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.shards import WORLD, Shards
 from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Judge, Outcome, Store, StoreError
+from camber.map_update.store import Judge, Outcome, OvertakenError, Store, StoreError
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -30,13 +38,20 @@ _CHECK_NS = 2 * _NS
 _FORGET_NS = 60 * _NS
 _DAY_NS = 86_400 * _NS
 # A disk may be full for what is written and answer what is read: one that refused a commit is well after the next.
-_UNAVAILABLE = {"store": "store_unavailable", "commit": "store_unavailable", "queue": "queue_unavailable"}
+_UNAVAILABLE = {
+    "store": "store_unavailable",
+    "commit": "store_unavailable",
+    "queue": "queue_unavailable",
+    "fusion": "fusion_stopped",
+}
+_VOTERS_KEY_BYTES = 32
 
 
 class MapUpdateService(Service[MapUpdateSettings]):
-    """Uploads of a fleet, each kept once. Without a commit there is no receipt, and the vehicle asks again.
+    """Uploads of a fleet, each kept once, and the releases of the map that come of them.
 
-    By its role it receives and stores, or does one of both, with a queue to those that do the other.
+    Without a commit there is no receipt, and the vehicle asks again. By its role it does all, or only a part, with a
+    queue or a database to those that do the others.
     """
 
     NAME: ClassVar[str] = "map_update"
@@ -50,20 +65,25 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._sending = _sending(settings) if settings.role == "receive" else None
         self._taking = _taking(settings) if settings.role == "store" else None
         self._store = _store(settings) if settings.role != "receive" else None
+        self._rounds, self._serving = self._begin_fusion(settings)
+        self._told_version = -1
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
-        """Uploads one by one, and in batches."""
-        if self.settings.role == "store":
-            return {}
-        return {
+        """Uploads one by one and in batches; the root and the blobs of releases."""
+        served = {} if self._serving is None else self._serving.answers(self.bus.now_ns)
+        if self.settings.role in ("store", "fuse"):
+            return served
+        return served | {
             "upload": lambda uploads: self._receive([from_upload(upload) for upload in uploads]),
             "upload_batch": lambda batches: self._receive([from_batch(batch) for batch in batches]),
         }
 
     def advance(self, now_ns: int) -> None:
-        """Store what the queue has brought, delete what is too old, and look after the connections."""
+        """Store what the queue has brought, fuse, delete what is too old, and look after the connections."""
         if self._taking is not None and self._store is not None:
             self._store_from(self._taking, self._store, now_ns)
+        if self._rounds is not None and now_ns >= EARLIEST_NS:
+            self._fuse(self._rounds, now_ns)
         if now_ns - self._checked_ns >= _CHECK_NS:
             self._checked_ns = now_ns
             for name, part in (("store", self._store), ("queue", self._sending or self._taking)):
@@ -146,6 +166,57 @@ class MapUpdateService(Service[MapUpdateSettings]):
         for outcome in outcomes:
             self.bus.count(outcome.status)
 
+    def _fuse(self, rounds: Rounds, now_ns: int) -> None:
+        """One step of the fusion, if one is due; more of it in the next round of the work loop."""
+        try:
+            done = self._reached("fusion", lambda: rounds.step(now_ns))
+        except OvertakenError:  # by another worker of this database; what it has written is the new beginning
+            self.bus.count("overtaken")
+            return
+        if isinstance(done, Taken):
+            self.bus.count("fused", done.observations)
+            if done.other_datum:
+                self.bus.count("not_fused.datum", done.other_datum)
+            self.bus.wake()
+        elif isinstance(done, Round):
+            self._tell(done, now_ns)
+
+    def _tell(self, found: Round, now_ns: int) -> None:
+        """Health of what was decided, and the notice of a release that is new, or that nobody was told of yet."""
+        surfaces = found.decisions.surfaces
+        for word, name in enumerate(DECISIONS):
+            if name != "nothing" and (count := int((surfaces["decision"] == word).sum())):
+                self.bus.count(f"decided.{name}", count)
+        held = surfaces[surfaces["decision"] == DECISIONS.index("hold")]
+        if len(held):
+            reasons = sorted({REASONS[reason] for reason in held["reason"].tolist()})
+            self.bus.issue("changes_held", f"{len(held)} surfaces wait for review: {', '.join(reasons)}")
+        for alarm in found.decisions.alarms:
+            where = "everywhere" if alarm["region"] < 0 else "in one region"
+            self.bus.issue(
+                "common_shift",
+                f"{alarm['share']:.0%} of {alarm['surfaces']} surfaces {where} moved by {alarm['shift_m']:+.3f} m: "
+                "a base station, a datum or the survey, and not the roads",
+            )
+        if found.root.map_version != self._told_version and self._serving is not None:
+            self._told_version = found.root.map_version
+            self.bus.publish("release", self._serving.head(time_ns=now_ns))
+        if found.made:
+            self.bus.count("released")
+
+    def _begin_fusion(self, settings: MapUpdateSettings) -> tuple[Rounds | None, ReleaseServing | None]:
+        """Raises ReleaseError for a reference or a key that cannot be used: a start without them would be another."""
+        if settings.reference is None or self._store is None:
+            return None, None
+        reference = read_release(settings.reference)
+        key = None if settings.signing_key is None else load_signing_key(settings.signing_key)
+        folder = settings.releases or settings.state_dir / "releases"
+        secret = _voters_key(settings.voters_key, settings.state_dir / "voters.key")
+        fusion = Fusion(reference.road_surfaces(), secret, settings.fusion_rules())
+        making = ReleaseMaking(folder, reference, signing_key=key)
+        every = settings.fuse_every_s, settings.fuse_records
+        return Rounds(self._store, fusion, making, every_s=every[0], most=every[1]), ReleaseServing(folder)
+
     def _forget(self, store: Store, now_ns: int) -> None:
         """Some at a time: uploads wait meanwhile."""
         before_ns = now_ns - round(self.settings.retention_days * _DAY_NS)
@@ -159,7 +230,9 @@ class MapUpdateService(Service[MapUpdateSettings]):
         """What `work` returns; None where store or queue is not there, which health then says until it is."""
         try:
             found = work()
-        except (StoreError, QueueError) as error:
+        except OvertakenError:
+            raise
+        except (StoreError, QueueError, ReleaseError, OSError) as error:
             self._down.add(name)
             self.bus.issue(_UNAVAILABLE[name], str(error))
             return None
@@ -188,6 +261,21 @@ def _store(settings: MapUpdateSettings) -> Store:
     from camber.map_update.postgres_store import PostgresStore
 
     return PostgresStore(settings.store, password=_secret(settings.store_password), limit_s=settings.answer_s)
+
+
+def _voters_key(path: Path | None, own: Path) -> bytes:
+    """The key of pseudonyms: of its file, or of one that is made once beside the store."""
+    try:
+        if path is None and not own.exists():
+            own.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(handle, "wb") as file:
+                file.write(os.urandom(_VOTERS_KEY_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+        return (path or own).read_bytes()
+    except OSError as error:
+        raise ReleaseError(str(path or own), "voters' key", f"a file of 16 to 64 bytes ({error})") from None
 
 
 def _sending(settings: MapUpdateSettings) -> Sending:

@@ -9,6 +9,8 @@ from urllib.parse import urlsplit
 from pydantic import Field, SecretStr, ValidationInfo, field_validator, model_validator
 
 from camber.map_update.admission import Rules
+from camber.map_update.fusion import Rules as FusionRules
+from camber.map_update.publication import PublicationRules
 from camber.map_update.shards import Shards
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
@@ -54,9 +56,10 @@ class MapUpdateSettings(ServiceSettings):
         description="JetStream between workers that receive and that store, `nats://user@host:port`; unset: none",
     )
     queue_password: SecretStr | None = Field(None, description="password of `queue`")
-    role: Literal["all", "receive", "store"] = Field(
+    role: Literal["all", "receive", "store", "fuse"] = Field(
         "all",
-        description="all: receive and store; receive: hand over to `queue`; store: take what is of `shard` from it",
+        description="all: receive, store and fuse; receive: hand over to `queue`; store: take what is of `shard` "
+        "from it, and fuse; fuse: only fuse what others store in `store`",
     )
     shards: list[str] = Field(
         default_factory=lambda: [""],
@@ -71,6 +74,37 @@ class MapUpdateSettings(ServiceSettings):
         gt=0.0,
         le=36500.0,
         description="observations are deleted this long after they came, once they are fused",
+    )
+    reference: Path | None = Field(
+        None,
+        description="folder of the release that the fleet's corrections are against; unset: nothing is fused",
+    )
+    releases: Path | None = Field(
+        None, description="folder where releases are made and served from; unset: `releases` in `state_dir`"
+    )
+    signing_key: Path | None = Field(
+        None, description="PEM file of the Ed25519 key that signs releases; unset: they are not signed"
+    )
+    voters_key: Path | None = Field(
+        None,
+        description="file of 16 to 64 random bytes that vehicles' pseudonyms are made with; unset: voters.key in "
+        "`state_dir`, made at the first start; all workers of a database need the same",
+    )
+    fuse_every_s: float = Field(
+        60.0, gt=0.0, le=86_400.0, description="how often what has come is fused, and decided of"
+    )
+    fuse_records: int = Field(
+        200_000, ge=1, description="about how many records are fused in a round of the work loop"
+    )
+    publish_threshold_m: float = Field(0.03, gt=0.0, le=1.0, description="a smaller change is not published")
+    publish_standard_errors: float = Field(
+        3.3, ge=2.0, le=10.0, description="by so many standard errors a change exceeds the threshold"
+    )
+    publish_vehicles: int = Field(5, ge=2, description="fewest vehicles that have seen a change")
+    publish_days: int = Field(2, ge=1, le=56, description="fewest days on which it was seen")
+    publish_largest_m: float = Field(0.5, gt=0.0, le=10.0, description="a larger change waits for review")
+    false_discovery_rate: float = Field(
+        0.01, gt=0.0, le=0.2, description="bound of the share of false ones among published changes"
     )
 
     @field_validator("store", "queue")
@@ -95,16 +129,33 @@ class MapUpdateSettings(ServiceSettings):
 
     @model_validator(mode="after")
     def _workers(self) -> Self:
-        if (self.queue is None) != (self.role == "all"):
+        if (self.queue is None) != (self.role in ("all", "fuse")):
             raise ValueError(
-                "role: a worker that receives or stores needs a queue, and one that does both has none"
+                "role: a worker that only receives or only stores needs a queue, and no other has one"
             )
+        if self.role == "fuse" and self.reference is None:
+            raise ValueError("reference: unset, expected a release's folder for a worker that fuses")
+        if self.role == "receive" and self.reference is not None:
+            raise ValueError("reference: a worker that receives fuses nothing, expected it unset")
         Shards(self.shards)
         if self.role == "store" and self.shard not in self.shards:
             raise ValueError(f"shard: {self.shard!r}, expected one of {self.shards}")
-        if self.role == "all" and self.shards != [""]:
-            raise ValueError("shards: a worker that receives and stores has one")
+        if self.role in ("all", "fuse") and self.shards != [""]:
+            raise ValueError("shards: a worker without a queue has one")
         return self
+
+    def fusion_rules(self) -> FusionRules:
+        """What is published, as the fusion wants it."""
+        return FusionRules(
+            publication=PublicationRules(
+                threshold_m=self.publish_threshold_m,
+                standard_errors=self.publish_standard_errors,
+                false_discovery_rate=self.false_discovery_rate,
+                least_vehicles=self.publish_vehicles,
+                least_days=self.publish_days,
+                largest_m=self.publish_largest_m,
+            )
+        )
 
     def rules(self) -> Rules:
         """The bounds as the admission wants them."""
