@@ -10,6 +10,8 @@ _PROG = "camber map"
 
 SUBCOMMANDS: dict[str, tuple[str, str]] = {
     "build": ("camber.tools.maps.build", "a release from a map, a survey or clouds that people have"),
+    "inspect": ("camber.tools.maps.inspect", "what a release, a store or a map not imported yet holds"),
+    "diff": ("camber.tools.maps.diff", "what another release has, lacks and says otherwise"),
     "export": ("camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, or PCD cells for Autoware"),
 }
 """Name → module with `main(argv) -> exit code`, and a line of help."""

@@ -1,0 +1,245 @@
+"""`camber map inspect`: what a release, a vehicle's store or a map that is not imported yet holds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+from camber.formats.lanelet2 import LaneletMap, read_lanelet2
+from camber.formats.map_release import Release, load_public_key
+from camber.formats.map_release_files import BlobMissing
+from camber.formats.map_road_tiles import links_from_tiles, surfaces_from_tiles
+from camber.formats.map_roads import RoadLinks, RoadSurfaces
+from camber.formats.opendrive import read_opendrive
+from camber.geodesy.gps_time import gpst_from_gps_ns, text_from_calendar
+from camber.schemas.road import LAYERS
+from camber.tools.in_words import in_words
+from camber.tools.maps.release_at import is_release, release_at
+
+_PROG = "camber map inspect"
+_EARTH_M = 6.371e6
+_QUANTILES = (0.5, 0.9, 1.0)
+
+Report = dict[str, Any]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print what a path holds; 0 done, 2 it cannot be read."""
+    args = _parser().parse_args(argv)
+    return in_words(_PROG, args.path, lambda: _print(args))
+
+
+def _print(args: argparse.Namespace) -> int:
+    report = inspected(args.path, args.public_key)
+    text = json.dumps(report, indent=2, ensure_ascii=False) if args.json else "\n".join(_lines(report))
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # who reads has seen enough, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def inspected(path: Path, public_key: Path | None = None) -> Report:
+    """What a path holds, as plain values: labels, and numbers, texts or tables of them. FormatError, OSError."""
+    if is_release(path):
+        key = None if public_key is None else load_public_key(public_key)
+        return _release(release_at(path, key), checked=key is not None)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        known = ", ".join(sorted(READERS))
+        raise FormatError(
+            str(path), "name", f"a folder of a release, a store, or a file that ends in {known}"
+        )
+    return reader(path)
+
+
+# -- releases --------------------------------------------------------------------------------------------------------
+
+
+def _release(release: Release, *, checked: bool) -> Report:
+    root, manifest = release.root, release.manifest
+    signature = "none" if root.key_id is None else f"by key {root.key_id}"
+    tiles, lacking = _tiles(release)
+    surfaces = surfaces_from_tiles(tiles["surfaces"])
+    links = links_from_tiles(tiles["links"])
+    points = {
+        layer: sum(len(tile.quanta) for tile in tiles[layer]) for layer in ("environment_cloud", "road_cloud")
+    }
+    report: Report = {
+        "region": root.region,
+        "version": root.map_version,
+        "made": _day(root.time_ns),
+        "datum": manifest.datum,
+        "epoch": manifest.epoch_year,
+        "signature": signature + (", right" if checked else "" if root.key_id is None else ", not checked"),
+        "previous": "none" if manifest.previous_sha256 is None else manifest.previous_sha256[:16],
+        "surrogate": manifest.surrogate or "no",
+        "bytes": int(manifest.size_bytes.sum()),
+        "tiles": {
+            layer: f"{len(release.tiles(layer))} of {int(manifest.size_bytes[manifest.layer == k].sum()):,} bytes"
+            for k, layer in enumerate(LAYERS)
+        },
+        "surfaces": _surfaces(surfaces),
+        "links": _links(links),
+        "points": points,
+        "lineage": len(manifest.lineage_surface_id),
+    }
+    return report | ({"tiles not fetched": lacking} if lacking else {})
+
+
+def _tiles(release: Release) -> tuple[dict[str, list[Any]], int]:
+    """All tiles that are here, by their layer, and how many are not, as in a vehicle that keeps only what is near."""
+    found: dict[str, list[Any]] = {layer: [] for layer in LAYERS}
+    lacking = 0
+    for layer in LAYERS:
+        for x, y in release.tiles(layer):
+            try:
+                match layer:
+                    case "surfaces":
+                        found[layer].append(release.surface_tile(x, y))
+                    case "links":
+                        found[layer].append(release.link_tile(x, y))
+                    case _:
+                        found[layer].append(release.cloud_tile(layer, x, y))
+            except BlobMissing:
+                lacking += 1
+    return found, lacking
+
+
+def _surfaces(surfaces: RoadSurfaces) -> Report:
+    if not len(surfaces):
+        return {"count": 0}
+    area_m2 = float((4.0 * surfaces.half_length_m * surfaces.half_width_m).sum())
+    heights = np.concatenate([grid.ravel() for grid in surfaces.heights_m])
+    return {
+        "count": len(surfaces),
+        "by level": _counts(surfaces.level),
+        "area": f"{area_m2 / 1e4:.2f} ha",
+        "heights": f"{heights.min():.2f} to {heights.max():.2f} m",
+        "sigma": _quantiles(surfaces.sigma_m),
+        "vehicles": _quantiles(surfaces.vehicles, "{:.0f}"),
+        "seen": f"{_day(int(surfaces.last_seen_ns.min()))} to {_day(int(surfaces.last_seen_ns.max()))}",
+    }
+
+
+def _links(links: RoadLinks) -> Report:
+    return {
+        "count": len(links),
+        "by level": _counts(links.level),
+        "nodes": len(np.unique(np.concatenate((links.start_node, links.end_node)))),
+        "length": f"{sum(_length_m(line) for line in links.vertices) / 1e3:.3f} km",
+    }
+
+
+# -- maps that are not imported yet ----------------------------------------------------------------------------------
+
+
+def _lanelet2(path: Path) -> Report:
+    found = read_lanelet2(path)
+    tags = Counter(own.tags.get("subtype", "road") for own in found.lanelets)
+    return {
+        "format": "Lanelet2",
+        "lanelets": dict(tags),
+        "left out": dict(found.left_out),
+        "points": len(found.row_of),
+        "place": _place(found.latitude_rad, found.longitude_rad),
+        "length": f"{_lanelets_m(found) / 1e3:.3f} km",
+        "ele": f"{found.height_m.min():.2f} to {found.height_m.max():.2f} m",
+        "vertical datum": "not stated: --vertical-datum names it",
+    }
+
+
+def _lanelets_m(found: LaneletMap) -> float:
+    places = np.column_stack((found.latitude_rad, found.longitude_rad))
+    return sum(
+        0.5 * _length_m(places[[found.row_of[ref] for ref in border]])
+        for own in found.lanelets
+        for border in (own.left, own.right)
+    )
+
+
+def _opendrive(path: Path) -> Report:
+    found = read_opendrive(path)
+    lanes = Counter(lane.kind for road in found.roads for part in road.sections for lane in part.lanes)
+    shapes = Counter(part.shape for road in found.roads for part in road.geometries)
+    with_roll = sum(bool(len(road.superelevation)) for road in found.roads)
+    return {
+        "format": "OpenDRIVE",
+        "roads": len(found.roads),
+        "junctions": len({connection.junction for connection in found.connections}),
+        "lanes": dict(lanes),
+        "geometries": dict(shapes),
+        "length": f"{sum(road.length_m for road in found.roads) / 1e3:.3f} km",
+        "superelevation": f"in {with_roll} roads",
+        "geoReference": found.georeference or "none: --georeference names it",
+    }
+
+
+READERS: dict[str, Callable[[Path], Report]] = {".osm": _lanelet2, ".xodr": _opendrive}
+"""Ending of a file's name → what it holds."""
+
+
+# -- text ------------------------------------------------------------------------------------------------------------
+
+
+def _lines(report: Report) -> list[str]:
+    lines = []
+    for label, value in report.items():
+        if value == {}:
+            continue
+        if isinstance(value, dict):
+            lines += [label, *(f"  {name:<16} {_shown(item)}" for name, item in value.items())]
+        else:
+            lines.append(f"{label:<18} {_shown(value)}")
+    return lines
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {item}" for name, item in value.items())
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _counts(values: NDArray[np.int64]) -> dict[str, int]:
+    names, counts = np.unique(values, return_counts=True)
+    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+
+
+def _quantiles(values: NDArray[Any], text: str = "{:.3f} m") -> str:
+    found = [text.format(value) for value in np.quantile(values, _QUANTILES).tolist()]
+    return f"median {found[0]}, 90 % {found[1]}, most {found[2]}"
+
+
+def _length_m(places_rad: NDArray[np.float64]) -> float:
+    step = np.diff(places_rad, axis=0)
+    return float(_EARTH_M * np.hypot(step[:, 0], step[:, 1] * np.cos(places_rad[:-1, 0])).sum())
+
+
+def _place(latitude_rad: NDArray[np.float64], longitude_rad: NDArray[np.float64]) -> str:
+    south, north = np.degrees((latitude_rad.min(), latitude_rad.max()))
+    west, east = np.degrees((longitude_rad.min(), longitude_rad.max()))
+    return f"{south:.5f}° to {north:.5f}°, {west:.5f}° to {east:.5f}°"
+
+
+def _day(time_ns: int) -> str:
+    return text_from_calendar(gpst_from_gps_ns(max(time_ns, 0)))[:16]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("path", type=Path, metavar="RELEASE|STORE|FILE")
+    parser.add_argument(
+        "--public-key", type=Path, metavar="PEM", help="of whoever is to have signed the release"
+    )
+    parser.add_argument("--json", action="store_true", help="all of it, for machines")
+    return parser
