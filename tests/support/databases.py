@@ -22,10 +22,10 @@ import pytest
 
 T = TypeVar("T")
 
-_FOLDERS = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
-_NATS = shutil.which("nats-server", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-needs_postgres = pytest.mark.skipif(not _FOLDERS, reason="PostgreSQL is not installed")
-needs_nats = pytest.mark.skipif(_NATS is None, reason="nats-server is not installed")
+POSTGRES = sorted(Path("/usr/lib/postgresql").glob("*/bin"))
+NATS = shutil.which("nats-server", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+needs_postgres = pytest.mark.skipif(not POSTGRES, reason="PostgreSQL is not installed")
+needs_nats = pytest.mark.skipif(NATS is None, reason="nats-server is not installed")
 START_LIMIT_S = 30.0
 CONFIGURATION = """
 listen_addresses = '127.0.0.1'
@@ -120,7 +120,7 @@ class PostgresServer(Server):
             os.chown(self.folder, *self._ids())
         subprocess.run(
             [
-                _FOLDERS[-1] / "initdb",
+                POSTGRES[-1] / "initdb",
                 "-D",
                 self.data,
                 "-U",
@@ -153,7 +153,7 @@ class PostgresServer(Server):
         return {"user": uid, "group": gid, "extra_groups": []}
 
     def command(self) -> list[str]:
-        return [str(_FOLDERS[-1] / "postgres"), "-D", str(self.data)]
+        return [str(POSTGRES[-1] / "postgres"), "-D", str(self.data)]
 
     def ready(self) -> bool:
         return super().ready() and self.answers()
@@ -203,8 +203,8 @@ class NatsServer(Server):
         )
 
     def command(self) -> list[str]:
-        assert _NATS is not None
-        return [_NATS, "-c", str(self.folder / "nats.conf")]
+        assert NATS is not None
+        return [NATS, "-c", str(self.folder / "nats.conf")]
 
     @property
     def address(self) -> str:

@@ -46,6 +46,8 @@ class Load:
     time_ns: int = 0
     everywhere: bool = False
     report_s: float = 1.0
+    prepared: bool = False
+    """Encoded before the first is sent: the rate is then that of the other side."""
 
 
 def upload(load: Load, n: int) -> Message:
@@ -107,6 +109,7 @@ class Uploading:
         self.load = load
         self.counts: Counter[str] = Counter()
         self._channel = BY_NAME["upload" if load.records == 0 else "upload_batch"]
+        self._prepared: dict[int, bytes] = {}
         self._said: deque[tuple[int, bytes | None]] = deque()
         self._heard = threading.Event()
         config = zenoh.Config()
@@ -126,6 +129,8 @@ class Uploading:
             os.truncate(path, 8 * len(done))
         left = np.setdiff1d(np.arange(load.first, load.until), done)
         ready, later, in_flight = deque(left.tolist()), deque[tuple[float, int]](), 0
+        if load.prepared:
+            self._prepared = {n: self._encoded(n) for n in ready}
         reported = began = time.monotonic()
         with path.open("ab", buffering=0) as file:
             while ready or later or in_flight:
@@ -167,11 +172,14 @@ class Uploading:
         self._session.get(
             self._channel.key,
             zenoh.handlers.Callback(reply, over, indirect=False),
-            payload=encode(upload(self.load, n), source="load"),
+            payload=self._prepared[n] if self._prepared else self._encoded(n),
             encoding=encoding_of(self._channel.message),
             timeout=TIMEOUT_S,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
+
+    def _encoded(self, n: int) -> bytes:
+        return encode(upload(self.load, n), source="load")
 
     def _status(self, n: int, data: bytes | None) -> str:
         try:

@@ -6,10 +6,12 @@ knowledge can put right, generously; whether a possible height is *true* is the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
 import numpy as np
+import numpy.typing as npt
 
 from camber.map_update.contribution import Contribution
 from camber.schemas.base import EARLIEST_NS
@@ -41,7 +43,15 @@ class Refusal:
 
 def refusal(contribution: Contribution, now_ns: int, rules: Rules) -> Refusal | None:
     """Why `contribution` cannot be taken in at GPS time `now_ns`, or None."""
-    return _heading(contribution, rules) or _observations(contribution, now_ns, rules)
+    return _heading(contribution, rules) or _observations(contribution.observations, now_ns, rules)
+
+
+def refusals(contributions: Sequence[Contribution], now_ns: int, rules: Rules) -> list[Refusal | None]:
+    """`refusal` of each of a group; the usual one, of which nothing is refused, is looked through as a whole."""
+    rows = [contribution.observations for contribution in contributions]
+    if rows and _observations(np.concatenate(rows), now_ns, rules) is None:
+        return [_heading(contribution, rules) for contribution in contributions]
+    return [refusal(contribution, now_ns, rules) for contribution in contributions]
 
 
 def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
@@ -54,8 +64,7 @@ def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
     return None
 
 
-def _observations(contribution: Contribution, now_ns: int, rules: Rules) -> Refusal | None:
-    rows = contribution.observations
+def _observations(rows: npt.NDArray[np.void], now_ns: int, rules: Rules) -> Refusal | None:
     bounds: tuple[tuple[str, float, float], ...] = (
         ("time_ns", EARLIEST_NS, now_ns + round(rules.future_limit_s * 1e9)),
         ("fix_id", 0, _LARGEST_ID),

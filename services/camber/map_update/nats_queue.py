@@ -153,8 +153,9 @@ class Sending(_Queue):
         Raises QueueError where the queue is not there.
         """
         by_shard: dict[int, list[tuple[int, Parcel]]] = {}
-        for n, parcel in enumerate(parcels):
-            for shard, part in self._shards.split(parcel.contribution):
+        divided = self._shards.split([parcel.contribution for parcel in parcels])
+        for n, (parcel, parts_of) in enumerate(zip(parcels, divided, strict=True)):
+            for shard, part in parts_of:
                 by_shard.setdefault(shard, []).append((n, Parcel(part, parcel.refusal)))
         parts: list[list[Outcome | None]] = [[] for _ in parcels]
         messages = [(shard, chunk) for shard, items in by_shard.items() for chunk in _chunks(items)]

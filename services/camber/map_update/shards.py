@@ -55,17 +55,29 @@ class Shards:
         key[x < 0] = 0
         return np.searchsorted(self._starts, key, side="right") - 1
 
-    def split(self, contribution: Contribution) -> list[tuple[int, Contribution]]:
-        """The parts of a contribution and their shards, ascending; the same for the same contribution.
+    def split(self, contributions: Sequence[Contribution]) -> list[list[tuple[int, Contribution]]]:
+        """Of each contribution the parts and their shards, ascending; the same for the same contribution.
 
-        Each has the contribution's name, in a ledger of its own, and its rows in their order.
+        Each part has the contribution's name, in a ledger of its own, and its rows in their order. One without rows is
+        the first shard's.
         """
-        rows = contribution.observations
-        of = self.of(rows["latitude_rad"], rows["longitude_rad"])
-        shards = np.unique(of).tolist()
-        if len(shards) == 1:
-            return [(shards[0], contribution)]
-        return [(shard, replace(contribution, observations=rows[of == shard])) for shard in shards]
+        if len(self.keys) == 1 or not contributions:
+            return [[(0, contribution)] for contribution in contributions]
+        latitude, longitude = (
+            np.concatenate([c.observations[name] for c in contributions])
+            for name in ("latitude_rad", "longitude_rad")
+        )
+        ends = np.cumsum([len(c.observations) for c in contributions])
+        of_each = np.split(self.of(latitude, longitude), ends[:-1])
+        return [_parts(contribution, of) for contribution, of in zip(contributions, of_each, strict=True)]
+
+
+def _parts(contribution: Contribution, of: npt.NDArray[np.intp]) -> list[tuple[int, Contribution]]:
+    shards = np.unique(of).tolist() if len(of) > 1 else of.tolist() or [0]
+    if len(shards) == 1:
+        return [(shards[0], contribution)]
+    rows = contribution.observations
+    return [(shard, replace(contribution, observations=rows[of == shard])) for shard in shards]
 
 
 def _start(key: str) -> int:

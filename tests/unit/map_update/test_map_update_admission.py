@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camber.map_update.admission import Rules, refusal
+from camber.map_update.admission import Rules, refusal, refusals
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS, from_batch, from_upload
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
@@ -189,3 +189,11 @@ def test_any_other_content_has_another_digest_and_the_same_content_the_same(fiel
     first = from_upload(ElevationUpload(**UPLOAD))
     assert first.digest() == from_upload(ElevationUpload(**UPLOAD)).digest()
     assert first.digest() != from_upload(ElevationUpload(**{**UPLOAD, field: changed})).digest()
+
+
+def test_a_group_is_judged_as_each_of_it():
+    tokyo = from_upload(ElevationUpload(**{**UPLOAD, "datum": "Tokyo"}))
+    high = from_upload(ElevationUpload(**{**UPLOAD, "road_height_m": 8000.0}))
+    good = [from_upload(ElevationUpload(**UPLOAD)), from_batch(batch())]
+    for group in (good, [*good, tokyo], [high, *good, tokyo], [from_batch(batch(11)), *good], []):
+        assert refusals(group, NOW_NS, RULES) == [refusal(one, NOW_NS, RULES) for one in group]

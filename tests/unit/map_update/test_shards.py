@@ -60,12 +60,20 @@ def test_shards_that_leave_out_a_part_of_the_world_or_have_one_twice_are_refused
 
 
 def test_a_contribution_within_a_shard_stays_whole_and_one_across_is_divided_row_by_row():
-    batch = contribution("b1", kind="batch", records=6)
-    assert QUARTERS.split(batch) == [(1, batch)]
+    batch, single = contribution("b1", kind="batch", records=6), contribution("u1")
+    assert QUARTERS.split([batch, single]) == [[(1, batch)], [(1, single)]]
     batch.observations["longitude_rad"][[1, 4]] *= -1.0
     batch.observations["latitude_rad"][4] *= -1.0
-    parts = QUARTERS.split(batch)
+    parts, other = QUARTERS.split([batch, single])
+    assert other == [(1, single)]
     assert [(QUARTERS.name(shard), part.name) for shard, part in parts] == [(k, batch.name) for k in "012"]
     times = [(part.observations["time_ns"] - batch.observations["time_ns"][0]).tolist() for _, part in parts]
     assert times == [[1], [0, 2, 3, 5], [4]]
-    assert [part.digest() for _, part in QUARTERS.split(batch)] == [part.digest() for _, part in parts]
+    (again,) = QUARTERS.split([batch])
+    assert [part.digest() for _, part in again] == [part.digest() for _, part in parts]
+
+
+def test_a_contribution_without_records_is_somewhere_too():
+    empty = contribution("b0", kind="batch", records=0)
+    assert QUARTERS.split([empty]) == [[(0, empty)]]
+    assert QUARTERS.split([]) == []
