@@ -11,7 +11,7 @@ from pydantic import SecretStr
 
 from camber.formats.map_release import ReleaseError, load_signing_key, read_release
 from camber.formats.map_serving import ReleaseServing
-from camber.map_update.admission import Refusal, refusal
+from camber.map_update.admission import Refusal, refusals
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion import Fusion
 from camber.map_update.publication import DECISIONS, REASONS
@@ -21,7 +21,7 @@ from camber.map_update.rounds import Round, Rounds, Taken
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.shards import WORLD, Shards
 from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Judge, Outcome, OvertakenError, Store, StoreError
+from camber.map_update.store import Outcome, OvertakenError, Store, StoreError
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -113,7 +113,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         if self._sending is not None:
             outcomes = self._handed_over(self._sending, contributions, now_ns)
         else:
-            outcomes = self._committed(contributions, now_ns, lambda c: refusal(c, now_ns, self._rules))
+            outcomes = self._committed(contributions, refusals(contributions, now_ns, self._rules), now_ns)
         outcomes = outcomes or [None] * len(contributions)
         if missed := sum(outcome is None for outcome in outcomes):
             self.bus.count("unacknowledged", missed)
@@ -123,17 +123,19 @@ class MapUpdateService(Service[MapUpdateSettings]):
         ]
 
     def _committed(
-        self, contributions: Sequence[Contribution], now_ns: int, judge: Judge
+        self, contributions: Sequence[Contribution], judged: Sequence[Refusal | None], now_ns: int
     ) -> list[Outcome] | None:
         store = self._store
         assert store is not None
-        return self._reached("commit", lambda: store.commit(contributions, now_ns, judge))
+        of = {id(contribution): why for contribution, why in zip(contributions, judged, strict=True)}
+        return self._reached("commit", lambda: store.commit(contributions, now_ns, lambda c: of[id(c)]))
 
     def _handed_over(
         self, sending: Sending, contributions: Sequence[Contribution], now_ns: int
     ) -> list[Outcome | None] | None:
         """Judged here as a whole, before its parts go to different shards."""
-        parcels = [Parcel(c, refusal(c, now_ns, self._rules)) for c in contributions]
+        judged = refusals(contributions, now_ns, self._rules)
+        parcels = [Parcel(*pair) for pair in zip(contributions, judged, strict=True)]
         before = sending.too_large
         outcomes = self._reached("queue", lambda: sending.send(parcels))
         if sending.too_large > before:
@@ -152,11 +154,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
         if not deliveries:
             return
         parcels = [parcel for delivery in deliveries for parcel in delivery.parcels]
-        refusals: dict[int, Refusal | None] = {id(p.contribution): p.refusal for p in parcels}
         now_ns = self.bus.now_ns()
         outcomes = None
         if now_ns >= EARLIEST_NS:
-            outcomes = self._committed([p.contribution for p in parcels], now_ns, lambda c: refusals[id(c)])
+            judged = [parcel.refusal for parcel in parcels]
+            outcomes = self._committed([parcel.contribution for parcel in parcels], judged, now_ns)
         if outcomes is None:
             self._reached("queue", lambda: taking.again(deliveries))
             return
