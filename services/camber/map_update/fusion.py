@@ -47,15 +47,13 @@ class Rules:
     bias: BiasModel = field(default_factory=BiasModel)
     """What is believed of vehicles before there are data."""
     change: ChangeRule = field(default_factory=ChangeRule)
-    """When votes of before are of a road that is no more."""
+    """When votes of before are of a road that is no more, and how many may be lying."""
     publication: PublicationRules = field(default_factory=PublicationRules)
     """When a change is published."""
     street_m: float = 300.0
     """Side of the squares that count as one street: a bias is predicted from the others."""
     region_m: float = 1000.0
     """Side of the squares that are watched for common shifts."""
-    coalition: float = 0.2
-    """Nothing is published that this share of a surface's vehicles could bring about alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,9 +152,7 @@ class Fusion:
             biases.weight,
             biases.known,
             biases.components.vote_m,
-            self.rules.slots.period_days,
             self.rules.change,
-            self.rules.coalition,
         )
         return Fused(votes, biases, surface, heights, _common_errors(begins, voter, biases), shape_m)
 
@@ -168,7 +164,7 @@ def _common_errors(begins: Integers, voter: Integers, biases: Biases) -> Floats:
     """What is left open of each surface's height by the biases that its vehicles have in common.
 
     Votes tell biases apart, never their mean over the vehicles, which is N(0, vehicle² / voters + session² / votes).
-    Which vehicles those are is read off the surfaces: a voter meets as many others as there are on its surfaces.
+    Which vehicles those are is read off the surfaces: a voter is compared with as many as it meets where it meets most.
     """
     if len(voter) == 0:
         return np.zeros(0)
@@ -178,11 +174,11 @@ def _common_errors(begins: Integers, voter: Integers, biases: Biases) -> Floats:
     first[begins[:-1]] = True
     voters = np.add.reduceat(first.astype(np.float64), begins[:-1])
     _, who = np.unique(voter, return_inverse=True)
-    own = np.bincount(who)
-    met = (np.bincount(who, np.repeat(voters, votes)) / own)[who]
-    met_votes = (np.bincount(who, np.repeat(votes.astype(np.float64), votes)) / own)[who]
-    voters_met = np.add.reduceat(met, begins[:-1]) / votes
-    votes_met = np.add.reduceat(met_votes, begins[:-1]) / votes
+    most_voters, most_votes = np.zeros(biases.voters), np.zeros(biases.voters)
+    np.maximum.at(most_voters, who, np.repeat(voters, votes))
+    np.maximum.at(most_votes, who, np.repeat(votes.astype(np.float64), votes))
+    voters_met = np.add.reduceat(most_voters[who], begins[:-1]) / votes
+    votes_met = np.add.reduceat(most_votes[who], begins[:-1]) / votes
     parts = biases.components
     common_m: Floats = np.sqrt(parts.vehicle_m**2 / voters_met + parts.session_m**2 / votes_met)
     return common_m

@@ -9,8 +9,8 @@ that the map has now. It is published when it is
   on one another (Benjamini & Yekutieli 2001), as those of neighbours do: they share vehicles. Bonferroni would bound
   the chance of a single false one, and publish later the larger a region is; and since nearly all roads are well
   within 3 cm, with p-values near 1 and not uniform, the share found is far below the bound anyhow;
-* **nobody's alone**: without the fifth of the vehicles that speak for it most it is still more than 3 cm, so that no
-  fifth can bring one about, whatever they say, each of them and together;
+* **nobody's alone**: it is significant also without those who speak for it most, a fifth of the vehicles of the last
+  three weeks. What is left then is no more than what the others say, so no fifth brings one about, whatever they say;
 * **agreed**: more than 0.6 of the vehicles are within three spreads of it;
 * **seen** on at least two days, by at least five vehicles whose bias is known from other streets;
 * **continuous**: a neighbour is moved by half as much or more, or none is known well enough to say it did not. A bump
@@ -162,10 +162,16 @@ def decided(
     surfaces["first_session"], surfaces["last_session"] = heights.first_session, heights.last_session
     surfaces["region"] = surroundings.region[row]
     looked_at = heights.voters > 0
-    z = np.full(len(row), -np.inf)
-    z[looked_at] = normal_deviates(
-        (np.abs(change_m[looked_at]) - rules.threshold_m) / error_m[looked_at], heights.degrees[looked_at]
+    without_few_m = np.where(
+        change_m > 0.0,
+        heights.without_highest_m - correction_m,
+        correction_m - heights.without_lowest_m,
     )
+    z, few = (
+        normal_deviates((size_m - rules.threshold_m) / error_m, heights.degrees)
+        for size_m in (np.abs(change_m), without_few_m)
+    )
+    z[~looked_at] = -np.inf
     surfaces["p_value"] = p_value = upper_tails(z)
     discovered = benjamini_hochberg(p_value, rules.false_discovery_rate, int(np.count_nonzero(looked_at)))
 
@@ -175,11 +181,6 @@ def decided(
     returned = (correction_m != 0.0) & (
         np.abs(heights.location_m) - rules.standard_errors * error_m <= rules.threshold_m
     )
-    without_few_m = np.where(
-        change_m > 0.0,
-        heights.without_highest_m - correction_m,
-        correction_m - heights.without_lowest_m,
-    )
     # The first that is true decides.
     cases: tuple[tuple[NDArray[np.bool_], DecisionWord, ReasonWord], ...] = (
         (heights.voters < rules.least_vehicles, "nothing", "too_few_vehicles"),
@@ -187,7 +188,7 @@ def decided(
         (~(np.abs(change_m) > rules.threshold_m), "nothing", "within_threshold"),
         (z < rules.standard_errors, "nothing", "not_significant"),
         (~discovered, "nothing", "false_discovery"),
-        (~(without_few_m > rules.threshold_m), "nothing", "rests_on_few"),
+        (~(few >= rules.standard_errors), "nothing", "rests_on_few"),
         (heights.known_voters < rules.least_vehicles, "hold", "vehicles_not_known"),
         (~(heights.agreement > rules.least_agreement), "hold", "disagreed"),
         (np.abs(change_m) > rules.largest_m, "hold", "too_large"),

@@ -13,8 +13,8 @@ surfaces tell of a vote's spread, as that of `PRIOR_VOTES` votes (a moderated va
 empirical Bayes methods", eq. 3). Own scale: 1.4826 × the median absolute deviation; own standard error: the
 sandwich's (Huber & Ronchetti, 6.6), times n / (n − 1). What remains of "few" is in the degrees of freedom.
 
-**When the road changed**: of the borders between periods, that at which the votes after and those before differ most,
-where that is beyond doubt; then the votes before are of a road that is no more. Looked for again in what remains.
+**When the road changed**: of all days, that before and after which the votes differ most, where that is beyond doubt;
+then the votes before are of a road that is no more. Looked for again in what remains (binary segmentation).
 """
 
 from __future__ import annotations
@@ -39,13 +39,17 @@ _NO_SAY = 1e-3
 
 
 class ChangeRule(NamedTuple):
-    """When the votes after a border of periods are of another road than those before."""
+    """When the votes from a day on are of another road than those before, and how many may be lying."""
 
     least_voters: int = 5
     """On either side."""
     least_z: float = 5.0
-    """Difference in units of its standard error: of some eight borders of every surface, by chance 10⁻⁶."""
+    """Difference in units of its standard error: of the sixty days of every surface, by chance 10⁻⁵."""
     least_m: float = 0.02
+    coalition: float = 0.2
+    """Nothing is to be brought about by this share of a surface's vehicles alone ..."""
+    coalition_days: int = 21
+    """... of those seen in the last so many days, or a coalition that comes on one quiet day is the majority."""
 
 
 class Heights(NamedTuple):
@@ -70,7 +74,7 @@ class Heights(NamedTuple):
     """From which on the votes are of the road as it is; −1 where nobody voted."""
     last_session: Integers
     without_highest_m: Floats
-    """The location without the share of the voters that is highest: no coalition of so many lifts it."""
+    """The location without the highest voters, as many as a coalition has: it cannot lift it. NaN: none is left."""
     without_lowest_m: Floats
     """Likewise; none lowers it."""
 
@@ -83,18 +87,13 @@ def heights_of(
     weight: Floats,
     known: NDArray[np.bool_],
     vote_sigma_m: float,
-    period_days: int,
     rule: ChangeRule,
-    coalition: float,
 ) -> Heights:
     """Heights of surfaces; votes (n,) of surface i are rows `begins[i]` to `begins[i + 1]`, in order of voters.
 
     `weight` is relative: a vote of weight 1 has the spread `vote_sigma_m`, a vote of weight w that over √w.
-    `coalition` is the share of voters that is left out of `without_highest_m` and `without_lowest_m`.
     """
-    integers, floats = _heights(
-        begins, voter, session, value_m, weight, known, vote_sigma_m, period_days, *rule, coalition
-    )
+    integers, floats = _heights(begins, voter, session, value_m, weight, known, vote_sigma_m, *rule)
     location_m, error_m, degrees, scale_m, agreement, no_highest_m, no_lowest_m = np.ascontiguousarray(
         floats.T
     )
@@ -204,33 +203,73 @@ def _once_each(
 
 
 @compiled_without_gil
-def _changed_at(
+def _likeliest_change(
+    session: Integers,
+    value_m: Floats,
+    weight: Floats,
+    sigma_m: float,
+    from_day: int,
+    end_day: int,
+    least: int,
+) -> int:
+    """The day of sessions from `from_day` to `end_day` before and after which the votes differ most.
+
+    By their means, clipped about the median, from a table of days; `from_day` where either side is always too few.
+    """
+    days = end_day - from_day
+    count, sum_m = np.zeros(days), np.zeros(days)
+    some = np.empty(len(session))
+    votes = 0
+    for k in range(len(session)):
+        if session[k] >= from_day and weight[k] >= _NO_SAY:
+            some[votes] = value_m[k]
+            votes += 1
+    if votes < 2 * least:
+        return from_day
+    middle_m, reach_m = np.median(some[:votes]), TUNING * sigma_m
+    for k in range(len(session)):
+        if session[k] >= from_day and weight[k] >= _NO_SAY:
+            day = session[k] - from_day
+            count[day] += 1.0
+            sum_m[day] += min(max(value_m[k] - middle_m, -reach_m), reach_m)
+    total, total_m = count.sum(), sum_m.sum()
+    best, best_square, before, before_m = from_day, 0.0, 0.0, 0.0
+    for day in range(1, days):
+        before += count[day - 1]
+        before_m += sum_m[day - 1]
+        after, after_m = total - before, total_m - before_m
+        if before >= least and after >= least:
+            square = (after_m / after - before_m / before) ** 2 / (1.0 / after + 1.0 / before)
+            if square > best_square:
+                best, best_square = from_day + day, square
+    return best
+
+
+@compiled_without_gil
+def _changed_on(
     voter: Integers,
     session: Integers,
     value_m: Floats,
     weight: Floats,
     sigma_m: float,
-    period_days: int,
     from_day: int,
     end_day: int,
     least_voters: int,
     least_z: float,
     least_m: float,
 ) -> int:
-    """The border of periods after `from_day` at which the road most clearly changed; `from_day` where at none."""
-    best, best_z = from_day, least_z
-    border = (from_day // period_days + 1) * period_days
-    while border < end_day:
-        after, after_w = _once_each(voter, session, value_m, weight, border, end_day)
-        before, before_w = _once_each(voter, session, value_m, weight, from_day, border)
-        if len(after) >= least_voters and len(before) >= least_voters:
-            new_m, new_error_m, _, _ = located(after, after_w, sigma_m)
-            old_m, old_error_m, _, _ = located(before, before_w, sigma_m)
-            z = abs(new_m - old_m) / math.sqrt(new_error_m**2 + old_error_m**2)
-            if z > best_z and abs(new_m - old_m) > least_m:
-                best, best_z = border, z
-        border += period_days
-    return best
+    """The day after `from_day` on which the road changed beyond doubt; `from_day` where on none."""
+    day = _likeliest_change(session, value_m, weight, sigma_m, from_day, end_day, least_voters)
+    if day == from_day:
+        return from_day
+    after, after_w = _once_each(voter, session, value_m, weight, day, end_day)
+    before, before_w = _once_each(voter, session, value_m, weight, from_day, day)
+    if len(after) < least_voters or len(before) < least_voters:
+        return from_day
+    new_m, new_error_m, _, _ = located(after, after_w, sigma_m)
+    old_m, old_error_m, _, _ = located(before, before_w, sigma_m)
+    beyond_m = least_z * math.sqrt(new_error_m**2 + old_error_m**2)
+    return day if abs(new_m - old_m) > max(beyond_m, least_m) else from_day
 
 
 @compiled_without_gil
@@ -242,11 +281,11 @@ def _heights(
     weight: Floats,
     known: NDArray[np.bool_],
     sigma_m: float,
-    period_days: int,
     least_voters: int,
     least_z: float,
     least_m: float,
     coalition: float,
+    coalition_days: int,
 ) -> tuple[Integers, Floats]:
     n = len(begins) - 1
     integers, floats = np.zeros((n, 6), np.int64), np.full((n, 7), np.nan)
@@ -258,8 +297,8 @@ def _heights(
         whose, day, says, of = voter[a:b], session[a:b], value_m[a:b], weight[a:b]
         from_day, end_day = day.min(), day.max() + 1
         while True:
-            changed = _changed_at(
-                whose, day, says, of, sigma_m, period_days, from_day, end_day, least_voters, least_z, least_m
+            changed = _changed_on(
+                whose, day, says, of, sigma_m, from_day, end_day, least_voters, least_z, least_m
             )
             if changed == from_day:
                 break
@@ -275,7 +314,8 @@ def _heights(
                 agree += 1
         floats[i, 0], floats[i, 1], floats[i, 2], floats[i, 3] = location_m, error_m, degrees, scale_m
         floats[i, 4] = agree / len(x)
-        by_value, some = np.argsort(x), math.ceil(coalition * len(x) - 1e-9)
+        lately, _ = _once_each(whose, day, says, of, min(from_day, end_day - coalition_days), end_day)
+        by_value, some = np.argsort(x), min(math.ceil(coalition * len(lately) - 1e-9), len(x))
         low, high = by_value[: len(x) - some], by_value[some:]
         floats[i, 5], _, _, _ = located(x[low], w[low], sigma_m)
         floats[i, 6], _, _, _ = located(x[high], w[high], sigma_m)
