@@ -44,7 +44,9 @@ def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
     crs = crs_of(_VERTICAL_PARTS.sub("", text), file, field, "a projection as PROJ knows it")
     vertical = None if grid is None else _VERTICAL_OF_GRID.get(grid[1], f"above {grid[1]}")
     if crs.is_compound:
-        vertical = crs.sub_crs_list[1].name
+        above = crs.sub_crs_list[1]
+        authority = above.to_authority()
+        vertical = ":".join(authority) if authority else above.name
     elif crs.is_projected and len(crs.axis_info) == 3:
         vertical = ELLIPSOIDAL
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
