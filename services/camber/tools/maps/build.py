@@ -22,6 +22,7 @@ KINDS: dict[str, tuple[str, str]] = {
     "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
     "opendrive": ("camber.tools.maps.opendrive_roads", "an OpenDRIVE map, .xodr"),
     "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
+    "clouds": ("camber.tools.maps.clouds", "LAS, LAZ, PCD or PLY clouds and where the vehicle went"),
     "drive": (
         "camber.tools.maps.survey_drive",
         "confirmed positions of a drive, from a replay or a truth.csv",

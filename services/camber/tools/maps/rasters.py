@@ -120,14 +120,14 @@ class HeightRaster:
             if dataset.crs is None:
                 raise FormatError(file, "CRS", "a coordinate reference system")
             crs = crs_of(dataset.crs.to_wkt(version="WKT2_2019"), file, "CRS", "one that PROJ knows")
-            horizontal, vertical = _parts(crs, file)
+            horizontal, vertical = horizontal_and_vertical(crs, file)
             yield cls(
                 file,
                 vertical,
                 _cell_m(dataset, horizontal),
                 dataset,
                 band,
-                _transformer(horizontal, datum, file),
+                to_horizontal(horizontal, datum, file),
             )
 
     def heights_m(self, latitude_rad: Floats, longitude_rad: Floats) -> Floats:
@@ -181,8 +181,8 @@ def quiet_rasterio() -> Iterator[None]:
         yield
 
 
-def _parts(crs: Any, file: str) -> tuple[Any, str | None]:
-    """The horizontal system of a raster's, and the name of the vertical one where there is one, in metres."""
+def horizontal_and_vertical(crs: Any, file: str) -> tuple[Any, str | None]:
+    """The horizontal part of a reference system, and the name of the vertical one where there is one, in metres."""
     horizontal, vertical = crs, None
     if crs.is_compound:
         horizontal, below = crs.sub_crs_list
@@ -201,7 +201,7 @@ def _parts(crs: Any, file: str) -> tuple[Any, str | None]:
     return horizontal, vertical
 
 
-def _transformer(horizontal: Any, datum: str, file: str) -> Any:
+def to_horizontal(horizontal: Any, datum: str, file: str) -> Any:
     """From longitude, latitude [deg] of the release's datum, which must be the raster's own."""
     import pyproj
 

@@ -104,14 +104,20 @@ class DriveRoads:
     lines: RoadLines
     frame: LocalFrame
     heights: TrackHeights
-    samples_of_link: list[Integers]
+    link_row: Integers
+    """Row of the link of each of the lines' samples (k,)."""
+
+    def lines_level(self) -> Integers:
+        """Level of the link of each sample (k,)."""
+        found: Integers = self.roads.links.level[self.link_row]
+        return found
 
     def ground(self, latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:
         """As `surfaces_along` asks: of the level of the link that is asked for."""
         plane = self.frame.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
         about_m = np.empty(len(plane))
         for link in np.unique(row).tolist():
-            mine, samples = np.flatnonzero(row == link), self.samples_of_link[link]
+            mine, samples = np.flatnonzero(row == link), np.flatnonzero(self.link_row == link)
             away = np.sum((plane[mine, None, :] - self.lines.east_north_m[samples]) ** 2, axis=2)
             about_m[mine] = self.lines.height_m[samples[np.argmin(away, axis=1)]]
         return self.heights.at(plane, about_m)
@@ -132,10 +138,13 @@ def drive_roads(track: Track, file: str, width_m: float, reach_m: float) -> Driv
     heights = TrackHeights(
         plane[moved], track.road_height_m[moved], track.sigma_m[moved], reach_m, 0.5 * width_m
     )
-    samples = [np.flatnonzero(links.link_of_sample == number + 1) for number in range(len(links.vertices_m))]
     road_links = _road_links(links, frame)
     return DriveRoads(
-        Roads(road_links, np.full(len(road_links), 0.5 * width_m)), lines, frame, heights, samples
+        Roads(road_links, np.full(len(road_links), 0.5 * width_m)),
+        lines,
+        frame,
+        heights,
+        links.link_of_sample - 1,
     )
 
 
