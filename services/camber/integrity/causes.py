@@ -207,7 +207,7 @@ class Causes:
             and begin_ns - earlier[1] >= rules.again_s * 1e9
             and abs(earlier[0] - offset_m) <= rules.least_height_m
         )
-        if earlier is None or not again:
+        if not again:
             self._suspects[surface_id] = (offset_m, begin_ns)
         if not (verified or again) or surface_id in self.roads:
             return

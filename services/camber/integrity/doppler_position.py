@@ -113,7 +113,7 @@ class DopplerPosition:
         """A position of this time has been confirmed: begin anew, with the velocities since that are here already."""
         before = [v for v in self._velocities if v.time_ns <= time_ns][-1:]
         later = [v for v in self._velocities if v.time_ns > time_ns]
-        first = (before or later[:1])[:1]
+        first = before or later
         if not first or abs(first[0].time_ns - time_ns) > self._rules.longest_pause_s * 1e9:
             self._sum = None
             return

@@ -65,7 +65,7 @@ def from_text(text: str, rules: LearningRules) -> Learning:
     try:
         kept = _Kept.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "text"
         raise ValueError(f"{place}: {first['msg']}") from error
     for part in kept.parts:

@@ -94,8 +94,8 @@ class Positions:
         self._hear_match(situation)
         pose, missing = self._of_pose(time_ns, situation, correction_m)
         doppler = self._of_doppler(time_ns, pose)
-        if doppler is None and pose is None:
-            return no_position(time_ns, missing or "pose_stale", self._rules, self._levels)
+        if doppler is None and missing is not None:
+            return no_position(time_ns, missing, self._rules, self._levels)
         return self._best([doppler, pose], situation)
 
     def _hear_match(self, situation: Situation) -> None:
@@ -122,9 +122,12 @@ class Positions:
         return found, None
 
     def _of_doppler(self, time_ns: int, pose: Candidate | None) -> Candidate | None:
-        """The position by Doppler where it can be checked and agrees; where it does not it ends."""
+        """The position by Doppler where it can be checked and agrees; where it does not it ends.
+
+        What has been summed up began with the base: each new one begins it anew.
+        """
         moved = self._doppler.at(time_ns)
-        if moved is None or self._base is None or moved.since_ns != self._base.time_ns:
+        if moved is None or self._base is None:
             return None
         found = of_doppler(self._base, moved, time_ns, self._levels)
         if pose is None:
