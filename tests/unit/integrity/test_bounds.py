@@ -130,6 +130,42 @@ def test_several_positions_are_bounded_each_by_itself():
         assert one.semi_major_999_m == pytest.approx(other.semi_major_999_m, rel=1e-3)
 
 
+def test_a_part_that_is_told_in_two_is_the_same_part():
+    (part,) = normal(0.1).parts
+    other = Part(0.1, (0.5, 0.0, 0.3), (0.02, 0.0, 0.02), 0.02)
+    half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
+    whole, told = Mixture((replace(part, weight=0.9), other)), Mixture((half, other, rest))
+    assert of(told).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
+    assert of(told).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
+
+
+def test_draws_of_errors_that_lie_aside_and_are_wider_one_way_exceed_the_level_as_often_as_the_risk():
+    rng, n = np.random.default_rng(23), 400_000
+    rules = replace(RULES, integrity_risk=0.01, horizontal_margin=1.0)
+    for east_m, north_m in ((0.5, 0.2), (1.0, 1.0), (-0.4, 0.4)):
+        errors = rng.multivariate_normal([east_m, north_m], [[0.25, 0.1], [0.1, 0.09]], n)
+        aside = Part(1.0, (east_m, north_m, 0.0), (0.25, 0.1, 0.09), 0.01)
+        share = (np.hypot(*errors.T) > of(Mixture((aside,)), rules).horizontal_level_m).mean()
+        assert 0.94 * 0.01 <= share <= 0.01 + 4.0 * math.sqrt(0.01 / n)
+
+
+@pytest.mark.parametrize(
+    "horizontal_m2", [(-1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (1.0, 2.0, 1.0), (math.nan, 0.0, 1.0)]
+)
+def test_what_is_no_covariance_has_no_bounds_and_is_none_of_a_position_that_is_right(horizontal_m2):
+    found = of(
+        Mixture(
+            (
+                Part(0.5, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.01),
+                Part(0.5, (0.0, 0.0, 0.0), horizontal_m2, 0.01),
+            )
+        )
+    )
+    assert found.horizontal_level_m == found.semi_major_99_m == math.inf, "not beside others"
+    with pytest.raises(ValueError, match="is not positive semidefinite"):
+        of(Mixture((Part(1.0, (0.0, 0.0, 0.0), horizontal_m2, 0.01),)))
+
+
 @exactly
 @given(sigma, sigma, st.floats(0.0, 0.5), st.floats(0.0, 2.0), st.floats(0.5, 2.0))
 def test_a_level_that_is_surely_larger_is_larger(s, pose, w, offset, factor):
@@ -238,3 +274,10 @@ def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_fo
     assert index.bounds("doppler", at(11), own, known=True).horizontal_level_m == near
     index.forget_future(at(9))
     assert index.bounds("doppler", at(11), own, known=True).horizontal_level_m == own.semi_major_99_m
+
+
+def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():
+    sure = Part(0.5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+    wide = Part(0.5, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0), 0.0)
+    assert is_beyond(Mixture((sure, wide)), 1.0, RULES)
+    assert not is_beyond(Mixture((sure, sure)), 1.0, RULES)

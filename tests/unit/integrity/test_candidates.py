@@ -22,7 +22,19 @@ from camber.integrity.position import Positions
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation
 from camber.schemas.gnss import SatelliteVelocity
-from support.judging import ALL, ANTENNA_M, LATITUDE_RAD, LONGITUDE_RAD, ROAD_M, antenna, at, fix, pose, road
+from support.judging import (
+    ALL,
+    ANTENNA_M,
+    LATITUDE_RAD,
+    LONGITUDE_RAD,
+    ROAD_M,
+    antenna,
+    at,
+    fix,
+    pose,
+    provisional,
+    road,
+)
 
 RULES, LEVELS = Rules(), LevelRules()
 MATCHED = {"mode": "scan_match", "provenance": "scan_match"}
@@ -74,6 +86,53 @@ def test_a_fix_is_where_it_says_unless_it_is_wrong_and_then_the_vehicle_is_where
     assert pulled.weight == 0.0  # nothing was confirmed before
 
 
+def test_if_a_fix_is_wrong_the_height_is_that_of_road_and_antenna_but_no_surer_than_the_fix_had_it():
+    sharp = by_fix(judged()).candidate
+    assert sharp.mixture.parts[1].up_m2 == sharp.covariance_enu_m2[5]
+    vague = by_fix(judged(pose(**MATCHED, road=road(sigma_m=0.2)))).candidate
+    assert vague.mixture.parts[1].up_m2 == pytest.approx(0.2**2 + 0.02**2)
+
+
+def test_errors_of_a_fix_that_go_together_stay_together_where_it_is_right():
+    covariance = (4e-4, 1e-4, 5e-5, 5e-4, 2e-5, 6e-4)
+    found = by_fix(judged(covariance_enu_m2=covariance)).candidate
+    ee, en, _, nn, _, _ = found.covariance_enu_m2
+    assert found.mixture.parts[0].horizontal_m2 == (ee, en, nn)
+    assert en == pytest.approx(RULES.true_sigma.scale**2 * 1e-4)
+
+
+@pytest.mark.parametrize("off", [{"east_m": 2.0}, {"north_m": 2.0}], ids=str)
+def test_a_provisional_pose_says_nothing_against_a_fix_beside_it_along_either_axis(off):
+    aside = by_fix(judged(provisional(), satellites=16, **off)).candidate.wrong
+    assert aside == pytest.approx(by_fix(judged(provisional(), satellites=16)).candidate.wrong, rel=0.01)
+    assert by_fix(judged(satellites=16, **off)).candidate.wrong > 0.999, "a matched one does"
+
+
+@pytest.mark.parametrize(("up_m", "variance_m2"), [(math.nan, 0.01), (0.1, math.inf)])
+def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is_else(up_m, variance_m2):
+    def with_height(up_m, variance_m2):
+        compared = judged().comparison
+        difference_m, covariance_m2 = compared.difference_m.copy(), compared.covariance_m2.copy()
+        difference_m[2], covariance_m2[2, 2] = up_m, variance_m2
+        heard = replace(compared, difference_m=difference_m, covariance_m2=covariance_m2)
+        return by_fix(replace(judged(), comparison=heard)).candidate
+
+    found = with_height(up_m, variance_m2)
+    assert found.wrong == pytest.approx(with_height(0.0, 1e6).wrong, rel=1e-9), "as one known to a kilometre"
+    assert found.mixture.parts[1].mean_m == NOTHING
+    assert found.mixture.parts[1].up_m2 == pytest.approx(LEVELS.wrong_fix.second_moment_m2[1])
+
+
+@pytest.mark.parametrize(("mean_m", "horizontal_m2"), [((3.0, 1.0, 2.0), 9.04), ((1.0, -3.0, 2.0), 9.09)])
+def test_a_suspicion_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
+    """Nothing was suspected before: what is suspected then is what the fix may be."""
+    wrong = Part(1.0, mean_m, (0.04, 0.0, 0.09), 0.25)
+    found = Suspicion(at(0), 0.0, 1.0, 1.0).after(at(1), 0.5, wrong, LEVELS.wrong_fix)
+    assert (found.horizontal_m2, found.up_m2) == pytest.approx((horizontal_m2, 4.25))
+    unsuspected = Suspicion(at(0), 0.0, 1.0, 1.0).after(at(1), 0.0, wrong, LEVELS.wrong_fix)
+    assert (unsuspected.odds, unsuspected.horizontal_m2, unsuspected.up_m2) == (0.0, 1.0, 1.0)
+
+
 def test_of_a_fix_that_was_compared_with_nothing_only_its_prior_is_known():
     found = by_fix(replace(judged(), comparison=None)).candidate
     horizontal_m2, up_m2 = LEVELS.wrong_fix.second_moment_m2
@@ -91,6 +150,7 @@ def test_what_was_suspected_before_stands_behind_the_next_fix_as_it_fades():
     ee, _, _, nn, _, uu = second.covariance_enu_m2
     assert pulled.horizontal_m2 == pytest.approx((first.horizontal_m2 + ee, 0.0, first.horizontal_m2 + nn))
     assert pulled.up_m2 == pytest.approx(first.up_m2 + uu)
+    assert pulled.mean_m == NOTHING
     assert sum(weights(second)) == pytest.approx(1.0)
 
 
@@ -221,3 +281,12 @@ def test_where_the_road_is_not_known_neither_is_the_height():
         assert found.place[2] is None
         assert all(part.up_m2 == math.inf for part in found.mixture.parts)
         assert found.covariance_enu_m2[5] == 1e6
+
+
+def test_on_a_slope_the_height_shares_the_error_of_the_place_also_where_east_and_north_go_together():
+    sloping = road(slope_east=0.1, slope_north=-0.2)
+    found = by_pose(
+        pose(**MATCHED, road=sloping, covariance_east_north_yaw=(0.04, 0.02, 0.0, 0.09, 0.0, 1e-4))
+    )
+    along, place = np.array([0.1, -0.2]), np.array([[0.04, 0.02], [0.02, 0.09]])
+    assert found.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + along @ place @ along)

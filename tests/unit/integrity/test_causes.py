@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.causes import ISSUE_CODES, NOTHING, CauseRules, Causes, ChangedRoad
+from camber.integrity.causes import ISSUE_CODES, NOTHING, CauseRules, Causes, ChangedRoad, _along
 from camber.integrity.learning import Learning, LearningRules
+from camber.integrity.residuals import cell_of
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
 
 RULES = CauseRules()
@@ -44,7 +45,7 @@ def test_a_base_metres_off_is_named_within_ten_seconds_with_onset_and_value(caus
     assert found.cause == "base"
     assert found.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
     assert (found.up_m, found.east_north_m) == (None, (12.0, -9.0))
-    assert "+12.00 m east, -9.00 m north" in found.text
+    assert found.text == "+12.00 m east, -9.00 m north: fixes are off by one vector"
 
 
 def test_a_base_is_named_too_where_the_pose_rested_on_fixes_before():
@@ -84,6 +85,7 @@ def test_a_base_decimetres_off_takes_longer_than_wrong_fixes_last(causes):
     assert hear(causes, 600, 880, **changes).cause != "base"
     found = hear(causes, 880, 1000, **changes)
     assert (found.cause, found.up_m) == ("base", pytest.approx(0.4))
+    assert found.text == "+0.40 m up, +0.50 m east, -0.30 m north: fixes are off by one vector"
 
 
 def test_a_base_that_is_right_again_is_no_cause_any_more(causes):
@@ -95,7 +97,7 @@ def test_an_antenna_moves_all_surfaces_alike_where_the_position_is_seen_to_be_ri
     found = hear(causes, 600, 1100, verdict="erroneous", up_m=-0.4)
     assert (found.cause, found.up_m) == ("antenna", pytest.approx(-0.4))
     assert found.onset_ns == pytest.approx(residual(600).time_ns, abs=3e9)
-    assert found.text.startswith("-0.40 m up")
+    assert found.text == "-0.40 m up, +0.00 m east, +0.00 m north: alike on 3 links"
 
 
 def test_on_a_link_or_two_it_may_be_the_road(causes):
@@ -106,6 +108,14 @@ def test_on_a_link_or_two_it_may_be_the_road(causes):
     assert hear(causes, 780, 1010, verdict="erroneous", up_m=-0.4).cause == "ambiguous"
     one_long = Causes(RULES)
     assert hear(one_long, 0, 600, up_m=-0.4, link_id=3).cause == "ambiguous"
+
+
+def test_two_stretches_on_each_of_three_links_show_an_antenna():
+    causes = Causes(CauseRules(antenna_distance_m=100.0))
+    for epoch in range(800):
+        off = {"up_m": -0.4, "verdict": "erroneous"} if epoch >= 600 else {}
+        causes.hear(residual(epoch, surface_id=epoch // 20, link_id=epoch // 40, **off), 0.0)
+    assert causes.common.cause == "antenna"
 
 
 def test_a_crossing_passed_is_no_link_on_which_an_antenna_shows(causes):
@@ -131,7 +141,7 @@ def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():
     hear(causes, 0, 300, east_m=None)
     found = hear(causes, 300, 800, verdict="erroneous", up_m=0.4, east_m=None)
     assert found.cause == "ambiguous"
-    assert "antenna or base" in found.text
+    assert found.text == "+0.40 m up: antenna or base: no pose that owes nothing to fixes"
     wide = Causes(RULES)
     found = hear(wide, 0, 700, up_m=0.4, horizontal_sigma_m=1.0)
     assert (found.cause, found.after_right) == ("ambiguous", False)
@@ -143,7 +153,13 @@ def test_without_a_pose_that_owes_nothing_to_fixes_it_may_be_the_base():
 def test_what_changed_at_the_onset_decides(causes, changes, cause):
     found = hear(causes, 600, 800, up_m=0.2, east_m=None, key=replace(KEY, **changes))
     assert found.cause == cause
-    assert f"since the {cause} changed" in found.text
+    assert found.text == f"+0.20 m up: since the {cause} changed"
+
+
+@pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"antenna": "fixed"}], ids=str)
+def test_what_changed_a_stretch_later_decides_nothing(causes, changes):
+    hear(causes, 600, 620, up_m=0.2, east_m=None)
+    assert hear(causes, 620, 820, up_m=0.2, east_m=None, key=replace(KEY, **changes)).cause == "ambiguous"
 
 
 def test_where_both_changed_at_the_onset_nothing_is_decided_by_that(causes):
@@ -158,6 +174,8 @@ def test_a_road_that_was_verified_otherwise_is_named_when_it_is_behind(up_m):
     assert causes.at(1).cause == "road"
     assert causes.at(1).up_m == pytest.approx(up_m)
     assert causes.at(1).onset_ns == residual(50).time_ns
+    assert causes.at(1).text == f"surface 1 lies {up_m:+.2f} m from map version 3"
+    assert causes.roads[1].map_version == KEY.map_version
     assert (causes.at(0), causes.at(None)) == (NOTHING, NOTHING)
     assert [(found.cause, found.surface_id) for found in causes.news()] == [("road", 1)]
     assert causes.news() == []
@@ -180,6 +198,73 @@ def test_two_drives_that_are_one_or_say_otherwise_name_no_road(at_s, up_m):
     road(causes, 0, 160, verdict="erroneous")
     road(causes, 0, 160, verdict="erroneous", at_s=at_s, up_m=up_m)
     assert causes.roads == {}
+
+
+def test_a_drive_that_says_otherwise_counts_from_then_on():
+    causes = Causes(RULES)
+    road(causes, 0, 160, verdict="erroneous")
+    road(causes, 0, 160, verdict="erroneous", at_s=1800.0, up_m=0.5)
+    road(causes, 0, 160, verdict="erroneous", at_s=3600.0, up_m=0.5)
+    assert causes.at(1).up_m == pytest.approx(0.5)
+    assert causes.at(1).onset_ns == residual(50 + 18_000).time_ns
+    verified = Causes(RULES)
+    road(verified, 0, 160, verdict="erroneous")
+    road(verified, 0, 160, verdict="confirmed_after_verification", at_s=1800.0, up_m=0.5)
+    assert verified.at(1).onset_ns == residual(50 + 18_000).time_ns, "it may have changed again"
+
+
+def test_two_drives_within_a_minute_are_one_however_many_stretches_lie_between():
+    causes = Causes(RULES)
+    for begin in (0, 450):
+        for epoch in range(450):
+            surface_id = residual(epoch).surface_id if epoch < 160 else 1000 + epoch
+            off = {"up_m": 0.3, "verdict": "erroneous"} if surface_id == 1 else {}
+            here = residual(epoch, surface_id=surface_id, **off)
+            causes.hear(replace(here, time_ns=residual(begin + epoch).time_ns), 0.0)
+    assert causes.roads == {}
+
+
+@pytest.mark.parametrize(("of_ten", "named"), [(4, False), (5, True), (6, True)])
+def test_a_road_is_named_at_once_where_half_of_its_fixes_were_verified_otherwise(of_ten, named):
+    causes = Causes(RULES)
+    for epoch in range(160):
+        word = "confirmed_after_verification" if epoch % 10 < of_ten else "erroneous"
+        off = {"up_m": 0.3, "verdict": word} if residual(epoch).surface_id == 1 else {}
+        causes.hear(residual(epoch, **off), 0.0)
+    assert (causes.at(1).cause == "road") is named
+
+
+def test_a_surface_of_a_few_metres_is_a_road_too():
+    causes = Causes(RULES)
+    for epoch in range(160):
+        off = {"up_m": 0.3, "verdict": "confirmed_after_verification"} if 50 <= epoch < 60 else {}
+        causes.hear(residual(epoch, surface_id=epoch // 10, **off), 0.0)
+    assert set(causes.roads) == {5}
+
+
+def test_a_surface_that_differs_in_part_does_not_hide_the_next_that_differs_as_a_whole():
+    causes = Causes(RULES)
+    hear(causes, 0, 71)
+    hear(causes, 71, 150, up_m=0.4, verdict="confirmed_after_verification")
+    hear(causes, 150, 250)
+    assert set(causes.roads) == {2}
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_what_was_most_of_the_way_aside_before_did_not_begin_there(turn):
+    """Along the difference counts, in whatever direction; what is across it, or not known, is no beginning."""
+
+    def seen(along_m, across_m):
+        side = along_m * np.exp(1j * (0.4 + turn * math.pi / 2.0)) + across_m * np.exp(
+            1j * (0.4 + (turn + 1) * math.pi / 2.0)
+        )
+        return cell_of([residual(0, east_m=float(side.real), north_m=float(side.imag))])
+
+    whole = seen(3.0, 0.0).horizontal_m[:2]
+    for along_m, across_m in ((3.0, 0.0), (1.5, 0.0), (0.0, 3.0), (-3.0, 1.0), (6.0, 2.0)):
+        assert _along(seen(along_m, across_m), whole) == pytest.approx(along_m / 3.0, abs=1e-9)
+    assert _along(cell_of([residual(0, east_m=None)]), whole) == 0.0
+    assert _along(seen(3.0, 0.0), None) == 0.0
 
 
 def test_wrong_fixes_that_begin_in_the_middle_of_a_surface_are_no_road():
@@ -242,6 +327,21 @@ def test_what_grows_is_a_drift_and_no_antenna(causes):
     for epoch in range(600, 1400):
         causes.hear(residual(epoch, up_m=0.01 * (epoch - 600) / 10), 0.0)
         assert causes.common.cause != "antenna"
+
+
+@pytest.mark.parametrize(
+    "most",
+    [{"up_m": 0.5}, {"up_m": -0.5}, {"east_m": 5.0, "north_m": -3.0}, {"east_m": -5.0, "north_m": -3.0}],
+    ids=str,
+)
+def test_what_has_grown_over_minutes_and_stands_then_has_begun_nowhere_and_is_no_cause(most):
+    causes = Causes(RULES)
+    hear(causes, 0, 200)
+    for epoch in range(200, 2400):
+        share = min((epoch - 200) / 1200, 1.0)
+        causes.hear(residual(epoch, **{name: share * value for name, value in most.items()}), 0.0)
+    assert causes.common == NOTHING
+    assert causes.news() == []
 
 
 @pytest.mark.slow

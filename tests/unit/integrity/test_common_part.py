@@ -74,6 +74,27 @@ def test_of_a_few_that_scatter_little_by_chance_the_next_may_still_differ_by_its
     assert part([0.0] * 10 + [0.12], map_sigma_m=0.05).used == 11  # the map's own
 
 
+def test_of_a_few_what_differs_by_more_than_its_sigma_explains_is_left_out():
+    """3 · √(0.02² + 0.05²) m = 0.162 m; where there are eight, what scatter is seen tells, here the map's 0.15 m."""
+    assert [part([0.0] * n + [0.155]).used for n in (5, 6, 7, 8)] == [6, 7, 7, 8]
+    assert part([0.0, 0.0, 0.0, 0.0, 0.17]).used == 4
+
+
+def test_of_many_the_scatter_seen_tells_between_the_maps_own_and_what_their_sigma_explain():
+    for sign in (1.0, -1.0):  # 3 · 1.4826 · 0.06 m about the middle
+        for off_m, used in ((0.12, 11), (0.32, 10)):
+            found = part([0.04, -0.04] * 5 + [sign * off_m], sigma_m=0.1, map_sigma_m=0.02, gap_m=100.0)
+            assert found.used == used
+    assert part([0.2] * 10 + [0.36], prior_m=0.2).used == 10, "about what they have in common"
+    assert part([0.2, -0.2] * 5).used == 0, "more than 0.162 m off"
+
+
+def test_it_takes_two_to_outvote_the_prior():
+    assert part([0.4]).used == 1, "within 3 · √(0.054² + 0.1²) m of the middle between both"
+    assert part([0.8]).used == 0
+    assert part([0.0, 0.0, 0.3]).used == 2, "of three the prior's own error makes no room"
+
+
 def test_where_nothing_agrees_the_prior_stays():
     found = part([40.0], prior_m=0.02)
     assert (found.used, found.value_m, found.sigma_m) == (0, 0.02, 0.0)
@@ -88,6 +109,29 @@ def test_a_drift_is_seen_and_a_constant_is_none():
     assert rising.drift_m == pytest.approx(0.005 * 29)
     assert rising.drift_sigmas > 5.0
     assert flat.drift_m == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("bend_m", "scatter"), [(0.0, 0.1), (0.04, None), (0.12, 1.0)])
+def test_a_drift_is_as_sure_as_generalised_least_squares_make_it(bend_m, scatter):
+    """By the scatter seen, no less than a tenth of what the σ say and no more than all of it."""
+    up_m = 0.01 * np.arange(6) + bend_m * np.array([0.0, 1.0, 0.0, -1.0, 0.0, 1.0])
+    given_ = differences(up_m)
+    inverse = np.linalg.inv(given_.covariance_m2(20.0))
+    design = np.column_stack((np.ones(6), given_.time_s))
+    normal = np.linalg.inv(design.T @ inverse @ design)
+    level_and_slope = normal @ design.T @ inverse @ up_m
+    left_m = up_m - design @ level_and_slope
+    seen = left_m @ inverse @ left_m / 4.0
+    assert seen == pytest.approx(0.0, abs=1e-9) if bend_m == 0.0 else seen > 0.1
+    found = part(up_m)
+    assert found.used == 6
+    sigma = np.sqrt(normal[1, 1] * (scatter or seen))
+    assert found.drift_sigmas == pytest.approx(abs(level_and_slope[1]) / sigma)
+    assert found.drift_m == pytest.approx(abs(level_and_slope[1]) * 10.0)
+
+
+def test_four_stretches_show_a_drift():
+    assert part([0.0, 0.03, 0.06, 0.09]).drift_m == pytest.approx(0.09)
 
 
 def test_of_few_stretches_or_of_one_time_no_drift_is_told():

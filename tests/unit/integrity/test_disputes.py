@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.bounds import LevelRules
+from camber.integrity.bounds import LevelRules, Part
 from camber.integrity.candidates import dispute_after
 from camber.integrity.judge import Judge
 from camber.integrity.position import Positions
@@ -140,6 +140,9 @@ def test_what_is_dated_ahead_disputes_from_now_on():
     unchanged = after(examined(0.0, east_m=5.0))
     unchanged.forget_future(at(1))
     assert unchanged._dispute.begun_ns == at(0)
+    just = after(examined(0.0, east_m=5.0), examined(5.0, east_m=5.0))
+    just.forget_future(at(5) - ahead_ns)
+    assert just._dispute.begun_ns == at(0)
 
 
 def test_the_dispute_is_that_of_the_newest_fix_and_began_with_the_first():
@@ -147,3 +150,27 @@ def test_the_dispute_is_that_of_the_newest_fix_and_began_with_the_first():
     second = dispute_after(examined(1.0, east_m=4.0), first, RULES.true_sigma)
     assert (second.begun_ns, second.time_ns) == (at(0), at(1))
     assert second.east_m == pytest.approx(4.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("unknown", ["latitude_rad", "longitude_rad"])
+def test_a_match_of_which_no_place_is_known_bears_nothing_out(unknown):
+    disputed = dispute_after(examined(0.0, east_m=3.0), None, RULES.true_sigma)
+    assert disputed.hear(sharp_pose(1, match_time_ns=at(1)), LEVELS).matches == 1
+    assert disputed.hear(sharp_pose(1, match_time_ns=at(1), **{unknown: None}), LEVELS) == disputed
+
+
+def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
+    disputed = dispute_after(examined(0.0, east_m=3.0), None, RULES.true_sigma)
+    once = disputed.hear(sharp_pose(1, match_time_ns=at(1)), LEVELS)
+    again = dispute_after(examined(2.0, east_m=3.0), once, RULES.true_sigma)
+    assert again.hear(sharp_pose(3, match_time_ns=at(3)), LEVELS).matches == 1
+    assert again.hear(sharp_pose(100, match_time_ns=at(100)), LEVELS).matches == 2
+
+
+def test_either_the_pose_is_right_or_the_vehicle_is_where_the_fix_was():
+    disputed = dispute_after(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
+    alone = Part(1.0, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.1)
+    parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
+    *others, there = disputed.beside(parts, alone, 0.2)
+    assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])
+    assert there.mean_m == pytest.approx((3.0, 4.0, 0.0), abs=1e-3)

@@ -131,6 +131,59 @@ def test_between_velocities_it_is_moved_on_and_less_sure():
     assert position.at(at(9)).metres == pytest.approx([9.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize("ahead_s", [0.2, -0.05])
+@pytest.mark.parametrize("steps", [0, 1])
+def test_between_velocities_it_is_as_unsure_as_the_last_one_and_what_a_vehicle_may_turn_meanwhile(
+    steps, ahead_s
+):
+    """P + |t| (X + Xᵀ) + t² V, and half of a t² with a = 3 m/s²."""
+    found = driven(steps=steps).at(at(steps + ahead_s / 0.1))
+    if steps == 0 and ahead_s < 0.0:
+        assert found is None
+        return
+    rho, v = math.exp(-0.1), 0.05**2
+    p, x = (0.0, 0.0) if steps == 0 else (0.005 * (1.0 + rho) * v, 0.05 * (rho * v + v))
+    expected = p + 2.0 * abs(ahead_s) * x + ahead_s**2 * v + (0.5 * 3.0 * ahead_s**2) ** 2
+    assert found.covariance_m2 == pytest.approx(expected * np.eye(3))
+
+
+def test_what_ends_among_the_velocities_that_are_here_already_ends_it():
+    position = driven(begin=None, make=lambda k: velocity(k, east=13.0 if k == 40 else 10.0))
+    position.begin(at(30))
+    assert position.at(at(50)) is None
+
+
+def test_a_wheel_speed_that_comes_late_is_of_no_use():
+    position = DopplerPosition(PLAIN)
+    position.hear_velocity(velocity(0))
+    for k, wheels in ((0, 10.0), (2, 10.0), (1, 100.0)):
+        position.hear_speed(at(k), wheels)
+    position.begin(at(0))
+    position.hear_velocity(velocity(1))
+    assert position.at(at(1)) is not None
+
+
+def test_a_velocity_that_claims_to_be_exact_is_as_good_as_the_floor():
+    exact = {"covariance_enu_m2_s2": (0.0,) * 6}
+    found = driven(DopplerRules(), 1, make=lambda k: velocity(k, **exact)).at(at(1))
+    floor = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0)
+    same = driven(floor, 1, make=lambda k: velocity(k, sigma=DopplerRules().sigma_floor_m_s)).at(at(1))
+    assert found.covariance_m2 == pytest.approx(same.covariance_m2)
+
+
+def test_one_whose_errors_go_wholly_together_is_heard_too():
+    one = 0.05**2 * np.ones(6)
+    found = driven(steps=1, make=lambda k: velocity(k, covariance_enu_m2_s2=tuple(one.tolist())))
+    assert found.at(at(1)) is not None
+
+
+def test_wheels_may_be_off_by_a_share_of_the_path():
+    """2 %, with no other allowance."""
+    rules = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0, path_gate_m=0.0, sigmas=0.0)
+    assert driven(rules, wheels=9.85).at(at(50)) is not None
+    assert driven(rules, wheels=9.75).at(at(50)) is None
+
+
 def test_a_verdict_that_comes_late_finds_the_velocities_since():
     position = driven(begin=None)
     position.begin(at(30))
@@ -303,3 +356,32 @@ def test_what_is_dated_ahead_is_forgotten():
     position.hear_velocity(velocity(41))
     position.begin(at(41))
     assert position.at(at(41)) is not None
+
+
+def test_what_is_dated_as_late_as_may_be_is_kept():
+    position = driven()
+    position.forget_future(at(50))
+    assert position.at(at(50)) is not None
+    position.hear_velocity(velocity(50, east=100.0))
+    position.hear_speed(at(50), 100.0)
+    position.begin(at(50))
+    assert position.at(at(50)).checked
+
+
+def test_a_wheel_speed_dated_ahead_does_not_keep_out_those_of_now():
+    position = driven()
+    position.hear_speed(at(70), 10.0)
+    position.forget_future(at(50))
+    for k in range(51, 60):
+        position.hear_speed(at(k), 10.0)
+        position.hear_velocity(velocity(k))
+    assert position.at(at(59)).checked
+
+
+def test_what_is_kept_is_what_a_late_verdict_needs_and_no_more():
+    position = driven(steps=1000, begin=None)
+    position.begin(at(980))
+    assert position.at(at(1000)).metres == pytest.approx([20.0, 0.0, 0.0])
+    position.begin(at(950))
+    assert position.at(at(1000)) is None
+    assert len(position._velocities) == len(position._speeds) == 32

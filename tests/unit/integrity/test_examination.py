@@ -1,6 +1,7 @@
 """What is said of a fix beside the word: the detail that a person reads, the cause, the correction in force."""
 
 import math
+import re
 
 import pytest
 
@@ -10,7 +11,8 @@ from camber.integrity.judge import Judge
 from camber.integrity.learning import Correction, Learning, LearningRules
 from camber.integrity.residuals import Key
 from camber.integrity.rules import Rules
-from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose, provisional
+from camber.schemas.gnss import ReceiverIntegrity
+from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose, provisional, road
 
 
 class Knowing(Learning):
@@ -71,6 +73,21 @@ def test_the_correction_is_told_with_what_was_not_compared_too():
 def test_the_detail_says_what_is_missing(asked, reason, detail):
     found = examined(**asked)
     assert (found.word, found.reason, found.detail) == ("unknown", reason, detail)
+
+
+def test_a_road_that_is_known_too_vaguely_says_how_vaguely():
+    found = examined(the_pose=pose(road=road(sigma_m=2.0)))
+    assert (found.word, found.reason) == ("unknown", "road_unknown")
+    assert re.fullmatch(
+        r"σ 2\.00 m of road and antenna, expected at most the largest tolerance, [0-9.]+ m", found.detail
+    )
+
+
+def test_a_warning_of_the_receiver_is_told():
+    judge = Judge(Rules(), Knowing())
+    judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
+    found = judge.examine(fix(), ALL)
+    assert (found.word, found.reason, found.detail) == ("unknown", "receiver_warns", "spoofing affirmed")
 
 
 def test_a_solution_that_is_no_fix_leaves_the_start_as_it_was():

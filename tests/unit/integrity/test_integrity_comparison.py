@@ -51,6 +51,13 @@ def test_a_pose_that_was_moved_on_is_as_much_wider_as_a_car_may_have_accelerated
     assert before - now == pytest.approx(np.diag([0.09**2] * 2))  # ½ · 2 m/s² · (0.3 s)²
 
 
+@pytest.mark.parametrize("unknown", ["road", "height"])
+def test_without_either_road_or_antenna_the_height_is_infinitely_far_off_too(unknown):
+    found, without = compared(**{unknown: None}), compared(road=None, height=None)
+    assert math.isnan(found.difference_m[2])
+    assert (found.covariance_m2 == without.covariance_m2).all()
+
+
 def test_without_a_road_the_height_is_infinitely_far_off_and_the_position_is_still_told():
     found = compared(fix(east_m=0.3), road=None, height=None)
     assert found.position_m == pytest.approx((0.3, 0.0), abs=1e-3)
@@ -102,5 +109,5 @@ def test_the_words_are_those_of_the_figures():
     ],
 )
 def test_what_has_no_covariance_or_no_place_cannot_be_compared(changes):
-    with pytest.raises(ValueError, match=r"missing|no position"):
+    with pytest.raises(ValueError, match=r"^a covariance is missing$|no position"):
         compared(**changes)

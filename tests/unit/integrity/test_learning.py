@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.causes import NOTHING, ChangedRoad, Diagnosis
-from camber.integrity.learning import Correction, Learning, LearningRules
-from camber.integrity.residuals import Key
+from camber.integrity.causes import NOTHING, Causes, ChangedRoad, Diagnosis
+from camber.integrity.common_part import CommonPart
+from camber.integrity.learning import Correction, Learning, LearningRules, _differences
+from camber.integrity.residuals import Key, cell_of
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
 
 RULES = LearningRules()
@@ -154,6 +155,35 @@ def test_no_sequence_of_heights_whatever_takes_it_beyond_the_cap_or_the_rate(ste
         before_m = found.correction_m
 
 
+def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learnt):
+    """A drift counts where it is sure, and large."""
+    (part,) = learnt.parts
+    oldest_m = part.cells[0][1]
+    part.cells[0] = (part.cells[0][0], oldest_m - 0.001)
+    sure, large = RULES.drift_sigmas + 0.1, RULES.drift_m + 0.001
+    for sigmas, metres in ((sure, 0.0), (0.0, large)):
+        assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, sigmas, metres)) == 0.07
+        assert part.held_m is None
+    assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, sure, large)) == oldest_m - 0.001
+    part.cells.popleft()
+    assert learnt._target_m(part, CommonPart(0.08, 0.01, 70, sure, large)) == oldest_m - 0.001
+    assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, 0.0, 0.0)) == 0.07
+    assert part.held_m is None
+
+
+def test_stretches_are_told_by_metres_and_seconds_since_the_first_and_no_surer_than_a_centimetre():
+    cells = [
+        cell_of([residual(epoch, up_m=up_m, fix_sigma_m=fix_sigma_m, map_sigma_m=0.04)])
+        for epoch, up_m, fix_sigma_m in ((100, 0.1, 0.0), (130, 0.2, 0.03))
+    ]
+    found = _differences([(cell, 0.0) for cell in cells])
+    assert found.up_m.tolist() == [0.1, 0.2]
+    assert found.variance_m2 == pytest.approx([0.01**2, 0.03**2 + 0.01**2])
+    assert found.map_sigma_m.tolist() == [0.04, 0.04]
+    assert found.place_m == pytest.approx(np.array([[0.0, 0.0], [0.0, 30.0]]), rel=0.01, abs=1e-6)
+    assert found.time_s.tolist() == [0.0, 3.0]
+
+
 def test_towards_what_is_beyond_the_cap_it_does_not_go():
     assert hear(Learning(RULES), 0, 900, up_m=0.4).correction_m <= 0.01
 
@@ -183,6 +213,20 @@ def test_with_another_base_or_map_the_antennas_part_stays_and_is_less_sure(learn
 def test_it_goes_on_from_there(learnt, changes):
     key = replace(KEY, **changes)
     assert hear(learnt, 1200, 2400, up_m=0.02, key=key).correction_m == pytest.approx(0.02, abs=0.015)
+
+
+@pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
+def test_as_long_as_nothing_is_learnt_there_that_is_all_that_is_known_of_it(learnt, changes):
+    """Here the road has changed, so nothing is learnt."""
+    key = replace(KEY, **changes)
+    learnt.causes = Causes(RULES.causes, [ChangedRoad(24, key.map_version, 0.2, START_NS)])
+    hear(learnt, 1200, 1201, up_m=0.26, key=key)
+    known, learnt.parts[0].held_m = learnt.correction(KEY), 0.01  # something drifted
+    hear(learnt, 1201, 1240, up_m=0.26, key=key)
+    part, sigma_m = learnt.parts[-1], math.hypot(known.sigma_m, RULES.release_sigma_m)
+    assert part.correction == Correction(known.correction_m, sigma_m, known.samples)
+    assert (part.prior_m, part.prior_sigma_m) == (known.correction_m, sigma_m)
+    assert (part.held_m, len(part.cells)) == (None, 0)
 
 
 def test_a_new_map_that_has_the_changed_road_right_does_not_correct_it_twice(learnt):
@@ -240,6 +284,9 @@ def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
     hear(learnt, 1200, 1800, up_m=-0.19)
     (named,) = [found for found in learnt.news() if found.cause == "antenna"]
     assert named.onset_ns == pytest.approx(residual(1200).time_ns, abs=3e9)
+    (part,) = learnt.parts
+    assert all(cell.end_ns > named.onset_ns for cell, _ in part.cells), "what was before says nothing of it"
+    assert (part.prior_sigma_m, part.held_m, part.cells.maxlen) == (RULES.prior_sigma_m, None, 96)
     assert hear(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.01)
 
 
@@ -248,6 +295,9 @@ def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(lea
     hear(learnt, 1200, 1500, up_m=before + 0.25)
     assert learnt.diagnosis(None).cause == "ambiguous"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
+    (part,) = learnt.parts
+    onset_ns = learnt.diagnosis(None).onset_ns
+    assert min(cell.begin_ns for cell, _ in part.cells if cell.up_m > before + 0.2) == onset_ns, "it is kept"
     hear(learnt, 1500, 1900, up_m=before)
     assert learnt.diagnosis(None).cause == "none"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
@@ -264,6 +314,7 @@ def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
     assert set(learning.causes.roads) == {4}
     (part,) = learning.parts
     assert {cell.surface_id for cell, _ in part.cells} == {0, 1, 2, 3, 5}
+    assert part.cells.maxlen == 96
 
 
 def test_a_changed_road_of_a_few_hundred_metres_that_fits_the_height_check_is_not_learnt(learnt):
@@ -287,11 +338,12 @@ def test_what_is_taken_back_leaves_it_as_sure_as_it_was_and_where_it_was_then(le
     assert part.cells.maxlen == 96
 
 
-def test_far_from_where_it_should_be_it_goes_there_at_its_rate_stretch_by_stretch():
+@pytest.mark.parametrize("epochs", [50, 5])
+def test_far_from_where_it_should_be_it_goes_there_at_its_rate_stretch_by_stretch(epochs):
     learning, steps = Learning(RULES), []
     before = learning.correction(KEY)
-    for epoch in range(400):
-        learning.hear(residual(epoch, up_m=0.25))
+    for epoch in range(8 * epochs):
+        learning.hear(residual(epoch, up_m=0.25, surface_id=epoch // epochs))
         now = learning.correction(KEY)
         if now.samples != before.samples:
             assert now.samples == before.samples + 1

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.causes import ChangedRoad
@@ -21,6 +21,8 @@ def learning(correction_m=0.1, samples=7):
 
 @settings(derandomize=True)
 @given(st.floats(-0.3, 0.3), st.integers(0, 10**9))
+@example(RULES.cap_m, 7)
+@example(-RULES.cap_m, 7)
 def test_it_survives_a_restart(correction_m, samples):
     kept = learning(correction_m, samples)
     again = from_text(to_text(kept), RULES)
@@ -41,6 +43,16 @@ def test_after_a_restart_it_learns_on_from_there_and_is_less_sure():
 
 def test_nothing_learnt_is_kept_as_nothing():
     assert from_text(to_text(Learning(RULES)), RULES).parts == ()
+
+
+def test_what_is_less_sure_than_can_be_kept_is_kept_as_a_metre():
+    vague = Part(KEY.antenna, KEY.base, KEY.map_version, Correction(0.1, 1.7, 7))
+    assert from_text(to_text(Learning(RULES, [vague])), RULES).correction(KEY) == Correction(0.1, 1.0, 7)
+
+
+def test_of_more_roads_than_can_be_kept_the_newest_are():
+    roads = [ChangedRoad(number, 3, 0.2, START_NS + number) for number in range(4097)]
+    assert [*from_text(to_text(Learning(RULES, (), roads)), RULES).causes.roads] == [*range(1, 4097)]
 
 
 def changed(**changes):
@@ -82,6 +94,22 @@ def test_a_damaged_one_is_refused_in_one_line(text):
         from_text(text, RULES)
     assert "\n" not in str(refused.value)
     assert "parts" in str(refused.value) or ":" in str(refused.value) or "correction_m" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"text: Invalid JSON.*"),
+        (changed(correction_m=None), r"parts\.0\.correction_m: .*"),
+        (
+            json.dumps({"format": 1, "roads": [], "parts": 2 * json.loads(to_text(learning()))["parts"]}),
+            "parts: expected each antenna and base once",
+        ),
+    ],
+)
+def test_the_line_says_what_was_expected_where(text, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        from_text(text, RULES)
 
 
 @settings(derandomize=True, max_examples=300)

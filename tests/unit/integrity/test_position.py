@@ -1,10 +1,13 @@
 """What a pose alone gives consumers, that there is nothing without one, and the position within a verdict."""
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from camber.integrity.bounds import LevelRules
 from camber.integrity.judgement import Judgement, verdict_of
-from camber.integrity.position import Positions, no_position
+from camber.integrity.position import Positions, _distance2, no_position
 from camber.integrity.rules import Rules
 from camber.integrity.situation import Situation
 from camber.integrity.true_sigma import TrueSigma, with_true_sigma
@@ -117,3 +120,21 @@ def test_a_verdict_without_pose_or_covariance_says_so():
     verdict = verdict_of(Judgement(fix(covariance_enu_m2=None), "confirmed", "none"), TrueSigma())
     assert verdict.surface_id is verdict.map_version is verdict.latitude_rad is None
     assert verdict.height_difference_m is verdict.tolerance_m is None
+
+
+# --- two positions ------------------------------------------------------------------------------------------------
+
+metres = st.floats(-5.0, 5.0)
+errors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
+
+
+@settings(derandomize=True, deadline=None)
+@given(metres, metres, errors, errors)
+def test_how_far_two_positions_are_apart_is_told_by_what_both_know_of_the_plane_and_a_decimetre(
+    east_m, north_m, one, other
+):
+    covariances = [np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T for root in (one, other)]
+    plane = sum(covariances)[:2, :2] + 0.1**2 * np.eye(2)
+    apart = np.array([east_m, north_m])
+    found = _distance2(east_m, north_m, *(tuple(c[np.triu_indices(3)].tolist()) for c in covariances))
+    assert found == pytest.approx(apart @ np.linalg.inv(plane) @ apart, rel=1e-6, abs=1e-9)

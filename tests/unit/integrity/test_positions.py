@@ -256,13 +256,6 @@ def test_suspicion_fades_with_the_fixes_that_agree_and_not_with_time_alone():
     assert later.odds < 0.1 * now.odds
 
 
-def test_without_any_odds_the_offset_is_that_of_before():
-    rules = WrongFixRules()
-    nothing = Suspicion(at(0), 0.0, 1.0, 1.0)
-    part = nothing.part(0.0)
-    assert nothing.after(at(1), 0.0, part, rules).horizontal_m2 == 1.0
-
-
 def matched(k, **changes):
     """The pose of an epoch, anchored by fixes, that scan matching holds: its match is as old as the epoch."""
     return pose(k, **{"mode": "scan_match", "match_time_ns": at(k), "anchor_time_ns": at(k), **changes})
@@ -286,7 +279,8 @@ def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_afte
         "one place says it once: how the suspicion came about"
     )
     assert heard(matched(k, mode="dead_reckoning") for k in range(epochs)) == 1.0, "matches and fixes dispute"
-    assert heard(matched(k, sigma_m=0.3) for k in range(epochs)) == 1.0, "it tells no metre from the next"
+    assert heard(matched(k, sigma_m=0.24) for k in range(epochs)) < 1e-8, "four of its σ are within the metre"
+    assert heard(matched(k, sigma_m=0.26) for k in range(epochs)) == 1.0, "it tells no metre from the next"
     assert heard(matched(k, match_time_ns=at(0)) for k in range(epochs)) == 1.0, (
         "older than what is suspected"
     )
@@ -393,6 +387,34 @@ def test_what_is_dated_ahead_is_forgotten():
     positions.forget_future(at(-10))
     assert positions.at(at(10), situation(), 0.0).source == "none"
     assert fresh().forget_future(at(0)) is None
+
+
+def test_what_is_dated_as_late_as_may_be_is_kept():
+    now_ns = at(10) - round(RULES.future_limit_s * 1e9)
+    positions = fresh()
+    positions.hear_velocity(velocity(10))
+    positions.hear_speed(at(10), SPEED_M_S)
+    confirmed(positions, pose(10, **MATCHED), fix(10))
+    positions.forget_future(now_ns)
+    assert positions.at(at(10), situation(), 0.0).source == "doppler"
+    positions.forget_future(now_ns - 1)
+    assert positions.at(at(10), situation(), 0.0).source == "none"
+    assert confirmed(positions, pose(10, **MATCHED), fix(10)).source == "rtk"
+
+
+def test_what_was_suspected_ahead_of_the_clock_is_suspected_as_if_of_now():
+    """And fades from then on."""
+    now = at(10) - round(RULES.future_limit_s * 1e9)
+    drives = {epoch: fresh() for epoch in (400, 10, -400)}
+    for epoch, positions in drives.items():
+        confirmed(positions, provisional(epoch), fix(epoch))
+        positions.forget_future(now)
+    ahead, right, long_ago = (
+        confirmed(positions, pose(60, sigma_m=1.0), fix(60)).wrong_fix_probability
+        for positions in drives.values()
+    )
+    assert ahead == pytest.approx(right, rel=1e-6)
+    assert ahead > 1.001 * long_ago
 
 
 # --- poses -------------------------------------------------------------------------------------------------------
@@ -581,3 +603,10 @@ def test_by_the_reliability_index_levels_are_r_s():
     assert sensors.source == "sensors"
     assert sensors.horizontal_protection_level_m == pytest.approx(a * (0.025 + 2 * 0.03), rel=1e-4)
     assert sensors.usable
+
+
+def test_by_the_reliability_index_a_match_is_taken_where_its_ellipse_is_clearly_smaller():
+    positions = driving(10, LevelRules(levels="reliability_index"))
+    found = positions.at(at(10), situation(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
+    assert found.source == "scan_match"
+    assert found.horizontal_protection_level_m == found.semi_major_99_m < 0.7 * math.sqrt(9.2103) * 0.425

@@ -244,6 +244,34 @@ def test_nodes_that_say_the_same_need_not_be_asked(across, round_by):
         assert levels_m(few, [risk]) == pytest.approx(levels_m(all_of_them, [risk]), rel=1e-6)
 
 
+def test_a_mean_of_a_metre_across_is_like_one_of_a_little_more():
+    found = [levels_m([(1.0, 0.5, across_m, 0.4, 0.01)], [1e-3])[0] for across_m in (1.0, 1.0 + 1e-9)]
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    along_the_axis = levels_m([(1.0, math.hypot(0.5, 1.0), 0.0, 0.4, 0.01)], [1e-3])[0]
+    assert found[0] < 0.95 * along_the_axis
+
+
+def test_what_has_no_error_takes_nothing_of_the_risk_beyond_where_it_is():
+    wide = (0.01, 0.0, 0.0, 0.5, 0.5)
+    exact = math.sqrt(-math.log(SPENT * 1e-7 / 0.01))
+    for sure in ((0.99, 0.0, 0.0, 0.0, 0.0), (0.99, 0.1, 0.2, 0.0, 0.0)):
+        assert levels_m([wide, sure], [1e-7])[0] == pytest.approx(exact, rel=5e-4)
+        together = levels_m(
+            [tuple(np.full(3, value) for value in part) for part in (wide, sure)], [1e-7 + np.zeros(3)]
+        )
+        assert together[0] == pytest.approx(exact, rel=5e-4)
+
+
+@pytest.mark.parametrize("at_m", [0.3, 3.0, 300.0])
+@pytest.mark.parametrize("sigma_m", [0.0, 1e-6])
+def test_of_what_lies_aside_for_certain_it_is_so_far(at_m, sigma_m):
+    """All of P falls within a micrometre, but for Newton's steps."""
+    near, aside = (0.9, 0.0, 0.0, 1e-4, 1e-4), (0.1, at_m, 0.0, sigma_m**2, 0.0)
+    assert levels_m([near, aside], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
+    anywhere = (5e-4, 0.0, 0.0, 1e6, 1e6)  # half of the risk
+    assert levels_m([near, aside, anywhere], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
+
+
 @pytest.mark.parametrize(
     "tails",
     [
@@ -261,6 +289,23 @@ def test_nodes_that_say_the_same_need_not_be_asked(across, round_by):
 def test_what_is_no_distribution_has_no_level(tails):
     assert level(tails, 1e-3) == math.inf
     assert of_rows(tails, np.full(1, 1e-3)) == math.inf
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_a_part_of_which_anything_is_not_finite_has_no_level(place, value):
+    part = [0.5, 0.1, 0.1, 0.04, 0.01]
+    part[place] = value
+    assert levels_m([(0.5, 0.0, 0.0, 0.04, 0.01), tuple(part)], [1e-3]) == [math.inf]
+    many = [tuple(np.full(2, number) for number in one) for one in ((0.5, 0.0, 0.0, 0.04, 0.01), part)]
+    assert (levels_m(many, [np.full(2, 1e-3)])[0] == math.inf).all()
+
+
+def test_one_without_a_level_takes_none_from_those_beside_it():
+    variance = np.array([1.0, math.nan, 4.0, -1.0])
+    found = levels_m([(np.ones(4), np.zeros(4), np.zeros(4), variance, variance)], [np.full(4, 1e-3)])[0]
+    one = math.sqrt(-2.0 * math.log(SPENT * 1e-3))
+    assert found == pytest.approx([one, math.inf, 2.0 * one, math.inf], rel=5e-4)
 
 
 @pytest.mark.parametrize("risk", [0.0, -1e-9, math.nan])

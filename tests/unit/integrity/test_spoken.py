@@ -57,6 +57,7 @@ def test_the_word_that_there_is_no_position_is_due_when_the_newest_is_too_old(af
 def test_it_is_repeated_but_not_at_every_round():
     spoken = Spoken()
     spoken.no_position(T)
+    assert not spoken.position_is_due(T, 0.3)
     assert not spoken.position_is_due(after(0.05), 0.3)
     assert spoken.position_is_due(after(0.1), 0.3)
     assert spoken.position_is_due(after(-5.0), 0.3)
