@@ -44,6 +44,18 @@ class MapDrawing:
 def map_drawing(release: Release, frame: LocalFrame, panel: Panel) -> MapDrawing:
     """Of a panel whose values are metres east and north in a frame. Raises ReleaseError."""
     tiles = _tiles(frame, panel)
+    surfaces = [surface for xy in tiles if (surface := release.surface_tile(*xy)) is not None]
+    return MapDrawing(
+        panel,
+        cloud_raster(release, frame, panel).png(),
+        [line for surface in surfaces for line in _outlines(surface, frame)],
+        plane_links(release, frame, panel),
+    )
+
+
+def cloud_raster(release: Release, frame: LocalFrame, panel: Panel) -> Raster:
+    """The clouds within a panel, a pixel of it one of the picture. Raises ReleaseError."""
+    tiles = _tiles(frame, panel)
     raster = Raster(round(panel.width), round(panel.height))
     for layer, colour, full in _CLOUDS:
         counts = np.zeros(raster.pixels.shape[:2])
@@ -52,14 +64,13 @@ def map_drawing(release: Release, frame: LocalFrame, panel: Panel) -> MapDrawing
             if cloud is not None:
                 counts += _counts(cloud, frame, panel)
         raster.shade(counts, colour, full)
-    surfaces = [surface for xy in tiles if (surface := release.surface_tile(*xy)) is not None]
-    links = [link for xy in tiles if (link := release.link_tile(*xy)) is not None]
-    return MapDrawing(
-        panel,
-        raster.png(),
-        [line for surface in surfaces for line in _outlines(surface, frame)],
-        [line for link in links for line in _links(link, frame)],
-    )
+    return raster
+
+
+def plane_links(release: Release, frame: LocalFrame, panel: Panel) -> list[Floats]:
+    """Lines (k, 2) in the frame of the links of all tiles within a panel. Raises ReleaseError."""
+    tiles = [link for xy in _tiles(frame, panel) if (link := release.link_tile(*xy)) is not None]
+    return [line for tile in tiles for line in _links(tile, frame)]
 
 
 def _tiles(frame: LocalFrame, panel: Panel) -> list[Tile]:

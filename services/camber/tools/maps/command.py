@@ -13,6 +13,7 @@ SUBCOMMANDS: dict[str, tuple[str, str]] = {
     "inspect": ("camber.tools.maps.inspect", "what a release, a store or a map not imported yet holds"),
     "diff": ("camber.tools.maps.diff", "what another release has, lacks and says otherwise"),
     "export": ("camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, or PCD cells for Autoware"),
+    "picture": ("camber.tools.maps.picture", "a map from above, as PNG"),
 }
 """Name → module with `main(argv) -> exit code`, and a line of help."""
 

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.cli import main
+from camber.formats.map_release import read_release, write_release
+from camber.formats.map_roads import RoadLinks, RoadSurfaces
+from camber.geodesy.local_frame import LocalFrame
+from camber.tools.maps.picture import picture
+
+FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
+NOW_NS = 1_400_000_000 * 10**9
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A road to the east of 10 to 20 m, and a bridge over its middle at 30 m; both 8 m wide and 40 m long."""
+    folder = tmp_path_factory.mktemp("release")
+    place = np.degrees([FRAME.latitude_rad, FRAME.longitude_rad])
+    latitude, longitude = np.radians(np.tile(place, (2, 1)).T)
+    surfaces = RoadSurfaces(
+        surface_id=np.array([1, 2]),
+        link_id=np.array([1, 1]),
+        level=np.array([0, 1]),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        yaw_rad=np.array([0.0, 0.5 * math.pi]),
+        half_length_m=np.array([20.0, 20.0]),
+        half_width_m=np.array([4.0, 4.0]),
+        sigma_m=np.array([0.03, 0.03]),
+        vehicles=np.array([0, 0]),
+        last_seen_ns=np.array([NOW_NS, NOW_NS]),
+        heights_m=[np.array([[10.0, 10.0], [20.0, 20.0]]), np.full((2, 2), 30.0)],
+    )
+    line = np.column_stack(
+        FRAME.geodetic_from_east_north_array(np.array([[-20.0, -2.0], [20.0, -2.0]]), 0.0)[:2]
+    )
+    links = RoadLinks(
+        link_id=np.array([1]),
+        start_node=np.array([1]),
+        end_node=np.array([2]),
+        level=np.array([0]),
+        sigma_m=np.array([0.5]),
+        vertices=[line],
+    )
+    write_release(
+        folder, region="t", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
+        surfaces=surfaces, links=links,
+    )  # fmt: skip
+    return folder
+
+
+def pixels(png: bytes) -> np.ndarray:
+    width, height = struct.unpack(">II", png[16:24])
+    (size,) = struct.unpack(">I", png[33:37])
+    rows = np.frombuffer(zlib.decompress(png[41 : 41 + size]), np.uint8).reshape(height, 1 + 3 * width)
+    return rows[:, 1:].reshape(height, width, 3).astype(int)
+
+
+def test_the_road_rises_from_blue_to_yellow_and_the_bridge_lies_over_it(release: Path) -> None:
+    png, said = picture(read_release(release), "t", None, 200)
+    image = pixels(png)
+    height, width, _ = image.shape
+    m_a_pixel = 2.0 * (math.hypot(20.0, 4.0) + 5.0) / width
+
+    def at(east_m: float, north_m: float) -> list[int]:
+        return image[int(height / 2 - north_m / m_a_pixel), int(width / 2 + east_m / m_a_pixel)].tolist()
+
+    assert at(24.0, 20.0) == [255, 255, 255]  # nothing
+    west, east, bridge = at(-18.0, 2.0), at(18.0, 2.0), at(0.5, 2.0)
+    assert west[2] > west[0]
+    assert bridge[0] > 200 > bridge[2]  # the highest: yellow
+    assert east[1] > west[1]
+    assert at(0.0, 17.0) == bridge
+    assert at(-10.0, -2.0) == [205, 60, 80]  # the link over the surface
+    assert "2 surfaces, heights 15.0 to 30.0 m" in said
+
+
+def test_one_tile_or_the_whole_map_into_a_file_and_a_tile_that_is_not_there_is_refused(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    x, y = read_release(release).tiles("surfaces")[0]
+    command = ["map", "picture", str(release), "--out", str(tmp_path / "map.png"), "--pixels", "100"]
+    assert main(command) == 0
+    whole = pixels((tmp_path / "map.png").read_bytes())
+    assert max(whole.shape[:2]) == 100
+    assert main([*command, "--tile", str(x), str(y)]) == 0
+    tile = pixels((tmp_path / "map.png").read_bytes())
+    assert 0 < (tile != 255).any(axis=2).mean() < (whole != 255).any(axis=2).mean()
+    assert main([*command, "--tile", "0", "0"]) == 2
+    assert "tiles" in capsys.readouterr().err
+    assert main([*command, "--pixels", "1"]) == 2
