@@ -7,6 +7,8 @@ varies in length, the rows are an array.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from camber.map_update.contribution import OBSERVATION
@@ -17,6 +19,7 @@ _TRAILER = b"\xff\xff"
 _SQL = {"i": "bigint", "u": "smallint", "f": "double precision"}
 _BINARY = {"i": ">i8", "u": ">i2", "f": ">f8"}
 _NUMBER = "contribution"
+_PART = 2048
 _KINDS = {_NUMBER: "i", **{name: OBSERVATION[name].kind for name in OBSERVATION.names or ()}}
 _ROW = np.dtype(
     [
@@ -35,16 +38,31 @@ DEFINITION = ", ".join(f"{name} {_SQL[kind]} NOT NULL" for name, kind in _KINDS.
 """The columns of the table, in SQL."""
 
 
-def to_copy(number: Ids, rows: Rows) -> memoryview:
-    """Binary COPY of observations (n,) of OBSERVATION of the contributions `number` (n,)."""
-    data = bytearray(len(_HEADER) + len(rows) * _ROW.itemsize + len(_TRAILER))
-    data[: len(_HEADER)], data[-len(_TRAILER) :] = _HEADER, _TRAILER
-    table = np.frombuffer(data, _ROW, len(rows), len(_HEADER))
-    table["fields"] = len(COLUMNS)
+def _template() -> bytes:
+    row = np.zeros(1, _ROW)
+    row["fields"] = len(COLUMNS)
     for name in COLUMNS:
-        table[f"{name} length"] = _ROW[name].itemsize
-        table[name] = number if name == _NUMBER else rows[name]
-    return memoryview(data)
+        row[f"{name} length"] = _ROW[name].itemsize
+    return row.tobytes()
+
+
+_EMPTY_ROW = _template()
+
+
+def to_copy(number: Ids, rows: Rows) -> Iterator[bytearray]:
+    """Binary COPY of observations (n,) of OBSERVATION of the contributions `number` (n,), some thousand rows at a time.
+
+    The server works on one part while the next is made.
+    """
+    yield bytearray(_HEADER)
+    for first in range(0, len(rows), _PART):
+        part, of = rows[first : first + _PART], number[first : first + _PART]
+        data = bytearray(_EMPTY_ROW * len(part))
+        table = np.frombuffer(data, _ROW)
+        for name in COLUMNS:
+            table[name] = of if name == _NUMBER else part[name]
+        yield data
+    yield bytearray(_TRAILER)
 
 
 def from_copy(data: bytes) -> tuple[Ids, Rows]:

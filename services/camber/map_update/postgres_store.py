@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -41,6 +41,8 @@ from camber.map_update.store import (
     Store,
     StoreError,
     empty_rows,
+    forgettable,
+    joined,
     ledger_row,
     observed,
     settle,
@@ -72,30 +74,24 @@ CREATE TABLE contribution (
     map_version bigint NOT NULL,
     epoch_year double precision NOT NULL,
     position_covariance_enu_m2 bytea,
-    kept boolean NOT NULL DEFAULT true,
     UNIQUE (vehicle, kind, id)
 );
-CREATE INDEX contribution_kept ON contribution (received_ns) WHERE kept;
 CREATE TABLE ledger_end (number bigint NOT NULL, partitions bigint NOT NULL);
 INSERT INTO ledger_end VALUES (0, 0);
 CREATE TABLE observation ({DEFINITION}) PARTITION BY RANGE (contribution);
 CREATE TABLE vote (surface_id bigint PRIMARY KEY, rows bytea NOT NULL);
 CREATE TABLE state (name text PRIMARY KEY, value bytea NOT NULL);
-CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL);
-INSERT INTO progress VALUES (0, 0);
+CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL, forgotten bigint NOT NULL);
+INSERT INTO progress VALUES (0, 0, 0);
 CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL);
 """
 _KNOWN = """
 SELECT vehicle, kind, id, digest FROM contribution
 JOIN unnest($1::text[], $2::text[], $3::text[]) AS asked (vehicle, kind, id) USING (vehicle, kind, id)"""
-_INSERT = """
-INSERT INTO contribution SELECT * FROM unnest(
-    $1::bigint[], $2::text[], $3::text[], $4::text[], $5::bytea[], $6::bigint[], $7::integer[], $8::text[],
-    $9::bigint[], $10::double precision[], $11::bytea[])"""
 _HEADINGS = f"""
 SELECT number, vehicle, kind, id, received_ns, datum, map_version, epoch_year,
-    CASE WHEN kept THEN records ELSE 0 END
-FROM contribution WHERE number > $1 ORDER BY number LIMIT {_PAGE}"""
+    CASE WHEN number > forgotten THEN records ELSE 0 END
+FROM contribution, progress WHERE number > $1 ORDER BY number LIMIT {_PAGE}"""
 
 
 class PostgresStore(Store):
@@ -250,7 +246,7 @@ class PostgresStore(Store):
             ledger_row(number, contribution, digest, now_ns)
             for number, (contribution, digest) in enumerate(new, last + 1)
         ]
-        await db.execute(_INSERT, *(list(column) for column in zip(*ledger, strict=True)))
+        await db.copy_records_to_table("contribution", records=ledger)
         await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, partitions))
         numbers = np.arange(last + 1, end + 1)
         of = (numbers - 1) // PARTITION
@@ -259,12 +255,8 @@ class PostgresStore(Store):
                 contribution.observations for (contribution, _), at in zip(new, of, strict=True) if at == k
             ]
             number = np.repeat(numbers[of == k], [len(rows) for rows in inside])
-            await db.copy_to_table(
-                f"observation_{k}",
-                source=to_copy(number, np.concatenate(inside)),
-                columns=COLUMNS,
-                format="binary",
-            )
+            source = _parts(to_copy(number, joined(inside)))
+            await db.copy_to_table(f"observation_{k}", source=source, columns=COLUMNS, format="binary")
 
     async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> Observed:
         headings: list[Heading] = []
@@ -299,32 +291,21 @@ class PostgresStore(Store):
 
     async def _forget(self, db: asyncpg.Connection, before_ns: int, most: int) -> int:
         async with db.transaction():
+            forgotten = await db.fetchval("SELECT forgotten FROM progress FOR UPDATE")
             found = await db.fetch(
-                'SELECT number FROM contribution WHERE kept AND received_ns < $1 AND number <= (SELECT "cursor" FROM'
-                " progress) ORDER BY received_ns LIMIT $2",
-                before_ns,
+                "SELECT number, received_ns FROM contribution, progress"
+                ' WHERE number > $1 AND number <= "cursor" ORDER BY number LIMIT $2',
+                forgotten,
                 most,
             )
-            numbers = np.sort(np.array([number for (number,) in found], np.int64))
-            await db.execute(
-                "UPDATE contribution SET kept = false WHERE number = ANY ($1::bigint[])", numbers.tolist()
-            )
-            end = await db.fetchval("SELECT number FROM ledger_end")
-            of = (numbers - 1) // PARTITION
-            for k in np.unique(of).tolist():
-                first, beyond = k * PARTITION + 1, (k + 1) * PARTITION + 1
-                left = await db.fetchval(
-                    "SELECT count(*) FROM contribution WHERE kept AND number >= $1 AND number < $2",
-                    first,
-                    beyond,
-                )
-                if not left and end >= beyond - 1:
-                    await db.execute(f"DROP TABLE observation_{k}")
-                else:
-                    await db.execute(
-                        f"DELETE FROM observation_{k} WHERE contribution = ANY ($1::bigint[])",
-                        numbers[of == k].tolist(),
-                    )
+            numbers = forgettable(found, before_ns)
+            if numbers:
+                await db.execute("UPDATE progress SET forgotten = $1", numbers[-1])
+                for k in range((numbers[0] - 1) // PARTITION, (numbers[-1] - 1) // PARTITION + 1):
+                    if numbers[-1] >= (k + 1) * PARTITION:
+                        await db.execute(f"DROP TABLE observation_{k}")
+                    else:
+                        await db.execute(f"DELETE FROM observation_{k} WHERE contribution <= $1", numbers[-1])
         return len(numbers)
 
     async def _advance(
@@ -352,6 +333,11 @@ class PostgresStore(Store):
                 if value is not None:
                     await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
         return Progress(step.cursor, seen.revision + 1)
+
+
+async def _parts(source: Iterator[bytearray]) -> AsyncIterator[bytearray]:
+    for part in source:
+        yield part
 
 
 async def _terminate(connection: asyncpg.Connection) -> None:

@@ -38,6 +38,8 @@ from camber.map_update.store import (
     Store,
     StoreError,
     empty_rows,
+    forgettable,
+    joined,
     ledger_row,
     observed,
     settle,
@@ -66,8 +68,8 @@ _TABLES = (
     "CREATE TABLE observation (contribution INTEGER PRIMARY KEY, rows BLOB NOT NULL)",
     "CREATE TABLE vote (surface_id INTEGER PRIMARY KEY, rows BLOB NOT NULL)",
     "CREATE TABLE state (name TEXT PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID",
-    "CREATE TABLE progress (cursor INTEGER NOT NULL, revision INTEGER NOT NULL)",
-    "INSERT INTO progress VALUES (0, 0)",
+    "CREATE TABLE progress (cursor INTEGER NOT NULL, revision INTEGER NOT NULL, forgotten INTEGER NOT NULL)",
+    "INSERT INTO progress VALUES (0, 0, 0)",
     "CREATE TABLE layout (name TEXT PRIMARY KEY, descr TEXT NOT NULL)",
 )
 _HEADING = "number, vehicle, kind, id, received_ns, datum, map_version, epoch_year"
@@ -110,7 +112,7 @@ class SqliteStore(Store):
                 "SELECT max(cursor, coalesce((SELECT max(number) FROM contribution), 0)) FROM progress"
             ).fetchone()
             db.executemany(
-                f"INSERT INTO contribution VALUES (?{', ?' * 10}, 1)",
+                f"INSERT INTO contribution VALUES (?{', ?' * 10})",
                 [
                     ledger_row(number, contribution, digest, now_ns)
                     for number, (contribution, digest) in enumerate(new, last + 1)
@@ -154,18 +156,20 @@ class SqliteStore(Store):
             found.close()
         heading_of = np.repeat(np.arange(len(headings)), [len(part) for part in parts[1:]])
         last = headings[-1].number if headings else cursor
-        return observed(last, headings, np.concatenate(parts), heading_of)
+        return observed(last, headings, joined(parts), heading_of)
 
     def forget(self, before_ns: int, *, most: int = 1000) -> int:
         """See `Store.forget`."""
         with self._writing() as db:
-            numbers = db.execute(
-                "SELECT number FROM contribution, progress"
-                " WHERE kept AND received_ns < ? AND number <= cursor ORDER BY received_ns LIMIT ?",
-                (before_ns, most),
+            found = db.execute(
+                "SELECT number, received_ns FROM contribution, progress"
+                " WHERE number > forgotten AND number <= cursor ORDER BY number LIMIT ?",
+                (most,),
             ).fetchall()
-            db.executemany("DELETE FROM observation WHERE contribution = ?", numbers)
-            db.executemany("UPDATE contribution SET kept = 0 WHERE number = ?", numbers)
+            numbers = forgettable(found, before_ns)
+            if numbers:
+                db.execute("DELETE FROM observation WHERE contribution <= ?", numbers[-1:])
+                db.execute("UPDATE progress SET forgotten = ?", numbers[-1:])
         return len(numbers)
 
     def progress(self) -> Progress:
@@ -279,9 +283,6 @@ def _add_tables(db: sqlite3.Connection) -> None:
     for statement in _TABLES:
         db.execute(statement)
     db.executemany("INSERT INTO layout VALUES (?, ?)", list(_LAYOUT.items()))
-    # Of what still has its observations, by age: what is to be deleted next is at its beginning.
-    db.execute("ALTER TABLE contribution ADD COLUMN kept INTEGER NOT NULL DEFAULT 1")
-    db.execute("CREATE INDEX contribution_kept ON contribution (received_ns) WHERE kept")
 
 
 _MAKE: dict[int, Callable[[sqlite3.Connection], None]] = {0: _make, 1: _make_from_1}

@@ -16,6 +16,7 @@ progress are one transaction, so a contribution is never fused twice, nor left o
 from __future__ import annotations
 
 import abc
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from struct import pack
@@ -126,10 +127,10 @@ class Store(abc.ABC):
 
     @abc.abstractmethod
     def forget(self, before_ns: int, *, most: int = 1000) -> int:
-        """Delete the observations of at most `most` contributions received before `before_ns` (GPS time) and fused.
+        """Delete the observations of at most `most` contributions, in the order of commits.
 
-        Their ledger rows stay: what comes again is still a duplicate. Returns of how many; none are left when fewer
-        than `most`.
+        It goes as far as they were received before `before_ns` (GPS time) and are fused. Their ledger rows stay: what
+        comes again is still a duplicate. Returns of how many; none are left when fewer than `most`.
         """
 
     @abc.abstractmethod
@@ -224,6 +225,16 @@ def votes_by_surface(step: Step, vote: np.dtype[np.void]) -> tuple[list[int], li
     starts = np.searchsorted(ordered["surface_id"], surfaces, side="left").tolist()
     ends = np.searchsorted(ordered["surface_id"], surfaces, side="right").tolist()
     return surfaces.tolist(), [ordered[a:b].tobytes() for a, b in zip(starts, ends, strict=True)]
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Observations of several arrays as one; what np.concatenate does, which compares the fields of each pair."""
+    return np.frombuffer(b"".join(part.tobytes() for part in parts), OBSERVATION)
+
+
+def forgettable(received: Sequence[tuple[int, int]], before_ns: int) -> list[int]:
+    """The numbers of contributions (number, received_ns) up to the first that came at `before_ns` or later."""
+    return [number for number, _ in itertools.takewhile(lambda row: row[1] < before_ns, received)]
 
 
 def empty_rows() -> Rows:

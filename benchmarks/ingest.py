@@ -1,0 +1,247 @@
+"""The fleet's store beside the bare database, and uploads from end to end, committed and acknowledged.
+
+PostgreSQL and NATS are Debian's, started on the loopback, flushing as they should. All rates are of one run, medians of
+five rounds in turn; what vehicles send are batches of 64 records, as the judge makes them. Where a server is not
+installed its figures are left out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sqlite3
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+from figure import Figure, higher
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from camber.map_update.contribution import OBSERVATION, Contribution
+from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.store import Store
+from support.contributions import NOW_NS, random_batch, take_all
+from support.databases import NATS, POSTGRES, NatsServer, PostgresServer, lasting_port, running
+from support.running import environment, wait_until
+from support.upload_load import Load, command
+
+RECORDS, GROUP, GROUPS, ROUNDS = 64, 256, 6, 5
+UPLOADS = int(os.environ.get("CAMBER_BENCH_UPLOADS", "6000"))
+_COLUMNS = OBSERVATION.names or ()
+
+
+def groups(first: int) -> list[list[Contribution]]:
+    """Groups of batches of a vehicle each, no two alike."""
+    rng = np.random.default_rng(first)
+    batch = random_batch("b", RECORDS, rng)
+    return [
+        [
+            Contribution(
+                f"car{k % 50}",
+                "batch",
+                f"{first}.{k}.{n}",
+                "WGS84",
+                1,
+                2024.0,
+                None,
+                batch.observations.copy(),
+            )
+            for n in range(GROUP)
+        ]
+        for k in range(GROUPS)
+    ]
+
+
+def seconds(work: Callable[[], None]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def in_turn(ours: Callable[[int], float], peer: Callable[[int], float]) -> tuple[float, float]:
+    """Medians of records/s of rounds in turn; each is given its number and returns its seconds."""
+    records = RECORDS * GROUP * GROUPS
+    pairs = [(records / ours(k), records / peer(k)) for k in range(ROUNDS)]
+    return statistics.median(a for a, _ in pairs), statistics.median(b for _, b in pairs)
+
+
+def storing(store: Store) -> Callable[[int], float]:
+    def work(k: int) -> float:
+        prepared = groups(k)
+
+        def commit() -> None:
+            for group in prepared:
+                assert all(o.status == "stored" for o in store.commit(group, NOW_NS, take_all))
+
+        return seconds(commit)
+
+    return work
+
+
+def sqlite_figures(folder: Path) -> list[Figure]:
+    db = sqlite3.connect(folder / "raw.sqlite", isolation_level=None)
+    db.execute("PRAGMA journal_mode = WAL")
+    db.execute("PRAGMA synchronous = FULL")
+    types = (f"{name} {'REAL' if OBSERVATION[name].kind == 'f' else 'INTEGER'} NOT NULL" for name in _COLUMNS)
+    db.execute(f"CREATE TABLE observation ({', '.join(types)})")
+
+    def raw(k: int) -> float:
+        prepared = [np.concatenate([c.observations for c in group]).tolist() for group in groups(k)]
+
+        def insert() -> None:
+            for rows in prepared:
+                db.execute("BEGIN IMMEDIATE")
+                db.executemany(f"INSERT INTO observation VALUES (?{', ?' * (len(_COLUMNS) - 1)})", rows)
+                db.execute("COMMIT")
+
+        return seconds(insert)
+
+    with closing(SqliteStore(folder / "uploads.sqlite")) as store, closing(db):
+        ours, peer = in_turn(storing(store), raw)
+    name = "executemany of the same rows into a plain table, as durable"
+    return [higher("uploads into SQLite with their ledger", "records/s", ours, peer, name)]
+
+
+def postgres_figures(server: PostgresServer) -> list[Figure]:
+    import asyncpg
+
+    from camber.map_update.postgres_rows import to_copy
+    from camber.map_update.postgres_store import PostgresStore
+
+    loop = asyncio.new_event_loop()
+    raw_db = loop.run_until_complete(asyncpg.connect(server.address()))
+    types = {"i": "bigint", "u": "smallint", "f": "double precision"}
+    definition = ", ".join(f"{name} {types[OBSERVATION[name].kind]} NOT NULL" for name in _COLUMNS)
+    loop.run_until_complete(raw_db.execute(f"CREATE TABLE raw (contribution bigint NOT NULL, {definition})"))
+
+    def raw(k: int) -> float:
+        prepared = []
+        for group in groups(k):
+            rows = np.concatenate([c.observations for c in group])
+            prepared.append(memoryview(b"".join(to_copy(np.arange(len(rows)), rows))))
+
+        def copy() -> None:
+            for data in prepared:
+                loop.run_until_complete(raw_db.copy_to_table("raw", source=data, format="binary"))
+
+        return seconds(copy)
+
+    with closing(PostgresStore(server.new_database(), limit_s=30.0)) as store:
+        ours, peer = in_turn(storing(store), raw)
+    loop.run_until_complete(raw_db.close())
+    loop.close()
+    name = "binary COPY of the same rows, made before, into a plain table"
+    return [higher("uploads into PostgreSQL with their ledger", "records/s", ours, peer, name)]
+
+
+@contextmanager
+def workers(
+    folder: Path, postgres: PostgresServer, nats: NatsServer | None, shards: list[str], each: int
+) -> Iterator[str]:
+    """map_update in all its roles; gives the endpoint that vehicles connect to."""
+    endpoint = f"tcp/127.0.0.1:{lasting_port()}"
+    router = f'[zenoh]\nmode = "router"\nconnect = []\nlisten = ["{endpoint}"]\n'
+    client = f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
+    tables = {}
+    if nats is None:
+        tables["all"] = f'vehicle = "fleet"\nstore = "{postgres.new_database()}"\nanswer_s = 5.0\n{router}'
+    else:
+        own = f'queue = "{nats.address}"\nshards = {json.dumps(shards)}\nanswer_s = 5.0\n'
+        tables["receive"] = f'vehicle = "receive"\nrole = "receive"\n{own}{router}'
+        for shard in shards:
+            address = postgres.new_database()
+            for n in range(each):
+                name = f"store{shard}_{n}"
+                tables[name] = (
+                    f'vehicle = "{name}"\nrole = "store"\nshard = "{shard}"\nstore = "{address}"\n{own}{client}'
+                )
+    with ExitStack() as ends:
+        for name, table in tables.items():
+            path = folder / f"{name}.toml"
+            path.write_text(table)
+            log = ends.enter_context((folder / f"{name}.log").open("w"))
+            process = subprocess.Popen(
+                [sys.executable, "-m", "camber.map_update", "--config", str(path)],
+                env=environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
+            ends.callback(process.wait)
+            ends.callback(process.kill)
+        for name in tables:
+            wait_until(
+                lambda path=folder / f"{name}.log": "started" in path.read_text(),
+                timeout_s=60.0,
+                why=f"{name} does not start",
+            )
+        yield endpoint
+
+
+def uploaded(folder: Path, endpoint: str, *, everywhere: bool) -> float:
+    """Records per second that were acknowledged, from the first to the last; a first part of them warms up."""
+    warm = UPLOADS // 4
+    spans = []
+    for first, until in ((0, warm), (warm, UPLOADS)):
+        load = Load(
+            endpoint,
+            str(folder / "acks"),
+            first,
+            until,
+            RECORDS,
+            window=500,
+            everywhere=everywhere,
+            prepared=True,
+        )
+        out = subprocess.run(
+            [sys.executable, *command(load)],
+            env=environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            check=True,
+            timeout=300.0,
+        ).stdout
+        spans.append(json.loads(out.splitlines()[-1])["s"])
+    (folder / "acks").unlink()
+    return (UPLOADS - warm) * RECORDS / spans[-1]
+
+
+def end_to_end(folder: Path, postgres: PostgresServer, copy_rate: float) -> list[Figure]:
+    rates = {}
+    with workers(folder, postgres, None, [""], 1) as endpoint:
+        rates["Zenoh into PostgreSQL, one worker"] = uploaded(folder, endpoint, everywhere=False)
+    if NATS is not None:
+        kinds = (
+            ("one that stores", [""], 1),
+            ("two that store in one database", [""], 2),
+            ("four that store, a database each", ["0", "1", "2", "3"], 1),
+        )
+        for name, shards, each in kinds:
+            with running(NatsServer()) as nats, workers(folder, postgres, nats, shards, each) as endpoint:
+                rates[f"Zenoh and JetStream, one that receives, {name}"] = uploaded(
+                    folder, endpoint, everywhere=len(shards) > 1
+                )
+    peer = "binary COPY alone, as above"
+    return [
+        higher(f"{name}: committed and acknowledged", "records/s", found, copy_rate, peer)
+        for name, found in rates.items()
+    ]
+
+
+def figures() -> list[Figure]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        found = sqlite_figures(folder)
+        if POSTGRES:
+            with running(PostgresServer()) as server:
+                found += postgres_figures(server)
+                found += end_to_end(folder, server, found[-1].peer)
+    return found
