@@ -18,7 +18,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
-from camber.formats.map_release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release
+from camber.formats.map_release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.formats.map_release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.formats.map_release_writing import Heading, Known, Place, seal_release
 from camber.formats.map_tile_checks import wrong_in_tile
@@ -89,12 +89,13 @@ class ReleaseMaking:
             return current.root
         if current is not None and not same_reference:
             self._refuse_reused_ids()
-        blobs: dict[Place, bytes | Known] = self._kept_blobs(current)
+        if not same_reference:
+            self._keep_reference()
+        blobs = self._kept_blobs()
         blobs |= {(0, *tile): self._corrected(tile, rows) for tile in self._touched(rows)}
         kept = to_bytes(rows, time_ns)
         digest = hashlib.sha256(kept).hexdigest()
         write_blob(self.folder, digest, kept)
-        self._keep_manifest()
         heading = Heading(
             region=reference.manifest.region,
             map_version=version,
@@ -108,27 +109,23 @@ class ReleaseMaking:
         )
         return seal_release(self.folder, heading, blobs, previous=previous, signing_key=self._signing_key)
 
-    def _kept_blobs(self, current: Release | None) -> dict[Place, bytes | Known]:
-        """The reference's tiles; their bytes only where the folder may not have them yet."""
-        here = frozenset() if current is None else current.hashes()
-        manifest, blobs = self.reference.manifest, dict[Place, bytes | Known]()
-        for row, layer in enumerate(manifest.layer.tolist()):
-            x, y = int(manifest.tile_x[row]), int(manifest.tile_y[row])
-            digest, size = manifest.sha256[row].tobytes(), int(manifest.size_bytes[row])
-            if digest.hex() in here or self._is_reference_folder():
-                blobs[(layer, x, y)] = Known(digest, size)
-            else:
-                blobs[(layer, x, y)] = self.reference.source.blob(digest.hex(), size)
-        return blobs
+    def _kept_blobs(self) -> dict[Place, bytes | Known]:
+        """The reference's tiles, which are in the folder already."""
+        manifest = self.reference.manifest
+        columns = (manifest.layer.tolist(), manifest.tile_x.tolist(), manifest.tile_y.tolist())
+        return {
+            place: Known(manifest.sha256[row].tobytes(), int(manifest.size_bytes[row]))
+            for row, place in enumerate(zip(*columns, strict=True))
+        }
 
-    def _is_reference_folder(self) -> bool:
-        source = self.reference.source
-        return isinstance(source, ReleaseFolder) and source.folder.resolve() == self.folder.resolve()
-
-    def _keep_manifest(self) -> None:
-        """The chain of manifests ends at the reference's."""
-        digest = self.reference.root.manifest_sha256
-        write_blob(self.folder, digest, self.reference.source.blob(digest, None))
+    def _keep_reference(self) -> None:
+        """The folder has all that releases are made of: the chain of manifests ends at the reference's."""
+        source, reference = self.reference.source, self.reference
+        if isinstance(source, ReleaseFolder) and source.folder.resolve() == self.folder.resolve():
+            return
+        digests = {*reference.hashes(), reference.root.manifest_sha256}
+        for digest in sorted(digests):
+            write_blob(self.folder, digest, source.blob(digest, None))
 
     def _touched(self, rows: Corrections) -> list[Tile]:
         """The tiles that hold a corrected surface; ReleaseError for one that the reference does not have."""
@@ -221,6 +218,23 @@ def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
     changed = {"grid_m": grid_m, "sigma_m": sigma_m, "vehicles": vehicles, "last_seen_ns": last_seen_ns}
     time_ns = max(tile.time_ns, int(mine["last_seen_ns"].max(initial=0)))
     return SurfaceTile(**tile.__dict__ | changed | {"time_ns": time_ns})
+
+
+def reference_in(folder: Path) -> Release:
+    """The reference of the newest release in a folder of releases, which is kept there; else ReleaseError."""
+    current = open_release(folder)
+    digest = current.manifest.reference_sha256
+    if digest is None:
+        return current
+    source = ReleaseFolder(folder)
+    manifest = decoded(Manifest, source.blob(digest, None), source.name(digest))
+    root = ReleaseRoot(
+        time_ns=manifest.time_ns,
+        region=manifest.region,
+        map_version=manifest.map_version,
+        manifest_sha256=digest,
+    )
+    return release_of(source, root, source.name(digest))
 
 
 def history(folder: Path) -> Iterator[Made]:

@@ -14,6 +14,11 @@ SUBCOMMANDS: dict[str, tuple[str, str]] = {
     "diff": ("camber.tools.maps.diff", "what another release has, lacks and says otherwise"),
     "export": ("camber.tools.maps.exports", "a release as GeoTIFF, GeoJSON, or PCD cells for Autoware"),
     "picture": ("camber.tools.maps.picture", "a map from above, as PNG"),
+    "releases": (
+        "camber.tools.maps.releases",
+        "which releases there are, whence a height is, and back to one before",
+    ),
+    "review": ("camber.tools.maps.review", "changes that wait for a person: list, accept, reject"),
 }
 """Name → module with `main(argv) -> exit code`, and a line of help."""
 

@@ -1,0 +1,196 @@
+"""`camber map releases PATH`: which releases there are, what became of a surface, and back to an earlier one.
+
+PATH is map_update's folder of releases, or a vehicle's store. Back in the folder: a new release with the corrections of
+an earlier one, for the whole fleet. Back in a store: that vehicle alone, to the release before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.map_release import load_signing_key
+from camber.formats.map_release_files import ReleaseFolder
+from camber.formats.map_roads import ReleaseError
+from camber.formats.map_store import MapStore
+from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
+from camber.map_update.corrections import NONE, Corrections
+from camber.map_update.release_making import ReleaseMaking, corrections_of, history, reference_in
+from camber.map_update.review import Review
+from camber.map_update.votes import values_of
+from camber.runtime.clock import SystemClock
+
+_PROG = "camber map releases"
+
+
+def main(argv: Sequence[str]) -> int:
+    """List, explain or go back; 0 done, 2 what was asked cannot be done."""
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("path", type=Path, metavar="PATH", help="folder of releases, or a vehicle's store")
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument("--why", type=int, metavar="SURFACE", help="what a surface's height comes from")
+    choice.add_argument(
+        "--roll-back", type=int, metavar="VERSION", help="a new release as VERSION was (folder)"
+    )
+    choice.add_argument("--go-back", action="store_true", help="the release before in force again (store)")
+    choice.add_argument(
+        "--allow-from", type=int, metavar="VERSION", help="let versions from this on come again (store)"
+    )
+    parser.add_argument("--uploads", type=Path, help="with --why: uploads.sqlite, for the votes by pseudonym")
+    parser.add_argument("--signing-key", type=Path, help="with --roll-back: the key that signs releases")
+    parser.add_argument(
+        "--who", default=getpass.getuser(), help="with --roll-back: who does it (the user's name)"
+    )
+    parser.add_argument("--reason", help="with --roll-back: why; must be given")
+    args = parser.parse_args(argv)
+    try:
+        if args.path.is_dir():
+            return _folder(args)
+        if not args.path.is_file():
+            raise ReleaseError(str(args.path), "path", "a folder of releases, or a vehicle's store")
+        return _store(args)
+    except (ReleaseError, OSError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+
+
+# -- the folder ------------------------------------------------------------------------------------------------------
+
+
+def _folder(args: argparse.Namespace) -> int:
+    if args.go_back or args.allow_from is not None:
+        raise ReleaseError(str(args.path), "path", "a vehicle's store for --go-back and --allow-from")
+    if args.roll_back is not None:
+        return _roll_back(args)
+    if args.why is not None:
+        print("\n".join(_why(args.path, args.why, args.uploads)))
+        return 0
+    source = ReleaseFolder(args.path)
+    print(f"{'version':>8}  {'made':<10}  {'corrected':>9}  {'changed':>7}  {'tiles':>6}  {'MB':>8}")
+    made = list(history(args.path))
+    rows = [corrections_of(source, each.manifest) for each in made]
+    for each, mine, before in zip(made, rows, [*rows[1:], NONE], strict=True):
+        manifest = each.manifest
+        what = "reference" if manifest.reference_sha256 is None else f"{len(mine)}"
+        changed = len(other_offsets(mine, before)) + len(other_offsets(before, mine, gone=True))
+        day = _day(manifest.time_ns)
+        size_mb = int(manifest.size_bytes.sum()) / 1e6
+        print(
+            f"{manifest.map_version:>8}  {day}  {what:>9}  {changed:>7}  {len(manifest.layer):>6}  {size_mb:>8.1f}"
+        )
+    return 0
+
+
+def other_offsets(mine: Corrections, theirs: Corrections, *, gone: bool = False) -> Corrections:
+    """The rows of `mine` whose surface has another offset in `theirs`; with `gone` only those it does not have."""
+    at = np.searchsorted(theirs["surface_id"], mine["surface_id"])
+    there = at < len(theirs)
+    there[there] = theirs["surface_id"][at[there]] == mine["surface_id"][there]
+    other = ~there
+    if not gone:
+        other[there] = theirs["offset_m"][at[there]] != mine["offset_m"][there]
+    rows: Corrections = mine[other]
+    return rows
+
+
+def _roll_back(args: argparse.Namespace) -> int:
+    if args.signing_key is None or not args.reason:
+        raise ReleaseError("roll-back", "--signing-key and --reason", "both")
+    now_ns = SystemClock().now_ns()
+    making = ReleaseMaking(args.path, reference_in(args.path), signing_key=load_signing_key(args.signing_key))
+    before = making.corrections()
+    root = making.roll_back(args.roll_back, time_ns=now_ns)
+    withdrawn = other_offsets(before, making.corrections())
+    why = f"rolled back to version {args.roll_back}: {args.reason}"
+    Review(args.path).reject_again(withdrawn, who=args.who, why=why, time_ns=now_ns)
+    print(
+        f"version {root.map_version} has the corrections of {args.roll_back}; {len(withdrawn)} were withdrawn"
+    )
+    return 0
+
+
+def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
+    source = ReleaseFolder(folder)
+    lines = [
+        f"surface {surface_id}",
+        f"{'version':>8}  {'offset':>9}  {'error':>7}  vehicles  last seen   since",
+    ]
+    for made in history(folder):
+        rows = corrections_of(source, made.manifest)
+        row = rows[rows["surface_id"] == surface_id]
+        if made.manifest.reference_sha256 is None:
+            lines.append(f"{made.manifest.map_version:>8}  reference")
+        elif len(row):
+            day = _day(int(row["last_seen_ns"][0]))
+            lines.append(
+                f"{made.manifest.map_version:>8}  {row['offset_m'][0]:>+7.3f} m  {row['sigma_m'][0]:>5.3f} m"
+                f"  {row['vehicles'][0]:>8}  {day}  {row['since_map_version'][0]}"
+            )
+        else:
+            lines.append(f"{made.manifest.map_version:>8}  as the reference")
+    decided = [each for each in Review(folder).decisions() if each.surface_id == surface_id]
+    lines += [f"{each.word} at {each.offset_m:+.3f} m by {each.who}: {each.why}" for each in decided]
+    return lines if uploads is None else lines + _votes(uploads, surface_id)
+
+
+def _votes(uploads: Path, surface_id: int) -> list[str]:
+    """The votes on a surface: by pseudonym, which only whoever has the key can lead back to a vehicle."""
+    from camber.map_update.sqlite_store import SqliteStore
+    from camber.map_update.store import StoreError
+
+    if not uploads.is_file():
+        raise ReleaseError(str(uploads), "file", "the uploads of map_update")
+    try:
+        store = SqliteStore(uploads)
+        try:
+            votes = store.votes_of(np.array([surface_id], np.int64))
+        finally:
+            store.close()
+    except StoreError as error:
+        raise ReleaseError(str(uploads), "file", f"the uploads of map_update ({error})") from None
+    value_m = values_of(votes)[0]
+    voters = len(np.unique(votes["voter"]))
+    lines = [f"{len(votes)} votes of {voters} vehicles", f"{'pseudonym':>16}  {'day':>6}  {'says':>9}"]
+    for row, said_m in zip(votes, value_m.tolist(), strict=True):
+        lines.append(f"{int(row['voter']) & (2**64 - 1):016x}  {int(row['session']):>6}  {said_m:>+7.3f} m")
+    return lines
+
+
+def _day(time_ns: int) -> str:
+    return text_from_calendar(utc_from_gps_ns(time_ns))[:10]
+
+
+# -- a vehicle's store -----------------------------------------------------------------------------------------------
+
+
+def _store(args: argparse.Namespace) -> int:
+    if args.roll_back is not None or args.why is not None:
+        raise ReleaseError(str(args.path), "path", "a folder of releases for --roll-back and --why")
+    store = MapStore(args.path)
+    try:
+        if args.go_back:
+            kept = store.go_back()
+            print(
+                f"version {kept.map_version} is in force again; the vehicle's map_server takes it within seconds"
+            )
+            return 0
+        if args.allow_from is not None:
+            store.allow_from(args.allow_from)
+            print(f"versions from {args.allow_from} on may come again")
+            return 0
+        current, previous = store.current(), store.previous()
+        for kept in store.releases():
+            word = {"coming": "on its way", "left": "left by the operator", "here": "kept"}[kept.state]
+            word = "in force" if kept == current else "before it" if kept == previous else word
+            print(f"{kept.map_version:>8}  {kept.region:<16}  {kept.manifest_sha256[:16]}  {word}")
+        print(f"highest version accepted: {store.highest()}")
+    finally:
+        store.close()
+    return 0

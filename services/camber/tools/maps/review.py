@@ -1,0 +1,80 @@
+"""`camber map review RELEASES`: changes of the map that wait for a person, and what is decided of them.
+
+RELEASES is map_update's folder of releases. Without a decision it lists what is held, with its numbers. Whoever decides
+says who and why; map_update takes it into its next round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from camber.formats.map_roads import ReleaseError
+from camber.map_update.review import Decided, Held, Review, Word
+from camber.runtime.clock import SystemClock
+
+_PROG = "camber map review"
+
+
+def main(argv: Sequence[str]) -> int:
+    """List or decide; 0 done, 2 what was asked cannot be done."""
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("releases", type=Path, metavar="RELEASES", help="map_update's folder of releases")
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument("--accept", type=int, nargs="+", metavar="SURFACE", help="publish these changes")
+    choice.add_argument(
+        "--reject", type=int, nargs="+", metavar="SURFACE", help="do not publish these changes"
+    )
+    choice.add_argument("--log", action="store_true", help="show what was decided so far")
+    parser.add_argument("--who", default=getpass.getuser(), help="who decides (the user's name)")
+    parser.add_argument("--why", help="why; must be given with a decision")
+    args = parser.parse_args(argv)
+    try:
+        if not args.releases.is_dir():
+            raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
+        return _carry_out(Review(args.releases), args)
+    except (ReleaseError, OSError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+
+
+def _carry_out(review: Review, args: argparse.Namespace) -> int:
+    if args.log:
+        for each in review.decisions():
+            print(f"{each.surface_id:>12}  {each.word:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
+        return 0
+    chosen = args.accept or args.reject
+    if chosen is None:
+        print("\n".join(_lines(review.held())))
+        return 0
+    if not args.why:
+        raise ReleaseError("decision", "--why", "the reason")
+    word: Word = "accept" if args.accept else "reject"
+    held = {each.surface_id: each for each in review.held()}
+    unknown = sorted(set(chosen) - held.keys())
+    if unknown:
+        raise ReleaseError("decision", "surface", "one that is held", found=str(unknown[0]))
+    now_ns = SystemClock().now_ns()
+    review.decide(
+        [Decided(surface, word, held[surface].offset_m, args.who, args.why, now_ns) for surface in chosen]
+    )
+    print(f"{len(chosen)} changes: {word}; map_update takes it into its next round")
+    return 0
+
+
+def _lines(held: Sequence[Held]) -> list[str]:
+    if not held:
+        return ["nothing is held"]
+    lines = [f"{'surface':>12}  {'map has':>9}  {'votes say':>9}  {'error':>7}  agree  vehicles  days  why"]
+    for each in held:
+        lines.append(
+            f"{each.surface_id:>12}  {each.previous_correction_m:>+7.3f} m  {each.offset_m:>+7.3f} m"
+            f"  {each.standard_error_m:>5.3f} m  {each.agreement:>5.2f}  {each.vehicles:>8}  {each.days:>4}"
+            f"  {each.reason.replace('_', ' ')}"
+        )
+    return lines
