@@ -107,6 +107,16 @@ def test_a_lane_steeper_than_any_road_is_refused() -> None:
         pieces_of(lane("wall", line, 3.0 * line[:, 0]), "map")
 
 
+def test_a_lane_with_a_point_somewhere_else_on_earth_is_refused() -> None:
+    line = along((0.0, 0.0), (60.0, 0.0))
+    line[-1] += (300_000.0, 0.0)
+    with pytest.raises(FormatError, match=r"map: far is '300\.1 km, 4 m', expected a lane of at most 20 km"):
+        pieces_of(lane("far", line, np.zeros(41)), "map")
+    wide = lane("wide", along((0.0, 0.0), (60.0, 0.0)), np.zeros(41), width_m=np.linspace(3.0, 5e6, 41))
+    with pytest.raises(FormatError, match="at most 100 m wide"):
+        pieces_of(wide, "map")
+
+
 def test_roads_over_one_another_are_on_levels_of_their_own() -> None:
     low = straight("low", (-50.0, 0.0), (50.0, 0.0), 0.0)
     middle = straight("middle", (0.0, -50.0), (0.0, 50.0), 6.0)

@@ -7,6 +7,7 @@ What the map itself says stays; what it does not say fits in. A lane that lies o
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -31,22 +32,17 @@ def cuts_and_levels(
 
     Raises FormatError where the levels that the map says contradict its heights.
     """
-    lane_of = np.repeat(np.arange(len(lanes)), [len(own) for own in pieces])
-    number = np.concatenate([np.arange(len(own)) for own in pieces] + [np.zeros(0, np.int64)])
+    lane_of = [lane for lane, own in enumerate(pieces) for _ in own]
+    number = [k for own in pieces for k in range(len(own))]
     pairs = _over_one_another([piece for own in pieces for piece in own])
-    cuts = [
-        _stabs(
-            [sorted((int(number[a]), int(number[b]))) for a, b in pairs if lane_of[a] == lane_of[b] == lane]
-        )
-        if any(lane_of[a] == lane_of[b] == lane for a, b in pairs)
-        else []
-        for lane in range(len(lanes))
-    ]
+    own_pairs: list[list[Pair]] = [[] for _ in lanes]
+    for a, b in pairs:
+        if lane_of[a] == lane_of[b]:
+            own_pairs[lane_of[a]].append((min(number[a], number[b]), max(number[a], number[b])))
+    cuts = [_stabs(intervals) for intervals in own_pairs]
     starts = np.cumsum([0] + [len(own) + 1 for own in cuts])
-    unit = np.array(
-        [starts[k] + np.searchsorted(cuts[k], n, "right") for k, n in zip(lane_of, number, strict=True)]
-    )
-    over = {(int(unit[a]), int(unit[b])) for a, b in pairs}
+    unit = [int(starts[k]) + bisect_right(cuts[k], n) for k, n in zip(lane_of, number, strict=True)]
+    over = {(unit[a], unit[b]) for a, b in pairs}
     lane_of_unit = np.repeat(np.arange(len(lanes)), np.diff(starts)).tolist()
     said = [lanes[k].level for k in lane_of_unit]
     names = [lanes[k].name for k in lane_of_unit]
@@ -94,7 +90,7 @@ def _samples(piece: Piece) -> Floats:
     )
 
 
-def _stabs(intervals: Sequence[Sequence[int]]) -> list[int]:
+def _stabs(intervals: Sequence[Pair]) -> list[int]:
     """The fewest pieces to cut before, such that none of the pairs is in one part."""
     cuts: list[int] = []
     for low, high in sorted(intervals, key=lambda pair: pair[1]):

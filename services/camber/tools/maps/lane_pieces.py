@@ -30,7 +30,8 @@ _NARROW_M = 0.5
 _FINE_M, _FINE_ROWS, _COARSE_M = 0.0005, 9, 0.003
 """A grid is within _FINE_M where _FINE_ROWS can be; kinks that need more rows are followed to _COARSE_M."""
 _ROWS = (2, 3, 5, 9, 17, 33, 65)
-MOST_SECTIONS = 1_000_000
+MOST_LENGTH_M, MOST_WIDTH_M = 20_000.0, 100.0
+"""No lane is larger; a map in which one is has a point somewhere else on earth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +60,11 @@ def _dense(lane: Lane, file: str) -> Floats:
     sections = lane.sections
     step_m = np.hypot(*np.moveaxis(np.diff(sections[:, :, :2], axis=0), 2, 0)).max(axis=1)
     parts = np.maximum(np.ceil(step_m / _STEP_M), 1.0)
-    if not np.isfinite(sections).all() or parts.sum() > MOST_SECTIONS:
-        raise FormatError(file, lane.name, f"a lane of less than {MOST_SECTIONS * _STEP_M / 1e3:.0f} km")
+    width_m = np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T)
+    if not (step_m.sum() <= MOST_LENGTH_M and width_m.max() <= MOST_WIDTH_M):
+        expected = f"a lane of at most {MOST_LENGTH_M / 1e3:.0f} km, at most {MOST_WIDTH_M:.0f} m wide"
+        found = f"{step_m.sum() / 1e3:.1f} km, {width_m.max():.0f} m"
+        raise FormatError(file, lane.name, expected, found=found)
     at = np.concatenate([i + np.arange(n) / n for i, n in enumerate(parts.astype(int))] + [[len(step_m)]])
     flat = sections.reshape(len(sections), -1)
     numbers = np.arange(len(flat))
