@@ -121,8 +121,8 @@ def _links(features: list[Mapping[str, Any]]) -> RoadLinks:
     rows, vertices = [feature.get("properties") or {} for feature in features], []
     for feature in features:
         line = np.array([point[:2] for point in feature["geometry"]["coordinates"]], np.float64)
-        if line.ndim != 2 or len(line) < 2:
-            raise ReleaseError("links", "coordinates", "two places or more")
+        if line.ndim != 2 or len(line) < 2 or not (np.abs(line) <= 180.0).all():
+            raise ReleaseError("links", "coordinates", "two places or more, in degrees")
         vertices.append(np.radians(line[:, ::-1]))
     places = [np.rint(np.degrees(line) * 1e8).astype(np.int64).tolist() for line in vertices]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,30 @@ def test_with_an_origin_of_its_own_the_city_is_a_plane_there() -> None:
 def test_a_city_whose_origin_is_not_published_is_refused() -> None:
     with pytest.raises(FormatError, match="PIT"):
         CityFrame.of_city("XYZ")
+
+
+def test_a_log_whose_files_are_damaged_is_one_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = log_folder("3bffdcff")
+    copy = tmp_path / "log"
+    for name in (
+        "city_SE3_egovehicle.feather",
+        "*_ground_height_surface____PIT.npy",
+        "*Sim2_city.json",
+        "log_map_*.json",
+    ):
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(whole, copy, copy_function=shutil.copyfile)
+        (path,) = copy.rglob(name)
+        data = path.read_bytes()
+        for length in (5, len(data) // 2):
+            path.write_bytes(data[:length])
+            assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(copy)]) == 2
+            assert len(capsys.readouterr().err.splitlines()) == 1, (name, length)
+        path.unlink()
+        assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(copy)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1, name
 
 
 def lane(lane_id: int, *successors: int) -> Lane:
