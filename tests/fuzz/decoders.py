@@ -13,6 +13,7 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
+from camber.formats.lanelet2 import lanelet2_bytes, lanelet_map
 from camber.formats.map_release import read_release
 from camber.formats.map_release_files import decoded
 from camber.formats.map_roads import ReleaseError
@@ -21,7 +22,10 @@ from camber.formats.map_tiles import tile_frame
 from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.nmea import NmeaDecoder
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
+from camber.formats.opendrive import opendrive_bytes, opendrive_map
 from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
+from camber.formats.ply import points_from_ply
+from camber.formats.projected import Projection
 from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex_navigation import NavigationDecoder
 from camber.formats.rinex_reading import RinexDecoder
@@ -38,12 +42,18 @@ from camber.formats.ubx_navigation import format_high_precision_position, format
 from camber.formats.ubx_reading import UbxDecoder
 from camber.formats.ubx_subframes import subframes_between
 from camber.formats.ubx_writing import format_raw_measurements, format_subframe, ubx_frame
+from camber.formats.vertical_datum import vertical_datum
 from camber.geodesy.gps_time import week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.simulator.short_drive import write_short_drive
+from camber.tools.maps.lane_map import Known, road_map
+from camber.tools.maps.lanelets import lanes_of as lanes_of_lanelets
+from camber.tools.maps.opendrive_roads import LANE_TYPES
+from camber.tools.maps.opendrive_roads import lanes_of as lanes_of_roads
 from fuzz.target import Target
+from support import lanelet_maps, opendrive_maps
 from support.messages import build, message_classes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 
@@ -249,6 +259,27 @@ def _pcd(random: Random) -> list[list[bytes]]:
     ]
 
 
+def _ply(random: Random) -> list[list[bytes]]:
+    rng = np.random.default_rng(random.getrandbits(32))
+    points = rng.normal(0.0, 20.0, (20, 3))
+    head = (
+        "ply\nformat {} 1.0\nelement camera 1\nproperty uchar n\nelement vertex 20\nproperty short s\n"
+        + "".join(f"property double {axis}\n" for axis in "xyz")
+    )
+    files = [
+        [
+            (head.format("ascii") + "end_header\n").encode(),
+            b"7\n",
+            *(b"1 %f %f %f\n" % tuple(p) for p in points),
+        ]
+    ]
+    for name, sign in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
+        rows = np.zeros(20, np.dtype([("s", f"{sign}i2"), ("xyz", f"{sign}f8", 3)]))
+        rows["xyz"] = points
+        files.append([(head.format(name) + "end_header\n").encode(), b"\7" + rows.tobytes()])
+    return files
+
+
 _TILES = (SurfaceTile, LinkTile, CloudTile)
 
 
@@ -281,6 +312,48 @@ def _read_tile(data: bytes) -> None:
     roads.road_around(frame.latitude_rad, frame.longitude_rad, 5.0, (), None)
 
 
+_KNOWN = Known(sigma_m=0.05, link_sigma_m=0.5, seen_ns=START_NS)
+_FLAT_EARTH = Projection(lambda x, y: (np.clip(1e-7 * y, -1.4, 1.4), np.clip(1e-7 * x, -3.0, 3.0)), None)
+
+
+def _lanelets(random: Random) -> list[list[bytes]]:
+    """Of a made-up town lanelets with a few points each, element by element."""
+    town = lanelet_maps.town()
+    few = [
+        replace(own, left=own.left[::12] + own.left[-1:], right=own.right[::15] + own.right[-1:])
+        for own in town.lanelets
+    ]
+    used = {ref for own in few for ref in own.left + own.right}
+    rows = {ref: row for ref, row in town.row_of.items() if ref in used}
+    text = lanelet2_bytes(replace(town, row_of=rows, lanelets=random.sample(few, 2)))
+    return [text.splitlines(keepends=True)]
+
+
+def _read_lanelets(data: bytes) -> None:
+    """As `camber map build` does."""
+    found = lanelet_map(data, "fuzz")
+    frame, lanes = lanes_of_lanelets(found, found.height_m)
+    road_map(lanes, frame, _KNOWN, "fuzz")
+
+
+def _drives(random: Random) -> list[list[bytes]]:
+    """Of a made-up town the shorter roads, element by element."""
+    town = opendrive_maps.town()
+    return [
+        opendrive_bytes(replace(town, roads=[road])).splitlines(keepends=True)
+        for road in (town.roads[2], town.roads[3])
+    ]
+
+
+def _read_drive(data: bytes) -> None:
+    """As `camber map build` does, but for the projection, which is PROJ's."""
+    drive = opendrive_map(data, "fuzz")
+    if sum(road.length_m for road in drive.roads) < 2_000.0:  # long roads take time, and are no other roads
+        ellipsoidal = vertical_datum("ellipsoidal", "WGS84", "fuzz")
+        frame, lanes = lanes_of_roads(drive, _FLAT_EARTH, ellipsoidal, frozenset(LANE_TYPES), "fuzz")
+        road_map(lanes, frame, _KNOWN, "fuzz")
+
+
 DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
@@ -291,5 +364,8 @@ DECODERS: tuple[Target, ...] = (
     Target("rinex_navigation", _rinex_navigation, stream=lambda: NavigationDecoder("fuzz")),
     Target("messages", _messages, read=_read_message, refusal=DecodeError),
     Target("pcd", _pcd, read=lambda data: cloud_from_pcd(data, "fuzz"), refusal=FormatError),
+    Target("lanelet2", _lanelets, read=_read_lanelets, refusal=FormatError),
+    Target("opendrive", _drives, read=_read_drive, refusal=FormatError),
+    Target("ply", _ply, read=lambda data: points_from_ply(data, "fuzz"), refusal=FormatError),
     Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),
 )
