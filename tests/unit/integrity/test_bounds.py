@@ -132,7 +132,7 @@ def test_several_positions_are_bounded_each_by_itself():
 
 def test_a_part_that_is_told_in_two_is_the_same_part():
     (part,) = normal(0.1).parts
-    other = Part(0.1, (0.5, 0.0, 0.3), (0.02, 0.0, 0.02), 0.02)
+    other = Part(0.1, (0.5, 0.0, 0.0), (0.02, 0.0, 0.02), 1e-4)
     half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
     whole, told = Mixture((replace(part, weight=0.9), other)), Mixture((half, other, rest))
     assert of(told).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)

@@ -1,5 +1,7 @@
 """The common part of height differences whose map errors are alike along the road."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -132,10 +134,13 @@ def test_a_drift_is_as_sure_as_generalised_least_squares_make_it(bend_m, scatter
 
 def test_four_stretches_show_a_drift():
     assert part([0.0, 0.03, 0.06, 0.09]).drift_m == pytest.approx(0.09)
+    slowly = differences([0.0, 0.03, 0.06, 0.09])
+    at_once = replace(slowly, time_s=0.1 * np.arange(4))
+    assert common_part(at_once, 20.0, 0.0, 0.1).drift_m == pytest.approx(0.09)
 
 
 def test_of_few_stretches_or_of_one_time_no_drift_is_told():
-    assert part([0.0, 0.05, 0.1]).drift_sigmas == 0.0
+    assert part([0.0, 0.05, 0.1]).drift_sigmas == part([0.0, 0.05, 0.1]).drift_m == 0.0
     still = differences([0.0, 0.05, 0.1, 0.15])
     at_once = Differences(still.up_m, still.variance_m2, still.map_sigma_m, still.place_m, np.zeros(4))
     assert common_part(at_once, 20.0, 0.0, 0.1).drift_sigmas == 0.0
