@@ -25,6 +25,7 @@ TOOLS = {
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
     "evidence": ("camber.tools.evidence", "recorded and simulated drives, and the page of what came of them"),
     "map": ("camber.tools.maps.command", "releases of the map: build, inspect, compare, give away"),
+    "uploads": ("camber.tools.uploads", "what the fleet's store holds, as CSV"),
     "health": ("camber.tools.health", "ask a running service how it is"),
 }
 GNSS_TOOLS = {

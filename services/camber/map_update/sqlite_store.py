@@ -3,7 +3,7 @@
 A write-ahead log and `synchronous=FULL`: a group of contributions is one transaction and one flush, about as fast for a
 hundred as for one. The observations of a contribution, and the votes of a surface, are one value: the rows of an array
 as they lie in memory, whose layout stands in the table `layout`. They are always read and deleted together, and this is
-three times as fast as a row of the database for each. `camber uploads FILE` prints them; with NumPy alone:
+three times as fast as a row of the database for each. `camber uploads FILE --records` prints them; with NumPy alone:
 
     descr, = db.execute("SELECT descr FROM layout WHERE name = 'observation'").fetchone()
     np.frombuffer(rows, np.dtype([tuple(field) for field in json.loads(descr)]))

@@ -1,0 +1,79 @@
+"""`camber uploads STORE`: what the fleet's store holds, as CSV; it is only read.
+
+STORE is the file uploads.sqlite, or the address of a database as for `camber map_update --store`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
+from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.store import Heading, Observed, Store, StoreError
+
+_AT_ONCE = 50_000
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Returns 2 where the store cannot be read."""
+    parser = argparse.ArgumentParser(
+        prog="camber uploads", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("store", metavar="STORE")
+    parser.add_argument("--records", action="store_true", help="observations; without it: contributions")
+    args = parser.parse_args(argv)
+    try:
+        with closing(_opened(args.store)) as store:
+            out = csv.writer(sys.stdout, lineterminator="\n")
+            out.writerow([*Heading._fields, *((OBSERVATION.names or ()) if args.records else ("records",))])
+            for found in _all(store):
+                out.writerows(_records(found) if args.records else _contributions(found))
+    except StoreError as error:
+        print(f"camber uploads: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _opened(where: str) -> Store:
+    if "://" in where:
+        from camber.map_update.postgres_store import PostgresStore
+
+        return PostgresStore(where, limit_s=30.0)
+    path = Path(where)
+    if not path.is_file():
+        raise StoreError(f"{path}: no such file")
+    return SqliteStore(path)
+
+
+def _all(store: Store) -> Iterator[Observed]:
+    cursor = 0
+    while (found := store.observations_after(cursor, _AT_ONCE)).headings:
+        yield found
+        cursor = found.cursor
+
+
+def _contributions(found: Observed) -> Iterator[tuple[object, ...]]:
+    """A heading, and how many of its observations are not forgotten."""
+    counts = [0] * len(found.headings)
+    for heading in found.heading_of.tolist():
+        counts[heading] += 1
+    return ((*heading, count) for heading, count in zip(found.headings, counts, strict=True))
+
+
+def _records(found: Observed) -> Iterator[tuple[object, ...]]:
+    words = {"fix_quality": QUALITIES, "verdict": VERDICTS}
+    names = OBSERVATION.names or ()
+    for heading, row in zip(found.heading_of.tolist(), found.rows.tolist(), strict=True):
+        values = (
+            words[name][value] if name in words else value for name, value in zip(names, row, strict=True)
+        )
+        yield (*found.headings[heading], *values)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
