@@ -7,7 +7,7 @@ OUT := out
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-map-server compile-simulator test check lint bench fuzz mutation golden docs image clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation golden docs image clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -44,7 +44,7 @@ demo: .venv/.runtime
 	$(BIN)/camber demo --out $(OUT)/demo
 
 # Machine code is made once, before any worker needs it.
-compile: compile-engine compile-simulator compile-localizer compile-map-server
+compile: compile-engine compile-simulator compile-localizer compile-maps
 
 compile-engine: setup
 	$(BIN)/python -m camber.gnss.warm_up
@@ -52,8 +52,9 @@ compile-engine: setup
 compile-localizer: setup
 	$(BIN)/python -m camber.localizer.warm_up
 
-compile-map-server: setup
+compile-maps: setup
 	$(BIN)/python -m camber.map_server.warm_up
+	$(BIN)/python -m camber.map_update.warm_up
 
 compile-simulator: setup
 	$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out $(OUT)/compile --quiet

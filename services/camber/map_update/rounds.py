@@ -15,10 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.map_release_files import ReleaseFolder
 from camber.map_update.corrections import CORRECTION, Corrections
 from camber.map_update.fusion import Fusion
 from camber.map_update.publication import Decisions
 from camber.map_update.release_making import ReleaseMaking
+from camber.map_update.review import Review
 from camber.map_update.store import Observed, Rows, Step, Store
 from camber.map_update.votes import DAY_NS
 from camber.schemas.road import ReleaseRoot
@@ -62,26 +64,27 @@ class Rounds:
         self._store, self._fusion, self._making = store, fusion, making
         self._datum = making.reference.manifest.datum
         self._every_ns, self._most = round(every_s * 1e9), most
+        self._review = Review(making.folder)
         self._due_ns: int | None = None
-        self._news = True  # what came of the votes before is not known after a start
+        self._decided_by: object = None  # what the last round rested on, besides votes; None: there was none
 
     def step(self, now_ns: int) -> Taken | Round | None:
         """One step where one is due: every `every_s` all that has come is taken in, then decided, if there was any.
 
-        After a step that took something in the next is due at once. None: nothing is due, or nothing has come.
+        After a step that took something in the next is due at once. None: nothing is due, or nothing is new.
         """
         # A clock that was set back must not stop the fusion.
         if self._due_ns is not None and self._due_ns - self._every_ns <= now_ns < self._due_ns:
             return None
         taken = self.take_in(now_ns, self._most)
         if taken.contributions:
-            self._news = True
+            self._decided_by = None
             return taken
         self._due_ns = now_ns + self._every_ns
-        if not self._news:
+        if self._decided_by is not None and self._decided_by == self._given():
             return None
         found = self.decide(now_ns)
-        self._news = False
+        self._decided_by = self._given()
         return found
 
     def take_in(self, now_ns: int, most: int) -> Taken:
@@ -108,10 +111,15 @@ class Rounds:
         """
         before = self._making.corrections()
         votes = self._fusion.merge(self._store.votes_of())
-        decisions = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
+        found = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
+        decisions = self._review.judged(found, now_ns)
         current = self._making.current()
         root = self._making.make(corrections_after(before, decisions), time_ns=now_ns)
         return Round(decisions, root, made=current is None or root != current.root)
+
+    def _given(self) -> tuple[object, object]:
+        """What others may change: the release in force, by a roll-back, and what people have decided."""
+        return ReleaseFolder(self._making.folder).stamp(), len(self._review.decisions())
 
     def _of_our_datum(self, found: Observed) -> NDArray[np.bool_]:
         """Which observations (n,) are in a datum that the reference's heights can be compared with."""

@@ -22,6 +22,7 @@ from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.shards import WORLD, Shards
 from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import Outcome, OvertakenError, Store, StoreError
+from camber.map_update.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -56,6 +57,12 @@ class MapUpdateService(Service[MapUpdateSettings]):
 
     NAME: ClassVar[str] = "map_update"
     SETTINGS: ClassVar[type[ServiceSettings]] = MapUpdateSettings
+
+    @classmethod
+    def prepare(cls, settings: MapUpdateSettings) -> None:
+        """Compile what fusing needs, before the bus is joined and anyone counts on answers."""
+        if settings.reference is not None:
+            warm_up()
 
     def __init__(self, settings: MapUpdateSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

@@ -90,13 +90,13 @@ class WrongEpisode:
     offset_enu_m: tuple[float, float, float]
 
 
-def write_short_drive(folder: Path, seed: int = 1) -> Path:
+def write_short_drive(folder: Path, seed: int = 1, *, start_ns: int = START_NS) -> Path:
     """Write the drive's native files, its map and `drive.toml` into a folder; returns the path of the latter.
 
     The same seed gives the same bytes. Streets and times are the same for every seed, errors are not.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    truth = short_drive_truth()
+    truth = short_drive_truth(start_ns)
     errors = Surrogates(
         allow_smaller_errors=True,
         inputs=("wheel_speed", "yaw_rate", "steering"),
@@ -120,7 +120,7 @@ def write_short_drive(folder: Path, seed: int = 1) -> Path:
     return manifest
 
 
-def short_drive_truth() -> TruthTable:
+def short_drive_truth(start_ns: int = START_NS) -> TruthTable:
     """Where the antenna is at each epoch, which fixes are made wrong with it."""
     n = round(DURATION_S * RATE_HZ) + 1
     time_s = np.arange(n) / RATE_HZ
@@ -137,7 +137,7 @@ def short_drive_truth() -> TruthTable:
     latitude, longitude, _ = _ORIGIN.geodetic_from_east_north_array(plane_m, height_m)
     states = [_state(t) for t in time_s.tolist()]
     return TruthTable(
-        START_NS + np.arange(n, dtype=np.int64) * (1_000_000_000 // RATE_HZ),
+        start_ns + np.arange(n, dtype=np.int64) * (1_000_000_000 // RATE_HZ),
         latitude,
         longitude,
         height_m,

@@ -11,6 +11,7 @@ from camber.formats.map_release import open_release, read_release
 from camber.map_update.contribution import OBSERVATION, QUALITIES, Contribution
 from camber.map_update.fusion import Fusion
 from camber.map_update.release_making import ReleaseMaking
+from camber.map_update.review import Decided, Review
 from camber.map_update.rounds import Round, Rounds, Taken
 from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import OvertakenError, Store
@@ -168,3 +169,31 @@ def test_a_road_that_is_lowered_again_is_the_reference_again(tmp_path: Path, sto
     found = all_steps(rounds(tmp_path, store), MADE_NS + 40 * DAY_NS)
     assert found.made
     assert np.abs(raised_m(tmp_path)).max() <= 0.01
+
+
+def test_what_a_person_accepts_or_rolls_back_is_taken_into_the_next_round(
+    tmp_path: Path, store: Store
+) -> None:
+    higher = [drive(vehicle, day, raised_m=0.7) for day in (1, 3, 5) for vehicle in range(12)]
+    committed(store, *higher)
+    fusing = rounds(tmp_path, store, every_s=1.0)
+    all_steps(fusing, NOW_NS)
+    review = Review(tmp_path / "out")
+    assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
+    accepted = [
+        Decided(h.surface_id, "accept", h.offset_m, "ann", "a new bridge", NOW_NS) for h in review.held()
+    ]
+    review.decide(accepted)
+    found = fusing.step(NOW_NS + 2 * 10**9)
+    assert isinstance(found, Round)
+    assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)
+    assert review.held() == []
+
+    making = ReleaseMaking(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
+    withdrawn = making.corrections()
+    making.roll_back(found.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
+    review.reject_again(withdrawn, who="ann", why="it was not", time_ns=NOW_NS + 3 * 10**9)
+    again = fusing.step(NOW_NS + 5 * 10**9)
+    assert isinstance(again, Round)
+    assert again.root.map_version == found.root.map_version + 1
+    assert np.abs(raised_m(tmp_path)).max() == 0.0

@@ -1,0 +1,51 @@
+"""Compile the fusion before the first observations come: made-up ones go all the way to a decision.
+
+The compiled code is kept on disk; where it is there already this takes a moment. `python -m camber.map_update.warm_up`
+does it ahead, for an image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from camber.formats.map_roads import RoadSurfaces
+from camber.map_update.contribution import OBSERVATION, QUALITIES
+from camber.map_update.fusion import Fusion
+from camber.map_update.publication import Decisions
+from camber.map_update.votes import DAY_NS
+
+_TIME_NS = 1_400_000_000 * 10**9
+_LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
+
+
+def warm_up() -> Decisions:
+    """Two vehicles on two days over two surfaces; returns what is decided of these."""
+    surfaces = RoadSurfaces(
+        surface_id=np.array([1, 2]),
+        link_id=np.array([1, 1]),
+        level=np.array([0, 0]),
+        latitude_rad=np.full(2, _LATITUDE_RAD),
+        longitude_rad=_LONGITUDE_RAD + np.array([0.0, 4e-6]),
+        yaw_rad=np.zeros(2),
+        half_length_m=np.full(2, 10.0),
+        half_width_m=np.full(2, 2.0),
+        sigma_m=np.full(2, 0.03),
+        vehicles=np.ones(2, np.int64),
+        last_seen_ns=np.full(2, _TIME_NS),
+        heights_m=[np.full((2, 2), 50.0)] * 2,
+    )
+    rows = np.zeros(4, OBSERVATION)
+    rows["time_ns"] = _TIME_NS + DAY_NS * np.array([0, 0, 1, 1])
+    rows["fix_quality"] = QUALITIES.index("fixed")
+    rows["surface_id"] = [1, 2, 1, 2]
+    rows["latitude_rad"] = _LATITUDE_RAD
+    rows["longitude_rad"] = surfaces.longitude_rad[[0, 1, 0, 1]]
+    rows["horizontal_sigma_m"] = rows["road_height_sigma_m"] = 0.02
+    rows["road_height_m"] = 50.0
+    fusion = Fusion(surfaces, bytes(32))
+    votes = fusion.merge(*(fusion.votes_from(rows, vehicle) for vehicle in ("a", "b")))
+    return fusion.decide(votes, np.zeros(0, np.int64), np.zeros(0), _TIME_NS + 2 * DAY_NS)
+
+
+if __name__ == "__main__":
+    warm_up()
