@@ -101,7 +101,10 @@ class Road:
 
 @dataclass(frozen=True)
 class Connection:
-    """In a junction: lanes (from, to) of an incoming road and of the connecting road at that of its ends."""
+    """In a junction: lanes (from, to) of an incoming road and of the connecting road at that of its ends.
+
+    In a direct junction, which has no roads of its own, the road behind it stands for the connecting road.
+    """
 
     junction: str
     incoming: str
@@ -151,7 +154,7 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
         _connection(junction.get("id", ""), element, file)
         for junction in root.findall("junction")
         for element in junction.findall("connection")
-        if element.get("connectingRoad") is not None and element.get("incomingRoad") is not None
+        if _connected(element) is not None and element.get("incomingRoad") is not None
     ]
     header = root.find("header")
     georeference = None if header is None else (header.findtext("geoReference") or "").strip() or None
@@ -285,9 +288,12 @@ def _connection(junction: str, element: Element, file: str) -> Connection:
         (_whole(link, "from", file, f"{name}, laneLink"), _whole(link, "to", file, f"{name}, laneLink"))
         for link in element.findall("laneLink")
     ]
-    return Connection(
-        junction, element.get("incomingRoad", ""), element.get("connectingRoad", ""), contact, lanes
-    )
+    return Connection(junction, element.get("incomingRoad", ""), _connected(element) or "", contact, lanes)
+
+
+def _connected(element: Element) -> str | None:
+    """The road that a connection leads to: one within the junction, or in a direct junction the one behind it."""
+    return element.get("connectingRoad") or element.get("linkedRoad")
 
 
 def _cubics(elements: Sequence[Element], at: str, file: str, name: str) -> Floats:

@@ -56,6 +56,13 @@ def test_what_is_not_in_that_map_comes_back_as_well() -> None:
     assert plain(opendrive_map(opendrive_bytes(made), "made.xodr")) == plain(made)
 
 
+def test_a_direct_junction_leads_to_the_road_behind_it() -> None:
+    made = opendrive_bytes(town())
+    direct = made.replace(b"connectingRoad", b"linkedRoad")
+    assert direct != made
+    assert plain(opendrive_map(direct, "town.xodr")) == plain(town())
+
+
 def test_a_spiral_is_the_clothoid_of_fresnel() -> None:
     spiral = street_geometries()[1]
     s = np.linspace(0.0, spiral.length_m, 50)

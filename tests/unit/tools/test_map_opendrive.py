@@ -16,7 +16,7 @@ from camber.formats.opendrive import OpenDrive, Road, opendrive_bytes
 from camber.formats.opendrive_geometry import cubics_at, reference_line
 from camber.map_server.elevation import ElevationMap
 from camber.tools.maps.lanes import named_id
-from support.opendrive_maps import town
+from support.opendrive_maps import cubics, town
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -130,6 +130,19 @@ def test_a_place_or_height_that_is_not_known_is_refused_in_one_line(
     assert error.startswith(f"camber map build opendrive: {tmp_path / 'town.xodr'}: ")
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("rows", [0, 1], ids=["no elevation", "an elevation from 20 m on"])
+def test_a_road_that_nobody_measured_is_refused(
+    rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive = town()
+    bare = dataclasses.replace(drive.roads[1], elevation=cubics((20.0, 525.0, 0.0, 0.0, 0.0))[:rows])
+    flat = dataclasses.replace(drive, roads=[drive.roads[0], bare])
+    assert build(tmp_path, flat, "--vertical-datum", "ellipsoidal") == 2
+    assert (
+        "road 2, elevationProfile, expected an elevation from the road's begin on" in capsys.readouterr().err
+    )
 
 
 def test_the_projection_may_be_named_where_the_file_does_not(tmp_path: Path) -> None:

@@ -108,6 +108,11 @@ def _lanes_of(
     wanted = [lane for lane in road.sections[number].lanes if lane.kind in types]
     if not wanted:
         return
+    if not len(road.elevation) or road.elevation[0, 0] > road.sections[number].s_m:
+        # By the book that is a road at height 0; of a map that is to judge heights it says that nobody measured it.
+        raise FormatError(
+            file, f"road {road.identity}, elevationProfile", "an elevation from the road's begin on"
+        )
     points = lane_points(road, number, stations(road, number, file), file)
     for lane in wanted:
         own = points[lane.lane_id]
