@@ -7,9 +7,8 @@ changed by 3 to 30 cm, 3 % of the drives wrong throughout and wrong episodes in 
 verdict. The survey itself is 3 cm off (correlated over 20 m), so that some of the unchanged roads are wrong by more
 than 3 cm too, and to publish these is right. True is, for each surface, the mean of road − reference along the ways.
 
-Lies are told on one unchanged street by a share of the vehicles seen there. A lie is *theirs* where a surface of it
-comes to be published that is not without them, and is then worse than the reference was or more than 1.5 cm off;
-*tipped* are those that come to be published, are less than 3 cm off, and are better than the reference was.
+Lies are told on one unchanged street by a share of the vehicles seen there. *Theirs* is what comes to be published with
+them and is not without, though the road is within 3 cm of the reference, or worse off than before.
 """
 
 from __future__ import annotations
@@ -282,7 +281,7 @@ def attacked(run: Run, seed: int, shares: tuple[float, ...] = SHARES) -> list[di
             after = _of_street(decisions, street)
             new = after["publish"] & ~before["publish"]
             error_m = np.abs(after["offset_m"] - true_m)
-            bad = new & ((error_m > np.abs(true_m)) | (error_m > WRONG_M))
+            bad = new & ((np.abs(true_m) < THRESHOLD_M) | (error_m > np.abs(true_m)))
             mean = {"mean_theirs": 0}
             if name in ("25 cm", "10 cm", "6 cm", "4 cm"):
                 size_m = 0.01 * float(name.split()[0])
@@ -292,7 +291,7 @@ def attacked(run: Run, seed: int, shares: tuple[float, ...] = SHARES) -> list[di
                 mean_new = (np.abs(mean_m[row]) - 3.3 * mean_se_m[row] > THRESHOLD_M) & ~mean_before
                 mean_off_m = np.abs(mean_m[row] - true_m)
                 mean["mean_theirs"] = int(
-                    (mean_new & ((mean_off_m > np.abs(true_m)) | (mean_off_m > WRONG_M))).sum()
+                    (mean_new & ((np.abs(true_m) < THRESHOLD_M) | (mean_off_m > np.abs(true_m)))).sum()
                 )
             rows.append(
                 {
@@ -300,7 +299,6 @@ def attacked(run: Run, seed: int, shares: tuple[float, ...] = SHARES) -> list[di
                     "lie": name,
                     "surfaces": len(street.surface_id),
                     "theirs": int(bad.sum()),
-                    "tipped": int((new & ~bad & (np.abs(true_m) < THRESHOLD_M)).sum()),
                     "lost": int((before["publish"] & ~after["publish"]).sum()),
                     "held": int((after["hold"] & ~before["hold"]).sum()),
                     "moved_mm": _rms_mm(after["offset_m"] - before["offset_m"]),
@@ -404,7 +402,7 @@ def _print(every: list[dict[str, Any]]) -> None:
         rows = [each["attacked"][k] for each in every]
         line = {
             name: sum(row[name] for row in rows)
-            for name in ("surfaces", "theirs", "tipped", "lost", "held", "mean_theirs")
+            for name in ("surfaces", "theirs", "lost", "held", "mean_theirs")
         }
         moved = max(row["moved_mm"] for row in rows)
         words = " ".join(f"{name}={value}" for name, value in line.items())

@@ -121,6 +121,8 @@ class PublicationRules:
     region_surfaces: int = 30
     region_links: int = 5
     """A region of fewer surfaces or links is too small for a shift of its own: it may be one road."""
+    few_standard_errors: float = 1.65
+    """How significant a change must be without those who speak for it most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +190,7 @@ def decided(
         (~(np.abs(change_m) > rules.threshold_m), "nothing", "within_threshold"),
         (z < rules.standard_errors, "nothing", "not_significant"),
         (~discovered, "nothing", "false_discovery"),
-        (~(few >= rules.standard_errors), "nothing", "rests_on_few"),
+        (~(few >= rules.few_standard_errors), "nothing", "rests_on_few"),
         (heights.known_voters < rules.least_vehicles, "hold", "vehicles_not_known"),
         (~(heights.agreement > rules.least_agreement), "hold", "disagreed"),
         (np.abs(change_m) > rules.largest_m, "hold", "too_large"),

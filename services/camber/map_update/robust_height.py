@@ -42,7 +42,7 @@ class ChangeRule(NamedTuple):
     """When the votes from a day on are of another road than those before, and how many may be lying."""
 
     least_voters: int = 5
-    """On either side."""
+    """On either side; after the change, besides as many as might be lying."""
     least_z: float = 5.0
     """Difference in units of its standard error: of the sixty days of every surface, by chance 10⁻⁵."""
     least_m: float = 0.02
@@ -211,6 +211,7 @@ def _likeliest_change(
     from_day: int,
     end_day: int,
     least: int,
+    least_after: int,
 ) -> int:
     """The day of sessions from `from_day` to `end_day` before and after which the votes differ most.
 
@@ -224,7 +225,7 @@ def _likeliest_change(
         if session[k] >= from_day and weight[k] >= _NO_SAY:
             some[votes] = value_m[k]
             votes += 1
-    if votes < 2 * least:
+    if votes < least + least_after:
         return from_day
     middle_m, reach_m = np.median(some[:votes]), TUNING * sigma_m
     for k in range(len(session)):
@@ -238,7 +239,7 @@ def _likeliest_change(
         before += count[day - 1]
         before_m += sum_m[day - 1]
         after, after_m = total - before, total_m - before_m
-        if before >= least and after >= least:
+        if before >= least and after >= least_after:
             square = (after_m / after - before_m / before) ** 2 / (1.0 / after + 1.0 / before)
             if square > best_square:
                 best, best_square = from_day + day, square
@@ -257,17 +258,24 @@ def _changed_on(
     least_voters: int,
     least_z: float,
     least_m: float,
+    liars: int,
 ) -> int:
-    """The day after `from_day` on which the road changed beyond doubt; `from_day` where on none."""
-    day = _likeliest_change(session, value_m, weight, sigma_m, from_day, end_day, least_voters)
+    """The day after `from_day` on which the road changed beyond doubt; `from_day` where on none.
+
+    Beyond doubt also without those of after the change who say so most, as many as might be lying.
+    """
+    least_after = least_voters + liars
+    day = _likeliest_change(session, value_m, weight, sigma_m, from_day, end_day, least_voters, least_after)
     if day == from_day:
         return from_day
     after, after_w = _once_each(voter, session, value_m, weight, day, end_day)
     before, before_w = _once_each(voter, session, value_m, weight, from_day, day)
-    if len(after) < least_voters or len(before) < least_voters:
+    if len(after) < least_after or len(before) < least_voters:
         return from_day
-    new_m, new_error_m, _, _ = located(after, after_w, sigma_m)
     old_m, old_error_m, _, _ = located(before, before_w, sigma_m)
+    by_value = np.argsort(after)
+    rest = by_value[: len(after) - liars] if np.median(after) > old_m else by_value[liars:]
+    new_m, new_error_m, _, _ = located(after[rest], after_w[rest], sigma_m)
     beyond_m = least_z * math.sqrt(new_error_m**2 + old_error_m**2)
     return day if abs(new_m - old_m) > max(beyond_m, least_m) else from_day
 
@@ -296,9 +304,21 @@ def _heights(
             continue
         whose, day, says, of = voter[a:b], session[a:b], value_m[a:b], weight[a:b]
         from_day, end_day = day.min(), day.max() + 1
+        lately, _ = _once_each(whose, day, says, of, end_day - coalition_days, end_day)
+        liars = math.ceil(coalition * len(lately) - 1e-9)
         while True:
             changed = _changed_on(
-                whose, day, says, of, sigma_m, from_day, end_day, least_voters, least_z, least_m
+                whose,
+                day,
+                says,
+                of,
+                sigma_m,
+                from_day,
+                end_day,
+                least_voters,
+                least_z,
+                least_m,
+                liars,
             )
             if changed == from_day:
                 break
@@ -314,8 +334,9 @@ def _heights(
                 agree += 1
         floats[i, 0], floats[i, 1], floats[i, 2], floats[i, 3] = location_m, error_m, degrees, scale_m
         floats[i, 4] = agree / len(x)
-        lately, _ = _once_each(whose, day, says, of, min(from_day, end_day - coalition_days), end_day)
-        by_value, some = np.argsort(x), min(math.ceil(coalition * len(lately) - 1e-9), len(x))
+        if from_day < end_day - coalition_days:
+            liars = math.ceil(coalition * len(x) - 1e-9)
+        by_value, some = np.argsort(x), min(liars, len(x))
         low, high = by_value[: len(x) - some], by_value[some:]
         floats[i, 5], _, _, _ = located(x[low], w[low], sigma_m)
         floats[i, 6], _, _, _ = located(x[high], w[high], sigma_m)
