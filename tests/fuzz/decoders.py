@@ -45,6 +45,16 @@ from camber.formats.ubx_writing import format_raw_measurements, format_subframe,
 from camber.formats.vertical_datum import vertical_datum
 from camber.geodesy.gps_time import week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
+from camber.map_update.admission import Refusal
+from camber.map_update.queue_messages import (
+    Parcel,
+    QueueMessageError,
+    pack_outcomes,
+    pack_parcels,
+    unpack_outcomes,
+    unpack_parcels,
+)
+from camber.map_update.store import Outcome
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.simulator.short_drive import write_short_drive
@@ -54,6 +64,7 @@ from camber.tools.maps.opendrive_roads import LANE_TYPES
 from camber.tools.maps.opendrive_roads import lanes_of as lanes_of_roads
 from fuzz.target import Target
 from support import lanelet_maps, opendrive_maps
+from support.contributions import contribution, random_batch
 from support.messages import build, message_classes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 
@@ -354,6 +365,18 @@ def _read_drive(data: bytes) -> None:
         road_map(lanes, frame, _KNOWN, "fuzz")
 
 
+def _queue(random: Random) -> list[list[bytes]]:
+    rng = np.random.default_rng(random.getrandbits(32))
+    refusal = Refusal("datum", "datum Tokyo, expected WGS84")
+    parcels = [Parcel(random_batch("b1", 5, rng), None), Parcel(contribution("u1"), refusal)]
+    return [[pack_parcels("_INBOX.a.1", parcels)], [pack_parcels("_INBOX.a.2", parcels[:1])]]
+
+
+def _queue_answers(_: Random) -> list[list[bytes]]:
+    outcomes = [Outcome("stored"), Outcome("duplicate"), Outcome("refused", Refusal("datum", "datum Tokyo"))]
+    return [[pack_outcomes(outcomes)], [pack_outcomes(outcomes[:1])]]
+
+
 DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
@@ -368,4 +391,6 @@ DECODERS: tuple[Target, ...] = (
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),
     Target("ply", _ply, read=lambda data: points_from_ply(data, "fuzz"), refusal=FormatError),
     Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),
+    Target("queue", _queue, read=unpack_parcels, refusal=QueueMessageError),
+    Target("queue_answers", _queue_answers, read=unpack_outcomes, refusal=QueueMessageError),
 )
