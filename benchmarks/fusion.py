@@ -1,0 +1,105 @@
+"""Fusion: heights of all surfaces beside numpy one surface at a time, and a whole batch beside the goal."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from figure import Figure, higher
+from numpy.typing import NDArray
+
+from camber.map_update.robust_height import (
+    PRIOR_VOTES,
+    TUNING,
+    ChangeRule,
+    biweight,
+    heights_of,
+)
+from camber.map_update.shapes import shapes_of, votes_shape_m2
+from camber.map_update.vehicle_bias import BiasModel, biases_of
+
+Floats = NDArray[np.float64]
+
+GOAL_VOTES_PER_S = 300_000.0
+SURFACES, VEHICLES, SESSIONS, EACH = 8_000, 4_000, 2, 100
+VOTE_M = 0.014
+
+
+def batch() -> tuple[NDArray[np.int64], ...]:
+    """Surfaces, voters, sessions of votes in the order of their keys: each drive is a stretch of 100 surfaces."""
+    rng = np.random.default_rng(1)
+    voter = np.repeat(np.arange(VEHICLES), SESSIONS * EACH)
+    session = np.repeat(rng.integers(0, 21, VEHICLES * SESSIONS), EACH)
+    surface = (
+        np.repeat(rng.integers(0, SURFACES, VEHICLES * SESSIONS), EACH)
+        + np.tile(np.arange(EACH), VEHICLES * SESSIONS)
+    ) % SURFACES
+    order = np.lexsort((session, voter, surface))
+    return surface[order], voter[order], session[order]
+
+
+def plain_biweight(x: Floats) -> float:
+    """Tukey's biweight of one surface, as one writes it in numpy."""
+    share = PRIOR_VOTES / (PRIOR_VOTES + 0.37 * (len(x) - 1))
+    location = np.median(x)
+    mad = 1.4826 * np.median(np.abs(x - location))
+    scale = np.sqrt(share * VOTE_M**2 + (1.0 - share) * mad**2)
+    for _ in range(30):
+        u = (x - location) / (TUNING * scale)
+        weight = np.where(np.abs(u) < 1.0, (1.0 - u * u) ** 2, 0.0)
+        step = np.sum(weight * (x - location)) / np.sum(weight)
+        location += step
+        if abs(step) < 1e-6:
+            break
+    return float(location)
+
+
+def figures() -> list[Figure]:
+    surface, voter, session = batch()
+    rng = np.random.default_rng(2)
+    begins = np.append(np.searchsorted(surface, np.arange(SURFACES)), len(surface))
+    value_m = rng.normal(0.0, 0.02, VEHICLES)[voter] + rng.normal(0.0, VOTE_M, len(voter))
+    value_m[rng.random(len(voter)) < 0.03] += 0.8
+    ones, sigma_m = np.ones(len(voter)), np.full(len(voter), 0.02)
+
+    def whole() -> None:
+        shape_m2 = votes_shape_m2(shapes_of(begins, np.full(len(voter), 1e-4)))
+        biases = biases_of(begins, surface // 40, voter, session, value_m, sigma_m, shape_m2, BiasModel())
+        heights_of(
+            begins, voter, session, value_m - biases.bias_m, biases.weight, biases.known,
+            biases.components.vote_m, ChangeRule(),
+        )  # fmt: skip
+
+    ours_m, _ = biweight(value_m, ones, begins, VOTE_M)
+    took = min(_cpu_s(lambda: biweight(value_m, ones, begins, VOTE_M)) for _ in range(5))
+    some = np.arange(0, SURFACES, 8)
+    began = time.process_time()
+    peer_m = [plain_biweight(value_m[begins[i] : begins[i + 1]]) for i in some]
+    peer_s = time.process_time() - began
+    np.testing.assert_allclose(ours_m[some], peer_m, atol=1e-5)
+    votes_of_peer = int((begins[some + 1] - begins[some]).sum())
+    whole()
+    batch_s = min(_cpu_s(whole) for _ in range(3))
+    return [
+        higher(
+            "robust heights of surfaces",
+            "votes/s",
+            len(voter) / took,
+            votes_of_peer / peer_s,
+            "numpy, one surface at a time, the same heights",
+        ),
+        higher(
+            f"fusion of {len(voter)} votes: biases, heights, changes",
+            "votes/s",
+            len(voter) / batch_s,
+            GOAL_VOTES_PER_S,
+            "the goal",
+        ),
+    ]
+
+
+def _cpu_s(call: object) -> float:
+    assert callable(call)
+    began = time.process_time()
+    call()
+    return time.process_time() - began
