@@ -280,6 +280,13 @@ def test_an_antenna_named_while_something_drifts_does_not_make_right_what_drifte
     assert (part.held_m, len(part.cells)) == (0.0, known)
 
 
+def test_where_a_base_went_wrong_nothing_is_held_of_what_drifted(learnt):
+    (part,) = learnt.parts
+    part.held_m = 0.05
+    learnt._forget(NOTHING, Diagnosis("base", residual(600).time_ns), part)
+    assert part.held_m is None
+
+
 def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
     hear(learnt, 1200, 1800, up_m=-0.19)
     (named,) = [found for found in learnt.news() if found.cause == "antenna"]
