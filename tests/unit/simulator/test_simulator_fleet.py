@@ -16,6 +16,7 @@ from camber.simulator.fleet import (
     FleetErrors,
     FleetVehicle,
     Track,
+    drive_days,
     drive_uploads,
     track_of,
     vehicles_of,
@@ -172,3 +173,24 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     assert data(1) == data(1)
     assert data(1) != data(2)
     assert data(1) != data(1, number=1)
+
+
+def test_a_wrong_drive_is_off_by_the_same_throughout_and_as_many_are_as_asked_for() -> None:
+    errors = replace(NONE, wrong_drives=0.2)
+    off_m = np.array(
+        [
+            [f(column(drive(errors=errors, number=k), "road_height_m") - 50.0) for f in (np.min, np.max)]
+            for k in range(60)
+        ]
+    )
+    assert off_m[:, 0] == pytest.approx(off_m[:, 1], abs=1e-9)
+    # 60 drives, 12 expected, σ 3.1.
+    assert 3 <= np.count_nonzero(np.abs(off_m[:, 0]) > 1e-6) <= 22
+
+
+def test_drives_are_on_days_of_their_own_where_there_are_enough() -> None:
+    days = [drive_days(car, 3, 21, seed=1) for car in vehicles_of(50, 0.0, FleetErrors(), seed=1)]
+    assert all(one == sorted(set(one)) and len(one) == 3 for one in days)
+    assert set().union(*days) == set(range(21))
+    assert drive_days(HONEST, 5, 2, seed=1) == sorted(drive_days(HONEST, 5, 2, seed=1))
+    assert set(drive_days(HONEST, 50, 2, seed=1)) == {0, 1}
