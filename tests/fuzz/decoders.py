@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import zstandard
 
 from camber.formats.errors import FormatError
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.lanelet2 import lanelet2_bytes, lanelet_map
+from camber.formats.map_delta import packed, unpacked
 from camber.formats.map_release import read_release
 from camber.formats.map_release_files import decoded
+from camber.formats.map_road_tiles import surface_tiles
 from camber.formats.map_roads import ReleaseError
 from camber.formats.map_tile_checks import wrong_in_tile
 from camber.formats.map_tiles import tile_frame
@@ -67,6 +71,7 @@ from support import lanelet_maps, opendrive_maps
 from support.contributions import contribution, random_batch
 from support.messages import build, message_classes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
+from support.small_map import surface, surfaces
 
 START_NS = 1_400_000_000 * 1_000_000_000
 STEP_NS = 200_000_000
@@ -323,6 +328,40 @@ def _read_tile(data: bytes) -> None:
     roads.road_around(frame.latitude_rad, frame.longitude_rad, 5.0, (), None)
 
 
+@cache
+def _older_blob() -> bytes:
+    rows = [surface(k, 2.0 * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(20)]
+    return encode(surface_tiles(surfaces(rows))[0])
+
+
+def _newer_blobs(random: Random) -> list[bytes]:
+    """The older tile with other heights and σ of some surfaces: by the same at all nodes, and by node."""
+    tile = decode(SurfaceTile, _older_blob()).message
+    blobs = []
+    for bent in (0, 1):
+        grid_m, sigma_m = tile.grid_m.copy(), tile.sigma_m.copy()
+        for row in random.sample(range(len(tile.rows)), 4):
+            nodes = slice(tile.first_height[row], tile.first_height[row] + tile.rows[row] * tile.columns[row])
+            grid_m[nodes] = np.round(grid_m[nodes] + 0.05 + 0.01 * bent * np.arange(18) % 3, 4)
+            sigma_m[row] = 0.01
+        blobs.append(encode(tile.model_copy(update={"grid_m": grid_m, "sigma_m": sigma_m})))
+    return blobs
+
+
+def _packed(random: Random) -> list[list[bytes]]:
+    newer = _newer_blobs(random)
+    return [[packed(blob, _older_blob())] for blob in newer] + [
+        [packed(newer[0])],
+        [packed(b"other", b"others")],
+    ]
+
+
+def _packed_numbers(random: Random) -> list[list[bytes]]:
+    """What is inside a difference of surfaces."""
+    small = [packed(blob, _older_blob()) for blob in _newer_blobs(random)]
+    return [[zstandard.decompress(each[1:])] for each in small if each[:1] == b"s"]
+
+
 _KNOWN = Known(sigma_m=0.05, link_sigma_m=0.5, seen_ns=START_NS)
 _FLAT_EARTH = Projection(lambda x, y: (np.clip(1e-7 * y, -1.4, 1.4), np.clip(1e-7 * x, -3.0, 3.0)), None)
 
@@ -391,6 +430,14 @@ DECODERS: tuple[Target, ...] = (
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),
     Target("ply", _ply, read=lambda data: points_from_ply(data, "fuzz"), refusal=FormatError),
     Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),
+    Target("map_delta", _packed, read=lambda data: unpacked(data, _older_blob()), refusal=ReleaseError),
+    Target(
+        "map_delta_numbers",
+        _packed_numbers,
+        read=lambda data: unpacked(data, _older_blob()),
+        refusal=ReleaseError,
+        sealed=lambda data: b"s" + zstandard.compress(data),
+    ),
     Target("queue", _queue, read=unpack_parcels, refusal=QueueMessageError),
     Target("queue_answers", _queue_answers, read=unpack_outcomes, refusal=QueueMessageError),
 )

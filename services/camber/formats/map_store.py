@@ -334,6 +334,8 @@ class MapStore:
             db.execute("PRAGMA auto_vacuum = INCREMENTAL")
             db.execute("PRAGMA journal_mode = WAL")
             db.execute("PRAGMA synchronous = FULL")
+            db.execute("PRAGMA wal_autocheckpoint = 256")
+            db.execute(f"PRAGMA journal_size_limit = {256 * _PAGE_BYTES}")
             db.execute("PRAGMA cell_size_check = ON")
             db.execute(f"PRAGMA max_page_count = {max(self._limit_bytes // _PAGE_BYTES, 16)}")
             (found,) = db.execute("PRAGMA user_version").fetchone()
