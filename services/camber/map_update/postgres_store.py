@@ -18,6 +18,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
+from itertools import islice
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -56,6 +57,7 @@ FORMAT = 1
 PARTITION = 8192
 """Contributions of one partition; batches of 64 make it half a million rows, 60 MB."""
 _PAGE = 1024
+_DIGESTS = 32
 _LAYOUT = {
     "format": str(FORMAT),
     "observation": json.dumps(OBSERVATION.descr),
@@ -230,7 +232,7 @@ class PostgresStore(Store):
     async def _insert(
         self,
         db: asyncpg.Connection,
-        new: Sequence[tuple[Contribution, bytes]],
+        new: Sequence[Contribution],
         last: int,
         partitions: int,
         now_ns: int,
@@ -242,21 +244,25 @@ class PostgresStore(Store):
                 f"CREATE TABLE observation_{k} PARTITION OF observation"
                 f" FOR VALUES FROM ({k * PARTITION + 1}) TO ({(k + 1) * PARTITION + 1})"
             )
+        numbers = np.arange(last + 1, end + 1)
+        of = (numbers - 1) // PARTITION
+        hashing, digests = (contribution.digest() for contribution in new), list[bytes]()
+        for k in np.unique(of).tolist():
+            inside = [contribution.observations for contribution, at in zip(new, of, strict=True) if at == k]
+            number = np.repeat(numbers[of == k], [len(rows) for rows in inside])
+            await db.copy_to_table(
+                f"observation_{k}",
+                source=_parts(to_copy(number, joined(inside)), hashing, digests),
+                columns=COLUMNS,
+                format="binary",
+            )
+        digests += hashing
         ledger = [
             ledger_row(number, contribution, digest, now_ns)
-            for number, (contribution, digest) in enumerate(new, last + 1)
+            for number, contribution, digest in zip(range(last + 1, end + 1), new, digests, strict=True)
         ]
         await db.copy_records_to_table("contribution", records=ledger)
         await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, partitions))
-        numbers = np.arange(last + 1, end + 1)
-        of = (numbers - 1) // PARTITION
-        for k in np.unique(of).tolist():
-            inside = [
-                contribution.observations for (contribution, _), at in zip(new, of, strict=True) if at == k
-            ]
-            number = np.repeat(numbers[of == k], [len(rows) for rows in inside])
-            source = _parts(to_copy(number, joined(inside)))
-            await db.copy_to_table(f"observation_{k}", source=source, columns=COLUMNS, format="binary")
 
     async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> Observed:
         headings: list[Heading] = []
@@ -335,9 +341,13 @@ class PostgresStore(Store):
         return Progress(step.cursor, seen.revision + 1)
 
 
-async def _parts(source: Iterator[bytearray]) -> AsyncIterator[bytearray]:
+async def _parts(
+    source: Iterator[bytearray], hashing: Iterator[bytes], digests: list[bytes]
+) -> AsyncIterator[bytearray]:
+    """While the server takes a part in, some digests for the ledger are made."""
     for part in source:
         yield part
+        digests.extend(islice(hashing, _DIGESTS))
 
 
 async def _terminate(connection: asyncpg.Connection) -> None:

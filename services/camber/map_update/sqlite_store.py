@@ -114,13 +114,13 @@ class SqliteStore(Store):
             db.executemany(
                 f"INSERT INTO contribution VALUES (?{', ?' * 10})",
                 [
-                    ledger_row(number, contribution, digest, now_ns)
-                    for number, (contribution, digest) in enumerate(new, last + 1)
+                    ledger_row(number, contribution, contribution.digest(), now_ns)
+                    for number, contribution in enumerate(new, last + 1)
                 ],
             )
             db.executemany(
                 "INSERT INTO observation VALUES (?, ?)",
-                [(number, c.observations.tobytes()) for number, (c, _) in enumerate(new, last + 1)],
+                [(number, c.observations.tobytes()) for number, c in enumerate(new, last + 1)],
             )
         return outcomes
 

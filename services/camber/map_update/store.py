@@ -162,28 +162,29 @@ def settle(
     contributions: Sequence[Contribution],
     known: Mapping[tuple[str, str, str], bytes],
     judge: Judge,
-) -> tuple[list[Outcome], list[tuple[Contribution, bytes]]]:
-    """What becomes of each, where the ledger has the digests `known`; and those to store, with their digests."""
-    stored = dict(known)
-    outcomes, new = [], []
+) -> tuple[list[Outcome], list[Contribution]]:
+    """What becomes of each, where the ledger has the digests `known`; and those to store."""
+    digests = dict(known)
+    new: dict[tuple[str, str, str], Contribution] = {}
+    outcomes = []
     for contribution in contributions:
-        digest = contribution.digest()
-        before = stored.get(contribution.name)
+        name = contribution.name
+        if name in new and name not in digests:
+            digests[name] = new[name].digest()
         refusal: Refusal | None = None
-        if before == digest:
-            outcomes.append(Outcome("duplicate"))
-            continue
-        if before is not None:
+        if name in digests:
+            if digests[name] == contribution.digest():
+                outcomes.append(Outcome("duplicate"))
+                continue
             text = f"{contribution.kind} {contribution.id}: other contents are stored under this id"
             refusal = Refusal("id_reused", text)
         refusal = refusal or judge(contribution)
         if refusal is not None:
             outcomes.append(Outcome("refused", refusal))
             continue
-        stored[contribution.name] = digest
-        new.append((contribution, digest))
+        new[name] = contribution
         outcomes.append(Outcome("stored"))
-    return outcomes, new
+    return outcomes, list(new.values())
 
 
 def ledger_row(number: int, contribution: Contribution, digest: bytes, now_ns: int) -> tuple[Any, ...]:
