@@ -181,6 +181,10 @@ def run(
                 print(f"{time.monotonic() - began:7.1f} s  {now:8} acknowledged  {victim} killed", flush=True)
             time.sleep(rng.uniform(0.0, 1.0))
             fleet.start(victim)
+        for (
+            name
+        ) in fleet.workers:  # what was under way when the vehicles ended is not stored between two questions
+            fleet.kill(name)
         return _compared(fleet, path, uploads, max(records, 1), killed, began, whole=vehicles.returncode == 0)
 
 
