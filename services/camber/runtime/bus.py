@@ -264,9 +264,7 @@ class Bus:
             events.put(("query", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
-        # Complete: of several workers that take uploads the nearest is asked, and not all of them.
-        complete = channel.delivery == "upload"
-        self._entities.append(self._session.declare_queryable(key, direct(asked), complete=complete))
+        self._entities.append(self._session.declare_queryable(key, direct(asked)))
 
     def announce(self) -> None:
         """Declare this service alive, and watch who else is."""
