@@ -216,7 +216,8 @@ class Manifest(Message):
     surrogate: Text = Field(default="", description="not empty: not surveyed, and made how")
     previous_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     reference_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="manifest of the survey or import that this release corrects; None: it is one"
+        default=None,
+        description="manifest of the survey or import that this release corrects; None: it is one",
     )
     corrections_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
         default=None, description="SurfaceCorrections, kept where releases are made; None: it has none"

@@ -96,6 +96,12 @@ class MapUpdateSettings(ServiceSettings):
     fuse_records: int = Field(
         200_000, ge=1, description="about how many records are fused in a round of the work loop"
     )
+    street_m: float = Field(
+        300.0,
+        ge=10.0,
+        le=10_000.0,
+        description="side of the squares that count as one street: a vehicle's bias there is told by the others",
+    )
     publish_threshold_m: float = Field(0.03, gt=0.0, le=1.0, description="a smaller change is not published")
     publish_standard_errors: float = Field(
         3.3, ge=2.0, le=10.0, description="by so many standard errors a change exceeds the threshold"
@@ -147,6 +153,7 @@ class MapUpdateSettings(ServiceSettings):
     def fusion_rules(self) -> FusionRules:
         """What is published, as the fusion wants it."""
         return FusionRules(
+            street_m=self.street_m,
             publication=PublicationRules(
                 threshold_m=self.publish_threshold_m,
                 standard_errors=self.publish_standard_errors,
@@ -154,7 +161,7 @@ class MapUpdateSettings(ServiceSettings):
                 least_vehicles=self.publish_vehicles,
                 least_days=self.publish_days,
                 largest_m=self.publish_largest_m,
-            )
+            ),
         )
 
     def rules(self) -> Rules:
