@@ -17,6 +17,8 @@ from camber.map_update.votes import Floats, Integers
 _EARTH_M = 6_378_137.0
 _GAP_M = 0.5
 """Rectangles this near each other share a border: those of one road abut, those of a bend gape a little."""
+_STEP_M = 0.5
+"""A road whose pieces are of two levels goes on where their ends meet in height; a bridge is metres above a street."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,9 @@ def surroundings_of(surfaces: RoadSurfaces, *, street_m: float, region_m: float)
     order = np.argsort(surfaces.surface_id, kind="stable")
     latitude, longitude = surfaces.latitude_rad[order], surfaces.longitude_rad[order]
     level = surfaces.level[order]
+    rear_m, front_m = (
+        np.array([surfaces.heights_m[i][end].mean() for i in order.tolist()]) for end in (0, -1)
+    )
     begins, neighbour = _neighbours(
         latitude,
         longitude,
@@ -58,6 +63,8 @@ def surroundings_of(surfaces: RoadSurfaces, *, street_m: float, region_m: float)
         surfaces.half_length_m[order] + 0.5 * _GAP_M,
         surfaces.half_width_m[order] + 0.5 * _GAP_M,
         level,
+        rear_m,
+        front_m,
         np.argsort(latitude, kind="stable"),
     )
     _, block = np.unique(_squares(latitude, longitude, street_m), return_inverse=True)
@@ -95,9 +102,11 @@ def _neighbours(
     half_length_m: Floats,
     half_width_m: Floats,
     level: Integers,
+    rear_m: Floats,
+    front_m: Floats,
     by_latitude: Integers,
 ) -> tuple[Integers, Integers]:
-    """Pairs of rectangles of one level that meet, by a sweep from south to north."""
+    """Pairs of rectangles that meet, on one level or where a road changes its level, by a sweep from south to north."""
     n = len(latitude_rad)
     radius_m = np.sqrt(half_length_m**2 + half_width_m**2)
     farthest_m = radius_m.max() if n else 0.0
@@ -111,7 +120,12 @@ def _neighbours(
                 break
             east_m = (longitude_rad[b] - longitude_rad[a]) * _EARTH_M * np.cos(latitude_rad[a])
             reach_m = radius_m[a] + radius_m[b]
-            if level[a] != level[b] or north_m * north_m + east_m * east_m > reach_m * reach_m:
+            if north_m * north_m + east_m * east_m > reach_m * reach_m:
+                continue
+            if level[a] != level[b] and not _goes_on(
+                east_m, north_m, cos[a], sin[a], half_length_m[a], rear_m[a], front_m[a], cos[b], sin[b],
+                half_length_m[b], rear_m[b], front_m[b],
+            ):  # fmt: skip
                 continue
             if _meet(
                 east_m, north_m, cos[a], sin[a], half_length_m[a], half_width_m[a], cos[b], sin[b],
@@ -131,6 +145,32 @@ def _neighbours(
         neighbour[at[other[k]]] = one[k]
         at[other[k]] += 1
     return begins, neighbour
+
+
+@compiled_without_gil
+def _goes_on(
+    east_m: float,
+    north_m: float,
+    cos_a: float,
+    sin_a: float,
+    long_a: float,
+    rear_a_m: float,
+    front_a_m: float,
+    cos_b: float,
+    sin_b: float,
+    long_b: float,
+    rear_b_m: float,
+    front_b_m: float,
+) -> bool:
+    """Are the two ends nearest each other, of two rectangles, at one height?"""
+    nearest_m2, step_m = np.inf, np.inf
+    for end_a, height_a_m in ((-long_a, rear_a_m), (long_a, front_a_m)):
+        for end_b, height_b_m in ((-long_b, rear_b_m), (long_b, front_b_m)):
+            dx = east_m + end_b * cos_b - end_a * cos_a
+            dy = north_m + end_b * sin_b - end_a * sin_a
+            if dx * dx + dy * dy < nearest_m2:
+                nearest_m2, step_m = dx * dx + dy * dy, abs(height_b_m - height_a_m)
+    return step_m <= _STEP_M
 
 
 @compiled_without_gil

@@ -37,9 +37,18 @@ def test_surfaces_that_abut_or_overlap_are_neighbours_and_others_not() -> None:
 
 
 def test_a_road_over_another_is_not_its_neighbour() -> None:
-    found = made(surface(1), surface(2, level=1), surface(3, yaw_rad=1.0))
+    found = made(surface(1), surface(2, level=1, heights_m=55.0), surface(3, yaw_rad=1.0))
     assert neighbours(found, 1) == {3}
     assert neighbours(found, 2) == set()
+
+
+def test_a_road_goes_on_where_its_level_changes() -> None:
+    ramp = np.array([[50.0, 50.0], [52.0, 52.0]])  # rises ahead, to where the bridge begins
+    bridge = surface(2, 20.2, level=1, heights_m=52.0)
+    assert neighbours(made(surface(1, heights_m=ramp), bridge), 1) == {2}
+    assert (
+        neighbours(made(surface(1, heights_m=ramp[::-1]), bridge), 1) == set()
+    )  # a street that ends beneath it
 
 
 def test_bends_are_judged_by_their_own_sides() -> None:
