@@ -74,7 +74,9 @@ def test_everything_of_the_drive_is_said_in_order_and_dated_now(endpoint: str, t
     assert sum(refused.values()) < 0.3 * len(heard), refused
     for kind in (Sweep, Motion, ReceiverBytes):
         times = [message.time_ns for message in heard if isinstance(message, kind)]
-        assert len(times) + sum(refused.values()) >= 0.9 * DURATION_S * RATE_HZ, kind
+        # Of sweeps a consumer gets the newest only: one that was replaced while it worked on another is none missing.
+        least = 0.6 if kind is Sweep else 0.9
+        assert len(times) + sum(refused.values()) >= least * DURATION_S * RATE_HZ, kind
         assert len(times) >= 0.6 * DURATION_S * RATE_HZ, kind
         assert all(before < after for before, after in pairwise(times)), kind
         steps = sorted(after - before for before, after in pairwise(times))
