@@ -64,13 +64,19 @@ def settled(corrections: Corrections, before: Corrections, map_version: int) -> 
     days = np.maximum(rows["last_seen_ns"], EARLIEST_NS) // _DAY_NS
     rows["last_seen_ns"] = np.maximum(days * _DAY_NS, EARLIEST_NS)
     rows["since_map_version"] = map_version
-    at = np.searchsorted(before["surface_id"], rows["surface_id"])
-    there = at < len(before)
-    there[there] = before["surface_id"][at[there]] == rows["surface_id"][there]
-    stays = np.flatnonzero(there)
+    at = rows_of(before, rows["surface_id"])
+    stays = np.flatnonzero(at >= 0)
     stays = stays[np.abs(before["offset_m"][at[stays]] - rows["offset_m"][stays]) < 0.5 * STEP_M]
     rows["since_map_version"][stays] = before["since_map_version"][at[stays]]
     return rows
+
+
+def rows_of(corrections: Corrections, surface_id: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows (n,) of surfaces by their ids (n,) in corrections whose ids ascend; −1 where one has none."""
+    at = np.searchsorted(corrections["surface_id"], surface_id)
+    there = at < len(corrections)
+    there[there] = corrections["surface_id"][at[there]] == surface_id[there]
+    return np.where(there, at, -1)
 
 
 def to_bytes(corrections: Corrections, time_ns: int) -> bytes:

@@ -23,7 +23,7 @@ from camber.formats.map_release_files import ReleaseFolder, decoded, encoded, wr
 from camber.formats.map_release_writing import Heading, Known, Place, seal_release
 from camber.formats.map_tile_checks import wrong_in_tile
 from camber.formats.map_tiles import Tile
-from camber.map_update.corrections import NONE, Corrections, from_bytes, settled, to_bytes
+from camber.map_update.corrections import NONE, Corrections, from_bytes, rows_of, settled, to_bytes
 from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
 
 _HEIGHT_DECIMALS = 4  # as in tiles made from columns
@@ -199,10 +199,8 @@ def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
 
     The tile's time is the newest at which one of its surfaces was seen.
     """
-    at = np.searchsorted(rows["surface_id"], tile.surface_id)
-    there = at < len(rows)
-    there[there] = rows["surface_id"][at[there]] == tile.surface_id[there]
-    surfaces = np.flatnonzero(there)
+    at = rows_of(rows, tile.surface_id)
+    surfaces = np.flatnonzero(at >= 0)
     mine = rows[at[surfaces]]
     sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
     nth = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)

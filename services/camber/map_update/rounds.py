@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.map_release_files import ReleaseFolder
-from camber.map_update.corrections import CORRECTION, Corrections
+from camber.map_update.corrections import CORRECTION, Corrections, rows_of
 from camber.map_update.fusion import Fusion
 from camber.map_update.publication import Decisions
 from camber.map_update.release_making import ReleaseMaking
@@ -136,9 +136,8 @@ def corrections_after(before: Corrections, decisions: Decisions) -> Corrections:
     reference's. One that many have confirmed gets a new σ only where that is news. All other rows stay.
     """
     rows: Rows = decisions.surfaces
-    at = np.searchsorted(before["surface_id"], rows["surface_id"])
-    there = at < len(before)
-    there[there] = before["surface_id"][at[there]] == rows["surface_id"][there]
+    at = rows_of(before, rows["surface_id"])
+    there = at >= 0
     offset_m = np.zeros(len(rows))
     offset_m[there] = before["offset_m"][at[there]]
     sigma_m = np.full(len(rows), np.inf)
