@@ -138,7 +138,9 @@ class Causes:
         if cell is None:
             return
         if cell.up_m is not None and cell.key.map_version != self._map_version:
-            self._forget_map(cell.key.map_version)
+            if self._map_version is not None:  # else nothing here is from another map
+                self._forget_map(cell.key.map_version)
+            self._map_version = cell.key.map_version
         seen = _Seen(cell, correction_m)
         self._seen.append(seen)
         self._follow_roads(seen)
@@ -146,7 +148,6 @@ class Causes:
 
     def _forget_map(self, version: int) -> None:
         """Differences from another map are none from this one."""
-        self._map_version = version
         self._seen.clear()
         self._run, self._whole, self._suspects = [], False, {}
         self.roads = {key: road for key, road in self.roads.items() if road.map_version == version}

@@ -127,8 +127,8 @@ class Learning:
         part = self._parts.get((residual.key.antenna, residual.key.base))
         if self.causes.common.cause != before.cause and part is not None:
             self._forget(before, self.causes.common, part)
-        if len(self.causes.roads) > roads and part is not None:
-            self._forget_roads(part)
+        if len(self.causes.roads) > roads:
+            self._forget_roads()
         if not self._may_learn(residual):
             return
         if self.rules.mode == "document":
@@ -207,10 +207,11 @@ class Learning:
             return
         self._undo(part, diagnosis.onset_ns)
 
-    def _forget_roads(self, part: Part) -> None:
+    def _forget_roads(self) -> None:
         """Stretches of a road that is known now to have changed say nothing of the antenna: they did not before."""
         known = self.causes.roads
-        part.cells = deque((seen for seen in part.cells if seen[0].surface_id not in known), _MOST_CELLS)
+        for part in self._parts.values():
+            part.cells = deque((seen for seen in part.cells if seen[0].surface_id not in known), _MOST_CELLS)
 
     @staticmethod
     def _undo(part: Part, onset_ns: int | None, *, keep: bool = False) -> None:

@@ -37,6 +37,8 @@ class IntegrityService(Service[IntegritySettings]):
 
     def __init__(self, settings: IntegritySettings, bus: Bus) -> None:
         super().__init__(settings, bus)
+        if settings.link_delay_s:
+            bus.live_behind(settings.link_delay_s)
         self._rules = settings.rules()
         self._state = settings.state_dir / "correction.json" if settings.state_dir else None
         self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))
@@ -104,12 +106,14 @@ class IntegrityService(Service[IntegritySettings]):
         return frozenset(name for name in _SERVICES if self.bus.is_alive(name))
 
     def _should_wait(self, fix: Fix, heard_ns: int, now_ns: int, alive: frozenset[str]) -> bool:
-        """A fix waits for the pose of its epoch: not longer than an epoch's width, whatever the clocks do."""
+        """A fix waits for the pose of its epoch: not longer than an epoch's width, whatever the clocks do.
+
+        Over a link what is of one epoch comes apart by as much as the link's delay varies.
+        """
         pose = self._judge.heard.pose
         pose_is_there = pose is not None and age_s(pose.time_ns, fix.time_ns) <= SAME_EPOCH_S
-        waited = (
-            not 0.0 <= age_s(heard_ns, now_ns) < SAME_EPOCH_S or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
-        )
+        longest_s = SAME_EPOCH_S + self.settings.link_delay_s
+        waited = not 0.0 <= age_s(heard_ns, now_ns) < longest_s or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
         return not pose_is_there and not waited and "localizer" in alive
 
     def _judge_fix(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> None:
@@ -142,6 +146,12 @@ class IntegrityService(Service[IntegritySettings]):
             return judgement
         if not self._gnss.may_be_asked(asked_ns):
             return unanswered(judgement, "gnss has just not answered")
+        late = age_s(fix.time_ns, asked_ns) > self._rules.fix_max_age_s / 2.0
+        if self.settings.link_delay_s and late:
+            self.bus.count(
+                "estimates.too_late"
+            )  # another round trip, and the fixes that wait would be too old
+            return unanswered(judgement, "the judge is late already")
         try:
             answer: Estimates = self.bus.ask("estimates", question)
         except QueryFailed as error:
@@ -221,6 +231,11 @@ class IntegrityService(Service[IntegritySettings]):
             fresh.replace(self._state)
         except OSError as error:
             self.bus.issue("correction_not_saved", f"{self._state}: {error.strerror}")
+
+    def gauges(self) -> dict[str, float]:
+        """Fixes that wait for their pose, and uploads that wait."""
+        uploads = {} if self._uploader is None else self._uploader.waiting()
+        return {"fixes_waiting": float(len(self._pending)), **uploads}
 
     def close(self) -> None:
         """Judge what waits, keep what was learnt, make the last uploads durable."""

@@ -179,6 +179,12 @@ class IntegritySettings(ServiceSettings):
     agreement_ambiguities: int = Field(
         6, ge=3, description="ambiguities that the estimate must have fixed on which others agree"
     )
+    link_delay_s: float = Field(
+        0.0,
+        ge=0.0,
+        le=2.0,
+        description="longest time that inputs take to a judge in the cloud; it judges so much later",
+    )
     upload: bool = Field(True, description="send judged fixes to the fleet's server; needs state_dir")
     upload_every_s: float = Field(
         5.0, gt=0.0, le=600.0, description="one batch of uploads for each such stretch of GPS time"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,6 +18,7 @@ from camber.schemas.codec import encode
 _QUEUE_LIMIT = 10_000  # waiting for the disk; beyond it the newest is dropped, and `problems` says so
 _GROUP = 1_000  # uploads that share one flush
 _RETRY_S = 1.0  # a disk that is full or locked is tried again this often
+_SILENT_S = 30.0  # a router or a store that is started again is back by then
 _STORE_LIMIT_S = 1.0  # at the end, for the disk to take what was handed over
 
 Problem = tuple[str, str]
@@ -34,6 +36,7 @@ class Uploader:
         self._ended = threading.Event()
         self._problems: queue.SimpleQueue[Problem] = queue.SimpleQueue()
         self._told: Counter[str] = Counter()
+        self._silence_told_s = float("-inf")
         self.outbox = Outbox(path, limit_bytes=limit_bytes)
         self.sender = SenderThread(self.outbox, ask)
         self._writer = threading.Thread(target=self._write, name="outbox", daemon=True)
@@ -45,6 +48,12 @@ class Uploader:
             self._queue.put_nowait(Upload(upload_id, channel, encode(message, source=self._source)))
         except queue.Full:
             self._problems.put(("upload_dropped", f"{_QUEUE_LIMIT} uploads wait for the disk"))
+
+    def waiting(self) -> dict[str, float]:
+        """How many uploads wait for the disk, and for the cloud where that is known; needs no disk."""
+        for_cloud = self.sender.sender.waiting
+        known = {} if for_cloud is None else {"uploads_waiting": float(for_cloud)}
+        return {"uploads_not_stored": float(self._queue.qsize()), **known}
 
     def problems(self) -> list[Problem]:
         """What has happened beside the work loop since this was last asked."""
@@ -58,7 +67,20 @@ class Uploader:
             if count > self._told[code]:
                 self._told[code] = count
                 found.append((code, text))
-        return found
+        return [*found, *self._silence()]
+
+    def _silence(self) -> list[Problem]:
+        """Zenoh tells a sender nothing of what access rules deny it: only that no receipt comes is left to notice."""
+        now_s = time.monotonic()
+        silent_s = self.sender.sender.silent_s(now_s)
+        if silent_s < _SILENT_S or now_s - self._silence_told_s < _SILENT_S:
+            return []
+        self._silence_told_s = now_s
+        text = (
+            f"no receipt for {silent_s:.0f} s: no link, no map_update, or our certificate is not that of this vehicle: "
+            f"camber access check; {self.sender.sender.last_failure}"
+        )
+        return [("upload_not_acknowledged", text)]
 
     def close(self) -> None:
         """Make durable what was handed over, send no more."""

@@ -139,6 +139,16 @@ def test_four_stretches_show_a_drift():
     assert common_part(at_once, 20.0, 0.0, 0.1).drift_m == pytest.approx(0.09)
 
 
+def test_a_drift_is_the_same_from_whatever_moment_the_time_is_counted():
+    found = differences([0.0, 0.03, 0.05, 0.09, 0.13])
+    since_1970 = replace(found, time_s=found.time_s + 1.4e9)
+    here, there = (common_part(given_, 20.0, 0.0, 0.1) for given_ in (found, since_1970))
+    assert here.drift_m > 0.1
+    assert here.drift_sigmas > 3.0
+    assert there.drift_m == pytest.approx(here.drift_m)
+    assert there.drift_sigmas == pytest.approx(here.drift_sigmas)
+
+
 def test_of_few_stretches_or_of_one_time_no_drift_is_told():
     assert part([0.0, 0.05, 0.1]).drift_sigmas == part([0.0, 0.05, 0.1]).drift_m == 0.0
     still = differences([0.0, 0.05, 0.1, 0.15])

@@ -159,6 +159,25 @@ def test_a_fix_that_claims_to_be_wide_agrees_only_as_near_to_a_sharp_pose_as_a_r
     assert said(0.6, 0.0, wide_m)[0] == "position_unverified"
 
 
+@pytest.mark.parametrize("correlation", [-0.9, -0.4, 0.0, 0.7])
+def test_how_near_to_the_pose_a_wide_fix_agrees_is_that_of_another_implementation(correlation):
+    """In every direction of errors of the pose that belong together."""
+    en = correlation * 0.2 * 0.1
+    pose_m2 = np.array([[0.2**2, en], [en, 0.1**2]])
+    limits = DeterminationRules().limits()
+    turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    aside = np.column_stack((np.cos(turn), np.sin(turn)))
+    near_m2 = pose_m2 + 0.06**2 * np.eye(2)
+    squared = np.sum(aside * np.linalg.solve(near_m2, aside.T).T, axis=1)
+    edge_m = np.sqrt(limits.position[0] / squared)[:, None] * aside
+    covariance_m2 = np.diag([0.0, 0.0, 0.01])
+    covariance_m2[:2, :2] = pose_m2 + 0.3**2 * np.eye(2)
+    for share, word in ((0.99, AGREES), (1.01, UNVERIFIED)):
+        d = np.column_stack((share * edge_m, np.zeros(32)))
+        found = determine(d, np.tile(covariance_m2, (32, 1, 1)), np.tile(pose_m2, (32, 1, 1)), limits)
+        assert found.position.tolist() == [word] * 32
+
+
 def test_where_the_position_is_not_asked_no_pose_holds_a_fix_back():
     limits = DeterminationRules(tests=("height",)).limits()
     for d, pose_m2 in (((9.0, 0.0, 0.1), np.eye(2) * 1e-4), ((0.0, 0.0, 0.1), np.full((2, 2), math.nan))):
@@ -170,6 +189,13 @@ def test_where_the_position_is_not_asked_no_pose_holds_a_fix_back():
 def test_a_pose_covariance_that_is_none_lets_nothing_agree(pose_m2):
     found = determine(np.zeros((1, 3)), np.eye(3)[None] * 0.01, pose_m2[None], DeterminationRules().limits())
     assert REASONS[found.outcome[0]] == "position_unverified"
+
+
+def test_a_pose_that_claims_to_be_exact_has_no_reach_and_lets_nothing_agree():
+    limits = DeterminationRules(fix_sigma_cap_m=0.0).limits()
+    found = determine(np.zeros((1, 3)), np.eye(3)[None] * 0.01, np.zeros((1, 2, 2)), limits)
+    assert REASONS[found.outcome[0]] == "position_unverified"
+    assert math.isnan(found.reach_m[0])
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,15 @@ def test_what_may_be_divided_by_is_above_nought_and_finite() -> None:
     assert [positive(value) for value in VALUES[4:8]] == VALUES[4:8]
 
 
+def test_what_numpy_compares_by_itself_chooses_a_plain_number() -> None:
+    one, other = np.array([1.0, 2.0])
+    for condition, expected in ((one < other, 3.0), (one > other, 4.0)):
+        assert isinstance(condition, np.bool_)
+        chosen = where(condition, 3.0, 4.0)
+        assert type(chosen) is float
+        assert chosen == expected
+
+
 def test_what_is_not_known_is_infinite() -> None:
     assert known(math.nan) == math.inf
     assert known(3.0) == 3.0

@@ -35,6 +35,11 @@ def test_a_pose_that_is_no_newer_is_not_heard():
     assert list(found.poses) == [pose(2)]
 
 
+def test_of_a_long_drive_only_the_newest_poses_are_kept():
+    found = heard(*range(100))
+    assert list(found.poses) == [pose(epoch) for epoch in range(36, 100)]
+
+
 @pytest.mark.parametrize(("epoch", "near"), [(2.5, True), (-2.5, True), (2.51, False), (-2.51, False)])
 def test_a_pose_tells_the_way_half_a_second_before_and_after(epoch, near):
     assert (heard(0).pose_near(at(epoch)) == pose(0)) == near

@@ -123,6 +123,13 @@ def test_the_pose_of_the_same_epoch_does_not_overwrite_it_before_or_after(rig):
     assert [p.source for p in of(sent, "position")] == ["rtk"]
 
 
+def test_it_says_how_much_waits(rig, kept):
+    rig.hear(fix=fix(0))
+    assert rig.service.gauges() == {"fixes_waiting": 1.0}
+    assert kept.service.gauges()["uploads_not_stored"] == 0.0
+    kept.service.close()
+
+
 def test_a_fix_that_is_not_confirmed_leaves_the_epoch_to_the_pose(rig):
     sent = rig.epoch(0, fix=fix(0, up_m=1.0))
     assert words(sent) == [("erroneous", "height_disagrees")]

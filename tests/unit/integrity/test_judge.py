@@ -554,6 +554,15 @@ def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and
     assert judge.correction(situation) == Correction(0.01, 0.02)
 
 
+def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base():
+    class Asked(Learning):
+        def correction(self, key):
+            return Correction(0.01, 0.02) if key == Key("fixed", "", 3) else Correction()
+
+    judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
+    assert judge.correction(judge.heard.situation(at(0), ALL)) == Correction(0.01, 0.02)
+
+
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
     learning = Listening()
     judged(fix(east_m=3.0), learning=learning, the_pose=pose(provenance="scan_match"))

@@ -41,6 +41,14 @@ def test_by_the_document_what_would_go_beyond_the_cap_is_not_believed():
     assert hear(learning, 100, 101, up_m=1e6) == before
 
 
+@pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
+def test_by_the_document_one_number_is_for_every_base_and_map(changes):
+    learning = Learning(BY_GAIN)
+    known = hear(learning, 0, 100, up_m=0.1)
+    assert known.samples == 100
+    assert learning.correction(replace(KEY, **changes)) == known
+
+
 # --- what is learnt from ------------------------------------------------------------------------------------------
 
 
@@ -207,12 +215,16 @@ def test_with_another_base_or_map_the_antennas_part_stays_and_is_less_sure(learn
     known, other = learnt.correction(KEY), learnt.correction(replace(KEY, **changes))
     assert other.correction_m == known.correction_m
     assert other.sigma_m == pytest.approx(math.hypot(known.sigma_m, RULES.release_sigma_m))
+    assert other.samples == known.samples > 0
 
 
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
 def test_it_goes_on_from_there(learnt, changes):
     key = replace(KEY, **changes)
     assert hear(learnt, 1200, 2400, up_m=0.02, key=key).correction_m == pytest.approx(0.02, abs=0.015)
+    part = learnt.parts[-1]
+    assert (part.base, part.map_version) == (key.base, key.map_version)
+    assert len(part.cells) > 50, "the stretches heard there are remembered"
 
 
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
@@ -252,6 +264,13 @@ def test_of_many_bases_the_oldest_are_forgotten():
     assert learning.parts[-1].base == "base 19"
 
 
+def test_an_antenna_that_was_measured_well_is_moved_less():
+    well, badly = (
+        hear(Learning(replace(RULES, prior_sigma_m=sigma_m)), 0, 900, up_m=0.06) for sigma_m in (0.01, 0.1)
+    )
+    assert well.correction_m < 0.5 * badly.correction_m
+
+
 # --- causes ---------------------------------------------------------------------------------------------------------
 
 
@@ -271,6 +290,13 @@ def test_a_base_metres_off_leaves_what_was_learnt_as_it_is(learnt):
     assert learnt.diagnosis(None).cause == "base"
     assert learnt.correction(KEY).correction_m == pytest.approx(before.correction_m, abs=1e-3)
     assert learnt.samples == samples
+
+
+def test_a_cause_that_is_named_before_anything_is_learnt_teaches_nothing():
+    learning = Learning(RULES)
+    hear(learning, 0, 400, verdict="unknown", up_m=9.0, east_m=12.0, north_m=-9.0)
+    assert learning.diagnosis(None).cause == "base"
+    assert (learning.parts, learning.correction(KEY)) == ((), Correction())
 
 
 def test_an_antenna_named_while_something_drifts_does_not_make_right_what_drifted(learnt):
@@ -322,6 +348,27 @@ def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
     (part,) = learning.parts
     assert {cell.surface_id for cell, _ in part.cells} == {0, 1, 2, 3, 5}
     assert part.cells.maxlen == 96
+
+
+def test_a_road_that_is_named_is_taken_out_of_what_was_heard_with_another_base_too():
+    learning, other = Learning(RULES), replace(KEY, base="receiver:WGS84")
+    hear(learning, 0, 300)
+    for epoch in range(300):
+        off = {"up_m": 0.25, "verdict": "confirmed_after_verification"} if 200 <= epoch < 250 else {}
+        again = residual(epoch, key=other, **off)
+        learning.hear(replace(again, time_ns=again.time_ns + 600 * 10**9))
+    assert set(learning.causes.roads) == {4}
+    surfaces = {part.base: {cell.surface_id for cell, _ in part.cells} for part in learning.parts}
+    assert surfaces == {base: {0, 1, 2, 3, 5} for base in (KEY.base, other.base)}
+
+
+def test_a_road_that_is_named_at_a_walking_pace_before_anything_is_learnt_teaches_nothing():
+    learning = Learning(RULES)
+    hear(learning, 0, 200, speed_m_s=1.0)
+    hear(learning, 200, 250, speed_m_s=1.0, up_m=0.25, verdict="confirmed_after_verification")
+    hear(learning, 250, 300, speed_m_s=1.0)
+    assert set(learning.causes.roads) == {4}
+    assert (learning.parts, learning.correction(KEY)) == ((), Correction())
 
 
 def test_a_changed_road_of_a_few_hundred_metres_that_fits_the_height_check_is_not_learnt(learnt):

@@ -90,6 +90,30 @@ def test_that_nobody_answers_is_a_problem_told_when_it_grows(path):
     uploader.close()
 
 
+def test_that_no_receipt_comes_for_long_is_told_with_what_to_look_at(path, monkeypatch):
+    monkeypatch.setattr(module, "_SILENT_S", 0.3)
+    server, answers = Server(), threading.Event()
+
+    def denied(channel, data):
+        return server(channel, data) if answers.is_set() else silent(channel, data)
+
+    uploader = make(path, denied)
+    uploader.put("u1", "upload", message())
+    wait_for(lambda: uploader.sender.sender.counts["failed"])
+    assert "upload_not_acknowledged" not in dict(uploader.problems())
+    time.sleep(0.4)
+    text = dict(uploader.problems())["upload_not_acknowledged"]
+    assert text.startswith("no receipt for ")
+    assert "certificate" in text
+    assert "nobody answers" in text
+    assert "upload_not_acknowledged" not in dict(uploader.problems()), "not in every round"
+    answers.set()
+    wait_for(lambda: uploader.sender.sender.counts["stored"], timeout_s=15.0)
+    time.sleep(0.4)
+    assert "upload_not_acknowledged" not in dict(uploader.problems())
+    uploader.close()
+
+
 def test_a_refusal_is_a_problem(path):
     uploader = make(path, Server("refused"))
     uploader.put("u1", "upload", message(1))
@@ -180,3 +204,13 @@ def test_more_than_the_queue_holds_is_dropped_and_told_and_close_still_ends(path
     release.set()
     uploader._writer.join(5.0)
     assert not uploader._writer.is_alive()
+
+
+def test_how_many_uploads_wait_is_known_without_asking_the_disk(path):
+    uploader = make(path)
+    try:
+        for k in range(7):
+            uploader.put(f"u{k}", "upload", message(k))
+        wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
+    finally:
+        uploader.close()
