@@ -38,7 +38,7 @@ def making(folder: Path, count: int = 8, *, key: Any = KEY, **changed: Any) -> R
 
 
 class Cloud:
-    """A supplier that answers from a folder; `cut` and `spoil` stand between it and whoever asks."""
+    """A supplier that answers from a folder; `cut_after`, `spoil` and `change` stand between it and whoever asks."""
 
     name = "cloud"
     may_be_old = False
@@ -48,6 +48,8 @@ class Cloud:
         self.sent_bytes = 0
         self.cut_after: int | None = None
         self.spoil: Callable[[bytes], bytes] = lambda data: data
+        self.spoil_more = self.spoil
+        self.change: dict[str, Any] = {}
         self._serving = ReleaseServing(folder)
 
     def region(self) -> str | None:
@@ -62,5 +64,6 @@ class Cloud:
         self.asked.append(request)
         reply = self._serving.blob(request, time_ns=MADE_NS)
         payload = np.frombuffer(self.spoil(reply.payload.tobytes()), np.uint8)
-        self.sent_bytes += len(payload)
-        return reply.model_copy(update={"payload": payload})
+        more = np.frombuffer(self.spoil_more(reply.more_payload.tobytes()), np.uint8)
+        self.sent_bytes += len(payload) + len(more)
+        return reply.model_copy(update={"payload": payload, "more_payload": more, **self.change})

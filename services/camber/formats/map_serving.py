@@ -76,18 +76,38 @@ class ReleaseServing:
         return MapRootReply(time_ns=time_ns, status="known", payload=np.frombuffer(data, np.uint8))
 
     def blob(self, request: MapBlobRequest, *, time_ns: int) -> MapBlobReply:
-        """A part of a packed blob; without its base, where that is not here, as a whole."""
+        """A part of a packed blob, and after its only part others; as a whole where its base is not here."""
         try:
             data = self._in_few_bytes(request.sha256, request.base_sha256)
         except ReleaseError:
-            return MapBlobReply(time_ns=time_ns, status="unknown", reason="no such blob", payload=_NOTHING)
+            return _unknown_blob("no such blob", time_ns)
         parts = -(-len(data) // PART_BYTES)
         if request.part >= parts:
-            reason = f"part {request.part} of {parts}"
-            return MapBlobReply(time_ns=time_ns, status="unknown", reason=reason, payload=_NOTHING)
+            return _unknown_blob(f"part {request.part} of {parts}", time_ns)
         begin = request.part * PART_BYTES
-        payload = np.frombuffer(data[begin : begin + PART_BYTES], np.uint8)
-        return MapBlobReply(time_ns=time_ns, status="known", parts=parts, payload=payload)
+        more = self._more(request, PART_BYTES - len(data)) if parts == 1 else []
+        return MapBlobReply(
+            time_ns=time_ns,
+            status="known",
+            parts=parts,
+            payload=np.frombuffer(data[begin : begin + PART_BYTES], np.uint8),
+            more_bytes=np.array([len(each) for each in more], np.int32),
+            more_payload=np.frombuffer(b"".join(more), np.uint8),
+        )
+
+    def _more(self, request: MapBlobRequest, room: int) -> list[bytes]:
+        """The first of the blobs wanted next, as many as fit."""
+        more: list[bytes] = []
+        for digest, base in zip(request.more_sha256, request.more_base_sha256, strict=False):
+            try:
+                data = self._in_few_bytes(digest, base)
+            except ReleaseError:  # asked for by itself it is told so
+                break
+            room -= len(data)
+            if room < 0:
+                break
+            more.append(data)
+        return more
 
     def _in_few_bytes(self, digest: str, base_digest: str | None) -> bytes:
         key = digest, base_digest
@@ -108,3 +128,15 @@ class ReleaseServing:
         while self._size > self._kept_bytes and len(self._packed) > 1:
             self._size -= len(self._packed.popitem(last=False)[1])
         return data
+
+
+def _unknown_blob(reason: str, time_ns: int) -> MapBlobReply:
+    none = np.zeros(0, np.int32)
+    return MapBlobReply(
+        time_ns=time_ns,
+        status="unknown",
+        reason=reason,
+        payload=_NOTHING,
+        more_bytes=none,
+        more_payload=_NOTHING,
+    )

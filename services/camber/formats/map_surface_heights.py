@@ -90,20 +90,27 @@ def _heights(
         u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
         beyond_u, beyond_v = max(abs(u) - half_length, 0.0), max(abs(v) - half_width, 0.0)
         outside_m[i] = math.sqrt(beyond_u * beyond_u + beyond_v * beyond_v)
-        height_m[i], _, _ = grid_plane(heights_m, grid[k], half_length, half_width, u, v)
+        height_m[i], _, _ = grid_plane(
+            heights_m, grid[k, 0], grid[k, 1], grid[k, 2], half_length, half_width, u, v
+        )
     return height_m, outside_m
 
 
 @compiled
 def grid_plane(
-    heights_m: Floats, grid: Integers, half_length: float, half_width: float, u: float, v: float
+    heights_m: Floats,
+    first: int,
+    rows: int,
+    columns: int,
+    half_length: float,
+    half_width: float,
+    u: float,
+    v: float,
 ) -> tuple[float, float, float]:
     """Height [m], slope along and slope across of a surface at (u, v); beyond its edge it goes on with the slope there.
 
-    `grid` is (first, rows, columns): where in `heights_m` the surface's heights begin, and how many there are along
-    and across. Bilinear between them.
+    Its heights begin at `first` of `heights_m`, `rows` of them along and `columns` across. Bilinear between them.
     """
-    first, rows, columns = grid[0], grid[1], grid[2]
     at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
     step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
     p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v

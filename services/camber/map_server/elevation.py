@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from camber.formats.map_tiles import TILES, Tile, tile_of
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.point_groups import group_rows, members, tile_numbers
-from camber.map_server.road_choice import KNOWN, find_roads, nothing_found, topologies
+from camber.map_server.choice_by_links import find_by_links, put_back
+from camber.map_server.point_groups import group_rows, members, sort_by_tile, tile_numbers
+from camber.map_server.road_choice import KNOWN, UNDECIDED, FoundRoads, find_roads, nothing_found, topologies
 from camber.map_server.road_choice import LEVELS_AMBIGUOUS as AMBIGUOUS
+from camber.map_server.road_choice import NO_SURFACE as NO_SURFACE_HERE
 from camber.map_server.tile_index import TileIndex
 from camber.map_server.topology import Topology, choose
 from camber.schemas.pose import Road, RoadPatch, RoadReason
@@ -28,6 +30,14 @@ _LATTICE_STEP = 0.25
 _STEPS = np.arange(-1.0, 1.0 + 1e-9, _LATTICE_STEP)
 _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
+
+_BLOCK = 1 << 17
+"""Points that are sorted by tile at a time."""
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+_Points: TypeAlias = tuple[Floats, Floats, Integers, Integers]
+"""Columns of latitude, longitude, candidate links and last surface."""
 
 REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
 """What the numbers of `RoadColumns.reason` say."""
@@ -223,9 +233,9 @@ class ElevationMap:
     ) -> RoadColumns:
         """The roads under n points given as two arrays (n,), all by the same links and last surface: n times `road`."""
         latitude, longitude = _columns(latitude_rad, longitude_rad)
-        links = frozenset(link_ids)
-        number = tile_numbers(latitude, longitude)
-        return self._roads(latitude, longitude, number[:, None], lambda _: (links, last_surface_id))
+        links = np.array([*link_ids], np.int64)
+        last = np.full(len(latitude), -1 if last_surface_id is None else last_surface_id)
+        return self._roads(latitude, longitude, np.tile(links, (len(latitude), 1)), last)
 
     def roads_each(
         self,
@@ -236,66 +246,66 @@ class ElevationMap:
     ) -> RoadColumns:
         """`roads`, each point by its own candidate links (n, c) and last surface (n,); −1 stands for none.
 
-        The poses of a drive: it is fast where neighbours, or many, have the same links and last surface in a tile.
+        The poses of a drive, in any order.
         """
         latitude, longitude = _columns(latitude_rad, longitude_rad)
-        links, last = np.asarray(link_ids, np.int64), np.asarray(last_surface_id, np.int64)
+        links, last = (np.ascontiguousarray(ids, np.int64) for ids in (link_ids, last_surface_id))
         if links.ndim != 2 or len(links) != len(latitude) or last.shape != latitude.shape:
             count = len(latitude)
             raise ValueError(
                 f"link_ids, last_surface_id: expected ({count}, c), ({count},), got {links.shape}, {last.shape}"
             )
-        keys = np.column_stack((tile_numbers(latitude, longitude), last, links))
-
-        def topology(row: int) -> tuple[frozenset[int], int | None]:
-            _, surface, *candidates = keys[row].tolist()
-            return frozenset(link for link in candidates if link >= 0), None if surface < 0 else surface
-
-        return self._roads(latitude, longitude, keys, topology)
+        return self._roads(latitude, longitude, links, last)
 
     def _roads(
-        self,
-        latitude_rad: NDArray[np.float64],
-        longitude_rad: NDArray[np.float64],
-        keys: NDArray[np.int64],
-        names: Callable[[int], tuple[frozenset[int], int | None]],
+        self, latitude_rad: Floats, longitude_rad: Floats, links: Integers, last: Integers
     ) -> RoadColumns:
-        """Points with equal rows of `keys` (n, k) are asked alike; the first column is the number of the tile.
+        """Most points by their candidate links alone, the others by all that is known of where the vehicle can be."""
+        number = tile_numbers(latitude_rad, longitude_rad)
+        found = nothing_found(len(number))
+        points = latitude_rad, longitude_rad, links, last
+        sorted_roads = nothing_found(min(_BLOCK, len(number)))
+        for begin in range(0, len(number), _BLOCK):
+            tiles, rows, start, gone_to = sort_by_tile(number[begin : begin + _BLOCK])
+            rows += begin
+            for tile, first, end in zip(tiles.tolist(), start[:-1].tolist(), start[1:].tolist(), strict=True):
+                index = self._index(tile)
+                if index is None:
+                    sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = NO_SURFACE_HERE, False
+                else:
+                    find_by_links(index.table, rows[first:end], *points, sorted_roads, first)
+            put_back(gone_to, sorted_roads, found, begin)
+        undecided = np.flatnonzero(found.reason == UNDECIDED)
+        if len(undecided):
+            self._by_topology(undecided, number, points, found)
+        known = np.flatnonzero(found.reason == KNOWN)
+        columns = found[2:] if len(known) == len(number) else (column[known] for column in found[2:])
+        return RoadColumns(found.reason, found.elsewhere, known, *columns)
 
-        `names` gives the candidate links and the last surface of a point.
-        """
+    def _by_topology(self, rows: Integers, number: Integers, points: _Points, found: FoundRoads) -> None:
+        """Points of the same tile, last surface and links have the same topology, which is looked up once."""
+        _, _, links, last = points
+        keys = np.column_stack((number[rows], last[rows], links[rows]))
         group, first = group_rows(keys)
-        numbers, tile_of_group = np.unique(keys[first, 0], return_inverse=True)
-        points, start = members(tile_of_group[group], len(numbers))
+        tiles, tile_of_group = np.unique(keys[first, 0], return_inverse=True)
+        there, start = members(tile_of_group[group], len(tiles))
         place = np.zeros(len(first), np.int64)
-        found = nothing_found(len(keys))
-        for t, number in enumerate(numbers.tolist()):
-            tile = divmod(number, TILES)
-            index = self._surfaces(tile) if number >= 0 else None
-            if index is None:
-                continue
-            here = points[start[t] : start[t + 1]]
+        for t, tile in enumerate(tiles.tolist()):
+            here = there[start[t] : start[t + 1]]
             groups = np.flatnonzero(tile_of_group == t)
-            known = topologies([self._topology(tile, *names(row)) for row in first[groups].tolist()])
+            known = []
+            for _, surface, *of_group in keys[first[groups]].tolist():
+                candidates = frozenset(link for link in of_group if link >= 0)
+                known.append(
+                    self._topology(divmod(tile, TILES), candidates, None if surface < 0 else surface)
+                )
             place[groups] = np.arange(len(groups))
-            find_roads(index.table, here, latitude_rad, longitude_rad, place[group[here]], known, found)
-        rows = np.flatnonzero(found.reason == KNOWN)
-        surface_id, level = (found.names[rows, column] for column in range(2))
-        elevation_m, sigma_m, slope_east, slope_north, extent_m = (
-            found.numbers[rows, column] for column in range(5)
-        )
-        return RoadColumns(
-            reason=found.reason,
-            elsewhere=found.elsewhere,
-            known=rows,
-            surface_id=surface_id,
-            level=level,
-            elevation_m=elevation_m,
-            sigma_m=sigma_m,
-            slope_east=slope_east,
-            slope_north=slope_north,
-            extent_m=extent_m,
-        )
+            index = self._index(tile)
+            assert index is not None, "without surfaces it would have been decided"
+            find_roads(index.table, rows[here], *points[:2], place[group[here]], topologies(known), found)
+
+    def _index(self, tile: int) -> TileIndex | None:
+        return self._surfaces(divmod(tile, TILES)) if tile >= 0 else None
 
     def _find_topology(self, tile: Tile, candidates: frozenset[int], last_surface_id: int | None) -> Topology:
         connected: frozenset[int] = frozenset()

@@ -8,7 +8,7 @@ on where it was.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -26,10 +26,12 @@ from camber.formats.map_tiles import TILES, Tile, tile_of, tiles_around
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
-from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, ReleaseRoot, SurfaceTile
+from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
 Integers = NDArray[np.int64]
 
+_MORE = 32
+"""Blobs that are asked for along with another."""
 _KEPT_FACTOR = 2.0
 """Tiles stay in the store until they are this many times as far away as those that are fetched."""
 
@@ -114,6 +116,7 @@ class Fetching:
         self._wishes = wishes
         self._where = where
         self._now_ns = now_ns
+        self._ahead: dict[tuple[str, str | None], bytes] = {}
 
     def ask(self, supplier: Supplier) -> bool:
         """Ask for the newest root; True where its release is new. NoAnswer; ReleaseError for one that is refused."""
@@ -196,15 +199,12 @@ class Fetching:
         rows = {manifest.sha256[row].tobytes().hex(): row for row in range(len(manifest.layer))}
         while missing := self._store.missing(self._wanted(release)):
             begun_at = self.tile()
-            for digest in missing:
-                row = rows[digest]
-                layer, x, y = (
-                    LAYERS[manifest.layer[row]],
-                    int(manifest.tile_x[row]),
-                    int(manifest.tile_y[row]),
-                )
-                base = None if before is None else before.sha256(layer, x, y)
-                data = self._blob(supplier, digest, int(manifest.size_bytes[row]), base)
+            names = [_name(manifest, rows[digest]) for digest in missing]
+            bases = [None if before is None else before.sha256(*name) for name in names]
+            wanted = list(zip(missing, bases, strict=True))
+            for n, ((digest, base), (layer, x, y)) in enumerate(zip(wanted, names, strict=True)):
+                size = int(manifest.size_bytes[rows[digest]])
+                data = self._blob(supplier, digest, size, base, wanted[n + 1 : n + 1 + _MORE])
                 _check(data, f"{supplier.name}: blob {digest}", layer, x, y)
                 self._store.put(digest, data)
                 yield
@@ -216,14 +216,26 @@ class Fetching:
         point = self._where.point_rad
         return None if point is None else tile_of(*point)
 
-    def _blob(self, supplier: Supplier, digest: str, size: int | None, base_digest: str | None) -> bytes:
-        """A blob, verified: against one that is here, where that does not lead to it as a whole."""
+    def _blob(
+        self,
+        supplier: Supplier,
+        digest: str,
+        size: int | None,
+        base_digest: str | None,
+        more: Sequence[tuple[str, str | None]] = (),
+    ) -> bytes:
+        """A blob, verified: against one that is here, where that does not lead to it as a whole.
+
+        `more`: what is wanted next, (hash, base); what of it comes along waits in `_ahead`.
+        """
         limit = MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES)
         for base_name in dict.fromkeys((base_digest, None)):
             base = self._base(base_name)
             if base_name is not None and base is None:
                 continue
-            data = self._parts(supplier, digest, base_name, limit)
+            data = self._ahead.pop((digest, base_name), None)
+            if data is None:
+                data = self._parts(supplier, digest, base_name, limit, more)
             try:
                 blob = unpacked(data, base, limit=limit)
             except ReleaseError as error:
@@ -243,13 +255,28 @@ class Fetching:
         except ReleaseError:
             return None
 
-    def _parts(self, supplier: Supplier, digest: str, base: str | None, limit: int) -> bytes:
+    def _parts(
+        self,
+        supplier: Supplier,
+        digest: str,
+        base: str | None,
+        limit: int,
+        more: Sequence[tuple[str, str | None]],
+    ) -> bytes:
         parts, count = self._store.parts(digest, base), None
         if not parts:
             self._store.drop(digest)  # parts against another base
         most = -(-(limit + limit // 100 + 1024) // PART_BYTES) + 1  # packing never adds more
         while count is None or len(parts) < count:
-            request = MapBlobRequest(time_ns=self._now_ns(), sha256=digest, base_sha256=base, part=len(parts))
+            lacking = set(self._store.missing([of for _, of in more if of is not None]))
+            request = MapBlobRequest(
+                time_ns=self._now_ns(),
+                sha256=digest,
+                base_sha256=base,
+                part=len(parts),
+                more_sha256=tuple(name for name, _ in more),
+                more_base_sha256=tuple(None if of is None or of in lacking else of for _, of in more),
+            )
             reply = supplier.blob(request)
             if reply.status != "known":
                 raise NoAnswer(f"{supplier.name}: blob {digest}: {reply.reason}")
@@ -260,9 +287,23 @@ class Fetching:
             count = reply.parts
             parts.append(reply.payload.tobytes())
             self.fetched_bytes += len(parts[-1])
+            self._keep_ahead(supplier, request, reply)
             if count > 1 and len(parts) < count:
                 self._store.put_part(digest, base, len(parts) - 1, parts[-1])
         return b"".join(parts)
+
+    def _keep_ahead(self, supplier: Supplier, request: MapBlobRequest, reply: MapBlobReply) -> None:
+        """What has come of the blobs wanted next; of the reply before nothing is left."""
+        sizes, data = reply.more_bytes.tolist(), reply.more_payload.tobytes()
+        names = list(zip(request.more_sha256, request.more_base_sha256, strict=True))
+        if len(sizes) > len(names) or any(size <= 0 for size in sizes) or sum(sizes) != len(data):
+            expected = f"at most {len(names)} that fill {len(data)} bytes"
+            raise ReleaseError(supplier.name, "sizes of more blobs", expected, found=str(sizes)[:100])
+        ends = np.cumsum(sizes, dtype=np.int64).tolist()
+        self._ahead = {
+            name: data[end - size : end] for name, size, end in zip(names, sizes, ends, strict=False)
+        }
+        self.fetched_bytes += len(data)
 
     def _current(self) -> Release | None:
         kept = self._store.current()
@@ -309,6 +350,10 @@ class Fetching:
             return {manifest.sha256[row].tobytes().hex() for row in np.flatnonzero(chosen).tolist()}
 
         return keep
+
+
+def _name(manifest: Manifest, row: int) -> tuple[Layer, int, int]:
+    return LAYERS[manifest.layer[row]], int(manifest.tile_x[row]), int(manifest.tile_y[row])
 
 
 def _check(data: bytes, file: str, layer: Layer, x: int, y: int) -> None:

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from camber.formats.map_surface_heights import grid_plane
 from camber.geodesy.compiled import compiled
-from camber.geodesy.tangent_planes import east_north
+from camber.geodesy.tangent_planes import east_north_near
 from camber.map_server.tile_index import CELL_M, EDGE_M, TOLERANCE_M, SurfaceTable
 from camber.map_server.topology import TIE_M, Topology
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-KNOWN, NO_SURFACE, LEVELS_AMBIGUOUS = 0, 1, 2
-"""Codes of why a road is not known."""
+KNOWN, NO_SURFACE, LEVELS_AMBIGUOUS, UNDECIDED = 0, 1, 2, 3
+"""Codes of why a road is not known; the last: not yet."""
 
 
 class Topologies(NamedTuple):
@@ -31,16 +31,20 @@ class Topologies(NamedTuple):
 
 
 class FoundRoads(NamedTuple):
-    """The roads under n points; where `reason` is not KNOWN, `names` and `numbers` say nothing.
+    """The roads under n points, each as a column (n,); where `reason` is not KNOWN, only the first two say anything.
 
     `elsewhere`: all surfaces there are on levels that no candidate is on: by topology the vehicle is not there.
-    `names` (n, 2): surface and level; `numbers` (n, 5): elevation, σ, slope to the east and to the north, extent.
     """
 
     reason: NDArray[np.uint8]
     elsewhere: NDArray[np.bool_]
-    names: Integers
-    numbers: Floats
+    surface_id: Integers
+    level: Integers
+    elevation_m: Floats
+    sigma_m: Floats
+    slope_east: Floats
+    slope_north: Floats
+    extent_m: Floats
 
 
 def nothing_found(count: int) -> FoundRoads:
@@ -48,8 +52,13 @@ def nothing_found(count: int) -> FoundRoads:
     return FoundRoads(
         reason=np.full(count, NO_SURFACE, np.uint8),
         elsewhere=np.zeros(count, np.bool_),
-        names=np.zeros((count, 2), np.int64),
-        numbers=np.zeros((count, 5)),
+        surface_id=np.empty(count, np.int64),
+        level=np.empty(count, np.int64),
+        elevation_m=np.empty(count),
+        sigma_m=np.empty(count),
+        slope_east=np.empty(count),
+        slope_north=np.empty(count),
+        extent_m=np.empty(count),
     )
 
 
@@ -84,66 +93,33 @@ def find_roads(
     on_candidate, is_connected = left.copy(), left.copy()
     for place in range(len(points)):
         i = points[place]
-        east_m, north_m = east_north(table.origin, latitude_rad[i], longitude_rad[i])
-        if east_m == math.inf:
-            continue
-        column = math.floor((east_m - table.west_m) / CELL_M)
-        line = math.floor((north_m - table.south_m) / CELL_M)
-        if not (0 <= column < table.columns and 0 <= line < table.lines):
-            continue
-        cell = line * table.columns + column
-        hits = 0
-        for nth in range(table.cell_start[cell], table.cell_start[cell + 1]):
-            k = table.cell_rows[nth]
-            centre_east, centre_north, cos, sin = (
-                table.shape[k, 0],
-                table.shape[k, 1],
-                table.shape[k, 2],
-                table.shape[k, 3],
-            )
-            half_length, half_width = table.shape[k, 4], table.shape[k, 5]
-            de, dn = east_m - centre_east, north_m - centre_north
-            u, v = cos * de + sin * dn, cos * dn - sin * de
-            beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
-            if beyond_u > TOLERANCE_M or beyond_v > TOLERANCE_M:
-                continue
-            if beyond_u > 0.0 and beyond_v > 0.0 and math.hypot(beyond_u, beyond_v) > TOLERANCE_M:
-                continue
-            row[hits], at[hits, 0], at[hits, 1] = k, u, v
-            inside[hits] = beyond_u <= EDGE_M and beyond_v <= EDGE_M
-            hits += 1
+        hits = _hits(table, latitude_rad[i], longitude_rad[i], row, at, inside)
         if hits == 0:
             continue
-        begin, connected, levels, end = known.bounds[topology[place]]
-        plausible = False
-        both = False
-        for h in range(hits):
-            link = table.names[row[h], 1]
-            on_candidate[h] = _holds(known.names, begin, connected, link)
-            is_connected[h] = _holds(known.names, connected, levels, link)
-            plausible |= on_candidate[h] if connected > begin else is_connected[h]
-            both |= on_candidate[h] and is_connected[h]
-        for h in range(hits):
-            if not plausible:
-                left[h] = True
-            elif connected == begin:
-                left[h] = is_connected[h]
-            else:
-                left[h] = on_candidate[h] and (is_connected[h] or not both)
-        if connected > begin and end > levels and not plausible:
-            found.elsewhere[i] = True
-            for h in range(hits):
-                if _holds(known.names, levels, end, table.names[row[h], 2]):
-                    found.elsewhere[i] = False
-        found.reason[i] = LEVELS_AMBIGUOUS
-        if not _on_one_level(table.names, row, left, is_connected, hits):
-            continue
-        if not plausible and not _all_there(known.names, levels, end, table.names, row, hits):
+        reason, found.elsewhere[i] = _left_by_topology(
+            table.names,
+            row,
+            hits,
+            known.names,
+            known.bounds[topology[place]],
+            left,
+            on_candidate,
+            is_connected,
+        )
+        found.reason[i] = reason
+        if reason != KNOWN:
             continue
         best = _nearest(at, inside, left, hits)
         k = row[best]
         height_m, slope_u, slope_v = grid_plane(
-            table.heights_m, table.grid[k], table.shape[k, 4], table.shape[k, 5], at[best, 0], at[best, 1]
+            table.heights_m,
+            table.grid[k, 0],
+            table.grid[k, 1],
+            table.grid[k, 2],
+            table.shape[k, 4],
+            table.shape[k, 5],
+            at[best, 0],
+            at[best, 1],
         )
         agree = True
         for h in range(hits):
@@ -151,7 +127,9 @@ def find_roads(
                 other = row[h]
                 other_m, _, _ = grid_plane(
                     table.heights_m,
-                    table.grid[other],
+                    table.grid[other, 0],
+                    table.grid[other, 1],
+                    table.grid[other, 2],
                     table.shape[other, 4],
                     table.shape[other, 5],
                     at[h, 0],
@@ -159,14 +137,100 @@ def find_roads(
                 )
                 agree &= abs(other_m - height_m) <= table.shape[other, 6] + table.shape[k, 6]
         if not agree:
+            found.reason[i] = LEVELS_AMBIGUOUS
             continue
-        found.reason[i] = KNOWN
-        found.names[i, 0], found.names[i, 1] = table.names[k, 0], table.names[k, 2]
         cos, sin = table.shape[k, 2], table.shape[k, 3]
-        found.numbers[i, 0], found.numbers[i, 1] = height_m, table.shape[k, 6]
-        found.numbers[i, 2] = slope_u * cos - slope_v * sin
-        found.numbers[i, 3] = slope_u * sin + slope_v * cos
-        found.numbers[i, 4] = table.shape[k, 7]
+        found.surface_id[i], found.level[i] = table.names[k, 0], table.names[k, 2]
+        found.elevation_m[i], found.sigma_m[i] = height_m, table.shape[k, 6]
+        found.slope_east[i] = slope_u * cos - slope_v * sin
+        found.slope_north[i] = slope_u * sin + slope_v * cos
+        found.extent_m[i] = table.shape[k, 7]
+
+
+@compiled
+def _hits(
+    table: SurfaceTable,
+    latitude_rad: float,
+    longitude_rad: float,
+    row: Integers,
+    at: Floats,
+    inside: NDArray[np.bool_],
+) -> int:
+    """How many surfaces are at a point; their rows, where on them it is, and whether within their rectangle."""
+    east_m, north_m = east_north_near(table.series, table.origin, latitude_rad, longitude_rad)
+    if east_m == math.inf:
+        return 0
+    column = math.floor((east_m - table.west_m) / CELL_M)
+    line = math.floor((north_m - table.south_m) / CELL_M)
+    if not (0 <= column < table.columns and 0 <= line < table.lines):
+        return 0
+    cell = line * table.columns + column
+    hits = 0
+    for nth in range(table.cell_start[cell], table.cell_start[cell + 1]):
+        k = table.cell_rows[nth]
+        u, v, near, within = on_surface(
+            east_m - table.shape[k, 0],
+            north_m - table.shape[k, 1],
+            table.shape[k, 2],
+            table.shape[k, 3],
+            table.shape[k, 4],
+            table.shape[k, 5],
+        )
+        if not near:
+            continue
+        row[hits], at[hits, 0], at[hits, 1], inside[hits] = k, u, v, within
+        hits += 1
+    return hits
+
+
+@compiled
+def on_surface(
+    east_m: float, north_m: float, cos: float, sin: float, half_length: float, half_width: float
+) -> tuple[float, float, bool, bool]:
+    """Where on a surface a point is, given from its centre (u, v), whether near enough to count, and whether inside."""
+    u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
+    beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
+    near = (beyond_u <= TOLERANCE_M) & (beyond_v <= TOLERANCE_M)
+    if beyond_u > 0.0 and beyond_v > 0.0:
+        near &= math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
+    return u, v, near, (beyond_u <= EDGE_M) & (beyond_v <= EDGE_M)
+
+
+@compiled
+def _left_by_topology(
+    names: Integers,
+    row: Integers,
+    hits: int,
+    known: Integers,
+    bounds: Integers,
+    left: NDArray[np.bool_],
+    on_candidate: NDArray[np.bool_],
+    is_connected: NDArray[np.bool_],
+) -> tuple[int, bool]:
+    """KNOWN with the surfaces `left` to choose from, or LEVELS_AMBIGUOUS; and whether all are `elsewhere`."""
+    begin, connected, levels, end = bounds
+    plausible, both, elsewhere = False, False, False
+    for h in range(hits):
+        link = names[row[h], 1]
+        on_candidate[h] = _holds(known, begin, connected, link)
+        is_connected[h] = _holds(known, connected, levels, link)
+        plausible |= on_candidate[h] if connected > begin else is_connected[h]
+        both |= on_candidate[h] and is_connected[h]
+    for h in range(hits):
+        if not plausible:
+            left[h] = True
+        elif connected == begin:
+            left[h] = is_connected[h]
+        else:
+            left[h] = on_candidate[h] and (is_connected[h] or not both)
+    if connected > begin and end > levels and not plausible:
+        elsewhere = True
+        for h in range(hits):
+            elsewhere &= not _holds(known, levels, end, names[row[h], 2])
+    clear = _on_one_level(names, row, left, is_connected, hits) and (
+        plausible or _all_there(known, levels, end, names, row, hits)
+    )
+    return KNOWN if clear else LEVELS_AMBIGUOUS, elsewhere
 
 
 @compiled

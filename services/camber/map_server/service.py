@@ -160,6 +160,14 @@ class MapServerService(Service[MapServerSettings]):
         troubled = self._fetch is not None and self._fetch.troubled()
         return usable and self._watch.problem is None and not self._unreadable and not troubled
 
+    def facts(self) -> dict[str, str]:
+        """The release in use."""
+        release = self._watch.current
+        if release is None:
+            return {}
+        manifest = release.manifest
+        return {"map_release": f"{manifest.region} {manifest.map_version}", "datum": manifest.datum}
+
     def close(self) -> None:
         """Fetch no more."""
         if self._fetch is not None:

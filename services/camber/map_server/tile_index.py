@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from camber.formats.map_tile_checks import surface_slopes
 from camber.formats.map_tiles import MARGIN_M, tile_corners_rad, tile_frame
-from camber.geodesy.tangent_planes import plane_origins
+from camber.geodesy.tangent_planes import plane_origins, plane_series
 from camber.schemas.road import SurfaceTile
 
 TOLERANCE_M = 0.5
@@ -50,12 +50,14 @@ class Hit(NamedTuple):
 class SurfaceTable(NamedTuple):
     """The surfaces of a tile for compiled loops; rows by surface id.
 
-    `origin` (5,) is of the tile's plane, `shape` (n, 8) centre east and north, cosine and sine of the yaw, half length,
-    half width, σ and extent, `grid` (n, 3) first height, rows and columns, `names` (n, 3) surface, link and level.
+    `origin` (5,), `series` (9,): of the tile's plane, `shape` (n, 8): centre east and north, cosine and sine of the
+    yaw, half length, half width, σ and extent, `grid` (n, 3) first height, rows and columns, `names` (n, 3) surface,
+    link and level.
     Cells: of cell i the rows are `cell_rows[cell_start[i] : cell_start[i + 1]]`, `most_in_cell` at most.
     """
 
     origin: Floats
+    series: Floats
     west_m: float
     south_m: float
     columns: int
@@ -104,6 +106,7 @@ class TileIndex:
         self._make_cells(tile.x, tile.y)
         self.table = SurfaceTable(
             origin=plane_origins([self.frame.latitude_rad], [self.frame.longitude_rad])[0],
+            series=plane_series(self.frame.latitude_rad, self.frame.longitude_rad),
             west_m=self._west_m,
             south_m=self._south_m,
             columns=self._columns,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.geodesy.tangent_planes import east_north, plane_origins
+from camber.geodesy.tangent_planes import east_north, east_north_near, plane_origins, plane_series
 
 SEED = 71
 
@@ -37,3 +37,18 @@ def test_what_is_far_off_or_no_number_is_nowhere() -> None:
         (0.6, math.inf),
     ]:
         assert east_north(origin, *point) == (math.inf, math.inf)
+
+
+@pytest.mark.parametrize("reach_m", [1.0, 600.0, 1e4])
+def test_the_series_near_an_origin_says_the_same(reach_m: float) -> None:
+    rng = np.random.default_rng(SEED + 1)
+    latitudes = np.concatenate((rng.uniform(-1.48, 1.48, 300), [0.0, 1.4844, -1.4844]))
+    longitudes = np.concatenate((rng.uniform(-math.pi, math.pi, 301), [math.pi, -math.pi]))
+    for origin, latitude, longitude in zip(
+        plane_origins(latitudes, longitudes), latitudes.tolist(), longitudes.tolist(), strict=True
+    ):
+        frame = LocalFrame(latitude, longitude, 0.0)
+        point = frame.geodetic_from_east_north(*rng.uniform(-reach_m, reach_m, 2), 0.0)[:2]
+        near_m = east_north_near(plane_series(latitude, longitude), origin, *point)
+        assert near_m == pytest.approx(east_north(origin, *point), abs=5e-9)
+    assert east_north_near(plane_series(0.6, 3.0), origin, math.nan, 3.0) == (math.inf, math.inf)

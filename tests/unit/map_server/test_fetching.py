@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import random
 import sqlite3
 from pathlib import Path
@@ -58,9 +59,8 @@ def test_a_vehicle_gets_the_release_and_then_only_what_changed(tmp_path: Path) -
     assert vehicle.version == 9
     newer = vehicle.cloud.asked[first:]
     changed = open_release(tmp_path / "out").hashes() - open_release_of(make, 8)
-    assert {request.sha256 for request in newer} == changed | {
-        open_release(tmp_path / "out").root.manifest_sha256
-    }
+    asked = {request.sha256 for request in newer} | {name for each in newer for name in each.more_sha256}
+    assert asked == changed | {open_release(tmp_path / "out").root.manifest_sha256}
     assert all(request.base_sha256 is not None for request in newer)
     assert read_release(vehicle.store, public_key=KEY.public_key()).road_surfaces().heights_m[3][0, 0] == (
         pytest.approx(50.05)
@@ -89,6 +89,52 @@ def test_a_fetch_that_is_cut_goes_on_where_it_was(tmp_path: Path) -> None:
     assert vehicle.version == 8
     asked = [(request.sha256, request.part) for request in vehicle.cloud.asked]
     assert len(asked) == len(set(asked))
+
+
+def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) -> None:
+    make = making(tmp_path, 24)
+    make.make(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+    vehicle.bring()
+    vehicle.cloud.asked.clear()
+    make.make(offsets(**{f"s{k}": 0.05 for k in range(20)}), time_ns=MADE_NS + 1)
+    vehicle.bring()
+    assert vehicle.version == 9
+    manifest, tiles = vehicle.cloud.asked
+    assert manifest.more_sha256 == ()
+    assert len(tiles.more_sha256) >= 10
+    assert {len(name) for name in tiles.more_base_sha256 if name is not None} == {64}
+    assert read_release(vehicle.store).road_surfaces().heights_m[19][0, 0] == pytest.approx(50.05)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [[10**6], [-5], [2**31 - 1, 2**31 - 1], [1] * 65, [0]],
+    ids=["long", "negative", "huge", "many", "none"],
+)
+def test_sizes_of_more_blobs_that_cannot_be_are_refused(tmp_path: Path, sizes: list[int]) -> None:
+    making(tmp_path).make(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+    vehicle.cloud.change = {"more_bytes": np.array(sizes, np.int32)}
+    with pytest.raises(ReleaseError, match="sizes of more blobs"):
+        vehicle.bring()
+    assert vehicle.version is None
+    vehicle.cloud.change = {}
+    vehicle.go_on()
+    assert vehicle.version == 8
+
+
+def test_damaged_blobs_that_came_along_are_fetched_again_and_never_kept(tmp_path: Path) -> None:
+    make = making(tmp_path)
+    make.make(NONE, time_ns=MADE_NS)
+    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+    vehicle.bring()
+    make.make(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
+    vehicle.cloud.spoil_more = lambda data: bytes(len(data))
+    vehicle.bring()
+    assert vehicle.version == 9
+    for digest in open_release(vehicle.store).hashes():
+        assert hashlib.sha256(vehicle.store.blob(digest, None)).hexdigest() == digest
 
 
 def test_a_large_blob_goes_on_at_the_part_that_is_missing(tmp_path: Path) -> None:
@@ -321,7 +367,7 @@ def test_without_a_connection_it_is_tried_less_and_less_often_and_goes_on_when_i
     make = making(tmp_path)
     make.make(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
-    vehicle.cloud.cut_after = 3
+    vehicle.cloud.cut_after = 1
     each = rounds(vehicle)
     codes = run(each, 0, 600)
     assert set(codes) == {"fetch_unanswered"}

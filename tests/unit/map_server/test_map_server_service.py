@@ -113,6 +113,9 @@ def test_a_good_release_is_served(tmp_path: Path) -> None:
     assert server.tile(have_sha256=reply.sha256).status == "unchanged"
     assert server.tile("road_cloud").reason == "the release has no such tile"
     assert server.service.healthy()
+    facts = server.service.facts()
+    assert facts["map_release"].split()[1] == str(server.links().map_version)
+    assert facts["datum"] == "WGS84"
     assert server.bus.issues == []
     assert server.bus.counters["elevation.known"] == 1
     assert server.bus.counters["elevation.no_surface"] == 1
