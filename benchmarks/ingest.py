@@ -66,11 +66,10 @@ def seconds(work: Callable[[], None]) -> float:
     return time.perf_counter() - began
 
 
-def in_turn(ours: Callable[[int], float], peer: Callable[[int], float]) -> tuple[float, float]:
+def in_turn(*works: Callable[[int], float]) -> list[float]:
     """Medians of records/s of rounds in turn; each is given its number and returns its seconds."""
-    records = RECORDS * GROUP * GROUPS
-    pairs = [(records / ours(k), records / peer(k)) for k in range(ROUNDS)]
-    return statistics.median(a for a, _ in pairs), statistics.median(b for _, b in pairs)
+    took = [[work(k) for work in works] for k in range(ROUNDS)]
+    return [RECORDS * GROUP * GROUPS / statistics.median(seconds) for seconds in zip(*took, strict=True)]
 
 
 def storing(store: Store) -> Callable[[int], float]:
@@ -110,36 +109,79 @@ def sqlite_figures(folder: Path) -> list[Figure]:
     return [higher("uploads into SQLite with their ledger", "records/s", ours, peer, name)]
 
 
+def binary_copy(rows: np.ndarray) -> memoryview:
+    """Rows of OBSERVATION (n,) as PostgreSQL's documentation of COPY has its binary format, numbered first."""
+    binary = {"i": ">i8", "u": ">i2", "f": ">f8"}
+    fields = [("number", ">i8"), *((name, binary[OBSERVATION[name].kind]) for name in _COLUMNS)]
+    table = np.empty(
+        len(rows),
+        [
+            ("fields", ">i2"),
+            *(item for name, kind in fields for item in ((f"{name} size", ">i4"), (name, kind))),
+        ],
+    )
+    table["fields"] = len(fields)
+    for name, kind in fields:
+        table[f"{name} size"] = np.dtype(kind).itemsize
+        table[name] = np.arange(len(rows)) if name == "number" else rows[name]
+    return memoryview(b"PGCOPY\n\xff\r\n\0" + bytes(8) + table.tobytes() + b"\xff\xff")
+
+
 def postgres_figures(server: PostgresServer) -> list[Figure]:
     import asyncpg
 
-    from camber.map_update.postgres_rows import to_copy
     from camber.map_update.postgres_store import PostgresStore
 
     loop = asyncio.new_event_loop()
-    raw_db = loop.run_until_complete(asyncpg.connect(server.address()))
+    db = loop.run_until_complete(asyncpg.connect(server.address()))
     types = {"i": "bigint", "u": "smallint", "f": "double precision"}
     definition = ", ".join(f"{name} {types[OBSERVATION[name].kind]} NOT NULL" for name in _COLUMNS)
-    loop.run_until_complete(raw_db.execute(f"CREATE TABLE raw (contribution bigint NOT NULL, {definition})"))
+    for table in ("made_before", "by_driver"):
+        loop.run_until_complete(db.execute(f"CREATE TABLE {table} (number bigint NOT NULL, {definition})"))
+    loop.run_until_complete(
+        db.execute("CREATE TABLE as_stored (number bigint NOT NULL, rows bytea NOT NULL)")
+    )
+    loop.run_until_complete(db.execute("ALTER TABLE as_stored ALTER rows SET STORAGE EXTERNAL"))
 
-    def raw(k: int) -> float:
-        prepared = []
-        for group in groups(k):
-            rows = np.concatenate([c.observations for c in group])
-            prepared.append(memoryview(b"".join(to_copy(np.arange(len(rows)), rows))))
+    def made_before(k: int) -> float:
+        prepared = [binary_copy(np.concatenate([c.observations for c in group])) for group in groups(k)]
 
         def copy() -> None:
             for data in prepared:
-                loop.run_until_complete(raw_db.copy_to_table("raw", source=data, format="binary"))
+                loop.run_until_complete(db.copy_to_table("made_before", source=data, format="binary"))
+
+        return seconds(copy)
+
+    def by_driver(k: int) -> float:
+        prepared = groups(k)
+
+        def copy() -> None:
+            for group in prepared:
+                records = [(n, *row) for n, c in enumerate(group) for row in c.observations.tolist()]
+                loop.run_until_complete(db.copy_records_to_table("by_driver", records=records))
+
+        return seconds(copy)
+
+    def as_stored(k: int) -> float:
+        prepared = [[(n, c.observations.tobytes()) for n, c in enumerate(group)] for group in groups(k)]
+
+        def copy() -> None:
+            for records in prepared:
+                loop.run_until_complete(db.copy_records_to_table("as_stored", records=records))
 
         return seconds(copy)
 
     with closing(PostgresStore(server.new_database(), limit_s=30.0)) as store:
-        ours, peer = in_turn(storing(store), raw)
-    loop.run_until_complete(raw_db.close())
+        ours, *peers = in_turn(storing(store), made_before, by_driver, as_stored)
+    loop.run_until_complete(db.close())
     loop.close()
-    name = "binary COPY of the same rows, made before, into a plain table"
-    return [higher("uploads into PostgreSQL with their ledger", "records/s", ours, peer, name)]
+    names = (
+        "binary COPY of the same rows, encoded before, into a plain table",
+        "binary COPY of the same rows, encoded by the driver",
+        "binary COPY of the same values a batch, without a ledger: what the ledger costs",
+    )
+    what = "uploads into PostgreSQL with their ledger"
+    return [higher(what, "records/s", ours, peer, name) for peer, name in zip(peers, names, strict=True)]
 
 
 @contextmanager
@@ -229,7 +271,7 @@ def end_to_end(folder: Path, postgres: PostgresServer, copy_rate: float) -> list
                 rates[f"Zenoh and JetStream, one that receives, {name}"] = uploaded(
                     folder, endpoint, everywhere=len(shards) > 1
                 )
-    peer = "binary COPY alone, as above"
+    peer = "binary COPY alone of rows encoded before, as above"
     return [
         higher(f"{name}: committed and acknowledged", "records/s", found, copy_rate, peer)
         for name, found in rates.items()
@@ -242,6 +284,6 @@ def figures() -> list[Figure]:
         found = sqlite_figures(folder)
         if POSTGRES:
             with running(PostgresServer()) as server:
-                found += postgres_figures(server)
-                found += end_to_end(folder, server, found[-1].peer)
+                copies = postgres_figures(server)
+                found += [*copies, *end_to_end(folder, server, copies[0].peer)]
     return found

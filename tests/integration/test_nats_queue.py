@@ -7,11 +7,13 @@ from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 
+from camber.map_update import nats_queue
 from camber.map_update.admission import Refusal
 from camber.map_update.nats_queue import Sending, Taking
 from camber.map_update.queue_messages import Parcel, QueueError, pack_parcels
 from camber.map_update.shards import Shards
 from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.store import Outcome
 from support.contributions import NOW_NS, contribution
 from support.databases import NatsServer, in_a_loop, needs_nats, running
 from support.running import wait_until
@@ -184,3 +186,38 @@ def test_a_contribution_beyond_the_servers_limit_is_not_acknowledged_and_the_oth
         outcomes = sending.send([Parcel(contribution("u2"), None), Parcel(huge, None)])
         assert [outcome and outcome.status for outcome in outcomes] == ["stored", None]
         assert sending.too_large == 1
+
+
+def test_how_many_wait_in_the_server_is_known_where_they_are_taken(server):
+    beyond = 16
+    large = contribution("u", kind="batch", records=1)
+    records = nats_queue._MESSAGE_BYTES // large.observations.nbytes
+    messages = nats_queue._IN_FLIGHT + beyond
+    with sender(server, limit_s=3.0) as sending:
+        wait_until(lambda: not raises(lambda: sending.send([])), timeout_s=30.0, why="it is connected")
+        batches = [contribution(f"u{n}", kind="batch", records=records) for n in range(messages)]
+        assert set(sending.send([Parcel(batch, None) for batch in batches])) == {None}
+    with closing(Taking(server.address, "world", limit_s=5.0)) as taking:
+        assert taking.waiting is None
+        deliveries = wait_until(lambda: taken(taking), timeout_s=30.0, why="something waits")
+        assert taking.waiting is not None
+        assert taking.waiting >= beyond, "no more than some are given out before they are settled"
+        while deliveries:
+            taking.stored(deliveries, [[Outcome("stored")] * len(each.parcels) for each in deliveries])
+            deliveries = taking.take(1.0)
+        assert taking.waiting == 0
+
+
+def raises(work):
+    try:
+        work()
+    except QueueError:
+        return True
+    return False
+
+
+def taken(taking):
+    try:
+        return taking.take(0.5)
+    except QueueError:
+        return []

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from camber.map_update import postgres_store
+from camber.map_update.contribution import OBSERVATION
 from camber.map_update.postgres_store import PostgresStore
 from camber.map_update.store import Step, StoreError
 from support.contributions import NOW_NS, committed, contribution, names_in, random_batch, take_all
@@ -184,7 +185,7 @@ def again(store, batches):
 @pytest.mark.parametrize(
     ("statement", "complaint"),
     [
-        ("UPDATE layout SET descr = '2' WHERE name = 'format'", "format 2, expected 1"),
+        ("UPDATE layout SET descr = '1' WHERE name = 'format'", "format 1, expected 2"),
         ("UPDATE layout SET descr = '[]' WHERE name = 'vote'", r"table vote is of another layout: \[\]"),
         ("DROP TABLE layout", "its table contribution is not Camber's"),
     ],
@@ -217,11 +218,17 @@ def test_a_judge_that_fails_leaves_nothing_behind_and_the_connection_good(addres
 
 
 def test_tables_can_be_asked_with_sql(server, address):
+    batches = [random_batch(f"b{n}", 1 + 40 * n, np.random.default_rng(n)) for n in range(3)]
+    batches[0].observations["road_height_m"] = -0.0
     with opened(address) as store:
-        committed(store, contribution("b1", kind="batch", records=3, height_m=41.5))
+        committed(store, *batches)
     schema = re.escape(address.rpartition("=")[2])
     rows = server.execute(
-        f"SELECT vehicle, avg(road_height_m), count(*) FROM {schema}.contribution"
-        f" JOIN {schema}.observation ON contribution = number GROUP BY vehicle"
+        f"SELECT id, observation.* FROM {schema}.contribution"
+        f" JOIN {schema}.observation ON contribution = number ORDER BY number, time_ns"
     )
-    assert [tuple(row) for row in rows] == [("v1", 41.5, 3)]
+    assert tuple(rows[0].keys()) == ("id", "contribution", *OBSERVATION.names)
+    expected = [
+        (batch.id, n, *row) for n, batch in enumerate(batches, 1) for row in batch.observations.tolist()
+    ]
+    assert [tuple(row) for row in rows] == expected

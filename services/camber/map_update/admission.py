@@ -54,6 +54,14 @@ def refusals(contributions: Sequence[Contribution], now_ns: int, rules: Rules) -
     return [refusal(contribution, now_ns, rules) for contribution in contributions]
 
 
+def other_name(vehicle: str, contribution: Contribution) -> Refusal | None:
+    """Why what came under the key of `vehicle` cannot be taken in: it speaks for another one. None: it does not."""
+    if contribution.vehicle == vehicle:
+        return None
+    text = f"vehicle {contribution.vehicle} was uploaded under the key of {vehicle}, expected its own"
+    return Refusal("vehicle", text)
+
+
 def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
     records = len(contribution.observations)
     if not 1 <= records <= rules.most_records:

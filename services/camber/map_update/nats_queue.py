@@ -234,6 +234,8 @@ class Taking(_Queue):
         self._shard = shard
         self.damaged = 0
         """Messages that were none, and will not come again."""
+        self.waiting: int | None = None
+        """Messages of this shard that the server had not yet given out when last something was taken."""
 
     def take(self, wait_s: float) -> list[Delivery]:
         """What has arrived, after at most `wait_s`. Raises QueueError where the queue is not there."""
@@ -278,10 +280,12 @@ class Taking(_Queue):
             try:
                 await asyncio.wait_for(connected.some.wait(), wait_s)
             except TimeoutError:
+                self.waiting = 0
                 return []
         deliveries = []
         while connected.arrived:
             message = connected.arrived.popleft()
+            self.waiting = message.metadata.num_pending
             try:
                 deliveries.append(Delivery(message))
             except QueueMessageError:

@@ -4,9 +4,10 @@ Any number of processes may use one database. The order of the ledger is the ord
 later: who commits holds the row of `ledger_end` from before it looks what is known until its commit, so numbers are
 given to one transaction after another (a sequence gives them before, and transactions overtake one another).
 
-Observations come as a binary COPY, one for a group of contributions, into the partition of their numbers. Partitions
-have no index, which would cost a third of the rate: the fusion reads them in the order in which they were written, so
-it scans one partition, a second's worth at the highest rate. A partition is dropped once all of it is forgotten.
+The observations of a contribution are one value (see `postgres_tables`), a binary COPY for a group of contributions,
+into the partition of their numbers. Partitions have no index: the fusion reads them in the order in which they were
+written, and the values that it does not read lie out of line. A partition is dropped once all of it is forgotten.
+While the server looks for what it knows, the values and digests are made.
 
 The server may go away at any time: what is asked meanwhile raises StoreError at once, and a connection is tried again
 after 0.2 s to 2 s. Only a commit that the server has confirmed is one: it is asked for `synchronous_commit`, and a
@@ -16,9 +17,8 @@ server that runs with `fsync = off` is refused.
 from __future__ import annotations
 
 import asyncio
-import json
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Sequence
-from itertools import islice
+from collections.abc import Callable, Coroutine, Sequence
+from itertools import groupby
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.link import Link, LinkError
-from camber.map_update.postgres_rows import COLUMNS, DEFINITION, from_copy, to_copy
+from camber.map_update.postgres_tables import FORMAT, LAYOUT, MAKE
 from camber.map_update.store import (
     Counts,
     Heading,
@@ -43,7 +43,6 @@ from camber.map_update.store import (
     StoreError,
     empty_rows,
     forgettable,
-    joined,
     ledger_row,
     observed,
     settle,
@@ -53,40 +52,9 @@ from camber.map_update.votes import VOTE
 
 T = TypeVar("T")
 
-FORMAT = 1
 PARTITION = 8192
-"""Contributions of one partition; batches of 64 make it half a million rows, 60 MB."""
+"""Contributions of one partition; batches of 64 make it half a million observations, 45 MB."""
 _PAGE = 1024
-_DIGESTS = 32
-_LAYOUT = {
-    "format": str(FORMAT),
-    "observation": json.dumps(OBSERVATION.descr),
-    "vote": json.dumps(VOTE.descr),
-}
-_MAKE = f"""
-CREATE TABLE contribution (
-    number bigint PRIMARY KEY,
-    vehicle text NOT NULL,
-    kind text NOT NULL,
-    id text NOT NULL,
-    digest bytea NOT NULL,
-    received_ns bigint NOT NULL,
-    records integer NOT NULL,
-    datum text NOT NULL,
-    map_version bigint NOT NULL,
-    epoch_year double precision NOT NULL,
-    position_covariance_enu_m2 bytea,
-    UNIQUE (vehicle, kind, id)
-);
-CREATE TABLE ledger_end (number bigint NOT NULL, partitions bigint NOT NULL);
-INSERT INTO ledger_end VALUES (0, 0);
-CREATE TABLE observation ({DEFINITION}) PARTITION BY RANGE (contribution);
-CREATE TABLE vote (surface_id bigint PRIMARY KEY, rows bytea NOT NULL);
-CREATE TABLE state (name text PRIMARY KEY, value bytea NOT NULL);
-CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL, forgotten bigint NOT NULL);
-INSERT INTO progress VALUES (0, 0, 0);
-CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL);
-"""
 _KNOWN = """
 SELECT vehicle, kind, id, digest FROM contribution
 JOIN unnest($1::text[], $2::text[], $3::text[]) AS asked (vehicle, kind, id) USING (vehicle, kind, id)"""
@@ -204,14 +172,14 @@ class PostgresStore(Store):
         async with db.transaction():
             await db.execute("SELECT pg_advisory_xact_lock(hashtext('camber map_update'))")
             if await db.fetchval("SELECT to_regclass('contribution') IS NULL"):
-                await db.execute(_MAKE)
-                await db.executemany("INSERT INTO layout VALUES ($1, $2)", list(_LAYOUT.items()))
+                await db.execute(MAKE)
+                await db.executemany("INSERT INTO layout VALUES ($1, $2)", list(LAYOUT.items()))
             if await db.fetchval("SELECT to_regclass('layout') IS NULL"):
                 raise _WrongDatabaseError(f"{self._name}: its table contribution is not Camber's")
             found = dict(await db.fetch("SELECT name, descr FROM layout"))
         if found.get("format") != str(FORMAT):
             raise _WrongDatabaseError(f"{self._name}: format {found.get('format')}, expected {FORMAT}")
-        if wrong := [name for name, descr in _LAYOUT.items() if found.get(name) != descr]:
+        if wrong := [name for name, descr in LAYOUT.items() if found.get(name) != descr]:
             raise _WrongDatabaseError(
                 f"{self._name}: table {wrong[0]} is of another layout: {found.get(wrong[0])}"
             )
@@ -222,47 +190,33 @@ class PostgresStore(Store):
         async with db.transaction():
             last, partitions = await db.fetchrow("SELECT number, partitions FROM ledger_end FOR UPDATE")
             names = [contribution.name for contribution in contributions]
-            found = await db.fetch(_KNOWN, *([name[k] for name in names] for k in range(3)))
-            known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in found}
+            asking = asyncio.ensure_future(db.fetch(_KNOWN, *([name[k] for name in names] for k in range(3))))
+            await asyncio.sleep(0)  # now it is sent
+            made = {id(each): (each.observations.tobytes(), each.digest()) for each in contributions}
+            known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in await asking}
             outcomes, new = settle(contributions, known, judge)
             if new:
-                await self._insert(db, new, last, partitions, now_ns)
+                rows, digests = zip(*(made[id(each)] for each in new), strict=True)
+                await self._make_partitions(db, partitions, last + len(new))
+                await self._insert(db, list(enumerate(rows, last + 1)))
+                numbered = zip(range(last + 1, last + len(new) + 1), new, digests, strict=True)
+                ledger = [ledger_row(*each, now_ns) for each in numbered]
+                await db.copy_records_to_table("contribution", records=ledger)
         return outcomes
 
-    async def _insert(
-        self,
-        db: asyncpg.Connection,
-        new: Sequence[Contribution],
-        last: int,
-        partitions: int,
-        now_ns: int,
-    ) -> None:
-        end = last + len(new)
+    async def _make_partitions(self, db: asyncpg.Connection, there: int, end: int) -> None:
+        """Those that are needed up to the number `end`; the ledger's end is there."""
         needed = (end - 1) // PARTITION + 1
-        for k in range(partitions, needed):
+        for k in range(there, needed):
             await db.execute(
-                f"CREATE TABLE observation_{k} PARTITION OF observation"
+                f"CREATE TABLE observation_{k} PARTITION OF packed"
                 f" FOR VALUES FROM ({k * PARTITION + 1}) TO ({(k + 1) * PARTITION + 1})"
             )
-        numbers = np.arange(last + 1, end + 1)
-        of = (numbers - 1) // PARTITION
-        hashing, digests = (contribution.digest() for contribution in new), list[bytes]()
-        for k in np.unique(of).tolist():
-            inside = [contribution.observations for contribution, at in zip(new, of, strict=True) if at == k]
-            number = np.repeat(numbers[of == k], [len(rows) for rows in inside])
-            await db.copy_to_table(
-                f"observation_{k}",
-                source=_parts(to_copy(number, joined(inside)), hashing, digests),
-                columns=COLUMNS,
-                format="binary",
-            )
-        digests += hashing
-        ledger = [
-            ledger_row(number, contribution, digest, now_ns)
-            for number, contribution, digest in zip(range(last + 1, end + 1), new, digests, strict=True)
-        ]
-        await db.copy_records_to_table("contribution", records=ledger)
-        await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, partitions))
+        await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, there))
+
+    async def _insert(self, db: asyncpg.Connection, rows: Sequence[tuple[int, bytes]]) -> None:
+        for k, part in groupby(rows, lambda row: (row[0] - 1) // PARTITION):
+            await db.copy_records_to_table(f"observation_{k}", records=list(part))
 
     async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> Observed:
         headings: list[Heading] = []
@@ -279,19 +233,16 @@ class PostgresStore(Store):
             full |= len(page) < _PAGE
         if not headings:
             return observed(cursor, (), empty_rows(), np.empty(0, np.intp))
-        parts: list[bytes] = []
-
-        async def took(data: bytes) -> None:
-            parts.append(data)
-
-        await db.copy_from_query(
-            f"SELECT {', '.join(COLUMNS)} FROM observation WHERE contribution BETWEEN $1 AND $2",
+        found = await db.fetch(
+            "SELECT contribution, rows FROM packed WHERE contribution BETWEEN $1 AND $2",
             headings[0].number,
             last,
-            output=took,
-            format="binary",
         )
-        number, rows = from_copy(b"".join(parts))
+        rows = np.frombuffer(b"".join(rows for _, rows in found), OBSERVATION)
+        number = np.repeat(
+            np.array([number for number, _ in found], np.int64),
+            [len(rows) // OBSERVATION.itemsize for _, rows in found],
+        )
         heading_of = np.searchsorted([heading.number for heading in headings], number)
         return observed(last, headings, rows, heading_of)
 
@@ -339,15 +290,6 @@ class PostgresStore(Store):
                 if value is not None:
                     await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
         return Progress(step.cursor, seen.revision + 1)
-
-
-async def _parts(
-    source: Iterator[bytearray], hashing: Iterator[bytes], digests: list[bytes]
-) -> AsyncIterator[bytearray]:
-    """While the server takes a part in, some digests for the ledger are made."""
-    for part in source:
-        yield part
-        digests.extend(islice(hashing, _DIGESTS))
 
 
 async def _terminate(connection: asyncpg.Connection) -> None:

@@ -11,7 +11,7 @@ from pydantic import SecretStr
 
 from camber.formats.map_release import ReleaseError, load_signing_key, read_release
 from camber.formats.map_serving import ReleaseServing
-from camber.map_update.admission import Refusal, refusals
+from camber.map_update.admission import Refusal, other_name, refusals
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion import Fusion
 from camber.map_update.publication import DECISIONS, REASONS
@@ -26,6 +26,7 @@ from camber.map_update.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
+from camber.runtime.uploaded import Uploaded
 from camber.schemas.base import EARLIEST_NS, Message
 from camber.schemas.fleet import UploadReceipt
 
@@ -81,8 +82,8 @@ class MapUpdateService(Service[MapUpdateSettings]):
         if self.settings.role in ("store", "fuse"):
             return served
         return served | {
-            "upload": lambda uploads: self._receive([from_upload(upload) for upload in uploads]),
-            "upload_batch": lambda batches: self._receive([from_batch(batch) for batch in batches]),
+            "upload": lambda uploads: self._from(uploads, from_upload),
+            "upload_batch": lambda batches: self._from(batches, from_batch),
         }
 
     def advance(self, now_ns: int) -> None:
@@ -104,11 +105,40 @@ class MapUpdateService(Service[MapUpdateSettings]):
         """Are store and queue there, and was the last group stored?"""
         return not self._down
 
+    def gauges(self) -> dict[str, float]:
+        """Messages that wait in the queue's server, where this worker takes from it."""
+        waiting = None if self._taking is None else self._taking.waiting
+        return {} if waiting is None else {"queue_waiting": float(waiting)}
+
+    def facts(self) -> dict[str, str]:
+        """Its part, and the release that vehicles are told of."""
+        told = {} if self._told_version < 0 else {"map_release": f"{self._told_version}"}
+        return {"role": self.settings.role, **told}
+
     def close(self) -> None:
         """Close the store, leave the queue."""
         for part in (self._sending, self._taking, self._store):
             if part is not None:
                 part.close()
+
+    def _from(
+        self, uploads: Sequence[Uploaded], contribution_of: Callable[[Any], Contribution]
+    ) -> list[Message | None]:
+        """One in another vehicle's name is refused before store and ledger see it: it could take that one's ids."""
+        contributions = [contribution_of(upload.message) for upload in uploads]
+        refused = [
+            other_name(upload.vehicle, contribution)
+            for upload, contribution in zip(uploads, contributions, strict=True)
+        ]
+        own = [c for c, why in zip(contributions, refused, strict=True) if why is None]
+        receipts = iter(self._receive(own) if own else ())
+        now_ns = self.bus.now_ns()
+        if now_ns < EARLIEST_NS:
+            return [None] * len(uploads)
+        return [
+            next(receipts) if why is None else self._receipt(contribution, Outcome("refused", why), now_ns)
+            for contribution, why in zip(contributions, refused, strict=True)
+        ]
 
     def _receive(self, contributions: Sequence[Contribution]) -> Sequence[Message | None]:
         now_ns = self.bus.now_ns()

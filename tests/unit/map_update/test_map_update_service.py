@@ -9,6 +9,7 @@ import pytest
 
 from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
+from camber.runtime.uploaded import Uploaded
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
@@ -88,7 +89,7 @@ def batch(batch_id="b1", records=3):
 
 
 def asked(service, channel, *questions):
-    return service.answers()[channel](list(questions))
+    return service.answers()[channel]([Uploaded(question.vehicle, question) for question in questions])
 
 
 def test_each_upload_gets_the_receipt_of_what_became_of_it_in_the_order_asked(service, bus):
@@ -109,6 +110,24 @@ def test_a_batch_is_acknowledged_under_its_batch_id(service):
     (second,) = asked(service, "upload_batch", batch())
     assert (first.upload_id, first.status) == ("b1", "stored")
     assert (second.upload_id, second.status) == ("b1", "duplicate")
+
+
+@pytest.mark.parametrize("key", ["v2", "*"])
+def test_what_comes_under_the_key_of_another_is_refused_and_leaves_the_true_one_its_id(service, bus, key):
+    forged = Uploaded(key, upload("u1", road_height_m=99.0))
+    (refused, stored) = service.answers()["upload"]([forged, Uploaded("v1", upload("u2"))])
+    assert (refused.status, stored.status) == ("refused", "stored")
+    assert refused.reason == f"vehicle v1 was uploaded under the key of {key}, expected its own"
+    assert bus.counters["refused.vehicle"] == 1
+    assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
+
+
+def test_a_forged_upload_alone_needs_no_store(service, tmp_path):
+    with closing(sqlite3.connect(tmp_path / "uploads.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        (refused,) = service.answers()["upload_batch"]([Uploaded("v2", batch())])
+        other.execute("ROLLBACK")
+    assert refused.status == "refused"
 
 
 def test_without_a_commit_there_is_no_receipt_and_the_next_group_is_tried_again(service, bus, tmp_path):
