@@ -40,13 +40,24 @@ class Channel:
         """The Zenoh key of this channel for one vehicle."""
         return self.key.replace("{vehicle}", vehicle)
 
+    def answered_at(self, vehicle: str) -> str:
+        """The key under which questions are answered: one service answers the uploads of all vehicles."""
+        return self.key_for("*" if self.delivery == "upload" else vehicle)
+
+    def vehicle_in(self, key: str) -> str:
+        """The vehicle that a key of this channel names."""
+        return key.split("/")[self.key.split("/").index("{vehicle}")]
+
 
 _V = "camber/v1/{vehicle}/"
 _F = "camber/v1/fleet/"
+_U = _F + "{vehicle}/"  # the vehicle that uploads: access rules bind the key to its certificate
 VEHICLE_SERVICES = ("gnss", "map_server", "localizer", "antenna_height", "integrity")
 FEEDER = "feeder"
 SERVICES = (*VEHICLE_SERVICES, "map_update")
 """In the order of work within one epoch of a replay."""
+SENSORS = "sensors"
+"""Speaks for the vehicle where no other process does; in a replay its part is the feeder's."""
 
 CHANNELS: tuple[Channel, ...] = (
     Channel("receiver_bytes", _V + "vehicle/receiver_bytes", gnss.ReceiverBytes, ("vehicle",), ("gnss",), 10, 2.0,
@@ -80,17 +91,19 @@ CHANNELS: tuple[Channel, ...] = (
             "small", looped=True, note="confirmed positions anchor the localizer's next pose"),
     Channel("position", _V + "integrity/position", integrity.Position, ("integrity",), ("consumers",), 10, 1.0,
             "small"),
-    Channel("upload", _F + "upload", fleet.ElevationUpload, ("tools",), ("map_update",), None, None, "upload",
+    Channel("upload", _U + "upload", fleet.ElevationUpload, ("tools",), ("map_update",), None, None, "upload",
             reply=fleet.UploadReceipt),
-    Channel("upload_batch", _F + "upload_batch", fleet.UploadBatch, ("integrity",), ("map_update",), 0.2, None,
+    Channel("upload_batch", _U + "upload_batch", fleet.UploadBatch, ("integrity",), ("map_update",), 0.2, None,
             "upload", reply=fleet.UploadReceipt),
     Channel("release", _F + "release", fleet.ReleaseHead, ("map_update",), ("map_server",), None, None, "small"),
     Channel("map_root", _F + "map/root", fleet.MapRootRequest, ("map_server",), ("map_update",), None, 5.0, "fetch",
             reply=fleet.MapRootReply, note="after a notice, and now and then: notices can be lost"),
     Channel("map_blob", _F + "map/blob", fleet.MapBlobRequest, ("map_server",), ("map_update",), None, 5.0, "fetch",
             reply=fleet.MapBlobReply, note="only what the asker lacks"),
-    Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), SERVICES, None, 1.0, "query",
-            reply=health.Health, note="answered by the work loop"),
+    Channel("health", _V + "{service}/health", health.HealthRequest, ("tools",), (*SERVICES, SENSORS), None, 1.0,
+            "query", reply=health.Health, note="answered by the work loop"),
+    Channel("log_level", _V + "{service}/log_level", health.LogLevelRequest, ("tools",), SERVICES, None, 1.0, "query",
+            reply=health.LogLevelReply, note="answered by the work loop; falls back by itself"),
     Channel("tick", _V + "replay/tick/{service}", health.Tick, (FEEDER,), SERVICES, None, None, "barrier"),
     Channel("done", _V + "replay/done/{service}", health.Done, SERVICES, (*SERVICES, FEEDER), None, None, "barrier"),
 )  # fmt: skip
@@ -105,4 +118,5 @@ def inputs_of(service: str) -> tuple[Channel, ...]:
 
 def outputs_of(service: str) -> tuple[Channel, ...]:
     """Channels a service publishes on (queries and the barrier apart)."""
-    return tuple(c for c in CHANNELS if service in c.producers and c.delivery in ("small", "bulk"))
+    speaks_as = "vehicle" if service == SENSORS else service
+    return tuple(c for c in CHANNELS if speaks_as in c.producers and c.delivery in ("small", "bulk"))

@@ -12,6 +12,7 @@ from camber.schemas.base import (
     Covariance3,
     Float64,
     Height,
+    Int32,
     Int64,
     Latitude,
     Longitude,
@@ -118,12 +119,23 @@ class MapBlobRequest(Message):
         default=None, description="a blob that the asker has: the reply may be a difference against it"
     )
     part: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
+    more_sha256: tuple[Sha256, ...] = Field(
+        default=(), max_length=64, description="blobs wanted next, as far as they fit into the same reply"
+    )
+    more_base_sha256: tuple[Sha256 | None, ...] = Field(
+        default=(), max_length=64, description="as `base_sha256`, one for each of these"
+    )
 
 
 class MapBlobReply(Message):
-    """A part of a packed blob, at most 256 kB. Whoever has all parts verifies what comes out by its hash."""
+    """A part of a packed blob, at most 256 kB. Whoever has all parts verifies what comes out by its hash.
+
+    After the only part of a blob the first of the blobs wanted next follow as a whole, packed, one after the other.
+    """
 
     status: Literal["known", "unknown"]
     reason: Text = ""
     parts: Annotated[int, Field(ge=0, le=1 << 16)] = 0
     payload: Annotated[UInt8, ArrayOf("|u1", ("bytes",))]
+    more_bytes: Annotated[Int32, ArrayOf("<i4", ("more",))]
+    more_payload: Annotated[UInt8, ArrayOf("|u1", ("bytes of more",))]

@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from camber.schemas.base import Count, Message, Model, Name, Sigma, Text
+from camber.schemas.base import Count, Message, Model, Name, Sigma, Text, TimeNs
+
+LogLevel = Literal["debug", "info", "warning", "error"]
 
 
 class Issue(Model):
@@ -15,6 +17,17 @@ class Issue(Model):
     code: Name
     text: Text
     count: Count
+    last_time_ns: TimeNs | None = Field(default=None, description="when it was met last")
+
+
+class ChannelUse(Model):
+    """What went over one channel since a service started, as that service saw it."""
+
+    channel: Name = Field(description="as in the table; `channel.service` where a channel has a key for each")
+    direction: Literal["in", "out", "asked"] = Field(description="asked: questions that it was asked")
+    messages: Count = Field(description="taken from its queue, refused ones among them; or published")
+    age_s: Sigma | None = Field(description="since the last one; none: there was none yet")
+    waiting: Count = Field(default=0, description="in its queue now")
 
 
 class HealthRequest(Message):
@@ -31,6 +44,34 @@ class Health(Message):
     loop_age_s: Sigma = Field(description="since the work loop last finished a round")
     issues: tuple[Issue, ...] = Field(default=(), max_length=64)
     counters: dict[Name, Count] = Field(default={}, max_length=256)
+    channels: tuple[ChannelUse, ...] = Field(default=(), max_length=64)
+    gauges: dict[Name, Annotated[float, Field(ge=-1e15, le=1e15)]] = Field(
+        default={},
+        max_length=48,
+        description="what goes up and down; names end in their unit, or count what waits",
+    )
+    facts: dict[Name, Text] = Field(
+        default={}, max_length=16, description="what it works with: process, map_release"
+    )
+    log_level: LogLevel | None = Field(default=None, description="least level that is logged now")
+
+
+class LogLevelRequest(Message):
+    """Asks a service to log more, or less, for a while."""
+
+    level: LogLevel
+    for_s: Annotated[float, Field(gt=0.0, le=86_400.0)] = Field(
+        description="after which it falls back by itself to the level of its settings"
+    )
+
+
+class LogLevelReply(Message):
+    """What is logged now."""
+
+    service: Name
+    level: LogLevel
+    for_s: Sigma
+    before: LogLevel
 
 
 class Tick(Message):

@@ -1,8 +1,10 @@
-"""One question to one service, from outside: for tools that come and go."""
+"""Questions to services, from outside: for tools that come and go."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any, Self
 
 import zenoh
 
@@ -10,8 +12,80 @@ from camber.runtime.bus import QueryFailed
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
-from camber.schemas.channels import BY_NAME
+from camber.schemas.channels import BY_NAME, Channel
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
+
+
+class Asker:
+    """On the bus as a client, to ask again and again; use as a context. Raises BusError within about `timeout_s`."""
+
+    def __init__(self, settings: ServiceSettings, *, timeout_s: float, source: str = "tools") -> None:
+        self._timeout_s = timeout_s
+        self._source = source
+        self._session = open_session(
+            settings.zenoh.model_copy(update={"mode": "client"}), timeout_s=timeout_s
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def alive(self, vehicle: str = "*") -> dict[str, frozenset[str]]:
+        """Who has declared to be there: vehicle → services. One that hangs still has, for some seconds or for ever."""
+        found: defaultdict[str, set[str]] = defaultdict(set)
+        replies: Any = self._session.liveliness().get(
+            f"camber/v1/{vehicle}/*/alive", timeout=min(self._timeout_s, 2.0)
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                _, _, name, service, _ = str(reply.ok.key_expr).split("/")
+                found[name].add(service)
+        return {name: frozenset(services) for name, services in found.items()}
+
+    def ask(
+        self, name: str, request: Message, vehicle: str, services: Iterable[str]
+    ) -> dict[str, list[Any | QueryFailed]]:
+        """Ask all these services at once over the query channel `name`: their replies, of several workers several.
+
+        Where there is none, the list has the QueryFailed that says why. Within about `timeout_s`.
+        """
+        channel = BY_NAME[name]
+        asked = {service: self._get(channel, request, vehicle, service) for service in services}
+        return {service: _replies(channel, replies, service, vehicle) for service, replies in asked.items()}
+
+    def _get(self, channel: Channel, request: Message, vehicle: str, service: str) -> Any:
+        return self._session.get(
+            channel.key_for(vehicle).replace("{service}", service),
+            payload=encode(request, source=self._source),
+            encoding=encoding_of(channel.message),
+            timeout=self._timeout_s,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+
+
+def _replies(channel: Channel, replies: Any, service: str, vehicle: str) -> list[Any | QueryFailed]:
+    assert channel.reply is not None
+    found: list[Any | QueryFailed] = []
+    failure: QueryFailed | None = None
+    for reply in replies:
+        if reply.ok is not None:
+            try:
+                found.append(
+                    decode(channel.reply, reply.ok.payload.to_bytes(), str(reply.ok.encoding)).message
+                )
+            except DecodeError as error:
+                found.append(QueryFailed("invalid", str(error)))
+        elif reply.err is not None:
+            text = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace")
+            # Zenoh ends the wait of an unanswered question with an error reply that says so.
+            failure = QueryFailed("timeout" if "timeout" in text.lower() else "refused", text)
+    if failure is not None and (not found or failure.reason == "timeout"):  # also one worker among several
+        found.append(failure)
+    return found or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus")]
 
 
 def ask_once(
@@ -28,36 +102,17 @@ def ask_once(
     Raises BusError where the bus cannot be joined, QueryFailed where there is no usable answer, each within about
     `timeout_s`.
     """
-    channel = BY_NAME[name]
-    assert channel.reply is not None
-    key = channel.key_for(settings.vehicle).replace("{service}", service)
-    with open_session(settings.zenoh.model_copy(update={"mode": "client"}), timeout_s=timeout_s) as session:
-        replies = session.get(
-            key,
-            payload=encode(request, source=source),
-            encoding=encoding_of(channel.message),
-            timeout=timeout_s,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-        )
-        refusal: str | None = None
-        for reply in replies:
-            if reply.ok is not None:
-                try:
-                    return decode(channel.reply, reply.ok.payload.to_bytes(), str(reply.ok.encoding)).message
-                except DecodeError as error:
-                    raise QueryFailed("invalid", str(error)) from None
-            if reply.err is not None:
-                refusal = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace")
-    if refusal is None:
-        raise QueryFailed("absent", f"{service} of {settings.vehicle} is not on the bus")
-    # Zenoh ends the wait of an unanswered question with an error reply that says so.
-    raise QueryFailed("timeout" if "timeout" in refusal.lower() else "refused", refusal)
+    with Asker(settings, timeout_s=timeout_s, source=source) as asker:
+        (replies,) = asker.ask(name, request, settings.vehicle, [service]).values()
+    if isinstance(replies[0], QueryFailed):
+        raise replies[0]
+    return replies[0]
 
 
 def reach_router(settings: ServiceSettings, *, timeout_s: float) -> None:
     """Join the bus and leave it; raises BusError within about `timeout_s`."""
-    with open_session(settings.zenoh.model_copy(update={"mode": "client"}), timeout_s=timeout_s):
+    with Asker(settings, timeout_s=timeout_s):
         pass
 
 
-__all__ = ["BusError", "QueryFailed", "ask_once", "reach_router"]
+__all__ = ["Asker", "BusError", "QueryFailed", "ask_once", "reach_router"]

@@ -7,33 +7,33 @@ thread. A callback that works would block the receive thread and lose other topi
 from __future__ import annotations
 
 import queue
-import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping, Set
+from collections.abc import Set
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import zenoh
 
-from camber.runtime.clock import Clock, ReplayClock
-from camber.runtime.log import make_logger
+from camber.runtime.clock import Clock, ReplayClock, SystemClock
+from camber.runtime.ledger import Ledger
+from camber.runtime.log import Leveller, make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, FEEDER, Channel, outputs_of
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
-from camber.schemas.health import Issue
+from camber.schemas.health import ChannelUse, Issue, LogLevel
+
+if TYPE_CHECKING:
+    from camber.runtime.heard import HeardWatch
 
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
 _QUERY_LIMIT = 256
 _REPLAY_QUERY_TIMEOUT_S = 10.0
+_AT_ONCE_S = 0.05
 _LOG_EVERY_S = 10.0
-# What health can carry; a service that met more must still be able to say how it is.
-MAX_ISSUES, MAX_COUNTERS, MAX_TEXT = 64, 192, 512
-_OTHERS = "others"
-_NO_NAME = re.compile(r"[^A-Za-z0-9_.:@+-]")
 
 # Why each departs from Zenoh's default (drop when congested, priority `data`, batching):
 # small: goes at once (express), ahead of bulk; dropped when congested because a consumer judges freshness anyway.
@@ -55,13 +55,6 @@ def direct(callback: Any) -> Any:
     return zenoh.handlers.Callback(callback, indirect=False)
 
 
-def _bounded(name: str, known: Mapping[str, object], limit: int) -> str:
-    """`name` as health can carry it; the one of all others where there are too many, so that none goes uncounted."""
-    name = _NO_NAME.sub("_", name)[:64]
-    name = name if name[:1].isalnum() else f"x{name}"[:64]
-    return name if name in known or len(known) < limit - 1 else _OTHERS
-
-
 class QueryFailed(RuntimeError):  # noqa: N818 (the name says what is the matter)
     """A question that got no usable answer; `reason` says why."""
 
@@ -76,6 +69,14 @@ class Arrived(NamedTuple):
     data: bytes
     encoding: str
     rider: bytes | None
+
+
+def _can_be_read(channel: Channel, item: Arrived) -> bool:
+    try:
+        decode(channel.message, item.data, item.encoding)
+    except DecodeError:
+        return False
+    return True
 
 
 class _Held(NamedTuple):
@@ -102,12 +103,14 @@ class Bus:
         self.service = service
         self.settings = settings
         self.log = make_logger(service, level=settings.log_level, form=settings.log_format)
-        self.counters: Counter[str] = Counter()
+        self._level = Leveller(settings.log_level)
+        self._ledger = Ledger()
         self.published: dict[str, int] = {channel.name: 0 for channel in outputs_of(service)}
         self.participants: frozenset[str] = frozenset()
         self.feeder_gone = False
         self._session = session
         self._clock = clock
+        self._link_s = 0.0
         self._replay = isinstance(clock, ReplayClock)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._queriers: dict[str, zenoh.Querier] = {}
@@ -116,9 +119,9 @@ class Bus:
         self._queries: dict[str, deque[zenoh.Query]] = {}
         self._held: list[_Held] = []
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self._issues: dict[str, tuple[str, int]] = {}
         self._logged: dict[str, float] = {}
         self._alive: set[str] = set()
+        self._heard: HeardWatch | None = None
         self._alive_lock = threading.Lock()
 
     # -- what a service uses --------------------------------------------------------------------------------------
@@ -126,6 +129,15 @@ class Bus:
     def now_ns(self) -> int:
         """GPS time now; in a replay the time of the tick."""
         return self._clock.now_ns()
+
+    def live_behind(self, delay_s: float) -> None:
+        """Live by a time that is so much behind, for what comes over a link that takes that long; not in a replay.
+
+        Ages are judged by that time, and answers may take twice as much longer. Before anything is asked.
+        """
+        self._link_s = delay_s
+        if isinstance(self._clock, SystemClock):
+            self._clock.behind_ns = round(delay_s * 1e9)
 
     def publish(self, name: str, message: Message, *, to: str | None = None) -> bytes:
         """Send on a channel that the table gives this service; `to` one service, where there is a key for each.
@@ -142,6 +154,7 @@ class Bus:
         else:
             publisher.put(data)
         self.published[port] = sequence + 1
+        self._ledger.used("out", port)
         return data
 
     def flush(self, rider: Message, wanted_by: Set[str]) -> set[str]:
@@ -185,11 +198,14 @@ class Bus:
         """`ask` with a request that is encoded already: for an outbox, also from its own thread."""
         channel = BY_NAME[name]
         querier = self._queriers.get(name) or self._declare_querier(channel)
-        detail = ""
+        detail, asked_s = "", time.monotonic()
         for reply in querier.get(payload=data, encoding=encoding_of(channel.message)):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes(), str(reply.ok.encoding)
             detail = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace") if reply.err else ""
+        if not detail and time.monotonic() - asked_s < _AT_ONCE_S:
+            # A router that knows of nobody says so at once, and of somebody whom access rules hide from us the same.
+            raise QueryFailed("absent", "nobody to answer is known here: not there, no link, or denied to us")
         # Zenoh ends the wait of an unanswered query with an error reply that says so, or with no reply at all.
         timed_out = not detail or "timeout" in detail.lower()
         raise QueryFailed("timeout" if timed_out else "refused", detail)
@@ -203,24 +219,53 @@ class Bus:
 
     def issue(self, code: str, text: str) -> None:
         """Something an operator should know: counted, shown in health, logged once in a while."""
-        code = _bounded(code, self._issues, MAX_ISSUES)
-        text = text.encode("utf-8", "backslashreplace").decode()[:MAX_TEXT]  # a file's name may be no UTF-8
-        _, count = self._issues.get(code, ("", 0))
-        self._issues[code] = (text, count + 1)
+        code, text, count = self._ledger.issue(code, text)
         now = time.monotonic()
         if now - self._logged.get(code, -_LOG_EVERY_S) >= _LOG_EVERY_S:
             self._logged[code] = now
-            self.log.warning(code, detail=text, count=count + 1)
+            self.log.warning(code, detail=text, count=count)
+        elif self._level.level == "debug":
+            self.log.debug(code, detail=text, count=count)
 
     def count(self, name: str, n: int = 1) -> None:
         """Add to a counter that health shows."""
-        self.counters[_bounded(name, self.counters, MAX_COUNTERS)] += max(n, 0)
+        self._ledger.count(name, n)
+
+    @property
+    def counters(self) -> Counter[str]:
+        """All that was counted so far."""
+        return self._ledger.counters
 
     def issues(self) -> tuple[Issue, ...]:
         """All issues so far."""
-        return tuple(Issue(code=code, text=text, count=n) for code, (text, n) in sorted(self._issues.items()))
+        return self._ledger.issues()
 
     # -- what the work loop uses ----------------------------------------------------------------------------------
+
+    def channels(self) -> tuple[ChannelUse, ...]:
+        """What went over each channel, and what waits in its queue."""
+        waiting = {name: len(port.items) for name, port in self._ports.items()}
+        waiting |= {name: len(pending) for name, pending in self._queries.items()}
+        return self._ledger.channels(waiting)
+
+    @property
+    def log_level(self) -> LogLevel:
+        """Least level that is logged now."""
+        return self._level.level
+
+    def log_for(self, level: LogLevel, for_s: float) -> None:
+        """Log at another level for so long."""
+        self._level.change(level, for_s, time.monotonic())
+        self._make_logger()
+
+    def look_at_log_level(self) -> None:
+        """Fall back to the level of the settings, where the time of another one is over."""
+        if self._level.fall_back(time.monotonic()):
+            self._make_logger()
+            self.log.info("log_level", level=self._level.level)
+
+    def _make_logger(self) -> None:
+        self.log = make_logger(self.service, level=self._level.level, form=self.settings.log_format)
 
     def subscribe(self, channel: Channel, *, of: str | None = None) -> None:
         """Queue what arrives on a channel (of one service, where it has a key for each).
@@ -230,18 +275,18 @@ class Bus:
         limit = _QUEUE_LIMIT["barrier"] if self._replay else _QUEUE_LIMIT[channel.delivery]
         name = channel.name if of is None else f"{channel.name}.{of}"
         port = self._ports[name] = _Port(channel, deque(maxlen=limit))
+        self._ledger.declare("in", name)
         events, items = self._events, port.items
 
         def arrived(sample: zenoh.Sample) -> None:
             full = len(items) == limit
             rider = sample.attachment
-            items.append(
-                Arrived(
-                    sample.payload.to_bytes(),
-                    str(sample.encoding),
-                    None if rider is None else rider.to_bytes(),
-                )
+            item = Arrived(
+                sample.payload.to_bytes(), str(sample.encoding), None if rider is None else rider.to_bytes()
             )
+            # What cannot be read must not push out the only one that waits.
+            if not full or limit > 1 or _can_be_read(channel, item):
+                items.append(item)
             if full:
                 port.overflow += 1
             else:
@@ -253,6 +298,7 @@ class Bus:
     def answer(self, channel: Channel) -> None:
         """Queue the questions that arrive on a query channel."""
         pending = self._queries[channel.name] = deque()
+        self._ledger.declare("asked", channel.name)
         events, name = self._events, channel.name
 
         def asked(query: zenoh.Query) -> None:
@@ -263,7 +309,7 @@ class Bus:
             pending.append(query)
             events.put(("query", name))
 
-        key = channel.key_for(self.settings.vehicle).replace("{service}", self.service)
+        key = channel.answered_at(self.settings.vehicle).replace("{service}", self.service)
         self._entities.append(self._session.declare_queryable(key, direct(asked)))
 
     def announce(self) -> None:
@@ -284,6 +330,15 @@ class Bus:
         liveliness = self._session.liveliness()
         self._entities.append(liveliness.declare_subscriber(f"{prefix}/*/alive", changed, history=True))
         self._entities.append(liveliness.declare_token(f"{prefix}/{self.service}/alive"))
+        if self.settings.zenoh.over_tls:  # elsewhere nobody has a name that could be denied
+            from camber.runtime.heard import HeardWatch
+
+            self._heard = HeardWatch(self.settings.zenoh, self.settings.vehicle)
+
+    def look_whether_heard(self) -> None:
+        """Report what the router denies: Zenoh itself never says so."""
+        for text in () if self._heard is None else self._heard.problems():
+            self.issue("not_heard", text)
 
     def wake(self) -> None:
         """End the work loop's wait."""
@@ -302,12 +357,18 @@ class Bus:
         if port.overflow:
             self.counters[f"{name}.overflow"] += port.overflow
             port.overflow = 0
-        return port.items.popleft() if port.items else None
+        if not port.items:
+            return None
+        self._ledger.used("in", name)
+        return port.items.popleft()
 
     def pop_queries(self, name: str) -> list[zenoh.Query]:
         """All questions waiting on a query channel."""
         pending = self._queries[name]
-        return [pending.popleft() for _ in range(len(pending))]
+        taken = [pending.popleft() for _ in range(len(pending))]
+        if taken:
+            self._ledger.used("asked", name, len(taken))
+        return taken
 
     def reply(self, query: zenoh.Query, message: Message) -> None:
         """Answer a question."""
@@ -334,6 +395,7 @@ class Bus:
 
     def _declare_querier(self, channel: Channel) -> zenoh.Querier:
         timeout_s = 5.0 if channel.delivery == "upload" else (channel.max_age_s or 1.0)
+        timeout_s += 2.0 * self._link_s
         querier = self._session.declare_querier(
             channel.key_for(self.settings.vehicle),
             timeout=_REPLAY_QUERY_TIMEOUT_S if self._replay and channel.delivery == "query" else timeout_s,

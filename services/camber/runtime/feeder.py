@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import zenoh
@@ -17,12 +18,12 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, FEEDER, SERVICES, inputs_of
-from camber.schemas.codec import decode, encoding_of
+from camber.schemas.codec import DecodeError, decode, encoding_of
 from camber.schemas.health import Done, Tick
 
 AHEAD = 4
 """Ticks published beyond the slowest service; the order of work does not depend on it, only the speed."""
-_STUCK_S = 20.0
+_STUCK_S = 20.0  # beyond the lease: until that ends, one who is frozen cannot be told from one at work
 _ASK_AGAIN_S = 3.0  # what was lost on a bus just coming up, a tick or a done, is sent again
 HEARTBEAT_NS = 1_000_000_000
 """At least this often everybody works on a tick."""
@@ -159,7 +160,8 @@ class Feeder:
 
     def wait(self, *, behind: int = 0) -> None:
         """Wait until at most `behind` ticks are not done; drop those who die meanwhile."""
-        deadline, ask_again = time.monotonic() + _STUCK_S, time.monotonic() + _ASK_AGAIN_S
+        patience_s = self._settings.zenoh.lease_s + _STUCK_S
+        deadline, ask_again = time.monotonic() + patience_s, time.monotonic() + _ASK_AGAIN_S
         while True:
             self._dismiss()
             with self._changed:
@@ -177,7 +179,7 @@ class Feeder:
                         self._send(name, tick)
             if time.monotonic() > deadline:
                 index = self._outstanding[0].index
-                raise ReplayStuck(f"tick {index} not done after {_STUCK_S:.0f} s by {', '.join(late)}")
+                raise ReplayStuck(f"tick {index} not done after {patience_s:.0f} s by {', '.join(late)}")
 
     def _touched(self) -> frozenset[str]:
         """Who gets something in this tick: from the vehicle, or from a service before it that works on it."""
@@ -241,7 +243,8 @@ class Feeder:
             self._bus.publish("tick", tick, to=name)
 
     def _hear_done(self, sample: zenoh.Sample) -> None:
-        self._add_done(decode(Done, sample.payload.to_bytes(), str(sample.encoding)).message)
+        with suppress(DecodeError):  # of somebody who does not belong here
+            self._add_done(decode(Done, sample.payload.to_bytes(), str(sample.encoding)).message)
 
     def _hear_message(self, sample: zenoh.Sample) -> None:
         """Something a service has published: for the observer; its *done* may travel with it."""
@@ -249,7 +252,8 @@ class Feeder:
         if self._observer is not None:
             self._observer(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding), arrival_ns)
         if rider is not None:
-            self._add_done(decode(Done, rider.to_bytes()).message)
+            with suppress(DecodeError):
+                self._add_done(decode(Done, rider.to_bytes()).message)
 
     def _add_done(self, done: Done) -> None:
         with self._changed:

@@ -29,19 +29,25 @@ class Listener:
     """Hands out fresh, valid messages of some channels in order of arrival; use as a context, in one thread.
 
     `connect` names the router, or any process of the vehicle; None: the default of all services. `live=False` is for
-    a replay, whose times are those of the drive: then nothing is refused for its age. Raises BusError.
+    a replay, whose times are those of the drive: then nothing is refused for its age. `zenoh` is for the cloud, which
+    is joined over TLS with a consumer's certificate. Raises BusError.
     """
 
     def __init__(
-        self, *names: str, vehicle: str = "vehicle", connect: Sequence[str] | None = None, live: bool = True
+        self,
+        *names: str,
+        vehicle: str = "vehicle",
+        connect: Sequence[str] | None = None,
+        live: bool = True,
+        zenoh: ZenohSettings | None = None,
     ) -> None:
         self._inboxes = {name: Inbox(BY_NAME[name]) for name in names}
         self._live = live
         self._clock = SystemClock()
         self._waiting: queue.Queue[Sample] = queue.Queue(_LIMIT)
-        self._session = open_session(
-            ZenohSettings() if connect is None else ZenohSettings(connect=list(connect))
-        )
+        if zenoh is None:
+            zenoh = ZenohSettings() if connect is None else ZenohSettings(connect=list(connect))
+        self._session = open_session(zenoh)
         self._subscribers = [self._subscribe(BY_NAME[name], vehicle) for name in names]
 
     def __enter__(self) -> Listener:

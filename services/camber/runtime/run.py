@@ -13,25 +13,29 @@ import time
 import traceback
 from collections import deque
 from types import FrameType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
 from camber.runtime.barrier import Barrier
-from camber.runtime.bus import Bus
+from camber.runtime.bus import Arrived, Bus
 from camber.runtime.clock import ReplayClock, SystemClock
 from camber.runtime.inbox import Inbox
+from camber.runtime.self_report import SelfReport
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.schemas.base import EARLIEST_NS, LATEST_NS
+from camber.runtime.uploaded import Uploaded
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
-from camber.schemas.health import Done, Health, Tick
+from camber.schemas.health import Done, Health, LogLevelReply, LogLevelRequest, Tick
 
-VERSION = "0.1.0"
+if TYPE_CHECKING:
+    from camber.runtime.metrics import MetricsServer, Spoken
+
 STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
+_SAY_EVERY_S = 1.0
 _FEEDER_WAIT_S = 60.0
 _SAID = 8  # dones that are said again: of all ticks that may be under way, and the one before, that loops wait for
 
@@ -39,7 +43,13 @@ _SAID = 8  # dones that are said again: of all ticks that may be under way, and 
 class Loop:
     """The one thread in which a service works."""
 
-    def __init__(self, service: Service[Any], bus: Bus, clock: SystemClock | ReplayClock) -> None:
+    def __init__(
+        self,
+        service: Service[Any],
+        bus: Bus,
+        clock: SystemClock | ReplayClock,
+        spoken: Spoken | None = None,
+    ) -> None:
         self.service = service
         self.bus = bus
         self.stopping = False
@@ -52,9 +62,10 @@ class Loop:
         self._inboxes = {
             c.name: Inbox(c) for c in inputs_of(service.NAME) if hears_all or c.name in self._handlers
         }
-        self._health = BY_NAME["health"]
-        self._started = self._round = time.monotonic()
-        self._failed = 0
+        self._report = SelfReport(service, bus)
+        self._of_itself = {"health": self._healths, "log_level": self._log_levels}
+        self._spoken = spoken
+        self._say_at_s = 0.0
         self._said: deque[Done] = deque(maxlen=_SAID)
 
     def declare(self, barrier: Barrier | None = None) -> None:
@@ -70,7 +81,8 @@ class Loop:
                 self.bus.subscribe(BY_NAME["done"], of=producer)
         for name in self._answers:
             self.bus.answer(BY_NAME[name])
-        self.bus.answer(self._health)
+        for name in self._of_itself:
+            self.bus.answer(BY_NAME[name])
         self.bus.announce()
 
     def live(self) -> None:
@@ -85,9 +97,19 @@ class Loop:
                 event = self.bus.next_event(0.0)
             now = time.monotonic()
             if worked or now >= deadline:
+                self._report.came_late(max(now - deadline, 0.0))
                 self._guard(self.service.advance, self._clock.now_ns())
                 deadline = now + period_s
-            self._round = time.monotonic()
+            self._round_ended()
+
+    def _round_ended(self) -> None:
+        self._report.round_ended()
+        self.bus.look_at_log_level()
+        self.bus.look_whether_heard()
+        now = time.monotonic()
+        if self._spoken is not None and now >= self._say_at_s:
+            self._say_at_s = now + _SAY_EVERY_S
+            self._spoken.say(self.health())
 
     def _event(self, event: tuple[str, str]) -> bool:
         kind, name = event
@@ -123,10 +145,9 @@ class Loop:
                 asked.append((query, request))
         if not asked:
             return
-        if channel is self._health:
-            replies: Any = [self.health()] * len(asked)
-        else:
-            replies = self._replies(name, [request for _, request in asked])
+        requests = [request for _, request in asked]
+        answer = self._of_itself.get(name)
+        replies: Any = self._replies(name, requests) if answer is None else answer(requests)
         for (query, _), reply in zip(asked, replies or [None] * len(asked), strict=True):
             with query:
                 try:
@@ -142,17 +163,21 @@ class Loop:
         if not isinstance(self._clock, ReplayClock):
             return self._guard(self._answers[name], requests)
         tick_ns = self._clock.now_ns()
-        self._clock.set(max(request.time_ns for request in requests))
+        asked = [request.message if isinstance(request, Uploaded) else request for request in requests]
+        self._clock.set(max(request.time_ns for request in asked))
         replies = self._guard(self._answers[name], requests)
         self._clock.set(tick_ns)
         return replies
 
     def _request(self, channel: Channel, query: zenoh.Query) -> Any:
         payload = query.payload
+        uploads = channel.delivery == "upload"
         try:
             if payload is None:
                 raise DecodeError("a question without a payload")
-            return decode(channel.message, payload.to_bytes(), str(query.encoding)).message
+            message = decode(channel.message, payload.to_bytes(), str(query.encoding)).message
+            # What a vehicle's certificate vouches for is the key; the service compares it with the payload.
+            return Uploaded(channel.vehicle_in(str(query.key_expr)), message) if uploads else message
         except DecodeError as error:
             self.bus.issue("refused_question", f"{channel.name}: {error}")
             with query:
@@ -161,21 +186,27 @@ class Loop:
 
     def health(self) -> Health:
         """How this service is, as its own work loop sees it; whatever it has met, it can say so."""
-        now = time.monotonic()
-        return Health(
-            time_ns=min(max(SystemClock().now_ns(), EARLIEST_NS), LATEST_NS),
-            service=self.service.NAME,
-            version=VERSION,
-            status=self._status(),
-            uptime_s=now - self._started,
-            loop_age_s=now - self._round,
-            issues=self.bus.issues(),
-            counters=dict(self.bus.counters),
-        )
+        healthy = self._guard(lambda _: bool(self.service.healthy()), None)
+        return self._report.health(healthy)
 
-    def _status(self) -> Literal["ok", "degraded", "failing"]:
-        healthy = self._guard(lambda _: self.service.healthy(), None)
-        return "failing" if self._failed else "ok" if healthy else "degraded"
+    def _healths(self, requests: list[Any]) -> list[Health]:
+        return [self.health()] * len(requests)
+
+    def _log_levels(self, requests: list[LogLevelRequest]) -> list[LogLevelReply]:
+        before = self.bus.log_level
+        last = requests[-1]
+        self.bus.log_for(last.level, last.for_s)
+        self.bus.log.warning("log_level", level=last.level, for_s=last.for_s, before=before)
+        return [
+            LogLevelReply(
+                time_ns=request.time_ns,
+                service=self.service.NAME,
+                level=last.level,
+                for_s=last.for_s,
+                before=before,
+            )
+            for request in requests
+        ]
 
     def replay(self) -> None:
         """Work by the feeder's ticks."""
@@ -188,7 +219,7 @@ class Loop:
         while not self.stopping and not self.bus.feeder_gone:
             event = self.bus.next_event(_STUCK_S)
             if event is None:
-                if barrier.index < 0 and time.monotonic() - self._started > _FEEDER_WAIT_S:
+                if barrier.index < 0 and self._report.uptime_s > _FEEDER_WAIT_S:
                     self.bus.log.error(
                         "no_feeder", detail=f"nobody has fed this replay for {_FEEDER_WAIT_S:.0f} s"
                     )
@@ -208,7 +239,7 @@ class Loop:
                     waiting_since = time.monotonic()
                 else:
                     break
-            self._round = time.monotonic()
+            self._round_ended()
 
     def _replay_event(self, barrier: Barrier, event: tuple[str, str]) -> None:
         kind, name = event
@@ -217,6 +248,12 @@ class Loop:
         item = self.bus.pop(name) if kind == "message" else None
         if item is None:
             return
+        try:
+            self._take_in(barrier, name, item)
+        except DecodeError as error:  # the barrier's own: of somebody who does not belong here
+            self.bus.issue("refused_input", f"{name}: {error}")
+
+    def _take_in(self, barrier: Barrier, name: str, item: Arrived) -> None:
         data, encoding, rider = item
         if name == "tick":
             if barrier.add_tick(decode(Tick, data, encoding).message):
@@ -276,7 +313,7 @@ class Loop:
         try:
             return function(argument)
         except Exception as error:
-            self._failed += 1
+            self._report.failed += 1
             last = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{os.path.basename(last.filename)}:{last.lineno}"
             self.bus.issue("internal_error", f"{type(error).__name__} in {where}: {error}")
@@ -291,6 +328,7 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
     )
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
+    spoken, metrics, hindrance = _metrics(settings, service_class.NAME)
     service_class.prepare(settings)
     try:
         session = open_session(settings.zenoh)
@@ -298,10 +336,14 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         print(f"{prog}: {error}", file=sys.stderr)
         return 3
     bus = Bus(session, settings, service_class.NAME, clock)
+    if hindrance:
+        bus.issue("metrics_not_served", hindrance)
+    if metrics is not None:
+        bus.log.info("metrics", host=settings.metrics_host, port=metrics.port)
     code = 70
     loop: Loop | None = None
     try:
-        loop = Loop(service_class(settings, bus), bus, clock)
+        loop = Loop(service_class(settings, bus), bus, clock, spoken)
         _stop_on_signal(loop)
         bus.log.info("started", clock=settings.clock, vehicle=settings.vehicle)
         if settings.clock == "replay":
@@ -316,9 +358,25 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         _end_within(STOP_LIMIT_S, code)
         if loop is not None:
             loop.service.close()
+        if metrics is not None:
+            metrics.close()
         bus.log.info("stopped", code=code, cpu_s=round(time.process_time(), 2))
         bus.close()
     return code
+
+
+def _metrics(settings: ServiceSettings, service: str) -> tuple[Spoken | None, MetricsServer | None, str]:
+    """What the loop speaks to, who serves it, and what hinders that: nothing a service should not start for."""
+    if settings.metrics_port is None:
+        return None, None, ""
+    from camber.runtime.metrics import MetricsServer, Spoken
+
+    spoken = Spoken(service, settings.vehicle)
+    try:
+        return spoken, MetricsServer(settings.metrics_host, settings.metrics_port, spoken), ""
+    except OSError as error:
+        where = f"{settings.metrics_host}:{settings.metrics_port}"
+        return None, None, f"{where}: {error.strerror or error}"
 
 
 def _stop_on_signal(loop: Loop) -> None:

@@ -49,7 +49,8 @@ class _InFlight:
 class Sender:
     """What to send when: no thread, no clock; `step` is told the time (monotonic, in seconds).
 
-    `counts` has stored, duplicate, refused, failed; `last_failure` says why the last one failed.
+    `counts` has stored, duplicate, refused, failed; `last_failure` says why the last one failed; `waiting` is how many
+    were in the outbox a second ago, None while that is not known.
     """
 
     def __init__(
@@ -57,6 +58,8 @@ class Sender:
     ) -> None:
         self.counts: Counter[str] = Counter()
         self.last_failure = ""
+        self.waiting: int | None = None
+        self._counted_s = float("-inf")
         self._outbox = outbox
         self._send = send
         self._window = window
@@ -65,6 +68,11 @@ class Sender:
         self._position = 0
         self._failures = 0
         self._paused_since_s = self._paused_until_s = float("-inf")
+        self._silent_since_s: float | None = None
+
+    def silent_s(self, now_s: float) -> float:
+        """For how long nothing that was sent has been acknowledged; 0 while receipts come, or nothing is sent."""
+        return 0.0 if self._silent_since_s is None else now_s - self._silent_since_s
 
     def step(self, now_s: float) -> float:
         """Take in the answers that have come, send what may be sent; returns in how many seconds to look again.
@@ -74,6 +82,9 @@ class Sender:
         try:
             self._settle(now_s)
             self._fill(now_s)
+            if now_s - self._counted_s >= _IDLE_S:
+                self._counted_s = now_s
+                self.waiting = self._outbox.counts().pending
         except OutboxError as error:
             self._failed(str(error), now_s, now_s)
         return max(self._paused_until_s - now_s, 0.0) or _IDLE_S
@@ -137,11 +148,14 @@ class Sender:
     def _received(self, status: str) -> None:
         self.counts[status] += 1
         self._failures = 0
+        self._silent_since_s = None
         self._paused_until_s = float("-inf")
 
     def _failed(self, why: str, sent_s: float, now_s: float) -> None:
         self.counts["failed"] += 1
         self.last_failure = why[:512]
+        if self._silent_since_s is None:
+            self._silent_since_s = sent_s
         if sent_s < self._paused_since_s:
             return
         self._failures += 1

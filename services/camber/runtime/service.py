@@ -45,5 +45,13 @@ class Service(Generic[S]):
         """Does the service do its work? False shows as `degraded`."""
         return True
 
+    def gauges(self) -> dict[str, float]:
+        """What goes up and down: name, ending in its unit, → value now; for health and metrics, so it must be quick."""
+        return {}
+
+    def facts(self) -> dict[str, str]:
+        """What the service works with, in words: name → text, as `map_release`."""
+        return {}
+
     def close(self) -> None:
         """The service ends; the bus is still open."""

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from camber.runtime.settings import ZenohSettings
+if TYPE_CHECKING:  # what only probes need not read all that settings are made with
+    from camber.runtime.settings import ZenohSettings
+
+
+_PLACE = re.compile(r"(?:--> |line: )(\d+)(?::|, column: )(\d+)")
+_FIELD = re.compile(r"(?:unknown|missing|duplicate) field `\w+`")
 
 
 class BusError(RuntimeError):
@@ -21,9 +28,15 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     is not there yet is tried again for ever, at most 0.5 s apart (a default client fails at once).
     """
     config = _base(settings.config_file)
+    if settings.tls_ca and settings.tls_certificate and settings.tls_key:
+        from camber.runtime.tls import tls_table
+
+        table = tls_table(settings.tls_ca, settings.tls_certificate, settings.tls_key)
+        _put(config, "transport/link/tls", table)
+    _check_tls(config)
 
     def put(key: str, value: object) -> None:
-        config.insert_json5(key, json.dumps(value))
+        _put(config, key, value)
 
     put("mode", settings.mode)
     put("connect/endpoints", settings.connect)
@@ -31,12 +44,8 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     # -1: for ever. 0 would be one attempt, after which a peer never looks for its router again.
     put("connect/timeout_ms", -1 if timeout_s is None else round(1000 * timeout_s))
     put("connect/exit_on_failure", timeout_s is not None)
-    put("connect/retry", {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5})
-    put("scouting/multicast/enabled", False)
     put("scouting/gossip/enabled", True)
-    put("transport/link/tx/lease", 2000)  # a frozen peer is gone after 2 s, not 10
-    # Small messages gain nothing by shared memory, and containers do not share /dev/shm.
-    put("transport/shared_memory/enabled", False)
+    _depart_from_defaults(config, settings.lease_s)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -45,13 +54,111 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
         ) from None
 
 
+def open_router(
+    config_file: Path | None, *, listen: list[str] | None = None, connect: list[str] | None = None
+) -> zenoh.Session:
+    """Open a session that routes for others; what is given here goes before what stands in the file.
+
+    Returns once it is connected where it is told to: a vehicle's router joins the cloud's as a client, and until it
+    has found it, it routes within the vehicle while this waits. Raises BusError.
+    """
+    config = _router_config(config_file, listen, connect)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise BusError(f"cannot route: {_reason(error)}") from None
+
+
+def router_endpoints(
+    config_file: Path | None, *, listen: list[str] | None = None, connect: list[str] | None = None
+) -> tuple[list[str], list[str], dict[str, Any]]:
+    """Where `open_router` would listen and connect, and its `transport/link/tls`. Raises BusError."""
+    config = _router_config(config_file, listen, connect)
+    return (
+        _get(config, "listen/endpoints") or [],
+        _get(config, "connect/endpoints") or [],
+        _get(config, "transport/link/tls") or {},
+    )
+
+
+def _router_config(
+    config_file: Path | None, listen: list[str] | None, connect: list[str] | None
+) -> zenoh.Config:
+    config = _base(config_file)
+    if _get(config, "mode") is None:
+        _put(config, "mode", "router")
+    # What no file has set is a default for each mode, on all interfaces.
+    if listen is not None or not isinstance(_get(config, "listen/endpoints"), list):
+        _put(config, "listen/endpoints", listen or ["tcp/127.0.0.1:7447"])
+    if connect is not None:
+        _put(config, "connect/endpoints", connect)
+    # A vehicle's bus does not depend on its link: that is tried until the certificate is renewed, and told of.
+    _check_tls(config, may_have_expired=_get(config, "mode") == "client")
+    _put(config, "connect/timeout_ms", -1)
+    _put(config, "connect/exit_on_failure", False)
+    _depart_from_defaults(config)
+    return config
+
+
+def _depart_from_defaults(config: zenoh.Config, lease_s: float = 2.0) -> None:
+    _put(
+        config,
+        "connect/retry",
+        {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+    )
+    _put(config, "scouting/multicast/enabled", False)
+    _put(config, "transport/link/tx/lease", round(1000.0 * lease_s))  # Zenoh's own is 10 s
+    # Small messages gain nothing by shared memory, and containers do not share /dev/shm.
+    _put(config, "transport/shared_memory/enabled", False)
+
+
+def _put(config: zenoh.Config, key: str, value: object) -> None:
+    try:
+        config.insert_json5(key, json.dumps(value))
+    except zenoh.ZError:
+        raise BusError(
+            f"{key}: expected what Zenoh takes, protocol/address of an endpoint, got {value}"
+        ) from None
+
+
+def _get(config: zenoh.Config, key: str) -> Any:
+    return json.loads(config.get_json(key))
+
+
+def _check_tls(config: zenoh.Config, *, may_have_expired: bool = False) -> None:
+    table = {name: value for name, value in _get(config, "transport/link/tls").items() if value}
+    if not table:
+        return
+    from camber.runtime.tls import (
+        TlsError,
+        TlsExpiredError,
+        check_table,
+    )  # not for those on the loopback: it takes a while to load
+
+    try:
+        check_table(table)
+    except TlsError as error:
+        if not (may_have_expired and isinstance(error, TlsExpiredError)):
+            raise BusError(str(error)) from None
+
+
 def _base(config_file: Path | None) -> zenoh.Config:
     if config_file is None:
         return zenoh.Config()
     try:
         return zenoh.Config.from_file(str(config_file))
     except zenoh.ZError as error:
-        raise BusError(f"{config_file}: {_reason(error)}") from None
+        raise BusError(f"{config_file}: {_without_contents(str(error))}") from None
+
+
+def _without_contents(text: str) -> str:
+    """Where a configuration is wrong: Zenoh shows the line itself, and a password may stand in it."""
+    if "os error" in text:
+        return text.partition(" at /")[0]
+    place = _PLACE.search(text)
+    field = _FIELD.search(text)
+    where = f" at line {place[1]}, column {place[2]}" if place else ""
+    return f"not a configuration of Zenoh{where}{f': {field[0]}' if field else ''}"
 
 
 def _reason(error: zenoh.ZError) -> str:

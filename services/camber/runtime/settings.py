@@ -10,9 +10,9 @@ import sys
 import tomllib
 from datetime import date
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NoReturn, TypeVar, get_args
+from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError, model_validator
 from pydantic_settings import (
     BaseSettings,
     CliSettingsSource,
@@ -44,9 +44,40 @@ class ZenohSettings(BaseModel):
         default_factory=lambda: ["tcp/127.0.0.1:0"],
         description="endpoints on which other peers may reach this one; a client listens on none",
     )
-    config_file: Path | None = Field(
-        None, description="a Zenoh configuration (json5) to start from: TLS, access control"
+    tls_ca: Path | None = Field(
+        None, description="certificate of the authority; with the next two: joined over TLS, as in the cloud"
     )
+    tls_certificate: Path | None = Field(
+        None, description="this process's certificate; its common name is what access rules go by"
+    )
+    tls_key: Path | None = Field(None, description="the certificate's private key, in a file of its own")
+    config_file: Path | None = Field(
+        None, description="a Zenoh configuration (json5) to start from, for what has no setting here"
+    )
+    lease_s: float = Field(
+        2.0, ge=0.5, le=60.0, description="after how long a silence others take this process to be gone"
+    )
+
+    @property
+    def over_tls(self) -> bool:
+        """Does this process show a certificate?"""
+        return self.tls_certificate is not None
+
+    @model_validator(mode="after")
+    def _all_or_nothing_over_tls(self) -> Self:
+        files = (self.tls_ca, self.tls_certificate, self.tls_key)
+        encrypted = [endpoint.startswith(("tls/", "quic/")) for endpoint in self.connect]
+        if any(files):
+            if not all(files):
+                raise ValueError("tls_ca, tls_certificate, tls_key: expected all three or none")
+            if not all(encrypted):
+                raise ValueError("connect: with tls_certificate expected only endpoints tls/… or quic/…")
+            if self.mode != "client":
+                # Peers would meet one another around the router, and so around its access rules.
+                raise ValueError(f'mode: with tls_certificate expected "client", got "{self.mode}"')
+        elif any(encrypted) and self.config_file is None:
+            raise ValueError("connect: an endpoint tls/… or quic/… needs tls_ca, tls_certificate and tls_key")
+        return self
 
 
 class ServiceSettings(BaseSettings):
@@ -71,6 +102,15 @@ class ServiceSettings(BaseSettings):
         "info", description="least level that is logged"
     )
     log_format: Literal["json", "text"] = Field("text", description="one JSON object a line, or for people")
+    metrics_port: int | None = Field(
+        None,
+        ge=0,
+        le=65_535,
+        description="where metrics are served for Prometheus; 0: any port, unset: nowhere",
+    )
+    metrics_host: str = Field(
+        "127.0.0.1", description="address on which metrics are served; they are not encrypted"
+    )
 
     @classmethod
     def settings_customise_sources(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -18,8 +19,10 @@ from camber.runtime.run import Loop
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME
-from camber.schemas.codec import decode, encode
+from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.health import Health, HealthRequest
+from camber.schemas.lidar import Sweep
+from support.messages import build
 
 
 class Plain(Service[ServiceSettings]):
@@ -187,3 +190,93 @@ def test_whom_it_does_not_reach_is_told() -> None:
     # A fleet's key is not among those that the feeder of a vehicle hears.
     sent, left = flushed("map_update", ["release"], {"map_server", "feeder"})
     assert (sent, left) == ([("release", True)], {"feeder"})
+
+
+def test_what_went_over_a_channel_is_counted_with_its_age() -> None:
+    wire = SimpleNamespace(
+        declare_publisher=lambda *_, **__: SimpleNamespace(put=lambda _: None),
+        declare_subscriber=lambda *_: SimpleNamespace(undeclare=lambda: None),
+    )
+    bus = Bus(cast(Any, wire), ServiceSettings(log_level="error"), "gnss", SystemClock())
+    bus.subscribe(BY_NAME["motion"])
+    for _ in range(3):
+        bus.publish("fix", HealthRequest(time_ns=10**18))
+    uses = {(use.channel, use.direction): use for use in health_of(bus).channels}
+    assert (uses["fix", "out"].messages, uses["motion", "in"].messages) == (3, 0)
+    assert uses["fix", "out"].age_s is not None
+    assert uses["motion", "in"].age_s is None
+
+
+def test_an_issue_says_when_it_was_met_last() -> None:
+    bus = make_bus()
+    bus.issue("source_lost", "")
+    (issue,) = bus.issues()
+    assert issue.last_time_ns is not None
+    assert abs(SystemClock().now_ns() - issue.last_time_ns) < 10**10
+
+
+def test_a_service_that_met_all_there_can_be_still_fits_into_one_message() -> None:
+    bus = make_bus()
+    for n in range(5000):
+        bus.issue(f"issue_{n}".ljust(64, "x"), "€" * 512)
+        bus.count(f"counter_{n}".ljust(64, "x"), 2**40)
+    health = health_of(bus)
+    assert len(health.issues) == 64
+    assert all(issue.text for issue in health.issues)
+
+
+def test_another_log_level_falls_back_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = make_bus()
+    bus.log_for("debug", 600.0)
+    bus.look_at_log_level()
+    assert health_of(bus).log_level == "debug"
+    monkeypatch.setattr(time, "monotonic", lambda real=time.monotonic: real() + 601.0)
+    bus.look_at_log_level()
+    assert health_of(bus).log_level == "error"
+
+
+def test_at_debug_an_issue_is_logged_each_time(capsys: pytest.CaptureFixture[str]) -> None:
+    bus = make_bus()
+    bus.log_for("info", 600.0)
+    for _ in range(3):
+        bus.issue("source_lost", "text")
+    assert capsys.readouterr().err.count("source_lost") == 1
+    bus.log_for("debug", 600.0)
+    for _ in range(3):
+        bus.issue("source_lost", "text")
+    assert capsys.readouterr().err.count("source_lost") == 3
+
+
+class Subscribing:
+    """A session that hands over what is declared to it."""
+
+    def __init__(self) -> None:
+        self.hear: Any = None
+
+    def declare_subscriber(self, key: str, handler: Any) -> object:
+        self.hear = handler.callback
+        return object()
+
+
+def arriving(data: bytes, encoding: str) -> Any:
+    payload = SimpleNamespace(to_bytes=lambda: data)
+    return SimpleNamespace(payload=payload, encoding=encoding, attachment=None)
+
+
+@pytest.mark.parametrize("size", [0, 3, 200_000])
+def test_of_what_is_large_the_newest_that_can_be_read_waits(size: int) -> None:
+    session, channel = Subscribing(), BY_NAME["sweep"]
+    bus = Bus(cast(zenoh.Session, session), ServiceSettings(log_level="error"), "localizer", SystemClock())
+    bus.subscribe(channel)
+    sweeps = [encode(build(Sweep, Random(n), filled=True)) for n in range(2)]
+    encoding = encoding_of(Sweep)
+    for sweep in sweeps:
+        session.hear(arriving(sweep, encoding))
+        session.hear(arriving(bytes(size), encoding))
+        session.hear(arriving(sweep[:-5], encoding))
+        session.hear(arriving(sweep, "text/plain"))
+    item = bus.pop("sweep")
+    assert item is not None
+    assert item.data == sweeps[1]
+    assert bus.counters["sweep.overflow"] == 7
+    assert bus.pop("sweep") is None

@@ -1,0 +1,88 @@
+"""Is what we say heard? Zenoh says nothing of a message that access rules deny; so one is sent and waited for.
+
+Two sessions with the same certificate meet at the router, and one listens for the other on a key of the vehicle in
+whose name it would speak. The rules of a certificate come all from one table: whose echo comes back may speak.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from pathlib import Path
+from typing import Literal
+
+from camber.runtime.session import BusError, open_session
+from camber.runtime.settings import ZenohSettings
+from camber.runtime.tls import TlsError, certificate_name
+
+Heard = Literal["heard", "denied"]
+_AGAIN_S = 0.2
+_ECHO_LIMIT_S = 3.0  # there and back, once both have joined
+_LIMIT_S = 10.0
+
+
+def echo_key(name: str) -> str:
+    """The key on which whoever may speak in the name of this vehicle hears itself."""
+    return f"camber/v1/{name}/echo"
+
+
+def are_we_heard(settings: ZenohSettings, name: str, *, timeout_s: float) -> Heard:
+    """Does the router let pass what we say in the name of a vehicle? Joins, asks, leaves.
+
+    `name` is the second part of our keys; a service of the fleet says "fleet", a consumer its own name. `denied`: the
+    router was joined, but its access list does not give this name to our certificate. Raises BusError where it cannot
+    be joined: nobody there, or one of the certificates is not accepted.
+    """
+    key, nonce = echo_key(name), os.urandom(16)
+    came = threading.Event()
+    settings = settings.model_copy(update={"mode": "client", "listen": []})
+    with (
+        open_session(settings, timeout_s=timeout_s) as hearing,
+        open_session(settings, timeout_s=timeout_s) as saying,
+    ):
+        subscriber = hearing.declare_subscriber(
+            key, lambda sample: came.set() if sample.payload.to_bytes() == nonce else None
+        )
+        deadline = time.monotonic() + _ECHO_LIMIT_S
+        while not came.is_set() and time.monotonic() < deadline:
+            saying.put(key, nonce)  # the subscription may not have come through yet
+            came.wait(_AGAIN_S)
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+    return "heard" if came.is_set() else "denied"
+
+
+def denial(settings: ZenohSettings, name: str) -> str:
+    """What `denied` means, in one line."""
+    certificate = certificate_name(settings.tls_certificate or Path())
+    at = ", ".join(settings.connect)
+    return (
+        f"{at} lets nothing pass that {certificate} says as {name}: not in its access list (docs/security.md)"
+    )
+
+
+class HeardWatch:
+    """Asks beside the work loop until we are heard, and tells each time that we are not."""
+
+    def __init__(self, settings: ZenohSettings, name: str, *, again_s: float = 60.0) -> None:
+        self._told: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._settings, self._name, self._again_s = settings, name, again_s
+        threading.Thread(target=self._ask, name="heard", daemon=True).start()
+
+    def problems(self) -> list[str]:
+        """What has come of asking since this was last called."""
+        return [self._told.get() for _ in range(self._told.qsize())]
+
+    def _ask(self) -> None:
+        while True:
+            try:
+                if are_we_heard(self._settings, self._name, timeout_s=_LIMIT_S) == "heard":
+                    return
+                self._told.put(denial(self._settings, self._name))
+            except (BusError, TlsError) as error:
+                self._told.put(str(error))
+            time.sleep(self._again_s)
+
+
+__all__ = ["BusError", "HeardWatch", "are_we_heard", "denial", "echo_key"]

@@ -1,0 +1,158 @@
+"""Joining over TLS is all or nothing, and what is wrong with a file is one line that names it and no secret."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from camber.runtime.session import BusError, open_session, router_endpoints
+from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, to_toml
+from camber.runtime.tls import TlsError, certificate_name, check_table, name_of, tls_table
+from camber.tools.certificates import Authority
+
+TLS = 'tls_ca = "a.pem"\ntls_certificate = "b.pem"\ntls_key = "b.key"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    now = datetime.now(UTC)
+    authority = Authority.make(tmp_path / "pki", name="ours", days=30, now=now)
+    authority.issue("car-1", "vehicle", days=20, now=now)
+    authority.issue("car-2", "vehicle", days=20, now=now)
+    authority.issue("late", "vehicle", days=1, now=now - timedelta(days=2))
+    authority.issue("early", "vehicle", days=1, now=now + timedelta(days=1))
+    Authority.make(tmp_path / "theirs", name="theirs", days=30, now=now)
+    return tmp_path / "pki"
+
+
+def read(tmp_path: Path, zenoh: str) -> ZenohSettings:
+    path = tmp_path / "service.toml"
+    path.write_text(f"[zenoh]\n{zenoh}")
+    return load(ServiceSettings, ["--config", str(path)], prog="camber x")[0].zenoh
+
+
+@pytest.mark.parametrize(
+    ("zenoh", "why"),
+    [
+        ('mode = "client"\nconnect = ["tls/c:1"]\ntls_ca = "a.pem"\n', "expected all three or none"),
+        (f'mode = "client"\nconnect = ["tcp/c:1"]\n{TLS}', "expected only endpoints tls/"),
+        (f'mode = "client"\nconnect = ["tls/c:1", "tcp/c:2"]\n{TLS}', "expected only endpoints tls/"),
+        (f'mode = "peer"\nconnect = ["tls/c:1"]\n{TLS}', 'expected "client", got "peer"'),
+        ('mode = "client"\nconnect = ["tls/c:1"]\n', "needs tls_ca, tls_certificate and tls_key"),
+        ('mode = "client"\nconnect = ["quic/c:1"]\n', "needs tls_ca, tls_certificate and tls_key"),
+    ],
+    ids=["one file", "in the clear", "also in the clear", "as a peer", "tls without", "quic without"],
+)
+def test_half_of_tls_is_refused_in_one_line(tmp_path: Path, zenoh: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why) as refused:
+        read(tmp_path, zenoh)
+    assert "zenoh" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_all_of_tls_is_taken_and_printed_as_paths(tmp_path: Path) -> None:
+    settings = read(tmp_path, f'mode = "client"\nconnect = ["tls/c:1"]\n{TLS}')
+    assert settings.over_tls
+    assert 'tls_key = "b.key"' in to_toml(settings)
+    assert not ZenohSettings().over_tls
+
+
+def test_a_good_table_passes(folder: Path) -> None:
+    check_table(tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key"))
+    assert certificate_name(folder / "car-1.pem") == "car-1"
+
+
+def test_both_sides_show_a_certificate_that_is_looked_at(folder: Path) -> None:
+    table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
+    assert table["enable_mtls"]
+    assert table["verify_name_on_connect"]
+    assert table["close_link_on_expiration"]
+
+
+def _remove(path: Path) -> None:
+    path.unlink()
+
+
+def _damage(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+@pytest.mark.parametrize("name", ["ca.pem", "car-1.pem", "car-1.key"])
+@pytest.mark.parametrize(("harm", "why"), [(_remove, "No such file"), (_damage, "not a ")])
+def test_a_file_that_is_missing_or_damaged_is_named(
+    folder: Path, name: str, harm: Callable[[Path], None], why: str
+) -> None:
+    secret = (folder / "car-1.key").read_text().splitlines()[1]
+    harm(folder / name)
+    settings = ZenohSettings(
+        mode="client",
+        connect=["tls/127.0.0.1:1"],
+        tls_ca=folder / "ca.pem",
+        tls_certificate=folder / "car-1.pem",
+        tls_key=folder / "car-1.key",
+    )
+    with pytest.raises(BusError, match=why) as refused:
+        open_session(settings, timeout_s=1.0)
+    assert str(folder / name) in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert secret not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("ca", "certificate", "key", "why"),
+    [
+        ("pki/ca.pem", "late.pem", "late.key", "late.pem: expired"),
+        ("pki/ca.pem", "early.pem", "early.key", "early.pem: not valid before .* clock"),
+        ("pki/ca.pem", "car-1.pem", "car-2.key", "car-2.key: not the key of "),
+        ("theirs/ca.pem", "car-1.pem", "car-1.key", "car-1.pem: not signed by "),
+    ],
+)
+def test_a_certificate_that_will_not_be_taken_is_said_before_it_is_tried(
+    folder: Path, ca: str, certificate: str, key: str, why: str
+) -> None:
+    with pytest.raises(TlsError, match=why):
+        check_table(tls_table(folder.parent / ca, folder / certificate, folder / key))
+
+
+def test_a_router_listens_on_the_loopback_unless_it_is_told_otherwise(tmp_path: Path) -> None:
+    empty, told = tmp_path / "empty.json5", tmp_path / "told.json5"
+    empty.write_text("{}")
+    told.write_text('{mode: "router", listen: {endpoints: ["tcp/127.0.0.2:1"]}}')
+    assert router_endpoints(None)[0] == ["tcp/127.0.0.1:7447"]
+    assert router_endpoints(empty)[0] == ["tcp/127.0.0.1:7447"]
+    assert router_endpoints(told)[0] == ["tcp/127.0.0.2:1"]
+    assert router_endpoints(told, listen=["tcp/127.0.0.3:1"])[0] == ["tcp/127.0.0.3:1"]
+
+
+@pytest.mark.parametrize(
+    ("common_name", "name"), [("car-1", "car-1"), ("car-1+2", "car-1"), ("car+x", "car+x"), ("a+1+12", "a+1")]
+)
+def test_a_common_name_stands_for_a_name(common_name: str, name: str) -> None:
+    assert name_of(common_name) == name
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ('{ transport: { auth: { usrpwd: { user: "a", password: "SECRET" } }, nonsense', "line 1, column"),
+        ('{ transport: { auth: { usrpwd: { user: "a", password: ["SECRET"] } } } }', "line 1, column"),
+        ('{ transport: { auth: { usrpwd: { passwrd: "SECRET" } } } }', "unknown field `passwrd`"),
+        ('{ mode: "SECRET" }', "not a configuration of Zenoh"),
+        (None, "No such file"),
+    ],
+    ids=["not closed", "of a wrong kind", "misspelt", "no mode", "not there"],
+)
+def test_a_configuration_that_is_wrong_is_one_line_without_what_stands_in_it(
+    tmp_path: Path, text: str | None, why: str
+) -> None:
+    path = tmp_path / "zenoh.json5"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BusError, match=why) as refused:
+        router_endpoints(path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert "SECRET" not in str(refused.value)
+    assert "\n" not in str(refused.value)
