@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,9 +14,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import zstandard
 
+from camber.formats.candump import CandumpDecoder, CanFrame, candump_line
+from camber.formats.dbc import read_dbc
 from camber.formats.errors import FormatError
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.lanelet2 import lanelet2_bytes, lanelet_map
+from camber.formats.lidar_firings import LidarDecoder
 from camber.formats.map_delta import packed, unpacked
 from camber.formats.map_release import read_release
 from camber.formats.map_release_files import decoded
@@ -27,6 +31,9 @@ from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.nmea import NmeaDecoder
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.opendrive import opendrive_bytes, opendrive_map
+from camber.formats.ouster import OusterDecoder
+from camber.formats.ouster_metadata import read_ouster_metadata
+from camber.formats.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
 from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
 from camber.formats.ply import points_from_ply
 from camber.formats.projected import Projection
@@ -46,8 +53,9 @@ from camber.formats.ubx_navigation import format_high_precision_position, format
 from camber.formats.ubx_reading import UbxDecoder
 from camber.formats.ubx_subframes import subframes_between
 from camber.formats.ubx_writing import format_raw_measurements, format_subframe, ubx_frame
+from camber.formats.velodyne import MODELS, VelodyneDecoder
 from camber.formats.vertical_datum import vertical_datum
-from camber.geodesy.gps_time import week_tow_from_gps_ns
+from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
 from camber.map_update.admission import Refusal
 from camber.map_update.queue_messages import (
@@ -60,7 +68,12 @@ from camber.map_update.queue_messages import (
 )
 from camber.map_update.store import Outcome
 from camber.schemas.codec import DecodeError, decode, encode
+from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
+from camber.sensors.lidar_reader import LidarReader
+from camber.sensors.sensor_clock import SensorClock, TimeScale
+from camber.simulator.can_frames import DBC
+from camber.simulator.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
 from camber.simulator.short_drive import write_short_drive
 from camber.tools.maps.lane_map import Known, road_map
 from camber.tools.maps.lanelets import lanes_of as lanes_of_lanelets
@@ -416,6 +429,103 @@ def _queue_answers(_: Random) -> list[list[bytes]]:
     return [[pack_outcomes(outcomes)], [pack_outcomes(outcomes[:1])]]
 
 
+def _pcap(random: Random) -> list[list[bytes]]:
+    def frames() -> list[bytes]:
+        return [
+            pcap_frames(
+                Datagram(START_NS + k, "10.0.0.7", 2368, random.randbytes(random.choice((9, 1206, 4000)))),
+                "10.0.0.1",
+                k,
+            )
+            for k in range(6)
+        ]
+
+    return [[pcap_header(), *frames()] for _ in range(4)]
+
+
+def _candump(random: Random) -> list[list[bytes]]:
+    def line() -> str:
+        size = random.choice((0, 3, 8, 64))
+        extended = random.random() < 0.5
+        frame = CanFrame(START_NS, "can0", random.randrange(1 << 11), extended, random.randbytes(size))
+        return candump_line(frame)
+
+    return [[line().encode() for _ in range(12)] for _ in range(4)]
+
+
+def _dbc(_: Random) -> list[list[bytes]]:
+    return [[line.encode() for line in DBC.splitlines(keepends=True)]]
+
+
+def _read_dbc(data: bytes) -> None:
+    """As `camber sensors` does, and its signals out of a frame."""
+    for message in read_dbc(data.decode("cp1252", "replace"), "fuzz").values():
+        for signal in message.signals.values():
+            signal.raw(bytes(message.length_bytes))
+            signal.raw(b"\xff")
+
+
+@cache
+def _sweeps(kind: str) -> tuple[Sweep, ...]:
+    """Of few points, in two turns."""
+    pattern = PATTERNS[kind]
+    rows = np.arange(0, pattern.rays, 997)
+    points = (10.0 * pattern.directions()[rows]).astype(np.float32)
+    points[:, 2] += pattern.rises_m()[rows]
+    return tuple(
+        Sweep(
+            time_ns=START_NS + turn * pattern.turn_ns,
+            sensor="fuzz",
+            points_m=points,
+            intensity=np.full(len(rows), 7.0, np.float32),
+            offset_ns=pattern.offsets_ns()[rows].astype(np.int32),
+        )
+        for turn in (1, 2)
+    )
+
+
+def _lidar_packets(kind: str) -> list[tuple[int, bytes]]:
+    return list((velodyne_packets if kind == "velodyne" else ouster_packets)(_sweeps(kind)))
+
+
+def _packets(kind: str) -> Callable[[Random], list[list[bytes]]]:
+    """Each before it has its length."""
+    return lambda _: [[payload for _, payload in _lidar_packets(kind)[k : k + 6]] for k in (0, 20, 60)]
+
+
+def _with_length(content: bytes) -> bytes:
+    return len(content).to_bytes(4, "little") + content
+
+
+@cache
+def _lidar_decoder(kind: str) -> LidarDecoder:
+    if kind == "velodyne":
+        return VelodyneDecoder(MODELS["HDL-32E"])
+    return OusterDecoder(read_ouster_metadata(ouster_metadata(), "fuzz"))
+
+
+def _read_packets(kind: str) -> Callable[[bytes], None]:
+    """As `camber sensors` does, all at their time."""
+    scale: TimeScale = "utc_hour" if kind == "velodyne" else "tai"
+
+    def read(data: bytes) -> None:
+        reader = LidarReader("fuzz", _lidar_decoder(kind), SensorClock(scale, 0, NS_PER_DAY), 0.001)
+        payloads = []
+        while len(data) >= 4:
+            length = int.from_bytes(data[:4], "little")
+            payloads.append(data[4 : 4 + length])
+            data = data[4 + length :]
+        arrivals = [START_NS + k * 1_000_000 for k in range(len(payloads))]
+        for sweep in reader.take(payloads, arrivals) + reader.finish():
+            encode(sweep)
+
+    return read
+
+
+def _metadata(_: Random) -> list[list[bytes]]:
+    return [[line.encode() for line in ouster_metadata().splitlines(keepends=True)]]
+
+
 DECODERS: tuple[Target, ...] = (
     Target("rtcm", _rtcm, stream=lambda: RtcmDecoder(START_NS), sealed=rtcm_frame),
     Target("nmea", _nmea, stream=lambda: NmeaDecoder("fuzz"), sealed=_nmea_sentence),
@@ -437,6 +547,17 @@ DECODERS: tuple[Target, ...] = (
         read=lambda data: unpacked(data, _older_blob()),
         refusal=ReleaseError,
         sealed=lambda data: b"s" + zstandard.compress(data),
+    ),
+    Target("pcap", _pcap, stream=lambda: PcapDecoder("fuzz")),
+    Target("candump", _candump, stream=lambda: CandumpDecoder("fuzz")),
+    Target("dbc", _dbc, read=_read_dbc, refusal=FormatError),
+    Target("velodyne", _packets("velodyne"), read=_read_packets("velodyne"), sealed=_with_length),
+    Target("ouster", _packets("ouster"), read=_read_packets("ouster"), sealed=_with_length),
+    Target(
+        "ouster_metadata",
+        _metadata,
+        read=lambda data: read_ouster_metadata(data.decode("utf-8", "replace"), "fuzz"),
+        refusal=FormatError,
     ),
     Target("queue", _queue, read=unpack_parcels, refusal=QueueMessageError),
     Target("queue_answers", _queue_answers, read=unpack_outcomes, refusal=QueueMessageError),

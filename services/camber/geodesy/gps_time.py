@@ -16,6 +16,9 @@ NS_PER_SECOND = 1_000_000_000
 NS_PER_DAY = 86_400 * NS_PER_SECOND
 NS_PER_WEEK = 7 * NS_PER_DAY
 
+UNIX_OF_GPS_EPOCH_NS = 315_964_800 * NS_PER_SECOND
+"""1980-01-06T00:00:00Z on the scale of computers, which counts UTC since 1970 without its leap seconds."""
+
 _GPS_EPOCH_ORDINAL = date(1980, 1, 6).toordinal()
 
 # The first UTC day on which GPS − UTC was one second more than the day before.
@@ -114,6 +117,21 @@ def gps_minus_utc_s(time_ns: int) -> int:
     """GPS − UTC in whole seconds at a GPS time; a leap second counts from its end."""
     begun = bisect_right(_LEAP_STARTS_NS, _not_negative(time_ns))
     return begun - 1 if _in_leap_second(time_ns, begun) else begun
+
+
+def gps_ns_from_unix_ns(unix_ns: int) -> int:
+    """GPS time [ns] of a computer's UTC; a leap second, which it cannot tell, falls on the second after it.
+
+    Raises ValueError before 1980-01-06.
+    """
+    naive_ns = _not_negative(unix_ns - UNIX_OF_GPS_EPOCH_NS)
+    leaps = bisect_right(_LEAP_ORDINALS, naive_ns // NS_PER_DAY + _GPS_EPOCH_ORDINAL)
+    return naive_ns + leaps * NS_PER_SECOND
+
+
+def unix_ns_from_gps_ns(time_ns: int) -> int:
+    """A computer's UTC [ns since 1970] of a GPS time."""
+    return time_ns - gps_minus_utc_s(time_ns) * NS_PER_SECOND + UNIX_OF_GPS_EPOCH_NS
 
 
 def _in_leap_second(time_ns: int, begun: int) -> bool:

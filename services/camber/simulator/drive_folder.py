@@ -8,6 +8,8 @@ receiver_arrivals.csv           when each part of receiver.pos was said, by a cl
 rover_arrivals.csv              the same for rover.obs
 motion.csv suspension.csv ranging.csv
 sweeps/<time_ns>.pcd            one point cloud a turn
+lidar.pcap lidar.json           the LiDAR's packets, and an Ouster's metadata, where a scenario asks for packets
+can.log can.dbc sensors.toml    then also the CAN bus, and settings for `camber sensors` to read them
 map/                            the release that a survey made
 truth.csv                       the antenna, the vehicle, the road, the heights, which fix is wrong since when, faults
 drive.toml                      the manifest
@@ -20,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from camber.formats.candump import candump_text
 from camber.formats.ionosphere_coefficients import IonosphereCoefficients
 from camber.formats.motion_csv import write_motion, write_ranging, write_suspension
 from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
@@ -35,9 +38,12 @@ from camber.formats.ubx_subframes import subframes_between
 from camber.formats.ubx_writing import format_raw_measurements, format_subframe
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.schemas.lidar import Sweep
 from camber.simulator.arrivals import write_arrivals
+from camber.simulator.can_frames import DBC, SETTINGS, can_frames
 from camber.simulator.drive_manifest import manifest_text
 from camber.simulator.faults import BlockedLidar, ChangedRoad, SymmetricScene, WrongMap, of_kind
+from camber.simulator.lidar_packets import PATTERNS, ouster_metadata, pcap_of
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.satellites.orbits import newest_in_use
 from camber.simulator.scene import Floats
@@ -83,10 +89,46 @@ def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
     write_survey(folder / "map", drive.district, surveyed_ns, errors, scanned_route="default")
     if drive.scenario.lidar is not None:
         (folder / "sweeps").mkdir(exist_ok=True)
+        yield from _write_sweeps(folder, drive)
+    (folder / "drive.toml").write_bytes(manifest_text(drive).encode("utf-8"))
+
+
+def _write_sweeps(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
+    lidar = drive.scenario.lidar
+    assert lidar is not None
+    done: list[str] = []
+
+    def written() -> Iterator[Sweep]:
         for scan in scans_of(drive):
             write_sweep(folder / "sweeps", scan.sweep)
-            yield "sweep"
-    (folder / "drive.toml").write_bytes(manifest_text(drive).encode("utf-8"))
+            done.append("sweep")
+            yield scan.sweep
+
+    if lidar.packets is None:
+        for _ in written():
+            yield done.pop()
+        return
+    write_can(folder, drive, lidar.packets)
+    with (folder / "lidar.pcap").open("wb") as file:
+        for piece in pcap_of(written(), lidar.packets):
+            file.write(piece)
+            while done:
+                yield done.pop()
+
+
+def write_can(folder: Path, drive: SimulatedDrive, packets: str) -> None:
+    """The CAN bus, and what is to be said to `camber sensors`."""
+    (folder / "can.log").write_text(candump_text(can_frames(drive.readings)), "ascii")
+    (folder / "can.dbc").write_text(DBC, "ascii")
+    ouster = packets == "ouster"
+    if ouster:
+        (folder / "lidar.json").write_text(ouster_metadata(), "ascii")
+    model = 'model = "ouster"\nmetadata = "lidar.json"' if ouster else 'model = "HDL-32E"'
+    stamps = "tai" if ouster else "utc_hour"
+    lidar = f'[lidar]\nsource = "pcap:lidar.pcap"\n{model}\nstamps = "{stamps}"\n\n'
+    (folder / "sensors.toml").write_bytes(
+        f"# For `camber sensors`, started in this folder.\n{lidar}{SETTINGS}".encode()
+    )
 
 
 def parts_of(drive: SimulatedDrive) -> int:
@@ -111,6 +153,8 @@ def scans_of(drive: SimulatedDrive) -> Iterator[Scan]:
     track = PoseTrack.of(drive.trajectory, drive.body, drive.body.lidar)
     traffic = Traffic.of(_road_users(drive, settings.traffic), int(track.time_ns[0]), int(track.time_ns[-1]))
     pattern = BEAMS_64 if settings.beams == 64 else BEAMS_32
+    if settings.packets is not None:
+        pattern = PATTERNS[settings.packets]
     lidar = Lidar(pattern, track, drive.tracer, scenario.seed, traffic, faults=faults)
     return lidar.scans(_THREADS)
 

@@ -65,7 +65,9 @@ def write_fleet(folder: Path, scenario: Scenario) -> Iterator[str]:
                     data = encode(batch, source=vehicle.name, sequence=sequence)
                     sequence += 1
                     # Nobody's wall clock has seen it: the recorder's time is that of the measurement.
-                    recorder.add(channel.name, data, key=channel.key, arrival_ns=batch.time_ns)
+                    recorder.add(
+                        channel.name, data, key=channel.key_for(vehicle.name), arrival_ns=batch.time_ns
+                    )
             yield vehicle.name
         if recorder.problem is not None:
             raise OSError(recorder.problem)

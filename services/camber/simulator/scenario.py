@@ -72,6 +72,10 @@ class Lidar(Model):
 
     beams: Literal[32, 64] = Field(default=64, description="32 or 64")
     traffic: Annotated[int, Field(ge=0, le=100)] = Field(default=6, description="moving vehicles around")
+    packets: Literal["velodyne", "ouster"] | None = Field(
+        default=None,
+        description="velodyne (an HDL-32E) or ouster (an OS1-64) in place of beams, with its packets and a CAN bus",
+    )
 
 
 class Satellites(Model):

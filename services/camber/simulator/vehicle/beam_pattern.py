@@ -17,6 +17,7 @@ from camber.simulator.scene import Floats, Integers
 class BeamPattern:
     """A rotating sensor. It turns clockwise seen from above, each turn beginning behind the vehicle; all beams fire one
     after the other during `firing_share` of a column, in the order of `elevation_deg`, `azimuth_deg` off the column.
+    `up_m`: how far above the sensor's origin the beams begin; nothing: none is.
     """
 
     name: str
@@ -29,6 +30,7 @@ class BeamPattern:
     most_range_m: float = 120.0
     range_sigma_m: float = 0.02
     range_step_m: float = 0.002
+    up_m: tuple[float, ...] = ()
 
     @property
     def rays(self) -> int:
@@ -43,6 +45,10 @@ class BeamPattern:
         flat = np.broadcast_to(np.cos(elevation), azimuth.shape)
         up = np.broadcast_to(np.sin(elevation), azimuth.shape)
         return np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), up), axis=-1).reshape(-1, 3)
+
+    def rises_m(self) -> Floats:
+        """How far above the sensor's origin each ray (rays,) begins."""
+        return np.tile(np.array(self.up_m or (0.0,) * len(self.elevation_deg)), self.columns)
 
     def column_shares(self) -> Floats:
         """When each beam (beams,) fires, in columns after its column's beginning."""

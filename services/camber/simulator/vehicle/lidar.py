@@ -114,6 +114,7 @@ class Lidar:
         noise = rng.standard_normal(pattern.rays, np.float32)
         points, intensity, offset, kind = _measured(
             beams.in_sensor,
+            beams.up_m,
             beams.offset_ns,
             direction,
             distance,
@@ -141,19 +142,22 @@ class _Beams:
     in_sensor: Floats
     offset_ns: NDArray[np.int32]
     share: Floats
+    up_m: Floats
 
     @classmethod
     def of(cls, pattern: BeamPattern) -> _Beams:
         offset = pattern.offsets_ns()
         share = 1.0 + offset / pattern.turn_ns
-        return cls(pattern, pattern.directions(), offset.astype(np.int32), share)
+        return cls(pattern, pattern.directions(), offset.astype(np.int32), share, pattern.rises_m())
 
     def rays(self, track: PoseTrack, begin_ns: int) -> tuple[Floats, Floats]:
         """Origins and directions (rays, 3) in the world, for the turn that begins then."""
         columns = self.pattern.columns
         ticks = np.rint(np.arange(columns + 1) * (self.pattern.turn_ns / columns)).astype(np.int64)
         position, rotation = track.at(begin_ns + ticks)
-        return _rays(self.in_sensor, self.share * columns, position, np.ascontiguousarray(rotation))
+        return _rays(
+            self.in_sensor, self.up_m, self.share * columns, position, np.ascontiguousarray(rotation)
+        )
 
 
 def _unseen(fault: LidarFault, in_sensor: Floats, material: Integers) -> NDArray[np.bool_]:
@@ -169,7 +173,7 @@ _SURFACES = np.array([(_REFLECTIVITY[m], _LOST_SHARE.get(m, _LOST_ELSEWHERE)) fo
 
 @compiled_without_gil
 def _rays(
-    in_sensor: Floats, column_share: Floats, position: Floats, rotation: Floats
+    in_sensor: Floats, up_m: Floats, column_share: Floats, position: Floats, rotation: Floats
 ) -> tuple[Floats, Floats]:
     """Each ray from the pose between the columns' (columns + 1,), elements changing evenly within 56 µs."""
     origin, direction = np.empty_like(in_sensor), np.empty_like(in_sensor)
@@ -178,6 +182,7 @@ def _rays(
         b = column_share[i] - k
         for row in range(3):
             origin[i, row] = position[k, row] + b * (position[k + 1, row] - position[k, row])
+            origin[i, row] += rotation[k, row, 2] * up_m[i]
             value = 0.0
             for column in range(3):
                 r0, r1 = rotation[k, row, column], rotation[k + 1, row, column]
@@ -189,6 +194,7 @@ def _rays(
 @compiled_without_gil
 def _measured(
     in_sensor: Floats,
+    up_m: Floats,
     offset_ns: NDArray[np.int32],
     direction: Floats,
     distance: Floats,
@@ -224,6 +230,7 @@ def _measured(
         r = step * round((r + sigma * noise[i]) / step)
         for j in range(3):
             points[m, j] = r * in_sensor[i, j]
+        points[m, 2] += up_m[i]
         brightness = returned * (0.95 + 0.1 * chance[1, i])
         intensity[m] = math.floor(_FULL_INTENSITY * min(brightness, 1.0))
         offset[m] = offset_ns[i]

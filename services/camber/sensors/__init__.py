@@ -1,0 +1,1 @@
+"""LiDARs and CAN buses of a vehicle → sweeps and motion."""

@@ -1,0 +1,102 @@
+"""A LiDAR's packets as they arrived → its sweeps in GPS time, and what was amiss with them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from camber.formats.lidar_firings import Decoded, Firings, LidarDecoder
+from camber.schemas.lidar import Sweep
+from camber.sensors.sensor_clock import SensorClock
+from camber.sensors.sweep_cutting import SweepCutter
+
+ISSUES = {
+    "size": "lidar_packets",
+    "flag": "lidar_packets",
+    "mode": "lidar_packets",
+    "stamp": "lidar_packets",
+    "azimuth": "lidar_packets",
+    "type": "lidar_packets",
+    "empty": "lidar_packets",
+    "model": "lidar_model",
+}
+"""Why a packet is refused → the issue under which health names it."""
+
+
+class LidarReader:
+    """One sensor. `issues` are those of the last call: code and text."""
+
+    def __init__(self, sensor: str, decoder: LidarDecoder, clock: SensorClock, least_share: float) -> None:
+        self.counts: Counter[str] = Counter()
+        self.issues: list[tuple[str, str]] = []
+        self._decoder, self._clock = decoder, clock
+        self._cutter = SweepCutter(
+            sensor, decoder.interval_ns, decoder.firings_of_packet, decoder.beam_after_ns, least_share
+        )
+        self._session: int | None = None
+
+    def take(self, payloads: Sequence[bytes], arrivals_ns: Sequence[int]) -> list[Sweep]:
+        """Packets and the GPS times at which they arrived, in that order; returns the sweeps they complete."""
+        self.issues = []
+        decoded = self._decoder.decode(payloads)
+        self.counts["packets.read"] += len(payloads)
+        for reason, n in decoded.refused.items():
+            self.counts[f"packets.refused_{reason}"] += n
+        for code in sorted({ISSUES[reason] for reason in decoded.refused}):
+            self.issues.append((code, decoded.detail))
+        self._look_for_a_start(decoded)
+        sweeps: list[Sweep] = []
+        for first, times in self._runs(decoded, arrivals_ns):
+            if first:
+                self._cutter.start_anew()
+            if decoded.firings is not None and times:
+                sweeps += self._add(decoded.firings, times)
+        self._count()
+        return sweeps
+
+    def finish(self) -> list[Sweep]:
+        """The recording has ended."""
+        sweeps = self._cutter.finish()
+        self._count()
+        return sweeps
+
+    def _count(self) -> None:
+        self.counts.update({name: n - self.counts[name] for name, n in self._cutter.counts.items()})
+
+    def _look_for_a_start(self, decoded: Decoded) -> None:
+        if decoded.session is None or decoded.session == self._session:
+            return
+        if self._session is not None:
+            self._cutter.start_anew()
+            self.issues.append(("lidar_started_again", f"the sensor's session is {decoded.session} now"))
+        self._session = decoded.session
+
+    def _runs(self, decoded: Decoded, arrivals_ns: Sequence[int]) -> list[tuple[bool, dict[int, int]]]:
+        """Packets between which no clock was set: whether one was before them, and the time of each."""
+        runs: list[tuple[bool, dict[int, int]]] = [(False, {})]
+        for number, (stamp_ns, arrival_ns) in enumerate(zip(decoded.stamp_ns, arrivals_ns, strict=True)):
+            if stamp_ns is None:
+                continue
+            time_ns = self._clock.time_ns(stamp_ns, arrival_ns)
+            if self._clock.jump:
+                self.counts["clock.jumps"] += 1
+                self.issues.append(("lidar_clock_jumped", self._clock.jump))
+                runs.append((True, {}))
+            if time_ns is None:
+                self.counts["packets.refused_time"] += 1
+                self.issues.append(("lidar_clock", self._clock.refusal))
+            else:
+                runs[-1][1][number] = time_ns
+        return runs
+
+    def _add(self, firings: Firings, times: dict[int, int]) -> list[Sweep]:
+        of_packet = np.full(int(firings.packet.max()) + 1, -1, np.int64)
+        for number, time_ns in times.items():
+            if number < len(of_packet):
+                of_packet[number] = time_ns
+        begin_ns = of_packet[firings.packet]
+        known = begin_ns >= 0
+        chosen = firings if known.all() else firings.chosen(known)
+        return self._cutter.add(begin_ns[known] + chosen.after_ns, chosen) if len(chosen) else []

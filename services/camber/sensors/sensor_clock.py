@@ -1,0 +1,112 @@
+"""When a packet was measured, in GPS time, from its stamp by the sensor's clock and from when it arrived.
+
+The scale of the stamps is told, never guessed. What comes out is compared with the time of arrival: a sensor that is
+not what it was said to be is refused, with what its distance from the machine's clock looks like.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from camber.geodesy.gps_time import (
+    NS_PER_SECOND,
+    UNIX_OF_GPS_EPOCH_NS,
+    gps_ns_from_unix_ns,
+    unix_ns_from_gps_ns,
+)
+
+TimeScale = Literal["utc_hour", "utc", "tai", "gps", "arrival"]
+"""utc_hour: since the hour of UTC. utc, tai, gps: since 1970, as computers count UTC, as PTP counts TAI, as GPS time
+without leap seconds. arrival: from whenever it was switched on; then the quickest packets tell its offset."""
+
+_HOUR_NS = 3600 * NS_PER_SECOND
+_TAI_AHEAD_NS = 19 * NS_PER_SECOND  # of GPS time, since ever
+_JUMP_NS = (
+    50_000_000  # by which stamps and arrivals part from one packet to the next only where a clock was set
+)
+_QUICKEST_OF_NS = 10 * NS_PER_SECOND
+_LOOKS_LIKE = {
+    18: "18 s: the stamps are UTC and were said to be GPS time, or the other way round",
+    19: "19 s: the stamps are TAI and were said to be GPS time, or the other way round",
+    37: "37 s: the stamps are TAI (PTP) and were said to be UTC, or the other way round",
+}
+
+
+class SensorClock:
+    """`offset_ns` is added to what the stamps say; further than `limit_ns` from the arrival is refused."""
+
+    def __init__(self, scale: TimeScale, offset_ns: int, limit_ns: int) -> None:
+        self._scale: TimeScale = scale
+        self._offset_ns, self._limit_ns = offset_ns, limit_ns
+        self._last: tuple[int, int] | None = None  # stamp as time, arrival
+        self._quickest = _Quickest()
+        self.refusal = ""
+        self.jump = ""
+
+    def time_ns(self, stamp_ns: int, arrival_ns: int) -> int | None:
+        """GPS time of a stamp that arrived at this GPS time; None where it cannot be, `refusal` says why.
+
+        `jump` says whether the sensor's clock was set since the packet before, or this machine's; else it is empty.
+        """
+        self.jump = ""
+        said_ns = self._of_stamp(stamp_ns, arrival_ns)
+        if said_ns is None:
+            return None
+        if self._last is not None:
+            moved_ns = (said_ns - self._last[0]) - (arrival_ns - self._last[1])
+            if abs(moved_ns) > _JUMP_NS:
+                self.jump = (
+                    f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
+                )
+                self._quickest = _Quickest()
+        self._last = (said_ns, arrival_ns)
+        if self._scale == "arrival":
+            return said_ns + self._quickest.least_ns(arrival_ns - said_ns, arrival_ns) + self._offset_ns
+        time_ns = said_ns + self._offset_ns
+        if abs(time_ns - arrival_ns) > self._limit_ns:
+            self.refusal = _words(time_ns - arrival_ns, self._scale)
+            return None
+        return time_ns
+
+    def _of_stamp(self, stamp_ns: int, arrival_ns: int) -> int | None:
+        if self._scale == "arrival":
+            return stamp_ns
+        if self._scale == "utc_hour":
+            if stamp_ns >= _HOUR_NS:
+                self.refusal = "stamps of an hour or more: the sensor does not count the time since the hour"
+                return None
+            arrival_utc_ns = unix_ns_from_gps_ns(arrival_ns)
+            # The hour in which it is nearest to its arrival.
+            late_ns = (arrival_utc_ns - stamp_ns + _HOUR_NS // 2) % _HOUR_NS - _HOUR_NS // 2
+            return arrival_ns - late_ns
+        since_ns = stamp_ns - UNIX_OF_GPS_EPOCH_NS
+        if since_ns < _TAI_AHEAD_NS:
+            self.refusal = "stamps before 1980: the sensor counts from when it was switched on"
+            return None
+        if self._scale == "tai":
+            return since_ns - _TAI_AHEAD_NS
+        return since_ns if self._scale == "gps" else gps_ns_from_unix_ns(stamp_ns)
+
+
+class _Quickest:
+    """The least delay of the last ten to twenty seconds."""
+
+    def __init__(self) -> None:
+        self._before: int | None = None
+        self._now: int | None = None
+        self._since_ns = 0
+
+    def least_ns(self, delay_ns: int, arrival_ns: int) -> int:
+        if self._now is None or not 0 <= arrival_ns - self._since_ns < _QUICKEST_OF_NS:
+            self._before, self._now, self._since_ns = self._now, delay_ns, arrival_ns
+        self._now = min(self._now, delay_ns)
+        return self._now if self._before is None else min(self._before, self._now)
+
+
+def _words(apart_ns: int, scale: TimeScale) -> str:
+    apart_s = apart_ns / 1e9
+    text = f"stamps read as {scale} are {apart_s:+.3f} s from this machine's clock"
+    looks = _LOOKS_LIKE.get(round(abs(apart_s))) if abs(abs(apart_s) - round(abs(apart_s))) < 0.5 else None
+    if looks is not None:
+        return f"{text}; {looks}"
+    return f"{text}: the sensor is not synchronised, counts otherwise, or this machine's clock is wrong"

@@ -1,0 +1,136 @@
+"""The process of the sensors: packets of a LiDAR and frames of a CAN bus become sweeps and motion on the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from camber.formats.candump import CandumpDecoder, CanFrame
+from camber.formats.packet_ports import CanPort, UdpPort
+from camber.formats.pcap import Datagram, PcapDecoder
+from camber.formats.timed_file import TimedFile
+from camber.runtime.bus import Bus
+from camber.runtime.service import Service
+from camber.schemas.base import Message
+from camber.schemas.motion import Suspension
+from camber.sensors.inputs import Input, Live, Played, gps_ns
+from camber.sensors.settings import SensorsSettings, can_source, lidar_source
+
+
+class SensorsService(Service[SensorsSettings]):
+    """What arrives is published as soon as it is whole; what is amiss is counted and named."""
+
+    NAME = "sensors"
+    SETTINGS = SensorsSettings
+
+    def __init__(self, settings: SensorsSettings, bus: Bus) -> None:
+        super().__init__(settings, bus)
+        started_ns = bus.now_ns()
+        self._given_ns: dict[str, int] = {}
+        self._played: list[Played[Datagram] | Played[CanFrame]] = []
+        self._packets = self._open_lidar()
+        self._frames = self._open_can()
+        self._lidar = None if self._packets is None else settings.lidar.reader()
+        self._can = None if self._frames is None else settings.can.reader()
+        self._sweeps_ended = False
+        self._named_silent: frozenset[str] = frozenset()
+        firsts = [first for played in self._played if (first := played.first_ns()) is not None]
+        for played in self._played:
+            if firsts:
+                played.start(min(firsts), started_ns, dated_now=settings.recordings == "now")
+        for name, used in (("lidar", self._lidar), ("can", self._can)):
+            if used is not None:
+                self._given_ns[name] = started_ns
+
+    def _open_lidar(self) -> Input[Datagram] | None:
+        if self.settings.lidar.source is None:
+            return None
+        where = lidar_source(self.settings.lidar.source)
+        if where[0] == "udp":
+            return Live("lidar", UdpPort(where[1], where[2]))
+        played = Played("lidar", TimedFile(where[1], PcapDecoder(where[1].name)))
+        self._played.append(played)
+        return played
+
+    def _open_can(self) -> Input[CanFrame] | None:
+        if self.settings.can.source is None:
+            return None
+        where = can_source(self.settings.can.source)
+        if where[0] == "socketcan":
+            return Live("can", CanPort(where[1]))
+        played = Played("can", TimedFile(where[1], CandumpDecoder(where[1].name)))
+        self._played.append(played)
+        return played
+
+    def advance(self, now_ns: int) -> None:
+        """Read what has come, publish what is whole."""
+        self._work_lidar(now_ns)
+        self._work_can(now_ns)
+        for name in self._silent(now_ns):
+            if name not in self._named_silent:
+                what = "sweep" if name == "lidar" else "motion"
+                self.bus.issue("sensor_silent", f"{name}: no {what} for {self.settings.silence_s:g} s")
+        self._named_silent = self._silent(now_ns)
+
+    def healthy(self) -> bool:
+        """Does every input give something?"""
+        return not self._silent(self.bus.now_ns())
+
+    def _silent(self, now_ns: int) -> frozenset[str]:
+        limit_ns = self.settings.silence_s * 1e9
+        return frozenset(name for name, given_ns in self._given_ns.items() if now_ns - given_ns > limit_ns)
+
+    def close(self) -> None:
+        """Close ports and files."""
+        for one in (self._packets, self._frames):
+            if one is not None:
+                one.close()
+
+    def _work_lidar(self, now_ns: int) -> None:
+        if self._packets is None or self._lidar is None or self._sweeps_ended:
+            return
+        settings = self.settings.lidar
+        found = self._packets.take(now_ns)
+        packets = [
+            one
+            for one in found
+            if (settings.sender is None or one.source == settings.sender)
+            and (self._packets not in self._played or one.port == settings.udp_port())
+        ]
+        self.bus.count("lidar.packets.of_others", len(found) - len(packets))
+        sweeps = self._lidar.take([one.payload for one in packets], [gps_ns(one.time_ns) for one in packets])
+        issues = [*self._packets.issues, *self._lidar.issues]
+        if self._packets.ended:
+            self._sweeps_ended = True
+            sweeps += self._lidar.finish()
+        for sweep in sweeps:
+            self._give("lidar", "sweep", sweep, self._packets.shift_ns, now_ns)
+        self._report("lidar", issues, {**self._packets.counts, **self._lidar.counts})
+
+    def _work_can(self, now_ns: int) -> None:
+        if self._frames is None or self._can is None:
+            return
+        settings = self.settings.can
+        offset_ns = round(settings.clock_offset_s * 1e9)
+        for frame in self._frames.take(now_ns):
+            if settings.bus is not None and frame.bus != settings.bus:
+                self.bus.count("can.frames.of_other_buses")
+                continue
+            for message in self._can.take(frame, gps_ns(frame.time_ns) + offset_ns):
+                channel = "suspension" if isinstance(message, Suspension) else "motion"
+                self._give("can", channel, message, self._frames.shift_ns, now_ns)
+        self._report("can", self._frames.issues, {**self._frames.counts, **self._can.counts})
+
+    def _give(self, source: str, channel: str, message: Message, shift_ns: int, now_ns: int) -> None:
+        if shift_ns:
+            message = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
+        self._given_ns[source] = now_ns
+        self.bus.publish(channel, message)
+
+    def _report(self, name: str, issues: list[tuple[str, str]], counts: Mapping[str, int]) -> None:
+        for code, text in issues:
+            self.bus.issue(code, text)
+        for what, n in counts.items():
+            self.bus.count(f"{name}.{what}", n - self.bus.counters[f"{name}.{what}"])
+
+
+SERVICE = SensorsService

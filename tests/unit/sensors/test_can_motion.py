@@ -1,0 +1,203 @@
+"""Motion out of frames: what is missing, old, invalid or beyond its range is None, and the rest in SI units."""
+
+import math
+
+import numpy as np
+import pytest
+
+from camber.formats.candump import CandumpDecoder, CanFrame, candump_text
+from camber.formats.dbc import read_dbc
+from camber.schemas.motion import Motion, Suspension
+from camber.sensors.can_motion import CanMotion, SignalError, SignalUse
+from camber.sensors.inputs import gps_ns
+from camber.simulator.can_frames import DBC, INVALID, STEERING_RATIO, can_frames
+from camber.simulator.vehicle.sensor_clock import Readings
+from camber.simulator.vehicle.sensor_messages import motion_messages
+from camber.simulator.vehicle.sensors import VehicleReadings
+
+MESSAGES = read_dbc(DBC, "can.dbc")
+USES = {
+    "wheel_speed": SignalUse("Wheels.Speed", "km/h", (INVALID,)),
+    "yaw_rate": SignalUse("Dynamics.YawRate", "deg/s", (INVALID,)),
+    "steering_angle": SignalUse("Steering.WheelAngle", "deg", (INVALID,), 1.0 / STEERING_RATIO),
+    "pitch": SignalUse("Attitude_Pitch.NoseUp", "deg", (INVALID,), -1.0),
+    "roll": SignalUse("Attitude_Roll.LeftUp", "deg", (INVALID,)),
+    "stroke_height": SignalUse("Suspension.Height", "mm", (INVALID,)),
+}
+START_NS = 1_400_000_000 * 1_000_000_000
+STEP_NS = 20_000_000
+
+
+def frame(name: str, raw: int | None = None, length: int | None = None) -> CanFrame:
+    message = MESSAGES[name]
+    (signal,) = message.signals.values()
+    data = signal.placed(INVALID if raw is None else raw, bytes(message.length_bytes))
+    return CanFrame(0, "can0", message.identifier, message.extended, data[:length])
+
+
+def motion_of(*frames: tuple[float, CanFrame], **more: object) -> list:
+    can = CanMotion(MESSAGES, USES, **more)  # type: ignore[arg-type]
+    return [found for at_s, each in frames for found in can.take(each, START_NS + round(at_s * 1e9))]
+
+
+def readings(seed: int = 2) -> VehicleReadings:
+    """Units that send at their own times, and now and then say nothing."""
+    rng = np.random.default_rng(seed)
+
+    def one(sigma: float, rate_hz: float) -> Readings:
+        n = round(10 * rate_hz)
+        time_ns = START_NS + np.sort(rng.integers(0, 10_000_000_000, n))
+        value = rng.normal(0.0, sigma, n)
+        value[rng.random(n) < 0.05] = math.nan
+        return Readings(time_ns, time_ns, value)
+
+    return VehicleReadings(
+        one(8.0, 50), one(0.2, 50), one(0.1, 20), one(0.03, 20), one(0.03, 20), one(0.1, 20), one(1.0, 20)
+    )
+
+
+def test_what_a_simulated_vehicle_says_on_its_bus_is_its_motion() -> None:
+    """Against what the simulator's own gateway makes of the same readings, within what the signals resolve."""
+    said = readings()
+    decoder = CandumpDecoder("can.log")
+    frames = decoder.feed(candump_text(can_frames(said)).encode()) + decoder.finish()
+    can = CanMotion(MESSAGES, USES)
+    found = [message for each in frames for message in can.take(each, gps_ns(each.time_ns))]
+    motion = [message for message in found if isinstance(message, Motion)]
+    # A sensor that says that it knows nothing is not known, where the simulator's table has NaN.
+    table = [
+        {
+            name: None if value is None or (isinstance(value, float) and math.isnan(value)) else value
+            for name, value in row.items()
+        }
+        for row in ({**m} for m in _rows(said))
+    ]
+    assert len(motion) == len(table) == 500
+    steps = {
+        "wheel_speed_m_s": 0.01 / 3.6,
+        "yaw_rate_rad_s": math.radians(0.005),
+        "steering_angle_rad": math.radians(0.05) / STEERING_RATIO,
+        "pitch_rad": math.radians(0.001),
+        "roll_rad": math.radians(0.001),
+    }
+    for made, true in zip(motion, table, strict=True):
+        assert 0 <= true["time_ns"] - made.time_ns < 1000
+        for name, step in steps.items():
+            value = getattr(made, name)
+            assert (value is None) == (true[name] is None), (name, made, true)
+            assert value is None or value == pytest.approx(true[name], abs=0.501 * step)
+    strokes = [message for message in found if isinstance(message, Suspension)]
+    assert said.stroke is not None
+    known = said.stroke.value[~np.isnan(said.stroke.value)]
+    np.testing.assert_allclose([one.stroke_height_m for one in strokes], known, atol=5.1e-5)
+
+
+def _rows(said: VehicleReadings) -> list[dict]:
+    """The simulator's gateway, whose message cannot carry NaN: with a number in its place, and back."""
+    mark = 6.5
+    marked = VehicleReadings(
+        *(
+            Readings(one.time_ns, one.true_time_ns, np.where(np.isnan(one.value), mark, one.value))
+            for one in (
+                said.wheel_speed, said.yaw_rate, said.steering, said.pitch, said.roll, said.ranging, said.ranging,
+            )
+        )
+    )  # fmt: skip
+    return [
+        {name: math.nan if value == mark else value for name, value in message.model_dump().items()}
+        for message in motion_messages(marked)
+    ]
+
+
+def test_units_and_signs_are_those_that_the_settings_say() -> None:
+    (found,) = motion_of(
+        (0.0, frame("Wheels", -3600)),
+        (0.0, frame("Steering", 300)),
+        (0.0, frame("Attitude_Pitch", 2000)),
+        (0.0, frame("Dynamics", 2000)),
+    )
+    assert found.wheel_speed_m_s == pytest.approx(-10.0)
+    assert found.steering_angle_rad == pytest.approx(math.radians(1.0))
+    assert found.pitch_rad == pytest.approx(math.radians(-2.0))
+    assert found.yaw_rate_rad_s == pytest.approx(math.radians(10.0))
+    assert found.roll_rad is None
+
+
+def test_what_is_old_invalid_cut_off_or_beyond_its_range_is_not_known() -> None:
+    cases = {
+        "old": (-0.11, frame("Wheels", 100)),
+        "ahead": (0.01, frame("Wheels", 100)),
+        "invalid": (0.0, frame("Wheels")),
+        "short": (0.0, frame("Wheels", 100, 1)),
+        "range": (0.0, frame("Wheels", 30_001)),
+    }
+    for why, (at_s, each) in cases.items():
+        (found,) = motion_of((at_s, each), (0.0, frame("Dynamics", 1)))
+        assert found.wheel_speed_m_s is None, why
+        assert found.yaw_rate_rad_s is not None
+    (found,) = motion_of((-0.09, frame("Wheels", 100)), (0.0, frame("Dynamics", 1)))
+    assert found.wheel_speed_m_s is not None
+
+
+def test_a_value_that_becomes_invalid_does_not_leave_the_old_one() -> None:
+    *_, last = motion_of((0.0, frame("Wheels", 100)), (0.01, frame("Wheels")), (0.02, frame("Dynamics", 1)))
+    assert last.wheel_speed_m_s is None
+
+
+def test_a_yaw_rate_that_is_invalid_still_makes_a_motion_without_it() -> None:
+    (found,) = motion_of((0.0, frame("Wheels", 360)), (0.0, frame("Dynamics")))
+    assert (found.yaw_rate_rad_s, found.wheel_speed_m_s) == (None, pytest.approx(1.0))
+
+
+def test_another_message_can_make_the_motion() -> None:
+    found = motion_of(
+        (0.0, frame("Dynamics", 1)), (0.01, frame("Wheels", 1)), (0.02, frame("Wheels", 2)), trigger="Wheels"
+    )
+    assert [round((each.time_ns - START_NS) / 1e6) for each in found] == [10, 20]
+
+
+def test_frames_of_others_and_of_another_length_of_identifier_change_nothing() -> None:
+    other = frame("Dynamics", 1)
+    assert motion_of((0.0, CanFrame(0, "can0", other.identifier, True, other.data))) == []
+    assert motion_of((0.0, CanFrame(0, "can0", 0x7FF, False, bytes(8)))) == []
+
+
+@pytest.mark.parametrize(("gear", "speed_m_s"), [(7, -10.0), (1, 10.0), (None, None)])
+def test_where_the_speed_has_no_sign_the_gear_gives_it(gear: int | None, speed_m_s: float | None) -> None:
+    text = DBC.replace("CM_", 'BO_ 5 Gear: 1 G\n SG_ Now : 0|4@1+ (1,0) [0|15] "" G\n\nCM_')
+    messages = read_dbc(text, "can.dbc")
+    uses = {**USES, "reverse_gear": SignalUse("Gear.Now", None)}
+    can = CanMotion(messages, uses, reverse=(7,))
+    if gear is not None:
+        can.take(CanFrame(0, "can0", 5, False, bytes([gear])), START_NS)
+    can.take(frame("Wheels", 3600), START_NS)
+    (found,) = can.take(frame("Dynamics", 1), START_NS)
+    assert found.wheel_speed_m_s == (None if speed_m_s is None else pytest.approx(speed_m_s))
+
+
+@pytest.mark.parametrize(
+    ("gives", "use", "words"),
+    [
+        ("yaw_rate", SignalUse("Dynamics.Yaw", "deg/s"), "yaw_rate: there is no signal Yaw in Dynamics"),
+        ("yaw_rate", SignalUse("YawRate", "deg/s"), "yaw_rate: there is no message YawRate"),
+        ("yaw_rate", SignalUse("Dynamics.YawRate", "rad/s"), "yaw_rate: the DBC file has Dynamics.YawRate in deg/s"),
+        ("yaw_rate", SignalUse("Dynamics.YawRate", "deg"), "yaw_rate: unit is deg, expected one of a turn rate"),
+        ("yaw_rate", SignalUse("Dynamics.YawRate", None), "yaw_rate: unit is not set, expected one of a turn rate"),
+    ],
+)  # fmt: skip
+def test_a_signal_that_cannot_be_is_one_clear_line(gives, use: SignalUse, words: str) -> None:
+    with pytest.raises(SignalError) as error:
+        CanMotion(MESSAGES, {gives: use})
+    assert str(error.value).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("SG_ YawRate", "SG_ YawRate m2", "is multiplexed"),
+        ("CM_", "SIG_VALTYPE_ 434 YawRate : 1;\nCM_", "floating"),
+    ],
+)
+def test_signals_that_are_not_read_are_refused_and_not_misread(old: str, new: str, words: str) -> None:
+    with pytest.raises(SignalError, match=words):
+        CanMotion(read_dbc(DBC.replace(old, new), "can.dbc"), {"yaw_rate": USES["yaw_rate"]})

@@ -1,0 +1,254 @@
+"""Sweeps out of packets: those of the simulated sensors give the simulated sweeps, whatever happens on the way."""
+
+import dataclasses
+import json
+from functools import cache
+from random import Random
+
+import numpy as np
+import pytest
+
+from camber.formats.ouster import OusterDecoder
+from camber.formats.ouster_metadata import read_ouster_metadata
+from camber.formats.velodyne import MODELS, VelodyneDecoder
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.schemas.lidar import Sweep
+from camber.sensors.lidar_reader import LidarReader
+from camber.sensors.sensor_clock import SensorClock
+from camber.simulator.lidar_packets import (
+    PATTERNS,
+    ouster_metadata,
+    ouster_packets,
+    velodyne_packets,
+)
+from camber.simulator.scene import Shapes
+from camber.simulator.vehicle.lidar import Lidar
+from camber.simulator.vehicle.pose_track import PoseTrack
+from camber.simulator.world.tracing import ShapeTracer
+
+KINDS = ("velodyne", "ouster")
+# So that an hour ends within.
+START_NS = gps_ns_from_utc(CalendarTime(2026, 3, 20, 9, 59, 59, 750_000_000))
+LATE_NS = 300_000
+GROUND = np.array([[[-90.0, -90, 0], [90, -90, 0], [90, 90, 0]], [[-90, -90, 0], [90, 90, 0], [-90, 90, 0]]])
+
+
+@cache
+def sweeps(kind: str) -> tuple[Sweep, ...]:
+    """Four turns between poles and a wall, at 10 m/s."""
+    tracer = ShapeTracer(
+        Shapes.of(
+            boxes=[(40.0, 0.0, 0.0, 2.0, 60.0, 20.0, 0.0)],
+            cylinders=[(12.0, 6.0, 0.0, 0.15, 8.0), (-9.0, -5.0, 0.0, 0.2, 8.0)],
+            triangles=GROUND,
+        )
+    )
+    time_ns = START_NS + 10_000_000 * np.arange(42, dtype=np.int64)
+    place = np.stack((0.1 * np.arange(42.0), np.zeros(42), np.full(42, 2.0)), axis=1)
+    track = PoseTrack(time_ns, place, np.tile([0.0, 0.0, 0.3], (42, 1)))
+    return tuple(scan.sweep for scan in Lidar(PATTERNS[kind], track, tracer, 1).scans())
+
+
+@cache
+def packets(kind: str) -> tuple[tuple[int, bytes], ...]:
+    """Arrival and payload."""
+    made = velodyne_packets(sweeps(kind)) if kind == "velodyne" else ouster_packets(sweeps(kind))
+    return tuple((time_ns + LATE_NS, payload) for time_ns, payload in made)
+
+
+def reader(kind: str, *, least_share: float = 0.5) -> LidarReader:
+    if kind == "velodyne":
+        return LidarReader(
+            "top", VelodyneDecoder(MODELS["HDL-32E"]), SensorClock("utc_hour", 0, 100_000_000), least_share
+        )
+    decoder = OusterDecoder(read_ouster_metadata(ouster_metadata(), "m.json"))
+    return LidarReader("top", decoder, SensorClock("tai", 0, 100_000_000), least_share)
+
+
+def read(one: LidarReader, arrived, at_once: int = 16) -> tuple[list[Sweep], list[tuple[str, str]]]:
+    found: list[Sweep] = []
+    issues: list[tuple[str, str]] = []
+    for k in range(0, len(arrived), at_once):
+        part = arrived[k : k + at_once]
+        found += one.take([payload for _, payload in part], [time_ns for time_ns, _ in part])
+        issues += one.issues
+    return found + one.finish(), issues
+
+
+def alike(kind: str, found: Sweep, true: Sweep) -> None:
+    """The same measurements but for what the format rounds: 0.01° and microseconds of a Velodyne."""
+    assert len(found.points_m) == len(true.points_m)
+    far_m = np.linalg.norm(true.points_m, axis=1)
+    apart_m = np.linalg.norm(found.points_m - true.points_m, axis=1)
+    rounded_rad = np.radians(0.0055) if kind == "velodyne" else 0.0
+    assert (apart_m <= rounded_rad * far_m + 2e-5).all()
+    times, true_times = (each.time_ns + each.offset_ns.astype(np.int64) for each in (found, true))
+    assert np.abs(times - true_times).max() <= (1000 if kind == "velodyne" else 0)
+    np.testing.assert_array_equal(found.intensity, true.intensity)
+    assert found.offset_ns.max() <= 0
+    assert (np.diff(found.offset_ns) >= 0).all()
+    assert 0 <= true.time_ns - found.time_ns < 100_000
+    assert found.sensor == "top"
+
+
+@pytest.mark.parametrize("at_once", [1, 16, 10_000])
+@pytest.mark.parametrize("kind", KINDS)
+def test_packets_of_simulated_sweeps_give_them_again(kind: str, at_once: int) -> None:
+    one = reader(kind)
+    found, issues = read(one, packets(kind), at_once)
+    assert issues == []
+    assert len(found) == len(sweeps(kind)) == 4
+    for a, b in zip(found, sweeps(kind), strict=True):
+        alike(kind, a, b)
+    assert one.counts["sweeps.whole"] == 4
+    assert one.counts["packets.lost"] == one.counts["packets.late"] == one.counts["packets.repeated"] == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_packets_that_come_in_another_order_or_twice_change_nothing(kind: str) -> None:
+    random = Random(4)
+    shuffled = sorted(packets(kind), key=lambda packet: packet[0] + random.randrange(2_800_000))
+    doubled = [packet for k, packet in enumerate(shuffled) for _ in range(2 if k % 50 == 3 else 1)]
+    assert shuffled != list(packets(kind))
+    one = reader(kind)
+    found, issues = read(one, doubled)
+    assert issues == []
+    for a, b in zip(found, sweeps(kind), strict=True):
+        alike(kind, a, b)
+    assert one.counts["packets.repeated"] + one.counts["packets.late"] == len(doubled) - len(shuffled)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_lost_is_counted_and_costs_its_points_alone(kind: str) -> None:
+    kept = [packet for k, packet in enumerate(packets(kind)) if k % 10 != 4]
+    one = reader(kind)
+    found, _ = read(one, kept)
+    assert len(found) == 4
+    assert one.counts["packets.lost"] == len(packets(kind)) - len(kept)
+    for a, b in zip(found, sweeps(kind), strict=True):
+        assert 0.85 < len(a.points_m) / len(b.points_m) < 0.95
+        everything = set(map(tuple, np.round(b.points_m.astype(float), 1).tolist()))
+        near = sum(tuple(p) in everything for p in np.round(a.points_m.astype(float), 1).tolist())
+        assert near > (0.9 if kind == "velodyne" else 0.999) * len(a.points_m)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sweeps_of_which_too_little_came_are_left_out(kind: str) -> None:
+    quarter = len(packets(kind)) // 4
+    one = reader(kind)
+    cut = (
+        packets(kind)[quarter * 3 // 4 : 2 * quarter]
+        + packets(kind)[2 * quarter : 2 * quarter + quarter // 3]
+    )
+    found, _ = read(one, cut)
+    assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in found] == [2]
+    assert one.counts["sweeps.partial"] == 2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_turns_are_never_one_sweep_when_all_between_is_lost(kind: str) -> None:
+    """From the middle of one turn to the middle of the next: places in the turn go on as if nothing were."""
+    quarter = len(packets(kind)) // 4
+    lost = packets(kind)[: quarter // 2] + packets(kind)[quarter * 3 // 2 + 3 :]
+    found, _ = read(reader(kind, least_share=0.2), lost)
+    spans = [int(sweep.offset_ns[-1]) - int(sweep.offset_ns[0]) for sweep in found]
+    assert max(spans) < 101_000_000
+    assert len(found) == 4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_clock_that_is_set_back_within_a_turn_gives_no_sweep_of_two_times(kind: str) -> None:
+    """60 ms at once: within what is accepted, and named."""
+    if kind == "velodyne":
+        later = [(arrival_ns, shifted_velodyne(payload, -60_000)) for arrival_ns, payload in packets(kind)]
+    else:
+        later = [(arrival_ns, shifted_ouster(payload, -60_000_000)) for arrival_ns, payload in packets(kind)]
+    half = len(later) * 11 // 16
+    one = reader(kind)
+    found, issues = read(one, [*packets(kind)[:half], *later[half:]], 8)
+    assert {code for code, _ in issues} == {"lidar_clock_jumped"}
+    assert one.counts["clock.jumps"] == 1
+    assert len(found) == 3
+    for sweep, true in zip(found[:2], sweeps(kind)[:2], strict=True):
+        alike(kind, sweep, true)
+    assert all(int(sweep.offset_ns[-1]) - int(sweep.offset_ns[0]) < 101_000_000 for sweep in found)
+
+
+def shifted_velodyne(payload: bytes, by_us: int) -> bytes:
+    stamp_us = (int.from_bytes(payload[1200:1204], "little") + by_us) % 3_600_000_000
+    return payload[:1200] + stamp_us.to_bytes(4, "little") + payload[1204:]
+
+
+def shifted_ouster(payload: bytes, by_ns: int, session: int = 7) -> bytes:
+    decoder = OusterDecoder(read_ouster_metadata(ouster_metadata(), "m.json"))
+    packet = np.frombuffer(payload, decoder._packet).copy()
+    packet["columns"]["stamp_ns"] += np.uint64(by_ns % 2**64)
+    packet["session"] = list(session.to_bytes(3, "little"))
+    return packet.tobytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_clock_that_is_wrong_gives_nothing_and_says_so(kind: str) -> None:
+    shift = {
+        "velodyne": lambda p: shifted_velodyne(p, 900_000_000),
+        "ouster": lambda p: shifted_ouster(p, -37 * 10**9),
+    }
+    one = reader(kind)
+    found, issues = read(one, [(arrival_ns, shift[kind](payload)) for arrival_ns, payload in packets(kind)])
+    assert found == []
+    assert {code for code, _ in issues} == {"lidar_clock"}
+    assert one.counts["packets.refused_time"] == len(packets(kind))
+
+
+def test_a_sensor_that_starts_again_begins_a_new_sweep() -> None:
+    half = len(packets("ouster")) // 2 + 20
+    again = [
+        (arrival_ns, shifted_ouster(payload, 0, session=8))
+        for arrival_ns, payload in packets("ouster")[half:]
+    ]
+    found, issues = read(reader("ouster", least_share=0.3), [*packets("ouster")[:half], *again], 4)
+    assert ("lidar_started_again", "the sensor's session is 8 now") in issues
+    assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in found] == [1, 2, 3, 4]
+    assert len(found[2].points_m) < len(sweeps("ouster")[2].points_m)
+
+
+def test_packets_of_others_are_counted_and_change_nothing() -> None:
+    random = Random(9)
+    mixed = []
+    for packet in packets("velodyne"):
+        mixed.append(packet)
+        if random.random() < 0.05:
+            mixed.append((packet[0], random.choice((b"", random.randbytes(1206), packets("ouster")[0][1]))))
+    one = reader("velodyne")
+    found, issues = read(one, mixed)
+    assert {code for code, _ in issues} == {"lidar_packets"}
+    for a, b in zip(found, sweeps("velodyne"), strict=True):
+        alike("velodyne", a, b)
+
+
+def test_a_sensor_that_stands_still_gives_no_sweep_and_fills_no_memory() -> None:
+    payload = packets("velodyne")[40][1]
+    first_us = int.from_bytes(payload[1200:1204], "little")
+    one = reader("velodyne")
+    still = []
+    for k in range(4000):
+        stamped = shifted_velodyne(payload, k * 553 - 1_000_000)
+        still.append((packets("velodyne")[40][0] + (k * 553 - 1_000_000) * 1000, stamped))
+    found, _ = read(one, still)
+    assert found == []
+    assert one.counts["sweeps.not_turning"] >= 1
+    assert first_us
+
+
+def test_another_beam_table_would_be_noticed() -> None:
+    """The test above can fail: a sensor whose beams stand 0.1° off gives other points."""
+    said = json.loads(ouster_metadata())
+    said["beam_intrinsics"]["beam_altitude_angles"] = [
+        angle + 0.1 for angle in said["beam_intrinsics"]["beam_altitude_angles"]
+    ]
+    decoder = OusterDecoder(read_ouster_metadata(json.dumps(said), "m.json"))
+    one = LidarReader("top", decoder, SensorClock("tai", 0, 100_000_000), 0.5)
+    found, _ = read(one, packets("ouster"))
+    with pytest.raises(AssertionError):
+        alike("ouster", found[0], sweeps("ouster")[0])
+    assert dataclasses.is_dataclass(PATTERNS["ouster"])
