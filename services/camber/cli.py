@@ -12,6 +12,7 @@ SERVICES = {
     "antenna_height": "fixed value, suspension, ranging, scan matches → height of the antenna above the road",
     "integrity": "everything above → verdict, position with its bounds, uploads",
     "map_update": "uploads of a fleet → stored, each once",
+    "sensors": "a LiDAR's packets and a CAN bus, live or recorded → sweeps and motion",
 }
 TOOLS = {
     "router": ("camber.runtime.router", "a Zenoh router in Python"),
@@ -25,8 +26,22 @@ TOOLS = {
     "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
     "evidence": ("camber.tools.evidence", "recorded and simulated drives, and the page of what came of them"),
     "map": ("camber.tools.maps.command", "releases of the map: build, inspect, compare, give away"),
+    "certs": ("camber.tools.certs", "certificates: an authority, one for each vehicle, who and until when"),
+    "access": ("camber.tools.access", "who may say what: configurations of routers, checked"),
+    "upload": (
+        "camber.tools.upload",
+        "observations of road heights in a file → the fleet's store, acknowledged",
+    ),
     "uploads": ("camber.tools.uploads", "what the fleet's store holds, as CSV"),
     "health": ("camber.tools.health", "ask a running service how it is"),
+    "doctor": (
+        "camber.tools.doctor",
+        "is this deployment fit to drive: settings, clock, disk, map, receiver",
+    ),
+    "record": ("camber.tools.record", "what is on a vehicle's bus into MCAP files"),
+    "play": ("camber.tools.play", "a recording back onto a bus"),
+    "log_level": ("camber.tools.log_level", "a running service logs more for a while"),
+    "status": ("camber.tools.status", "who is alive on the bus, rates, ages, queues, versions, last errors"),
 }
 GNSS_TOOLS = {
     "inspect": ("camber.tools.gnss_inspect", "what a recording of satellite navigation holds"),

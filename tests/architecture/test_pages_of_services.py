@@ -16,7 +16,7 @@ from camber.localizer.settings import GivenPose
 from camber.runtime.settings import ServiceSettings
 from support.tree import ROOT
 
-PAGES = ("gnss", "antenna_height", "localizer", "integrity")
+PAGES = ("gnss", "antenna_height", "localizer", "integrity", "sensors")
 
 
 def page_of(service: str) -> str:

@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from camber.schemas.channels import SERVICES
+from camber.schemas.channels import SENSORS, SERVICES
 from support.tree import ROOT, modules
 
 WIRING = {"service", "settings", "__main__"}
 PURE = [
-    (name, path) for name, path in modules() if name.split(".")[1] in SERVICES and path.stem not in WIRING
+    (name, path)
+    for name, path in modules()
+    if name.split(".")[1] in (*SERVICES, SENSORS) and path.stem not in WIRING
 ]
 # What a distribution is imported as, where it is not its own name with underscores.
 IMPORTED_AS = {"eclipse_zenoh": "zenoh", "nats_py": "nats", "pyserial": "serial"}

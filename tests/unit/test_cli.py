@@ -22,7 +22,7 @@ def test_help_names_every_service_and_every_tool(capsys: pytest.CaptureFixture[s
 
 
 def test_every_service_of_the_table_is_a_command() -> None:
-    assert set(cli.SERVICES) == set(channels.SERVICES)
+    assert set(cli.SERVICES) == {*channels.SERVICES, channels.SENSORS}
 
 
 @pytest.mark.parametrize("name", sorted(cli.SERVICES))

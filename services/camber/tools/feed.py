@@ -10,11 +10,9 @@ never jumps from the end to the beginning, which no vehicle does.
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -36,6 +34,7 @@ from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.simulator.drive_inputs import DriveInputs, prepare_drive
 from camber.simulator.sweep_files import SweepFile, SweepReader
+from camber.tools.stopping import stopped_by_signals
 
 _PROG = "camber feed"
 _NS = 1_000_000_000
@@ -220,19 +219,6 @@ def feed(
         _feed(passes(epochs, loop=loop), bus, stop, manifest.name, prog)
     finally:
         bus.close()
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set."""
-    stop = threading.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:

@@ -13,7 +13,7 @@ from pydantic_settings import SettingsConfigDict
 from camber.runtime.ask import BusError, QueryFailed, ask_once, reach_router
 from camber.runtime.clock import SystemClock
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.schemas.channels import SERVICES
+from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import Health, HealthRequest
 
 ROUTER = "router"
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "service", choices=(*SERVICES, ROUTER), metavar="SERVICE", help="which one, or router"
+        "service", choices=(*SERVICES, SENSORS, ROUTER), metavar="SERVICE", help="which one, or router"
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints"

@@ -38,6 +38,8 @@ from camber.tools.truth import offset_of, truth_of
 _SUPERVISE_EVERY_S = 0.05
 # Longer than the feeder runs ahead, so that the recording's order is that of the times.
 _RECORD_LAG_NS = 5_000_000_000
+# A killed process closes its links; one that a busy machine keeps waiting is not gone, and nothing may be lost.
+_LEASE_S = 20.0
 
 
 class _Stopped(KeyboardInterrupt):
@@ -119,7 +121,9 @@ def _run(
             recorder.add(name, data, key=key, arrival_ns=arrival_ns)
 
     settings = ServiceSettings(
-        vehicle=manifest.vehicle, clock="replay", zenoh=ZenohSettings(connect=[], listen=[endpoint])
+        vehicle=manifest.vehicle,
+        clock="replay",
+        zenoh=ZenohSettings(connect=[], listen=[endpoint], lease_s=_LEASE_S),
     )
     with _interruptible(), Feeder(settings, inputs.channels, observer=observe) as feeder:
         supervisor = _Supervisor(processes)
@@ -206,7 +210,12 @@ def service_configs(
             "clock": "replay",
             "state_dir": out / "state" / name,
             **own,
-            "zenoh": {"mode": "peer", "connect": [endpoint], "listen": ["tcp/127.0.0.1:0"]},
+            "zenoh": {
+                "mode": "peer",
+                "connect": [endpoint],
+                "listen": ["tcp/127.0.0.1:0"],
+                "lease_s": _LEASE_S,
+            },
         }
 
     raw = manifest.observations

@@ -27,7 +27,8 @@ from camber.simulator.drive_folder import parts_of, write_drive
 from camber.simulator.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
-from camber.tools.feed import add_bus_arguments, feed, stopped_by_signals
+from camber.tools.feed import add_bus_arguments, feed
+from camber.tools.stopping import stopped_by_signals
 
 _PROG = "camber simulate"
 _MARK = "scenario.json"

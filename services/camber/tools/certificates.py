@@ -1,0 +1,262 @@
+"""Certificates of a fleet: an authority in a folder, and what it has issued.
+
+    ca.pem, ca.key          the authority; the key leaves this folder never
+    NAME.pem, NAME.key      one for each router, vehicle, service and consumer
+    issued.json             all that were issued, by serial number: `Issued`
+
+The common name is what access rules go by. It is the name itself; after a revocation, `NAME+2` and so on: Zenoh knows
+no revocation lists, so what was revoked is a common name that is no more in the rules, and it never comes back.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Literal, get_args
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from pydantic import TypeAdapter, ValidationError
+
+from camber.runtime.tls import name_of
+from camber.schemas.base import Name
+
+Kind = Literal["router", "vehicle", "map_update", "consumer", "judge", "operator"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+INDEX = "issued.json"
+_BACKDATED = timedelta(minutes=5)  # clocks that are a little behind take it at once
+_RESERVED = frozenset({"ca", "fleet", "*"})
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
+
+
+class CertsError(Exception):
+    """What cannot be done, in one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Issued:
+    """One certificate; times are ISO 8601, UTC."""
+
+    name: str
+    kind: Kind
+    common_name: str
+    serial: str
+    until: str
+    revoked: str | None = None
+
+
+class Authority:
+    """The folder of an authority."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def make(cls, folder: Path, *, name: str, days: float, now: datetime) -> Authority:
+        """A new authority; raises CertsError where there is one."""
+        folder.mkdir(parents=True, exist_ok=True)
+        key = ec.generate_private_key(ec.SECP256R1())
+        builder = (
+            _builder(name, _distinguished(name), key, now, days)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_key_usage(signs=True), critical=True)
+        )
+        _write_pair(folder / "ca", key, builder.sign(key, hashes.SHA256()))
+        authority = cls(folder)
+        authority._save([])
+        return authority
+
+    def issued(self) -> list[Issued]:
+        """All certificates so far, oldest first."""
+        path = self.folder / INDEX
+        try:
+            return [Issued(**row) for row in json.loads(path.read_text("utf-8"))]
+        except FileNotFoundError:
+            raise CertsError(f"{path}: no such file; `camber certs make` makes an authority") from None
+        except (OSError, ValueError, TypeError) as error:
+            raise CertsError(f"{path}: {error}") from None
+
+    def issue(
+        self,
+        name: str,
+        kind: Kind,
+        *,
+        hosts: Sequence[str] = (),
+        days: float,
+        now: datetime,
+        renew: bool = False,
+    ) -> Issued:
+        """A certificate and its key. `renew`: in place of the one that is there, which stays valid until its end."""
+        check_name(name)
+        if kind == "router" and not hosts:
+            raise CertsError(
+                f"{name}: a router's certificate needs the host names or addresses it is reached at"
+            )
+        known = self.issued()
+        of_name = [row for row in known if row.name == name]
+        if any(row.kind != kind for row in of_name):
+            raise CertsError(f"{name}: was issued as {of_name[-1].kind}, not as {kind}")
+        in_use = [row for row in of_name if row.revoked is None]
+        if in_use and not renew:
+            raise CertsError(
+                f"{self.folder / name}.pem: there is one already; --renew makes one in its place"
+            )
+        revoked = {row.common_name for row in of_name if row.revoked is not None}
+        common_name = name if not revoked else f"{name}+{len(revoked) + 1}"
+        if any(row.common_name == common_name and row.name != name for row in known):
+            raise CertsError(f"{common_name}: this common name is another's")
+        authority, signing_key = self._signer()
+        days = min(days, (authority.not_valid_after_utc - now) / timedelta(days=1))
+        key = ec.generate_private_key(ec.SECP256R1())
+        usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
+        if kind == "router":
+            usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
+        builder = (
+            _builder(common_name, authority.subject, key, now, days)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_key_usage(signs=False), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()), critical=False
+            )
+        )
+        # Strict verifiers want a name of today's kind in each, also where nobody is joined at one.
+        names = [_general_name(host) for host in hosts] or [
+            x509.UniformResourceIdentifier(f"urn:camber:{name}")
+        ]
+        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+        certificate = builder.sign(signing_key, hashes.SHA256())
+        row = Issued(
+            name, kind, common_name, f"{certificate.serial_number:x}", _iso(certificate.not_valid_after_utc)
+        )
+        self._save([*known, row])
+        _write_pair(self.folder / name, key, certificate, replaces=bool(of_name))
+        return row
+
+    def revoke(self, name: str, *, now: datetime) -> list[Issued]:
+        """Mark all certificates under the present common name of `name` as revoked; returns them."""
+        known = self.issued()
+        taken = [row for row in known if row.name == name and row.revoked is None]
+        if not taken:
+            raise CertsError(f"{name}: no certificate of {self.folder} that is not revoked bears this name")
+        self._save([replace(row, revoked=_iso(now)) if row in taken else row for row in known])
+        return taken
+
+    def _signer(self) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+        certificate = read_certificate(self.folder / "ca.pem")
+        path = self.folder / "ca.key"
+        try:
+            key = serialization.load_pem_private_key(path.read_bytes(), password=None)
+        except OSError as error:
+            raise CertsError(f"{path}: {error.strerror}") from None
+        except (ValueError, TypeError):
+            raise CertsError(f"{path}: not a private key in PEM without a password") from None
+        if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+            raise CertsError(f"{path}: not the key of ca.pem")
+        return certificate, key
+
+    def _save(self, rows: list[Issued]) -> None:
+        path = self.folder / INDEX
+        fresh = path.with_suffix(".new")
+        fresh.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", "utf-8")
+        fresh.replace(path)
+
+
+def check_name(name: str) -> None:
+    """Raises CertsError for a name that cannot be a part of a key."""
+    try:
+        _NAME.validate_python(name)
+    except ValidationError:
+        raise CertsError(
+            f"{name!r}: not a name: a letter or digit, then up to 63 of A-Za-z0-9_.:@+-"
+        ) from None
+    if name in _RESERVED or name != name_of(name):
+        raise CertsError(f"{name}: this name has a meaning of its own")
+
+
+def read_certificate(path: Path) -> x509.Certificate:
+    """The first certificate of a PEM file; raises CertsError."""
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except OSError as error:
+        raise CertsError(f"{path}: {error.strerror}") from None
+    except ValueError:
+        raise CertsError(f"{path}: not a certificate in PEM") from None
+
+
+def common_name(name: x509.Name) -> str:
+    """The common name in a distinguished name; empty: it has none."""
+    found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
+
+
+def _builder(
+    name: str, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: float
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(_distinguished(name))
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _BACKDATED)
+        .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _distinguished(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _key_usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _write_pair(
+    stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, *, replaces: bool = False
+) -> None:
+    """Key first: a certificate without its key is of no use, a key without a certificate does no harm."""
+    secret = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    public = certificate.public_bytes(serialization.Encoding.PEM)
+    pairs = [(stem.with_name(stem.name + end), data, mode) for end, data, mode in
+             ((".key", secret, 0o600), (".pem", public, 0o644))]  # fmt: skip
+    for path, _, _ in pairs:
+        if path.exists() and not replaces:
+            raise CertsError(f"{path}: there is one already; it is not overwritten")
+    for path, data, mode in pairs:
+        fresh = path.with_name(path.name + ".new")
+        fresh.unlink(missing_ok=True)
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(data)
+        fresh.replace(path)
+
+
+def _iso(time: datetime) -> str:
+    return time.astimezone(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,74 @@
+"""A recorded message at another time: all instants in it moved alike, durations and everything else as they were."""
+
+from __future__ import annotations
+
+import functools
+import typing
+from typing import Any, TypeVar
+
+from pydantic.fields import FieldInfo
+
+from camber.schemas.base import EARLIEST_NS, Message, Model
+
+M = TypeVar("M", bound=Message)
+
+NS_PER_FIX_ID = 1_000_000
+"""Fixes are called by the millisecond of their epoch: moved too, or a judge would take them for those it has judged."""
+
+
+def moved(message: M, offset_ns: int) -> M:
+    """`message`, `offset_ns` later; a whole number of milliseconds, because fixes are called by theirs."""
+    if offset_ns % NS_PER_FIX_ID:
+        raise ValueError(f"offset of {offset_ns} ns, expected whole milliseconds")
+    return typing.cast(M, _moved(message, offset_ns))
+
+
+def instants(model: type[Model]) -> tuple[str, ...]:
+    """The fields of a model that are instants."""
+    return tuple(name for name, info in model.model_fields.items() if _is_instant(info))
+
+
+def _moved(model: Model, offset_ns: int) -> Model:
+    instant_fields, id_fields, parts = _plan(type(model))
+    update: dict[str, Any] = {}
+    for names, by in ((instant_fields, offset_ns), (id_fields, offset_ns // NS_PER_FIX_ID)):
+        for name in names:
+            value = getattr(model, name)
+            if value is not None:
+                update[name] = value + by
+    for name in parts:
+        value = getattr(model, name)
+        if isinstance(value, Model):
+            update[name] = _moved(value, offset_ns)
+        elif isinstance(value, tuple) and value and isinstance(value[0], Model):
+            update[name] = tuple(_moved(part, offset_ns) for part in value)
+    return model.model_copy(update=update)
+
+
+@functools.cache
+def _plan(model: type[Model]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Names of instants, of ids of fixes, and of fields that may hold parts."""
+    ids = tuple(name for name in model.model_fields if name == "fix_id")
+    parts = tuple(name for name, info in model.model_fields.items() if _holds_a_model(info.annotation))
+    return instants(model), ids, parts
+
+
+def _is_instant(info: FieldInfo) -> bool:
+    return any(_is_earliest(item) for item in [*info.metadata, *_metadata(info.annotation)])
+
+
+def _is_earliest(item: Any) -> bool:
+    if isinstance(item, FieldInfo):
+        return any(map(_is_earliest, item.metadata))
+    return getattr(item, "ge", None) == EARLIEST_NS
+
+
+def _metadata(annotation: Any) -> list[Any]:
+    own = list(annotation.__metadata__) if hasattr(annotation, "__metadata__") else []
+    return own + [item for argument in typing.get_args(annotation) for item in _metadata(argument)]
+
+
+def _holds_a_model(annotation: Any) -> bool:
+    if isinstance(annotation, type):
+        return issubclass(annotation, Model)
+    return any(_holds_a_model(argument) for argument in typing.get_args(annotation))

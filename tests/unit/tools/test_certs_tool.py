@@ -1,0 +1,161 @@
+"""`camber certs`: an authority, what it issues, what it refuses; keys are for their owner alone."""
+
+from __future__ import annotations
+
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+from cryptography.x509.verification import PolicyBuilder, Store
+
+from camber.tools import access, certs
+from camber.tools.certificates import Authority, common_name, read_certificate
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "pki"
+    words = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
+    assert certs.main([*words, "--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]) == 0
+    return made
+
+
+def vehicles_in(folder: Path, out: Path) -> dict[str, str]:
+    """Common name → vehicle, as `camber access cloud` lists them."""
+    assert access.main(["cloud", "--certs", str(folder), "--out", str(out)]) == 0
+    text = out.read_text()
+    names = [row.common_name for row in Authority(folder).issued() if row.kind == "vehicle"]
+    return {name: name for name in names if f'"cert_common_names": ["{name}"]' in text}
+
+
+def test_a_certificate_says_who_it_is_and_is_signed_by_the_authority(folder: Path) -> None:
+    authority = read_certificate(folder / "ca.pem")
+    for name in ("cloud", "map_update", "car-1", "car-2", "dashboard"):
+        certificate = read_certificate(folder / f"{name}.pem")
+        assert common_name(certificate.subject) == name
+        certificate.verify_directly_issued_by(authority)
+        constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
+        assert not constraints.ca, "nobody but the authority signs"
+
+
+def test_strict_verifiers_take_them(folder: Path) -> None:
+    store = Store([read_certificate(folder / "ca.pem")])
+    for name in ("cloud", "car-1"):
+        verified = PolicyBuilder().store(store).build_client_verifier()
+        chain = verified.verify(read_certificate(folder / f"{name}.pem"), [])
+        assert len(chain.chain) == 2
+    server = PolicyBuilder().store(store).build_server_verifier(x509.DNSName("cloud.example"))
+    assert server.verify(read_certificate(folder / "cloud.pem"), [])
+
+
+def test_only_a_router_can_be_joined(folder: Path) -> None:
+    for name, joined in (("cloud", True), ("car-1", False), ("map_update", False)):
+        usage = read_certificate(folder / f"{name}.pem").extensions.get_extension_for_class(
+            x509.ExtendedKeyUsage
+        )
+        assert (ExtendedKeyUsageOID.SERVER_AUTH in usage.value) == joined
+
+
+def test_keys_are_for_their_owner_alone(folder: Path) -> None:
+    keys = sorted(folder.glob("*.key"))
+    assert len(keys) == 6
+    assert {stat.S_IMODE(key.stat().st_mode) for key in keys} == {0o600}
+
+
+def test_nothing_is_overwritten(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert certs.main(["make", str(folder), "--host", "x"]) == 2
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 2
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert "ca.key: there is one already" in said[0]
+    assert "--renew" in said[1]
+
+
+def test_a_renewed_certificate_has_the_same_name_and_a_new_key(folder: Path) -> None:
+    before = (folder / "car-1.key").read_bytes(), read_certificate(folder / "car-1.pem")
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"]) == 0
+    after = read_certificate(folder / "car-1.pem")
+    assert (folder / "car-1.key").read_bytes() != before[0]
+    assert after.subject == before[1].subject
+    assert after.not_valid_after_utc > before[1].not_valid_after_utc
+
+
+def test_what_is_revoked_is_in_no_access_list_and_its_common_name_never_comes_back(
+    folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "cloud.json5"
+    assert set(vehicles_in(folder, out)) == {"car-1", "car-2"}
+    assert certs.main(["revoke", str(folder), "car-1"]) == 0
+    assert set(vehicles_in(folder, out)) == {"car-2"}
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 0
+    assert common_name(read_certificate(folder / "car-1.pem").subject) == "car-1+2"
+    assert set(vehicles_in(folder, out)) == {"car-1+2", "car-2"}
+    # The vehicle keeps its name, and so its keys.
+    assert "camber/v1/car-1/integrity/verdict" in out.read_text()
+    assert certs.main(["revoke", str(folder), "car-1"]) == 0
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 0
+    assert common_name(read_certificate(folder / "car-1.pem").subject) == "car-1+3"
+
+
+def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
+    said = capsys.readouterr().out
+    assert "who    cloud (joins and is joined)" in said
+    assert "by     Camber development" in said
+    assert "19 days left" in said
+    assert "hosts  cloud.example, 10.0.0.1" in said
+    assert "(an authority)" in said
+
+
+def test_show_and_list_say_what_has_expired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    past = datetime.now(UTC) - timedelta(days=3)
+    Authority(folder).issue("late", "vehicle", days=1, now=past)
+    assert certs.main(["show", str(folder / "late.pem")]) == 1
+    assert "EXPIRED" in capsys.readouterr().out
+    assert certs.main(["list", str(folder)]) == 0
+    assert "EXPIRED" in capsys.readouterr().out
+
+
+def test_a_certificate_does_not_outlive_its_authority(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    authority = Authority.make(tmp_path, name="brief", days=2, now=now)
+    authority.issue("car-1", "vehicle", days=30, now=now)
+    end = read_certificate(tmp_path / "ca.pem").not_valid_after_utc
+    assert read_certificate(tmp_path / "car-1.pem").not_valid_after_utc <= end
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["issue", "car 3", "--kind", "vehicle"], "not a name"),
+        (["issue", "fleet", "--kind", "vehicle"], "a meaning of its own"),
+        (["issue", "car-1+2", "--kind", "vehicle"], "a meaning of its own"),
+        (["issue", "edge", "--kind", "router"], "needs the host names"),
+        (["issue", "car-1", "--kind", "consumer"], "was issued as vehicle"),
+        (["revoke", "car-9"], "bears this name"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_done_is_one_line(
+    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert certs.main([words[0], str(folder), *words[1:]]) == 2
+    said = capsys.readouterr().err
+    assert why in said
+    assert said.count("\n") == 1
+
+
+def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [path.read_text().splitlines()[1] for path in folder.glob("*.key")]
+    certs.main(["show", str(folder / "car-1.key")])
+    certs.main(["show", *map(str, folder.glob("*.pem"))])
+    certs.main(["list", str(folder)])
+    said = capsys.readouterr()
+    assert "car-1.key: not a certificate in PEM" in said.err
+    assert not [line for line in lines if line in said.out + said.err]
