@@ -1,17 +1,44 @@
 """Print the requirements that pyproject.toml names, so that an image layer holds them apart from the source.
 
-usage: requirements.py pyproject.toml [EXTRA,EXTRA…]; without extras what every service needs, with them only theirs.
+usage: requirements.py pyproject.toml least|whole|compiled|EXTRA,EXTRA…
+
+least: what every process of Camber imports; whole: what the distribution asks for beyond that; compiled: the compiler,
+which several extras ask for; extras: what they ask for beyond all these.
 """
 
+import re
 import sys
 import tomllib
 from pathlib import Path
 
-project = tomllib.loads(Path(sys.argv[1]).read_text("utf-8"))["project"]
-extras = [name for name in "".join(sys.argv[2:]).split(",") if name]
-known = project["optional-dependencies"]
-for name in extras:
-    if name not in known:
-        raise SystemExit(f"{sys.argv[1]}: no extra {name!r}, expected some of {', '.join(known)}")
-wanted = [line for name in extras for line in known[name]] if extras else project["dependencies"]
-print("\n".join(wanted))
+NOT_IN_LEAST = {"cryptography", "mcap", "pynmeagps", "pyserial", "tqdm", "zstandard"}
+"""Of all dependencies those that judge and router do not import."""
+COMPILER = "numba"
+
+
+def name_of(requirement: str) -> str:
+    """The distribution that a requirement names."""
+    return re.split(r"[^A-Za-z0-9_.-]", requirement, maxsplit=1)[0]
+
+
+path, what = Path(sys.argv[1]), "".join(sys.argv[2:])
+project = tomllib.loads(path.read_text("utf-8"))["project"]
+extras = project["optional-dependencies"]
+everyone = project["dependencies"]
+compiler = [line for lines in extras.values() for line in lines if name_of(line) == COMPILER]
+if gone := NOT_IN_LEAST - {name_of(line) for line in everyone}:
+    raise SystemExit(
+        f"{path}: no dependency {', '.join(sorted(gone))}, which {Path(__file__).name} leaves out"
+    )
+layers = {
+    "least": [line for line in everyone if name_of(line) not in NOT_IN_LEAST],
+    "whole": [line for line in everyone if name_of(line) in NOT_IN_LEAST],
+    "compiled": list(dict.fromkeys(compiler)),
+}
+names = [name for name in what.split(",") if name]
+if what not in layers:
+    for name in names:
+        if name not in extras:
+            raise SystemExit(f"{path}: no extra {name!r}, expected some of {', '.join(extras)}")
+    layers[what] = [line for name in names for line in extras[name] if name_of(line) != COMPILER]
+print("\n".join(layers[what]))

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,76 +14,22 @@ import pytest
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
-from camber.schemas.channels import BY_NAME, SERVICES
+from camber.schemas.channels import BY_NAME, SERVICES, VEHICLE_SERVICES
 from camber.schemas.codec import decode
 from camber.schemas.integrity import Verdict
 from camber.simulator.short_drive import short_drive_truth
+from support.containers import Stack, skip_without_engine
+from support.containers import stack as started_stack
 from support.running import wait_until
-from support.tree import ROOT
 
 pytestmark = [pytest.mark.container, pytest.mark.slow, pytest.mark.timed]
 
 HEALTHY_WITHIN_S = 60
 OUTAGE_S = 6.0
 BACK_WITHIN_S = 30.0
+ROUTERS = ("vehicle_router", "cloud_router")
 CONFIRMED = ("confirmed", "confirmed_after_verification")
 RIGHT_WITHIN_M = 0.2  # the wrong fixes of the drive are off by 0.35 m of height and more
-
-
-def missing_engine() -> str | None:
-    """Why containers cannot be run here; None: they can."""
-    if shutil.which("docker") is None:
-        return "there is no docker command"
-    for command in (["docker", "info"], ["docker", "compose", "version"]):
-        if subprocess.run(command, capture_output=True, check=False).returncode != 0:
-            return f"`{' '.join(command)}` fails: no container engine answers"
-    return None
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-class Stack:
-    """The demo under a project name of its own, its router on a free port of this machine."""
-
-    def __init__(self) -> None:
-        self.project = f"camber-test-{os.getpid()}"
-        self.port = free_port()
-        kept = {
-            name: text for name, text in os.environ.items() if not name.startswith(("CAMBER_", "COMPOSE_"))
-        }
-        self._environ = {**kept, "CAMBER_PORT": str(self.port)}
-
-    def compose(self, *arguments: str, timeout_s: float = 60.0, check: bool = True) -> str:
-        """`docker compose …`; its output, or an AssertionError with what it said."""
-        command = ["docker", "compose", "--project-name", self.project, "--profile", "demo", *arguments]
-        done = subprocess.run(
-            command,
-            cwd=ROOT,
-            env=self._environ,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-        )
-        assert done.returncode == 0 or not check, (
-            f"{' '.join(command)}\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
-        )
-        return done.stdout
-
-    def inside(self, service: str, *command: str, check: bool = True) -> str:
-        """A command in a running container."""
-        return self.compose("exec", "-T", service, *command, check=check)
-
-    def health(self, service: str) -> dict[str, Any]:
-        """What a service says of itself; empty while it says nothing."""
-        command = ("camber", "health", service, "--config", f"/etc/camber/{service}.toml", "--json")
-        text = self.inside(service, *command, check=False)
-        said: dict[str, Any] = json.loads(text) if text.startswith("{") else {}
-        return said
 
 
 class Listener:
@@ -114,19 +56,10 @@ class Listener:
 
 @pytest.fixture(scope="module")
 def stack() -> Iterator[Stack]:
-    reason = missing_engine()
-    if reason is not None:
-        pytest.skip(reason)
-    stack = Stack()
-    try:
-        stack.compose("build", "--quiet", timeout_s=900.0)
+    skip_without_engine()
+    with started_stack("demo", "demo") as stack:
         stack.compose("up", "--detach", "--wait", "--wait-timeout", str(HEALTHY_WITHIN_S), timeout_s=120.0)
         yield stack
-    except BaseException:
-        print(stack.compose("logs", "--no-color", "--tail", "20", check=False))
-        raise
-    finally:
-        stack.compose("down", "--volumes", "--rmi", "local", "--timeout", "3", timeout_s=120.0)
 
 
 @pytest.fixture(scope="module")
@@ -137,10 +70,7 @@ def listener(stack: Stack) -> Iterator[Listener]:
 
 
 def test_every_service_is_healthy(stack: Stack) -> None:
-    rows = [json.loads(row) for row in stack.compose("ps", "--all", "--format", "json").splitlines()]
-    assert {row["Service"]: row["Health"] for row in rows} == dict.fromkeys(
-        (*SERVICES, "router", "demo"), "healthy"
-    )
+    assert stack.states() == dict.fromkeys((*SERVICES, *ROUTERS, "demo"), "healthy")
 
 
 def test_the_summary_of_the_demo_is_there_and_nothing_wrong_was_confirmed(stack: Stack) -> None:
@@ -152,7 +82,7 @@ def test_the_summary_of_the_demo_is_there_and_nothing_wrong_was_confirmed(stack:
 
 
 def test_services_run_without_rights_and_cannot_change_their_own_code(stack: Stack) -> None:
-    for service in ("gnss", "router", "demo"):
+    for service in ("gnss", "vehicle_router", "map_update", "demo"):
         assert stack.inside(service, "id", "-u").strip() == "10001"
         assert (
             stack.inside(service, "sh", "-c", "touch /opt/camber/x 2>/dev/null || echo refused").strip()
@@ -163,11 +93,28 @@ def test_services_run_without_rights_and_cannot_change_their_own_code(stack: Sta
         assert "NoNewPrivs:\t1" in status
 
 
-def test_only_this_machine_reaches_the_router_and_nothing_else_is_published(stack: Stack) -> None:
-    assert stack.compose("port", "router", "7447").strip() == f"127.0.0.1:{stack.port}"
-    rows = [json.loads(row) for row in stack.compose("ps", "--format", "json").splitlines()]
-    published = [p["PublishedPort"] for row in rows for p in row["Publishers"] or () if p["PublishedPort"]]
-    assert published == [stack.port]
+def test_only_this_machine_reaches_the_routers_and_nothing_else_is_published(stack: Stack) -> None:
+    assert stack.compose("port", "vehicle_router", "7447").strip() == f"127.0.0.1:{stack.port}"
+    assert stack.compose("port", "cloud_router", "7448").strip() == f"127.0.0.1:{stack.cloud_port}"
+    published = [p["PublishedPort"] for row in stack.rows() for p in row["Publishers"] or ()]
+    assert sorted(port for port in published if port) == sorted((stack.port, stack.cloud_port))
+
+
+def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> None:
+    project = json.loads(stack.compose("config", "--format", "json"))
+    networks = {name: set(service["networks"]) for name, service in project["services"].items()}
+    assert {name for name, on in networks.items() if "vehicle" in on} == {
+        *VEHICLE_SERVICES,
+        "vehicle_router",
+        "demo",
+    }
+    assert {name for name, on in networks.items() if "cloud" in on} == {"map_update", "cloud_router"}
+    assert {name for name, on in networks.items() if "uplink" in on} == set(ROUTERS)
+    assert all(project["networks"][name]["internal"] for name in ("vehicle", "cloud"))
+    for service, other in (("integrity", "cloud_router"), ("map_update", "vehicle_router")):
+        known = f"import socket; socket.getaddrinfo({other!r}, 7447)"
+        said = stack.inside(service, "sh", "-c", f'python -c "{known}" 2>&1 || true')
+        assert "gaierror" in said, service
 
 
 def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Listener) -> None:
@@ -185,11 +132,11 @@ def test_verdicts_are_back_after_the_router_was_killed(stack: Stack, listener: L
     wait_until(
         lambda: listener.confirmed_since(0.0), timeout_s=90.0, why="no positions were confirmed before"
     )
-    stack.compose("kill", "router")
+    stack.compose("kill", "vehicle_router")
     killed = time.monotonic()
     time.sleep(OUTAGE_S)
     assert listener.confirmed_since(killed + 0.5) == []
-    stack.compose("start", "router")
+    stack.compose("start", "vehicle_router")
     started = time.monotonic()
     wait_until(
         lambda: len(listener.confirmed_since(started)) > 3,
@@ -221,10 +168,14 @@ def test_no_confirmed_position_was_wrong(listener: Listener) -> None:
     assert float(apart_m.max()) < RIGHT_WITHIN_M
 
 
-def test_the_compose_file_has_every_service(stack: Stack) -> None:
+def test_every_service_is_confined(stack: Stack) -> None:
     project = json.loads(stack.compose("config", "--format", "json"))
-    assert set(project["services"]) == {*SERVICES, "router", "demo"}
+    assert set(project["services"]) == {*SERVICES, *ROUTERS, "demo"}
     for name, service in project["services"].items():
         assert service["cap_drop"] == ["ALL"], name
         assert service["read_only"] is True, name
         assert Path(service["build"]["dockerfile"]) == Path("deploy/Dockerfile"), name
+        assert int(service["mem_limit"]) <= 2 << 30, name
+        assert 0 < service["pids_limit"] <= 256, name
+        assert 0.0 < service["cpus"] <= 2.0, name
+        assert "depends_on" not in service, name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 import tomllib
@@ -11,13 +12,17 @@ from typing import Any
 
 import pytest
 
+from camber.runtime.session import router_endpoints
 from camber.runtime.settings import load
 from camber.schemas.channels import SERVICES, VEHICLE_SERVICES
 from camber.simulator.short_drive import ANTENNA_HEIGHT_M, write_short_drive
+from support.running import camber
 from support.tree import ROOT
 
 CONFIG = ROOT / "deploy" / "config"
-SETS = ("demo", "vehicle")
+SETS = {"demo": SERVICES, "vehicle": VEHICLE_SERVICES, "cloud": ("map_update",)}
+EACH = [(folder, service) for folder, services in SETS.items() for service in services]
+VEHICLES = ("demo", "vehicle")
 
 
 def settings_of(folder: str, service: str) -> Any:
@@ -25,23 +30,61 @@ def settings_of(folder: str, service: str) -> Any:
     return load(cls, ["--config", str(CONFIG / folder / f"{service}.toml")], prog="test")[0]
 
 
-@pytest.mark.parametrize("folder", SETS)
-@pytest.mark.parametrize("service", SERVICES)
+@pytest.mark.parametrize(("folder", "service"), EACH)
 def test_each_service_takes_its_settings_and_joins_the_router(folder: str, service: str) -> None:
     settings = settings_of(folder, service)
-    assert (settings.zenoh.mode, settings.zenoh.connect) == ("client", ["tcp/router:7447"])
+    endpoint = "tls/router:7448" if folder == "cloud" else "tcp/router:7447"
+    assert (settings.zenoh.mode, settings.zenoh.connect) == ("client", [endpoint])
     assert settings.clock == "system"
 
 
-@pytest.mark.parametrize("folder", SETS)
+@pytest.mark.parametrize(
+    "path", sorted(CONFIG.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_the_commands_find_every_file_right(path: Path) -> None:
+    done = camber(path.stem, "--config", path, "--check")
+    assert (done.returncode, done.stderr) == (0, f"camber {path.stem}: settings are right\n")
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIG.glob("*/*.toml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_what_stands_there_as_a_comment_is_right_too(path: Path, tmp_path: Path) -> None:
+    """Each setting that is commented out, by itself, is one that there is."""
+    cls = importlib.import_module(f"camber.{path.stem}.service").SERVICE.SETTINGS
+    table = ""
+    for line in path.read_text().splitlines():
+        table = line.strip("[]") if line.startswith("[") else table
+        if found := re.match(r"# (\w+) = ", line):
+            owner = cls if not table else cls.model_fields[table].annotation
+            assert found[1] in owner.model_fields, f"{path.name}: {found[1]}"
+
+
+@pytest.mark.parametrize("name", ["demo/vehicle_router", "demo/cloud_router", "vehicle/vehicle_router"])
+def test_routers_take_their_files(name: str) -> None:
+    listen, _, tls = router_endpoints(CONFIG / f"{name}.json5")
+    assert "tcp/0.0.0.0:7447" in listen
+    assert not any(tls.values())
+
+
+@pytest.mark.parametrize("folder", VEHICLES)
 def test_the_services_of_a_vehicle_bear_its_name(folder: str) -> None:
     assert len({settings_of(folder, service).vehicle for service in VEHICLE_SERVICES}) == 1
 
 
-@pytest.mark.parametrize("folder", SETS)
-def test_what_must_survive_is_on_a_volume(folder: str) -> None:
-    for service in ("integrity", "map_update"):
-        assert settings_of(folder, service).state_dir == Path("/var/lib/camber/state")
+def test_the_services_of_a_vehicle_agree_on_the_datum() -> None:
+    assert settings_of("vehicle", "gnss").datum == settings_of("vehicle", "map_server").datum
+
+
+@pytest.mark.parametrize(
+    ("folder", "service"), [("demo", "integrity"), ("vehicle", "integrity"), ("cloud", "map_update")]
+)
+def test_what_must_survive_is_on_a_volume(folder: str, service: str) -> None:
+    assert settings_of(folder, service).state_dir == Path("/var/lib/camber/state")
+
+
+def test_the_map_of_a_vehicle_survives_too() -> None:
+    assert settings_of("vehicle", "map_server").store.parent == Path("/var/lib/camber/state")
 
 
 def test_a_vehicle_that_was_not_measured_confirms_nothing() -> None:
@@ -65,10 +108,15 @@ def requirements(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_an_image_gets_the_requirements_of_its_extras() -> None:
+def test_an_image_gets_the_requirements_of_its_kind_and_extras() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert requirements().stdout.split("\n")[:-1] == project["dependencies"]
+    least, whole, compiled = (
+        requirements(kind).stdout.split("\n")[:-1] for kind in ("least", "whole", "compiled")
+    )
+    assert sorted(least + whole) == sorted(project["dependencies"])
+    assert not set(least) & set(whole)
+    assert [line.split(">")[0] for line in compiled] == ["numba"]
     extras = project["optional-dependencies"]
-    wanted = [line for name in ("map", "dev") for line in extras[name]]
-    assert requirements("map,dev").stdout.split("\n")[:-1] == wanted
+    wanted = [line for name in ("map", "engine") for line in extras[name] if line not in compiled]
+    assert requirements("map,engine").stdout.split("\n")[:-1] == wanted
     assert requirements("nosuch").returncode == 1
