@@ -170,7 +170,7 @@ class Uploading:
             self._heard.set()
 
         self._session.get(
-            self._channel.key,
+            self._channel.key_for(f"car{n % self.load.vehicles}"),
             zenoh.handlers.Callback(reply, over, indirect=False),
             payload=self._prepared[n] if self._prepared else self._encoded(n),
             encoding=encoding_of(self._channel.message),

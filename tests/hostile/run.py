@@ -1,0 +1,166 @@
+"""A million malformed messages at full speed: `PYTHONPATH=tests python -m hostile.run` (`make hostile`).
+
+A live vehicle drives for half a minute alone, then beside the peer until that has said all, then alone again. Exit code
+1 where a service ends, a wrong fix is confirmed, fewer right ones are than alone, memory grows beyond what queues may
+hold, or a service is busier five seconds after the peer than it was before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from camber.schemas.channels import SERVICES
+from camber.schemas.integrity import Verdict
+from soak.readings import Reading, read
+from support.live_drive import TRUSTED
+from support.live_vehicle import LiveVehicle, Witness, driving, wait_s
+from support.running import free_port, started
+
+ALONE_S = 30.0
+RECOVERY_S = 5.0
+LEAST_SHARE = 0.95
+"""Of the share of right fixes that are confirmed alone; so much differs between two stretches of the way."""
+MOST_MB = 60.0
+LESS_CALM = 0.10
+"""Of a processor: so much busier than before is not yet back to normal."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What came of a stretch of the drive."""
+
+    seconds: float
+    words: dict[str, int]
+    right_confirmed: float
+    wrong_confirmed: int
+    verdicts_hz: float
+    cpu: dict[str, float]
+    uss_mb: dict[str, float]
+
+
+class Observed:
+    """A vehicle, and stretches of its drive."""
+
+    def __init__(self, vehicle: LiveVehicle, witness: Witness) -> None:
+        self.vehicle, self.witness = vehicle, witness
+        self._begin()
+
+    def _begin(self) -> None:
+        self.began_s, self.before = time.monotonic(), self.readings()
+
+    def readings(self) -> dict[str, Reading]:
+        now_s = time.monotonic()
+        return {name: read(process.pid, now_s) for name, process in self.vehicle.running.items()}
+
+    def stretch(self) -> Stretch:
+        """From the last one to now."""
+        now_s, after = time.monotonic(), self.readings()
+        words = self.witness.words(self.began_s, now_s)
+        said_of_right = sum(n for (fix, _), n in words.items() if fix == "right")
+        passed_on = Counter[str]()
+        for (fix, word), n in words.items():
+            if word in TRUSTED:
+                passed_on[fix] += n
+        seconds = now_s - self.began_s
+        found = Stretch(
+            round(seconds, 1),
+            {f"{fix}, {word}": n for (fix, word), n in sorted(words.items())},
+            round(passed_on["right"] / max(said_of_right, 1), 4),
+            passed_on.total() - passed_on["right"],
+            round(len(self.witness.said(Verdict, self.began_s, now_s)) / seconds, 2),
+            {name: round((after[name].cpu_s - self.before[name].cpu_s) / seconds, 3) for name in after},
+            {name: round(after[name].uss_mb, 1) for name in after},
+        )
+        self._begin()
+        return found
+
+
+def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Stretch | float | str]:
+    """The three stretches, and after how many seconds all services were as calm as before."""
+    vehicle = LiveVehicle(folder, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+    with driving(vehicle, live=True) as witness:
+        observed = Observed(vehicle, witness)
+        wait_s(ALONE_S)
+        alone = observed.stretch()
+        with started("-m", "hostile.peer", vehicle.endpoint, "demo", count, seed, rate_hz) as hostile:
+            output, _ = hostile.communicate()
+        beside = observed.stretch()
+        calm_after_s = calm(observed, alone)
+        wait_s(ALONE_S)
+        after = observed.stretch()
+        ended = vehicle.ended()
+        return {
+            "alone": alone,
+            "beside": beside,
+            "after": after,
+            "calm_after_s": calm_after_s,
+            "peer": output.splitlines()[-1],
+            "ended": json.dumps(ended),
+        }
+
+
+def calm(observed: Observed, alone: Stretch, limit_s: float = 60.0) -> float:
+    """Seconds until, for a second, no service is busier than it was alone."""
+    began_s = time.monotonic()
+    while time.monotonic() - began_s < limit_s:
+        wait_s(1.0)
+        now = observed.stretch()
+        if all(now.cpu[name] <= alone.cpu[name] + LESS_CALM for name in now.cpu):
+            return round(time.monotonic() - began_s - 1.0, 1)
+    return limit_s
+
+
+def main() -> int:
+    """0: verdicts and services are as without the peer."""
+    parser = argparse.ArgumentParser(
+        prog="python -m hostile.run",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--count", type=int, default=1_000_000, help="default a million")
+    parser.add_argument("--rate", type=float, default=0.0, help="messages a second; default: at full speed")
+    parser.add_argument("--seed", type=int, help="default: another one each time, printed")
+    parser.add_argument("--out", type=Path, default=Path("out/hostile"))
+    args = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and with it what it has started
+    seed = secrets.randbits(32) if args.seed is None else args.seed
+    print(f"hostile: {args.count} messages, seed {seed}", flush=True)
+    args.out.mkdir(parents=True, exist_ok=True)
+    came = attack(Path(tempfile.mkdtemp(prefix="run-", dir=args.out)), args.count, seed, args.rate)
+    (args.out / "hostile.json").write_text(json.dumps(came, default=vars, indent=1))
+    alone, beside, after = (came[name] for name in ("alone", "beside", "after"))
+    assert isinstance(alone, Stretch)
+    assert isinstance(beside, Stretch)
+    assert isinstance(after, Stretch)
+    for name, stretch in (("alone", alone), ("beside", beside), ("after", after)):
+        print(
+            f"{name:7} {stretch.seconds:6.1f} s  {stretch.verdicts_hz:5.2f} verdicts/s"
+            f"  right confirmed {100 * stretch.right_confirmed:5.1f} %  wrong confirmed {stretch.wrong_confirmed}"
+        )
+        print(f"        processors {stretch.cpu}")
+        print(f"        USS MB     {stretch.uss_mb}")
+    print(f"peer: {came['peer']}\ncalm after {came['calm_after_s']} s")
+    grown = {name: after.uss_mb[name] - alone.uss_mb[name] for name in after.uss_mb}
+    checks = {
+        f"ended: {came['ended']}": came["ended"] == "{}",
+        "a wrong fix was confirmed": not (beside.wrong_confirmed or after.wrong_confirmed),
+        "fewer right fixes were confirmed": beside.right_confirmed >= LEAST_SHARE * alone.right_confirmed,
+        f"busy after {RECOVERY_S:g} s still": float(str(came["calm_after_s"])) <= RECOVERY_S,
+        f"memory grew: {grown}": max(grown.values()) <= MOST_MB,
+    }
+    wrong = [text for text, right in checks.items() if not right]
+    print("hostile: " + ("; ".join(wrong) or "holds"))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,165 @@
+"""A vehicle and the cloud in network namespaces, and what happens on the link between them.
+
+The vehicle drives with wrong fixes all along and uploads ten times a second beside what its judge uploads. Whatever
+becomes of the link, the vehicle confirms right fixes and no wrong one; in the end the cloud holds every upload once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from camber.map_update.sqlite_store import SqliteStore
+from support import paced_uploads
+from support.fault_figures import LONG, measured
+from support.link import CLOUD_ADDRESS, Link, link
+from support.live_drive import TRUSTED
+from support.live_vehicle import LiveVehicle, Processes, Witness, driving, now_ns, wait_s
+from support.running import wait_until
+
+pytestmark = pytest.mark.slow
+
+RATE_HZ = 10.0
+LIMIT_S = 240.0
+CLOUD_PORT = 7447
+
+
+@dataclass
+class Here:
+    line: Link
+    vehicle: LiveVehicle
+    cloud: Processes
+    uploads: Path
+    witness: Witness
+
+    @property
+    def store(self) -> Path:
+        return self.cloud.folder / "state" / "uploads.sqlite"
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory) -> Iterator[Here]:
+    folder = tmp_path_factory.mktemp("link")
+    with ExitStack() as ends:
+        line = ends.enter_context(link())
+        cloud = Processes(folder / "cloud")
+        cloud.folder.mkdir()
+        ends.callback(cloud.end)
+        where = f"tcp/{CLOUD_ADDRESS}:{CLOUD_PORT}"
+        cloud.start("router", "-m", "camber.cli", "router", "--listen", where, within=line.cloud)
+        config = cloud.folder / "map_update.toml"
+        config.write_text(
+            f'state_dir = "{cloud.folder / "state"}"\n[zenoh]\nmode = "client"\nconnect = ["{where}"]\n'
+        )
+        cloud.start("map_update", "-m", "camber.map_update", "--config", config, within=line.cloud)
+        (folder / "vehicle").mkdir()
+        inside = f"unixsock-stream/{folder / 'bus'}"
+        vehicle = LiveVehicle(folder / "vehicle", inside, routes_to=[where], within=line.vehicle)
+        uploads = folder / "uploads"
+        uploads.mkdir()
+        witness = ends.enter_context(driving(vehicle))
+        vehicle.start("uploads", "-m", "support.paced_uploads", inside, uploads, RATE_HZ, within=line.vehicle)
+        wait_until(
+            lambda: paced_uploads.progress(uploads)["put"], timeout_s=LIMIT_S, why="nothing is handed over"
+        )
+        yield Here(line, vehicle, cloud, uploads, witness)
+
+
+@pytest.fixture(autouse=True)
+def promised(here: Here) -> Iterator[None]:
+    """Of every fault: the vehicle confirms right fixes meanwhile, no wrong one, and nobody dies of it."""
+    began_s = time.monotonic()
+    yield
+    here.witness.wait_for_trust(began_s, timeout_s=LIMIT_S)
+    words = here.witness.words(began_s)
+    passed_on = {said: count for said, count in words.items() if said[1] in TRUSTED and said[0] != "right"}
+    assert not passed_on, words
+    assert here.vehicle.ended() == {}
+    assert here.cloud.ended() == {}
+
+
+def cloud_has(here: Here) -> int:
+    """How many of the paced uploads are stored."""
+    return sum(1 for upload_id in stored_ids(here) if upload_id.startswith("u"))
+
+
+def stored_ids(here: Here) -> list[str]:
+    """Of all uploads, each as often as it is stored."""
+    with closing(SqliteStore(here.store)) as store:
+        found = store.observations_after(0, 1_000_000)
+    return [found.headings[heading].id for heading in found.heading_of.tolist()]
+
+
+def put(here: Here) -> int:
+    return paced_uploads.progress(here.uploads)["put"]
+
+
+def caught_up(here: Here) -> float:
+    """Seconds until all is stored that had been handed over by now."""
+    began_s, handed_over = time.monotonic(), put(here)
+    wait_until(
+        lambda: cloud_has(here) >= handed_over, timeout_s=LIMIT_S, why=f"{handed_over} uploads in the cloud"
+    )
+    return time.monotonic() - began_s
+
+
+def suffer(here: Here, fault: str, begin: Callable[[], None], end: Callable[[], None], for_s: float) -> None:
+    """A fault for some time while the vehicle drives, and how long until the cloud has all of that time."""
+    caught_up(here)
+    began_s, before_ns = time.monotonic(), now_ns()
+    begin()
+    try:
+        wait_s(for_s)
+        here.witness.wait_for_trust(began_s, timeout_s=LIMIT_S, dated_after_ns=before_ns)
+        waited = put(here) - cloud_has(here)
+    finally:
+        end()
+    measured(fault, for_s=for_s, uploads_waiting=waited, uploads_in_the_cloud_after_s=caught_up(here))
+
+
+@pytest.mark.parametrize("for_s", [1.0, 60.0, 600.0] if LONG else [1.0, 8.0])
+def test_link_cut(here: Here, for_s: float) -> None:
+    suffer(here, "link cut", here.line.cut, here.line.mend, for_s)
+
+
+def test_a_tenth_of_all_packets_lost(here: Here) -> None:
+    lost: list[int] = []
+
+    def mend() -> None:
+        lost.append(here.line.dropped())
+        here.line.mend()
+
+    suffer(here, "10 % of packets lost", lambda: here.line.lose(0.1), mend, 60.0 if LONG else 5.0)
+    assert lost[0] > 0
+
+
+def test_a_hundred_kilobits_a_second(here: Here) -> None:
+    suffer(here, "100 kbit/s", lambda: here.line.slow(100), here.line.mend, 60.0 if LONG else 5.0)
+
+
+@pytest.mark.parametrize("victim", ["router", "map_update"])
+def test_the_cloud_away(here: Here, victim: str) -> None:
+    suffer(
+        here,
+        f"cloud's {victim} killed",
+        lambda: here.cloud.kill(victim),
+        lambda: here.cloud.start(victim),
+        60.0 if LONG else 2.0,
+    )
+
+
+def test_in_the_end_the_cloud_holds_every_upload_once(here: Here) -> None:
+    (here.uploads / "enough").touch()
+    here.vehicle.running["uploads"].wait(LIMIT_S)
+    del here.vehicle.running["uploads"]
+    said = paced_uploads.progress(here.uploads)
+    assert (said["waiting"], said["dead"]) == (0, 0)
+    stored = [upload_id for upload_id in stored_ids(here) if upload_id.startswith("u")]
+    assert sorted(stored) == sorted(f"u{n}" for n in range(said["put"]))
+    assert said["put"] > 100
+    measured("uploads through all that", handed_over=said["put"], stored_once=len(stored))

@@ -1,0 +1,126 @@
+"""A peer that says nothing but what is malformed, to every input of every service, while a vehicle drives.
+
+Access rules keep strangers off the bus (docs/security.md); here somebody is on it. Twenty thousand messages; a million
+is `make hostile`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from camber.schemas.channels import BY_NAME, SERVICES
+from camber.schemas.codec import DecodeError, decode
+from camber.schemas.integrity import Verdict
+from hostile.malformed import channels, malformed
+from soak.readings import read
+from support.fault_figures import measured
+from support.live_drive import TRUSTED, write_drive
+from support.live_vehicle import LiveVehicle, driving, now_ns
+from support.running import endpoint_of, free_port, payloads, process_ids, started, summary_of, wait_until
+
+pytestmark = pytest.mark.slow
+
+COUNT = 10_000  # in each of the two tests
+SEED = 11
+RATE_HZ = 1_000.0
+REPLAY_S = 16.0
+MOST_MB = 40.0  # of one service: its queues, full of large messages, and what an allocator keeps of them
+
+
+@contextmanager
+def peer(endpoint: str, count: int, rate_hz: float, *more: str):
+    with started("-m", "hostile.peer", endpoint, "demo", count, SEED, rate_hz, *more) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == "ready"
+        yield process
+
+
+def said_by(process) -> Counter[str]:
+    """What the peer has said, by kind, when it has ended."""
+    output, _ = process.communicate(timeout=300.0)
+    assert process.returncode == 0, output
+    return Counter(json.loads(output.splitlines()[-1])["kinds"])
+
+
+def test_every_input_and_every_question_is_attacked_in_every_way():
+    made = list(malformed("demo", 1_400_000_000_000_000_000, SEED, of_each=1))
+    keys = {item.key for item in made}
+    expected = {c.key_for("demo") for c in channels() if "{service}" not in c.key}
+    assert expected <= keys
+    assert {f"camber/v1/demo/{name}/health" for name in SERVICES} <= keys
+    assert len({(item.key, item.kind) for item in made}) == len(keys) * len({item.kind for item in made})
+
+
+def replay(manifest: Path, out: Path, speed: object):
+    end_s = 54.0 + REPLAY_S
+    return started(
+        "-m", "camber.cli", "replay", manifest, "--out", out, "--set", f"end_s={end_s}", "--speed", speed, "--quiet"
+    )  # fmt: skip
+
+
+def verdicts(out: Path) -> list[bytes]:
+    """The bytes of what the judge has said; the peer never names itself so."""
+    found = []
+    for data in payloads(out)[BY_NAME["verdict"].key_for("demo")]:
+        try:
+            source = decode(Verdict, data).source
+        except DecodeError:
+            continue
+        if source == "integrity":
+            found.append(data)
+    return found
+
+
+def test_a_replay_gives_the_same_bytes_beside_a_peer_that_says_malformed_things(tmp_path):
+    manifest = write_drive(tmp_path / "drive")
+    with replay(manifest, tmp_path / "alone", "max") as alone:
+        output, _ = alone.communicate(timeout=300.0)
+        assert alone.returncode == 0, output
+    out = tmp_path / "beside"
+    with replay(manifest, out, 1) as beside:
+        wait_until(lambda: process_ids(out), timeout_s=180.0, why="no services were started")
+        with peer(endpoint_of(out), COUNT, 2 * RATE_HZ, "replayed") as hostile:
+            services = process_ids(out)
+            output, _ = beside.communicate(timeout=300.0)
+            hostile.terminate()
+    # The peer's words are in the recording too, and whoever sums it up refuses those of no version that it knows.
+    assert beside.returncode == 0 or "a schema that this version does not know" in output, output
+    assert process_ids(out) == services, "a service has died and was started again"
+    usual = verdicts(tmp_path / "alone")
+    assert verdicts(out) == usual
+    assert len(usual) >= REPLAY_S * 5
+    assert summary_of(tmp_path / "alone")["confirmed"]["wrong"] == 0
+    said_on_it = payloads(out)[BY_NAME["verdict"].key_for("demo")]
+    assert len(said_on_it) > len(usual) + 20, "the peer was not heard"
+
+
+def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path):
+    vehicle = LiveVehicle(tmp_path, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
+    with driving(vehicle, live=True) as witness:
+        before = {name: read(process.pid, 0.0) for name, process in vehicle.running.items()}
+        began_s = time.monotonic()
+        with peer(vehicle.endpoint, COUNT, RATE_HZ) as hostile:
+            witness.wait_for_trust(time.monotonic(), timeout_s=180.0)
+            assert hostile.poll() is None, "the peer was over before anything was confirmed"
+            kinds = said_by(hostile)
+        ended_s, ended_ns = time.monotonic(), now_ns()
+        after_s = witness.wait_for_trust(ended_s, timeout_s=180.0, dated_after_ns=ended_ns)
+        words = witness.words(began_s)
+        assert vehicle.ended() == {}
+        assert all(vehicle.health(name, timeout_s=20.0).status == "ok" for name in SERVICES)
+        after = {name: read(process.pid, 0.0) for name, process in vehicle.running.items()}
+    assert len(kinds) == len({item.kind for item in malformed("demo", now_ns(), SEED, of_each=1)})
+    passed_on = {said: count for said, count in words.items() if said[1] in TRUSTED and said[0] != "right"}
+    assert not passed_on, words
+    assert words["right", "confirmed"] > 0
+    grown = {name: after[name].uss_mb - before[name].uss_mb for name in after}
+    assert max(grown.values()) < MOST_MB, grown
+    measured(
+        "hostile peer", said=sum(kinds.values()), confirmed_after_s=after_s, memory_mb=max(grown.values())
+    )

@@ -1,0 +1,46 @@
+"""The probe that containers run: well, waiting, frozen, gone."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from support.running import environment, free_port, started, wait_until
+
+
+def probed(service: str, settings: Path) -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "camber.runtime.probe", service, str(settings)],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+        check=False,
+    )
+    return done.returncode, done.stdout.strip()
+
+
+def test_a_service_is_well_until_it_freezes(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    settings = tmp_path / "antenna_height.toml"
+    settings.write_text(
+        'vehicle = "car"\nway = "fixed"\nfixed_height_m = 1.6\nfixed_sigma_m = 0.01\n'
+        f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
+    )
+    assert probed("router", settings)[0] == 1
+    with (
+        (tmp_path / "log").open("w") as log,
+        started("-m", "camber.cli", "router", "--listen", endpoint, stdout=log),
+        started("-m", "camber.antenna_height", "--config", settings, stdout=log) as service,
+    ):
+        wait_until(
+            lambda: probed("antenna_height", settings) == (0, "antenna_height: ok"),
+            timeout_s=60.0,
+            why="antenna_height does not say that it is well",
+        )
+        assert probed("router", settings) == (0, "router: ok")
+        service.send_signal(signal.SIGSTOP)
+        code, said = probed("antenna_height", settings)
+        service.send_signal(signal.SIGCONT)
+        assert code == 1
+        assert said.startswith("antenna_height: no answer: ")

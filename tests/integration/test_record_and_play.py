@@ -1,0 +1,330 @@
+"""`camber record` and `camber play`: real processes on a real router, killed, out of disk, and onto a bus in use."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from camber.formats.recording import Recorded, RecordingError, read_recording
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.listen import Listener
+from camber.runtime.session import open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.gnss import Fix
+from camber.schemas.lidar import Sweep
+from camber.schemas.motion import Motion
+from support.messages import build
+from support.running import camber, environment, free_port, started, wait_until
+
+CLOCK = SystemClock()
+FIX = build(Fix, Random(1), filled=True)
+SWEEP = build(Sweep, Random(1), filled=True)
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(ZenohSettings(mode="router", listen=[where], connect=[])):
+        yield where
+
+
+def joined(endpoint: str, service: str) -> Bus:
+    settings = ServiceSettings(
+        vehicle="car", log_level="error", zenoh=ZenohSettings(mode="client", connect=[endpoint])
+    )
+    return Bus(open_session(settings.zenoh), settings, service, CLOCK)
+
+
+class Driving(threading.Thread):
+    """Motion, fixes and sweeps, for as long as it is not told to end."""
+
+    def __init__(self, endpoint: str, *, rate_hz: float = 50.0, points: int = 0) -> None:
+        super().__init__(daemon=True)
+        self.ended = threading.Event()
+        self.vehicle, self.gnss = joined(endpoint, "vehicle"), joined(endpoint, "gnss")
+        self._period_s, self._points = 1.0 / rate_hz, points
+
+    def run(self) -> None:
+        while not self.ended.wait(self._period_s):
+            now_ns = CLOCK.now_ns()
+            self.vehicle.publish("motion", Motion(time_ns=now_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0))
+            fix = FIX.model_copy(
+                update={
+                    "time_ns": now_ns,
+                    "fix_id": now_ns // 1_000_000,
+                    "continuous_since_ns": now_ns - 10**9,
+                }
+            )
+            self.gnss.publish("fix", fix)
+            if self._points:
+                self.vehicle.publish("sweep", _sweep(now_ns, self._points))
+
+    def end(self) -> None:
+        self.ended.set()
+        self.join(10.0)
+        self.vehicle.close()
+        self.gnss.close()
+
+
+def _sweep(time_ns: int, points: int) -> Sweep:
+    noise = np.random.default_rng(time_ns % 2**32)
+    return SWEEP.model_copy(
+        update={
+            "time_ns": time_ns,
+            "points_m": noise.normal(size=(points, 3)).astype(SWEEP.points_m.dtype),
+            "intensity": np.zeros(points, SWEEP.intensity.dtype),
+            "offset_ns": np.zeros(points, SWEEP.offset_ns.dtype),
+        }
+    )
+
+
+@contextmanager
+def driving(endpoint: str, **more: Any) -> Iterator[Driving]:
+    thread = Driving(endpoint, **more)
+    thread.start()
+    try:
+        yield thread
+    finally:
+        thread.end()
+
+
+def record(stack: ExitStack, endpoint: str, out: Path, *more: str, **options: Any) -> subprocess.Popen[str]:
+    command = [
+        "record",
+        "--out",
+        str(out),
+        "--vehicle",
+        "car",
+        "--connect",
+        endpoint,
+        "--leave-mb",
+        "1",
+        *more,
+    ]
+    return stack.enter_context(started("-m", "camber.cli", *command, **options))
+
+
+def has_bytes(out: Path, least: int) -> bool:
+    return sum(path.stat().st_size for path in out.glob("*.mcap")) >= least
+
+
+def contents(out: Path) -> tuple[list[Recorded[Any]], list[RecordingError]]:
+    items = [item for path in sorted(out.glob("*.mcap")) for item in read_recording(path)]
+    good = [item for item in items if isinstance(item, Recorded)]
+    return good, [item for item in items if isinstance(item, RecordingError)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
+    endpoint: str, tmp_path: Path, number: signal.Signals
+) -> None:
+    with ExitStack() as stack:
+        process = record(stack, endpoint, tmp_path / "out")
+        stack.enter_context(driving(endpoint))
+        wait_until(lambda: list((tmp_path / "out").glob("*.mcap")), timeout_s=30.0, why="it records")
+        time.sleep(1.5)
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=30.0)
+    assert process.returncode == 0
+    assert "0 dropped, 0 were no messages" in said
+    found, errors = contents(tmp_path / "out")
+    assert errors == []
+    assert {item.channel for item in found} == {"motion", "fix"}
+    for channel in ("motion", "fix"):
+        numbers = [item.sequence for item in found if item.channel == channel]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "none is missing, all in order"
+        assert len(numbers) > 20
+    (path,) = (tmp_path / "out").glob("*.mcap")
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        read = [(schema, message) for schema, _, message in reader.iter_messages()]
+        summary = reader.get_summary()
+    assert len(read) == len(found)
+    assert summary is not None
+    schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert "wheel_speed_m_s" in schemas["camber.Motion.v1"]["properties"]
+    assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
+
+
+def test_what_a_kill_leaves_can_be_read_to_its_last_whole_chunk_and_played(
+    endpoint: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with ExitStack() as stack:
+        process = record(stack, endpoint, out, "--sweeps")
+        stack.enter_context(driving(endpoint, rate_hz=10.0, points=5000))
+        wait_until(lambda: has_bytes(out, 2_000_000), timeout_s=60.0, why="some chunks are written")
+        process.kill()
+        process.wait()
+    found, errors = contents(out)
+    assert len(found) > 20
+    assert {item.channel for item in found} == {"motion", "fix", "sweep"}
+    assert len(errors) <= 1
+    (path,) = out.glob("*.mcap")
+    data = path.read_bytes()
+    (out / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    path.unlink()
+    done = camber(
+        "play",
+        out / "cut.mcap",
+        "--connect",
+        endpoint,
+        "--times",
+        "recorded",
+        "--speed",
+        "1000",
+        timeout_s=120.0,
+    )
+    assert done.returncode == 1
+    assert "messages before the damage were read" in done.stderr
+    assert done.stdout.startswith("played fix ")
+
+
+def test_a_disk_that_takes_no_more_ends_the_recording_and_spoils_nothing(
+    endpoint: str, tmp_path: Path
+) -> None:
+    limit = 3_000_000
+
+    def small_files() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    with ExitStack() as stack:
+        process = record(stack, endpoint, tmp_path / "out", "--sweeps", preexec_fn=small_files)
+        stack.enter_context(driving(endpoint, rate_hz=20.0, points=10_000))
+        said, _ = process.communicate(timeout=90.0)
+    assert process.returncode == 1
+    assert "recording stopped: File too large" in said
+    assert "Traceback" not in said
+    found, _ = contents(tmp_path / "out")
+    assert len(found) > 10
+
+
+def test_files_follow_one_another_without_a_gap(endpoint: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with ExitStack() as stack:
+        process = record(stack, endpoint, out, "--max-minutes", "0.02")
+        stack.enter_context(driving(endpoint))
+        wait_until(lambda: len(list(out.glob("*.mcap"))) >= 3, timeout_s=60.0, why="there are three")
+        process.terminate()
+        assert process.wait(30.0) == 0
+    found, errors = contents(out)
+    assert errors == []
+    numbers = [item.sequence for item in found if item.channel == "fix"]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+@pytest.fixture
+def recording(endpoint: str, tmp_path: Path) -> Path:
+    with driving(endpoint):
+        done = camber(
+            "record", "--out", tmp_path / "rec", "--vehicle", "car", "--connect", endpoint, "--leave-mb", "1",
+            "--duration", "2", timeout_s=60.0,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (path,) = (tmp_path / "rec").glob("*.mcap")
+    return path
+
+
+def play(*arguments: object) -> list[str]:
+    return ["-m", "camber.cli", "play", *map(str, arguments)]
+
+
+def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, recording: Path) -> None:
+    time.sleep(1.0)  # what was recorded is older than any age limit
+    before = [item for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
+    heard: list[Fix] = []
+    with (
+        Listener("fix", vehicle="other", connect=[endpoint]) as listener,
+        started(*play(recording, "--connect", endpoint, "--vehicle", "other")) as process,
+    ):
+        while process.poll() is None:
+            fix = listener.next(timeout_s=0.5)
+            heard += [] if fix is None else [fix]
+        said = process.stdout.read() if process.stdout else ""
+        assert listener.refused["undecodable"] == listener.refused["future"] == 0
+        stale = listener.refused["stale"]
+    assert process.returncode == 0, said
+    assert len(heard) + stale == len(before)
+    assert len(heard) > len(before) / 2
+    assert all(fix.fix_id == fix.time_ns // 1_000_000 for fix in heard), "called by their new epochs"
+    assert {fix.time_ns - (fix.continuous_since_ns or 0) for fix in heard} == {10**9}
+
+
+def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recording: Path) -> None:
+    before = [item.message for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
+    with Listener("fix", vehicle="car", connect=[endpoint], live=False) as listener:
+        with started(
+            *play(recording, "--connect", endpoint, "--times", "recorded", "--speed", "20")
+        ) as process:
+            heard = []
+            while process.poll() is None:
+                fix = listener.next(timeout_s=0.5)
+                heard += [] if fix is None else [fix]
+        assert process.returncode == 0
+    assert heard == before
+
+
+def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording: Path) -> None:
+    def tried(*more: str) -> subprocess.CompletedProcess[str]:
+        return camber("play", recording, "--connect", endpoint, *more)
+
+    with driving(endpoint):  # heard, though it has not declared itself
+        done = tried()
+        assert done.returncode == 1
+        assert "gnss, vehicle of car is on this bus" in done.stderr
+        assert tried("--vehicle", "other").returncode == 0
+    gnss = joined(endpoint, "gnss")
+    gnss.announce()  # declared, though it is silent
+    try:
+        done = tried()
+        assert done.returncode == 1
+        assert "gnss of car is on this bus" in done.stderr
+        assert "--without fix" in done.stderr
+        assert tried("--without", "fix").returncode == 0
+    finally:
+        gnss.close()
+    assert tried().returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--speed", "2"], "with times of now expected 1"),
+        (["--channels", "health"], "channel 'health'"),
+        (["--channels", "pose"], "no message of these channels"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(
+    endpoint: str, recording: Path, arguments: list[str], words: str
+) -> None:
+    done = camber("play", recording, "--connect", endpoint, *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_file_that_is_none_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "no.mcap").write_bytes(b"no recording" * 100)
+    for name in ("no.mcap", "nosuch.mcap"):
+        done = subprocess.run(
+            [sys.executable, *play(tmp_path / name)], env=environment(), capture_output=True, text=True, timeout=60,
+            stdin=subprocess.DEVNULL, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert name in done.stderr
+        assert len(done.stderr.splitlines()) == 1

@@ -1,0 +1,91 @@
+"""The soak's judgement of what it reads: a leak is seen, and what comes and goes is none."""
+
+from __future__ import annotations
+
+import time
+from random import Random
+
+import pytest
+
+from soak.readings import Reading, read
+from soak.run import LEAST_MB, Window, complaints, drift
+from support.running import started
+
+LEAKING = """
+import sys, threading, time
+kept = []
+print("begun", flush=True)
+for n in range(400):
+    kept.append(bytearray(250_000))
+    if n % 40 == 0:
+        kept.append(open("/dev/null"))
+        threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()
+    time.sleep(0.01)
+print("done", flush=True)
+time.sleep(60.0)
+"""
+CALM = Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 1200, 0, 0.4)
+HOUR_S = 3600.0
+
+
+def readings(mb_an_hour: float, *, steps: dict[int, float] | None = None, seed: int = 1) -> list[Reading]:
+    """Two hours of a process of 50 MB: its memory comes and goes by half a megabyte; `steps` by reading."""
+    random, found, level = Random(seed), [], 50.0
+    for n in range(720):
+        level += (steps or {}).get(n, 0.0)
+        uss = level + mb_an_hour * n * 10.0 / HOUR_S + random.uniform(0.0, 0.5)
+        found.append(Reading(10.0 * n, uss, uss, 16 + random.randrange(3), 8, 0.1 * n))
+    return found
+
+
+def judged(found: list[Reading], window: Window = CALM) -> list[str]:
+    return complaints({"gnss": drift(found)}, [window], least_mb=LEAST_MB, latency=True)
+
+
+def test_a_calm_process_is_no_leak():
+    assert judged(readings(0.0)) == []
+
+
+@pytest.mark.parametrize("mb_an_hour", [0.7, 5.0])
+def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
+    assert ["memory grew" in text for text in judged(readings(mb_an_hour))] == [True]
+
+
+def test_a_step_up_and_down_again_is_none():
+    assert judged(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
+
+
+def test_descriptors_and_threads_that_stay_are_a_leak():
+    found = readings(0.0)
+    grown = [Reading(r.at_s, r.uss_mb, r.pss_mb, r.descriptors + 4 * (n > 300), r.threads + (n > 300), r.cpu_s)
+             for n, r in enumerate(found)]  # fmt: skip
+    assert len(judged(grown)) == 2
+
+
+@pytest.mark.parametrize(
+    ("window", "said"),
+    [
+        (Window(0.0, 300.0, 1500, 5.0, 21.0, 40.0, 1200, 0, 0.4), "p99"),
+        (Window(0.0, 300.0, 1500, float("nan"), float("nan"), 0.0, 1200, 0, 0.4), "p99"),
+        (Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 1200, 1, 0.4), "wrong"),
+        (Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 0, 0, 0.4), "nothing confirmed"),
+    ],
+)
+def test_late_wrong_and_missing_verdicts_are_complained_of(window, said):
+    (text,) = judged(readings(0.0), window)
+    assert said in text
+
+
+def test_a_process_that_leaks_is_read_as_one():
+    with started("-c", LEAKING) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == "begun"
+        found = []
+        while (
+            not found or found[-1].uss_mb - found[0].uss_mb < 20.0 or found[-1].threads - found[0].threads < 2
+        ):
+            found.append(read(process.pid, time.monotonic()))
+            time.sleep(0.05)
+            assert len(found) < 2000, "it does not grow"
+    assert found[-1].descriptors > found[0].descriptors
+    assert drift(found)["growth_mb"] > 5.0

@@ -1,0 +1,313 @@
+"""Who may say what on the cloud's router: real processes, TLS on the loopback, one attempt a row.
+
+A row is allowed or denied as docs/security.md states, and whoever is denied what it says or asks gets to know: Zenoh
+does not tell, so Camber asks for an echo, notices a question that nobody answers, or is not let in at all.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import pytest
+import zenoh
+
+from camber.runtime.bus import Bus, QueryFailed
+from camber.runtime.clock import SystemClock
+from camber.runtime.heard import HeardWatch, are_we_heard
+from camber.runtime.session import BusError, open_session
+from camber.runtime.settings import ServiceSettings
+from camber.tools.certificates import Authority
+from support.fleet_routers import (
+    Certificates,
+    cloud_file,
+    joined,
+    make_certificates,
+    router,
+    tls_endpoint,
+    unchecked,
+)
+from support.running import wait_until
+
+Action = Literal["publish", "hear", "ask", "answer"]
+NOTHING_S = 0.4
+"""How long nothing must arrive; what is allowed takes a hundredth of it."""
+V = "camber/v1/car-1"
+W = "camber/v1/car-2"
+F = "camber/v1/fleet"
+
+
+class Row(NamedTuple):
+    who: str
+    action: Action
+    key: str
+    allowed: bool
+
+    def __str__(self) -> str:
+        return f"{self.who} {'may' if self.allowed else 'may not'} {self.action} {self.key}"
+
+
+ROWS = [
+    # A vehicle under its own name
+    Row("car-1", "publish", f"{V}/integrity/verdict", True),
+    Row("car-1", "publish", f"{V}/integrity/position", True),
+    Row("car-1", "ask", f"{F}/car-1/upload", True),
+    Row("car-1", "ask", f"{F}/car-1/upload_batch", True),
+    Row("car-1", "ask", f"{F}/map/root", True),
+    Row("car-1", "ask", f"{F}/map/blob", True),
+    Row("car-1", "hear", f"{F}/release", True),
+    Row("car-1", "answer", f"{V}/integrity/health", True),
+    # What stays in a vehicle
+    Row("car-1", "publish", f"{V}/vehicle/sweep", False),
+    Row("car-1", "publish", f"{V}/gnss/fix", False),
+    Row("car-1", "answer", f"{V}/map_server/tile", False),
+    Row("car-1", "hear", f"{V}/integrity/verdict", False),
+    # A vehicle under another's name, or the cloud's
+    Row("car-1", "publish", f"{W}/integrity/verdict", False),
+    Row("car-1", "publish", "camber/v1/*/integrity/verdict", False),
+    Row("car-1", "hear", f"{W}/integrity/verdict", False),
+    Row("car-1", "hear", "**", False),
+    Row("car-1", "ask", f"{F}/car-2/upload", False),
+    Row("car-1", "ask", f"{F}/car-2/upload_batch", False),
+    Row("car-1", "ask", f"{F}/*/upload_batch", False),
+    Row("car-1", "ask", f"{W}/integrity/health", False),
+    Row("car-1", "answer", f"{W}/integrity/health", False),
+    Row("car-1", "publish", f"{F}/release", False),
+    Row("car-1", "answer", f"{F}/map/root", False),
+    Row("car-1", "answer", f"{F}/map/blob", False),
+    Row("car-1", "answer", f"{F}/car-2/upload_batch", False),
+    Row("car-1", "answer", f"{F}/*/upload_batch", False),
+    Row("car-2", "publish", f"{W}/integrity/verdict", True),
+    Row("car-2", "publish", f"{V}/integrity/position", False),
+    Row("car-2", "ask", f"{F}/car-1/upload_batch", False),
+    # The service of the fleet
+    Row("map_update", "publish", f"{F}/release", True),
+    Row("map_update", "answer", f"{F}/*/upload", True),
+    Row("map_update", "answer", f"{F}/*/upload_batch", True),
+    Row("map_update", "answer", f"{F}/map/root", True),
+    Row("map_update", "answer", f"{F}/map_update/health", True),
+    Row("map_update", "ask", f"{F}/map_update/health", True),
+    Row("map_update", "publish", f"{V}/integrity/verdict", False),
+    Row("map_update", "hear", f"{V}/integrity/verdict", False),
+    Row("map_update", "ask", f"{V}/integrity/log_level", False),
+    # Who only reads
+    Row("consumer", "hear", f"{V}/integrity/verdict", True),
+    Row("consumer", "hear", "camber/v1/*/integrity/position", True),
+    Row("consumer", "hear", f"{V}/gnss/fix", False),
+    Row("consumer", "publish", f"{V}/integrity/verdict", False),
+    Row("consumer", "publish", f"{F}/release", False),
+    Row("consumer", "ask", f"{F}/car-1/upload_batch", False),
+    Row("consumer", "ask", f"{V}/integrity/health", False),
+    Row("consumer", "answer", f"{F}/map/root", False),
+    # Who looks after them
+    Row("operator", "ask", f"{V}/integrity/health", True),
+    Row("operator", "ask", f"{W}/gnss/log_level", True),
+    Row("operator", "ask", f"{F}/car-1/upload", False),
+    Row("operator", "publish", f"{V}/integrity/verdict", False),
+    # A certificate of the authority that is not, or no more, in the list
+    Row("revoked", "publish", "camber/v1/revoked/integrity/verdict", False),
+    Row("revoked", "ask", f"{F}/revoked/upload_batch", False),
+    Row("revoked", "hear", f"{F}/release", False),
+    Row("stranger", "publish", f"{V}/integrity/verdict", False),
+    Row("stranger", "ask", f"{F}/map/root", False),
+    Row("stranger", "answer", f"{F}/map/root", False),
+]
+
+
+class Fleet(NamedTuple):
+    certificates: Certificates
+    endpoint: str
+    sessions: dict[str, zenoh.Session]
+    echoes: dict[tuple[str, str], str]
+
+    def session(self, who: str) -> zenoh.Session:
+        if who not in self.sessions:
+            self.sessions[who] = joined(self.certificates.settings(who, self.endpoint))
+        return self.sessions[who]
+
+    def heard(self, who: str, name: str) -> str:
+        if (who, name) not in self.echoes:
+            settings = self.certificates.settings(who, self.endpoint)
+            self.echoes[who, name] = are_we_heard(settings, name, timeout_s=20.0)
+        return self.echoes[who, name]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    folder = tmp_path_factory.mktemp("fleet")
+    certificates, endpoint = make_certificates(folder), tls_endpoint()
+    with router(cloud_file(certificates, endpoint, folder / "cloud.json5")), ExitStack() as stack:
+        found = Fleet(certificates, endpoint, {}, {})
+        stack.callback(lambda: [session.close() for session in found.sessions.values()])
+        found.session("cloud")
+        yield found
+
+
+class Got:
+    """What has come, and that something has."""
+
+    def __init__(self) -> None:
+        self.came = threading.Event()
+
+    def sample(self, _: zenoh.Sample) -> None:
+        self.came.set()
+
+    def query(self, query: zenoh.Query) -> None:
+        self.came.set()
+        with query:
+            # A wildcard is asked of by one that must not: what it gets is said on a key of its own.
+            query.reply(str(query.key_expr), b"answer")
+
+
+def published(sayer: zenoh.Session, hearer: zenoh.Session, key: str) -> bool:
+    """Does what one publishes reach the other? Both ways in which one can: with a publisher, and without."""
+    got = Got()
+    subscriber = hearer.declare_subscriber(key, got.sample)
+    publisher = sayer.declare_publisher(key)
+    deadline = time.monotonic() + NOTHING_S
+    while not got.came.is_set() and time.monotonic() < deadline:
+        publisher.put(b"said")
+        sayer.put(key, b"said")
+        got.came.wait(0.05)
+    publisher.undeclare()
+    subscriber.undeclare()
+    return got.came.is_set()
+
+
+def answered(asker: zenoh.Session, answerer: zenoh.Session, key: str) -> bool:
+    """Does a question come through, and the answer back?"""
+    got = Got()
+    queryable = answerer.declare_queryable(key, got.query)
+    deadline, replies = time.monotonic() + NOTHING_S, 0
+    while not replies and time.monotonic() < deadline:
+        replies = sum(reply.ok is not None for reply in asker.get(key, payload=b"?", timeout=1.0))
+        time.sleep(0.0 if replies else 0.05)
+    queryable.undeclare()
+    assert got.came.is_set() == bool(replies), "a question was let in, but not its answer out"
+    return bool(replies)
+
+
+def test_there_are_rows_of_every_kind() -> None:
+    assert len(ROWS) == len(set(ROWS)) >= 30
+    assert {(row.action, row.allowed) for row in ROWS} == {
+        (action, allowed) for action in ("publish", "hear", "ask", "answer") for allowed in (True, False)
+    }
+
+
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_a_row(fleet: Fleet, row: Row) -> None:
+    session, everyone = fleet.session(row.who), fleet.session("cloud")
+    done = {
+        "publish": lambda: published(session, everyone, row.key),
+        "hear": lambda: published(everyone, session, row.key if row.key != "**" else f"{W}/gnss/fix"),
+        "ask": lambda: answered(session, everyone, row.key),
+        "answer": lambda: answered(everyone, session, row.key),
+    }[row.action]()
+    assert done == row.allowed
+
+
+# Who hears nothing has said nothing. What a vehicle may say within itself ends at its own router, and is no mistake.
+TOLD = [row for row in ROWS if not row.allowed and row.action != "hear" and not (
+    row.who == "car-1" and row.key.startswith(V))]  # fmt: skip
+
+
+@pytest.mark.parametrize("row", TOLD, ids=str)
+def test_whoever_is_denied_what_it_says_learns_it(fleet: Fleet, row: Row) -> None:
+    if row.action == "ask":
+        asked_s = time.monotonic()
+        assert list(fleet.session(row.who).get(row.key, payload=b"?", timeout=30.0)) == []
+        assert time.monotonic() - asked_s < 20.0, "at once, not by a timeout"
+    else:
+        assert fleet.heard(row.who, row.key.split("/")[2]) == "denied"
+
+
+@pytest.mark.parametrize(
+    ("who", "name"),
+    [("car-1", "car-1"), ("car-2", "car-2"), ("map_update", "fleet"), ("consumer", "consumer")],
+)
+def test_whoever_speaks_in_its_own_name_is_heard(fleet: Fleet, who: str, name: str) -> None:
+    assert fleet.heard(who, name) == "heard"
+
+
+def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
+    watch = HeardWatch(fleet.certificates.settings("car-1", fleet.endpoint), "car-2", again_s=600.0)
+    found: list[str] = []
+    wait_until(lambda: found.extend(watch.problems()) or found, timeout_s=30.0, why="nothing was said")
+    assert "car-1 says as car-2: not in its access list" in found[0]
+    right = HeardWatch(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
+    time.sleep(2.0)
+    assert right.problems() == []
+
+
+def test_an_upload_in_anothers_name_has_no_receipt_and_a_reason(fleet: Fleet) -> None:
+    settings = ServiceSettings(vehicle="car-2", zenoh=fleet.certificates.settings("car-1", fleet.endpoint))
+    bus = Bus(open_session(settings.zenoh, timeout_s=10.0), settings, "integrity", SystemClock())
+    got = Got()
+    queryable = fleet.session("cloud").declare_queryable(f"{F}/*/upload_batch", got.query)
+    try:
+        with pytest.raises(QueryFailed, match="denied") as failed:
+            bus.ask_bytes("upload_batch", b"x")
+        assert failed.value.reason == "absent"
+        assert not got.came.is_set()
+    finally:
+        queryable.undeclare()
+        bus.close()
+
+
+@pytest.mark.parametrize("who", ["expired", "other authority"])
+def test_a_certificate_that_is_not_valid_is_not_let_in(fleet: Fleet, who: str) -> None:
+    settings = fleet.certificates.settings(who, fleet.endpoint)
+    assert not_let_in(unchecked(settings), fleet)
+    with pytest.raises(BusError, match="expired" if who == "expired" else "not signed by"):
+        open_session(settings, timeout_s=5.0)
+
+
+def test_without_a_certificate_nobody_is_let_in(fleet: Fleet) -> None:
+    settings = fleet.certificates.settings("car-1", fleet.endpoint)
+    assert not_let_in(unchecked(settings.model_copy(update={"tls_certificate": None})), fleet)
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+def test_another_mode_gives_no_more_rights(fleet: Fleet, mode: str) -> None:
+    session = unchecked(fleet.certificates.settings("car-1", fleet.endpoint), mode=mode)
+    assert session is not None
+    with session:
+        time.sleep(0.5)
+        assert published(session, fleet.session("cloud"), f"{V}/integrity/verdict")
+        assert not published(session, fleet.session("cloud"), f"{W}/integrity/verdict")
+        assert not published(fleet.session("car-2"), session, f"{W}/integrity/verdict")
+        assert not answered(session, fleet.session("cloud"), f"{F}/car-2/upload_batch")
+        assert not answered(fleet.session("car-2"), session, f"{F}/map/root")
+
+
+def test_a_link_ends_with_its_certificate_and_begins_again_with_a_new_one(tmp_path: Path) -> None:
+    """The clock of the test is the machine's: a certificate of a few seconds."""
+    certificates, endpoint = make_certificates(tmp_path), tls_endpoint()
+    with router(cloud_file(certificates, endpoint, tmp_path / "cloud.json5", "--vehicle", "brief")):
+        now, authority = datetime.now(UTC), Authority(certificates.folder)
+        authority.issue("brief", "vehicle", days=timedelta(seconds=8) / timedelta(days=1), now=now)
+        with joined(certificates.settings("brief", endpoint)) as session:
+            wait_until(
+                lambda: not list(session.info.routers_zid()), timeout_s=30.0, why="the link outlived it"
+            )
+            assert datetime.now(UTC) - now >= timedelta(seconds=7)
+            time.sleep(2.0)
+            assert not list(session.info.routers_zid()), "it was let in again"
+            # The files are read anew for each link: nothing has to be started again.
+            authority.issue("brief", "vehicle", days=1, now=datetime.now(UTC), renew=True)
+            wait_until(
+                lambda: list(session.info.routers_zid()), timeout_s=20.0, why="it was not let in again"
+            )
+
+
+def not_let_in(session: Any, fleet: Fleet) -> bool:
+    """No session, or one that ends before anything comes through."""
+    if session is None:
+        return True
+    with session:
+        return not published(session, fleet.session("cloud"), f"{V}/integrity/verdict")

@@ -1,0 +1,37 @@
+"""What a judge hears on the short drive, and what of its verdicts does not depend on when they were given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from camber.schemas.drive import load_manifest
+from camber.schemas.integrity import Verdict
+from camber.simulator.drive_inputs import prepare_drive
+from camber.simulator.short_drive import write_short_drive
+from camber.tools.one_process import drive_through
+
+AFTER_S = {"motion": 0.001, "antenna_height": 0.002, "fix": 0.004, "velocity": 0.005, "pose": 0.006}
+"""How long after the time of measurement each is said."""
+
+
+def recorded_inputs(folder: Path, duration_s: float) -> list[tuple[float, str, Any]]:
+    """What a judge hears in the first seconds of the short drive, with when it is said, seconds from the start."""
+    manifest = load_manifest(write_short_drive(folder / "drive"), [f"end_s={duration_s}"])
+    inputs = prepare_drive(manifest, folder / "drive")
+    driven = drive_through(inputs, folder, channels=tuple(AFTER_S))
+    said = [(item.message, name) for name in AFTER_S for item in driven.recorded.get(name, [])]
+    if not driven.recorded.get("motion"):
+        said += [
+            (message, name) for tick in inputs.ticks() for name, message in tick.messages if name == "motion"
+        ]
+    first_ns = min(message.time_ns for message, _ in said)
+    return sorted(
+        (((message.time_ns - first_ns) / 1e9 + AFTER_S[name], name, message) for message, name in said),
+        key=lambda one: one[0],
+    )
+
+
+def outcome(verdict: Verdict) -> dict[str, Any]:
+    """All of a verdict but its time."""
+    return {name: value for name, value in verdict.model_dump().items() if name != "time_ns"}
