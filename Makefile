@@ -7,7 +7,7 @@ OUT := out
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation golden docs image clean
+.PHONY: help setup demo evidence compile compile-engine compile-localizer compile-maps compile-simulator test check lint bench fuzz mutation faults soak hostile golden docs image sbom licences vulnerabilities clean
 
 help:
 	@echo "make setup   virtual environment in .venv, with everything for development"
@@ -17,8 +17,13 @@ help:
 	@echo "make bench   figures against their peers, into $(OUT)/bench.json"
 	@echo "make evidence  drives through all services, and docs/evidence.md; the recording needs CAMBER_DATA; an hour"
 	@echo "make fuzz    damaged input for every decoder, ten minutes; FUZZ_MINUTES=1 for less, FUZZ_SEED=n as then"
-	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; an hour, MODULE=learning some minutes"
+	@echo "make mutation  thousands of small changes of the judge, each of which a test must notice; an hour and a half, MODULE=learning some minutes"
+	@echo "make faults  outages as long as they are promised for, links cut for ten minutes among them; half an hour, as root"
+	@echo "make soak    two hours of driving in real time: memory, descriptors, threads, latency; SOAK_MINUTES=5 for less"
+	@echo "make hostile  a million malformed messages to every input of a driving vehicle; HOSTILE_COUNT=20000 for less"
 	@echo "make image   container image camber, with everything for any service"
+	@echo "make sbom    bill of materials of what images install, CycloneDX, into $(OUT)/sbom.json"
+	@echo "make licences  their licences; fails on one that may not be shipped. make vulnerabilities: known ones, by osv.dev"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
 
@@ -77,6 +82,8 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m camber.tools.data_flow --check
+	$(BIN)/python deploy/supply_chain.py licences >/dev/null
+	$(BIN)/python deploy/supply_chain.py vulnerabilities
 
 # Types are checked by one processor while the other compiles.
 check: setup
@@ -95,6 +102,17 @@ fuzz: setup
 mutation: setup .venv/.mutation
 	PYTHONPATH=tests $(BIN)/python -m mutation.run $(if $(MODULE),--only $(MODULE)) --out $(OUT)/mutation
 
+faults: compile
+	rm -f $(OUT)/faults/recovery.jsonl
+	FAULTS=long FAULTS_OUT=$(abspath $(OUT))/faults/recovery.jsonl $(BIN)/python -m pytest -m slow tests/integration/test_faults_*.py
+	@cat $(OUT)/faults/recovery.jsonl
+
+soak: compile
+	PYTHONPATH=tests $(BIN)/python -m soak.run --minutes $(or $(SOAK_MINUTES),120) --out $(OUT)/soak
+
+hostile: compile
+	PYTHONPATH=tests $(BIN)/python -m hostile.run --count $(or $(HOSTILE_COUNT),1000000) $(if $(HOSTILE_SEED),--seed $(HOSTILE_SEED)) --out $(OUT)/hostile
+
 golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden
 
@@ -102,8 +120,18 @@ docs: setup
 	$(BIN)/python -m camber.tools.data_flow
 
 image:
-	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL \
+	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg KIND=compiled \
 		--build-arg EXTRAS=engine,localizer,map,fleet,web,simulator --tag camber .
+
+sbom: setup
+	$(BIN)/python deploy/supply_chain.py sbom --out $(OUT)/sbom.json
+
+licences: setup
+	$(BIN)/python deploy/supply_chain.py licences
+
+# Where osv.dev cannot be reached it says SKIPPED; for a release: deploy/supply_chain.py vulnerabilities --required
+vulnerabilities: setup
+	$(BIN)/python deploy/supply_chain.py vulnerabilities
 
 clean:
 	rm -rf $(OUT) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
