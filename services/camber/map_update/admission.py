@@ -31,6 +31,7 @@ class Rules:
     largest_sigma_m: float
     highest_antenna_m: float
     most_records: int
+    oldest_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +74,11 @@ def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
 
 
 def _observations(rows: npt.NDArray[np.void], now_ns: int, rules: Rules) -> Refusal | None:
+    earliest_ns = EARLIEST_NS
+    if rules.oldest_s is not None:
+        earliest_ns = max(earliest_ns, now_ns - round(rules.oldest_s * 1e9))
     bounds: tuple[tuple[str, float, float], ...] = (
-        ("time_ns", EARLIEST_NS, now_ns + round(rules.future_limit_s * 1e9)),
+        ("time_ns", earliest_ns, now_ns + round(rules.future_limit_s * 1e9)),
         ("fix_id", 0, _LARGEST_ID),
         ("surface_id", 0, _LARGEST_ID),
         ("latitude_rad", -pi / 2, pi / 2),

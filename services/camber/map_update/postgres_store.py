@@ -108,6 +108,10 @@ class PostgresStore(Store):
         """See `Store.forget`."""
         return self._run(lambda db: self._forget(db, before_ns, most))
 
+    def prune(self, before_ns: int, *, most: int = 1000) -> int:
+        """See `Store.prune`."""
+        return self._run(lambda db: self._prune(db, before_ns, most))
+
     def progress(self) -> Progress:
         """See `Store.progress`."""
         return Progress(*self._run(lambda db: db.fetchrow('SELECT "cursor", revision FROM progress')))
@@ -263,6 +267,18 @@ class PostgresStore(Store):
                         await db.execute(f"DROP TABLE observation_{k}")
                     else:
                         await db.execute(f"DELETE FROM observation_{k} WHERE contribution <= $1", numbers[-1])
+        return len(numbers)
+
+    async def _prune(self, db: asyncpg.Connection, before_ns: int, most: int) -> int:
+        async with db.transaction():
+            found = await db.fetch(
+                "SELECT number, received_ns FROM contribution, progress WHERE number <= forgotten"
+                " ORDER BY number LIMIT $1",
+                most,
+            )
+            numbers = forgettable(found, before_ns)
+            if numbers:
+                await db.execute("DELETE FROM contribution WHERE number <= $1", numbers[-1])
         return len(numbers)
 
     async def _advance(

@@ -11,6 +11,7 @@ from pydantic import SecretStr
 
 from camber.formats.map_release import ReleaseError, load_signing_key, read_release
 from camber.formats.map_serving import ReleaseServing
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.admission import Refusal, other_name, refusals
 from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion import Fusion
@@ -38,7 +39,6 @@ T = TypeVar("T")
 _NS = 1_000_000_000
 _CHECK_NS = 2 * _NS
 _FORGET_NS = 60 * _NS
-_DAY_NS = 86_400 * _NS
 # A disk may be full for what is written and answer what is read: one that refused a commit is well after the next.
 _UNAVAILABLE = {
     "store": "store_unavailable",
@@ -258,11 +258,16 @@ class MapUpdateService(Service[MapUpdateSettings]):
 
     def _forget(self, store: Store, now_ns: int) -> None:
         """Some at a time: uploads wait meanwhile."""
-        before_ns = now_ns - round(self.settings.retention_days * _DAY_NS)
+        before_ns = now_ns - round(self.settings.retention_days * NS_PER_DAY)
         forgotten = self._reached("store", lambda: store.forget(before_ns, most=1000))
         if forgotten:
             self.bus.count("forgotten", forgotten)
-        if forgotten == 1000:
+        pruned = None
+        if (ledger_s := self.settings.ledger_s) is not None:
+            pruned = self._reached("store", lambda: store.prune(now_ns - round(ledger_s * _NS), most=1000))
+        if pruned:
+            self.bus.count("pruned", pruned)
+        if 1000 in (forgotten, pruned):
             self._forgot_ns -= _FORGET_NS
 
     def _reached(self, name: str, work: Callable[[], T]) -> T | None:

@@ -15,6 +15,8 @@ from camber.map_update.shards import Shards
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 
+_DAY_S = 86_400.0
+
 
 class MapUpdateSettings(ServiceSettings):
     """Settings of map_update: where uploads are stored, and which are impossible."""
@@ -112,6 +114,13 @@ class MapUpdateSettings(ServiceSettings):
     false_discovery_rate: float = Field(
         0.01, gt=0.0, le=0.2, description="bound of the share of false ones among published changes"
     )
+    oldest_upload_days: float | None = Field(
+        None,
+        gt=0.0,
+        le=36500.0,
+        description="observations older than this are refused, and their rows of the ledger deleted in time; unset: "
+        "any age is taken, and the ledger kept for ever",
+    )
 
     @field_validator("store", "queue")
     @classmethod
@@ -175,4 +184,15 @@ class MapUpdateSettings(ServiceSettings):
             largest_sigma_m=self.largest_sigma_m,
             highest_antenna_m=self.highest_antenna_m,
             most_records=self.most_records,
+            oldest_s=None if self.oldest_upload_days is None else self.oldest_upload_days * _DAY_S,
         )
+
+    @property
+    def ledger_s(self) -> float | None:
+        """After so long what was received would be refused if it came again; None: never.
+
+        Its times are at most `future_limit_s` after it was received, and clocks are set back by less than a day.
+        """
+        if self.oldest_upload_days is None:
+            return None
+        return (self.oldest_upload_days + 1.0) * _DAY_S + self.future_limit_s

@@ -172,6 +172,18 @@ class SqliteStore(Store):
                 db.execute("UPDATE progress SET forgotten = ?", numbers[-1:])
         return len(numbers)
 
+    def prune(self, before_ns: int, *, most: int = 1000) -> int:
+        """See `Store.prune`."""
+        with self._writing() as db:
+            found = db.execute(
+                "SELECT number, received_ns FROM contribution, progress WHERE number <= forgotten"
+                " ORDER BY number LIMIT ?",
+                (most,),
+            ).fetchall()
+            numbers = forgettable(found, before_ns)
+            db.execute("DELETE FROM contribution WHERE number <= ?", (numbers[-1] if numbers else 0,))
+        return len(numbers)
+
     def progress(self) -> Progress:
         """See `Store.progress`."""
         with self._named():

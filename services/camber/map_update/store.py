@@ -134,6 +134,13 @@ class Store(abc.ABC):
         """
 
     @abc.abstractmethod
+    def prune(self, before_ns: int, *, most: int = 1000) -> int:
+        """Delete at most `most` rows of the ledger, in the order of commits; as `forget`, of what is forgotten already.
+
+        Only for what the admission refuses by its age: it would be stored a second time. Returns how many.
+        """
+
+    @abc.abstractmethod
     def progress(self) -> Progress:
         """How far the fusion has come."""
 

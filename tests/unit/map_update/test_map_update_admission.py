@@ -1,5 +1,7 @@
 """What is impossible is refused with a line that names the field, its value and what was expected."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -197,3 +199,14 @@ def test_a_group_is_judged_as_each_of_it():
     good = [from_upload(ElevationUpload(**UPLOAD)), from_batch(batch())]
     for group in (good, [*good, tokyo], [high, *good, tokyo], [from_batch(batch(11)), *good], []):
         assert refusals(group, NOW_NS, RULES) == [refusal(one, NOW_NS, RULES) for one in group]
+
+
+@pytest.mark.parametrize(("age_s", "taken"), [(3600.0, True), (3600.1, False)])
+def test_where_an_age_is_set_what_is_older_is_refused_in_batches_too(age_s, taken):
+    rules = replace(RULES, oldest_s=3600.0)
+    times = np.array([NOW_NS, NOW_NS - round(age_s * 1e9), NOW_NS, NOW_NS])
+    found = refusal(from_batch(batch(positioning_time_ns=times)), NOW_NS, rules)
+    assert (found is None) == taken
+    if found is not None:
+        assert found.code == "time_ns"
+        assert found.text.startswith(f"record 1: time_ns {times[1]}, expected {NOW_NS - 3600 * 10**9} to ")

@@ -7,8 +7,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
+from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.store import Step
 from camber.runtime.uploaded import Uploaded
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
@@ -110,6 +113,39 @@ def test_a_batch_is_acknowledged_under_its_batch_id(service):
     (second,) = asked(service, "upload_batch", batch())
     assert (first.upload_id, first.status) == ("b1", "stored")
     assert (second.upload_id, second.status) == ("b1", "duplicate")
+
+
+def test_what_the_ledger_has_lost_to_age_is_refused_when_it_comes_again(tmp_path, bus):
+    settings = MapUpdateSettings(
+        state_dir=tmp_path, retention_days=10.0, oldest_upload_days=40.0, future_limit_s=86_400.0
+    )
+    statuses = []
+    with closing(MapUpdateService(settings, bus)) as service, closing(_file(tmp_path)) as fusion:
+        for day in (0.0, 39.9, 41.9, 42.1):
+            bus.time_ns = NOW_NS + round(day * NS_PER_DAY)
+            statuses += [(day, r.status) for r in asked(service, "upload", upload("u1"), upload("u2"))]
+            fusion.advance(fusion.progress(), Step(cursor=2))
+            service.advance(bus.time_ns)
+            statuses.append((day, bus.counters["pruned"]))
+    assert statuses == [
+        *[(0.0, "stored")] * 2,
+        (0.0, 0),
+        *[(39.9, "duplicate")] * 2,
+        (39.9, 0),
+        *[(41.9, "duplicate")] * 2,
+        (41.9, 0),
+        *[(42.1, "duplicate")] * 2,
+        (42.1, 2),
+    ]
+    assert _file(tmp_path).counts() == (0, 0)
+    with closing(MapUpdateService(settings, bus)) as service:
+        (receipt,) = asked(service, "upload", upload("u1"))
+    assert receipt.status == "refused"
+    assert receipt.reason.startswith("record 0: time_ns ")
+
+
+def _file(folder):
+    return SqliteStore(folder / "uploads.sqlite", busy_s=1.0)
 
 
 @pytest.mark.parametrize("key", ["v2", "*"])

@@ -157,6 +157,31 @@ def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicat
     assert committed(store, *(contribution(f"u{n}") for n in range(4))) == ["duplicate"] * 4
 
 
+def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_not_given_again(store):
+    for n in range(4):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    last = store.observations_after(0, 100).headings[3].number
+    assert store.prune(NOW_NS + 10) == 0
+    store.advance(store.progress(), Step(cursor=last))
+    assert store.prune(NOW_NS + 10) == 0
+    assert store.forget(NOW_NS + 3) == 3
+    assert [store.prune(NOW_NS + 10, most=2) for _ in range(3)] == [2, 1, 0]
+    assert store.counts() == (1, 1)
+    assert committed(store, contribution("u3")) == ["duplicate"]
+    assert store.forget(NOW_NS + 10) == store.prune(NOW_NS + 10) == 1
+    assert committed(store, contribution("u4")) == ["stored"]
+    assert store.observations_after(0, 100).headings[0].number == last + 1
+
+
+def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
+    for n in range(3):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    store.advance(store.progress(), Step(cursor=store.observations_after(0, 100).cursor))
+    store.forget(NOW_NS + 10)
+    assert store.prune(NOW_NS + 1) == 1
+    assert committed(store, *(contribution(f"u{n}") for n in (1, 2))) == ["duplicate"] * 2
+
+
 def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
     for n in range(5):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
