@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -55,9 +54,6 @@ class GnssService(Service[GnssSettings]):
         compile_readers()
         if settings.positions == "engine":
             warm_up()
-            # What is there now lives as long as the process; to look through it all would stop the work for 60 ms.
-            gc.collect()
-            gc.freeze()
 
     def __init__(self, settings: GnssSettings, bus: Bus) -> None:
         super().__init__(settings, bus)

@@ -89,14 +89,15 @@ class MapServerService(Service[MapServerSettings]):
         if self._fetch is not None:
             self._fetch.near(request.latitude_rad, request.longitude_rad)
         now_ns = self.bus.now_ns()
-        reason = self._why_unknown(now_ns) or "map_missing"
-        reply = ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason))
-        answers = self._in_force(now_ns)
+        answers, reply = self._in_force(now_ns), None
         if answers is not None:
             try:
                 reply = answers.elevation(request, time_ns=now_ns)
             except ReleaseError as error:
                 self._report_unreadable(error)
+        if reply is None:
+            reason = self._why_unknown(now_ns) or "map_missing"
+            reply = ElevationReply(time_ns=now_ns, road=Road(status="unknown", reason=reason))
         road = reply.road
         self.bus.count(f"elevation.{road.status if road.status == 'known' else road.reason}")
         return reply

@@ -373,7 +373,7 @@ class Bus:
     def reply(self, query: zenoh.Query, message: Message) -> None:
         """Answer a question."""
         data = encode(message, source=self.service)
-        query.reply(str(query.key_expr), data, encoding=encoding_of(type(message)))
+        query.reply(str(query.key_expr), data, encoding=encoding_of(type(message)), express=True)
 
     def close(self) -> None:
         """Leave the bus."""

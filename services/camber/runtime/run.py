@@ -5,6 +5,7 @@ Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joi
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -344,6 +345,9 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     loop: Loop | None = None
     try:
         loop = Loop(service_class(settings, bus), bus, clock, spoken)
+        # What is there now stays as long as the process; to look through it all would stop the work for some 50 ms.
+        gc.collect()
+        gc.freeze()
         _stop_on_signal(loop)
         bus.log.info("started", clock=settings.clock, vehicle=settings.vehicle)
         if settings.clock == "replay":
