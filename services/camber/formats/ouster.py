@@ -155,7 +155,8 @@ class OusterDecoder:
         valid = self._valid(columns)
         after = (columns["stamp_ns"] - stamps[:, None]).view(np.int64)
         # A column that claims to be far from the others of its packet is damaged.
-        valid &= np.abs(after) < 100 * COLUMNS_OF_PACKET * self.interval_ns
+        limit_ns = 100 * COLUMNS_OF_PACKET * self.interval_ns
+        valid &= (after > -limit_ns) & (after < limit_ns)
         flat = columns[valid]
         place = flat["place"].astype(np.int64)
         distance = (flat["pixels"]["range"] & self._profile.range_mask).astype(

@@ -101,6 +101,12 @@ class CanMotion:
         maker = messages[trigger] if trigger is not None else first
         self._trigger = None if maker is None else (maker.identifier, maker.extended)
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What its frames should give."""
+        gives = {"motion": self._uses & _FIELDS.keys(), "suspension": self._uses & {"stroke_height"}}
+        return tuple(channel for channel, quantities in gives.items() if quantities)
+
     def take(self, frame: CanFrame, time_ns: int) -> list[Message]:
         """A frame at its GPS time; what it completes, mostly nothing."""
         key = (frame.identifier, frame.extended)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 from camber.formats.candump import CandumpDecoder, CanFrame
@@ -25,7 +26,6 @@ class SensorsService(Service[SensorsSettings]):
     def __init__(self, settings: SensorsSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         started_ns = bus.now_ns()
-        self._given_ns: dict[str, int] = {}
         self._played: list[Played[Datagram] | Played[CanFrame]] = []
         self._packets = self._open_lidar()
         self._frames = self._open_can()
@@ -37,9 +37,10 @@ class SensorsService(Service[SensorsSettings]):
         for played in self._played:
             if firsts:
                 played.start(min(firsts), started_ns, dated_now=settings.recordings == "now")
-        for name, used in (("lidar", self._lidar), ("can", self._can)):
-            if used is not None:
-                self._given_ns[name] = started_ns
+        expected = [] if self._lidar is None else ["sweep"]
+        expected += [] if self._can is None else self._can.channels
+        # By a clock that nobody sets: who is silent stays so when this machine's is set back.
+        self._given_s = dict.fromkeys(expected, time.monotonic())
 
     def _open_lidar(self) -> Input[Datagram] | None:
         if self.settings.lidar.source is None:
@@ -63,21 +64,26 @@ class SensorsService(Service[SensorsSettings]):
 
     def advance(self, now_ns: int) -> None:
         """Read what has come, publish what is whole."""
-        self._work_lidar(now_ns)
-        self._work_can(now_ns)
-        for name in self._silent(now_ns):
-            if name not in self._named_silent:
-                what = "sweep" if name == "lidar" else "motion"
-                self.bus.issue("sensor_silent", f"{name}: no {what} for {self.settings.silence_s:g} s")
-        self._named_silent = self._silent(now_ns)
+        try:
+            self._work_lidar(now_ns)
+        finally:  # a fault in the one is none in the other
+            self._work_can(now_ns)
+            self._name_silent()
 
     def healthy(self) -> bool:
         """Does every input give something?"""
-        return not self._silent(self.bus.now_ns())
+        return not self._silent()
 
-    def _silent(self, now_ns: int) -> frozenset[str]:
-        limit_ns = self.settings.silence_s * 1e9
-        return frozenset(name for name, given_ns in self._given_ns.items() if now_ns - given_ns > limit_ns)
+    def _silent(self) -> frozenset[str]:
+        since_s = time.monotonic() - self.settings.silence_s
+        return frozenset(channel for channel, given_s in self._given_s.items() if given_s < since_s)
+
+    def _name_silent(self) -> None:
+        silent = self._silent()
+        for channel in sorted(silent - self._named_silent):
+            name = "lidar" if channel == "sweep" else "can"
+            self.bus.issue("sensor_silent", f"{name}: no {channel} for {self.settings.silence_s:g} s")
+        self._named_silent = silent
 
     def close(self) -> None:
         """Close ports and files."""
@@ -103,7 +109,7 @@ class SensorsService(Service[SensorsSettings]):
             self._sweeps_ended = True
             sweeps += self._lidar.finish()
         for sweep in sweeps:
-            self._give("lidar", "sweep", sweep, self._packets.shift_ns, now_ns)
+            self._give("sweep", sweep, self._packets.shift_ns)
         self._report("lidar", issues, {**self._packets.counts, **self._lidar.counts})
 
     def _work_can(self, now_ns: int) -> None:
@@ -117,13 +123,13 @@ class SensorsService(Service[SensorsSettings]):
                 continue
             for message in self._can.take(frame, gps_ns(frame.time_ns) + offset_ns):
                 channel = "suspension" if isinstance(message, Suspension) else "motion"
-                self._give("can", channel, message, self._frames.shift_ns, now_ns)
+                self._give(channel, message, self._frames.shift_ns)
         self._report("can", self._frames.issues, {**self._frames.counts, **self._can.counts})
 
-    def _give(self, source: str, channel: str, message: Message, shift_ns: int, now_ns: int) -> None:
+    def _give(self, channel: str, message: Message, shift_ns: int) -> None:
         if shift_ns:
             message = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
-        self._given_ns[source] = now_ns
+        self._given_s[channel] = time.monotonic()
         self.bus.publish(channel, message)
 
     def _report(self, name: str, issues: list[tuple[str, str]], counts: Mapping[str, int]) -> None:

@@ -75,9 +75,10 @@ class SweepCutter:
         assert self._waiting is not None
         begins = [0, *ends]
         parts = [slice(begin, end) for begin, end in pairwise(begins) if begin < end]
-        sweeps = [self._sweep(self._time_ns[part], self._waiting.chosen(part)) for part in parts]
+        turns = [(self._time_ns[part], self._waiting.chosen(part)) for part in parts]
         rest = slice(begins[-1], None)
         self._time_ns, self._waiting = self._time_ns[rest], self._waiting.chosen(rest)
+        sweeps = [self._sweep(time_ns, firings) for time_ns, firings in turns]
         return [sweep for sweep in sweeps if sweep is not None]
 
     def _sweep(self, time_ns: Int64, firings: Firings) -> Sweep | None:

@@ -187,6 +187,17 @@ def test_columns_that_the_sensor_calls_invalid_and_returns_that_are_none_are_lef
     assert np.argwhere(~firings.returned).tolist() == [[0, 5]]
 
 
+@pytest.mark.parametrize("off_ns", [2**63, 2**62, -(2**62), 10**9, -(10**9)])
+def test_a_column_stamped_far_from_the_others_of_its_packet_is_left_out(off_ns: int) -> None:
+    packet = ouster_packet("RNG19_RFL8_SIG16_NIR16")
+    packet["columns"]["stamp_ns"][5] = (int(packet["columns"]["stamp_ns"][0]) + off_ns) % 2**64
+    firings = (
+        ouster.OusterDecoder(read_ouster_metadata(metadata(), "m.json")).decode([packet.tobytes()]).firings
+    )
+    assert firings is not None
+    assert (firings.turn * 512).round().astype(int).tolist() == [*range(5), *range(6, 16)]
+
+
 def test_the_flat_metadata_of_earlier_firmware_are_read() -> None:
     nested = json.loads(metadata("LEGACY"))
     flat = {name: value for table in nested.values() for name, value in table.items()}

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from functools import cache
 from random import Random
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -238,6 +239,19 @@ def test_a_sensor_that_stands_still_gives_no_sweep_and_fills_no_memory() -> None
     assert found == []
     assert one.counts["sweeps.not_turning"] >= 1
     assert first_us
+
+
+def test_a_turn_that_cannot_be_a_sweep_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the reason: the turns after it are whole."""
+    one = reader("ouster")
+    half = packets("ouster")[: len(packets("ouster")) // 2]
+    with monkeypatch.context() as broken:
+        broken.setattr(one._cutter, "_sweep", Mock(side_effect=RuntimeError))
+        with pytest.raises(RuntimeError):
+            read(one, half, 10_000)
+    found, _ = read(one, packets("ouster")[len(half) :], 16)
+    for a, b in zip(found, sweeps("ouster")[1:], strict=True):
+        alike("ouster", a, b)
 
 
 def test_another_beam_table_would_be_noticed() -> None:

@@ -1,0 +1,133 @@
+"""The process of the sensors as a whole: who is silent is named, and a fault in one input is none in the other."""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+import camber.sensors.service
+from camber.formats.candump import CanFrame, candump_text
+from camber.formats.dbc import read_dbc
+from camber.geodesy.gps_time import unix_ns_from_gps_ns
+from camber.runtime.bus import Bus
+from camber.schemas.base import Message
+from camber.sensors.service import SensorsService
+from camber.sensors.settings import SensorsSettings
+from camber.simulator.can_frames import DBC
+
+S = 1_000_000_000
+START_NS = 1_400_000_000 * S
+UNIX_NS = unix_ns_from_gps_ns(START_NS)
+MESSAGES = read_dbc(DBC, "can.dbc")
+SIGNALS = {
+    "yaw_rate": {"signal": "Dynamics.YawRate", "unit": "deg/s"},
+    "stroke_height": {"signal": "Suspension.Height", "unit": "mm"},
+}
+LIDAR = {"source": "udp:127.0.0.1:1", "model": "HDL-32E", "stamps": "utc_hour"}
+
+
+class FakeBus:
+    def __init__(self) -> None:
+        self.time_ns = START_NS
+        self.given: list[tuple[str, Message]] = []
+        self.issues: list[tuple[str, str]] = []
+        self.counters: Counter[str] = Counter()
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def publish(self, name: str, message: Message) -> None:
+        self.given.append((name, message))
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues.append((code, text))
+
+    def count(self, name: str, n: int = 1) -> None:
+        self.counters[name] += n
+
+
+class Time:
+    """A machine whose two clocks go on together, until somebody sets the one."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.passed_s = 0.0
+        self.bus = FakeBus()
+        self.services: list[SensorsService] = []
+        monkeypatch.setattr(
+            camber.sensors.service, "time", SimpleNamespace(monotonic=lambda: self.passed_s), raising=False
+        )
+
+    def go(self, service: SensorsService, seconds: float, step_s: float = 0.1) -> None:
+        for _ in range(round(seconds / step_s)):
+            self.passed_s += step_s
+            self.bus.time_ns += round(step_s * S)
+            service.advance(self.bus.time_ns)
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> Iterator[Time]:
+    found = Time(monkeypatch)
+    yield found
+    for each in found.services:
+        each.close()
+
+
+def frame(name: str, at_s: float) -> CanFrame:
+    message = MESSAGES[name]
+    return CanFrame(
+        UNIX_NS + round(at_s * S), "can0", message.identifier, message.extended, bytes(message.length_bytes)
+    )
+
+
+def service(time: Time, folder: Path, frames: list[CanFrame], **more: Any) -> SensorsService:
+    (folder / "can.dbc").write_text(DBC)
+    (folder / "can.log").write_text(candump_text(frames))
+    can = {"source": f"candump:{folder / 'can.log'}", "dbc": str(folder / "can.dbc"), **SIGNALS}
+    time.services.append(SensorsService(SensorsSettings(can=cast(Any, can), **more), cast(Bus, time.bus)))
+    return time.services[-1]
+
+
+def silent(time: Time) -> list[str]:
+    return [text for code, text in time.bus.issues if code == "sensor_silent"]
+
+
+def test_a_bus_that_is_dead_stays_so_when_the_clock_is_set_back(time: Time, tmp_path: Path) -> None:
+    one = service(time, tmp_path, [frame(name, 0.0) for name in ("Dynamics", "Suspension")])
+    time.go(one, 1.0)
+    assert one.healthy()
+    time.go(one, 2.0)
+    assert silent(time) == ["can: no motion for 2 s", "can: no suspension for 2 s"]
+    time.bus.time_ns -= 3600 * S
+    time.go(one, 1.0)
+    assert not one.healthy()
+
+
+def test_strokes_are_no_motion(time: Time, tmp_path: Path) -> None:
+    one = service(
+        time, tmp_path, [frame("Dynamics", 0.0), *(frame("Suspension", k / 10) for k in range(100))]
+    )
+    time.go(one, 5.0)
+    assert {name for name, _ in time.bus.given[-10:]} == {"suspension"}
+    assert silent(time) == ["can: no motion for 2 s"]
+    assert not one.healthy()
+
+
+def test_a_fault_in_the_lidar_is_none_in_the_motion(time: Time, tmp_path: Path) -> None:
+    one = service(time, tmp_path, [frame("Dynamics", k / 10) for k in range(50)], lidar=cast(Any, LIDAR))
+
+    class Broken:
+        def take(self, now_ns: int) -> None:
+            raise RuntimeError("lidar")
+
+        def close(self) -> None:
+            pass
+
+    one._packets = cast(Any, Broken())
+    for _ in range(30):
+        with pytest.raises(RuntimeError):
+            time.go(one, 0.1)
+    assert Counter(name for name, _ in time.bus.given) == {"motion": 31}
+    assert silent(time) == ["can: no suspension for 2 s", "lidar: no sweep for 2 s"]
