@@ -1,8 +1,9 @@
 """Where a CAN bus's signals stand in its frames: the messages and signals of a DBC file.
 
 Read are `BO_` (messages), `SG_` (signals: start bit, length, byte order, sign, factor, offset, range, unit) and
-`SIG_VALTYPE_` (floating point); all else is passed over. A start bit is that of the lowest bit where the order is
-Intel's (`@1`), of the highest where it is Motorola's (`@0`); bits are counted from the lowest of each byte.
+`SIG_VALTYPE_` (floating point; with a colon, as tools write it, or without, as the published grammar has it); all else
+is passed over. A start bit is that of the lowest bit where the order is Intel's (`@1`), of the highest where it is
+Motorola's (`@0`); bits are counted from the lowest of each byte.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ _SIGNAL = re.compile(
     r"SG_\s+(\w{1,128})\s*(M|m\d+M?)?\s*:\s*(\d{1,4})\|(\d{1,4})@([01])([-+])\s*"
     rf"\({_NUMBER},{_NUMBER}\)\s*\[{_NUMBER}\|{_NUMBER}\]\s*\"([^\"]*)\""
 )
-_REAL = re.compile(r"SIG_VALTYPE_\s+(\d{1,10})\s+(\w{1,128})\s*:\s*([12])\s*;")
+_REAL = re.compile(r"SIG_VALTYPE_\s+(\d{1,10})\s+(\w{1,128})(?:\s*:\s*|\s+)([12])\s*;")
 _COMMENT = re.compile(r'^CM_[^"]*"(?:[^"\\]|\\.)*"\s*;', re.M)
 _EXTENDED = 0x8000_0000
 _NO_MESSAGE = 0xC000_0000  # the place of signals that no message has
@@ -57,14 +58,19 @@ class DbcSignal:
 
     def placed(self, raw: int, data: bytes) -> bytes:
         """`data` with this signal in it. Raises ValueError for a number that the bits cannot hold."""
-        least = -(1 << (self.bits - 1)) if self.signed else 0
-        if not least <= raw < least + (1 << self.bits):
+        if raw not in self.holds:
             raise ValueError(f"{self.message}.{self.name}: {raw} does not fit into {self.bits} bits")
         shift = self.start_bit if self.intel else 8 * len(data) - self._from_the_front - self.bits
         order = "little" if self.intel else "big"
         mask = (1 << self.bits) - 1
         whole = int.from_bytes(data, order) & ~(mask << shift) | (raw & mask) << shift  # type: ignore[arg-type]
         return whole.to_bytes(len(data), order)  # type: ignore[arg-type]
+
+    @property
+    def holds(self) -> range:
+        """All integers that its bits can be."""
+        least = -(1 << (self.bits - 1)) if self.signed else 0
+        return range(least, least + (1 << self.bits))
 
     @property
     def _from_the_front(self) -> int:

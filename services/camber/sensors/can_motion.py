@@ -8,7 +8,7 @@ gives, or not there at all is None.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -92,6 +92,8 @@ class CanMotion:
             message, reading = _reading(messages, gives, use)
             self._readings.setdefault((message.identifier, message.extended), []).append(reading)
             named[gives] = message
+            if gives == "reverse_gear":
+                _check_codes("reverse_codes", reading.signal, reverse)
         if trigger is not None and trigger not in messages:
             raise SignalError(f"trigger: there is no message {trigger}")
         # The yaw rate tells the path; where there is none the wheels do.
@@ -132,7 +134,9 @@ class CanMotion:
             return None
         signal = reading.signal
         physical = raw * signal.factor + signal.offset
-        if signal.least < signal.most and not signal.least <= physical <= signal.most:
+        # Half a step more: 255 × 0.01 is more than 2.55.
+        least, most = signal.least - abs(signal.factor) / 2.0, signal.most + abs(signal.factor) / 2.0
+        if signal.least < signal.most and not least <= physical <= most:
             self.counts[name] += 1
             return None
         return float(raw) if reading.gives == "reverse_gear" else physical * reading.factor
@@ -193,6 +197,7 @@ def _reading(messages: Mapping[str, DbcMessage], gives: Gives, use: SignalUse) -
         raise SignalError(
             f"{gives}: {use.name} is a floating-point signal, expected an integer with a factor"
         )
+    _check_codes(f"{gives}: invalid", signal, use.invalid)
     wanted = QUANTITIES[gives]
     unit: Unit | None = "1" if wanted == "code" else use.unit
     if unit is None or quantity_of(unit) != wanted:
@@ -201,3 +206,15 @@ def _reading(messages: Mapping[str, DbcMessage], gives: Gives, use: SignalUse) -
     if said is not None and wanted != "code" and said != unit:
         raise SignalError(f"{gives}: the DBC file has {use.name} in {signal.unit}, the settings say {unit}")
     return message, _Reading(gives, signal, si_of(unit) * use.scale, frozenset(use.invalid))
+
+
+def _check_codes(field: str, signal: DbcSignal, codes: Iterable[int]) -> None:
+    """One that the signal can never be would be passed over in silence."""
+    held = signal.holds
+    for code in codes:
+        if code not in held:
+            kind = "signed" if signal.signed else "unsigned"
+            raise SignalError(
+                f"{field}: {code}, expected {held[0]} to {held[-1]}: the DBC file has"
+                f" {signal.message}.{signal.name} {kind}, of {signal.bits} bits"
+            )

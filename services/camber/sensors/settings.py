@@ -125,7 +125,9 @@ class SignalSettings(BaseModel):
         None, description="MESSAGE.SIGNAL of the DBC file; unset: the vehicle has none"
     )
     unit: Unit | None = Field(None, description="of the signal; must be set")
-    invalid: tuple[int, ...] = Field((), description="raw values that mean: not known")
+    invalid: tuple[int, ...] = Field(
+        (), description="raw values that mean: not known; of a signed signal with its sign"
+    )
     scale: float = Field(
         1.0,
         ge=-1e3,

@@ -74,6 +74,12 @@ def test_messages_and_signals_of_a_dbc_file() -> None:
     assert [name for name, signal in wheels.signals.items() if signal.real] == ["Real"]
 
 
+@pytest.mark.parametrize("words", ["Real : 1;", "Real: 2 ;", "Real 1;", "Real  2;"])
+def test_a_floating_point_signal_is_one_with_a_colon_or_without(words: str) -> None:
+    signals = read_dbc(DBC.replace("Real : 1;", words), "x.dbc")["Wheels"].signals
+    assert [name for name, signal in signals.items() if signal.real] == ["Real"]
+
+
 def test_bits_are_where_the_format_says() -> None:
     """Worked by hand: 0x1234 as Motorola's from bit 7 of byte 0, as Intel's from bit 4."""
     motorola = DbcSignal("M", "s", 7, 16, False, False, 1.0, 0.0, 0.0, 0.0, "")

@@ -139,6 +139,23 @@ def test_what_is_old_invalid_cut_off_or_beyond_its_range_is_not_known() -> None:
     assert found.wheel_speed_m_s is not None
 
 
+@pytest.mark.parametrize(("factor", "most"), [(0.01, 2.55), (0.1, 0.3), (0.05625, 5.625), (-0.01, 0.0)])
+def test_the_ends_of_a_range_are_in_it_and_one_step_beyond_is_not(factor: float, most: float) -> None:
+    least = round(255 * factor, 2) if factor < 0.0 else 0.0
+    line = f'BO_ 1 A: 2 X\n SG_ Speed : 0|16@1- ({factor},0) [{least}|{most}] "m/s" X\n'
+    can = CanMotion(read_dbc(line, "x.dbc"), {"wheel_speed": SignalUse("A.Speed", "m/s")})
+    last = round((most if factor > 0.0 else least) / factor)
+
+    def speed(raw: int) -> float | None:
+        (found,) = can.take(CanFrame(0, "can0", 1, False, raw.to_bytes(2, "little", signed=True)), START_NS)
+        return found.wheel_speed_m_s
+
+    assert speed(0) == 0.0
+    assert speed(last) == pytest.approx(last * factor)
+    assert speed(last + 1) is None
+    assert speed(-1) is None
+
+
 def test_a_value_that_becomes_invalid_does_not_leave_the_old_one() -> None:
     *_, last = motion_of((0.0, frame("Wheels", 100)), (0.01, frame("Wheels")), (0.02, frame("Dynamics", 1)))
     assert last.wheel_speed_m_s is None
@@ -189,6 +206,22 @@ def test_a_signal_that_cannot_be_is_one_clear_line(gives, use: SignalUse, words:
     with pytest.raises(SignalError) as error:
         CanMotion(MESSAGES, {gives: use})
     assert str(error.value).startswith(words)
+
+
+def test_codes_that_a_signal_can_never_be_are_one_clear_line() -> None:
+    use = SignalUse("Dynamics.YawRate", "deg/s", (-1, 65_535))
+    with pytest.raises(SignalError) as error:
+        CanMotion(MESSAGES, {"yaw_rate": use})
+    assert str(error.value) == (
+        "yaw_rate: invalid: 65535, expected -32768 to 32767: the DBC file has Dynamics.YawRate signed, of 16 bits"
+    )
+    gear = read_dbc('BO_ 5 Gear: 1 G\n SG_ Now : 0|4@1+ (1,0) [0|15] "" G\n', "can.dbc")
+    with pytest.raises(SignalError) as error:
+        CanMotion(gear, {"reverse_gear": SignalUse("Gear.Now", None)}, reverse=(7, -1))
+    assert (
+        str(error.value)
+        == "reverse_codes: -1, expected 0 to 15: the DBC file has Gear.Now unsigned, of 4 bits"
+    )
 
 
 @pytest.mark.parametrize(

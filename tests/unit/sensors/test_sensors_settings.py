@@ -22,6 +22,7 @@ def read(folder: Path, text: str) -> SensorsSettings:
 LIDAR = '[lidar]\nsource = "udp:2368"\n'
 OUSTER = LIDAR + 'model = "ouster"\n'
 CAN = '[can]\nsource = "socketcan:can0"\n'
+CODE = 'wheel_speed = { signal = "Wheels.Speed", unit = "km/h", invalid = [65535] }\n'
 SPEED = 'wheel_speed = { signal = "Wheels.Speed", unit = "km/h" }\n'
 
 
@@ -57,6 +58,7 @@ def test_what_is_whole_is_taken(tmp_path: Path, text: str) -> None:
         (CAN + 'dbc = "DIR/can.dbc"\n', "can: wheel_speed, yaw_rate …: missing; expected at least one signal"),
         (CAN + 'dbc = "DIR/m.json"\n' + SPEED, "can: m.json: content, expected messages, BO_ … of a DBC file"),
         (CAN + 'dbc = "DIR/can.dbc"\n' + SPEED.replace("km/h", "m/s"), "can: wheel_speed: the DBC file has Wheels"),
+        (CAN + 'dbc = "DIR/can.dbc"\n' + CODE, "sensors.toml: can: wheel_speed: invalid: 65535, expected -32768 to 32"),
         ('clock = "replay"\n', "clock: replay, expected system"),
     ],
 )  # fmt: skip
