@@ -2,7 +2,7 @@
 
 Sources: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng (files), RFC 791 (IPv4 and its fragments: a LiDAR's packet
 is often longer than a frame), RFC 768 (UDP). Ethernet with VLAN tags, Linux' cooked captures and raw IP are read; what
-is not UDP over IPv4 is counted in `skipped`.
+is not UDP over IPv4 is counted in `skipped`, as are frames that were cut short and datagrams of which a fragment lacks.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ _LINKS = {_ETHERNET: (12, 14), _COOKED: (14, 16), _COOKED_2: (0, 20), _RAW: (Non
 _ETHERTYPE_IPV4, _VLAN = 0x0800, (0x8100, 0x88A8)
 _UDP = 17
 _HELD = 64  # datagrams that wait for fragments
+_HELD_NS = 15_000_000_000  # so long (RFC 791): numbers of datagrams come again, an OS1's after 51 s
 _MOST_OF_ALL = 1 << 16  # bytes of a datagram
 
 
@@ -67,6 +68,9 @@ class PcapDecoder:
 
     def finish(self) -> list[Datagram | FormatError]:
         """The file has ended; one that ends within a frame says so."""
+        if self._fragments:
+            self.skipped["fragment"] += len(self._fragments)
+            self._fragments.clear()
         if self._broken or not self._bytes:
             return []
         return [FormatError(self._name, "end", "a whole frame", byte_offset=self._at)]
@@ -199,7 +203,7 @@ class PcapDecoder:
         payload: bytes | None = packet[header:total]
         if place & 0x3FFF:  # more to come, or not the first
             payload = self._assembled(
-                packet, packet[header:total], 8 * (place & 0x1FFF), bool(place & 0x2000)
+                time_ns, packet, packet[header:total], 8 * (place & 0x1FFF), bool(place & 0x2000)
             )
             if payload is None:
                 return None
@@ -210,9 +214,12 @@ class PcapDecoder:
         source = ".".join(map(str, packet[12:16]))
         return Datagram(time_ns, source, int.from_bytes(payload[2:4], "big"), payload[8:])
 
-    def _assembled(self, packet: bytes, part: bytes, at: int, more: bool) -> bytes | None:
+    def _assembled(self, time_ns: int, packet: bytes, part: bytes, at: int, more: bool) -> bytes | None:
         key = (packet[12:16], packet[16:20], int.from_bytes(packet[4:6], "big"))
-        held = self._fragments.setdefault(key, _Fragments())
+        held = self._fragments.setdefault(key, _Fragments(time_ns))
+        if abs(time_ns - held.time_ns) > _HELD_NS:  # of a datagram before, that had the same number
+            self.skipped["fragment"] += 1
+            held = self._fragments[key] = _Fragments(time_ns)
         whole = held.add(at, part, more)
         if whole is not None:
             del self._fragments[key]
@@ -223,9 +230,10 @@ class PcapDecoder:
 
 
 class _Fragments:
-    """Of one datagram."""
+    """Of one datagram, whose first came at this time."""
 
-    def __init__(self) -> None:
+    def __init__(self, time_ns: int) -> None:
+        self.time_ns = time_ns
         self._parts: dict[int, bytes] = {}
         self._end: int | None = None
 

@@ -10,6 +10,8 @@ from camber.formats.timed_file import Timed, TimedFile
 from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 
 T = TypeVar("T", bound=Timed)
+_PAUSE_NS = 10_000_000_000  # what comes so much later was recorded after a pause, or a clock was set
+_LOST = ("skipped_truncated", "skipped_fragment")
 
 
 def gps_ns(unix_ns: int) -> int:
@@ -90,6 +92,7 @@ class Played(Generic[T]):
         self._name, self._file = name, file
         self._ahead_ns: int | None = None
         self._told = False
+        self._found_any = False
 
     def first_ns(self) -> int | None:
         """GPS time of what comes next."""
@@ -100,6 +103,15 @@ class Played(Generic[T]):
         """What was recorded at `first_ns` comes now; `dated_now`: and is dated so."""
         self._ahead_ns = now_ns - first_ns
         self.shift_ns = self._ahead_ns if dated_now else 0
+        self._file.go_on()
+
+    def step_ns(self, now_ns: int) -> int:
+        """By how much the recording's time steps before what comes next, which waits for `start`; mostly zero."""
+        first_ns = self.first_ns()
+        if first_ns is None:
+            return 0
+        step_ns = first_ns - (now_ns - (self._ahead_ns or 0))
+        return step_ns if step_ns > _PAUSE_NS or self._file.steps_back else 0
 
     def take(self, now_ns: int) -> list[T]:
         """What was recorded by the moment that is played now."""
@@ -113,10 +125,21 @@ class Played(Generic[T]):
                 self.issues.append((f"{self._name}_recording", str(item)))
             else:
                 found.append(item)
-        if self._file.ended and not self._told:
+        self._found_any = self._found_any or bool(found)
+        ends = self._file.ended and not self._told
+        self._look_at_skipped(ends and not self._found_any)
+        if ends:
             self._told = True
             self.issues.append((f"{self._name}_ended", "the recording has been played to its end"))
         return found
+
+    def _look_at_skipped(self, nothing_came: bool) -> None:
+        skipped = Counter({f"skipped_{reason}": n for reason, n in self._file.skipped.items()})
+        if nothing_came or any(skipped[name] > self.counts[name] for name in _LOST):
+            words = ", ".join(f"{n} {reason}" for reason, n in self._file.skipped.items()) or "nothing"
+            error = FormatError(self._file.name, "skipped", "whole datagrams or data frames", found=words)
+            self.issues.append((f"{self._name}_recording", str(error)))
+        self.counts |= skipped
 
     def _leaps_ns(self) -> int:
         first = self._file.first_ns()

@@ -57,8 +57,9 @@ class LidarReader:
         return sweeps
 
     def finish(self) -> list[Sweep]:
-        """The recording has ended."""
+        """The recording has ended, or goes on at another time."""
         sweeps = self._cutter.finish()
+        self._cutter.start_anew()
         self._count()
         return sweeps
 

@@ -25,7 +25,6 @@ class SensorsService(Service[SensorsSettings]):
 
     def __init__(self, settings: SensorsSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        started_ns = bus.now_ns()
         self._played: list[Played[Datagram] | Played[CanFrame]] = []
         self._packets = self._open_lidar()
         self._frames = self._open_can()
@@ -33,10 +32,7 @@ class SensorsService(Service[SensorsSettings]):
         self._can = None if self._frames is None else settings.can.reader()
         self._sweeps_ended = False
         self._named_silent: frozenset[str] = frozenset()
-        firsts = [first for played in self._played if (first := played.first_ns()) is not None]
-        for played in self._played:
-            if firsts:
-                played.start(min(firsts), started_ns, dated_now=settings.recordings == "now")
+        self._start_playing(bus.now_ns())
         expected = [] if self._lidar is None else ["sweep"]
         expected += [] if self._can is None else self._can.channels
         # By a clock that nobody sets: who is silent stays so when this machine's is set back.
@@ -62,9 +58,29 @@ class SensorsService(Service[SensorsSettings]):
         self._played.append(played)
         return played
 
+    def _start_playing(self, now_ns: int) -> None:
+        firsts = [first for played in self._played if (first := played.first_ns()) is not None]
+        for played in self._played:
+            if firsts:
+                played.start(min(firsts), now_ns, dated_now=self.settings.recordings == "now")
+
+    def _pass_steps(self, now_ns: int) -> None:
+        """Where the time of recordings steps they go on at once; together, lest sweeps and motion part."""
+        steps_ns = [played.step_ns(now_ns) for played in self._played if not played.ended]
+        if not steps_ns or not all(steps_ns):
+            return
+        if self._lidar is not None and self._packets in self._played:
+            for sweep in self._lidar.finish():
+                self._give("sweep", sweep, self._packets.shift_ns)
+        self._start_playing(now_ns)
+        self.bus.issue(
+            "recording_stepped", f"the recording goes on {steps_ns[0] / 1e9:+.3f} s from where it was"
+        )
+
     def advance(self, now_ns: int) -> None:
         """Read what has come, publish what is whole."""
         try:
+            self._pass_steps(now_ns)
             self._work_lidar(now_ns)
         finally:  # a fault in the one is none in the other
             self._work_can(now_ns)

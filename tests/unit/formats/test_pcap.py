@@ -1,4 +1,5 @@
 import struct
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -41,6 +42,25 @@ def test_fragments_may_come_in_any_order_and_one_that_is_missing_costs_its_datag
     assert decoded(pcap_header() + b"".join(parts))[0] == [LARGE]
     small = pcap_frames(SMALL, "192.168.1.100", 6)
     assert decoded(pcap_header() + b"".join(parts[1:]) + small)[0] == [SMALL]
+
+
+@pytest.mark.parametrize("apart_s", [51, -51])
+def test_fragments_of_a_datagram_that_had_the_same_number_long_before_are_none_of_it(
+    apart_s: int,
+) -> None:
+    """Such as an OS1's packets after 51 s: never one of the bytes of both."""
+    again = replace(LARGE, time_ns=LARGE.time_ns + apart_s * 1_000_000_000, payload=b"B" * len(LARGE.payload))
+    first = pcap_frames(LARGE, "192.168.1.100", 5)
+    lost = first[16 + struct.unpack_from("<I", first, 8)[0] :]
+    found, decoder = decoded(pcap_header() + lost + pcap_frames(again, "192.168.1.100", 5))
+    assert found == [again]
+    assert decoder.skipped == {"fragment": 1}
+
+
+def test_a_datagram_of_which_a_fragment_lacks_at_the_end_is_counted() -> None:
+    first = pcap_frames(LARGE, "192.168.1.100", 5)
+    _, decoder = decoded(pcap_header() + first[: 16 + struct.unpack_from("<I", first, 8)[0]])
+    assert decoder.skipped == {"fragment": 1}
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

@@ -254,6 +254,15 @@ def test_a_turn_that_cannot_be_a_sweep_is_not_tried_again(monkeypatch: pytest.Mo
         alike("ouster", a, b)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_recording_that_goes_on_at_an_earlier_time_gives_its_sweeps(kind: str) -> None:
+    one = reader(kind)
+    for _ in range(2):
+        found, issues = read(one, packets(kind))
+        assert (len(found), issues) == (4, [])
+    assert one.counts["packets.late"] == 0
+
+
 def test_another_beam_table_would_be_noticed() -> None:
     """The test above can fail: a sensor whose beams stand 0.1° off gives other points."""
     said = json.loads(ouster_metadata())

@@ -11,6 +11,7 @@ import pytest
 import camber.sensors.service
 from camber.formats.candump import CanFrame, candump_text
 from camber.formats.dbc import read_dbc
+from camber.formats.pcap import Datagram, pcap_frames, pcap_header
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.runtime.bus import Bus
 from camber.schemas.base import Message
@@ -131,3 +132,34 @@ def test_a_fault_in_the_lidar_is_none_in_the_motion(time: Time, tmp_path: Path) 
             time.go(one, 0.1)
     assert Counter(name for name, _ in time.bus.given) == {"motion": 31}
     assert silent(time) == ["can: no suspension for 2 s", "lidar: no sweep for 2 s"]
+
+
+def stepped(time: Time) -> list[str]:
+    return [text for code, text in time.bus.issues if code == "recording_stepped"]
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+def test_playing_goes_on_where_the_recordings_clock_was_set(
+    time: Time, tmp_path: Path, step_s: float
+) -> None:
+    times_s = [k / 10 + step_s * (k >= 20) for k in range(60)]
+    one = service(time, tmp_path, [frame("Dynamics", at_s) for at_s in times_s], recordings="now")
+    time.go(one, 6.5)
+    motion = [message.time_ns for _, message in time.bus.given]
+    assert len(motion) == 60
+    assert motion == pytest.approx([START_NS + k * S // 10 for k in range(60)], abs=0.3 * S)
+    assert stepped(time) == [f"the recording goes on {step_s:+.3f} s from where it was"]
+
+
+def test_where_one_recording_alone_has_a_gap_the_other_stays_with_it(time: Time, tmp_path: Path) -> None:
+    datagrams = [Datagram(UNIX_NS + s * S, "10.0.0.2", 2368, b"packet") for s in (0, 1, 30)]
+    path = tmp_path / "lidar.pcap"
+    path.write_bytes(pcap_header() + b"".join(pcap_frames(each, "10.0.0.1", 1) for each in datagrams))
+    lidar = cast(Any, {**LIDAR, "source": f"pcap:{path}"})
+    one = service(time, tmp_path, [frame("Dynamics", k / 10) for k in range(400)], lidar=lidar)
+    time.go(one, 20.0)
+    assert time.bus.counters["lidar.packets.read"] == 2
+    assert len(time.bus.given) == pytest.approx(200, abs=2)
+    time.go(one, 11.0)
+    assert time.bus.counters["lidar.packets.read"] == 3
+    assert stepped(time) == []
