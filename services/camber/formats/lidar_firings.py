@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,13 +66,13 @@ class Decoded:
     """Of some packets (p,): `stamp_ns` by the sensor's clock, and of those that could be read the firings.
 
     `stamp_ns` is None for a packet that was refused; why stands in `refused`, by reason, with the last one's words in
-    `detail`. `session` is what tells one run of the sensor from the next, where packets say it.
+    `details`. `session` is what tells one run of the sensor from the next, where packets say it.
     """
 
     stamp_ns: Sequence[int | None]
     firings: Firings | None
     refused: Counter[str]
-    detail: str = ""
+    details: Mapping[str, str]
     session: int | None = None
 
 

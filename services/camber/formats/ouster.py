@@ -89,7 +89,7 @@ class OusterDecoder:
     def decode(self, payloads: Sequence[bytes]) -> Decoded:
         """Of packets as they arrived; stamps are nanoseconds since whatever the sensor's clock counts from."""
         refused: Counter[str] = Counter()
-        detail = ""
+        details: dict[str, str] = {}
         stamps: list[int | None] = []
         kept: list[tuple[int, NDArray[Any]]] = []
         session: int | None = None
@@ -108,14 +108,14 @@ class OusterDecoder:
                     reason, words = "empty", "a packet without a valid column"
             if reason:
                 refused[reason] += 1
-                detail = words
+                details[reason] = words
             stamps.append(stamp_ns)
         if not kept:
-            return Decoded(stamps, None, refused, detail)
+            return Decoded(stamps, None, refused, details)
         packets = np.concatenate([packet for _, packet in kept])
         numbers = np.array([number for number, _ in kept], np.int64)
         firings = self._firings(packets, numbers, np.array([stamps[number] for number in numbers], np.uint64))
-        return Decoded(stamps, firings, refused, detail, session)
+        return Decoded(stamps, firings, refused, details, session)
 
     def _refusal(self, payload: bytes) -> tuple[str, str]:
         size = self._packet.itemsize

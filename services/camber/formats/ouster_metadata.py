@@ -63,8 +63,9 @@ def read_ouster_metadata(text: str, source_name: str) -> OusterMetadata:
         raise FormatError(
             source_name, "udp_profile_lidar", f"one of {', '.join(PROFILES)}", found=str(profile)
         )
-    if fields.get("header_type", "lidar_data_format") not in (None, "STANDARD"):
-        raise FormatError(source_name, "header_type", "STANDARD")
+    header = fields.get("header_type", "lidar_data_format")
+    if header not in (None, "STANDARD"):
+        raise FormatError(source_name, "header_type", "STANDARD", found=str(header))
     per_packet = fields.get("columns_per_packet", "lidar_data_format", "data_format")
     if per_packet not in (None, COLUMNS_OF_PACKET):
         raise FormatError(source_name, "columns_per_packet", str(COLUMNS_OF_PACKET), found=str(per_packet))
@@ -85,7 +86,7 @@ def read_ouster_metadata(text: str, source_name: str) -> OusterMetadata:
         elevation_rad=np.radians(elevation),
         azimuth_rad=np.radians(azimuth),
         beam_to_lidar=_beam_to_lidar(fields),
-        lidar_to_sensor=_matrix(fields.numbers("lidar_to_sensor_transform", "lidar_intrinsics")),
+        lidar_to_sensor=fields.matrix("lidar_to_sensor_transform", "lidar_intrinsics"),
         timestamp_mode=stamps if isinstance(stamps, str) else None,
     )
 
@@ -118,6 +119,16 @@ class _Fields:
             raise FormatError(self.source_name, name, "a list of numbers", found=_shown(value))
         return found
 
+    def matrix(self, name: str, *tables: str) -> Float64:
+        numbers = self.numbers(name, *tables)
+        if len(numbers) != 16:
+            raise FormatError(
+                self.source_name, name, "16 numbers, row by row", found=f"{len(numbers)} numbers"
+            )
+        found: Float64 = numbers.reshape(4, 4).copy()
+        found[:3, 3] /= 1000.0
+        return found
+
 
 def _shown(value: Any) -> str:
     return "missing" if value is None else str(value)
@@ -132,7 +143,7 @@ def _mode(mode: str, source_name: str) -> tuple[int, int]:
 
 def _beam_to_lidar(fields: _Fields) -> Float64:
     if fields.get("beam_to_lidar_transform", "beam_intrinsics") is not None:
-        return _matrix(fields.numbers("beam_to_lidar_transform", "beam_intrinsics"))
+        return fields.matrix("beam_to_lidar_transform", "beam_intrinsics")
     found = np.eye(4)
     off_mm = fields.get("lidar_origin_to_beam_origin_mm", "beam_intrinsics")
     if not isinstance(off_mm, int | float) or not abs(off_mm) <= 1000.0:
@@ -140,12 +151,4 @@ def _beam_to_lidar(fields: _Fields) -> Float64:
             fields.source_name, "lidar_origin_to_beam_origin_mm", "a number", found=_shown(off_mm)
         )
     found[0, 3] = off_mm / 1000.0
-    return found
-
-
-def _matrix(numbers: Float64) -> Float64:
-    if len(numbers) != 16:
-        raise FormatError("metadata", "transform", "16 numbers, row by row", found=str(len(numbers)))
-    found: Float64 = numbers.reshape(4, 4).copy()
-    found[:3, 3] /= 1000.0
     return found

@@ -22,6 +22,8 @@ PACKET_BYTES = 1206
 HOUR_NS = 3600 * 1_000_000_000
 BLOCK_FLAG = 0xEEFF
 STRONGEST, LAST, DUAL = 0x37, 0x38, 0x39
+_FLAG = b"\xff\xee"
+_FLAGS = {_FLAG, b"\xff\xdd", b"\xff\xcc", b"\xff\xbb"}  # of sensors with more than 32 lasers the others too
 _BLOCKS, _CHANNELS, _TURN = 12, 32, 36_000
 _FASTEST_BLOCK = 500  # 5° in one block: no sensor turns so fast
 BLOCK = np.dtype(
@@ -97,7 +99,11 @@ MODELS = {
     )
 }
 """Those that can be read, by their names."""
-_NAMES = {model.code: name for name, model in MODELS.items()} | {0x63: "VLS-128", 0x31: "Velarray"}
+_NAMES = {model.code: name for name, model in MODELS.items()} | {
+    0xA1: "VLS-128",
+    0x63: "VLS-128",
+    0x31: "Velarray",
+}
 
 
 class VelodyneDecoder:
@@ -121,51 +127,52 @@ class VelodyneDecoder:
     def decode(self, payloads: Sequence[bytes]) -> Decoded:
         """Of packets as they arrived; stamps are nanoseconds since the hour."""
         refused: Counter[str] = Counter()
-        detail = ""
+        details: dict[str, str] = {}
         stamps: list[int | None] = []
         kept: list[tuple[int, bytes]] = []
         for number, payload in enumerate(payloads):
             reason, words = self._refusal(payload)
             if reason:
                 refused[reason] += 1
-                detail = words
+                details[reason] = words
                 stamps.append(None)
             else:
                 stamps.append(int.from_bytes(payload[1200:1204], "little") * 1000)
                 kept.append((number, payload))
         if not kept:
-            return Decoded(stamps, None, refused, detail)
+            return Decoded(stamps, None, refused, details)
         packets = np.frombuffer(b"".join(payload for _, payload in kept), PACKET)
         numbers = np.array([number for number, _ in kept], np.int64)
         turning = _turning(packets)
         if not turning.all():
             refused["azimuth"] = int((~turning).sum())
-            detail = "azimuths that no turning sensor has"
+            details["azimuth"] = "azimuths that no turning sensor has"
             for number in numbers[~turning].tolist():
                 stamps[number] = None
             packets, numbers = packets[turning], numbers[turning]
         if not len(packets):
-            return Decoded(stamps, None, refused, detail)
+            return Decoded(stamps, None, refused, details)
         single = packets["mode"] != DUAL
         parts = [
             self._firings(packets[rows], numbers[rows], blocks)
             for rows, blocks in ((single, slice(None)), (~single, slice(0, None, 2)))
             if rows.any()
         ]
-        return Decoded(stamps, parts[0] if len(parts) == 1 else joined(parts), refused, detail)
+        return Decoded(stamps, parts[0] if len(parts) == 1 else joined(parts), refused, details)
 
     def _refusal(self, payload: bytes) -> tuple[str, str]:
         if len(payload) != PACKET_BYTES:
             return "size", f"a packet of {len(payload)} bytes, expected {PACKET_BYTES}"
-        if any(payload[at : at + 2] != b"\xff\xee" for at in range(0, 1200, 100)):
-            return (
-                "flag",
-                f"a block that begins with other bytes than FF EE, as those of {self._model.name} do",
-            )
         mode, code = payload[1204], payload[1205]
-        if code != self._model.code:
+        flags = {payload[at : at + 2] for at in range(0, 1200, 100)}
+        if code != self._model.code and flags <= _FLAGS:
             name = _NAMES.get(code, "a model that is not known")
             return "model", f"a packet of {name} (0x{code:02X}), expected {self._model.name}"
+        if flags != {_FLAG}:
+            return (
+                "flag",
+                f"a block that begins with {min(flags - {_FLAG}).hex(' ').upper()}, expected FF EE",
+            )
         if mode not in (STRONGEST, LAST, DUAL):
             return "mode", f"return mode 0x{mode:02X}, expected strongest, last or dual (0x37, 0x38, 0x39)"
         if int.from_bytes(payload[1200:1204], "little") >= 3_600_000_000:

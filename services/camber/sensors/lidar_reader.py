@@ -44,8 +44,8 @@ class LidarReader:
         self.counts["packets.read"] += len(payloads)
         for reason, n in decoded.refused.items():
             self.counts[f"packets.refused_{reason}"] += n
-        for code in sorted({ISSUES[reason] for reason in decoded.refused}):
-            self.issues.append((code, decoded.detail))
+        for code, words in sorted((ISSUES[reason], words) for reason, words in decoded.details.items()):
+            self.issues.append((code, words))
         self._look_for_a_start(decoded)
         sweeps: list[Sweep] = []
         for first, times in self._runs(decoded, arrivals_ns):

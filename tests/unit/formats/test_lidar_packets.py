@@ -87,7 +87,22 @@ def test_a_velodyne_packet_that_is_none_is_refused_by_its_reason() -> None:
         assert decoded.stamp_ns == [None, 7000]
         assert decoded.firings is not None
         assert set(decoded.firings.packet.tolist()) == {1}
-    assert decoder.decode([wrong["model"]]).detail == "a packet of VLP-16 (0x22), expected HDL-32E"
+    said = decoder.decode(list(wrong.values())).details
+    assert said.keys() == wrong.keys()
+    assert said["model"] == "a packet of VLP-16 (0x22), expected HDL-32E"
+    assert said["flag"] == "a block that begins with FF DD, expected FF EE"
+
+
+@pytest.mark.parametrize(
+    ("code", "name"), [(0xA1, "VLS-128"), (0x63, "VLS-128"), (0x77, "a model that is not known")]
+)
+def test_a_packet_of_a_model_with_other_flags_is_named_as_that_model(code: int, name: str) -> None:
+    packet = bytearray(velodyne_packet())
+    for block, flag in enumerate((0xEE, 0xDD, 0xCC, 0xBB) * 3):
+        packet[100 * block + 1] = flag
+    packet[1205] = code
+    expected = {"model": f"a packet of {name} (0x{code:02X}), expected HDL-32E"}
+    assert VelodyneDecoder(MODELS["HDL-32E"]).decode([bytes(packet)]).details == expected
 
 
 def metadata(profile: str = PROFILES[1], **changes: object) -> str:
@@ -172,7 +187,7 @@ def test_an_ouster_packet_that_is_none_is_refused_by_its_reason() -> None:
         decoded = decoder.decode([data])
         assert decoded.refused == {reason: 1}
         assert decoded.firings is None
-        assert decoded.detail
+        assert decoded.details.keys() == {reason}
 
 
 def test_columns_that_the_sensor_calls_invalid_and_returns_that_are_none_are_left_out() -> None:
@@ -217,6 +232,9 @@ def test_the_flat_metadata_of_earlier_firmware_are_read() -> None:
         ({"lidar_data_format__columns_per_packet": 8}, "m.json: columns_per_packet is '8', expected 16"),
         ({"beam_intrinsics__beam_altitude_angles": [1, 2]}, "m.json: beam_altitude_angles, beam_azimuth_angles, expe"),
         ({"beam_intrinsics__beam_azimuth_angles": "x"}, "m.json: beam_azimuth_angles is 'x', expected a list of numb"),
+        ({"lidar_intrinsics__lidar_to_sensor_transform": [1, 0]}, "m.json: lidar_to_sensor_transform is '2 numbers', "),
+        ({"beam_intrinsics__beam_to_lidar_transform": [1]}, "m.json: beam_to_lidar_transform is '1 numbers', expect"),
+        ({"lidar_data_format__header_type": "FUSA"}, "m.json: header_type is 'FUSA', expected STANDARD"),
         ({"beam_intrinsics__beam_to_lidar_transform": None}, "m.json: lidar_origin_to_beam_origin_mm is 'missing'"),
     ],
 )  # fmt: skip

@@ -227,6 +227,16 @@ def test_packets_of_others_are_counted_and_change_nothing() -> None:
         alike("velodyne", a, b)
 
 
+def test_of_packets_that_are_refused_each_issue_has_its_own_words() -> None:
+    arrival_ns, payload = packets("velodyne")[0]
+    one = reader("velodyne")
+    one.take([payload[:-1] + b"\x22", payload[:512], payload], [arrival_ns] * 3)
+    assert one.issues == [
+        ("lidar_model", "a packet of VLP-16 (0x22), expected HDL-32E"),
+        ("lidar_packets", "a packet of 512 bytes, expected 1206"),
+    ]
+
+
 def test_a_sensor_that_stands_still_gives_no_sweep_and_fills_no_memory() -> None:
     payload = packets("velodyne")[40][1]
     first_us = int.from_bytes(payload[1200:1204], "little")
