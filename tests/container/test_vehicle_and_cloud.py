@@ -94,6 +94,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     for path in (folder, *folder.rglob("*")):  # the containers' user is nobody of this machine
         path.chmod(EVERYONE if path.is_dir() else 0o644)
     cloud = {"config": folder / "cloud", "certs": folder / "tls/cloud", "maps": folder / "maps"}
+    cloud["signing"] = folder / "signing"
     vehicle = {"config": folder / "vehicle", "certs": folder / "tls/vehicle", "maps": folder / "maps"}
     with (
         built_stack("cloud", "cloud", **cloud) as up_there,
@@ -157,11 +158,12 @@ def write_settings(folder: Path) -> None:
     key = Ed25519PrivateKey.generate()
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-    (folder / "tls/cloud/release.key").write_bytes(private)
+    (folder / "signing").mkdir()
+    (folder / "signing/release.key").write_bytes(private)
     (folder / "vehicle/release.pub").write_bytes(public)
     deployed = ROOT / "deploy" / "config"
     fuse = 'fuse_every_s = 1.0\nstreet_m = 60.0\nreference = "/var/lib/camber/maps/survey"\n'
-    fuse += 'signing_key = "/etc/camber/tls/release.key"\n'
+    fuse += 'signing_key = "/etc/camber/signing/release.key"\n'
     settings = {
         "cloud/map_update": fuse + (deployed / "cloud/map_update.toml").read_text(),
         "vehicle/gnss": 'source = "bus"\nprotocol = "pos"\n' + bus(),
@@ -193,7 +195,7 @@ def survey(folder: Path) -> Release:
         time_ns=SystemClock().now_ns() - 100 * 86_400 * 10**9,
         surfaces=made.road_surfaces(),
         links=made.road_links(),
-        signing_key=load_signing_key(folder / "tls/cloud/release.key"),
+        signing_key=load_signing_key(folder / "signing/release.key"),
     )
     return read_release(folder / "maps/survey")
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import time
@@ -127,7 +128,8 @@ class World:
             "ask-spread-s": 0.0,
             **settings,
         }
-        words = [word for name, value in options.items() for word in (f"--{name}", value)]
+        given = [(f"--{name}", value) for name, value in options.items() if value is not None]
+        words = [word for pair in given for word in pair if word != ""]
         self.vehicle = self.start("-m", "camber.map_server", *self.common(), *words)
 
     def common(self) -> list[object]:
@@ -296,6 +298,27 @@ def test_a_release_is_swapped_under_a_thousand_questions_a_second(tmp_path: Path
 def test_a_fetch_that_was_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     came = killed(tmp_path, delay_s=0.15)
     assert came["fetched"] <= came["lacked"]
+
+
+@pytest.mark.slow
+def test_a_vehicle_without_a_key_takes_what_it_was_given_and_nothing_over_the_bus(tmp_path: Path) -> None:
+    with world(tmp_path) as here:
+        here.making.make(corrections(0.0), time_ns=MADE_NS)
+        here.start_cloud(tmp_path / "out")
+        shutil.copytree(tmp_path / "out", tmp_path / "given")
+        here.making.make(corrections(0.1), time_ns=MADE_NS + 1)
+        here.start_vehicle(**{"public-key": None, "release": tmp_path / "given"})
+        wait_until(lambda: here.version() == 8, timeout_s=90.0, why="the release that was given")
+        wait_until(
+            lambda: "map_update: public_key" in here.issues().get("release_refused", ""),
+            timeout_s=90.0,
+            why="that no key was set",
+        )
+        assert here.version() == 8
+        here.vehicle.kill()
+        here.vehicle.wait()
+        here.start_vehicle(**{"public-key": None, "unsigned": ""})
+        wait_until(lambda: here.version() == 9, timeout_s=90.0, why="anyone's release")
 
 
 @pytest.mark.slow

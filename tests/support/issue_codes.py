@@ -38,7 +38,12 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
     ("map_server/service.py", "code"): ("datum_mismatch", "release_refused"),
     ("map_update/service.py", "_UNAVAILABLE[name]"): tuple(_UNAVAILABLE.values()),
     ("runtime/bus.py", "code"): (_OTHERS,),
-    ("runtime/uploader.py", "code"): ("outbox_damaged", "upload_unanswered", "upload_refused"),
+    ("runtime/uploader.py", "code"): (
+        "outbox_damaged",
+        "upload_unanswered",
+        "upload_refused",
+        "upload_not_acknowledged",
+    ),
     ("sensors/service.py", "code"): _OF_QUEUES,
     ("sensors/lidar_reader.py", "code"): ("lidar_packets", "lidar_model"),
     **{

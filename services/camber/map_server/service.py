@@ -58,7 +58,8 @@ class MapServerService(Service[MapServerSettings]):
         super().__init__(settings, bus)
         key = None if settings.public_key is None else load_public_key(settings.public_key)
         self._store: MapStore | None = None if settings.store is None else self._open_store(settings.store)
-        source = self._store or settings.release
+        # Where a store cannot be used, the release beside it still can; without one there is no map.
+        source = self._store or settings.release or settings.store
         assert source is not None, "the settings have seen to it"
         self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_datum)
         self._answers: ReleaseAnswers | None = None
@@ -158,7 +159,7 @@ class MapServerService(Service[MapServerSettings]):
     def healthy(self) -> bool:
         """A map is in use, what the disk holds is that map, its tiles could be read, and newer ones can come."""
         usable = self._why_unknown(self.bus.now_ns()) is None
-        troubled = self._fetch is not None and self._fetch.troubled()
+        troubled = self._storeless() or (self._fetch is not None and self._fetch.troubled())
         return usable and self._watch.problem is None and not self._unreadable and not troubled
 
     def facts(self) -> dict[str, str]:
@@ -176,8 +177,16 @@ class MapServerService(Service[MapServerSettings]):
         if self._store is not None:
             self._store.close()
 
-    def _open_store(self, path: Path) -> MapStore:
-        store = MapStore(path, limit_bytes=self.settings.store_limit_bytes)
+    def _storeless(self) -> bool:
+        """It should keep releases, and cannot."""
+        return self.settings.store is not None and self._store is None
+
+    def _open_store(self, path: Path) -> MapStore | None:
+        try:
+            store = MapStore(path, limit_bytes=self.settings.store_limit_bytes)
+        except ReleaseError as error:
+            self.bus.issue("store_unusable", str(error))
+            return None
         if store.notice is not None:
             self.bus.issue("store_damaged", store.notice)
         return store
@@ -190,7 +199,7 @@ class MapServerService(Service[MapServerSettings]):
         fetch = FetchThread(
             lambda: MapStore(path, limit_bytes=settings.store_limit_bytes),
             Wishes(settings.region, key, around_m, self._check_datum),
-            cloud=_Cloud(bus),
+            cloud=_Cloud(bus, trusted=key is not None or settings.unsigned),
             folder=None if settings.release is None else FolderSupplier(settings.release),
             times=Times(settings.ask_every_s, settings.ask_spread_s, settings.retry_every_s),
             now_ns=bus.now_ns,
@@ -272,8 +281,9 @@ class _Cloud:
     name = "map_update"
     may_be_old = False
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, *, trusted: bool) -> None:
         self._bus = bus
+        self._trusted = trusted
 
     def region(self) -> str | None:
         return None
@@ -285,6 +295,8 @@ class _Cloud:
         return self._ask("map_blob", request, MapBlobReply)
 
     def _ask(self, name: str, request: Message, reply: type[MessageT]) -> MessageT:
+        if not self._trusted:
+            raise ReleaseError(self.name, "public_key", "a key of what is taken over the bus", found="none")
         try:
             return decode(reply, *self._bus.ask_bytes(name, encode(request, source="map_server"))).message
         except QueryFailed as error:

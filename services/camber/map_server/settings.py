@@ -23,7 +23,8 @@ class MapServerSettings(ServiceSettings):
     )
     public_key: Path | None = Field(
         None,
-        description="PEM file of the Ed25519 key that releases must be signed with; unset: signatures are not asked",
+        description="PEM file of the Ed25519 key that releases must be signed with; unset: signatures of "
+        "`release` are not asked, and over the bus nothing is taken",
     )
     datum: Name = Field("WGS84", description="datum that positions and heights must be in")
     max_age_days: float | None = Field(
@@ -56,6 +57,9 @@ class MapServerSettings(ServiceSettings):
         description="a notice of a release is followed within this time, at random: a fleet hears it at once",
     )
     store_limit_bytes: int = Field(4 << 30, ge=1 << 20, description="largest size of `store`")
+    unsigned: bool = Field(
+        False, description="take releases over the bus without a `public_key`: anyone's, on a bus of your own"
+    )
 
     @model_validator(mode="after")
     def _there_is_a_map(self) -> Self:

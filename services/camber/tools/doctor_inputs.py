@@ -103,6 +103,9 @@ def _is_ours(host: str, port: int) -> bool:
 
 def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
     """The release opens, is signed by the key that is trusted, is of the datum of the fixes, and can be read."""
+    if settings.store is not None and settings.public_key is None and not settings.unsigned:
+        text = f"without public_key nothing is fetched into {settings.store}: newer releases do not come"
+        yield problem("map, signature", text, "public_key of map_server, the other half of the signing key")
     if settings.release is None:
         yield not_checked(
             "map", f"map_server fetches it into {settings.store}; `camber status` says which it uses"

@@ -60,7 +60,7 @@ class FakeBus:
 class Server:
     """A service on a fake bus, asked through its table of answers."""
 
-    def __init__(self, folder: Path, **settings: Any) -> None:
+    def __init__(self, folder: Path | None, **settings: Any) -> None:
         self.bus = FakeBus()
         self.service = MapServerService(MapServerSettings(release=folder, **settings), cast(Bus, self.bus))
         self.answers = self.service.answers()
@@ -318,3 +318,18 @@ def test_the_page_names_every_setting_and_every_reason() -> None:
     own = set(MapServerSettings.model_fields) - set(MapServerSettings.__mro__[1].model_fields)  # type: ignore[attr-defined]
     reasons = {"no_surface", "levels_ambiguous", "map_stale", "map_missing", "datum_mismatch"}
     assert {name for name in own | reasons if f"`{name}`" not in page} == set()
+
+
+@pytest.mark.parametrize("release", [True, False])
+def test_where_the_store_cannot_be_used_the_release_beside_it_is(tmp_path: Path, release: bool) -> None:
+    write(tmp_path / "map", [surface(5)])
+    (tmp_path / "store.sqlite").mkdir()  # no file can be opened there
+    server = Server(tmp_path / "map" if release else None, store=tmp_path / "store.sqlite")
+    assert "store_unusable" in server.bus.codes()
+    assert not server.service.healthy()
+    server.wait(10.0)
+    if release:
+        assert server.road().status == "known"
+    else:
+        server.assert_unknown("map_missing")
+    server.service.close()

@@ -204,6 +204,7 @@ def test_files_that_are_missing_or_none_are_a_problem(tmp_path: Path) -> None:
 
 def map_settings(folder: Path, **more: Any) -> Any:
     fields = {"release": folder, "store": None, "public_key": None, "datum": "WGS84", "max_age_days": None}
+    fields |= {"unsigned": False}
     return SimpleNamespace(**(fields | more))
 
 
@@ -242,6 +243,15 @@ def test_a_map_without_the_trusted_signature_is_a_problem(tmp_path: Path) -> Non
     write(tmp_path / "signed", [surface(5)], signing_key=key)
     signed = map_settings(tmp_path / "signed", public_key=pem)
     assert set(states(check_map(signed, None)).values()) == {"ok"}
+
+
+def test_a_vehicle_that_fetches_maps_and_names_no_key_is_a_problem(tmp_path: Path) -> None:
+    write(tmp_path / "map", [surface(5)])
+    fetching = {"store": tmp_path / "map.sqlite"}
+    found = the_problem(check_map(map_settings(tmp_path / "map", **fetching), None))
+    assert (found.what, "without public_key nothing is fetched" in found.text) == ("map, signature", True)
+    own = map_settings(tmp_path / "map", **fetching, unsigned=True)
+    assert set(states(check_map(own, None)).values()) == {"ok"}
 
 
 def test_a_map_that_is_too_old_is_a_problem(tmp_path: Path) -> None:
