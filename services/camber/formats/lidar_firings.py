@@ -80,7 +80,6 @@ class LidarDecoder(Protocol):
     """A model of sensor. `beam_after_ns` (b,): when each beam fires after its firing's time."""
 
     interval_ns: int
-    firings_of_packet: int
     beam_after_ns: Int32
 
     def decode(self, payloads: Sequence[bytes]) -> Decoded:

@@ -75,8 +75,6 @@ def packet_type(profile: str, beams: int) -> np.dtype[Any]:
 class OusterDecoder:
     """Packets of one sensor, by its metadata, as firings; what is no packet of it is refused by its reason."""
 
-    firings_of_packet = COLUMNS_OF_PACKET
-
     def __init__(self, metadata: OusterMetadata) -> None:
         self._metadata = metadata
         self._profile = _PROFILES[metadata.profile]

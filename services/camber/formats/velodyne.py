@@ -116,7 +116,6 @@ class VelodyneDecoder:
         self._model, self._seam = model, seam_deg / 360.0
         self._beams = len(model.elevation_deg)
         self._per_block = _CHANNELS // self._beams
-        self.firings_of_packet = _BLOCKS * self._per_block
         self.interval_ns = round(model.firing_ns)
         self.beam_after_ns: Int32 = np.rint(model.beam_after_ns).astype(np.int32)
         elevation = np.radians(model.elevation_deg)

@@ -32,9 +32,7 @@ class LidarReader:
         self.counts: Counter[str] = Counter()
         self.issues: list[tuple[str, str]] = []
         self._decoder, self._clock = decoder, clock
-        self._cutter = SweepCutter(
-            sensor, decoder.interval_ns, decoder.firings_of_packet, decoder.beam_after_ns, least_share
-        )
+        self._cutter = SweepCutter(sensor, decoder.interval_ns, decoder.beam_after_ns, least_share)
         self._session: int | None = None
 
     def take(self, payloads: Sequence[bytes], arrivals_ns: Sequence[int]) -> list[Sweep]:

@@ -39,6 +39,7 @@ class SensorClock:
         self._scale: TimeScale = scale
         self._offset_ns, self._limit_ns = offset_ns, limit_ns
         self._last: tuple[int, int] | None = None  # stamp as time, arrival
+        self._hours_ns = 0  # of an hour's counter, since the first packet
         self._quickest = _Quickest()
         self.refusal = ""
         self.jump = ""
@@ -54,6 +55,12 @@ class SensorClock:
             return None
         if self._last is not None:
             moved_ns = (said_ns - self._last[0]) - (arrival_ns - self._last[1])
+            if self._scale == "arrival" and abs(abs(moved_ns) - _HOUR_NS) <= _JUMP_NS:
+                # A Velodyne counts the hour: it began anew, or a packet from before that has come late.
+                hour_ns = -_HOUR_NS if moved_ns > 0 else _HOUR_NS
+                self._hours_ns += hour_ns
+                said_ns += hour_ns
+                moved_ns += hour_ns
             if abs(moved_ns) > _JUMP_NS:
                 self.jump = (
                     f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
@@ -70,7 +77,7 @@ class SensorClock:
 
     def _of_stamp(self, stamp_ns: int, arrival_ns: int) -> int | None:
         if self._scale == "arrival":
-            return stamp_ns
+            return stamp_ns + self._hours_ns
         if self._scale == "utc_hour":
             if stamp_ns >= _HOUR_NS:
                 self.refusal = "stamps of an hour or more: the sensor does not count the time since the hour"

@@ -134,6 +134,60 @@ def test_what_is_lost_is_counted_and_costs_its_points_alone(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("share", [0.2, 0.45, 0.9])
+def test_of_a_long_gap_all_are_counted(kind: str, share: float) -> None:
+    """In the third turn and the fourth; before, nobody knows what the sensor measures."""
+    quarter = len(packets(kind)) // 4
+    first = quarter * 9 // 4
+    lost = round(share * quarter)
+    one = reader(kind)
+    read(one, packets(kind)[:first] + packets(kind)[first + lost :])
+    assert one.counts["packets.lost"] == pytest.approx(lost, abs=1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("middle", [0.0, 0.3, 0.9])
+def test_what_is_measured_in_no_turn_is_not_lost(kind: str, middle: float) -> None:
+    """A field of view of 270°, and a packet lost here and there in it."""
+    quarter = len(packets(kind)) / 4
+    seen = [
+        packet
+        for k, packet in enumerate(packets(kind))
+        if abs((k / quarter - middle + 0.5) % 1.0 - 0.5) > 0.125
+    ]
+    one = reader(kind, least_share=0.3)
+    read(one, seen)
+    assert one.counts["packets.lost"] <= 1
+    one = reader(kind, least_share=0.3)
+    kept = [packet for k, packet in enumerate(seen) if k % 20 != 7]
+    read(one, kept)
+    assert one.counts["packets.lost"] == pytest.approx(len(seen) - len(kept), abs=2)
+
+
+def test_of_two_returns_each_packet_that_is_lost_is_one() -> None:
+    decoder = VelodyneDecoder(MODELS["HDL-32E"])
+    one = LidarReader("top", decoder, SensorClock("utc_hour", 0, 100_000_000), 0.5)
+    made = dual_velodyne(packets("velodyne"))
+    kept = [packet for k, packet in enumerate(made) if k % 10 != 4]
+    assert len(made) > 700
+    read(one, kept)
+    assert one.counts["packets.lost"] == pytest.approx(len(made) - len(kept), abs=1)
+
+
+def dual_velodyne(single: tuple[tuple[int, bytes], ...]) -> list[tuple[int, bytes]]:
+    """Each block twice, so that a packet makes two; the second half is stamped by half a packet later."""
+    made = []
+    for arrival_ns, payload in single:
+        for half in range(2):
+            blocks = [payload[100 * (6 * half + k // 2) :][:100] for k in range(12)]
+            stamp_us = int.from_bytes(payload[1200:1204], "little") + half * 6 * 46
+            made.append(
+                (arrival_ns + half * 276_480, b"".join(blocks) + stamp_us.to_bytes(4, "little") + b"\x39\x21")
+            )
+    return made
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_sweeps_of_which_too_little_came_are_left_out(kind: str) -> None:
     quarter = len(packets(kind)) // 4
     one = reader(kind)

@@ -94,6 +94,25 @@ def test_a_free_running_clock_is_told_by_its_quickest_packets() -> None:
         assert not found.jump
 
 
+def test_an_hours_counter_that_nobody_set_goes_on_over_its_hour() -> None:
+    free = clock("arrival")
+    last_s = 3599.9
+    at_s = [
+        0.0,
+        0.05,
+        0.0995,
+        0.1005,
+        0.0998,
+        0.1010,
+        0.2,
+        *(100.0 * k for k in range(1, 80)),
+    ]  # one packet late
+    for s in at_s:
+        arrival_ns = TIME_NS + round(s * S)
+        assert free.time_ns(round((last_s + s) * S) % (3600 * S), arrival_ns) == arrival_ns
+        assert free.jump == ""
+
+
 def test_a_free_running_clock_that_starts_again_is_learnt_anew() -> None:
     found = clock("arrival")
     assert found.time_ns(77 * S, TIME_NS) == TIME_NS
