@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import queue
 from collections import defaultdict
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Self
 
 import zenoh
@@ -14,6 +16,8 @@ from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, Channel
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
+
+_QUIET_S = 0.3
 
 
 class Asker:
@@ -34,14 +38,24 @@ class Asker:
 
     def alive(self, vehicle: str = "*") -> dict[str, frozenset[str]]:
         """Who has declared to be there: vehicle → services. One that hangs still has, for some seconds or for ever."""
+        key, liveliness = f"camber/v1/{vehicle}/*/alive", self._session.liveliness()
+        present: set[str] = set()
+        told: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        # Of a router that is linked to another one Zenoh 1.10 answers half of such questions with nothing, but tells a
+        # subscriber all there is; that has no end, so it is heard until it is quiet.
+        subscriber: Any = liveliness.declare_subscriber(key, told.put, history=True)
+        replies: Any = liveliness.get(key, timeout=min(self._timeout_s, 2.0))
+        present.update(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        with suppress(queue.Empty):
+            while True:
+                sample = told.get(timeout=min(self._timeout_s, _QUIET_S))
+                there = sample.kind == zenoh.SampleKind.PUT
+                (present.add if there else present.discard)(str(sample.key_expr))
+        subscriber.undeclare()
         found: defaultdict[str, set[str]] = defaultdict(set)
-        replies: Any = self._session.liveliness().get(
-            f"camber/v1/{vehicle}/*/alive", timeout=min(self._timeout_s, 2.0)
-        )
-        for reply in replies:
-            if reply.ok is not None:
-                _, _, name, service, _ = str(reply.ok.key_expr).split("/")
-                found[name].add(service)
+        for alive in present:
+            _, _, name, service, _ = alive.split("/")
+            found[name].add(service)
         return {name: frozenset(services) for name, services in found.items()}
 
     def ask(
