@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -159,6 +160,19 @@ def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
     assert "wheel_speed_m_s" in schemas["camber.Motion.v1"]["properties"]
     assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_without_a_router_a_signal_ends_it_at_once(tmp_path: Path, number: signal.Signals) -> None:
+    with ExitStack() as stack:
+        mute = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        mute.settimeout(60.0)
+        process = record(stack, f"tcp/127.0.0.1:{mute.getsockname()[1]}", tmp_path / "out")
+        stack.enter_context(mute.accept()[0])  # it waits for the bus
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=10.0)
+    assert process.returncode == -number
+    assert said == ""
 
 
 def test_what_a_kill_leaves_can_be_read_to_its_last_whole_chunk_and_played(

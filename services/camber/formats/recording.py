@@ -52,6 +52,7 @@ _SCHEMAS: dict[str, type[Message]] = {
 _CHUNK_BYTES = 256 << 10
 _FLUSH_AFTER_NS = 10_000_000_000
 _MAX_HEADER = 1 << 16
+_MOST_UNKNOWN_SCHEMAS = 256
 _LENGTH = struct.Struct("<I")
 _UINT64_MAX = (1 << 64) - 1
 
@@ -95,11 +96,12 @@ class Recorder:
 
     A full disk or a broken one ends the recording, not the program: `problem` then says why, `dropped` counts
     what came after, and what reached the disk can be read. What exceeds `limit_bytes` within one tick is
-    dropped too, and what is no message is counted in `malformed`.
-    Raises OSError where the file cannot be made.
+    dropped too, and what is no message is counted in `malformed`, as one more schema of no version is where a file
+    has many such already.
+    Raises OSError where the file cannot be made; with `anew` FileExistsError where there is one.
     """
 
-    def __init__(self, path: Path, *, limit_bytes: int = 64 << 20) -> None:
+    def __init__(self, path: Path, *, limit_bytes: int = 64 << 20, anew: bool = False) -> None:
         self.problem: str | None = None
         self.written = 0
         self.dropped = 0
@@ -110,8 +112,9 @@ class Recorder:
         self._pending: list[_Pending] = []
         self._pending_bytes = 0
         self._mcap_channels: dict[tuple[str, str], int] = {}
+        self._unknown_schemas: set[str] = set()
         self._chunk_began_ns: int | None = None
-        self._stream = path.open("wb")
+        self._stream = path.open("xb" if anew else "wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(PROFILE, library="camber")
 
@@ -127,7 +130,7 @@ class Recorder:
         with self._lock:
             if self.problem is not None:
                 self.dropped += 1
-            elif envelope is None:
+            elif envelope is None or not self._has_room_for(envelope[0]):
                 self.malformed += 1
             elif self._pending_bytes + len(payload) > self._limit_bytes:
                 self.dropped += 1
@@ -159,6 +162,15 @@ class Recorder:
             self.dropped += len(pending) - (self.written - written_before)
             self._stop(error)
 
+    def flush(self) -> None:
+        """What is written reaches the file now, and could be read after a kill."""
+        if self.problem is not None:
+            return
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+        except OSError as error:
+            self._stop(error)
+
     def close(self) -> None:
         """Write what is pending and end the file."""
         self.tick_done()
@@ -172,6 +184,12 @@ class Recorder:
             self._stream.close()
         except OSError as error:
             self._stop(error)
+
+    def _has_room_for(self, schema: str) -> bool:
+        """Other versions' messages are kept too; a sender of ever new names must not use up the numbers of MCAP."""
+        if schema not in _SCHEMAS and len(self._unknown_schemas) < _MOST_UNKNOWN_SCHEMAS:
+            self._unknown_schemas.add(schema)
+        return schema in _SCHEMAS or schema in self._unknown_schemas
 
     def _write(self, item: _Pending) -> None:
         time_ns, _, key, sequence, payload, arrival_ns, schema, channel = item
@@ -188,7 +206,8 @@ class Recorder:
         return number
 
     def _flush_now_and_then(self, pending: list[_Pending]) -> None:
-        # By measured time, so that the file's chunks do not depend on the machine's speed.
+        # By measured time, so that the file's chunks do not depend on the machine's speed. Whoever does not know what
+        # times come calls `flush`.
         newest_ns = max((item[0] for item in pending), default=None)
         if newest_ns is None:
             return

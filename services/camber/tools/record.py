@@ -7,6 +7,7 @@ read up to its last whole chunk: 256 kB, or 10 s.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from collections import Counter
@@ -25,7 +26,8 @@ _WRITE_EVERY_S = 0.2
 _MB = 1 << 20
 RECORDABLE = tuple(c for c in CHANNELS if c.delivery in ("small", "bulk"))
 _HELP = """\
-exit codes: 0 stopped as asked; 1 the disk took no more, what it has can be read; 2 wrong usage; 3 no bus.
+exit codes: 0 stopped as asked; 1 the disk took no more, what it has can be read; 2 wrong usage; 3 no bus. While it
+waits for the bus a signal ends it at once.
 """
 
 
@@ -44,8 +46,10 @@ def main(argv: Sequence[str]) -> int:
         kept_bytes=None if args.keep_mb is None else round(args.keep_mb * _MB),
         free_bytes=round(args.leave_mb * _MB),
     )
+    # There is no file yet that would have to be ended, and none of Python's handlers runs while Zenoh waits for a router.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        with stopped_by_signals() as stop, Tap(settings, channels, timeout_s=args.timeout) as tap:
+        with Tap(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:
             files = RecordFiles(args.out, settings.vehicle, limits)
             names = ", ".join(channel.name for channel in channels)
             print(f"{_PROG}: {settings.vehicle}: {names}, into {args.out}", file=sys.stderr, flush=True)

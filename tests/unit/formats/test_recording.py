@@ -243,6 +243,30 @@ def test_more_than_the_limit_within_one_tick_is_dropped_and_counted(tmp_path: Pa
     assert (recorder.written, recorder.dropped) == (5, 6)
 
 
+def test_ever_new_names_of_schemas_do_not_end_the_recording(tmp_path: Path) -> None:
+    payload = encode(motion(0), source="vehicle", sequence=0)
+    path = tmp_path / "recording.mcap"
+    with Recorder(path) as recorder:
+        for i in range(70_000):  # MCAP has numbers for 65,535
+            invented = payload.replace(b"camber.Motion.v1", b"camber.M%08d" % i)
+            recorder.add("motion", invented, key=MOTION_KEY, arrival_ns=0)
+        recorder.add("motion", payload, key=MOTION_KEY, arrival_ns=0)
+    assert recorder.problem is None
+    assert recorder.written + recorder.malformed == 70_001
+    assert recorder.malformed > 69_000
+    found, errors = read(path, "motion")
+    assert found == [motion(0)]
+    assert {error.field for error in errors} == {"schema"}
+
+
+def test_a_file_that_is_there_is_kept_where_a_new_one_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "recording.mcap"
+    messages = record(path)
+    with pytest.raises(FileExistsError):
+        Recorder(path, anew=True)
+    assert read(path, "motion") == (messages, [])
+
+
 @pytest.mark.parametrize("payload", [b"", b"abc", b"\xff" * 40, b"\x04\0\0\0\x93abc", encode(motion(1))[:20]])
 def test_what_is_no_message_is_counted_and_not_written(tmp_path: Path, payload: bytes) -> None:
     with Recorder(tmp_path / "recording.mcap") as recorder:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import shutil
-from collections import namedtuple
+from collections import Counter, namedtuple
 from pathlib import Path
 from random import Random
 
+import numpy as np
 import pytest
 
 from camber.formats.recording import Recorded, read_recording
 from camber.runtime.tap import Tapped
 from camber.schemas.codec import encode
+from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.record import chosen
 from camber.tools.record_files import Limits, RecordFiles
@@ -73,6 +75,65 @@ def test_the_oldest_go_also_those_of_earlier_runs_and_never_of_others(tmp_path: 
     assert "car-20200101T000000Z-000.mcap" not in left
     assert files.files[-1].name in left
     assert files.files[0].name not in left
+
+
+def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Path) -> None:
+    others = {"car-2-20200101T000000Z-000.mcap", "car-notes.mcap"}
+    for name in others:
+        (tmp_path / name).write_bytes(b"x" * 500_000)
+    files = RecordFiles(tmp_path, "car", Limits(kept_bytes=20_000, free_bytes=0))
+    files.write(motions(0, 10), now_s=0.0)
+    files.close()
+    assert {path.name for path in tmp_path.iterdir()} == {files.files[0].name, *others}
+
+
+def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_path: Path) -> None:
+    first, second = (RecordFiles(tmp_path, "car", OPEN) for _ in range(2))
+    for n in range(3):
+        first.write(motions(10 * n, 10), now_s=float(n))
+        second.write(motions(5 + 10 * n, 10), now_s=float(n))
+    first.close()
+    second.close()
+    later = RecordFiles(tmp_path, "car", OPEN)
+    later.write(motions(0, 5), now_s=9.0)
+    later.close()
+    assert [path.name[-8:] for files in (first, second, later) for path in files.files] == [
+        "000.mcap",
+        "001.mcap",
+        "002.mcap",
+    ]
+    assert sequences(first.files[0]) == list(range(30))
+    assert sequences(second.files[0]) == list(range(5, 35))
+    assert sequences(later.files[0]) == list(range(5))
+
+
+def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path: Path) -> None:
+    n = 100_000
+    sweep = Sweep(
+        time_ns=T,
+        sensor="top",
+        points_m=np.zeros((n, 3), np.float32),
+        intensity=np.zeros(n, np.float32),
+        offset_ns=np.zeros(n, np.int32),
+    )
+    one = Tapped("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
+    files = RecordFiles(tmp_path, "car", OPEN)
+    files.write([one] * 50, now_s=0.0)
+    files.close()
+    assert 50 * len(one.data) > 64 << 20
+    assert (files.written, files.dropped) == (50, 0)
+
+
+def test_a_kill_costs_seconds_whatever_times_stand_in_the_messages(tmp_path: Path) -> None:
+    files = RecordFiles(tmp_path, "car", OPEN)
+    files.write(
+        motions(10**9, 1), now_s=0.0
+    )  # three years ahead: a clock that is set back, or somebody's mistake
+    for n in range(1, 61):
+        files.write(motions(10 * n, 10), now_s=float(n))
+    (path,) = files.files  # as a kill leaves it
+    assert sum(isinstance(item, Recorded) for item in read_recording(path)) > 490
+    files.close()
 
 
 def test_where_the_disk_is_nearly_full_the_file_is_ended_properly(
