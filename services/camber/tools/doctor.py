@@ -34,6 +34,7 @@ from camber.tools.doctor_checks import (
 
 _PROG = "camber doctor"
 _CLOUD = ("map_update",)
+_WAYS = ("listen", "connect")
 _HELP = """\
 exit codes: 0 no problem was found; 1 one was; 2 wrong usage. What could not be checked is said, and is no problem.
 """
@@ -62,6 +63,7 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
     """All findings in a deployment's folder of TOML files; `offline`: nothing that needs bus, receiver or caster."""
     yield from check_python()
     yield from check_clock(kernel_discipline(), time.time())
+    yield from _routers(folder)
     known: dict[str, Any] = {}
     for path in sorted(folder.glob("*.toml")):
         yield _settings(path, known)
@@ -144,6 +146,26 @@ def _certificates(known: dict[str, Any]) -> Iterator[Finding]:
                 seen.add(each)
                 authority, certificate, key = each
                 yield from check_certificates(what, authority, certificate, key, now)
+
+
+def _routers(folder: Path) -> Iterator[Finding]:
+    """Of each router's file, the certificates that it shows and asks for."""
+    from camber.runtime.session import BusError, router_endpoints
+
+    now = datetime.now(UTC)
+    for path in sorted(folder.glob("*router*.json5")):
+        what = f"router {path.name}"
+        try:
+            _, _, tls = router_endpoints(path)
+        except BusError as error:
+            yield problem(what, str(error), "docs/security.md")
+            continue
+        pairs = {(tls.get(f"{way}_certificate"), tls.get(f"{way}_private_key")) for way in _WAYS}
+        for pair in pairs - {(None, None)}:
+            authority, certificate, key = (
+                Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair)
+            )
+            yield from check_certificates(what, authority, certificate, key, now)
 
 
 def _connections(known: dict[str, Any]) -> Iterator[Finding]:

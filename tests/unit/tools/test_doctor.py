@@ -199,6 +199,23 @@ def test_files_that_are_missing_or_none_are_a_problem(tmp_path: Path) -> None:
             assert other in found[0].text
 
 
+@pytest.mark.parametrize(("days", "words"), [(-10, "expired"), (7, "expires"), (300, None)])
+def test_a_router_s_certificate_is_looked_at_in_the_router_s_own_file(
+    tmp_path: Path, days: int, words: str | None
+) -> None:
+    begins = datetime.now(UTC) - timedelta(days=20)
+    pki = Pki(tmp_path / "tls", begins=begins, days=days + 20)
+    tls = {"root_ca_certificate": str(pki.authority)}
+    tls |= {"connect_certificate": str(pki.certificate), "connect_private_key": str(pki.key)}
+    router = {"mode": "client", "connect": {"endpoints": ["tls/127.0.0.1:1"]}}
+    router["transport"] = {"link": {"tls": tls}}
+    (tmp_path / "vehicle_router.json5").write_text(json.dumps(router))
+    found = [each for each in tool.examine(tmp_path, offline=True) if each.what.startswith("router ")]
+    wrong = [each.text for each in found if each.state == "problem"]
+    assert found
+    assert (len(wrong) == 1 and words in wrong[0]) if words else not wrong
+
+
 # -- map --------------------------------------------------------------------------------------------------------------
 
 
