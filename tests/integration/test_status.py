@@ -130,6 +130,8 @@ def test_a_service_that_is_frozen_killed_or_not_there_is_not_answering(endpoint:
         assert code == 1
         assert {row["state"] for row in view["services"]} == {"not answering"}
         assert len(view["services"]) == 5
+        code, view = status(endpoint, "--over", "0.2", "--expect", "sensors")
+        assert (code, state_of(view, "sensors")[0]) == (1, "not answering")
 
 
 def test_a_service_whose_interpreter_hangs_is_not_answering_though_it_is_on_the_bus(

@@ -27,8 +27,9 @@ _NO_SERVICES = frozenset(
     {FEEDER, "vehicle", "player"}
 )  # they declare themselves, and have no work loop to ask
 _HELP = """\
-exit codes: 0 all services are well; 4 all answer, and one waits for its inputs (degraded) or is starting; 1 one is
-failing or not answering; 2 wrong usage; 3 the bus cannot be joined. With --watch that of the last look.
+exit codes: 0 all services are well; 4 all answer, and one waits for its inputs (degraded), is deaf to one that others
+hear, or is starting; 1 one is failing or not answering; 2 wrong usage; 3 the bus cannot be joined. With --watch that of
+the last look.
 """
 
 
@@ -53,7 +54,8 @@ def main(argv: Sequence[str]) -> int:
 
 def _look(asker: Asker, vehicle: str, args: argparse.Namespace) -> int:
     everyone = asker.alive("*") if args.fleet else asker.alive(vehicle)
-    view = look(asker, vehicle, args.service, everyone.get(vehicle, frozenset()), args.over)
+    alive = everyone.get(vehicle, frozenset())
+    view = look(asker, vehicle, args.service, alive, args.over, args.expect)
     vehicles = {name: services for name, services in everyone.items() if name != FLEET}
     if args.json:
         found = view.as_json()
@@ -69,10 +71,15 @@ def _look(asker: Asker, vehicle: str, args: argparse.Namespace) -> int:
 
 
 def look(
-    asker: Asker, vehicle: str, wanted: Sequence[str] | None, alive: frozenset[str], over_s: float
+    asker: Asker,
+    vehicle: str,
+    wanted: Sequence[str] | None,
+    alive: frozenset[str],
+    over_s: float,
+    more: Sequence[str] = (),
 ) -> View:
     """Ask all services twice, `over_s` apart: from what they counted meanwhile come the rates."""
-    expected = wanted or (_OF_FLEET if vehicle == FLEET else VEHICLE_SERVICES)
+    expected = dict.fromkeys((*(wanted or (_OF_FLEET if vehicle == FLEET else VEHICLE_SERVICES)), *more))
     others = () if wanted else tuple(sorted(alive - set(expected) - _NO_SERVICES))
     services = (*expected, *others)
     before = _ask(asker, vehicle, services)
@@ -100,6 +107,13 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         metavar="S",
         help="only this one; repeatable (default: all that there should be)",
+    )
+    parser.add_argument(
+        "--expect",
+        action="append",
+        default=[],
+        metavar="S",
+        help="this one should be there too, as sensors in some vehicles; repeatable",
     )
     add_bus_options(parser)
     parser.add_argument(

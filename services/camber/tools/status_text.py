@@ -85,7 +85,7 @@ def _channels(rows: Sequence[ChannelRow]) -> list[str]:
             (
                 row.channel,
                 ", ".join(sorted(row.producers)),
-                ", ".join(sorted(row.consumers)),
+                ", ".join(sorted(row.heard_s)),
                 "" if row.rate_hz is None else f"{row.rate_hz:.1f}",
                 "" if row.table_rate_hz is None else f"{row.table_rate_hz:g}",
                 f"{age}, late" if row.late else age,

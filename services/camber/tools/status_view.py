@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -42,29 +42,45 @@ class ChannelRow:
 
     channel: str
     producers: set[str] = field(default_factory=set)
-    consumers: set[str] = field(default_factory=set)
+    heard_s: dict[str, float] = field(default_factory=dict)  # consumer → since its last message, or its begin
     rate_hz: float | None = None
     table_rate_hz: float | None = None
-    age_s: float | None = None
+    youngest_s: float | None = None
     refused: Counter[str] = field(default_factory=Counter)
     waiting: int = 0
 
     @property
+    def age_s(self) -> float | None:
+        """Since the consumer that has waited longest had a message; none: nobody has said or heard one."""
+        return None if self.youngest_s is None else max(self.heard_s.values(), default=self.youngest_s)
+
+    @property
     def late(self) -> bool:
-        """It has carried messages, and none for long."""
-        limit_s = LATE_PERIODS / self.table_rate_hz if self.table_rate_hz else None
-        return self.age_s is not None and limit_s is not None and self.age_s > max(limit_s, 1.0)
+        """It has carried messages, and somebody had none for long."""
+        return self.age_s is not None and self.age_s > self._limit_s
+
+    @property
+    def deaf(self) -> list[str]:
+        """Who had no message for long, though others say or hear them."""
+        if self.youngest_s is None or self.youngest_s > self._limit_s:
+            return []
+        return sorted(service for service, age_s in self.heard_s.items() if age_s > self._limit_s)
+
+    @property
+    def _limit_s(self) -> float:
+        return max(LATE_PERIODS / self.table_rate_hz, 1.0) if self.table_rate_hz else float("inf")
 
     def as_json(self) -> dict[str, Any]:
         """For programs."""
         return {
             "channel": self.channel,
             "producers": sorted(self.producers),
-            "consumers": sorted(self.consumers),
+            "consumers": sorted(self.heard_s),
             "rate_hz": self.rate_hz,
             "table_rate_hz": self.table_rate_hz,
             "age_s": self.age_s,
             "late": self.late,
+            "deaf": self.deaf,
             "refused": dict(self.refused),
             "waiting": self.waiting,
         }
@@ -81,8 +97,9 @@ class View:
 
     @property
     def exit_code(self) -> int:
-        """0: all are well; 1: one has failed or does not answer; 4: one waits for its inputs."""
+        """0: all are well; 1: one has failed or does not answer; 4: one waits for its inputs, or is deaf to one."""
         codes = {_WORSE[row.state] for row in self.services}
+        codes |= {4 for row in self.channels if row.deaf}
         return 1 if 1 in codes else 4 if 4 in codes else 0
 
     def as_json(self) -> dict[str, Any]:
@@ -109,7 +126,8 @@ def view_of(vehicle: str, answers: Answers, before: Answers, alive: frozenset[st
         for health in several
         if isinstance(health, Health)
     }
-    return View(vehicle, services, _channel_rows(services, earlier), _notes(services))
+    channels = _channel_rows(services, earlier)
+    return View(vehicle, services, channels, (*_notes(services), *_deaf_notes(channels)))
 
 
 def last_issue(health: Health) -> Issue | None:
@@ -152,23 +170,23 @@ def _channel_rows(
                 use.channel,
                 ChannelRow(use.channel, producers=set(channel.producers), table_rate_hz=channel.rate_hz),
             )
-            _add(shown, row.service, use, _rate(use, row.health, before), row.health.counters)
+            _add(shown, row.health, use, _rate(use, row.health, before))
     order = {name: place for place, name in enumerate(BY_NAME)}
     return tuple(sorted(rows.values(), key=lambda shown: order[shown.channel]))
 
 
-def _add(
-    shown: ChannelRow, service: str, use: ChannelUse, rate_hz: float | None, counters: Mapping[str, int]
-) -> None:
+def _add(shown: ChannelRow, health: Health, use: ChannelUse, rate_hz: float | None) -> None:
     if rate_hz is not None:
         shown.rate_hz = max(shown.rate_hz or 0.0, rate_hz)
     if use.age_s is not None:
-        shown.age_s = use.age_s if shown.age_s is None else min(shown.age_s, use.age_s)
+        shown.youngest_s = use.age_s if shown.youngest_s is None else min(shown.youngest_s, use.age_s)
     if use.direction == "out":
         return
-    shown.consumers.add(service)
+    heard_s = health.uptime_s if use.age_s is None else use.age_s
+    # Of several workers one takes a message.
+    shown.heard_s[health.service] = min(heard_s, shown.heard_s.get(health.service, heard_s))
     shown.waiting = max(shown.waiting, use.waiting)
-    for name, count in counters.items():
+    for name, count in health.counters.items():
         channel, _, reason = name.partition(".")
         if channel == use.channel and reason in _REFUSALS and use.direction == "in":
             shown.refused[reason] += count
@@ -182,6 +200,12 @@ def _rate(use: ChannelUse, now: Health, before: Health | None) -> float | None:
         if (was.channel, was.direction) == (use.channel, use.direction):
             return max(use.messages - was.messages, 0) / over_s
     return None
+
+
+def _deaf_notes(channels: Sequence[ChannelRow]) -> Iterator[str]:
+    for row in channels:
+        for service in row.deaf:
+            yield f"{service} has had no {row.channel} for {row.heard_s[service]:.0f} s, though it is being said"
 
 
 def _notes(services: Sequence[ServiceRow]) -> tuple[str, ...]:

@@ -59,10 +59,35 @@ def test_a_channel_is_seen_by_all_who_use_it_together() -> None:
         ],
     }
     (row,) = view_of("v", answers, {}, frozenset()).channels
-    assert row.consumers == {"localizer", "integrity"}
+    assert set(row.heard_s) == {"localizer", "integrity"}
     assert row.refused == {"stale": 3}
-    assert (row.age_s, row.waiting) == (4.0, 3)
+    assert (row.age_s, row.waiting) == (4.2, 3)
     assert row.late, "ten times a second are promised"
+
+
+@pytest.mark.parametrize("age_s", [300.0, None], ids=["for long", "always"])
+def test_who_is_deaf_to_what_others_hear_is_named_and_not_well(age_s: float | None) -> None:
+    answers = {
+        "gnss": [health("gnss", channels=(use("fix", "out", 9, age_s=0.05),))],
+        "localizer": [health("localizer", channels=(use("fix", "in", 8, 0.05),))],
+        "integrity": [health("integrity", channels=(use("fix", "in", 0, age_s),))],
+    }
+    view = view_of("v", answers, {}, frozenset())
+    (row,) = view.channels
+    assert row.late
+    assert row.deaf == ["integrity"]
+    assert (row.age_s or 0.0) >= 100.0
+    assert view.exit_code == 4
+    assert "integrity has had no fix for" in " ".join(view.notes)
+
+
+def test_nobody_is_deaf_to_what_nobody_says() -> None:
+    answers = {
+        "gnss": [health("gnss", channels=(use("motion", "in", 0, None),))],
+        "integrity": [health("integrity", channels=(use("motion", "in", 0, None),))],
+    }
+    view = view_of("v", answers, {}, frozenset())
+    assert (view.channels[0].late, view.channels[0].deaf, view.exit_code) == (False, [], 0)
 
 
 @pytest.mark.parametrize(
