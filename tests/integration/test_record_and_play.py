@@ -20,12 +20,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from camber.formats.recording import Recorded, RecordingError, read_recording
+from camber.formats.recording import Recorded, Recorder, RecordingError, read_recording
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.listen import Listener
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
@@ -302,6 +303,14 @@ def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording:
         assert done.returncode == 1
         assert "gnss, vehicle of car is on this bus" in done.stderr
         assert tried("--vehicle", "other").returncode == 0
+    sensors = joined(endpoint, "sensors")
+    sensors.announce()  # they speak for the vehicle
+    try:
+        done = tried()
+        assert done.returncode == 1
+        assert "vehicle of car is on this bus" in done.stderr
+    finally:
+        sensors.close()
     gnss = joined(endpoint, "gnss")
     gnss.announce()  # declared, though it is silent
     try:
@@ -313,6 +322,21 @@ def test_it_is_not_played_where_the_same_producers_are(endpoint: str, recording:
     finally:
         gnss.close()
     assert tried().returncode == 0
+
+
+def test_a_long_gap_is_said_before_it_is_waited_for(endpoint: str, tmp_path: Path) -> None:
+    path = tmp_path / "gap.mcap"
+    with Recorder(path) as recorder:
+        for n, time_ns in enumerate((1_400_000_000 * 10**9, 1_400_003_600 * 10**9)):
+            said = encode(
+                Motion(time_ns=time_ns, wheel_speed_m_s=1.0, yaw_rate_rad_s=0.0), source="vehicle", sequence=n
+            )
+            recorder.add("motion", said, key="camber/v1/car/vehicle/motion", arrival_ns=0)
+    with started(*play(path, "--connect", endpoint)) as process:
+        assert process.stdout is not None
+        assert "a gap in the recording: nothing for 3600 s" in process.stdout.readline()
+        process.terminate()
+        assert process.wait(30.0) == 0
 
 
 @pytest.mark.parametrize(

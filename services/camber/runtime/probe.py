@@ -53,7 +53,11 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
     """
     table = tomllib.loads(settings.read_text("utf-8")) if settings.exists() else {}
     prefix = f"CAMBER_{service.upper()}_"
-    here = {name.upper().removeprefix(prefix): text for name, text in environ.items()}
+    here = {
+        name.upper().removeprefix(prefix): text
+        for name, text in environ.items()
+        if name.upper().startswith(prefix)
+    }
     found = {**table, **table.get("zenoh", {})}
     found |= {"vehicle": here["VEHICLE"]} if "VEHICLE" in here else {}
     for name in ("connect", *_FILES):

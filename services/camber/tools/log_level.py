@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 from camber.runtime.ask import Asker, BusError, QueryFailed
 from camber.runtime.clock import SystemClock
-from camber.schemas.channels import SERVICES
+from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
 from camber.tools.bus_options import add_bus_options, bus_settings
 
+_TOLD = (*SERVICES, SENSORS)
 _PROG = "camber log_level"
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
 _LONGEST_S = 86_400.0
@@ -49,7 +50,7 @@ def duration_s(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("service", choices=SERVICES, metavar="SERVICE", help=", ".join(SERVICES))
+    parser.add_argument("service", choices=_TOLD, metavar="SERVICE", help=", ".join(_TOLD))
     parser.add_argument("level", choices=typing.get_args(LogLevel), help="least level that is logged")
     parser.add_argument(
         "--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help="90s, 10m, 2h (default 10m)"

@@ -27,7 +27,7 @@ from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.tap import Tap
-from camber.schemas.channels import BY_NAME, Channel
+from camber.schemas.channels import BY_NAME, SENSORS, Channel
 from camber.tools.bus_options import add_bus_options, bus_settings
 from camber.tools.stopping import stopped_by_signals
 from camber.tools.times import NS_PER_FIX_ID, moved
@@ -36,6 +36,7 @@ _PROG = "camber play"
 _NS = 1_000_000_000
 _LISTEN_S = 1.0
 _LATE_S = 0.5
+_LONG_GAP_S = 10.0
 PLAYABLE = tuple(
     c
     for c in BY_NAME.values()
@@ -95,7 +96,8 @@ def refuse_where_they_are(
 ) -> None:
     """Raises Refused where one of these producers has declared itself, or is heard within a second."""
     with Asker(settings, timeout_s=timeout_s) as asker:
-        there = set(asker.alive(settings.vehicle).get(settings.vehicle, frozenset())) & set(producers)
+        alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
+    there = {"vehicle" if name == SENSORS else name for name in alive} & set(producers)
     if not there:  # what is no service declares nothing
         played = [channel for channel in channels if set(channel.producers) & set(producers)]
         with Tap(settings, played, timeout_s=timeout_s) as tap:
@@ -149,7 +151,14 @@ class Player:
                 if self._now:
                     offset_ns = (self._clock.now_ns() - first_ns) // NS_PER_FIX_ID * NS_PER_FIX_ID
             due_s = began_s + (item.message.time_ns - first_ns) / _NS / self._speed
-            if self._stop.wait(max(due_s - time.monotonic(), 0.0)):
+            wait_s = max(due_s - time.monotonic(), 0.0)
+            if wait_s > _LONG_GAP_S:
+                print(
+                    f"{_PROG}: a gap in the recording: nothing for {wait_s:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            if self._stop.wait(wait_s):
                 break
             self._note_lateness(time.monotonic() - due_s)
             self._publish(item, offset_ns)

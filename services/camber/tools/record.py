@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
         kept_bytes=None if args.keep_mb is None else round(args.keep_mb * _MB),
         free_bytes=round(args.leave_mb * _MB),
     )
-    # There is no file yet that would have to be ended, and none of Python's handlers runs while Zenoh waits for a router.
+    # No file has to be ended yet, and none of Python's handlers runs while Zenoh waits for a router.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         with Tap(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:

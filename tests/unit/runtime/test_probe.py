@@ -44,7 +44,12 @@ def test_what_is_no_answer_is_refused(answer):
 
 @pytest.mark.parametrize(
     "environ",
-    [{}, {"CAMBER_INTEGRITY_VEHICLE": "van"}, {"CAMBER_INTEGRITY_ZENOH__CONNECT": '["tcp/127.0.0.1:9"]'}],
+    [
+        {},
+        {"CAMBER_INTEGRITY_VEHICLE": "van"},
+        {"CAMBER_INTEGRITY_ZENOH__CONNECT": '["tcp/127.0.0.1:9"]'},
+        {"VEHICLE": "another", "ZENOH__CONNECT": '["tcp/127.0.0.1:9"]'},
+    ],
 )
 def test_it_reads_settings_as_the_service_does(tmp_path, monkeypatch, environ):
     class Settings(ServiceSettings):

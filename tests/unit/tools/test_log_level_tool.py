@@ -70,6 +70,8 @@ def test_the_last_word_holds(endpoint: str, bus: Bus) -> None:
 def test_a_service_that_is_not_there_is_said(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert tell(endpoint, "integrity", "debug") == 1
     assert "integrity: no answer: absent" in capsys.readouterr().err
+    assert tell(endpoint, "sensors", "debug") == 1
+    assert "sensors: no answer: absent" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("10m", 600.0), ("1.5h", 5400.0)])

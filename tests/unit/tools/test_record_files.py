@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections import Counter, namedtuple
+from collections import namedtuple
 from pathlib import Path
 from random import Random
 
