@@ -22,13 +22,14 @@ from camber.runtime.heard import BusError, are_we_heard, denial
 from camber.runtime.session import router_endpoints
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
-from camber.tools.access_rules import Kind, Party
+from camber.tools.access_rules import OUTSIDE, Kind, Party
 from camber.tools.access_table import table_text
 from camber.tools.certificates import Authority, CertsError, check_name
 from camber.tools.router_config import cloud_config, text_of, vehicle_config
 
 LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7447", "tcp/127.0.0.1:7447"
 FOLDER = Path("/etc/camber/tls")
+OVER_TLS = tuple(f"{protocol}/" for protocol in OUTSIDE)
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
@@ -65,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         "--router",
         action="append",
         metavar="CN",
-        help="common names of all routers (cloud); the first is this",
+        help="names of all routers (cloud); the first is this",
     )
     cloud.add_argument("--listen", action="append", help=f"({LISTEN_CLOUD})")
     cloud.add_argument("--connect", action="append", default=[], help="another router of the cloud")
@@ -99,16 +100,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _cloud(args: argparse.Namespace) -> int:
-    parties = [Party("map_update", "map_update")]
-    routers = list(args.router or ())
-    if args.certs is not None:
-        for row in Authority(args.certs).issued():
-            if row.revoked is not None or row.kind == "map_update":
-                continue
-            if row.kind == "router":
-                routers.append(row.common_name)
-            else:
-                parties.append(Party(row.kind, row.name, row.common_name))
+    issued = [] if args.certs is None else Authority(args.certs).issued()
+    parties = [] if args.certs is not None else [Party("map_update", "map_update")]
+    of_folder = {row.name: row.common_name for row in issued if row.kind == "router" and row.revoked is None}
+    routers = [of_folder.get(name, name) for name in args.router or ()] + list(of_folder.values())
+    for row in issued:
+        if row.kind != "router" and row.revoked is None:
+            parties.append(Party(row.kind, row.name, row.common_name))
     for kind in _KINDS:
         for text in getattr(args, kind, ()):
             name, _, common_name = text.partition("=")
@@ -117,13 +115,17 @@ def _cloud(args: argparse.Namespace) -> int:
     for party in parties:
         check_name(party.name)
     routers = list(dict.fromkeys(routers or ["cloud"]))
+    revoked = {row.common_name for row in issued if row.revoked is not None}
+    for common_name in (*routers, *(party.certificate for party in parties)):
+        if common_name in revoked:
+            raise CertsError(f"{common_name}: is revoked in {args.certs}")
     config = cloud_config(
         parties,
         routers=routers,
         listen=args.listen or [LISTEN_CLOUD],
         connect=args.connect,
         folder=args.tls,
-        own=routers[0],
+        own=name_of(routers[0]),  # as `camber certs` names the file
     )
     about = f"A router of the cloud: {len(parties)} certificates may join, each with its own rules; others nothing."
     _write(args.out, text_of(config, about=about, made_by=args.made_by))
@@ -132,6 +134,9 @@ def _cloud(args: argparse.Namespace) -> int:
 
 def _vehicle(args: argparse.Namespace) -> int:
     check_name(args.name)
+    for endpoint in args.connect:
+        if not endpoint.startswith(OVER_TLS):  # its rules take what comes otherwise for a service within
+            raise ValueError(f"--connect {endpoint}: expected tls/… or quic/…")
     config = vehicle_config(
         args.name,
         connect=args.connect,

@@ -68,6 +68,7 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_key_usage(signs=True), critical=True)
         )
+        _must_be_free(folder / "ca")
         _write_pair(folder / "ca", key, builder.sign(key, hashes.SHA256()))
         authority = cls(folder)
         authority._save([])
@@ -113,6 +114,10 @@ class Authority:
         if any(row.common_name == common_name and row.name != name for row in known):
             raise CertsError(f"{common_name}: this common name is another's")
         authority, signing_key = self._signer()
+        if authority.not_valid_after_utc <= now:
+            raise CertsError(f"{self.folder / 'ca.pem'}: expired {_iso(authority.not_valid_after_utc)}")
+        if not of_name:
+            _must_be_free(self.folder / name)
         days = min(days, (authority.not_valid_after_utc - now) / timedelta(days=1))
         key = ec.generate_private_key(ec.SECP256R1())
         usages = [ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -137,7 +142,7 @@ class Authority:
             name, kind, common_name, f"{certificate.serial_number:x}", _iso(certificate.not_valid_after_utc)
         )
         self._save([*known, row])
-        _write_pair(self.folder / name, key, certificate, replaces=bool(of_name))
+        _write_pair(self.folder / name, key, certificate)
         return row
 
     def revoke(self, name: str, *, now: datetime) -> list[Issued]:
@@ -237,9 +242,13 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _write_pair(
-    stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, *, replaces: bool = False
-) -> None:
+def _must_be_free(stem: Path) -> None:
+    for path in (stem.with_name(f"{stem.name}.key"), stem.with_name(f"{stem.name}.pem")):
+        if path.exists():
+            raise CertsError(f"{path}: there is one already; it is not overwritten")
+
+
+def _write_pair(stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
     """Key first: a certificate without its key is of no use, a key without a certificate does no harm."""
     secret = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
@@ -247,9 +256,6 @@ def _write_pair(
     public = certificate.public_bytes(serialization.Encoding.PEM)
     pairs = [(stem.with_name(stem.name + end), data, mode) for end, data, mode in
              ((".key", secret, 0o600), (".pem", public, 0o644))]  # fmt: skip
-    for path, _, _ in pairs:
-        if path.exists() and not replaces:
-            raise CertsError(f"{path}: there is one already; it is not overwritten")
     for path, data, mode in pairs:
         fresh = path.with_name(path.name + ".new")
         fresh.unlink(missing_ok=True)

@@ -117,8 +117,11 @@ def _revoke(args: argparse.Namespace) -> int:
 
 def _list(args: argparse.Namespace) -> int:
     now = datetime.now(UTC)
+    issued, ca = Authority(args.folder).issued(), read_certificate(args.folder / "ca.pem")
+    until, name = ca.not_valid_after_utc, common_name(ca.subject)
     print(f"{'name':<24} {'kind':<11} {'common name':<24} {'until':<26} state")
-    for row in Authority(args.folder).issued():
+    print(f"{'ca':<24} {'authority':<11} {name:<24} {until.isoformat():<26} {_state(until - now)}")
+    for row in issued:
         left = datetime.fromisoformat(row.until) - now
         state = f"revoked {row.revoked}" if row.revoked else _state(left)
         print(f"{row.name:<24} {row.kind:<11} {row.common_name:<24} {row.until:<26} {state}")

@@ -167,3 +167,12 @@ def test_a_name_that_would_be_something_else_in_a_key_is_refused(
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/c:1", "unixsock-stream//c", "ws/c:1"])
+def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    # Over anything else the cloud would be a service within.
+    assert access.main(["vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"--connect {endpoint}: expected tls/" in said.err

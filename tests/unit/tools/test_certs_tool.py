@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -11,6 +12,8 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from cryptography.x509.verification import PolicyBuilder, Store
 
+from camber.runtime.session import router_endpoints
+from camber.runtime.tls import check_table
 from camber.tools import access, certs
 from camber.tools.certificates import Authority, common_name, read_certificate
 
@@ -102,6 +105,50 @@ def test_what_is_revoked_is_in_no_access_list_and_its_common_name_never_comes_ba
     assert common_name(read_certificate(folder / "car-1.pem").subject) == "car-1+3"
 
 
+def subjects_in(out: Path) -> list[str]:
+    text = "\n".join(line for line in out.read_text().splitlines() if not line.startswith("//"))
+    return [subject["cert_common_names"] for subject in json.loads(text)["access_control"]["subjects"]]
+
+
+def test_map_update_is_revoked_like_all_others(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cloud.json5"
+    words = ["cloud", "--certs", str(folder), "--out", str(out)]
+    assert certs.main(["revoke", str(folder), "map_update"]) == 0
+    assert access.main(words) == 0
+    assert ["map_update"] not in subjects_in(out)
+    assert certs.main(["issue", str(folder), "map_update", "--kind", "map_update"]) == 0
+    assert access.main(words) == 0
+    assert ["map_update"] not in subjects_in(out)
+    assert ["map_update+2"] in subjects_in(out)
+
+
+@pytest.mark.parametrize("more", [[], ["--router", "cloud"]], ids=["of the folder", "by name"])
+def test_a_router_that_was_revoked_and_issued_anew_is_given_its_file(
+    folder: Path, tmp_path: Path, more: list[str]
+) -> None:
+    out = tmp_path / "cloud.json5"
+    assert certs.main(["revoke", str(folder), "cloud"]) == 0
+    assert certs.main(["issue", str(folder), "cloud", "--kind", "router", "--host", "cloud.example"]) == 0
+    words = ["cloud", "--certs", str(folder), "--tls", str(folder), "--out", str(out), *more]
+    assert access.main(words) == 0
+    assert subjects_in(out)[0] == ["cloud+2"]
+    _, _, table = router_endpoints(out)
+    assert Path(table["listen_certificate"]) == folder / "cloud.pem"
+    check_table(table)
+
+
+@pytest.mark.parametrize("more", [[], ["--router", "cloud"], ["--router", "x", "--vehicle", "car-1"]])
+def test_what_is_revoked_is_not_listed_by_hand_either(
+    folder: Path, tmp_path: Path, more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("cloud", "car-1"):
+        assert certs.main(["revoke", str(folder), name]) == 0
+    out = tmp_path / "cloud.json5"
+    assert access.main(["cloud", "--certs", str(folder), "--out", str(out), *more]) == 2
+    assert "is revoked in" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
@@ -119,7 +166,10 @@ def test_show_and_list_say_what_has_expired(folder: Path, capsys: pytest.Capture
     assert certs.main(["show", str(folder / "late.pem")]) == 1
     assert "EXPIRED" in capsys.readouterr().out
     assert certs.main(["list", str(folder)]) == 0
-    assert "EXPIRED" in capsys.readouterr().out
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[1].split()[:4] == ["ca", "authority", "Camber", "development"]
+    assert "EXPIRED" not in listed[1]
+    assert "EXPIRED" in listed[-1]
 
 
 def test_a_certificate_does_not_outlive_its_authority(tmp_path: Path) -> None:
@@ -128,6 +178,23 @@ def test_a_certificate_does_not_outlive_its_authority(tmp_path: Path) -> None:
     authority.issue("car-1", "vehicle", days=30, now=now)
     end = read_certificate(tmp_path / "ca.pem").not_valid_after_utc
     assert read_certificate(tmp_path / "car-1.pem").not_valid_after_utc <= end
+
+
+def test_an_authority_that_has_expired_signs_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Authority.make(tmp_path, name="over", days=1, now=datetime.now(UTC) - timedelta(days=2))
+    assert certs.main(["issue", str(tmp_path), "car-1", "--kind", "vehicle"]) == 2
+    assert "ca.pem: expired" in capsys.readouterr().err
+    assert Authority(tmp_path).issued() == []
+
+
+@pytest.mark.parametrize("end", ["key", "pem"])
+def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
+    (folder / f"car-3.{end}").write_text("somebody else's")
+    assert certs.main(["issue", str(folder), "car-3", "--kind", "vehicle"]) == 2
+    assert "car-3" not in {row.name for row in Authority(folder).issued()}
+    assert (folder / f"car-3.{end}").read_text() == "somebody else's"
 
 
 @pytest.mark.parametrize(
