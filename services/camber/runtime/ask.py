@@ -99,7 +99,7 @@ def _replies(channel: Channel, replies: Any, service: str, vehicle: str) -> list
             failure = QueryFailed("timeout" if "timeout" in text.lower() else "refused", text)
     if failure is not None and (not found or failure.reason == "timeout"):  # also one worker among several
         found.append(failure)
-    return found or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus")]
+    return found or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus, or denied to us")]
 
 
 def ask_once(

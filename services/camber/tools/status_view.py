@@ -144,7 +144,7 @@ def _service_row(service: str, said: Health | QueryFailed, is_alive: bool) -> Se
     elif is_alive:
         why = "on the bus, but its work loop does not answer: frozen, or at work for too long"
     elif said.reason == "absent":
-        why = "not on the bus: not started, ended, or cut off"
+        why = "not on the bus: not started, ended, cut off, or denied to us"
     else:
         why = f"not on the bus any more ({said})"
     return ServiceRow(service, NOT_ANSWERING, why, None)
