@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import BY_NAME
 from camber.schemas.fleet import UploadBatch
+from camber.tools import access
 from camber.tools.certificates import Authority
 from support.fleet_routers import (
     HOST,
@@ -171,6 +173,8 @@ def test_sweeps_stay_within_and_verdicts_cross(world: World) -> None:
 
 
 def test_vehicles_do_not_see_each_other(world: World) -> None:
+    socket = Path(world.other.endpoint.partition("/")[2])
+    assert stat.S_IMODE(socket.stat().st_mode) == 0o770, "its owner and its group join, and nobody else"
     with world.vehicle.session() as one, world.other.session() as two:
         token = one.liveliness().declare_token("camber/v1/car-1/integrity/alive")
         queryable = one.declare_queryable("camber/v1/car-1/integrity/health", lambda query: query.drop())
@@ -299,10 +303,12 @@ def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(t
 
 
 @pytest.mark.parametrize("wrong", ["missing", "damaged", "foreign key"])
-def test_a_certificate_that_cannot_be_used_is_one_line(tmp_path: Path, wrong: str) -> None:
-    certificates = make_certificates(tmp_path)
+def test_a_certificate_that_cannot_be_used_is_one_line_and_the_bus_within_goes_on(
+    tmp_path: Path, wrong: str
+) -> None:
+    certificates, inside = make_certificates(tmp_path), f"tcp/{HOST}:{free_port()}"
     key, file = certificates.folder / "car-1.key", tmp_path / "v.json5"
-    vehicle_file(certificates, "car-1", f"tcp/{HOST}:{free_port()}", file, tls_endpoint())
+    vehicle_file(certificates, "car-1", inside, file, tls_endpoint())
     secret = key.read_text().splitlines()[1]
     if wrong == "missing":
         key.unlink()
@@ -310,10 +316,35 @@ def test_a_certificate_that_cannot_be_used_is_one_line(tmp_path: Path, wrong: st
         key.write_text(key.read_text().replace("MIGH", "MIGX")[:-40])
     else:
         key.write_bytes((certificates.folder / "car-2.key").read_bytes())
-    ended = camber("router", "--config-file", file)
-    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
-    assert str(key) in ended.stderr
-    assert secret not in ended.stderr
+    settings = ZenohSettings(mode="client", connect=[inside])
+    with router(file) as hub, open_session(settings) as one, open_session(settings) as two:
+        heard = Heard()
+        two.declare_subscriber("camber/v1/car-1/**", heard)
+        wait_until(
+            lambda: one.put("camber/v1/car-1/vehicle/sweep", b"x") or heard.keys,
+            timeout_s=10.0,
+            why="nothing came within",
+        )
+        wait_until(lambda: str(key) in hub.said, timeout_s=10.0, why="nothing was said of the key")
+        assert hub.said.count("\n") == 2
+        assert secret not in hub.said
+    checked = camber("access", "check", file)
+    assert (checked.returncode, checked.stderr.count("\n")) == (3, 1)
+
+
+def test_a_vehicle_whose_certificate_has_another_name_is_asked_for_by_its_own(tmp_path: Path) -> None:
+    certificates, cloud = make_certificates(tmp_path), tls_endpoint()
+    for end in ("pem", "key"):
+        (certificates.folder / f"car-9.{end}").write_bytes(
+            (certificates.folder / f"stranger.{end}").read_bytes()
+        )
+    words = ["cloud", "--vehicle", "car-9=stranger", "--listen", cloud, "--tls", str(certificates.folder)]
+    made = tmp_path / "cloud.json5"
+    assert access.main([*words, "--out", str(made)]) == 0
+    file = vehicle_file(certificates, "car-9", f"tcp/{HOST}:{free_port()}", tmp_path / "v.json5", cloud)
+    with router(made), router(file) as hub:
+        wait_until(lambda: "heard as car-9" in hub.said, timeout_s=30.0, why="it is not heard")
+        assert camber("access", "check", file).returncode == 0
 
 
 def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(tmp_path: Path) -> None:

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import threading
 import time
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name
 
 Heard = Literal["heard", "denied"]
+_ECHO = re.compile(r"camber/v1/([^/*]+)/echo")
 _AGAIN_S = 0.2
 _ECHO_LIMIT_S = 3.0  # there and back, once both have joined
 _LIMIT_S = 10.0
@@ -28,12 +31,20 @@ def echo_key(name: str) -> str:
     return f"camber/v1/{name}/echo"
 
 
-def are_we_heard(settings: ZenohSettings, name: str, *, timeout_s: float) -> Heard:
+def name_in(rules: Iterable[Mapping[str, Any]]) -> str | None:
+    """The name in which access rules let one hear its echo; none: they are of nobody, or of more than one."""
+    found = {match[1] for rule in rules for key in rule["key_exprs"] if (match := _ECHO.fullmatch(key))}
+    return found.pop() if len(found) == 1 else None
+
+
+def are_we_heard(
+    settings: ZenohSettings, name: str, *, timeout_s: float, at: Collection[object] = ()
+) -> Heard:
     """Does the router let pass what we say in the name of a vehicle? Joins, asks, leaves.
 
     `name` is the second part of our keys; a service of the fleet says "fleet", a consumer its own name. `denied`: the
     router was joined, but its access list does not give this name to our certificate. Raises BusError where it cannot
-    be joined: nobody there, or one of the certificates is not accepted.
+    be joined: nobody there, one of the certificates is not accepted, or it is none of the routers `at`.
     """
     key, nonce = echo_key(name), os.urandom(16)
     came = threading.Event()
@@ -42,6 +53,8 @@ def are_we_heard(settings: ZenohSettings, name: str, *, timeout_s: float) -> Hea
         open_session(settings, timeout_s=timeout_s) as hearing,
         open_session(settings, timeout_s=timeout_s) as saying,
     ):
+        if at and not set(map(str, at)) & set(map(str, hearing.info.routers_zid())):
+            raise BusError(f"{', '.join(settings.connect)}: not the router of our link")
         subscriber = hearing.declare_subscriber(
             key, lambda sample: came.set() if sample.payload.to_bytes() == nonce else None
         )
@@ -63,7 +76,7 @@ def denial(settings: ZenohSettings, name: str) -> str:
 
 
 class HeardWatch:
-    """Asks beside the work loop until we are heard, and tells each time that we are not."""
+    """Asks beside the work loop for ever, for a list may change, and tells each time that we are not heard."""
 
     def __init__(self, settings: ZenohSettings, name: str, *, again_s: float = 60.0) -> None:
         self._told: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -77,12 +90,11 @@ class HeardWatch:
     def _ask(self) -> None:
         while True:
             try:
-                if are_we_heard(self._settings, self._name, timeout_s=_LIMIT_S) == "heard":
-                    return
-                self._told.put(denial(self._settings, self._name))
+                if are_we_heard(self._settings, self._name, timeout_s=_LIMIT_S) == "denied":
+                    self._told.put(denial(self._settings, self._name))
             except (BusError, TlsError) as error:
                 self._told.put(str(error))
             time.sleep(self._again_s)
 
 
-__all__ = ["BusError", "HeardWatch", "are_we_heard", "denial", "echo_key"]
+__all__ = ["BusError", "HeardWatch", "are_we_heard", "denial", "echo_key", "name_in"]

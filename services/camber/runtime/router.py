@@ -12,16 +12,25 @@ import signal
 import sys
 import threading
 import time
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from camber.runtime.session import BusError, open_router, router_endpoints
+from camber.runtime.session import BusError, open_router, router_endpoints, router_rules
+
+if TYPE_CHECKING:
+    from camber.runtime.settings import ZenohSettings
 
 _LOOK_S = 1.0  # between two looks at whether the link to the cloud is there
+_FIRST_S = 2.0
 _CHECK_LIMIT_S = 5.0
 _CHECK_AGAIN_S = 15.0
+_HEARD_AGAIN_S = 60.0  # an access list may change, the link stay
+_SAY_AGAIN_S = 60.0
+_DAY_S = 86_400.0
+_NEEDED = ("root_ca_certificate", "connect_certificate", "connect_private_key")
 _CLOSE_LIMIT_S = 2.0
 
 
@@ -47,9 +56,13 @@ def main(argv: list[str] | None = None) -> int:
     ends = {"listen": args.listen, "connect": args.connect}
     try:
         listen, connect, tls = router_endpoints(args.config_file, **ends)
+        rules = router_rules(args.config_file)
     except BusError as error:
         _say(str(error))
         return 3
+    over_tls = [endpoint for endpoint in connect if endpoint.startswith(("tls/", "quic/"))]
+    if any(endpoint.startswith("unixsock-stream/") for endpoint in listen):
+        os.umask(0o007)  # who joins must be able to write the socket: its owner and its group
     opened: list[zenoh.Session | BusError] = []
 
     def open_it() -> None:
@@ -61,8 +74,10 @@ def main(argv: list[str] | None = None) -> int:
 
     # Joining as a client waits for the cloud for ever; within the vehicle it routes meanwhile.
     threading.Thread(target=open_it, daemon=True).start()
-    if connect and tls.get("connect_certificate"):
-        threading.Thread(target=_watch, args=(opened, connect, tls), daemon=True).start()
+    if tls.get("root_ca_certificate"):
+        threading.Thread(target=_tell_of_ends, args=(tls,), daemon=True).start()
+    if over_tls and all(tls.get(name) for name in _NEEDED):
+        threading.Thread(target=_watch, args=(opened, over_tls, tls, rules), daemon=True).start()
     _say(f"listens on {', '.join(listen)}" + (f", joins {', '.join(connect)}" if connect else ""))
     stop.wait()
     return _end(opened)
@@ -83,42 +98,73 @@ def _end(opened: list[zenoh.Session | BusError]) -> int:
     os._exit(0)  # Zenoh still waits for the cloud, and cannot be told to leave off
 
 
-def _watch(opened: list[zenoh.Session | BusError], connect: list[str], tls: dict[str, Any]) -> None:
+def _watch(
+    opened: list[zenoh.Session | BusError],
+    connect: list[str],
+    tls: dict[str, Any],
+    rules: list[dict[str, Any]],
+) -> None:
     """Say when the cloud is found and lost, and whether what comes from here is let pass."""
-    from camber.runtime.heard import are_we_heard, denial
+    from camber.runtime.heard import name_in
     from camber.runtime.settings import ZenohSettings
-    from camber.runtime.tls import certificate_name, name_of
 
-    path = Path(tls["connect_certificate"])
+    name = name_in(rules)
     settings = ZenohSettings(
         mode="client",
         connect=connect,
         tls_ca=tls["root_ca_certificate"],
-        tls_certificate=path,
+        tls_certificate=tls["connect_certificate"],
         tls_key=tls["connect_private_key"],
     )
-    name, at, said = name_of(certificate_name(path)), ", ".join(connect), ""
-    was_linked, checked_s, peers_told = False, float("-inf"), False
+    said, said_s, peers_told = "", float("-inf"), False
+    checked_s = time.monotonic() - _CHECK_AGAIN_S + _FIRST_S  # time for the link to come first
+    was_linked: frozenset[str] = frozenset()
     while True:
         session, now = (opened[0] if opened else None), time.monotonic()
-        linked = isinstance(session, zenoh.Session) and bool(session.info.routers_zid())
-        if not peers_told and isinstance(session, zenoh.Session) and session.info.peers_zid():
+        info = session.info if isinstance(session, zenoh.Session) else None
+        linked = frozenset(map(str, info.routers_zid())) if info is not None else frozenset()
+        if not peers_told and info is not None and info.peers_zid():
             peers_told = True
             _say(
                 'peers have joined, and will not hear one another: services here need [zenoh] mode = "client"'
             )
-        heard = said.startswith("heard")
-        if linked != was_linked or (not heard and now - checked_s >= _CHECK_AGAIN_S):
+        again_s = _HEARD_AGAIN_S if said.startswith("heard") else _CHECK_AGAIN_S
+        if linked != was_linked or now - checked_s >= again_s:
             was_linked, checked_s = linked, now
-            try:
-                answer = are_we_heard(settings, name, timeout_s=_CHECK_LIMIT_S)
-                word = f"heard as {name} at {at}" if answer == "heard" else denial(settings, name)
-            except BusError as error:
-                word = f"no link: {error}"
-            if word != said:
-                said = word
+            word = _whether_heard(settings, name, linked)
+            if word != said or (not word.startswith("heard") and now - said_s >= _SAY_AGAIN_S):
+                said, said_s = word, now
                 _say(word)
         time.sleep(_LOOK_S)
+
+
+def _whether_heard(settings: ZenohSettings, name: str | None, linked: frozenset[str]) -> str:
+    """In words, of the router that we are linked to: where there are several, another may have another list."""
+    from camber.runtime.heard import are_we_heard, denial
+    from camber.runtime.tls import TlsError, certificate_name, name_of
+
+    several, words = len(settings.connect) > 1, []
+    for endpoint in settings.connect:
+        there = settings.model_copy(update={"connect": [endpoint]})
+        try:
+            name = name or name_of(certificate_name(settings.tls_certificate or Path()))
+            answer = are_we_heard(there, name, timeout_s=_CHECK_LIMIT_S, at=linked if several else ())
+            if answer == "denied":
+                return denial(there, name)
+            return f"{'heard' if linked else 'no link, but would be heard'} as {name} at {endpoint}"
+        except (BusError, TlsError) as error:
+            words.append(str(error))
+    return f"no link: {'; '.join(dict.fromkeys(words))}"
+
+
+def _tell_of_ends(tls: dict[str, Any]) -> None:
+    """Say each day which certificates end soon."""
+    from camber.runtime.tls import ends_soon
+
+    while True:
+        for line in ends_soon(tls, datetime.now(UTC)):
+            _say(line)
+        time.sleep(_DAY_S)
 
 
 def _say(text: str) -> None:

@@ -81,6 +81,11 @@ def router_endpoints(
     )
 
 
+def router_rules(config_file: Path | None) -> list[dict[str, Any]]:
+    """The access rules of a router's file. Raises BusError."""
+    return _get(_base(config_file), "access_control/rules") or []
+
+
 def _router_config(
     config_file: Path | None, listen: list[str] | None, connect: list[str] | None
 ) -> zenoh.Config:
@@ -92,8 +97,9 @@ def _router_config(
         _put(config, "listen/endpoints", listen or ["tcp/127.0.0.1:7447"])
     if connect is not None:
         _put(config, "connect/endpoints", connect)
-    # A vehicle's bus does not depend on its link: that is tried until the certificate is renewed, and told of.
-    _check_tls(config, may_have_expired=_get(config, "mode") == "client")
+    # A vehicle's bus does not depend on its link: that is tried until certificate and clock are right, and told of.
+    if _get(config, "mode") != "client":
+        _check_tls(config)
     _put(config, "connect/timeout_ms", -1)
     _put(config, "connect/exit_on_failure", False)
     _depart_from_defaults(config)
@@ -125,21 +131,17 @@ def _get(config: zenoh.Config, key: str) -> Any:
     return json.loads(config.get_json(key))
 
 
-def _check_tls(config: zenoh.Config, *, may_have_expired: bool = False) -> None:
+def _check_tls(config: zenoh.Config) -> None:
     table = {name: value for name, value in _get(config, "transport/link/tls").items() if value}
     if not table:
         return
-    from camber.runtime.tls import (
-        TlsError,
-        TlsExpiredError,
-        check_table,
-    )  # not for those on the loopback: it takes a while to load
+    # Not for those on the loopback: it takes a while to load.
+    from camber.runtime.tls import TlsError, check_table
 
     try:
         check_table(table)
     except TlsError as error:
-        if not (may_have_expired and isinstance(error, TlsExpiredError)):
-            raise BusError(str(error)) from None
+        raise BusError(str(error)) from None
 
 
 def _base(config_file: Path | None) -> zenoh.Config:

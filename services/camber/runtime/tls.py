@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import NameOID
 
 _GENERATION = re.compile(r"\+\d+$")
+_SOON = timedelta(days=14)
 _READERS = {
     "root_ca_certificate": x509.load_pem_x509_certificate,
     "listen_certificate": x509.load_pem_x509_certificate,
@@ -23,10 +24,6 @@ _READERS = {
 
 class TlsError(ValueError):
     """A certificate or a key cannot be used; one line that names the file and nothing of what is in a key."""
-
-
-class TlsExpiredError(TlsError):
-    """A certificate that was right and is over; the file may be renewed at any time."""
 
 
 def tls_table(ca: Path, certificate: Path, key: Path) -> dict[str, Any]:
@@ -56,9 +53,7 @@ def check_table(table: dict[str, Any]) -> None:
         if certificate is None:
             continue
         if certificate.not_valid_after_utc <= now:
-            raise TlsExpiredError(
-                f"{path}: expired {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; renew it"
-            )
+            raise TlsError(f"{path}: expired {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; renew it")
         if certificate.not_valid_before_utc > now:
             raise TlsError(
                 f"{path}: not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; "
@@ -69,6 +64,19 @@ def check_table(table: dict[str, Any]) -> None:
         ca = read.get("root_ca_certificate")
         if ca is not None and certificate.issuer != ca.subject:
             raise TlsError(f"{path}: not signed by {table['root_ca_certificate']}")
+
+
+def ends_soon(table: dict[str, Any], now: datetime) -> list[str]:
+    """One line for each certificate of a `transport/link/tls`, and its authority's, that ends within 14 days."""
+    lines = []
+    for path in dict.fromkeys(table.get(name) for name in _READERS if "certificate" in name):
+        try:
+            certificate = _read(Path(path), x509.load_pem_x509_certificate, secret=False) if path else None
+        except TlsError:
+            continue  # said where it is used
+        if certificate is not None and certificate.not_valid_after_utc <= now + _SOON:
+            lines.append(f"{path}: until {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; renew it")
+    return lines
 
 
 def certificate_name(path: Path) -> str:

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from camber.runtime.heard import BusError, are_we_heard, denial
-from camber.runtime.session import router_endpoints
+from camber.runtime.heard import BusError, are_we_heard, denial, name_in
+from camber.runtime.session import router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
 from camber.tools.access_rules import OUTSIDE, Kind, Party
@@ -94,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="is what this certificate says heard?")
     check.set_defaults(work=_check)
     check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
-    check.add_argument("--name", help="vehicle in whose name (that of the certificate)")
+    check.add_argument("--name", help="vehicle in whose name (that of the rules, or of the certificate)")
     check.add_argument("--timeout-s", type=float, default=5.0)
     return parser
 
@@ -156,9 +156,10 @@ def _check(args: argparse.Namespace) -> int:
     try:
         _, connect, table = router_endpoints(args.file)
         settings = settings_of(connect, table)
-        name = args.name or name_of(certificate_name(Path(table["connect_certificate"])))
+        own = name_of(certificate_name(Path(table["connect_certificate"])))
+        name = args.name or name_in(router_rules(args.file)) or own
         heard = are_we_heard(settings, name, timeout_s=args.timeout_s)
-    except BusError as error:
+    except (BusError, TlsError) as error:
         print(f"camber access: {args.file}: {error}", file=sys.stderr)
         return 3
     if heard == "heard":

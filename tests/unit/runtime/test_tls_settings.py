@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import threading
+import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
+from camber.runtime import heard, router
 from camber.runtime.session import BusError, open_session, router_endpoints
 from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, to_toml
-from camber.runtime.tls import TlsError, certificate_name, check_table, name_of, tls_table
+from camber.runtime.tls import TlsError, certificate_name, check_table, ends_soon, name_of, tls_table
 from camber.tools.certificates import Authority
 
 TLS = 'tls_ca = "a.pem"\ntls_certificate = "b.pem"\ntls_key = "b.key"\n'
@@ -125,6 +130,125 @@ def test_a_router_listens_on_the_loopback_unless_it_is_told_otherwise(tmp_path: 
     assert router_endpoints(empty)[0] == ["tcp/127.0.0.1:7447"]
     assert router_endpoints(told)[0] == ["tcp/127.0.0.2:1"]
     assert router_endpoints(told, listen=["tcp/127.0.0.3:1"])[0] == ["tcp/127.0.0.3:1"]
+
+
+@pytest.mark.parametrize("mode", ["client", "router"])
+def test_a_vehicles_router_goes_on_without_its_certificate_and_the_clouds_does_not(
+    folder: Path, tmp_path: Path, mode: str
+) -> None:
+    file = tmp_path / "router.json5"
+    for ca, name in (("pki", "late"), ("pki", "early"), ("pki", "none"), ("theirs", "car-1")):
+        table = tls_table(folder.parent / ca / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
+        file.write_text(json.dumps({"mode": mode, "transport": {"link": {"tls": table}}}))
+        with nullcontext() if mode == "client" else pytest.raises(BusError, match=f"{name}.pem: "):
+            assert router_endpoints(file)[2]["root_ca_certificate"] == table["root_ca_certificate"]
+
+
+def test_what_ends_within_two_weeks_is_said(folder: Path) -> None:
+    table, now = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "none"), datetime.now(UTC)
+    assert ends_soon(table, now) == []
+    (said,) = ends_soon(table, now + timedelta(days=7))
+    assert said.startswith(f"{folder / 'car-1.pem'}: until ")
+    assert len(ends_soon(table, now + timedelta(days=25))) == 2
+    (folder / "car-1.pem").unlink()
+    assert len(ends_soon(table, now + timedelta(days=25))) == 1
+
+
+def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["heard", "denied", "heard", "denied"])
+
+    def ask(*_: object, **__: object) -> str:
+        for answer in answers:
+            return answer
+        threading.Event().wait()  # it asks for ever, and this is enough
+        return ""
+
+    monkeypatch.setattr(heard, "are_we_heard", ask)
+    monkeypatch.setattr(heard, "denial", lambda *_: "denied")
+    told: list[str] = []
+    watch = heard.HeardWatch(ZenohSettings(), "fleet", again_s=0.01)
+    deadline = time.monotonic() + 5.0
+    while len(told) < 2 and time.monotonic() < deadline:
+        told += watch.problems()
+        time.sleep(0.01)
+    assert told == ["denied", "denied"]
+
+
+def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lists: dict[str, tuple[str, heard.Heard]] = {"tls/a:1": ("A", "heard"), "tls/b:1": ("B", "denied")}
+
+    def ask(settings: ZenohSettings, name: str, *, timeout_s: float, at: frozenset[str]) -> heard.Heard:
+        (endpoint,) = settings.connect
+        zid, answer = lists[endpoint]
+        if at and zid not in at:
+            raise BusError(f"{endpoint}: another")
+        return answer
+
+    monkeypatch.setattr(heard, "are_we_heard", ask)
+    settings = ZenohSettings(
+        mode="client",
+        connect=list(lists),
+        tls_ca=folder / "ca.pem",
+        tls_certificate=folder / "car-1.pem",
+        tls_key=folder / "car-1.key",
+    )
+    assert router._whether_heard(settings, "x", frozenset({"A"})) == "heard as x at tls/a:1"
+    assert router._whether_heard(settings, None, frozenset({"B"})).startswith(
+        "tls/b:1 lets nothing pass that car-1 says as car-1"
+    )
+    assert router._whether_heard(settings, "x", frozenset()).startswith(
+        "no link, but would be heard as x at "
+    )
+    assert router._whether_heard(settings, "x", frozenset({"C"})).startswith("no link: tls/a:1: another; ")
+
+
+def test_a_link_that_goes_to_another_router_is_asked_about_anew(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class EndError(Exception):
+        pass
+
+    class Session:
+        looks = 0
+
+        @property
+        def info(self) -> Session:
+            return self
+
+        def routers_zid(self) -> list[str]:
+            self.looks += 1
+            if self.looks > 5:
+                raise EndError
+            return ["A" if self.looks < 3 else "B"]
+
+        def peers_zid(self) -> list[str]:
+            return []
+
+    asked = []
+
+    def ask(_: ZenohSettings, __: str | None, linked: frozenset[str]) -> str:
+        asked.append(linked)
+        return f"heard at {min(linked)}"
+
+    monkeypatch.setattr(router.zenoh, "Session", Session)
+    monkeypatch.setattr(router, "_whether_heard", ask)
+    monkeypatch.setattr(router, "_LOOK_S", 0.0)
+    table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
+    with pytest.raises(EndError):
+        router._watch([Session()], ["tls/a:1"], table, [])
+    assert asked == [{"A"}, {"B"}]
+    assert capsys.readouterr().err.splitlines() == ["camber router: heard at A", "camber router: heard at B"]
+
+
+def test_a_vehicles_name_is_that_of_its_rules() -> None:
+    def rules(*names: str) -> list[dict[str, object]]:
+        return [{"key_exprs": [f"camber/v1/{name}/echo", "camber/v1/y/x/verdict"]} for name in names]
+
+    assert heard.name_in(rules("car-9", "car-9")) == "car-9"
+    assert heard.name_in(rules("car-1", "car-2")) is None
+    assert heard.name_in(rules("*")) is None
 
 
 @pytest.mark.parametrize(
