@@ -151,7 +151,11 @@ def _whether_heard(settings: ZenohSettings, name: str | None, linked: frozenset[
             answer = are_we_heard(there, name, timeout_s=_CHECK_LIMIT_S, at=linked if several else ())
             if answer == "denied":
                 return denial(there, name)
-            return f"{'heard' if linked else 'no link, but would be heard'} as {name} at {endpoint}"
+            return (
+                f"heard as {name} at {endpoint}"
+                if linked
+                else f"no link, though {endpoint} would hear {name}"
+            )
         except (BusError, TlsError) as error:
             words.append(str(error))
     return f"no link: {'; '.join(dict.fromkeys(words))}"

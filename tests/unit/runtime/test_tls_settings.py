@@ -198,9 +198,7 @@ def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
     assert router._whether_heard(settings, None, frozenset({"B"})).startswith(
         "tls/b:1 lets nothing pass that car-1 says as car-1"
     )
-    assert router._whether_heard(settings, "x", frozenset()).startswith(
-        "no link, but would be heard as x at "
-    )
+    assert router._whether_heard(settings, "x", frozenset()) == "no link, though tls/a:1 would hear x"
     assert router._whether_heard(settings, "x", frozenset({"C"})).startswith("no link: tls/a:1: another; ")
 
 
