@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
@@ -46,9 +47,10 @@ class Asker:
         subscriber: Any = liveliness.declare_subscriber(key, told.put, history=True)
         replies: Any = liveliness.get(key, timeout=min(self._timeout_s, 2.0))
         present.update(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        until = time.monotonic() + self._timeout_s  # whoever comes and goes all the time must not hold us
         with suppress(queue.Empty):
-            while True:
-                sample = told.get(timeout=min(self._timeout_s, _QUIET_S))
+            while (left_s := until - time.monotonic()) > 0.0:
+                sample = told.get(timeout=min(left_s, _QUIET_S))
                 there = sample.kind == zenoh.SampleKind.PUT
                 (present.add if there else present.discard)(str(sample.key_expr))
         subscriber.undeclare()
