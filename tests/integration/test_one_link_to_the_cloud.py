@@ -273,33 +273,24 @@ def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(t
         cloud_file(certificates, second, tmp_path / "2.json5", "--router", "cloud-2", "--connect", first),
     )
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", first, second)
-    key = "camber/v1/car-1/integrity/verdict"
     with router(files[1]), router(file) as hub:
         with router(files[0]):
             wait_until(lambda: "heard as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
-            with (
-                joined(certificates.settings("consumer", second)) as consumer,
-                open_session(ZenohSettings(mode="client", connect=[inside])) as judge,
-            ):
-                heard = Heard()
-                consumer.declare_subscriber(key, heard)
-                wait_until(
-                    lambda: judge.put(key, b"v") or heard.keys,
-                    timeout_s=20.0,
-                    why="nothing came over two routers",
-                )
+            hear_a_verdict(certificates, second, inside, timeout_s=20.0, why="nothing came over two routers")
         # The first has gone; the vehicle takes the other.
-        with (
-            joined(certificates.settings("consumer", second)) as consumer,
-            open_session(ZenohSettings(mode="client", connect=[inside])) as judge,
-        ):
-            heard = Heard()
-            consumer.declare_subscriber(key, heard)
-            wait_until(
-                lambda: judge.put(key, b"v") or heard.keys,
-                timeout_s=30.0,
-                why="the vehicle found no other router",
-            )
+        hear_a_verdict(certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router")
+
+
+def hear_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:
+    """Of car-1, said inside it, at a router of the cloud."""
+    key = "camber/v1/car-1/integrity/verdict"
+    with (
+        joined(certificates.settings("consumer", cloud)) as consumer,
+        open_session(ZenohSettings(mode="client", connect=[inside])) as judge,
+    ):
+        heard = Heard()
+        consumer.declare_subscriber(key, heard)
+        wait_until(lambda: judge.put(key, b"v") or heard.keys, timeout_s=timeout_s, why=why)
 
 
 @pytest.mark.parametrize("wrong", ["missing", "damaged", "foreign key"])

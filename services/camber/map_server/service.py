@@ -12,6 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from camber.formats.map_release import BlobMissing, Release, ReleaseError, load_public_key
 from camber.formats.map_release_watch import ReleaseWatch
 from camber.formats.map_store import MapStore
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_server.fetch_thread import FetchThread, Times
 from camber.map_server.fetching import FolderSupplier, NoAnswer, Wishes
 from camber.map_server.links import unknown_links
@@ -35,8 +36,6 @@ from camber.schemas.road import (
 )
 
 MessageT = TypeVar("MessageT", bound=Message)
-
-_DAY_NS = 86_400 * 1_000_000_000
 
 
 class _DatumMismatchError(ReleaseError):
@@ -231,7 +230,7 @@ class MapServerService(Service[MapServerSettings]):
             return None
         age_ns = now_ns - self._watch.current.manifest.time_ns
         # A release from the future has no age that could be judged: one of the two clocks is wrong.
-        return None if -_DAY_NS <= age_ns <= self.settings.max_age_days * _DAY_NS else "map_stale"
+        return None if -NS_PER_DAY <= age_ns <= self.settings.max_age_days * NS_PER_DAY else "map_stale"
 
     def _look(self) -> None:
         before = self._watch.problem

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.map_roads import ReleaseError
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.road import SurfaceCorrections
@@ -41,7 +42,6 @@ STEP_M = 1e-4
 """Offsets and σ are whole multiples of it, as heights in tiles are."""
 LARGEST_M = 100.0
 """A road that moved further is another road."""
-_DAY_NS = 86_400 * 1_000_000_000
 
 
 def settled(corrections: Corrections, before: Corrections, map_version: int) -> Corrections:
@@ -61,8 +61,8 @@ def settled(corrections: Corrections, before: Corrections, map_version: int) -> 
         raise ReleaseError("corrections", "offset_m", f"at most {LARGEST_M:g} m")
     rows["offset_m"] = np.round(rows["offset_m"] / STEP_M) * STEP_M + 0.0
     rows["sigma_m"] = np.maximum(np.ceil(rows["sigma_m"] / STEP_M - 1e-6), 1.0) * STEP_M
-    days = np.maximum(rows["last_seen_ns"], EARLIEST_NS) // _DAY_NS
-    rows["last_seen_ns"] = np.maximum(days * _DAY_NS, EARLIEST_NS)
+    days = np.maximum(rows["last_seen_ns"], EARLIEST_NS) // NS_PER_DAY
+    rows["last_seen_ns"] = np.maximum(days * NS_PER_DAY, EARLIEST_NS)
     rows["since_map_version"] = map_version
     at = rows_of(before, rows["surface_id"])
     stays = np.flatnonzero(at >= 0)
