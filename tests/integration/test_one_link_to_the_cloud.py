@@ -281,6 +281,19 @@ def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(t
         hear_a_verdict(certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router")
 
 
+def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(tmp_path: Path) -> None:
+    """Also where at first nobody is there, as where a vehicle is started below ground."""
+    certificates = make_certificates(tmp_path)
+    away, there, inside = tls_endpoint(), tls_endpoint(), f"unixsock-stream/{tmp_path}/bus.sock"
+    cloud = cloud_file(certificates, there, tmp_path / "cloud.json5")
+    with router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", away, there)) as hub:
+        wait_until(lambda: "no link" in hub.said, timeout_s=60.0, why="nobody was missed")
+        with router(cloud):
+            wait_until(lambda: "heard as car-1" in hub.said, timeout_s=60.0, why="the second was not taken")
+            hear_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
+        assert hub.process.poll() is None
+
+
 def hear_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:
     """Of car-1, said inside it, at a router of the cloud."""
     key = "camber/v1/car-1/integrity/verdict"

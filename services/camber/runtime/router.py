@@ -7,11 +7,13 @@ cloud when it is there, and says whether the cloud lets pass what comes from her
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +31,7 @@ _CHECK_LIMIT_S = 5.0
 _CHECK_AGAIN_S = 15.0
 _HEARD_AGAIN_S = 60.0  # an access list may change, the link stay
 _SAY_AGAIN_S = 60.0
+_STUCK = 2  # looks in a row at which Zenoh still waits for one router while another would hear us
 _DAY_S = 86_400.0
 _NEEDED = ("root_ca_certificate", "connect_certificate", "connect_private_key")
 _CLOSE_LIMIT_S = 2.0
@@ -72,15 +75,32 @@ def main(argv: list[str] | None = None) -> int:
             opened.append(error)
             stop.set()
 
+    def begin_anew(first: str) -> None:
+        _say(f"begins anew with {first}: Zenoh waits for {connect[0]}, and for nobody else")
+        ends_now = {"listen": args.listen, "connect": [first, *(end for end in connect if end != first)]}
+        words = [word for way, there in ends_now.items() for end in there or () for word in (f"--{way}", end)]
+        words += ["--config-file", str(args.config_file)] if args.config_file else []
+        _replace_by(sys.executable, "-m", "camber.cli", "router", *words)
+
     # Joining as a client waits for the cloud for ever; within the vehicle it routes meanwhile.
     threading.Thread(target=open_it, daemon=True).start()
     if tls.get("root_ca_certificate"):
         threading.Thread(target=_tell_of_ends, args=(tls,), daemon=True).start()
     if over_tls and all(tls.get(name) for name in _NEEDED):
-        threading.Thread(target=_watch, args=(opened, over_tls, tls, rules), daemon=True).start()
+        watched = (opened, over_tls, tls, rules, begin_anew)
+        threading.Thread(target=_watch, args=watched, daemon=True).start()
     _say(f"listens on {', '.join(listen)}" + (f", joins {', '.join(connect)}" if connect else ""))
     stop.wait()
     return _end(opened)
+
+
+def _replace_by(*command: str) -> None:
+    """This process becomes that command; nothing that it holds open stays so: Zenoh locks its sockets in the file system."""
+    for name in os.listdir("/dev/fd"):
+        with contextlib.suppress(OSError):
+            if int(name) > sys.stderr.fileno():
+                os.set_inheritable(int(name), False)
+    os.execv(command[0], command)
 
 
 def _end(opened: list[zenoh.Session | BusError]) -> int:
@@ -103,8 +123,13 @@ def _watch(
     connect: list[str],
     tls: dict[str, Any],
     rules: list[dict[str, Any]],
+    begin_anew: Callable[[str], None],
 ) -> None:
-    """Say when the cloud is found and lost, and whether what comes from here is let pass."""
+    """Say when the cloud is found and lost, and whether what comes from here is let pass.
+
+    At its start Zenoh tries a client's first endpoint alone (a link that is lost it seeks at all of them): where another
+    one would hear us, the router begins anew with that.
+    """
     from camber.runtime.heard import name_in
     from camber.runtime.settings import ZenohSettings
 
@@ -119,6 +144,7 @@ def _watch(
     said, said_s, peers_told = "", float("-inf"), False
     checked_s = time.monotonic() - _CHECK_AGAIN_S + _FIRST_S  # time for the link to come first
     was_linked: frozenset[str] = frozenset()
+    stuck = 0
     while True:
         session, now = (opened[0] if opened else None), time.monotonic()
         info = session.info if isinstance(session, zenoh.Session) else None
@@ -128,18 +154,23 @@ def _watch(
             _say(
                 'peers have joined, and will not hear one another: services here need [zenoh] mode = "client"'
             )
-        again_s = _HEARD_AGAIN_S if said.startswith("heard") else _CHECK_AGAIN_S
+        again_s = _HEARD_AGAIN_S if said.startswith("heard") else _FIRST_S if stuck else _CHECK_AGAIN_S
         if linked != was_linked or now - checked_s >= again_s:
             was_linked, checked_s = linked, now
-            word = _whether_heard(settings, name, linked)
+            word, by = _whether_heard(settings, name, linked)
             if word != said or (not word.startswith("heard") and now - said_s >= _SAY_AGAIN_S):
                 said, said_s = word, now
                 _say(word)
+            stuck = stuck + 1 if by not in (None, connect[0]) and not opened else 0
+            if by is not None and stuck >= _STUCK:
+                begin_anew(by)
         time.sleep(_LOOK_S)
 
 
-def _whether_heard(settings: ZenohSettings, name: str | None, linked: frozenset[str]) -> str:
-    """In words, of the router that we are linked to: where there are several, another may have another list."""
+def _whether_heard(
+    settings: ZenohSettings, name: str | None, linked: frozenset[str]
+) -> tuple[str, str | None]:
+    """In words, and who hears us or would, of the router that we are linked to: another may have another list."""
     from camber.runtime.heard import are_we_heard, denial
     from camber.runtime.tls import TlsError, certificate_name, name_of
 
@@ -150,15 +181,13 @@ def _whether_heard(settings: ZenohSettings, name: str | None, linked: frozenset[
             name = name or name_of(certificate_name(settings.tls_certificate or Path()))
             answer = are_we_heard(there, name, timeout_s=_CHECK_LIMIT_S, at=linked if several else ())
             if answer == "denied":
-                return denial(there, name)
-            return (
-                f"heard as {name} at {endpoint}"
-                if linked
-                else f"no link, though {endpoint} would hear {name}"
-            )
+                return denial(there, name), None
+            if linked:
+                return f"heard as {name} at {endpoint}", endpoint
+            return f"no link, though {endpoint} would hear {name}", endpoint
         except (BusError, TlsError) as error:
             words.append(str(error))
-    return f"no link: {'; '.join(dict.fromkeys(words))}"
+    return f"no link: {'; '.join(dict.fromkeys(words))}", None
 
 
 def _tell_of_ends(tls: dict[str, Any]) -> None:
