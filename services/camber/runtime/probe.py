@@ -1,7 +1,7 @@
 """Is a service well? What `camber health` asks, for those who ask every few seconds.
 
-usage: python -m camber.runtime.probe [SERVICE [SETTINGS.toml]]; without words, that of CAMBER_SERVICE and its settings
-in /etc/camber. Exit codes: as `camber health`.
+usage: python -m camber.runtime.probe [SERVICE [SETTINGS.toml]]; without words, what runs in this container (its
+first process), with the settings that it was given. Exit codes: as `camber health`.
 
 On purpose it knows neither messages nor settings as classes: to import those takes a second of a processor, and each
 container would do so four times a minute. It writes the one question and reads the one word of the answer.
@@ -15,7 +15,9 @@ import struct
 import sys
 import time
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ import msgpack
 from camber.runtime.session import BusError, open_session
 
 ROUTER = "router"
+FIRST_PROCESS = Path("/proc/1/cmdline")
 WITHIN_S = 5.0
 _ENCODING = "application/msgpack;camber.HealthRequest.v1"
 _GPS_EPOCH_UNIX_S = 315_964_800
@@ -69,6 +72,17 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
     return bus
 
 
+def runs_here(command: Sequence[str]) -> tuple[str, Path | None]:
+    """Service and settings of a command line, whatever starts it: `… camber gnss --config FILE …`; ValueError."""
+    words = [word for argument in command for word in argument.split("=", 1)]
+    start = next((n for n, word in enumerate(words) if Path(word).name == "camber"), None)
+    if start is None or start + 1 == len(words) or words[start + 1].startswith("-"):
+        raise ValueError(f"expected the name of a service; {' '.join(command)} runs here")
+    options = words[start + 2 :]
+    file = next((Path(after) for word, after in pairwise(options) if word == "--config"), None)
+    return words[start + 1].replace("-", "_"), file
+
+
 def key_of(vehicle: str, service: str) -> str:
     """Where a service is asked how it is."""
     return f"camber/v1/{vehicle}/{service}/health"
@@ -110,11 +124,16 @@ def status_of(service: str, bus: Bus) -> str:
 
 def main(argv: list[str]) -> int:
     """Ask, say it in one line; returns the exit code."""
-    service = argv[0] if argv else os.environ.get("CAMBER_SERVICE", "")
-    if not service:
-        print("probe: expected the name of a service, or CAMBER_SERVICE", file=sys.stderr)
+    given: Path | None
+    try:
+        if argv:
+            service, given = argv[0], Path(argv[1]) if len(argv) > 1 else None
+        else:
+            service, given = runs_here(FIRST_PROCESS.read_text("utf-8").rstrip("\0").split("\0"))
+    except (OSError, ValueError) as error:
+        print(f"probe: {error}", file=sys.stderr)
         return 2
-    settings = Path(argv[1] if len(argv) > 1 else f"/etc/camber/{service}.toml")
+    settings = given or Path(f"/etc/camber/{service}.toml")
     try:
         status = status_of(service, bus_of(service, settings, dict(os.environ)))
     except (BusError, OSError, ValueError, TypeError) as error:

@@ -71,6 +71,29 @@ def test_without_a_file_it_asks_where_a_service_without_settings_is(tmp_path):
     assert (bus.vehicle, bus.connect) == (ServiceSettings().vehicle, ServiceSettings().zenoh.connect)
 
 
+@pytest.mark.parametrize(
+    ("command", "service", "settings"),
+    [
+        ("/opt/bin/python /opt/bin/camber gnss --config /etc/gnss.toml", "gnss", "/etc/gnss.toml"),
+        ("/sbin/docker-init -- camber map_server --config=/etc/m.toml", "map_server", "/etc/m.toml"),
+        ("camber map-server --set period_s=1", "map_server", None),
+        ("/sbin/docker-init -- camber router --config-file /etc/r.json5", "router", None),
+    ],
+)
+def test_it_asks_what_runs_as_the_first_process(command, service, settings):
+    found, file = probe.runs_here(command.split())
+    assert (found, file and str(file)) == (service, settings)
+
+
+@pytest.mark.parametrize("command", ["", "sh -c true", "camber", "camber --help"])
+def test_where_no_service_runs_it_says_so(tmp_path, monkeypatch, capsys, command):
+    first = tmp_path / "cmdline"
+    first.write_text(command.replace(" ", "\0") + "\0")
+    monkeypatch.setattr(probe, "FIRST_PROCESS", first)
+    assert probe.main([]) == 2
+    assert f"expected the name of a service; {command} runs here" in capsys.readouterr().err
+
+
 def test_it_loads_no_numbers_and_no_models():
     code = (
         "import sys, camber.runtime.probe; print({'numpy', 'pydantic', 'camber.schemas'} & set(sys.modules))"
