@@ -76,10 +76,12 @@ def main(argv: list[str] | None = None) -> int:
         if name in TOOLS:
             return _run_tool(TOOLS[name][0], rest)
     except ModuleNotFoundError as error:
-        if error.name not in EXTRA_OF:
+        missing = (error.name or "camber").partition(".")[0]
+        if missing == "camber":
             raise
-        extra = EXTRA_OF[error.name]
-        print(f"camber {name}: {error.name} is not installed; it comes with camber[{extra}]", file=sys.stderr)
+        extra = EXTRA_OF.get(missing)
+        whence = f"camber[{extra}]" if extra else "all of Camber, and not with the image of a single service"
+        print(f"camber {name}: {missing} is not installed; it comes with {whence}", file=sys.stderr)
         return 2
     print(f"camber: {args[0]!r} is neither a service nor a tool; `camber --help` lists them", file=sys.stderr)
     return 2

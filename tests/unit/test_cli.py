@@ -100,8 +100,16 @@ def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> N
     assert ended.stdout == f"{describe_ports()}\n"
 
 
-def test_a_package_that_is_missing_is_named_with_what_brings_it() -> None:
-    without = "import sys; sys.modules['numba'] = None; from camber.cli import main; raise SystemExit(main(['gnss']))"
+@pytest.mark.parametrize(
+    ("package", "name", "whence"),
+    [
+        ("numba", "gnss", "camber[engine]"),
+        ("cryptography", "doctor", "all of Camber, and not with the image of a single service"),
+    ],
+)
+def test_a_package_that_is_missing_is_named_with_what_brings_it(package: str, name: str, whence: str) -> None:
+    run = f"from camber.cli import main; raise SystemExit(main(['{name}']))"
+    without = f"import sys; sys.modules['{package}'] = None; {run}"
     ended = subprocess.run(
         [sys.executable, "-c", without],
         stdin=subprocess.DEVNULL,
@@ -111,4 +119,4 @@ def test_a_package_that_is_missing_is_named_with_what_brings_it() -> None:
         check=False,
     )
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == "camber gnss: numba is not installed; it comes with camber[engine]\n"
+    assert ended.stderr == f"camber {name}: {package} is not installed; it comes with {whence}\n"
