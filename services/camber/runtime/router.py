@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from camber.runtime.session import BusError, open_router, router_endpoints, router_rules
+from camber.runtime.session import OVER_TLS, BusError, open_router, router_endpoints, router_rules
 
 if TYPE_CHECKING:
     from camber.runtime.settings import ZenohSettings
@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     except BusError as error:
         _say(str(error))
         return 3
-    over_tls = [endpoint for endpoint in connect if endpoint.startswith(("tls/", "quic/"))]
+    over_tls = [endpoint for endpoint in connect if endpoint.startswith(OVER_TLS)]
     if any(endpoint.startswith("unixsock-stream/") for endpoint in listen):
         os.umask(0o007)  # who joins must be able to write the socket: its owner and its group
     opened: list[zenoh.Session | BusError] = []
@@ -95,7 +95,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _replace_by(*command: str) -> None:
-    """This process becomes that command; nothing that it holds open stays so: Zenoh locks its sockets in the file system."""
+    """This process becomes that command, and holds nothing open: Zenoh locks its sockets in the file system."""
     for name in os.listdir("/dev/fd"):
         with contextlib.suppress(OSError):
             if int(name) > sys.stderr.fileno():
@@ -127,8 +127,8 @@ def _watch(
 ) -> None:
     """Say when the cloud is found and lost, and whether what comes from here is let pass.
 
-    At its start Zenoh tries a client's first endpoint alone (a link that is lost it seeks at all of them): where another
-    one would hear us, the router begins anew with that.
+    At its start Zenoh tries a client's first endpoint alone (a link that is lost it seeks at all of them): where
+    another one would hear us, the router begins anew with that.
     """
     from camber.runtime.heard import name_in
     from camber.runtime.settings import ZenohSettings

@@ -17,6 +17,11 @@ _PLACE = re.compile(r"(?:--> |line: )(\d+)(?::|, column: )(\d+)")
 _FIELD = re.compile(r"(?:unknown|missing|duplicate) field `\w+`")
 
 
+OUTSIDE = ("tls", "quic")
+"""Protocols of links between vehicles and the cloud; what comes by another counts as within."""
+OVER_TLS = tuple(f"{protocol}/" for protocol in OUTSIDE)
+
+
 class BusError(RuntimeError):
     """The bus could not be joined."""
 
@@ -97,6 +102,7 @@ def _router_config(
         _put(config, "listen/endpoints", listen or ["tcp/127.0.0.1:7447"])
     if connect is not None:
         _put(config, "connect/endpoints", connect)
+    _check_link_of_rules(config)
     # A vehicle's bus does not depend on its link: that is tried until certificate and clock are right, and told of.
     if _get(config, "mode") != "client":
         _check_tls(config)
@@ -104,6 +110,17 @@ def _router_config(
     _put(config, "connect/exit_on_failure", False)
     _depart_from_defaults(config)
     return config
+
+
+def _check_link_of_rules(config: zenoh.Config) -> None:
+    """A vehicle's rules take what does not come over TLS for a service within: its link has to be one that does."""
+    if _get(config, "mode") != "client" or not _get(config, "access_control/enabled"):
+        return
+    for endpoint in _get(config, "connect/endpoints") or []:
+        if not endpoint.startswith(OVER_TLS):
+            raise BusError(
+                f"connect/endpoints: expected {' or '.join(OVER_TLS)} beside access rules, got {endpoint}"
+            )
 
 
 def _depart_from_defaults(config: zenoh.Config, lease_s: float = 2.0) -> None:

@@ -2,7 +2,7 @@
 
     camber access cloud --certs FOLDER --out cloud.json5               for all that FOLDER has issued and not revoked
     camber access cloud --vehicle car-1 --vehicle car-2 --consumer dashboard --out cloud.json5
-    camber access vehicle car-1 --connect tls/cloud.example:7447 --out vehicle.json5
+    camber access vehicle car-1 --connect tls/cloud.example:7448 --out vehicle.json5
     camber access table                                                the rules for people, as in docs/security.md
     camber access check vehicle.json5                                  is what this certificate says heard?
 
@@ -19,17 +19,16 @@ from pathlib import Path
 from typing import get_args
 
 from camber.runtime.heard import BusError, are_we_heard, denial, name_in
-from camber.runtime.session import router_endpoints, router_rules
+from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
-from camber.tools.access_rules import OUTSIDE, Kind, Party
+from camber.tools.access_rules import Kind, Party
 from camber.tools.access_table import table_text
 from camber.tools.certificates import Authority, CertsError, check_name
 from camber.tools.router_config import cloud_config, text_of, vehicle_config
 
-LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7447", "tcp/127.0.0.1:7447"
+LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7448", "tcp/127.0.0.1:7447"
 FOLDER = Path("/etc/camber/tls")
-OVER_TLS = tuple(f"{protocol}/" for protocol in OUTSIDE)
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 
 

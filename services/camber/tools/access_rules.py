@@ -15,6 +15,7 @@ from itertools import product
 from typing import Any, Literal
 
 from camber.runtime.heard import echo_key
+from camber.runtime.session import OUTSIDE
 from camber.schemas.channels import CHANNELS, SENSORS, VEHICLE_SERVICES, Channel
 
 Kind = Literal["vehicle", "map_update", "consumer", "judge", "operator"]
@@ -22,7 +23,6 @@ Flow = Literal["ingress", "egress"]
 FLEET = "fleet"
 """The vehicle's name in keys of services of the cloud."""
 INSIDE = ("tcp", "unixsock-stream")
-OUTSIDE = ("tls", "quic")
 MESSAGES = (
     "put",
     "delete",

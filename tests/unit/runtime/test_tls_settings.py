@@ -144,6 +144,17 @@ def test_a_vehicles_router_goes_on_without_its_certificate_and_the_clouds_does_n
             assert router_endpoints(file)[2]["root_ca_certificate"] == table["root_ca_certificate"]
 
 
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:9", "unixsock-stream//tmp/cloud.sock"])
+def test_a_vehicles_router_with_rules_takes_no_link_that_they_would_count_as_within(
+    tmp_path: Path, endpoint: str
+) -> None:
+    file, rules = tmp_path / "vehicle.json5", {"enabled": True, "default_permission": "deny"}
+    file.write_text(json.dumps({"mode": "client", "access_control": rules}))
+    assert router_endpoints(file, connect=["quic/cloud.example:1"])[1] == ["quic/cloud.example:1"]
+    with pytest.raises(BusError, match=f"expected tls/ or quic/ beside access rules, got {endpoint}"):
+        router_endpoints(file, connect=[endpoint])
+
+
 def test_what_ends_within_two_weeks_is_said(folder: Path) -> None:
     table, now = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "none"), datetime.now(UTC)
     assert ends_soon(table, now) == []
@@ -194,12 +205,18 @@ def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
         tls_certificate=folder / "car-1.pem",
         tls_key=folder / "car-1.key",
     )
-    assert router._whether_heard(settings, "x", frozenset({"A"})) == "heard as x at tls/a:1"
-    assert router._whether_heard(settings, None, frozenset({"B"})).startswith(
-        "tls/b:1 lets nothing pass that car-1 says as car-1"
-    )
-    assert router._whether_heard(settings, "x", frozenset()) == "no link, though tls/a:1 would hear x"
-    assert router._whether_heard(settings, "x", frozenset({"C"})).startswith("no link: tls/a:1: another; ")
+
+    def asked(name: str | None, *linked: str) -> tuple[str, str | None]:
+        return router._whether_heard(settings, name, frozenset(linked))
+
+    assert asked("x", "A") == ("heard as x at tls/a:1", "tls/a:1")
+    denied, by = asked(None, "B")
+    assert denied.startswith("tls/b:1 lets nothing pass that car-1 says as car-1")
+    assert by is None
+    assert asked("x") == ("no link, though tls/a:1 would hear x", "tls/a:1")
+    nobody, by = asked("x", "C")
+    assert nobody.startswith("no link: tls/a:1: another; ")
+    assert by is None
 
 
 def test_a_link_that_goes_to_another_router_is_asked_about_anew(
@@ -226,16 +243,16 @@ def test_a_link_that_goes_to_another_router_is_asked_about_anew(
 
     asked = []
 
-    def ask(_: ZenohSettings, __: str | None, linked: frozenset[str]) -> str:
+    def ask(_: ZenohSettings, __: str | None, linked: frozenset[str]) -> tuple[str, str]:
         asked.append(linked)
-        return f"heard at {min(linked)}"
+        return f"heard at {min(linked)}", min(linked)
 
     monkeypatch.setattr(router.zenoh, "Session", Session)
     monkeypatch.setattr(router, "_whether_heard", ask)
     monkeypatch.setattr(router, "_LOOK_S", 0.0)
     table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
     with pytest.raises(EndError):
-        router._watch([Session()], ["tls/a:1"], table, [])
+        router._watch([Session()], ["tls/a:1"], table, [], begin_anew=pytest.fail)
     assert asked == [{"A"}, {"B"}]
     assert capsys.readouterr().err.splitlines() == ["camber router: heard at A", "camber router: heard at B"]
 
