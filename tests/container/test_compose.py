@@ -18,7 +18,7 @@ from camber.schemas.channels import BY_NAME, SERVICES, VEHICLE_SERVICES
 from camber.schemas.codec import decode
 from camber.schemas.integrity import Verdict
 from camber.simulator.short_drive import short_drive_truth
-from support.containers import Stack, skip_without_engine
+from support.containers import RELEASE, Stack, docker, skip_without_engine
 from support.containers import stack as started_stack
 from support.running import wait_until
 
@@ -166,6 +166,19 @@ def test_no_confirmed_position_was_wrong(listener: Listener) -> None:
     # Fixes are of the truth's own epochs, so each right one has a point of the way beside it, in height too.
     apart_m = np.linalg.norm(ecef_from_geodetic(*places.T)[:, None] - way_m[None], axis=2).min(axis=1)
     assert float(apart_m.max()) < RIGHT_WITHIN_M
+
+
+def test_a_roll_back_is_a_start_of_the_images_that_were_kept(stack: Stack) -> None:
+    """Here of the judge alone, to another release and back: nothing is built, nothing is asked of a registry."""
+    docker("tag", stack.image("integrity"), stack.image("integrity", "next"))
+    try:
+        for release in ("next", RELEASE):
+            start = ("up", "--detach", "--wait", "--no-build", "--no-deps", "--pull", "never", "integrity")
+            stack.compose(*start, release=release, timeout_s=60.0)
+            runs = docker("inspect", "--format", "{{.Config.Image}}", stack.container("integrity")).strip()
+            assert runs == stack.image("integrity", release)
+    finally:
+        docker("image", "rm", stack.image("integrity", "next"))
 
 
 def test_every_service_is_confined(stack: Stack) -> None:

@@ -30,14 +30,14 @@ def images() -> Iterator[Stack]:
 
 
 def facts(images: Stack, service: str) -> dict[str, Any]:
-    inspected: dict[str, Any] = json.loads(docker("image", "inspect", f"{images.project}-{service}"))[0]
+    inspected: dict[str, Any] = json.loads(docker("image", "inspect", images.image(service)))[0]
     return inspected
 
 
 def in_image(images: Stack, service: str, code: str) -> str:
     """What a line of Python prints in a container of an image, without network."""
     command = ("run", "--rm", "--network", "none", "--read-only", "--entrypoint", "python")
-    return docker(*command, f"{images.project}-{service}", "-c", code).strip()
+    return docker(*command, images.image(service), "-c", code).strip()
 
 
 @pytest.mark.parametrize("service", VEHICLE)

@@ -17,6 +17,7 @@ import pytest
 from support.tree import ROOT
 
 BUILD_LIMIT_S = 1800.0
+RELEASE = "local"
 
 
 def missing_engine() -> str | None:
@@ -75,15 +76,22 @@ class Stack:
         }
         self._environ = {
             **kept,
+            "CAMBER_IMAGES": f"localhost/{self.project}",
             "CAMBER_PORT": str(self.port),
             "CAMBER_CLOUD_PORT": f"127.0.0.1:{self.cloud_port}",
             **{f"CAMBER_{name.upper()}": str(value) for name, value in variables.items()},
         }
 
-    def compose(self, *arguments: str, timeout_s: float = 60.0, check: bool = True) -> str:
+    def compose(
+        self, *arguments: str, timeout_s: float = 60.0, check: bool = True, release: str = RELEASE
+    ) -> str:
         """`docker compose …`; its output, or an AssertionError with what it said."""
         command = ["docker", "compose", "--project-name", self.project, "--profile", self.profile]
-        return _run([*command, *arguments], self._environ, timeout_s, check)
+        return _run([*command, *arguments], {**self._environ, "CAMBER_RELEASE": release}, timeout_s, check)
+
+    def image(self, service: str, release: str = RELEASE) -> str:
+        """The name of a service's image."""
+        return f"localhost/{self.project}/{service}:{release}"
 
     def build(self) -> None:
         """Images of all services, in the cache of the engine after the first time."""
@@ -129,4 +137,4 @@ def stack(name: str, profile: str, **variables: str | Path) -> Iterator[Stack]:
         print(project.compose("logs", "--no-color", "--tail", "20", check=False))
         raise
     finally:
-        project.compose("down", "--volumes", "--rmi", "local", "--timeout", "3", timeout_s=120.0)
+        project.compose("down", "--volumes", "--rmi", "all", "--timeout", "3", timeout_s=120.0)
