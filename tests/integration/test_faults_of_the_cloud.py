@@ -22,7 +22,7 @@ from support import paced_uploads
 from support.databases import PostgresServer, lasting_port, needs_postgres
 from support.fault_figures import LONG, measured
 from support.fleet_routers import HOST, Certificates, cloud_file, vehicle_file
-from support.live_vehicle import Processes, wait_s
+from support.live_vehicle import VEHICLE, Processes, wait_s
 from support.running import free_port, wait_until
 
 pytestmark = pytest.mark.slow
@@ -118,14 +118,12 @@ class Fleet:
         self.authority = Authority.make(folder / "pki", name="fleet", days=30, now=now)
         self.authority.issue("cloud", "router", hosts=[HOST], days=20, now=now)
         self.authority.issue("map_update", "map_update", days=20, now=now)
-        self.authority.issue(paced_uploads.VEHICLE, "vehicle", days=20, now=now)
+        self.authority.issue(VEHICLE, "vehicle", days=20, now=now)
         self.certificates = Certificates(self.authority.folder, self.authority.folder)
         self.cloud = f"tls/{HOST}:{lasting_port()}"
         self.inside = f"tcp/{HOST}:{free_port()}"
         self.state = folder / "state"
-        file = vehicle_file(
-            self.certificates, paced_uploads.VEHICLE, self.inside, folder / "vehicle.json5", self.cloud
-        )
+        file = vehicle_file(self.certificates, VEHICLE, self.inside, folder / "vehicle.json5", self.cloud)
         processes.start("vehicle", "-m", "camber.cli", "router", "--config-file", file)
         self.start_cloud()
         tls = self.certificates.settings("map_update", self.cloud)
@@ -150,7 +148,7 @@ class Fleet:
         return [found.headings[heading].id for heading in found.heading_of.tolist()]
 
     def renew(self, days: float = 20.0, *, renew: bool = True) -> None:
-        self.authority.issue(paced_uploads.VEHICLE, "vehicle", days=days, now=datetime.now(UTC), renew=renew)
+        self.authority.issue(VEHICLE, "vehicle", days=days, now=datetime.now(UTC), renew=renew)
 
     def bus_in_the_vehicle_works(self) -> bool:
         try:
@@ -164,7 +162,7 @@ def test_a_certificate_that_was_revoked(processes: Processes) -> None:
     fleet = Fleet(processes)
     uploads = Uploads(processes, fleet.inside, fleet.stored)
     uploads.flow()
-    fleet.authority.revoke(paced_uploads.VEHICLE, now=datetime.now(UTC))
+    fleet.authority.revoke(VEHICLE, now=datetime.now(UTC))
     fleet.start_cloud()
     before = uploads.stand_still()
     assert len(fleet.stored()) <= before + 50

@@ -1,4 +1,4 @@
-"""A vehicle and the cloud in network namespaces, and what happens on the link between them.
+"""A vehicle and the cloud in network namespaces, and what happens on the link between them, which is one of TLS.
 
 The vehicle drives with wrong fixes all along and uploads ten times a second beside what its judge uploads. Whatever
 becomes of the link, the vehicle confirms right fixes and no wrong one; in the end the cloud holds every upload once.
@@ -17,16 +17,18 @@ import pytest
 from camber.map_update.sqlite_store import SqliteStore
 from support import paced_uploads
 from support.fault_figures import LONG, measured
+from support.fleet_routers import Certificates, cloud_file, make_certificates, vehicle_file
 from support.link import CLOUD_ADDRESS, Link, link
 from support.live_drive import TRUSTED
-from support.live_vehicle import LiveVehicle, Processes, Witness, driving, now_ns, wait_s
+from support.live_vehicle import VEHICLE, LiveVehicle, Processes, Witness, driving, now_ns, wait_s
 from support.running import wait_until
 
 pytestmark = pytest.mark.slow
 
 RATE_HZ = 10.0
 LIMIT_S = 240.0
-CLOUD_PORT = 7447
+WITHOUT_S = 3.0
+CLOUD_PORT = 7448
 
 
 @dataclass
@@ -50,16 +52,17 @@ def here(tmp_path_factory) -> Iterator[Here]:
         cloud = Processes(folder / "cloud")
         cloud.folder.mkdir()
         ends.callback(cloud.end)
-        where = f"tcp/{CLOUD_ADDRESS}:{CLOUD_PORT}"
-        cloud.start("router", "-m", "camber.cli", "router", "--listen", where, within=line.cloud)
+        certificates = make_certificates(folder, host=CLOUD_ADDRESS, vehicle=VEHICLE)
+        where = f"tls/{CLOUD_ADDRESS}:{CLOUD_PORT}"
+        file = cloud_file(certificates, where, folder / "cloud.json5")
+        cloud.start("router", "-m", "camber.cli", "router", "--config-file", file, within=line.cloud)
         config = cloud.folder / "map_update.toml"
-        config.write_text(
-            f'state_dir = "{cloud.folder / "state"}"\n[zenoh]\nmode = "client"\nconnect = ["{where}"]\n'
-        )
+        config.write_text(f'state_dir = "{cloud.folder / "state"}"\n{joining(certificates, where)}')
         cloud.start("map_update", "-m", "camber.map_update", "--config", config, within=line.cloud)
         (folder / "vehicle").mkdir()
         inside = f"unixsock-stream/{folder / 'bus'}"
-        vehicle = LiveVehicle(folder / "vehicle", inside, routes_to=[where], within=line.vehicle)
+        file = vehicle_file(certificates, VEHICLE, inside, folder / "vehicle.json5", where)
+        vehicle = LiveVehicle(folder / "vehicle", inside, router_file=file, within=line.vehicle)
         uploads = folder / "uploads"
         uploads.mkdir()
         witness = ends.enter_context(driving(vehicle))
@@ -68,6 +71,15 @@ def here(tmp_path_factory) -> Iterator[Here]:
             lambda: paced_uploads.progress(uploads)["put"], timeout_s=LIMIT_S, why="nothing is handed over"
         )
         yield Here(line, vehicle, cloud, uploads, witness)
+
+
+def joining(certificates: Certificates, where: str) -> str:
+    """The table of `map_update`'s settings with which it joins its router."""
+    pki = certificates.folder
+    return (
+        f'[zenoh]\nmode = "client"\nconnect = ["{where}"]\ntls_ca = "{pki / "ca.pem"}"\n'
+        f'tls_certificate = "{pki / "map_update.pem"}"\ntls_key = "{pki / "map_update.key"}"\n'
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -139,7 +151,21 @@ def test_a_tenth_of_all_packets_lost(here: Here) -> None:
 
 
 def test_a_hundred_kilobits_a_second(here: Here) -> None:
-    suffer(here, "100 kbit/s", lambda: here.line.slow(100), here.line.mend, 60.0 if LONG else 5.0)
+    """After a while without a link, so that there is more to say than passes at once."""
+    held_back: list[int] = []
+
+    def begin() -> None:
+        here.line.cut()
+        wait_s(WITHOUT_S)
+        here.line.slow(100)
+        here.line.join()
+
+    def mend() -> None:
+        held_back.append(here.line.held_back())
+        here.line.mend()
+
+    suffer(here, "100 kbit/s", begin, mend, 60.0 if LONG else 5.0)
+    assert held_back[0] > 0
 
 
 @pytest.mark.parametrize("victim", ["router", "map_update"])

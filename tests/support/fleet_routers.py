@@ -45,27 +45,27 @@ class Certificates:
         )
 
 
-def make_certificates(folder: Path) -> Certificates:
+def make_certificates(folder: Path, *, host: str = HOST, vehicle: str = "car-1") -> Certificates:
     now = datetime.now(UTC)
     ours = Authority.make(folder / "ours", name="ours", days=30, now=now)
     kinds: tuple[tuple[str, Kind], ...] = (
         ("cloud", "router"),
         ("map_update", "map_update"),
-        ("car-1", "vehicle"),
+        (vehicle, "vehicle"),
         ("car-2", "vehicle"),
         ("consumer", "consumer"),
         ("operator", "operator"),
         ("revoked", "vehicle"),
     )
     for name, kind in kinds:
-        ours.issue(name, kind, hosts=[HOST] if kind == "router" else (), days=20, now=now)
+        ours.issue(name, kind, hosts=[host] if kind == "router" else (), days=20, now=now)
     ours.revoke("revoked", now=now)
     ours.issue("expired", "vehicle", days=1, now=now - timedelta(days=2))
     # Of the authority, but in no list.
     ours.issue("stranger", "vehicle", days=20, now=now)
     ours.revoke("stranger", now=now)
     foreign = Authority.make(folder / "foreign", name="foreign", days=30, now=now)
-    foreign.issue("car-1", "vehicle", days=20, now=now)
+    foreign.issue(vehicle, "vehicle", days=20, now=now)
     return Certificates(ours.folder, foreign.folder)
 
 

@@ -10,6 +10,7 @@ reach across namespaces, so whoever tests can listen to a vehicle in one of them
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -87,11 +88,15 @@ class Link:
                 "rate", f"{kbit_s}kbit", "burst", "4kb", "latency", f"{_LATENCY_MS}ms",
             )  # fmt: skip
 
-    def mend(self) -> None:
-        """As good as new."""
+    def join(self) -> None:
+        """All that gets through gets through again, as slowly as it does."""
         while self._rules:
             name, rule = self._rules.pop()
             _run("ip", "netns", "exec", name, "iptables", "-w", "-D", *rule)
+
+    def mend(self) -> None:
+        """As good as new."""
+        self.join()
         for name, letter in zip(self.ends, "vc", strict=True):
             subprocess.run(
                 ["tc", "-n", name, "qdisc", "del", "dev", f"{letter}{self.tag}", "root"],
@@ -112,6 +117,20 @@ class Link:
                 check=True,
             )
             found += sum(int(line.split()[0]) for line in listed.stdout.splitlines() if " DROP " in line)
+        return found
+
+    def held_back(self) -> int:
+        """How often the slow link has made a packet wait."""
+        found = 0
+        for name, letter in zip(self.ends, "vc", strict=True):
+            listed = subprocess.run(
+                ["tc", "-n", name, "-s", "-j", "qdisc", "show", "dev", f"{letter}{self.tag}"],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            found += sum(qdisc["overlimits"] for qdisc in json.loads(listed.stdout) if qdisc["kind"] == "tbf")
         return found
 
     def _drop(self, *which: str) -> None:

@@ -166,8 +166,8 @@ class Processes:
 class LiveVehicle(Processes):
     """Router, the services of a vehicle, map_update if it is wanted, and a drive there and back without end.
 
-    `connect` is the bus of the services and of the witness; `within` goes before each of their commands. `settings` are
-    lines of TOML by service. `state` holds a folder for each service.
+    `endpoint` is the bus of the services and of the witness; `within` goes before each of their commands. `settings` are
+    lines of TOML by service. `state` holds a folder for each service. `router_file`: what `camber access` has made.
     """
 
     def __init__(
@@ -177,7 +177,7 @@ class LiveVehicle(Processes):
         *,
         services: Sequence[str] = VEHICLE_SERVICES,
         settings: dict[str, str] | None = None,
-        routes_to: Sequence[str] = (),
+        router_file: Path | None = None,
         listens: Sequence[str] = (),
         within: Sequence[str] = (),
         launcher: dict[str, list[str]] | None = None,
@@ -188,14 +188,15 @@ class LiveVehicle(Processes):
         self.state = folder / "state"
         self.manifest = write_drive(folder / "drive")
         self.known = known_fixes(self.manifest)
-        self._within, self._routes_to, self._listens = within, routes_to, (endpoint, *listens)
+        self._within, self._router_file, self._listens = within, router_file, (endpoint, *listens)
         self._launcher = launcher or {}
         self._settings = settings or {}
 
     def assemble(self) -> None:
         """Start all of it."""
-        ends = [word for there in self._routes_to for word in ("--connect", there)]
-        ends += [word for here in self._listens for word in ("--listen", here)]
+        ends: list[object] = [word for here in self._listens for word in ("--listen", here)]
+        if self._router_file is not None:
+            ends += ["--config-file", self._router_file]
         self.start("router", "-m", "camber.cli", "router", *ends, within=self._within)
         for name in self.services:
             self.config(name).write_text(self._text(name))

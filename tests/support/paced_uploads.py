@@ -18,9 +18,9 @@ from camber.runtime.sender import SenderThread
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.codec import encode
+from support.live_vehicle import VEHICLE
 from support.upload_load import Load, upload
 
-VEHICLE = "car0"
 _PERIOD_S = 0.05
 
 
@@ -47,9 +47,8 @@ def main(endpoint: str, folder: Path, rate_hz: float) -> None:
         enough = (folder / "enough").exists()
         due = put if enough else int((time.monotonic() - began) * rate_hz)
         if due > put:
-            outbox.put_many(
-                [Upload(f"u{n}", "upload", encode(upload(load, n), source=VEHICLE)) for n in range(put, due)]
-            )
+            made = (upload(load, n).model_copy(update={"vehicle": VEHICLE}) for n in range(put, due))
+            outbox.put_many([Upload(said.upload_id, "upload", encode(said, source=VEHICLE)) for said in made])
             put = due
             sending.wake()
         counts = outbox.counts()
