@@ -32,6 +32,7 @@ from support.fleet_routers import (
     make_certificates,
     router,
     tls_endpoint,
+    unchecked,
     vehicle_file,
 )
 from support.running import camber, free_port, started, wait_until
@@ -292,6 +293,23 @@ def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(t
             wait_until(lambda: "heard as car-1" in hub.said, timeout_s=60.0, why="the second was not taken")
             hear_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
         assert hub.process.poll() is None
+
+
+def test_a_link_over_quic_is_as_good_and_as_strict(tmp_path: Path) -> None:
+    certificates, inside = make_certificates(tmp_path), f"tcp/{HOST}:{free_port()}"
+    cloud = f"quic/{HOST}:{free_port()}"
+    revoked = vehicle_file(certificates, "revoked", f"tcp/{HOST}:{free_port()}", tmp_path / "r.json5", cloud)
+    with (
+        router(cloud_file(certificates, cloud, tmp_path / "cloud.json5")),
+        router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud)) as hub,
+        router(revoked) as other,
+    ):
+        wait_until(lambda: "heard as car-1" in hub.said, timeout_s=60.0, why="car-1 is not heard")
+        hear_a_verdict(certificates, cloud, inside, timeout_s=20.0, why="no verdict has crossed")
+        wait_until(lambda: "lets nothing pass" in other.said, timeout_s=60.0, why="revoked is not told of it")
+        foreign = certificates.settings("other authority", cloud)
+        assert unchecked(foreign) is None
+        assert unchecked(foreign.model_copy(update={"tls_certificate": None})) is None
 
 
 def hear_a_verdict(certificates, cloud: str, inside: str, *, timeout_s: float, why: str) -> None:

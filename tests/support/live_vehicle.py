@@ -166,8 +166,8 @@ class Processes:
 class LiveVehicle(Processes):
     """Router, the services of a vehicle, map_update if it is wanted, and a drive there and back without end.
 
-    `endpoint` is the bus of the services and of the witness; `within` goes before each of their commands. `settings` are
-    lines of TOML by service. `state` holds a folder for each service. `router_file` is made by `camber access`.
+    `endpoint` is the bus of services and witness; `within` goes before each of their commands. `settings` are lines
+    of TOML by service. `state` holds a folder for each service. `router_file` is made by `camber access`.
     """
 
     def __init__(
