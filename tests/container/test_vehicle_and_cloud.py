@@ -94,7 +94,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     for path in (folder, *folder.rglob("*")):  # the containers' user is nobody of this machine
         path.chmod(EVERYONE if path.is_dir() else 0o644)
     cloud = {"config": folder / "cloud", "certs": folder / "tls/cloud", "maps": folder / "maps"}
-    cloud["signing"] = folder / "signing"
+    cloud |= {"update_certs": folder / "tls/map_update", "signing": folder / "signing"}
     vehicle = {"config": folder / "vehicle", "certs": folder / "tls/vehicle", "maps": folder / "maps"}
     with (
         built_stack("cloud", "cloud", **cloud) as up_there,
@@ -140,11 +140,12 @@ def write_settings(folder: Path) -> None:
         *(word for n in range(1, 10) for word in ("--vehicle", f"car-{n}")),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    for place, names in (("cloud", ("cloud", "map_update")), ("vehicle", (CAR,))):
-        (folder / "tls" / place).mkdir(parents=True)
+    for place in ("cloud", "vehicle"):
         (folder / place).mkdir()
-        for name in ("ca.pem", *(f"{name}.{kind}" for name in names for kind in ("pem", "key"))):
-            (folder / "tls" / place / name).write_bytes((folder / "ca" / name).read_bytes())
+    for place, name in (("cloud", "cloud"), ("map_update", "map_update"), ("vehicle", CAR)):
+        (folder / "tls" / place).mkdir(parents=True)
+        for file in ("ca.pem", f"{name}.pem", f"{name}.key"):
+            (folder / "tls" / place / file).write_bytes((folder / "ca" / file).read_bytes())
     vehicle = camber(
         "access", "vehicle", CAR, "--connect", f"tls/{CLOUD}:7448", "--listen", "tcp/0.0.0.0:7447",
         "--out", folder / "vehicle/vehicle_router.json5",

@@ -20,6 +20,7 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from camber.runtime.tls import RENEW_BEFORE
 from camber.tools.certificates import (
     KINDS,
     Authority,
@@ -31,7 +32,6 @@ from camber.tools.certificates import (
 )
 
 DAYS, AUTHORITY_DAYS = 30.0, 3650.0
-_SOON = timedelta(days=7)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -158,7 +158,7 @@ def _state(left: timedelta) -> str:
     text = (
         f"{left.days} days left" if left >= timedelta(days=2) else f"{left.total_seconds() / 3600:.1f} h left"
     )
-    return f"{text}: renew it" if left < _SOON else text
+    return f"{text}: renew it" if left < RENEW_BEFORE else text
 
 
 def _uses(certificate: x509.Certificate) -> str:

@@ -13,7 +13,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -23,13 +23,13 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat,
 
 from camber.geodesy.gps_time import gps_minus_utc_s
 from camber.runtime.clock import SystemClock
+from camber.runtime.tls import RENEW_BEFORE
 
 State = Literal["ok", "problem", "not checked"]
 
 MOST_CLOCK_ERROR_S = 0.05
 LEAST_FREE_BYTES = 500 << 20
 SLOW_FSYNC_S = 0.5
-RENEW_BEFORE = timedelta(days=14)
 _EARLIEST_UNIX_S = 1_704_067_200  # 2024: a machine that is earlier has no clock of its own
 _TAI_MINUS_GPS_S = 19
 
