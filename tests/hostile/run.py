@@ -14,7 +14,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +28,8 @@ ALONE_S = 30.0
 RECOVERY_S = 5.0
 LEAST_SHARE = 0.95
 """Of the share of right fixes that are confirmed alone; so much differs between two stretches of the way."""
+LEAST_RATE = 0.90
+"""Of right fixes that are confirmed a second: what is refused because too much came at once is not judged."""
 MOST_MB = 60.0
 LESS_CALM = 0.10
 """Of a processor: so much busier than before is not yet back to normal."""
@@ -41,6 +42,8 @@ class Stretch:
     seconds: float
     words: dict[str, int]
     right_confirmed: float
+    """Of the right fixes that were judged."""
+    right_confirmed_hz: float
     wrong_confirmed: int
     verdicts_hz: float
     cpu: dict[str, float]
@@ -66,16 +69,14 @@ class Observed:
         now_s, after = time.monotonic(), self.readings()
         words = self.witness.words(self.began_s, now_s)
         said_of_right = sum(n for (fix, _), n in words.items() if fix == "right")
-        passed_on = Counter[str]()
-        for (fix, word), n in words.items():
-            if word in TRUSTED:
-                passed_on[fix] += n
+        right = sum(n for (fix, word), n in words.items() if fix == "right" and word in TRUSTED)
         seconds = now_s - self.began_s
         found = Stretch(
             round(seconds, 1),
             {f"{fix}, {word}": n for (fix, word), n in sorted(words.items())},
-            round(passed_on["right"] / max(said_of_right, 1), 4),
-            passed_on.total() - passed_on["right"],
+            round(right / max(said_of_right, 1), 4),
+            round(right / seconds, 2),
+            self.witness.wrong_that_was_trusted(self.began_s, now_s).total(),
             round(len(self.witness.said(Verdict, self.began_s, now_s)) / seconds, 2),
             {name: round((after[name].cpu_s - self.before[name].cpu_s) / seconds, 3) for name in after},
             {name: round(after[name].uss_mb, 1) for name in after},
@@ -84,7 +85,7 @@ class Observed:
         return found
 
 
-def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Stretch | float | str]:
+def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Stretch | float | str | int]:
     """The three stretches, and after how many seconds all services were as calm as before."""
     vehicle = LiveVehicle(folder, f"tcp/127.0.0.1:{free_port()}", services=SERVICES)
     with driving(vehicle, live=True) as witness:
@@ -93,6 +94,7 @@ def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Str
         alone = observed.stretch()
         with started("-m", "hostile.peer", vehicle.endpoint, "demo", count, seed, rate_hz) as hostile:
             output, _ = hostile.communicate()
+            code = hostile.returncode
         beside = observed.stretch()
         calm_after_s = calm(observed, alone)
         wait_s(ALONE_S)
@@ -104,8 +106,17 @@ def attack(folder: Path, count: int, seed: int, rate_hz: float) -> dict[str, Str
             "after": after,
             "calm_after_s": calm_after_s,
             "peer": output.splitlines()[-1],
+            "peer_code": code,
             "ended": json.dumps(ended),
         }
+
+
+def as_good(stretch: Stretch, alone: Stretch) -> bool:
+    """Of the fixes that are judged so many are passed on as alone, and of all nearly so many."""
+    return (
+        stretch.right_confirmed >= LEAST_SHARE * alone.right_confirmed
+        and stretch.right_confirmed_hz >= LEAST_RATE * alone.right_confirmed_hz
+    )
 
 
 def calm(observed: Observed, alone: Stretch, limit_s: float = 60.0) -> float:
@@ -143,8 +154,9 @@ def main() -> int:
     assert isinstance(after, Stretch)
     for name, stretch in (("alone", alone), ("beside", beside), ("after", after)):
         print(
-            f"{name:7} {stretch.seconds:6.1f} s  {stretch.verdicts_hz:5.2f} verdicts/s"
-            f"  right confirmed {100 * stretch.right_confirmed:5.1f} %  wrong confirmed {stretch.wrong_confirmed}"
+            f"{name:7} {stretch.seconds:6.1f} s  {stretch.verdicts_hz:5.2f} verdicts/s  right confirmed"
+            f" {100 * stretch.right_confirmed:5.1f} %, {stretch.right_confirmed_hz:.2f} a second"
+            f"  wrong confirmed {stretch.wrong_confirmed}"
         )
         print(f"        processors {stretch.cpu}")
         print(f"        USS MB     {stretch.uss_mb}")
@@ -153,7 +165,10 @@ def main() -> int:
     checks = {
         f"ended: {came['ended']}": came["ended"] == "{}",
         "a wrong fix was confirmed": not (beside.wrong_confirmed or after.wrong_confirmed),
-        "fewer right fixes were confirmed": beside.right_confirmed >= LEAST_SHARE * alone.right_confirmed,
+        "the peer did not say all": came["peer_code"] == 0
+        and json.loads(str(came["peer"]))["said"] == args.count,
+        "fewer right fixes were confirmed": as_good(beside, alone),
+        "fewer right fixes are confirmed afterwards": as_good(after, alone),
         f"busy after {RECOVERY_S:g} s still": float(str(came["calm_after_s"])) <= RECOVERY_S,
         f"memory grew: {grown}": max(grown.values()) <= MOST_MB,
     }

@@ -19,13 +19,14 @@ from support import paced_uploads
 from support.fault_figures import LONG, measured
 from support.fleet_routers import Certificates, cloud_file, make_certificates, vehicle_file
 from support.link import CLOUD_ADDRESS, Link, link
-from support.live_drive import TRUSTED
 from support.live_vehicle import VEHICLE, LiveVehicle, Processes, Witness, driving, now_ns, wait_s
 from support.running import wait_until
 
 pytestmark = pytest.mark.slow
 
 RATE_HZ = 10.0
+LEAST_CONFIRMED_HZ = 1.0
+"""Right fixes of the drive come four times a second; a busy machine may be late with some."""
 LIMIT_S = 240.0
 WITHOUT_S = 3.0
 CLOUD_PORT = 7448
@@ -88,9 +89,7 @@ def promised(here: Here) -> Iterator[None]:
     began_s = time.monotonic()
     yield
     here.witness.wait_for_trust(began_s, timeout_s=LIMIT_S)
-    words = here.witness.words(began_s)
-    passed_on = {said: count for said, count in words.items() if said[1] in TRUSTED and said[0] != "right"}
-    assert not passed_on, words
+    assert not here.witness.wrong_that_was_trusted(began_s), here.witness.words(began_s)
     assert here.vehicle.ended() == {}
     assert here.cloud.ended() == {}
 
@@ -120,15 +119,32 @@ def caught_up(here: Here) -> float:
     return time.monotonic() - began_s
 
 
-def suffer(here: Here, fault: str, begin: Callable[[], None], end: Callable[[], None], for_s: float) -> None:
-    """A fault for some time while the vehicle drives, and how long until the cloud has all of that time."""
+def suffer(
+    here: Here,
+    fault: str,
+    begin: Callable[[], None],
+    end: Callable[[], None],
+    for_s: float,
+    *,
+    passes: bool = False,
+) -> None:
+    """A fault for some time while the vehicle drives on as ever, and how long until the cloud has all of that time.
+
+    Uploads wait meanwhile, or, where enough still `passes`, those of that time are there before it ends.
+    """
     caught_up(here)
-    began_s, before_ns = time.monotonic(), now_ns()
     begin()
     try:
+        began_s = time.monotonic()
         wait_s(for_s)
-        here.witness.wait_for_trust(began_s, timeout_s=LIMIT_S, dated_after_ns=before_ns)
+        confirmed = here.witness.words(began_s)["right", "confirmed"]
+        assert confirmed >= for_s * LEAST_CONFIRMED_HZ, here.witness.words(began_s)
+        here.witness.wait_for_trust(time.monotonic(), timeout_s=LIMIT_S, dated_after_ns=now_ns())
         waited = put(here) - cloud_has(here)
+        if passes:
+            caught_up(here)
+        else:
+            assert waited >= for_s * RATE_HZ / 2.0, "it went through"
     finally:
         end()
     measured(fault, for_s=for_s, uploads_waiting=waited, uploads_in_the_cloud_after_s=caught_up(here))
@@ -146,7 +162,8 @@ def test_a_tenth_of_all_packets_lost(here: Here) -> None:
         lost.append(here.line.dropped())
         here.line.mend()
 
-    suffer(here, "10 % of packets lost", lambda: here.line.lose(0.1), mend, 60.0 if LONG else 5.0)
+    for_s = 60.0 if LONG else 5.0
+    suffer(here, "10 % of packets lost", lambda: here.line.lose(0.1), mend, for_s, passes=True)
     assert lost[0] > 0
 
 
@@ -164,7 +181,7 @@ def test_a_hundred_kilobits_a_second(here: Here) -> None:
         held_back.append(here.line.held_back())
         here.line.mend()
 
-    suffer(here, "100 kbit/s", begin, mend, 60.0 if LONG else 5.0)
+    suffer(here, "100 kbit/s", begin, mend, 60.0 if LONG else 5.0, passes=True)
     assert held_back[0] > 0
 
 

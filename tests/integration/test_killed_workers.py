@@ -17,4 +17,6 @@ def test_what_is_acknowledged_is_stored_once_through_kills_of_all_that_store(tmp
     found = run(tmp_path, uploads=UPLOADS, kills=1, seed=SEED, shards=[""])
     assert found.problems == []
     assert (found.acknowledged, found.stored, found.observations) == (UPLOADS,) * 3
-    assert sum(found.kills.values()) >= 3
+    assert {"postgres", "nats"} < set(found.kills)
+    assert sum(found.kills.values()) == 3
+    assert not [who for who in found.kills if who.endswith(" ended")], "nobody ended but who was killed"

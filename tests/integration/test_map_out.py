@@ -345,7 +345,11 @@ def test_what_is_forged_is_named_and_never_in_force(tmp_path: Path) -> None:
             path = blob_path(tmp_path / "out", digest)
             path.write_bytes(path.read_bytes()[:-9])
         here.start_cloud(tmp_path / "out")
-        time.sleep(1.5)
+        wait_until(
+            lambda: "no such blob" in here.issues().get("fetch_unanswered", ""),
+            timeout_s=90.0,
+            why="what the cloud itself does not give away any more",
+        )
         assert here.version() == 8
         here.making.make(corrections(0.2), time_ns=MADE_NS + 2)
         wait_until(lambda: here.version() == 10, timeout_s=90.0, why="the next release, which is whole")

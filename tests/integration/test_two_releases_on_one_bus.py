@@ -14,6 +14,7 @@ import pytest
 
 from camber.schemas.channels import SERVICES
 from camber.schemas.integrity import Verdict
+from support.live_drive import TRUSTED
 from support.live_vehicle import LiveVehicle, Witness, driving
 from support.running import free_port, wait_until
 from support.tree import ROOT
@@ -71,7 +72,7 @@ def test_fixes_of_another_version_are_refused_until_it_is_rolled_back(
     begin_s = time.monotonic()
     time.sleep(MIXED_S)
     assert counter(car, "integrity", "fix.undecodable") > refused + 10, "it goes on coming, and is counted"
-    assert not any(witness.trusted_right(said) for said in witness.said(Verdict, begin_s))
+    assert [said for said in witness.said(Verdict, begin_s) if said.verdict in TRUSTED] == []
     health = car.health("integrity")
     assert health is not None
     assert any("expected encoding" in issue.text and ".Fix.v1" in issue.text for issue in health.issues)
@@ -85,14 +86,15 @@ def test_fixes_of_another_version_are_refused_until_it_is_rolled_back(
     rolled_back_s = time.monotonic()
     replaced(car, "gnss", ["-m", "camber.cli"])
     witness.wait_for_trust(rolled_back_s, timeout_s=60.0)
-    assert witness.words()[("wrong", "confirmed")] == 0
+    assert not witness.wrong_that_was_trusted(), witness.words()
 
 
 def test_uploads_wait_for_a_cloud_that_understands_them(
     tmp_path: Path, vehicle: tuple[LiveVehicle, Witness]
 ) -> None:
-    car, _ = vehicle
+    car, witness = vehicle
     replaced(car, "map_update", other_release(tmp_path / "other", "fleet", "UploadBatch"))
+    began_s = time.monotonic()
     wait_until(
         lambda: (
             (health := car.health("integrity")) is not None
@@ -101,17 +103,14 @@ def test_uploads_wait_for_a_cloud_that_understands_them(
         timeout_s=60.0,
         why="integrity does not say that its uploads are not taken",
     )
-    waiting = wait_until(
-        lambda: (health := car.health("integrity")) is not None and health.gauges.get("uploads_waiting"),
-        timeout_s=30.0,
-        why="no upload waits",
-    )
-    assert waiting >= 1
+    witness.wait_for_trust(began_s)
+    said = witness.said(Verdict, began_s)
+    waiting = {verdict.time_ns for verdict in said if verdict.verdict == "confirmed"}
+    assert waiting
+    assert not waiting & set(car.stored_ns()), "the other release has taken some"
     replaced(car, "map_update", ["-m", "camber.cli"])
-    wait_until(
-        lambda: counter(car, "map_update", "stored") >= waiting,
-        timeout_s=60.0,
-        why="what waited has not arrived",
-    )
+    wait_until(lambda: waiting <= set(car.stored_ns()), timeout_s=60.0, why="what waited has not arrived")
+    stored_ns = car.stored_ns()
+    assert len(stored_ns) == len(set(stored_ns))
     assert counter(car, "map_update", "refused") == 0
     assert car.ended() == {}

@@ -51,20 +51,27 @@ def busy_s() -> float:
 
 
 def growth(at_s: Sequence[float], values: Sequence[float]) -> float:
-    """How much a quantity grows from the first time to the last, by the median of the slopes of all pairs (Theil, Sen).
+    """How much a quantity grows from the first time to the last: the larger of two answers.
 
-    One step, or a third of the readings astray, moves it little: what grows all the time does.
+    By the median of the slopes of all pairs (Theil, Sen), which sees what grows all the time; by the medians of the
+    first and the last quarter, which see a step that stays and what has begun to grow late. Neither sees a peak.
     """
     x, y = np.asarray(at_s, np.float64), np.asarray(values, np.float64)
     if len(x) < 2:
         return 0.0
     i, j = np.triu_indices(len(x), 1)
-    return float(np.median((y[j] - y[i]) / (x[j] - x[i])) * (x[-1] - x[0]))
+    slope = float(np.median((y[j] - y[i]) / (x[j] - x[i])) * (x[-1] - x[0]))
+    quarter = max(len(y) // 4, 1)
+    return max(slope, float(np.median(y[-quarter:]) - np.median(y[:quarter])))
 
 
 def lasting_growth(values: Sequence[int]) -> int:
-    """By how much the smallest of the last third exceeds the largest of the first: what comes and goes is none."""
+    """By how much what is nearly always held at the end exceeds that of the begin: what comes and goes is none.
+
+    The tenth part of a third that holds least is left out, so that neither one peak nor one dip hides a leak.
+    """
     third = len(values) // 3
     if third == 0:
         return 0
-    return max(min(values[-third:]) - max(values[:third]), 0)
+    first, last = (int(np.percentile(of, 10, method="lower")) for of in (values[:third], values[-third:]))
+    return max(last - first, 0)

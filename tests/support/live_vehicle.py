@@ -13,11 +13,12 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from camber.map_update.sqlite_store import SqliteStore
 from camber.runtime.ask import QueryFailed, ask_once
 from camber.runtime.clock import SystemClock
 from camber.runtime.listen import Listener
@@ -26,7 +27,7 @@ from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import VEHICLE_SERVICES
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
-from camber.schemas.integrity import Verdict
+from camber.schemas.integrity import Position, Verdict
 from camber.simulator.short_drive import ANTENNA_HEIGHT_M
 from support.live_drive import TRUSTED, Known, judged, known_fixes, write_drive
 from support.running import environment, wait_until
@@ -90,6 +91,17 @@ class Witness(threading.Thread):
     def words(self, from_s: float = 0.0, until_s: float = float("inf")) -> Counter[tuple[str, str]]:
         """What was said then, of right fixes and of wrong ones."""
         return judged(self.known, self.said(Fix), self.said(Verdict, from_s, until_s))
+
+    def wrong_that_was_trusted(
+        self, from_s: float = 0.0, until_s: float = float("inf")
+    ) -> Counter[tuple[str, str]]:
+        """Verdicts that pass on what is no right fix, and positions to be used that are none: (what it is, who)."""
+        said = self.words(from_s, until_s)
+        found = Counter({key: n for key, n in said.items() if key[1] in TRUSTED and key[0] != "right"})
+        for position in self.said(Position, from_s, until_s):
+            if position.usable and position.source == "rtk" and self.known.word(position) != "right":
+                found[self.known.word(position), "usable position"] += 1
+        return found
 
     def trusted_right(self, verdict: Any) -> bool:
         """Is a right fix passed on by it?"""
@@ -235,6 +247,12 @@ class LiveVehicle(Processes):
             yield witness
         finally:
             witness.end()
+
+    def stored_ns(self) -> list[int]:
+        """Times of the observations that its `map_update` holds, in order."""
+        with closing(SqliteStore(self.state / "map_update" / "uploads.sqlite")) as store:
+            found = store.observations_after(0, 1_000_000)
+        return sorted(int(t) for t in found.rows["time_ns"].tolist())
 
     def health(self, service: str, *, timeout_s: float = 2.0) -> Health | None:
         """How a service is; None where it does not answer."""
