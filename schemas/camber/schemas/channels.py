@@ -45,8 +45,12 @@ class Channel:
         return self.key_for("*" if self.delivery == "upload" else vehicle)
 
     def vehicle_in(self, key: str) -> str:
-        """The vehicle that a key of this channel names."""
-        return key.split("/")[self.key.split("/").index("{vehicle}")]
+        """The vehicle that a key of this channel names; ValueError for any other key, and for one that names many."""
+        before, _, after = self.key.partition("{vehicle}")
+        vehicle = key.removeprefix(before).removesuffix(after)
+        if key != f"{before}{vehicle}{after}" or not vehicle or set(vehicle) & set("/*$"):
+            raise ValueError(f"key {key[:200]!r}: expected {self.key} of one vehicle")
+        return vehicle
 
 
 _V = "camber/v1/{vehicle}/"

@@ -11,7 +11,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import zenoh
@@ -89,11 +89,15 @@ class _Held(NamedTuple):
 
 @dataclass(slots=True)
 class _Port:
-    """One subscribed channel: its bounded queue and how many were pushed out of it."""
+    """One subscribed channel: its bounded queue and how many were pushed out of it.
+
+    For each item that waits there is one event: what puts in and what takes out must not come between one another.
+    """
 
     channel: Channel
     items: deque[Arrived]
     overflow: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Bus:
@@ -279,18 +283,20 @@ class Bus:
         events, items = self._events, port.items
 
         def arrived(sample: zenoh.Sample) -> None:
-            full = len(items) == limit
             rider = sample.attachment
             item = Arrived(
                 sample.payload.to_bytes(), str(sample.encoding), None if rider is None else rider.to_bytes()
             )
             # What cannot be read must not push out the only one that waits.
-            if not full or limit > 1 or _can_be_read(channel, item):
-                items.append(item)
-            if full:
-                port.overflow += 1
-            else:
-                events.put(("message", name))
+            may_push_out = limit > 1 or not items or _can_be_read(channel, item)
+            with port.lock:
+                full = len(items) == limit
+                if may_push_out or not full:
+                    items.append(item)
+                if full:
+                    port.overflow += 1
+                else:
+                    events.put(("message", name))
 
         key = channel.key_for(self.settings.vehicle).replace("{service}", of or self.service)
         self._entities.append(self._session.declare_subscriber(key, direct(arrived)))
@@ -354,13 +360,14 @@ class Bus:
     def pop(self, name: str) -> Arrived | None:
         """The oldest bytes queued on a channel."""
         port = self._ports[name]
-        if port.overflow:
-            self.counters[f"{name}.overflow"] += port.overflow
-            port.overflow = 0
-        if not port.items:
-            return None
-        self._ledger.used("in", name)
-        return port.items.popleft()
+        with port.lock:
+            overflow, port.overflow = port.overflow, 0
+            item = port.items.popleft() if port.items else None
+        if overflow:
+            self.counters[f"{name}.overflow"] += overflow
+        if item is not None:
+            self._ledger.used("in", name)
+        return item
 
     def pop_queries(self, name: str) -> list[zenoh.Query]:
         """All questions waiting on a query channel."""

@@ -200,7 +200,10 @@ class MetricsServer:
 
 def _page_of(registry: CollectorRegistry) -> Callable[[str], tuple[bytes, str]]:
     def page(accept: str) -> tuple[bytes, str]:
-        encoder, kind = choose_encoder(accept)
+        try:
+            encoder, kind = choose_encoder(accept)
+        except (TypeError, ValueError):  # a version of OpenMetrics that is none
+            encoder, kind = choose_encoder("")
         return encoder(registry), kind
 
     return page

@@ -31,6 +31,7 @@ WITHIN_S = 5.0
 _ENCODING = "application/msgpack;camber.HealthRequest.v1"
 _GPS_EPOCH_UNIX_S = 315_964_800
 _FILES = ("config_file", "tls_ca", "tls_certificate", "tls_key")
+_EARLIEST_NS = 630_720_000 * 10**9  # of what a message may bear: schemas/base.py
 _LENGTH = struct.Struct("<I")
 
 
@@ -61,7 +62,7 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
         for name, text in environ.items()
         if name.upper().startswith(prefix)
     }
-    found = {**table, **table.get("zenoh", {})}
+    found = {**table, **table.get("zenoh", {}), **json.loads(here.get("ZENOH", "{}"))}
     found |= {"vehicle": here["VEHICLE"]} if "VEHICLE" in here else {}
     for name in ("connect", *_FILES):
         if (text := here.get(f"ZENOH__{name.upper()}")) is not None:
@@ -75,7 +76,7 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
 def runs_here(command: Sequence[str]) -> tuple[str, Path | None]:
     """Service and settings of a command line, whatever starts it: `… camber gnss --config FILE …`; ValueError."""
     words = [word for argument in command for word in argument.split("=", 1)]
-    start = next((n for n, word in enumerate(words) if Path(word).name == "camber"), None)
+    start = next((n for n, word in enumerate(words) if Path(word).name in ("camber", "camber.cli")), None)
     if start is None or start + 1 == len(words) or words[start + 1].startswith("-"):
         raise ValueError(f"expected the name of a service; {' '.join(command)} runs here")
     options = words[start + 2 :]
@@ -90,7 +91,9 @@ def key_of(vehicle: str, service: str) -> str:
 
 def question(now_ns: int) -> bytes:
     """The bytes of a HealthRequest, `now_ns` in GPS time."""
-    header: bytes = msgpack.packb(["camber.HealthRequest.v1", "probe", 0, {"time_ns": now_ns}])
+    # A clock that is years behind must not make a service look ill: what is asked is how it is.
+    time_ns = max(now_ns, _EARLIEST_NS)
+    header: bytes = msgpack.packb(["camber.HealthRequest.v1", "probe", 0, {"time_ns": time_ns}])
     return _LENGTH.pack(len(header)) + header
 
 

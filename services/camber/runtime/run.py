@@ -1,6 +1,7 @@
 """Run a service: read settings, join the bus, work until told to stop, leave.
 
-Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joined, 70 the work loop failed.
+Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joined, 70 the work loop failed. Ended by
+SIGALRM: the work loop did not end within two seconds of being asked to.
 """
 
 from __future__ import annotations
@@ -95,7 +96,8 @@ class Loop:
             worked = False
             while event is not None and not self.stopping:
                 worked |= self._event(event)
-                event = self.bus.next_event(0.0)
+                # More may come than can be handled: what is due by the clock is done all the same.
+                event = self.bus.next_event(0.0) if time.monotonic() < deadline else None
             now = time.monotonic()
             if worked or now >= deadline:
                 self._report.came_late(max(now - deadline, 0.0))
@@ -179,7 +181,7 @@ class Loop:
             message = decode(channel.message, payload.to_bytes(), str(query.encoding)).message
             # What a vehicle's certificate vouches for is the key; the service compares it with the payload.
             return Uploaded(channel.vehicle_in(str(query.key_expr)), message) if uploads else message
-        except DecodeError as error:
+        except ValueError as error:  # a DecodeError, or a key that names no vehicle
             self.bus.issue("refused_question", f"{channel.name}: {error}")
             with query:
                 query.reply_err(str(error)[:200].encode())
@@ -188,7 +190,9 @@ class Loop:
     def health(self) -> Health:
         """How this service is, as its own work loop sees it; whatever it has met, it can say so."""
         healthy = self._guard(lambda _: bool(self.service.healthy()), None)
-        return self._report.health(healthy)
+        gauges = self._guard(lambda _: self.service.gauges(), None)
+        facts = self._guard(lambda _: self.service.facts(), None)
+        return self._report.health(healthy, gauges or {}, facts or {})
 
     def _healths(self, requests: list[Any]) -> list[Health]:
         return [self.health()] * len(requests)
@@ -359,9 +363,16 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     except Exception:
         bus.log.error("work_loop_failed", trace=traceback.format_exc())
     finally:
-        _end_within(STOP_LIMIT_S, code)
         if loop is not None:
-            loop.service.close()
+            loop.stopping = True
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        _end_within(STOP_LIMIT_S, code)
+        try:
+            if loop is not None:
+                loop.service.close()
+        except Exception:
+            code = 70
+            bus.log.error("close_failed", trace=traceback.format_exc())
         if metrics is not None:
             metrics.close()
         bus.log.info("stopped", code=code, cpu_s=round(time.process_time(), 2))
@@ -385,6 +396,8 @@ def _metrics(settings: ServiceSettings, service: str) -> tuple[Spoken | None, Me
 
 def _stop_on_signal(loop: Loop) -> None:
     def stop(number: int, frame: FrameType | None) -> None:
+        if not loop.stopping:  # no thread: the handler may have come in the midst of starting another one
+            signal.setitimer(signal.ITIMER_REAL, STOP_LIMIT_S)
         loop.stopping = True
         loop.bus.wake()
 

@@ -6,6 +6,7 @@ whoever finds that name only has to move on (`finish_swap`); a half-made `….ma
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -57,11 +58,19 @@ def readable_rows(path: Path, table: str, columns: Sequence[str]) -> list[tuple[
 def replace_damaged(path: Path, fill: Callable[[Path], None]) -> Path:
     """Put the file that `fill` makes in the place of `path`; returns where the damaged one is.
 
-    An older damaged file under that name is overwritten: damage must not fill the disk.
+    An older damaged file under that name is overwritten: damage must not fill the disk. Where there is no room for the
+    fresh one, all is left as it is; OSError or sqlite3.Error.
     """
     making = _named(path, ".making")
     _remove(making)
-    fill(making)
+    try:
+        fill(making)
+        # On a full disk SQLite leaves in its log what it could not bring into the file, and says nothing.
+        if _named(making, "-wal").exists():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(making))
+    except (OSError, sqlite3.Error):
+        _remove(making)
+        raise
     _remove(_named(path, ".corrupt"))
     os.replace(making, _named(path, ".fresh"))
     _sync_folder(path)

@@ -53,8 +53,8 @@ class SelfReport:
         while now_s - self._late[0][0] > _LAG_OVER_S:
             self._late.popleft()
 
-    def health(self, healthy: bool | None) -> Health:
-        """Whatever it has met, it can say so; `healthy` as the service itself says, None where that failed."""
+    def health(self, healthy: bool | None, gauges: dict[str, float], facts: dict[str, str]) -> Health:
+        """Whatever it has met, it can say so; the rest is the service's own words, `healthy` None where that failed."""
         now_s = time.monotonic()
         status: Literal["ok", "degraded", "failing"] = (
             "failing" if self.failed or healthy is None else "ok" if healthy else "degraded"
@@ -69,10 +69,9 @@ class SelfReport:
             issues=self._bus.issues(),
             counters=dict(self._bus.counters),
             channels=self._bus.channels(),
-            gauges=dict(list(self._gauges().items())[:_MOST_GAUGES]),
+            gauges=dict(list({**self._gauges(), **gauges}.items())[:_MOST_GAUGES]),
             facts={
-                name: text[:_MOST_TEXT]
-                for name, text in [*self._own_facts(), *self._service.facts().items()][:_MOST_FACTS]
+                name: text[:_MOST_TEXT] for name, text in [*self._own_facts(), *facts.items()][:_MOST_FACTS]
             },
             log_level=self._bus.log_level,
         )
@@ -82,7 +81,7 @@ class SelfReport:
 
     def _gauges(self) -> dict[str, float]:
         lag_s = max((by_s for _, by_s in self._late), default=0.0)
-        return {"loop_lag_s": lag_s, **process_figures(), **self._service.gauges()}
+        return {"loop_lag_s": lag_s, **process_figures()}
 
 
 @functools.cache

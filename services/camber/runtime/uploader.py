@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from camber.runtime.outbox import Outbox, OutboxError, Upload
+from camber.runtime.outbox import Outbox, OutboxError, OutboxFull, Upload
 from camber.runtime.sender import Reply, SenderThread
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
@@ -115,6 +115,11 @@ class Uploader:
                     self._store([upload])
                 return
             except OutboxError as error:
+                if isinstance(error, OutboxFull) and len(group) > 1:  # for some of them there may be room
+                    half = len(group) // 2
+                    self._store(group[:half])
+                    self._store(group[half:])
+                    return
                 self._problems.put(("upload_not_stored", str(error)))
                 if self._ended.wait(_RETRY_S):
                     self._problems.put(("upload_lost", f"{len(group)} uploads: {error}"))

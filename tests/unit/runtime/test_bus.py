@@ -12,6 +12,7 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from camber.runtime import bus as module
 from camber.runtime.bus import Bus
 from camber.runtime.clock import Clock, ReplayClock, SystemClock
 from camber.runtime.inbox import Inbox
@@ -280,3 +281,31 @@ def test_of_what_is_large_the_newest_that_can_be_read_waits(size: int) -> None:
     assert item.data == sweeps[1]
     assert bus.counters["sweep.overflow"] == 7
     assert bus.pop("sweep") is None
+
+
+def test_of_what_is_large_one_that_comes_while_the_last_is_taken_is_handed_out_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whether it can be read is looked at while the work loop goes on."""
+    session, channel = Subscribing(), BY_NAME["sweep"]
+    bus = Bus(cast(zenoh.Session, session), ServiceSettings(log_level="error"), "localizer", SystemClock())
+    bus.subscribe(channel)
+    monkeypatch.setattr(module, "_can_be_read", lambda *_: bus.pop("sweep") is not None)
+    for number in (b"1", b"2", b"3"):
+        session.hear(arriving(number, encoding_of(Sweep)))
+    waiting = 0
+    while bus.next_event(0.0) is not None:
+        waiting += 1
+    assert waiting == 3
+    item = bus.pop("sweep")
+    assert item is not None
+    assert item.data == b"3"
+
+
+def test_what_a_service_cannot_say_of_itself_is_a_fault_and_no_end() -> None:
+    bus = make_bus()
+    service = Plain(ServiceSettings(), bus)
+    service.gauges = lambda: 1 / 0  # type: ignore[method-assign,assignment,return-value]
+    health = Loop(service, bus, SystemClock()).health()
+    assert health.status == "failing"
+    assert "ZeroDivisionError" in health.issues[0].text

@@ -200,3 +200,9 @@ def samples_after(server: MetricsServer, limit_s: float) -> dict[str, list[Sampl
 def test_a_port_that_is_taken_is_said(server: MetricsServer) -> None:
     with pytest.raises(OSError, match="in use"):
         MetricsServer("127.0.0.1", server.port, Spoken("gnss", "v7"))
+
+
+def test_a_version_that_is_none_gets_the_plain_text(server: MetricsServer) -> None:
+    text, kind = get(server, "application/openmetrics-text; version=abc")
+    assert kind.startswith("text/plain")
+    assert "camber_said_age_seconds" in text

@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager
 import pytest
 
 from camber.runtime.outbox import DAMAGED_ON_DISK, Outbox, OutboxError, OutboxFull, Upload
+from camber.runtime.salvage import replace_damaged
 
 LIMIT = 8 << 20
 
@@ -341,3 +342,21 @@ def test_a_swap_cut_off_half_way_is_finished_on_the_next_start(tmp_path, path):
     assert (tmp_path / "outbox.sqlite.corrupt").read_bytes() == b"damaged"
     assert (tmp_path / "outbox.sqlite.corrupt-wal").read_bytes() == b"damaged log"
     assert not fresh.exists()
+
+
+def test_where_there_is_no_room_to_mend_a_damaged_file_it_stays_as_it_is(tmp_path):
+    """On a full disk SQLite leaves what it has written in its log, and does not say so."""
+    path = tmp_path / "outbox.sqlite"
+    path.write_bytes(b"damaged")
+    (tmp_path / "outbox.sqlite.corrupt").write_bytes(b"the last copy")
+
+    def on_a_full_disk(making):
+        making.write_bytes(b"little")
+        making.with_name(making.name + "-wal").write_bytes(b"much")
+
+    with pytest.raises(OSError, match="No space left"):
+        replace_damaged(path, on_a_full_disk)
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {
+        "outbox.sqlite": b"damaged",
+        "outbox.sqlite.corrupt": b"the last copy",
+    }

@@ -7,6 +7,7 @@ import pytest
 
 from camber.runtime import probe
 from camber.runtime.settings import ServiceSettings, load
+from camber.schemas.base import EARLIEST_NS
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.health import Health, HealthRequest
@@ -76,6 +77,7 @@ def test_without_a_file_it_asks_where_a_service_without_settings_is(tmp_path):
     [
         ("/opt/bin/python /opt/bin/camber gnss --config /etc/gnss.toml", "gnss", "/etc/gnss.toml"),
         ("/sbin/docker-init -- camber map_server --config=/etc/m.toml", "map_server", "/etc/m.toml"),
+        ("/opt/bin/python -m camber.cli router --connect tls/a:1", "router", None),
         ("camber map-server --set period_s=1", "map_server", None),
         ("/sbin/docker-init -- camber router --config-file /etc/r.json5", "router", None),
     ],
@@ -111,3 +113,12 @@ def test_nobody_there_is_one_line_and_exit_code_1(tmp_path, capsys, monkeypatch)
     path.write_text("zenoh = {")
     assert probe.main(["gnss", str(path)]) == 1
     assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_a_clock_that_is_far_behind_asks_all_the_same():
+    assert decode(HealthRequest, probe.question(-1), probe._ENCODING).message.time_ns == EARLIEST_NS
+
+
+def test_it_reads_the_bus_as_json_too(tmp_path):
+    environ = {"CAMBER_GNSS_ZENOH": '{"connect": ["tcp/127.0.0.1:9"]}'}
+    assert probe.bus_of("gnss", tmp_path / "none.toml", environ).connect == ["tcp/127.0.0.1:9"]

@@ -79,3 +79,27 @@ def test_an_upload_comes_with_the_vehicle_of_its_key(clock: SystemClock | Replay
     finally:
         client.close()
         bus.close()
+
+
+@pytest.mark.parametrize("key", ["camber/v1/fleet/**", "camber/v1/**", "camber/v1/fleet/*/upload"])
+def test_an_upload_that_is_asked_of_many_vehicles_is_refused_and_the_service_goes_on(key: str) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    zenoh = ZenohSettings(mode="router", connect=[], listen=[endpoint])
+    settings = ServiceSettings(vehicle="fleet", zenoh=zenoh, log_level="error")
+    bus = Bus(open_session(settings.zenoh), settings, "map_update", SystemClock())
+    client = open_session(ZenohSettings(mode="client", connect=[endpoint]))
+    try:
+        service = Server(settings, bus)
+        loop = Loop(service, bus, SystemClock())
+        bus.answer(BY_NAME["upload"])
+        payload, encoding = encode(build(ElevationUpload, Random(7))), encoding_of(ElevationUpload)
+        replies = client.get(key, payload=payload, encoding=encoding, timeout=10.0)
+        assert bus.next_event(10.0) == ("query", "upload")
+        loop.answer("upload")
+        (error,) = [reply.err.payload.to_bytes().decode() for reply in replies if reply.err]
+        assert f"key '{key}': expected camber/v1/fleet/{{vehicle}}/upload of one vehicle" in error
+        assert service.got == []
+        assert [issue.code for issue in bus.issues()] == ["refused_question"]
+    finally:
+        client.close()
+        bus.close()

@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 
 from camber.runtime import uploader as module
-from camber.runtime.outbox import Outbox, OutboxError
+from camber.runtime.outbox import Outbox, OutboxError, OutboxFull
 from camber.runtime.uploader import Uploader
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import ReleaseHead, UploadReceipt
@@ -214,3 +214,27 @@ def test_how_many_uploads_wait_is_known_without_asking_the_disk(path):
         wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
     finally:
         uploader.close()
+
+
+def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, monkeypatch):
+    begun, release = threading.Event(), threading.Event()
+    uploader = make(path)
+    put_many = uploader.outbox.put_many
+
+    def little_room(uploads):
+        begun.set()
+        release.wait(5.0)
+        if len(uploads) + uploader.outbox.counts().pending > 7:
+            raise OutboxFull("no room left")
+        put_many(uploads)
+
+    monkeypatch.setattr(uploader.outbox, "put_many", little_room)
+    uploader.put("u0", "upload", message())
+    assert begun.wait(5.0)
+    for n in range(1, 20):  # one group: the writer waits for the first
+        uploader.put(f"u{n}", "upload", message())
+    release.set()
+    uploader.close()
+    assert [pending.id for pending in waiting(path)] == [f"u{n}" for n in range(7)]
+    lost = [text for code, text in uploader.problems() if code == "upload_lost"]
+    assert lost == ["1 uploads: no room left"] * 13

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
+import time
 from typing import Any, cast
 
 import pytest
@@ -10,7 +14,7 @@ import zenoh
 
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.run import Loop
+from camber.runtime.run import STOP_LIMIT_S, Loop
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
 
@@ -52,3 +56,69 @@ def test_bytes_at_a_port_of_its_own_are_worked_on_at_once_not_at_the_end_of_the_
     for _ in range(5):  # five periods would be longer than we wait
         service.bus.wake()
         assert service.advanced.acquire(timeout=PATIENCE_S / 5.0)
+
+
+def test_what_is_due_by_the_clock_is_done_however_much_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = ServiceSettings(log_level="error", period_s=0.1)
+    bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
+    service = Ports(settings, bus)
+    loop = Loop(service, bus, SystemClock())
+
+    def more_comes(_: object) -> bool:
+        time.sleep(0.02)
+        bus.wake()
+        return False
+
+    monkeypatch.setattr(loop, "_event", more_comes)
+    thread = threading.Thread(target=loop.live)
+    bus.wake()
+    thread.start()
+    try:
+        for _ in range(3):
+            assert service.advanced.acquire(timeout=PATIENCE_S / 4.0)
+    finally:
+        loop.stopping = True
+        thread.join(PATIENCE_S)
+
+
+NEVER_ENDING = """
+import sys, time
+from camber.runtime.run import run
+from camber.runtime.service import Service
+from camber.runtime.settings import ServiceSettings
+class Settings(ServiceSettings):
+    'Those of all.'
+    SERVICE = "gnss"
+class Slow(Service[Settings]):
+    NAME = "gnss"
+    SETTINGS = Settings
+    def advance(self, now_ns):
+        print("begins", flush=True)
+        time.sleep(60.0)
+    def close(self):
+        raise OSError("a disk that is gone")
+sys.exit(run(Slow, ["--zenoh.connect", "[]", "--log-level", "error", *sys.argv[1:]]))
+"""
+
+
+def test_a_service_ends_when_it_is_told_to_also_in_the_midst_of_long_work() -> None:
+    with subprocess.Popen([sys.executable, "-c", NEVER_ENDING], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"begins\n"
+        began_s = time.monotonic()
+        process.terminate()
+        assert process.wait(PATIENCE_S) == -signal.SIGALRM
+        assert time.monotonic() - began_s >= STOP_LIMIT_S - 0.1
+
+
+def test_a_service_that_cannot_close_leaves_the_bus_and_says_so() -> None:
+    quick = NEVER_ENDING.replace("time.sleep(60.0)", "time.sleep(0.0)")
+    with subprocess.Popen(
+        [sys.executable, "-c", quick], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"begins\n"
+        process.terminate()
+        _, said = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 70
+        assert b"a disk that is gone" in said
