@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from random import Random
+from types import SimpleNamespace
 
 import pytest
 
-from soak.readings import Reading, read
-from soak.run import LEAST_MB, Window, complaints, drift
+from camber.schemas.gnss import Fix
+from camber.schemas.integrity import Verdict
+from soak.readings import Reading, lasting_growth, read
+from soak.run import LEAST_MB, Window, complaints, drift, windows
 from support.running import started
 
 LEAKING = """
@@ -24,7 +27,7 @@ for n in range(400):
 print("done", flush=True)
 time.sleep(60.0)
 """
-CALM = Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 1200, 0, 0.4)
+CALM = Window(0.0, 300.0, 1500, 0, 5.0, 9.0, 15.0, 1200, 0, 0.4)
 HOUR_S = 3600.0
 
 
@@ -51,6 +54,23 @@ def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
     assert ["memory grew" in text for text in judged(readings(mb_an_hour))] == [True]
 
 
+@pytest.mark.parametrize(
+    "steps",
+    [{216: 5.0}, dict.fromkeys(range(580, 720), 0.2), dict.fromkeys(range(180), 0.05)],
+    ids=["a step that stays", "late", "early, and kept"],
+)
+def test_memory_that_is_more_in_the_end_is_a_leak(steps):
+    assert ["memory grew" in text for text in judged(readings(0.0, steps=steps))] == [True]
+
+
+def test_descriptors_that_leak_slowly_are_seen_through_a_peak_and_a_dip():
+    held = [20 + Random(n).randrange(3) for n in range(720)]
+    assert lasting_growth(held) == 0
+    leak = [fds + n // 90 for n, fds in enumerate(held)]
+    leak[100], leak[-50] = 200, 5
+    assert lasting_growth(leak) >= 3
+
+
 def test_a_step_up_and_down_again_is_none():
     assert judged(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
 
@@ -65,10 +85,11 @@ def test_descriptors_and_threads_that_stay_are_a_leak():
 @pytest.mark.parametrize(
     ("window", "said"),
     [
-        (Window(0.0, 300.0, 1500, 5.0, 21.0, 40.0, 1200, 0, 0.4), "p99"),
-        (Window(0.0, 300.0, 1500, float("nan"), float("nan"), 0.0, 1200, 0, 0.4), "p99"),
-        (Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 1200, 1, 0.4), "wrong"),
-        (Window(0.0, 300.0, 1500, 5.0, 9.0, 15.0, 0, 0, 0.4), "nothing confirmed"),
+        (Window(0.0, 300.0, 1500, 0, 5.0, 21.0, 40.0, 1200, 0, 0.4), "p99"),
+        (Window(0.0, 300.0, 1500, 0, float("nan"), float("nan"), 0.0, 1200, 0, 0.4), "p99"),
+        (Window(0.0, 300.0, 1500, 0, 5.0, 9.0, 15.0, 1200, 1, 0.4), "wrong"),
+        (Window(0.0, 300.0, 1500, 0, 5.0, 9.0, 15.0, 0, 0, 0.4), "nothing confirmed"),
+        (Window(0.0, 300.0, 1500, 20, 5.0, 9.0, 15.0, 1200, 0, 0.4), "20 of 1500 fixes without a verdict"),
     ],
 )
 def test_late_wrong_and_missing_verdicts_are_complained_of(window, said):
@@ -89,3 +110,46 @@ def test_a_process_that_leaks_is_read_as_one():
             assert len(found) < 2000, "it does not grow"
     assert found[-1].descriptors > found[0].descriptors
     assert drift(found)["growth_mb"] > 5.0
+
+
+class Witness:
+    """Fixes at 5 Hz; of each what is said, and after how many milliseconds."""
+
+    def __init__(self, seconds: float, late_ms: list[float | None]) -> None:
+        self.items = []
+        for n in range(round(5.0 * seconds)):
+            late = late_ms[n % len(late_ms)]
+            self.items.append(SimpleNamespace(at_s=0.2 * n, message=Fix.model_construct(fix_id=n)))
+            if late is not None:
+                verdict = Verdict.model_construct(fix_id=n)
+                self.items.append(SimpleNamespace(at_s=0.2 * n + 1e-3 * late, message=verdict))
+
+    def since(self, from_s: float, until_s: float = float("inf")) -> list[SimpleNamespace]:
+        return [item for item in self.items if from_s <= item.at_s < until_s]
+
+    def words(self, *_: float) -> dict[tuple[str, str], int]:
+        return {("right", "confirmed"): 1000}
+
+    def wrong_that_was_trusted(self, *_: float) -> SimpleNamespace:
+        return SimpleNamespace(total=lambda: 0)
+
+
+def complaints_of(seconds: float, late_ms: list[float | None]) -> list[str]:
+    seen = windows(Witness(seconds, late_ms), 0.0, seconds, [])  # type: ignore[arg-type]
+    return complaints({}, seen, least_mb=0.5, latency=True)
+
+
+def test_verdicts_in_time_are_no_complaint_and_all_of_the_time_is_looked_at() -> None:
+    seen = windows(Witness(1000.0, [5.0]), 0.0, 1000.0, [])  # type: ignore[arg-type]
+    assert [(w.from_s, w.until_s) for w in seen] == [(0.0, 300.0), (300.0, 600.0), (600.0, 1000.0)]
+    assert sum(w.fixes for w in seen) == 4995
+    assert complaints_of(1000.0, [5.0]) == []
+
+
+@pytest.mark.parametrize(
+    "late_ms",
+    [[5.0] * 49 + [30.0], [5.0] * 49 + [None], [5.0] + [None] * 9],
+    ids=["late", "a few never", "most never"],
+)
+def test_verdicts_that_are_late_or_never_come_are_a_complaint(late_ms: list[float | None]) -> None:
+    assert any("p99 of verdicts" in said for said in complaints_of(600.0, late_ms))

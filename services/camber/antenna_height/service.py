@@ -35,6 +35,7 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         self._published_ns = 0
         self._source_ns = 0
         self._known = False
+        self._status = "known"
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
@@ -56,6 +57,9 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         self._published_ns, self._source_ns = now_ns, source_ns
         height, problems = self._antenna.height(now_ns)
         self._known = height.status == "known"
+        if not self._known and height.status != self._status:
+            self.bus.issue("height_unknown", f"{height.status}: {height.reason}")
+        self._status = height.status
         for problem in problems:
             self.bus.issue("implausible_height", problem)
         self.bus.publish("antenna_height", height)

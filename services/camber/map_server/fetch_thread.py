@@ -30,6 +30,9 @@ class Times:
     retry_every_s: float
 
 
+_NEVER_LOOKED_AT = object()
+
+
 class Rounds:
     """What to do when: no thread, no clock; `step` is told the time (monotonic, in seconds)."""
 
@@ -55,7 +58,7 @@ class Rounds:
         self._folder = folder
         self._times = times
         self._rng = rng
-        self._folder_stamp: object | None = None
+        self._folder_stamp: object | None = _NEVER_LOOKED_AT
         self._complete = False
         self._failures = 0
         self._ask_at_s = self._fetch_at_s = float("-inf")
@@ -75,6 +78,8 @@ class Rounds:
             self._looked_at, self._complete = self._fetching.tile(), False
         if self._folder is not None and self._folder.stamp() != self._folder_stamp:
             self._folder_stamp, folder = self._folder.stamp(), self._folder
+            if self._folder_stamp is None and self._store.stamp() is None:
+                self.problems.put(("release_absent", f"{folder.name}: no release there, and none in force"))
             if self._folder_stamp is not None:
                 self._guarded(folder, lambda: self._bring(folder, True, going_on, changed), now_s)
         asks = now_s >= self._ask_at_s

@@ -73,7 +73,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._sending = _sending(settings) if settings.role == "receive" else None
         self._taking = _taking(settings) if settings.role == "store" else None
         self._store = _store(settings) if settings.role != "receive" else None
-        self._rounds, self._serving = self._begin_fusion(settings)
+        self._rounds: Rounds | None = None
+        self._serving = None
+        if settings.reference is not None and self._store is not None:
+            self._serving = ReleaseServing(_releases(settings))
+            self._begin_fusion(settings.reference, self._store)
         self._told_version = -1
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
@@ -97,6 +101,8 @@ class MapUpdateService(Service[MapUpdateSettings]):
             for name, part in (("store", self._store), ("queue", self._sending or self._taking)):
                 if part is not None:
                     self._reached(name, part.check)
+            if self._rounds is None and self.settings.reference is not None and self._store is not None:
+                self._begin_fusion(self.settings.reference, self._store)
         if self._store is not None and now_ns - self._forgot_ns >= _FORGET_NS:
             self._forgot_ns = now_ns
             self._forget(self._store, now_ns)
@@ -243,18 +249,9 @@ class MapUpdateService(Service[MapUpdateSettings]):
         if found.made:
             self.bus.count("released")
 
-    def _begin_fusion(self, settings: MapUpdateSettings) -> tuple[Rounds | None, ReleaseServing | None]:
-        """Raises ReleaseError for a reference or a key that cannot be used: a start without them would be another."""
-        if settings.reference is None or self._store is None:
-            return None, None
-        reference = read_release(settings.reference)
-        key = None if settings.signing_key is None else load_signing_key(settings.signing_key)
-        folder = settings.releases or settings.state_dir / "releases"
-        secret = _voters_key(settings.voters_key, settings.state_dir / "voters.key")
-        fusion = Fusion(reference.road_surfaces(), secret, settings.fusion_rules())
-        making = ReleaseMaking(folder, reference, signing_key=key)
-        every = settings.fuse_every_s, settings.fuse_records
-        return Rounds(self._store, fusion, making, every_s=every[0], most=every[1]), ReleaseServing(folder)
+    def _begin_fusion(self, reference: Path, store: Store) -> None:
+        """Where reference or key cannot be used, uploads are taken in all the same, and this is tried again."""
+        self._rounds = self._reached("fusion", lambda: _rounds_of(self.settings, reference, store))
 
     def _forget(self, store: Store, now_ns: int) -> None:
         """Some at a time: uploads wait meanwhile."""
@@ -305,6 +302,20 @@ def _store(settings: MapUpdateSettings) -> Store:
     from camber.map_update.postgres_store import PostgresStore
 
     return PostgresStore(settings.store, password=_secret(settings.store_password), limit_s=settings.answer_s)
+
+
+def _releases(settings: MapUpdateSettings) -> Path:
+    return settings.releases or settings.state_dir / "releases"
+
+
+def _rounds_of(settings: MapUpdateSettings, folder: Path, store: Store) -> Rounds:
+    """Raises ReleaseError or OSError for a reference or a key that cannot be used."""
+    reference = read_release(folder)
+    key = None if settings.signing_key is None else load_signing_key(settings.signing_key)
+    secret = _voters_key(settings.voters_key, settings.state_dir / "voters.key")
+    fusion = Fusion(reference.road_surfaces(), secret, settings.fusion_rules())
+    making = ReleaseMaking(_releases(settings), reference, signing_key=key)
+    return Rounds(store, fusion, making, every_s=settings.fuse_every_s, most=settings.fuse_records)
 
 
 def _voters_key(path: Path | None, own: Path) -> bytes:

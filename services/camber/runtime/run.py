@@ -14,6 +14,8 @@ import threading
 import time
 import traceback
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +25,7 @@ from camber.runtime.barrier import Barrier
 from camber.runtime.bus import Arrived, Bus
 from camber.runtime.clock import ReplayClock, SystemClock
 from camber.runtime.inbox import Inbox
+from camber.runtime.log import make_logger
 from camber.runtime.self_report import SelfReport
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
@@ -39,6 +42,7 @@ STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
 _SAY_EVERY_S = 1.0
 _FEEDER_WAIT_S = 60.0
+_JOINING_S, _WAITS_AGAIN_S = 2.0, 60.0
 _SAID = 8  # dones that are said again: of all ticks that may be under way, and the one before, that loops wait for
 
 
@@ -336,7 +340,8 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     spoken, metrics, hindrance = _metrics(settings, service_class.NAME)
     service_class.prepare(settings)
     try:
-        session = open_session(settings.zenoh)
+        with _saying_that_it_waits(settings, service_class.NAME):
+            session = open_session(settings.zenoh)
     except BusError as error:
         print(f"{prog}: {error}", file=sys.stderr)
         return 3
@@ -378,6 +383,25 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         bus.log.info("stopped", code=code, cpu_s=round(time.process_time(), 2))
         bus.close()
     return code
+
+
+@contextmanager
+def _saying_that_it_waits(settings: ServiceSettings, service: str) -> Iterator[None]:
+    """To join the bus may take for ever, and must not do so in silence."""
+    joined = threading.Event()
+
+    def say() -> None:
+        pause_s = _JOINING_S
+        while not joined.wait(pause_s):
+            log = make_logger(service, level=settings.log_level, form=settings.log_format)
+            log.warning("waits_for_the_bus", connect=settings.zenoh.connect)
+            pause_s = _WAITS_AGAIN_S
+
+    threading.Thread(target=say, name="joining", daemon=True).start()
+    try:
+        yield
+    finally:
+        joined.set()
 
 
 def _metrics(settings: ServiceSettings, service: str) -> tuple[Spoken | None, MetricsServer | None, str]:

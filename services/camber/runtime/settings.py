@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 from pydantic_settings import (
     BaseSettings,
     CliSettingsSource,
@@ -37,11 +38,11 @@ class ZenohSettings(BaseModel):
     model_config = ConfigDict(extra="forbid")
     mode: Literal["peer", "client", "router"] = Field("peer", description="role on the bus")
     connect: list[str] = Field(
-        default_factory=lambda: ["tcp/127.0.0.1:7447"],
+        ["tcp/127.0.0.1:7447"],
         description="endpoints to join; tried again for ever when nobody is there",
     )
     listen: list[str] = Field(
-        default_factory=lambda: ["tcp/127.0.0.1:0"],
+        ["tcp/127.0.0.1:0"],
         description="endpoints on which other peers may reach this one; a client listens on none",
     )
     tls_ca: Path | None = Field(
@@ -161,7 +162,9 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
         cli = source(args=rest)
         return cls(_cli_settings_source=cli, **table), args
     except ValidationError as error:
-        raise ConfigError(_one_line(cls, error, args.config, table)) from None
+        first = error.errors(include_url=False)[0]
+        whence = _whence(cls, first["loc"], first["type"] == "missing", rest, args.config, table)
+        raise ConfigError(f"{whence}{_one_line(cls, first)}") from None
     except SettingsError as error:  # a list or a table that cannot be parsed
         raise ConfigError(_not_json(error)) from None
 
@@ -217,19 +220,39 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}") from None
 
 
-def _one_line(cls: type[BaseModel], error: ValidationError, path: Path | None, table: dict[str, Any]) -> str:
-    first = error.errors(include_url=False)[0]
+def _whence(
+    cls: type[ServiceSettings],
+    loc: tuple[int | str, ...],
+    missing: bool,
+    argv: list[str],
+    path: Path | None,
+    table: dict[str, Any],
+) -> str:
+    """Where the value comes from, or the table in which it is missing: command line before environment before file."""
+    known = [str(part) for part in (loc[:-1] if missing else loc)]
+    options = {argument.partition("=")[0] for argument in argv if argument.startswith("--")}
+    variables = {name.upper(): name for name in os.environ}
+    for n in range(len(known), 0, -1):
+        if f"--{'.'.join(known[:n]).replace('_', '-')}" in options:
+            return ""  # the field is called as the option is
+    for n in range(len(known), 0, -1):
+        variable = f"{_environment_prefix(cls)}{'__'.join(known[:n])}".upper()
+        if variable in variables:
+            return f"environment: {variables[variable]}: "
+    return f"{path}: " if path is not None and _stands_in(table, loc[: len(known)]) else ""
+
+
+def _one_line(cls: type[BaseModel], first: ErrorDetails) -> str:
     field = ".".join(str(part) for part in first["loc"])
-    where = f"{path}: " if path is not None and _stands_in(table, first["loc"]) else ""
     if first["type"] == "value_error":  # a rule of ours, which says what it met
         rule = first["msg"].removeprefix("Value error, ")
-        return f"{where}{field}: {rule}" if field else f"{where}{rule}"
+        return f"{field}: {rule}" if field else rule
     if first["type"] == "extra_forbidden":
-        return f"{where}{field}: unknown setting"
+        return f"{field}: unknown setting"
     if first["type"] == "missing":
-        return f"{where}{field}: missing; this setting has no default"
+        return f"{field}: missing; this setting has no default"
     got = "" if _is_secret(cls, field) else f" (got {str(first['input'])[:60]!r})"
-    return f"{where}{field}: {first['msg']}{got}"
+    return f"{field}: {first['msg']}{got}"
 
 
 def _not_json(error: SettingsError) -> str:

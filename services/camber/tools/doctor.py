@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from camber.runtime.settings import ConfigError, ServiceSettings, load
+from camber.schemas.channels import VEHICLE_SERVICES
 from camber.tools.doctor_checks import (
     LEAST_FREE_BYTES,
     Finding,
@@ -72,7 +73,8 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
             "settings", f"{folder}: no file of a service that can be read", "one TOML for each service"
         )
         return
-    yield _vehicles(known)
+    yield _vehicles(known, folder)
+    yield from _of_a_vehicle(known)
     yield from _disks(known)
     yield from _certificates(known)
     guarded = [_map(known)] if offline else [_connections(known), _map(known), _receiver(known, receiver_s)]
@@ -106,14 +108,41 @@ def _settings(path: Path, known: dict[str, Any]) -> Finding:
     return ok(what, f"right, for {known[name].vehicle}")
 
 
-def _vehicles(known: dict[str, Any]) -> Finding:
+def _vehicles(known: dict[str, Any], folder: Path) -> Finding:
     names = {name: settings.vehicle for name, settings in known.items() if name not in _CLOUD}
+    for path in folder.glob("*router*.json5") if names else ():
+        if (name := _name_of(path)) is not None:
+            names[path.name] = name
     if len(set(names.values())) > 1:
         each = ", ".join(f"{name} {vehicle}" for name, vehicle in sorted(names.items()))
         return problem(
             "vehicle", f"not the same in all files: {each}", "services of different names never meet"
         )
     return ok("vehicle", next(iter(names.values()), "none: services of the cloud"))
+
+
+def _name_of(router: Path) -> str | None:
+    """The vehicle for which a router's rules were made; None where they are of none, or of many."""
+    from camber.runtime.heard import name_in
+    from camber.runtime.session import BusError, router_rules
+
+    with contextlib.suppress(BusError):  # said where the file itself is looked at
+        return name_in(router_rules(router))
+    return None
+
+
+def _of_a_vehicle(known: dict[str, Any]) -> Iterator[Finding]:
+    """Is there all without which nothing is confirmed?"""
+    missing = [name for name in VEHICLE_SERVICES if name not in known]
+    if missing and set(known) & set(VEHICLE_SERVICES):
+        yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
+    height = known.get("antenna_height")
+    if height is not None and height.way == "fixed" and height.fixed_height_m is None:
+        yield problem(
+            "antenna height",
+            "way fixed, and fixed_height_m is not set: nothing will be confirmed",
+            "measure it, or set another way: docs/services/antenna_height.md",
+        )
 
 
 def _disks(known: dict[str, Any]) -> Iterator[Finding]:
@@ -181,8 +210,10 @@ def _connections(known: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _map(known: dict[str, Any]) -> Iterator[Finding]:
-    from camber.tools.doctor_inputs import check_map
+    from camber.tools.doctor_inputs import check_map, check_reference
 
+    if "map_update" in known:
+        yield from check_reference(known["map_update"])
     if "map_server" in known:
         gnss = known.get("gnss")
         yield from check_map(known["map_server"], None if gnss is None else gnss.datum)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from camber.formats.byte_streams import open_stream
-from camber.formats.map_release import ReleaseError, load_public_key, open_release
+from camber.formats.map_release import ReleaseError, load_public_key, load_signing_key, open_release
 from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.ntrip import NtripAccess
 from camber.formats.receiver_solution import ReceiverSolution
@@ -134,6 +134,22 @@ def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
             "map, origin", f"a surrogate: {manifest.surrogate}", "a surveyed map for a real vehicle"
         )
     yield _verified(release)
+
+
+def check_reference(settings: Any) -> Iterator[Finding]:
+    """What map_update makes releases of, and the key that signs them."""
+    if settings.reference is None:
+        yield not_checked("reference", "map_update has none: uploads are kept, no releases are made of them")
+        return
+    try:
+        manifest = open_release(settings.reference).manifest
+        if settings.signing_key is not None:
+            load_signing_key(settings.signing_key)
+    except ReleaseError as error:
+        yield problem("reference", str(error), "reference and signing_key of map_update")
+        return
+    signed = "signed" if settings.signing_key else "not signed: vehicles with a public_key take none"
+    yield ok("reference", f"{settings.reference}: {manifest.region}; releases of it will be {signed}")
 
 
 def _datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import closing
@@ -33,9 +34,12 @@ def main(argv: list[str] | None = None) -> int:
             out.writerow([*Heading._fields, *((OBSERVATION.names or ()) if args.records else ("records",))])
             for found in _all(store):
                 out.writerows(_records(found) if args.records else _contributions(found))
+            sys.stdout.flush()
     except StoreError as error:
         print(f"camber uploads: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # whoever reads has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

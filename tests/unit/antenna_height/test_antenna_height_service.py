@@ -138,7 +138,7 @@ def test_an_implausible_height_is_unknown_and_an_issue() -> None:
     height = said(running.advance(0.0))
     assert height.status == "unknown"
     assert "expected -1 m to 100 m" in height.reason
-    assert running.bus.issues == {"implausible_height": 1}
+    assert running.bus.issues == {"implausible_height": 1, "height_unknown": 1}
 
 
 def test_a_clock_that_is_set_back_does_not_silence_the_service() -> None:

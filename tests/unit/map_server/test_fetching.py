@@ -389,3 +389,15 @@ def test_what_is_refused_is_said_and_tried_again_after_a_while(tmp_path: Path) -
     vehicle.cloud.spoil = lambda data: data
     assert run(each, 130, 200) == []
     assert (vehicle.version, each.troubled) == (8, False)
+
+
+def test_a_folder_without_a_release_is_named_while_there_is_no_map(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
+    each = rounds(vehicle)
+    each._folder = FolderSupplier(tmp_path / "factory")
+    each._guarded = lambda *_: None  # type: ignore[method-assign,assignment]
+    assert run(each, 0, 5) == ["release_absent"]
+    making(tmp_path / "made").make(NONE, time_ns=MADE_NS)
+    (tmp_path / "made" / "out").rename(tmp_path / "factory")
+    assert run(each, 5, 10) == []
+    assert each._folder_stamp is not None

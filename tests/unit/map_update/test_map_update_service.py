@@ -14,6 +14,7 @@ from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import Step
 from camber.runtime.uploaded import Uploaded
 from camber.schemas.fleet import ElevationUpload, UploadBatch
+from support.small_map import surface, write
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
 
@@ -192,3 +193,16 @@ def test_the_reason_of_a_refusal_fits_into_a_receipt_however_long_the_list_of_da
         (receipt,) = asked(service, "upload", upload())
     assert receipt.status == "refused"
     assert len(receipt.reason) == 512
+
+
+def test_without_a_reference_that_can_be_read_uploads_are_taken_in_and_fusing_begins_once_it_can(
+    tmp_path, bus
+):
+    settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
+    with closing(MapUpdateService(settings, bus)) as service:
+        assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
+        assert str(tmp_path / "survey") in bus.issues["fusion_stopped"]
+        assert not service.healthy()
+        write(tmp_path / "survey", [surface(5)])
+        service.advance(bus.time_ns)
+        assert service.healthy()

@@ -142,7 +142,8 @@ def test_an_unknown_nested_variable_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("CAMBER_SAMPLE_INNER__LENGHT_M", "3.0")
-    assert complaint(Sample, [], capsys) == "inner.lenght_m: unknown setting"
+    said = "environment: CAMBER_SAMPLE_INNER__LENGHT_M: inner.lenght_m: unknown setting"
+    assert complaint(Sample, [], capsys) == said
 
 
 def test_a_unit_in_a_value_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,11 +157,33 @@ def test_a_unit_in_a_value_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_value_out_of_range_is_named_with_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert complaint(Sample, ["--inner.length-m", "-1"], capsys).startswith("inner.length_m: ")
+    said = complaint(Sample, ["--inner.length-m", "-1"], capsys)
+    assert said.startswith("inner.length_m: ")
     argv = toml(tmp_path, "width_m = 3.0")
-    said = complaint(Sample, [*argv, "--width-m", "-1"], capsys)
-    assert said.startswith("width_m: ") or said.startswith(f"{argv[1]}: width_m: ")
+    said = complaint(Sample, [*argv, "--width-m=-1"], capsys)
+    assert said.startswith("width_m: ")
     assert said.endswith("(got '-1')")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "field"),
+    [
+        ("CAMBER_SAMPLE_WIDTH_M", "wide", "width_m"),
+        ("CAMBER_SAMPLE_INNER__LENGTH_M", "long", "inner.length_m"),
+        ("camber_sample_inner", '{"length_m": "long"}', "inner.length_m"),
+    ],
+)
+def test_a_wrong_value_of_the_environment_is_not_laid_to_a_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    text: str,
+    field: str,
+) -> None:
+    monkeypatch.setenv(name, text)
+    argv = toml(tmp_path, "width_m = 3.0\n[inner]\nlength_m = 3.0")
+    assert complaint(Sample, argv, capsys).startswith(f"environment: {name}: {field}: ")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from camber.runtime.clock import SystemClock
 from camber.runtime.run import STOP_LIMIT_S, Loop
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
+from support.running import free_port
 
 PATIENCE_S = 20.0
 
@@ -122,3 +123,14 @@ def test_a_service_that_cannot_close_leaves_the_bus_and_says_so() -> None:
         _, said = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 70
         assert b"a disk that is gone" in said
+
+
+def test_a_service_that_finds_no_router_says_so() -> None:
+    nowhere = f'["tcp/127.0.0.1:{free_port()}"]'
+    words = ["--zenoh.connect", nowhere, "--zenoh.mode", "client", "--log-level", "warning"]
+    with subprocess.Popen([sys.executable, "-c", NEVER_ENDING, *words], stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        said = process.stderr.readline().decode()
+        process.kill()
+    assert "waits_for_the_bus" in said
+    assert nowhere.strip('[]"') in said

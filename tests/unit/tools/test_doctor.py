@@ -433,6 +433,7 @@ def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.Ca
     assert said.endswith("no problem was found\n")
     assert "ok          settings gnss.toml" in said
     assert "ok          disk of integrity" in said
+    assert "no settings here of localizer, antenna_height; a vehicle needs them all" in said
 
 
 @pytest.mark.parametrize(
@@ -443,6 +444,14 @@ def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.Ca
         ("gnss.toml", 'vehicle = "car"\ndatum = "JGD2011"\n', "gnss.toml JGD2011"),
         ("gnss.toml", "vehicle = ", "not TOML"),
         ("nosuch.toml", "", "no service has this name"),
+        ("antenna_height.toml", 'vehicle = "car"\n', "fixed_height_m is not set"),
+        ("map_update.toml", 'state_dir = "/tmp"\nreference = "/nosuch"\n', "reference: /nosuch"),
+        (
+            "router.json5",
+            '{access_control: {rules: [{id: "1", permission: "allow", messages: ["put"], key_exprs: '
+            '["camber/v1/van/echo"]}]}}',
+            "router.json5 van",
+        ),
         ("integrity.toml", 'vehicle = "car"\nstate_dir = "/proc/state"\n', "disk of integrity"),
     ],
 )
