@@ -80,7 +80,11 @@ def main(argv: list[str] | None = None) -> int:
         ends_now = {"listen": args.listen, "connect": [first, *(end for end in connect if end != first)]}
         words = [word for way, there in ends_now.items() for end in there or () for word in (f"--{way}", end)]
         words += ["--config-file", str(args.config_file)] if args.config_file else []
-        _replace_by(sys.executable, "-m", "camber.cli", "router", *words)
+        try:
+            if not stop.is_set():
+                _replace_by(sys.executable, "-m", "camber.cli", "router", *words)
+        except OSError as error:  # what is, goes on
+            _say(f"cannot begin anew: {error}")
 
     # Joining as a client waits for the cloud for ever; within the vehicle it routes meanwhile.
     threading.Thread(target=open_it, daemon=True).start()
