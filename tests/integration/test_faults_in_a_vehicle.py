@@ -33,7 +33,7 @@ _NS = 1_000_000_000
 YEAR_S = 365.0 * 86_400.0
 RETURN_S = 180.0  # of a service that is started again on a busy machine
 BEYOND_S = 10.0 if LONG else 3.0  # how much longer than its last word may be used a service is away
-DISK_BYTES = 1_500_000
+DISK_BYTES = 8_000_000  # more than all uploads of the rows before take, in the long form too
 AGE_S = {
     "gnss": BY_NAME["fix"].max_age_s,
     # The localizer asks for the road two seconds ahead.
