@@ -50,6 +50,8 @@ class Inbox:
             if age_ns < -_FUTURE_LIMIT_NS:
                 return self._refuse("future", f"{-age_ns / _NS:.3f} s in the future")
         last_sequence, last_time_ns = self._last.get(source, (-1, 0))
+        if judge_age and last_time_ns - now_ns > _FUTURE_LIMIT_NS:  # since then the clock was set back
+            last_sequence, last_time_ns = -1, 0
         if sequence == last_sequence and message.time_ns == last_time_ns:
             return self._refuse("repeated", f"number {sequence} came twice")
         if sequence <= last_sequence and message.time_ns <= last_time_ns:

@@ -86,6 +86,13 @@ def test_a_producer_restarted_after_its_first_message_is_heard() -> None:
     assert accepts(inbox, received(0, at_s=0.1))
 
 
+def test_a_producer_restarted_while_the_clock_was_set_back_is_heard() -> None:
+    inbox = Inbox(MOTION)
+    assert accepts(inbox, received(90, at_s=3600.0), now_s=3600.0)
+    assert accepts(inbox, received(0, at_s=1.0), now_s=1.0)
+    assert not accepts(inbox, received(0, at_s=1.0), now_s=1.0)
+
+
 def test_sources_are_told_apart() -> None:
     inbox = Inbox(MOTION)
     assert accepts(inbox, received(7))
