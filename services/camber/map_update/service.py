@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -23,6 +24,7 @@ from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.shards import WORLD, Shards
 from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import Outcome, OvertakenError, Store, StoreError
+from camber.map_update.votes import checked_secret
 from camber.map_update.warm_up import warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
@@ -39,6 +41,7 @@ T = TypeVar("T")
 _NS = 1_000_000_000
 _CHECK_NS = 2 * _NS
 _FORGET_NS = 60 * _NS
+_BEGIN_AGAIN_NS = 60 * _NS  # to read a reference may take seconds, in which nobody is answered
 # A disk may be full for what is written and answer what is read: one that refused a commit is well after the next.
 _UNAVAILABLE = {
     "store": "store_unavailable",
@@ -70,6 +73,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._rules = settings.rules()
         self._down: set[str] = set()
         self._checked_ns = self._forgot_ns = 0
+        self._begun_ns = bus.now_ns()
         self._sending = _sending(settings) if settings.role == "receive" else None
         self._taking = _taking(settings) if settings.role == "store" else None
         self._store = _store(settings) if settings.role != "receive" else None
@@ -101,8 +105,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
             for name, part in (("store", self._store), ("queue", self._sending or self._taking)):
                 if part is not None:
                     self._reached(name, part.check)
-            if self._rounds is None and self.settings.reference is not None and self._store is not None:
-                self._begin_fusion(self.settings.reference, self._store)
+        waits = 0 <= now_ns - self._begun_ns < _BEGIN_AGAIN_NS
+        reference = self.settings.reference
+        if self._rounds is None and reference is not None and self._store is not None and not waits:
+            self._begun_ns = now_ns
+            self._begin_fusion(reference, self._store)
         if self._store is not None and now_ns - self._forgot_ns >= _FORGET_NS:
             self._forgot_ns = now_ns
             self._forget(self._store, now_ns)
@@ -250,7 +257,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
             self.bus.count("released")
 
     def _begin_fusion(self, reference: Path, store: Store) -> None:
-        """Where reference or key cannot be used, uploads are taken in all the same, and this is tried again."""
+        """Where reference or key cannot be used, uploads are taken in all the same; tried again each minute."""
         self._rounds = self._reached("fusion", lambda: _rounds_of(self.settings, reference, store))
 
     def _forget(self, store: Store, now_ns: int) -> None:
@@ -310,26 +317,31 @@ def _releases(settings: MapUpdateSettings) -> Path:
 
 def _rounds_of(settings: MapUpdateSettings, folder: Path, store: Store) -> Rounds:
     """Raises ReleaseError or OSError for a reference or a key that cannot be used."""
-    reference = read_release(folder)
     key = None if settings.signing_key is None else load_signing_key(settings.signing_key)
     secret = _voters_key(settings.voters_key, settings.state_dir / "voters.key")
+    reference = read_release(folder)
     fusion = Fusion(reference.road_surfaces(), secret, settings.fusion_rules())
     making = ReleaseMaking(_releases(settings), reference, signing_key=key)
     return Rounds(store, fusion, making, every_s=settings.fuse_every_s, most=settings.fuse_records)
 
 
 def _voters_key(path: Path | None, own: Path) -> bytes:
-    """The key of pseudonyms: of its file, or of one that is made once beside the store."""
+    """The key of pseudonyms: of its file, or of one that is made once beside the store, whole or not at all."""
     try:
         if path is None and not own.exists():
             own.parent.mkdir(parents=True, exist_ok=True)
-            handle = os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            making = own.with_name(f"{own.name}.{os.getpid()}.new")
+            making.unlink(missing_ok=True)
+            handle = os.open(making, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(handle, "wb") as file:
                 file.write(os.urandom(_VOTERS_KEY_BYTES))
                 file.flush()
                 os.fsync(file.fileno())
-        return (path or own).read_bytes()
-    except OSError as error:
+            with suppress(FileExistsError):  # another worker was first: its key is the one
+                os.link(making, own)
+            making.unlink()
+        return checked_secret((path or own).read_bytes())
+    except (OSError, ValueError) as error:
         raise ReleaseError(str(path or own), "voters' key", f"a file of 16 to 64 bytes ({error})") from None
 
 

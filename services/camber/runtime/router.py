@@ -167,6 +167,7 @@ def _watch(
                 _say(word)
             stuck = stuck + 1 if by not in (None, connect[0]) and not opened else 0
             if by is not None and stuck >= _STUCK:
+                stuck = 0
                 begin_anew(by)
         time.sleep(_LOOK_S)
 

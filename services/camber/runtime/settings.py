@@ -232,12 +232,19 @@ def _whence(
     known = [str(part) for part in (loc[:-1] if missing else loc)]
     options = {argument.partition("=")[0] for argument in argv if argument.startswith("--")}
     variables = {name.upper(): name for name in os.environ}
+    if isinstance(_value_in(table, known), dict):  # a rule of several settings, which may come from anywhere
+        inside = "".join(f"{part}." for part in known).replace("_", "-")
+        below = f"{_environment_prefix(cls)}{''.join(f'{part}__' for part in known)}".upper()
+        if any(o.startswith(f"--{inside}") for o in options) or any(v.startswith(below) for v in variables):
+            return ""
     for n in range(len(known), 0, -1):
         if f"--{'.'.join(known[:n]).replace('_', '-')}" in options:
             return ""  # the field is called as the option is
     for n in range(len(known), 0, -1):
         variable = f"{_environment_prefix(cls)}{'__'.join(known[:n])}".upper()
-        if variable in variables:
+        if variable in variables and (
+            n == len(known) or _is_said_in(os.environ[variables[variable]], known[n:])
+        ):
             return f"environment: {variables[variable]}: "
     return f"{path}: " if path is not None and _stands_in(table, loc[: len(known)]) else ""
 
@@ -261,6 +268,21 @@ def _not_json(error: SettingsError) -> str:
     if name is None:
         return f"command line: {text}"
     return f"environment: {name[1]}: expected JSON for a list or a table: {error.__cause__}"
+
+
+def _value_in(table: dict[str, Any], known: list[str]) -> Any:
+    value: Any = table
+    for part in known:
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def _is_said_in(text: str, known: list[str]) -> bool:
+    """Does a table, given as JSON, have this setting?"""
+    try:
+        return _value_in({"": json.loads(text)}, ["", *known]) is not None
+    except ValueError:
+        return True
 
 
 def _stands_in(table: dict[str, Any], loc: tuple[int | str, ...]) -> bool:

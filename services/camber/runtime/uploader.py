@@ -37,6 +37,7 @@ class Uploader:
         self._problems: queue.SimpleQueue[Problem] = queue.SimpleQueue()
         self._told: Counter[str] = Counter()
         self._silence_told_s = float("-inf")
+        self._hindrance = ""
         self.outbox = Outbox(path, limit_bytes=limit_bytes)
         self.sender = SenderThread(self.outbox, ask)
         self._writer = threading.Thread(target=self._write, name="outbox", daemon=True)
@@ -98,29 +99,29 @@ class Uploader:
             group = [self._queue.get()]
             while not self._queue.empty() and len(group) < _GROUP:
                 group.append(self._queue.get())
-            self._store([upload for upload in group if upload is not None])
+            lost = self._store([upload for upload in group if upload is not None])
+            if lost:
+                self._problems.put(("upload_lost", f"{lost} uploads: {self._hindrance}"))
 
-    def _store(self, group: list[Upload]) -> None:
-        """Make a group durable, however often that takes; only the end of the service gives it up."""
+    def _store(self, group: list[Upload]) -> int:
+        """Make a group durable, however often that takes; returns how many the end of the service has given up."""
         while group:
             try:
                 self.outbox.put_many(group)
                 self.sender.wake()
-                return
+                return 0
             except ValueError as error:  # one of them has the id of another upload
                 if len(group) == 1:
                     self._problems.put(("upload_lost", str(error)))
-                    return
-                for upload in group:
-                    self._store([upload])
-                return
+                    return 0
+                return sum(self._store([upload]) for upload in group)
             except OutboxError as error:
                 if isinstance(error, OutboxFull) and len(group) > 1:  # for some of them there may be room
                     half = len(group) // 2
-                    self._store(group[:half])
-                    self._store(group[half:])
-                    return
-                self._problems.put(("upload_not_stored", str(error)))
+                    return self._store(group[:half]) + self._store(group[half:])
+                self._hindrance = str(error)
+                if not self._ended.is_set():
+                    self._problems.put(("upload_not_stored", str(error)))
                 if self._ended.wait(_RETRY_S):
-                    self._problems.put(("upload_lost", f"{len(group)} uploads: {error}"))
-                    return
+                    return len(group)
+        return 0

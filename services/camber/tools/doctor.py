@@ -74,7 +74,7 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
         )
         return
     yield _vehicles(known, folder)
-    yield from _of_a_vehicle(known)
+    yield from _of_a_vehicle(known, folder)
     yield from _disks(known)
     yield from _certificates(known)
     guarded = [_map(known)] if offline else [_connections(known), _map(known), _receiver(known, receiver_s)]
@@ -131,9 +131,9 @@ def _name_of(router: Path) -> str | None:
     return None
 
 
-def _of_a_vehicle(known: dict[str, Any]) -> Iterator[Finding]:
+def _of_a_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
     """Is there all without which nothing is confirmed?"""
-    missing = [name for name in VEHICLE_SERVICES if name not in known]
+    missing = [name for name in VEHICLE_SERVICES if not (folder / f"{name}.toml").exists()]
     if missing and set(known) & set(VEHICLE_SERVICES):
         yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
     height = known.get("antenna_height")

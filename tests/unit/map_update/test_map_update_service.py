@@ -205,4 +205,28 @@ def test_without_a_reference_that_can_be_read_uploads_are_taken_in_and_fusing_be
         assert not service.healthy()
         write(tmp_path / "survey", [surface(5)])
         service.advance(bus.time_ns)
+        assert not service.healthy(), "it takes time to read one: not each round"
+        bus.time_ns += 60 * 10**9
+        service.advance(bus.time_ns)
         assert service.healthy()
+
+
+def test_a_voters_key_that_is_none_is_said_and_uploads_are_taken_in(tmp_path, bus):
+    write(tmp_path / "survey", [surface(5)])
+    (tmp_path / "voters.key").write_bytes(b"")
+    settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
+    with closing(MapUpdateService(settings, bus)) as service:
+        assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
+        assert "voters' key" in bus.issues["fusion_stopped"]
+
+
+def test_a_voters_key_is_made_whole_and_once(tmp_path, bus):
+    write(tmp_path / "survey", [surface(5)])
+    settings = MapUpdateSettings(state_dir=tmp_path, reference=tmp_path / "survey")
+    keys = set()
+    for _ in range(2):
+        with closing(MapUpdateService(settings, bus)):
+            keys.add((tmp_path / "voters.key").read_bytes())
+    (key,) = keys
+    assert len(key) == 32
+    assert sorted(tmp_path.glob("voters.key*")) == [tmp_path / "voters.key"]

@@ -384,3 +384,17 @@ def test_a_failure_rate_is_one_that_the_table_has(capsys: pytest.CaptureFixture[
 
 def test_unknown_bands_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert complaint(GnssSettings, ["--engine.gps-bands", "19"], capsys).startswith("engine: ")
+
+
+def test_a_rule_of_several_settings_is_not_laid_to_a_file_that_has_not_all_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = toml(tmp_path, '[zenoh]\nmode = "client"')
+    monkeypatch.setenv("CAMBER_SAMPLE_ZENOH__CONNECT", '["tls/a:1"]')
+    assert complaint(Sample, argv, capsys).startswith("zenoh: connect: an endpoint tls/")
+    monkeypatch.delenv("CAMBER_SAMPLE_ZENOH__CONNECT")
+    argv = toml(tmp_path, '[zenoh]\nconnect = ["tls/a:1"]')
+    assert complaint(Sample, argv, capsys).startswith(f"{argv[1]}: zenoh: connect: an endpoint tls/")
+    monkeypatch.setenv("CAMBER_SAMPLE_ZENOH", '{"lease_s": 3.0}')
+    argv = toml(tmp_path, '[zenoh]\nmode = "no"')
+    assert complaint(Sample, argv, capsys).startswith(f"{argv[1]}: zenoh.mode: ")

@@ -134,3 +134,30 @@ def test_a_service_that_finds_no_router_says_so() -> None:
         process.kill()
     assert "waits_for_the_bus" in said
     assert nowhere.strip('[]"') in said
+
+
+def test_where_a_round_takes_longer_than_its_period_what_has_come_does_not_pile_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As a worker that waits for its queue in each round, and asks for the next one."""
+    settings = ServiceSettings(log_level="error", period_s=0.05)
+    bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
+    service = Ports(settings, bus)
+    rounds = 0
+
+    def long_round(_: int) -> None:
+        nonlocal rounds
+        rounds += 1
+        bus.wake()
+        time.sleep(0.06)
+        loop.stopping = rounds == 4
+
+    monkeypatch.setattr(service, "advance", long_round)
+    loop = Loop(service, bus, SystemClock())
+    for _ in range(40):
+        bus.wake()
+    loop.live()
+    waiting = 0
+    while bus.next_event(0.0) is not None:
+        waiting += 1
+    assert waiting <= 1
