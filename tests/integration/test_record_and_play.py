@@ -290,7 +290,10 @@ def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recordin
             while process.poll() is None:
                 fix = listener.next(timeout_s=0.5)
                 heard += [] if fix is None else [fix]
+        while (fix := listener.next(timeout_s=0.5)) is not None:
+            heard.append(fix)
         assert process.returncode == 0
+        assert not listener.refused
     assert heard == before
 
 

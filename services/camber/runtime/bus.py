@@ -115,7 +115,7 @@ class Bus:
         self._session = session
         self._clock = clock
         self._link_s = 0.0
-        self._replay = isinstance(clock, ReplayClock)
+        self._blocking = self._replay = isinstance(clock, ReplayClock)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._queriers: dict[str, zenoh.Querier] = {}
         self._entities: list[Any] = []
@@ -142,6 +142,10 @@ class Bus:
         self._link_s = delay_s
         if isinstance(self._clock, SystemClock):
             self._clock.behind_ns = round(delay_s * 1e9)
+
+    def lose_nothing(self) -> None:
+        """Wait where the bus is congested, in place of dropping. Before anything is published."""
+        self._blocking = True
 
     def publish(self, name: str, message: Message, *, to: str | None = None) -> bytes:
         """Send on a channel that the table gives this service; `to` one service, where there is a key for each.
@@ -389,7 +393,7 @@ class Bus:
         self._session.close()  # type: ignore[no-untyped-call]
 
     def _declare_publisher(self, channel: Channel, to: str | None) -> zenoh.Publisher:
-        blocking = self._replay or channel.delivery == "barrier"
+        blocking = self._blocking or channel.delivery == "barrier"
         publisher = self._session.declare_publisher(
             channel.key_for(self.settings.vehicle).replace("{service}", to or self.service),
             encoding=encoding_of(channel.message),

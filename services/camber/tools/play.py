@@ -135,6 +135,8 @@ class Player:
         quiet = settings.model_copy(update={"log_level": "error"})
         self._buses = {name: Bus(session, quiet, name, self._clock) for name in sorted(producers)}
         for bus in self._buses.values():
+            if not now:
+                bus.lose_nothing()
             bus.announce()
 
     def play(self, messages: Iterator[Recorded[Any] | RecordingError]) -> list[RecordingError]:
