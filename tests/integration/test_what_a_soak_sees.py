@@ -89,7 +89,7 @@ def test_descriptors_and_threads_that_stay_are_a_leak():
         (Window(0.0, 300.0, 1500, 0, float("nan"), float("nan"), 0.0, 1200, 0, 0.4), "p99"),
         (Window(0.0, 300.0, 1500, 0, 5.0, 9.0, 15.0, 1200, 1, 0.4), "wrong"),
         (Window(0.0, 300.0, 1500, 0, 5.0, 9.0, 15.0, 0, 0, 0.4), "nothing confirmed"),
-        (Window(0.0, 300.0, 1500, 20, 5.0, 9.0, 15.0, 1200, 0, 0.4), "20 of 1500 fixes without a verdict"),
+        (Window(0.0, 300.0, 1500, 80, 5.0, 9.0, 15.0, 1200, 0, 0.4), "80 of 1500 fixes without a verdict"),
     ],
 )
 def test_late_wrong_and_missing_verdicts_are_complained_of(window, said):

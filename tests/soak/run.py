@@ -39,7 +39,8 @@ LEAST_MB, LEAST_OF_SHORT_MB = 0.5, 2.0
 POOL_OF_SHORT = 2
 """Threads that a pool of the uploader, which makes them when it first needs them, may still add in a short run."""
 LATENCY_MS = 20.0
-UNJUDGED_SHARE = 0.01
+UNJUDGED_SHARE = 0.05
+"""Of the fixes, in a short run too; where latency is judged, a hundredth without a verdict is too many."""
 WINDOW_S = 300.0
 EVERY_S = 10.0
 LONG_MINUTES = 30.0
