@@ -34,8 +34,7 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
         self._kept_ns = 0
         self._published_ns = 0
         self._source_ns = 0
-        self._known = False
-        self._status = "known"
+        self._status: str | None = None
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
@@ -56,8 +55,7 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
             return
         self._published_ns, self._source_ns = now_ns, source_ns
         height, problems = self._antenna.height(now_ns)
-        self._known = height.status == "known"
-        if not self._known and height.status != self._status:
+        if height.status not in ("known", self._status):
             self.bus.issue("height_unknown", f"{height.status}: {height.reason}")
         self._status = height.status
         for problem in problems:
@@ -89,7 +87,7 @@ class AntennaHeightService(Service[AntennaHeightSettings]):
 
     def healthy(self) -> bool:
         """Without a height nothing can be confirmed."""
-        return self._known
+        return self._status == "known"
 
 
 def _load(path: Path | None, vehicle: Vehicle, bus: Bus) -> References:
