@@ -78,10 +78,16 @@ def test_the_services_of_a_vehicle_agree_on_the_datum() -> None:
 
 
 @pytest.mark.parametrize(
-    ("folder", "service"), [("demo", "integrity"), ("vehicle", "integrity"), ("cloud", "map_update")]
+    ("folder", "service"),
+    [
+        ("demo", "integrity"),
+        ("cloud", "map_update"),
+        *(("vehicle", service) for service in ("localizer", "antenna_height", "integrity")),
+    ],
 )
 def test_what_must_survive_is_on_a_volume(folder: str, service: str) -> None:
     assert settings_of(folder, service).state_dir == Path("/var/lib/camber/state")
+    assert re.search(rf"\b{service}:/var/lib/camber/state\b", (ROOT / "docker-compose.yml").read_text())
 
 
 def test_the_map_of_a_vehicle_survives_too() -> None:

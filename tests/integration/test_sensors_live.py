@@ -1,11 +1,13 @@
 """`camber sensors` as a process: packets over UDP in real time, recordings of the same drive, a localizer beside it."""
 
 import re
+import signal
 import socket
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,8 @@ pytestmark = [pytest.mark.timed, pytest.mark.slow]
 
 CLOCK = SystemClock()
 SECONDS = 4.0
+ROUND_NS = round(SECONDS * 1e9)
+AWAY_S = 2.0
 
 
 @pytest.fixture(scope="module")
@@ -120,26 +124,48 @@ def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path:
 
 
 class Sensor(threading.Thread):
-    """The simulated LiDAR on the network: its packets to a port of the loopback, stamped now, each at its time."""
+    """The simulated LiDAR on the network: its packets to a port of the loopback, stamped now, each at its time.
 
-    def __init__(self, drive: Path, port: int) -> None:
+    With `rounds` the same packets come again, behind one another.
+    """
+
+    def __init__(self, drive: Path, port: int, rounds: int = 1) -> None:
         super().__init__(daemon=True)
         self.true = [read_sweep(path, "lidar") for path in sorted((drive / "sweeps").glob("*.pcd"))]
         self.port = port
         self.shift_ns = 0
         self.made = list(velodyne_packets(self.true))
         self.packets = 0
+        self.rounds = rounds
+        self.ended = threading.Event()
 
     def run(self) -> None:
-        shift_us = (CLOCK.now_ns() + 50_000_000 - self.made[0][0]) // 1000
-        self.shift_ns = 1000 * shift_us
+        self.shift_ns = 1000 * ((CLOCK.now_ns() + 50_000_000 - self.made[0][0]) // 1000)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for time_ns, payload in self.made:
-                stamp_us = (int.from_bytes(payload[1200:1204], "little") + shift_us) % 3_600_000_000
-                time.sleep(max((time_ns + self.shift_ns - CLOCK.now_ns()) / 1e9, 0.0))
-                stamped = payload[:1200] + stamp_us.to_bytes(4, "little") + payload[1204:]
-                sender.sendto(stamped, ("127.0.0.1", self.port))
-                self.packets += 1
+            for number in range(self.rounds):
+                shift_ns = self.shift_ns + number * ROUND_NS
+                for time_ns, payload in self.made:
+                    if self.ended.wait(max((time_ns + shift_ns - CLOCK.now_ns()) / 1e9, 0.0)):
+                        return
+                    stamp_us = int.from_bytes(payload[1200:1204], "little") + shift_ns // 1000
+                    stamped = (
+                        payload[:1200] + (stamp_us % 3_600_000_000).to_bytes(4, "little") + payload[1204:]
+                    )
+                    sender.sendto(stamped, ("127.0.0.1", self.port))
+                    self.packets += 1
+
+    def off_s(self, sweep: Sweep) -> float:
+        """How far the time of a sweep is from when it was measured, if it is one of those that were."""
+        since_ns = sweep.time_ns - self.shift_ns - self.true[0].time_ns
+        nearest_ns = min(
+            (
+                number * ROUND_NS + one.time_ns - self.true[0].time_ns
+                for number in range(self.rounds)
+                for one in self.true
+            ),
+            key=lambda measured_ns: abs(since_ns - measured_ns),
+        )
+        return (since_ns - nearest_ns) / 1e9
 
 
 def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Path) -> None:
@@ -190,6 +216,59 @@ def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Pa
         assert abs(sweep.time_ns - sensor.shift_ns - sensor.true[number].time_ns) < 1_000_000
     assert localizer.counters.get("sweep.undecodable", 0) == 0
     assert localizer.status != "failing"
+
+
+@pytest.mark.parametrize(
+    ("fault", "stamps"), [("killed", "utc_hour"), ("frozen", "utc_hour"), ("frozen", "arrival")]
+)
+def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
+    drive: Path, tmp_path: Path, fault: str, stamps: str
+) -> None:
+    """What the kernel kept meanwhile comes with the times at which it was measured: consumers refuse it for its age."""
+    sensor = Sensor(drive, free_port(), rounds=50)
+    with ExitStack() as stack:
+        endpoint = stack.enter_context(router())
+        config = tmp_path / "sensors.toml"
+        lidar = f'[lidar]\nsource = "udp:127.0.0.1:{sensor.port}"\nmodel = "HDL-32E"\nstamps = "{stamps}"\n'
+        # Less than the service is away: a packet's arrival is when the kernel had it, not when it was read.
+        config.write_text(bus(endpoint) + lidar + f"most_clock_error_s = {AWAY_S / 2}\n")
+        listener = stack.enter_context(Listener("sweep", vehicle="car", connect=[endpoint], live=False))
+        stack.callback(sensor.ended.set)
+        process = stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
+        wait_until(lambda: answers(endpoint, "sensors"), timeout_s=90.0, why="no sensors")
+        sensor.start()
+        heard: list[Sweep] = []
+
+        def heard_since(time_ns: int) -> bool:
+            message = listener.next(0.2)
+            heard.extend([] if message is None else [message])
+            return bool(heard) and heard[-1].time_ns > time_ns
+
+        wait_until(lambda: heard_since(0), timeout_s=60.0, why="no sweeps")
+        if fault == "killed":
+            process.kill()
+            process.wait()
+        else:
+            process.send_signal(signal.SIGSTOP)
+        away_ns = CLOCK.now_ns()
+        time.sleep(AWAY_S)
+        if fault == "killed":
+            stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
+        else:
+            process.send_signal(signal.SIGCONT)
+        back_ns = CLOCK.now_ns()
+        wait_until(lambda: heard_since(back_ns), timeout_s=90.0, why="no new sweeps")
+        said = health(endpoint)
+    sensor.join()
+    off_s = [sensor.off_s(sweep) for sweep in heard]
+    late = sum(away_ns < sweep.time_ns < back_ns - round(0.2e9) for sweep in heard)
+    print(
+        f"{len(heard)} sweeps, {late} of the time away; times off by {min(off_s):+.4f} to {max(off_s):+.4f} s"
+    )
+    assert np.abs(off_s).max() < (0.001 if stamps == "utc_hour" else 0.04)
+    assert all(first.time_ns < then.time_ns for first, then in pairwise(heard))
+    assert late == 0 or fault == "frozen"
+    assert said.status != "failing"
 
 
 def read_or_lost(said) -> int:

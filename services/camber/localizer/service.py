@@ -110,6 +110,7 @@ class _GivenPoseFile:
 
     def __init__(self, settings: LocalizerSettings) -> None:
         self._given = settings.initial_pose
+        self._replayed = settings.clock == "replay"  # begins at its drive's begin each time
         self._path: Path | None = settings.state_dir / "given_pose.json" if settings.state_dir else None
 
     def used_before(self) -> bool:
@@ -123,7 +124,7 @@ class _GivenPoseFile:
     def remember(self) -> str | None:
         """The pose is used now; what is wrong where that cannot be kept."""
         if self._path is None:
-            return None
+            return None if self._replayed else "state_dir: expected a folder, found none"
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._path.write_text(_text_of(self._given), "utf-8")

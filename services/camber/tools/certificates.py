@@ -94,8 +94,13 @@ class Authority:
         now: datetime,
         renew: bool = False,
     ) -> Issued:
-        """A certificate and its key. `renew`: in place of the one that is there, which stays valid until its end."""
+        """A certificate and its key.
+
+        `renew`: in place of the one that is there, which stays valid until its end; without `hosts` for the same hosts.
+        """
         check_name(name)
+        if kind == "router" and renew and not hosts:
+            hosts = _hosts_of(read_certificate(self.folder / f"{name}.pem"))
         if kind == "router" and not hosts:
             raise CertsError(
                 f"{name}: a router's certificate needs the host names or addresses it is reached at"
@@ -200,6 +205,16 @@ def common_name(name: x509.Name) -> str:
     """The common name in a distinguished name; empty: it has none."""
     found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
     return str(found[0].value) if found else ""
+
+
+def _hosts_of(certificate: x509.Certificate) -> list[str]:
+    """The host names and addresses for which a certificate stands."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    addresses = names.get_values_for_type(x509.IPAddress)
+    return [*names.get_values_for_type(x509.DNSName), *map(str, addresses)]
 
 
 def _builder(

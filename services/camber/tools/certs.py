@@ -66,7 +66,12 @@ def _parser() -> argparse.ArgumentParser:
     issue.add_argument("folder", type=Path, metavar="FOLDER")
     issue.add_argument("name", metavar="NAME")
     issue.add_argument("--kind", choices=KINDS, required=True)
-    issue.add_argument("--host", action="append", default=[], help="of a router; repeatable")
+    issue.add_argument(
+        "--host",
+        action="append",
+        default=[],
+        help="of a router; repeatable (with --renew: those that it has)",
+    )
     issue.add_argument("--renew", action="store_true", help="a new one in place of the one that is there")
     for command in (make, issue):
         command.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from random import Random
 from typing import Any, cast, get_args
 
@@ -175,7 +176,8 @@ class Drive:
     def __init__(self, **settings_: Any) -> None:
         self.map = FakeMap()
         self.bus = FakeBus(self.map)
-        self.service = LocalizerService(LocalizerSettings(**settings_), cast(Bus, self.bus))
+        settings = LocalizerSettings(**{"clock": "replay"} | settings_)
+        self.service = LocalizerService(settings, cast(Bus, self.bus))
         self.handlers: dict[str, Callable[[Any], None]] = self.service.handlers()
         self.tenth = -1
         self.speed_m_s = SPEED
@@ -624,6 +626,22 @@ def test_one_pose_per_motion_sample() -> None:
     assert len(drive.bus.poses) == 10
     assert [pose.time_ns for pose in drive.bus.poses] == [START_NS + n * NS // 10 for n in range(10)]
     assert all(pose.motion_time_ns == pose.time_ns for pose in drive.bus.poses)
+
+
+def test_a_given_pose_is_believed_once_and_not_at_the_next_start(tmp_path: Path) -> None:
+    given: dict[str, Any] = {"initial_pose": GIVEN, "state_dir": tmp_path, "clock": "system"}
+    assert Drive(**given).run(1).mode != "none"
+    again = Drive(**given)
+    assert again.run(1).mode == "none"
+    assert again.codes() == {}
+    elsewhere = Drive(**given | {"initial_pose": GIVEN | {"yaw_deg": 1.0}})
+    assert elsewhere.run(1).mode != "none"
+
+
+def test_a_given_pose_that_nothing_can_keep_from_being_believed_again_is_an_issue() -> None:
+    drive = Drive(initial_pose=GIVEN, clock="system")
+    drive.run(5)
+    assert drive.codes() == {"given_pose_not_kept": 1}
 
 
 def test_motion_that_goes_back_in_time_is_an_issue_and_moves_nothing() -> None:

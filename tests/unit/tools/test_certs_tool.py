@@ -88,6 +88,21 @@ def test_a_renewed_certificate_has_the_same_name_and_a_new_key(folder: Path) -> 
     assert after.not_valid_after_utc > before[1].not_valid_after_utc
 
 
+def test_a_renewed_router_is_reached_at_the_same_places_or_at_those_that_are_named(folder: Path) -> None:
+    def hosts() -> tuple[list[str], list[str]]:
+        names = read_certificate(folder / "cloud.pem").extensions
+        places = names.get_extension_for_class(x509.SubjectAlternativeName).value
+        return places.get_values_for_type(x509.DNSName), list(
+            map(str, places.get_values_for_type(x509.IPAddress))
+        )
+
+    renew = ["issue", str(folder), "cloud", "--kind", "router", "--renew"]
+    assert certs.main(renew) == 0
+    assert hosts() == (["cloud.example"], ["10.0.0.1"])
+    assert certs.main([*renew, "--host", "elsewhere.example"]) == 0
+    assert hosts() == (["elsewhere.example"], [])
+
+
 def test_what_is_revoked_is_in_no_access_list_and_its_common_name_never_comes_back(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,19 @@ def test_releases_are_listed_from_the_newest_to_the_reference(folder: Path, caps
     rows = [line.split() for line in said(capsys, "releases", folder).splitlines()[1:]]
     assert [row[0] for row in rows] == ["10", "9", "8", "7"]
     assert [row[2:4] for row in rows] == [["2", "2"], ["1", "1"], ["0", "0"], ["reference", "0"]]
+
+
+def test_a_user_without_a_name_as_in_a_container_is_known_by_number(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nameless() -> str:
+        raise KeyError("getpwuid(): uid not found: 10001")
+
+    monkeypatch.setattr("getpass.getuser", nameless)
+    assert said(capsys, "review", folder) == "nothing is held\n"
+    key = folder.parent / "key"
+    said(capsys, "releases", folder, "--roll-back", 9, "--signing-key", key, "--reason", "a ferry was mapped")
+    assert f"uid {os.getuid()}: rolled back to version 9" in said(capsys, "review", folder, "--log")
 
 
 def test_a_height_is_followed_to_the_release_it_is_from(folder: Path, capsys: Any) -> None:

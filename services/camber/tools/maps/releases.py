@@ -7,7 +7,6 @@ an earlier one, for the whole fleet. Back in a store: that vehicle alone, to the
 from __future__ import annotations
 
 import argparse
-import getpass
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from camber.map_update.release_making import ReleaseMaking, corrections_of, hist
 from camber.map_update.review import Review
 from camber.map_update.votes import values_of
 from camber.runtime.clock import SystemClock
+from camber.tools.maps.review import user_name
 
 _PROG = "camber map releases"
 
@@ -45,9 +45,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--uploads", type=Path, help="with --why: uploads.sqlite, for the votes by pseudonym")
     parser.add_argument("--signing-key", type=Path, help="with --roll-back: the key that signs releases")
-    parser.add_argument(
-        "--who", default=getpass.getuser(), help="with --roll-back: who does it (the user's name)"
-    )
+    parser.add_argument("--who", default=user_name(), help="with --roll-back: who does it (the user's name)")
     parser.add_argument("--reason", help="with --roll-back: why; must be given")
     args = parser.parse_args(argv)
     try:

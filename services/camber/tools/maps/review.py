@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import getpass
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,7 +32,7 @@ def main(argv: Sequence[str]) -> int:
         "--reject", type=int, nargs="+", metavar="SURFACE", help="do not publish these changes"
     )
     choice.add_argument("--log", action="store_true", help="show what was decided so far")
-    parser.add_argument("--who", default=getpass.getuser(), help="who decides (the user's name)")
+    parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")
     parser.add_argument("--why", help="why; must be given with a decision")
     args = parser.parse_args(argv)
     try:
@@ -41,6 +42,14 @@ def main(argv: Sequence[str]) -> int:
     except (ReleaseError, OSError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
+
+
+def user_name() -> str:
+    """Of whom this process runs as; in a container that may be a number without a name."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # which of them depends on Python's version
+        return f"uid {os.getuid()}"
 
 
 def _carry_out(review: Review, args: argparse.Namespace) -> int:
