@@ -104,7 +104,7 @@ def read_dbc(text: str, source_name: str) -> dict[str, DbcMessage]:
     bare = _COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text)
     for number, line in enumerate(bare.split("\n"), 1):
         words = line.strip()
-        if words.startswith("BO_ "):
+        if words.startswith(("BO_ ", "BO_\t")):
             message = _message(words, source_name, number)
             signals = None
             if message.identifier | (_EXTENDED if message.extended else 0) == _NO_MESSAGE:
@@ -115,7 +115,7 @@ def read_dbc(text: str, source_name: str) -> dict[str, DbcMessage]:
             messages[message.name] = replace(message, signals=signals)
             identifiers.add((message.identifier, message.extended))
             current = messages[message.name]
-        elif words.startswith("SG_ ") and signals is not None:
+        elif words.startswith(("SG_ ", "SG_\t")) and signals is not None:
             signal = _signal(words, current, source_name, number)
             if signal.name in signals:
                 raise FormatError(source_name, "signal", "each once", found=signal.name, line_number=number)

@@ -83,6 +83,12 @@ class OusterDecoder:
         self.interval_ns = round(1e9 / (metadata.columns * metadata.turns_hz))
         self.beam_after_ns: Int32 = np.zeros(self._beams, np.int32)
         self._direction, self._origin = _rays(metadata)
+        self._last = (0, 0)  # place and stamp of the packet before
+        self._turns_otherwise = False
+        self._misfit = (
+            f"columns that are not {self.interval_ns} ns apart or not {metadata.columns} a turn: lidar_mode is not that"
+            " of the metadata, or the motor is not at its speed"
+        )
 
     def decode(self, payloads: Sequence[bytes]) -> Decoded:
         """Of packets as they arrived; stamps are nanoseconds since whatever the sensor's clock counts from."""
@@ -112,6 +118,15 @@ class OusterDecoder:
             return Decoded(stamps, None, refused, details)
         packets = np.concatenate([packet for _, packet in kept])
         numbers = np.array([number for number, _ in kept], np.int64)
+        fits = self._fits(packets)
+        if not fits.all():
+            refused["turn"] += int((~fits).sum())
+            details["turn"] = self._misfit
+            for number in numbers[~fits].tolist():
+                stamps[number] = None
+            packets, numbers = packets[fits], numbers[fits]
+        if not len(packets):
+            return Decoded(stamps, None, refused, details, session)
         firings = self._firings(packets, numbers, np.array([stamps[number] for number in numbers], np.uint64))
         return Decoded(stamps, firings, refused, details, session)
 
@@ -134,11 +149,36 @@ class OusterDecoder:
         wrong = self._valid(places) & (places["place"] >= self._metadata.columns)
         if wrong.any():
             place = int(places["place"][wrong][0])
+            self._turns_otherwise = True
             return (
-                "model",
+                "turn",
                 f"column {place}, expected one of {self._metadata.columns} (lidar_mode of the metadata)",
             )
         return "", ""
+
+    def _fits(self, packets: NDArray[Any]) -> Bools:
+        """Of packets (p,) those that turn as the metadata say: their columns are as far apart in time as in place.
+
+        Of columns that are next to one another it is seen at once; that places begin anew too early or too late, once
+        a turn, where they do. From then on nothing is taken until they have once begun anew at the right time.
+        """
+        columns = packets["columns"]
+        valid = self._valid(columns)
+        place, stamp = columns["place"].astype(np.int64), columns["stamp_ns"].astype(np.int64)
+        turn_ns = self._metadata.columns * self.interval_ns
+        fits = np.ones(len(packets), np.bool_)
+        for k, here in enumerate(valid):
+            at, at_ns = place[k][here], stamp[k][here]
+            if len(at) > 1:
+                apart = np.diff(at) % self._metadata.columns * self.interval_ns
+                fits[k] = _alike(float(np.median(apart)), float(np.median(np.diff(at_ns))))
+            before, self._last = self._last, (int(at[0]), int(at_ns[0]))
+            since_ns = self._last[1] - before[1]
+            if 0 < since_ns < turn_ns // 2 and self._last[0] < before[0]:
+                on = (self._last[0] - before[0]) % self._metadata.columns
+                self._turns_otherwise = not _alike(on * self.interval_ns, since_ns)
+            fits[k] &= not self._turns_otherwise
+        return fits
 
     def _valid(self, columns: NDArray[Any]) -> Bools:
         valid: Bools = (
@@ -169,6 +209,11 @@ class OusterDecoder:
             flat["pixels"]["reflectivity"].astype(np.float32),
             distance != 0.0,
         )
+
+
+def _alike(expected_ns: float, found_ns: float) -> bool:
+    """Within a quarter: what a motor that is at its speed never differs by, and another mode always."""
+    return abs(found_ns - expected_ns) <= expected_ns / 4.0
 
 
 def _rays(metadata: OusterMetadata) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -188,7 +188,13 @@ class VelodyneDecoder:
         steps = np.diff(azimuth, axis=1) % _TURN
         even = steps <= 2.0 * np.median(steps, axis=1, keepdims=True)
         turned = (steps * even).sum(axis=1) / even.sum(axis=1)
-        per_ns = turned / (per * self._model.firing_ns)
+        block_ns = per * self._model.firing_ns
+        per_ns = turned / block_ns
+        # A packet that is not full where a part begins that is not measured is filled up behind it.
+        blocks_on = np.ones(steps.shape)
+        np.divide(steps, turned[:, None], out=blocks_on, where=~even & (turned[:, None] > 0.0))
+        block_at_ns = np.zeros((n, b))
+        np.cumsum(blocks_on * block_ns, axis=1, out=block_at_ns[:, 1:])
         firing = np.arange(b * per)
         begins = np.repeat(azimuth, per, axis=1) + per_ns[:, None] * (firing % per * self._model.firing_ns)
         after = self._model.beam_after_ns
@@ -202,7 +208,9 @@ class VelodyneDecoder:
         points[..., 2] = distance * self._up + self._up_m
         return Firings(
             np.repeat(numbers, b * per),
-            np.tile(np.rint(firing * self._model.firing_ns).astype(np.int64), n),
+            np.rint(np.repeat(block_at_ns, per, axis=1) + firing % per * self._model.firing_ns)
+            .astype(np.int64)
+            .reshape(-1),
             ((begins.reshape(-1) / _TURN) - self._seam) % 1.0,
             points.reshape(-1, self._beams, 3),
             beams["brightness"].reshape(-1, self._beams).astype(np.float32),

@@ -80,10 +80,12 @@ class CanMotion:
         trigger: str | None = None,
         oldest_ns: int = 100_000_000,
         reverse: Sequence[int] = (),
+        forward: Sequence[int] = (),
         stroke_sigma_m: float = 0.003,
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._oldest_ns, self._reverse, self._stroke_sigma_m = oldest_ns, frozenset(reverse), stroke_sigma_m
+        self._oldest_ns, self._stroke_sigma_m = oldest_ns, stroke_sigma_m
+        self._signs = dict.fromkeys(forward, 1.0) | dict.fromkeys(reverse, -1.0)
         self._readings: dict[tuple[int, bool], list[_Reading]] = {}
         self._values: dict[Gives, _Value] = {}
         self._uses = frozenset(uses)
@@ -94,6 +96,7 @@ class CanMotion:
             named[gives] = message
             if gives == "reverse_gear":
                 _check_codes("reverse_codes", reading.signal, reverse)
+                _check_codes("forward_codes", reading.signal, forward)
         if trigger is not None and trigger not in messages:
             raise SignalError(f"trigger: there is no message {trigger}")
         # The yaw rate tells the path; where there is none the wheels do.
@@ -104,10 +107,9 @@ class CanMotion:
         self._trigger = None if maker is None else (maker.identifier, maker.extended)
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """What its frames should give."""
-        gives = {"motion": self._uses & _FIELDS.keys(), "suspension": self._uses & {"stroke_height"}}
-        return tuple(channel for channel, quantities in gives.items() if quantities)
+    def quantities(self) -> tuple[Gives, ...]:
+        """What its frames should give; the gear is only in the speed's sign."""
+        return tuple(gives for gives in QUANTITIES if gives in self._uses and gives != "reverse_gear")
 
     def take(self, frame: CanFrame, time_ns: int) -> list[Message]:
         """A frame at its GPS time; what it completes, mostly nothing."""
@@ -155,17 +157,18 @@ class CanMotion:
         speed_m_s = values["wheel_speed_m_s"]
         if "reverse_gear" in self._uses and speed_m_s is not None:
             gear = self._newest("reverse_gear", time_ns)
-            backwards = gear is not None and int(gear) in self._reverse
-            # Without the gear nobody knows which way the wheels turn, but where they stand.
-            values["wheel_speed_m_s"] = (
-                None if gear is None and speed_m_s else -speed_m_s if backwards else speed_m_s
-            )
+            sign = None if gear is None else self._signs.get(int(gear))
+            # Out of gear nobody knows which way the wheels turn, but where they stand.
+            if sign is None:
+                self.counts["wheel_speed.without_sign"] += 1
+            values["wheel_speed_m_s"] = speed_m_s * sign if sign is not None else None if speed_m_s else 0.0
         for _ in _FIELDS:
             try:
                 return [Motion(time_ns=time_ns, **values)]
             except ValidationError as error:
                 name = str(error.errors(include_url=False)[0]["loc"][0])
                 if values.get(name) is None:
+                    self.counts["frames.time_out_of_range"] += 1
                     break
                 self.counts[f"{name}.out_of_range"] += 1
                 values[name] = None
@@ -182,6 +185,13 @@ class CanMotion:
         except ValidationError:
             self.counts["stroke_height.out_of_range"] += 1
             return []
+
+
+def said_in(message: Message) -> list[Gives]:
+    """The quantities that are known in what came of frames."""
+    if not isinstance(message, Motion):
+        return ["stroke_height"]
+    return [gives for gives, field in _FIELDS.items() if getattr(message, field) is not None]
 
 
 def _reading(messages: Mapping[str, DbcMessage], gives: Gives, use: SignalUse) -> tuple[DbcMessage, _Reading]:

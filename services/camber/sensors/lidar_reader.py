@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from camber.formats.lidar_firings import Decoded, Firings, LidarDecoder
+from camber.formats.lidar_firings import Decoded, Firings, Int64, LidarDecoder
 from camber.schemas.lidar import Sweep
 from camber.sensors.sensor_clock import SensorClock
 from camber.sensors.sweep_cutting import SweepCutter
@@ -21,12 +21,17 @@ ISSUES = {
     "type": "lidar_packets",
     "empty": "lidar_packets",
     "model": "lidar_model",
+    "turn": "lidar_model",
 }
 """Why a packet is refused → the issue under which health names it."""
+_GONE_NS = 2_000_000_000  # a sender that was silent for so long may have another address now
 
 
 class LidarReader:
-    """One sensor. `issues` are those of the last call: code and text."""
+    """One sensor. `issues` are those of the last call: code and text.
+
+    Two sensors of one model cannot be told apart by their packets: those of one sender are read, and no others.
+    """
 
     def __init__(self, sensor: str, decoder: LidarDecoder, clock: SensorClock, least_share: float) -> None:
         self.counts: Counter[str] = Counter()
@@ -34,9 +39,13 @@ class LidarReader:
         self._decoder, self._clock = decoder, clock
         self._cutter = SweepCutter(sensor, decoder.interval_ns, decoder.beam_after_ns, least_share)
         self._session: int | None = None
+        self._sender: str | None = None
+        self._heard_ns = 0
 
-    def take(self, payloads: Sequence[bytes], arrivals_ns: Sequence[int]) -> list[Sweep]:
-        """Packets and the GPS times at which they arrived, in that order; returns the sweeps they complete."""
+    def take(
+        self, payloads: Sequence[bytes], arrivals_ns: Sequence[int], senders: Sequence[str] = ()
+    ) -> list[Sweep]:
+        """Packets, the GPS times at which they arrived, in that order, and from where; returns the sweeps of them."""
         self.issues = []
         decoded = self._decoder.decode(payloads)
         self.counts["packets.read"] += len(payloads)
@@ -46,11 +55,15 @@ class LidarReader:
             self.issues.append((code, words))
         self._look_for_a_start(decoded)
         sweeps: list[Sweep] = []
-        for first, times in self._runs(decoded, arrivals_ns):
+        for first, times in self._runs(decoded, arrivals_ns, senders):
             if first:
                 self._cutter.start_anew()
             if decoded.firings is not None and times:
                 sweeps += self._add(decoded.firings, times)
+        if decoded.refused["turn"]:
+            # What fitted by chance is of the same turns as what did not.
+            self._cutter.start_anew()
+            sweeps = []
         self._count()
         return sweeps
 
@@ -58,6 +71,7 @@ class LidarReader:
         """The recording has ended, or goes on at another time."""
         sweeps = self._cutter.finish()
         self._cutter.start_anew()
+        self._clock.go_on()
         self._count()
         return sweeps
 
@@ -72,13 +86,22 @@ class LidarReader:
             self.issues.append(("lidar_started_again", f"the sensor's session is {decoded.session} now"))
         self._session = decoded.session
 
-    def _runs(self, decoded: Decoded, arrivals_ns: Sequence[int]) -> list[tuple[bool, dict[int, int]]]:
+    def _runs(
+        self, decoded: Decoded, arrivals_ns: Sequence[int], senders: Sequence[str]
+    ) -> list[tuple[bool, dict[int, int]]]:
         """Packets between which no clock was set: whether one was before them, and the time of each."""
         runs: list[tuple[bool, dict[int, int]]] = [(False, {})]
+        filled_ns = self._filled_ns(decoded)
+        others: set[str] = set()
         for number, (stamp_ns, arrival_ns) in enumerate(zip(decoded.stamp_ns, arrivals_ns, strict=True)):
             if stamp_ns is None:
                 continue
-            time_ns = self._clock.time_ns(stamp_ns, arrival_ns)
+            sender = senders[number] if senders else ""
+            if not self._is_its(sender, arrival_ns):
+                self.counts["packets.of_others"] += 1
+                others.add(sender)
+                continue
+            time_ns = self._clock.time_ns(stamp_ns, arrival_ns - int(filled_ns[number]))
             if self._clock.jump:
                 self.counts["clock.jumps"] += 1
                 self.issues.append(("lidar_clock_jumped", self._clock.jump))
@@ -87,8 +110,24 @@ class LidarReader:
                 self.counts["packets.refused_time"] += 1
                 self.issues.append(("lidar_clock", self._clock.refusal))
             else:
+                self._sender, self._heard_ns = sender, arrival_ns
                 runs[-1][1][number] = time_ns
+        for sender in sorted(others):
+            words = f"packets of such a sensor from {sender} too, beside {self._sender}: set sender"
+            self.issues.append(("lidar_packets", words))
         return runs
+
+    def _is_its(self, sender: str, arrival_ns: int) -> bool:
+        gone = not 0 <= arrival_ns - self._heard_ns < _GONE_NS
+        return self._sender in (None, sender) or gone
+
+    def _filled_ns(self, decoded: Decoded) -> Int64:
+        """From the first to the last measurement of each packet: only then it leaves the sensor."""
+        filled_ns = np.zeros(len(decoded.stamp_ns), np.int64)
+        if decoded.firings is not None:
+            np.maximum.at(filled_ns, decoded.firings.packet, decoded.firings.after_ns)
+            filled_ns += int(self._decoder.beam_after_ns.max())
+        return filled_ns
 
     def _add(self, firings: Firings, times: dict[int, int]) -> list[Sweep]:
         of_packet = np.full(int(firings.packet.max()) + 1, -1, np.int64)

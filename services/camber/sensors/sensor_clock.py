@@ -6,6 +6,7 @@ not what it was said to be is refused, with what its distance from the machine's
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal
 
 from camber.geodesy.gps_time import (
@@ -25,6 +26,7 @@ _JUMP_NS = (
     50_000_000  # by which stamps and arrivals part from one packet to the next only where a clock was set
 )
 _QUICKEST_OF_NS = 10 * NS_PER_SECOND
+_LATER_NS = 5_000_000  # by which even the quickest of two seconds are later only where a clock was set
 _LOOKS_LIKE = {
     18: "18 s: the stamps are UTC and were said to be GPS time, or the other way round",
     19: "19 s: the stamps are TAI and were said to be GPS time, or the other way round",
@@ -44,31 +46,45 @@ class SensorClock:
         self.refusal = ""
         self.jump = ""
 
-    def time_ns(self, stamp_ns: int, arrival_ns: int) -> int | None:
-        """GPS time of a stamp that arrived at this GPS time; None where it cannot be, `refusal` says why.
+    def go_on(self) -> None:
+        """What comes next is of another time, and no clock was set."""
+        self._last = None
 
-        `jump` says whether the sensor's clock was set since the packet before, or this machine's; else it is empty.
+    def time_ns(self, stamp_ns: int, arrival_ns: int) -> int | None:
+        """GPS time of a stamp; None where it cannot be, `refusal` says why.
+
+        `arrival_ns` is the GPS time at which what was measured at the stamp could have been here: that of the packet
+        less what it took to be filled. `jump` says whether the sensor's clock was set since the packet before, or this
+        machine's; else it is empty.
         """
         self.jump = ""
         said_ns = self._of_stamp(stamp_ns, arrival_ns)
         if said_ns is None:
             return None
         if self._last is not None:
-            moved_ns = (said_ns - self._last[0]) - (arrival_ns - self._last[1])
+            since_ns = arrival_ns - self._last[1]
+            moved_ns = (said_ns - self._last[0]) - since_ns
             if self._scale == "arrival" and abs(abs(moved_ns) - _HOUR_NS) <= _JUMP_NS:
                 # A Velodyne counts the hour: it began anew, or a packet from before that has come late.
                 hour_ns = -_HOUR_NS if moved_ns > 0 else _HOUR_NS
                 self._hours_ns += hour_ns
                 said_ns += hour_ns
                 moved_ns += hour_ns
-            if abs(moved_ns) > _JUMP_NS:
+            # By whole hours it can be set back without the two moving apart: the hour is told by the arrival.
+            if abs(moved_ns) > _JUMP_NS or since_ns < -_JUMP_NS:
                 self.jump = (
                     f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
+                    if abs(moved_ns) > _JUMP_NS
+                    else f"this machine's clock was set back by {-since_ns / 1e9:.3f} s"
                 )
                 self._quickest = _Quickest()
         self._last = (said_ns, arrival_ns)
         if self._scale == "arrival":
-            return said_ns + self._quickest.least_ns(arrival_ns - said_ns, arrival_ns) + self._offset_ns
+            delay_ns = self._quickest.least_ns(arrival_ns - said_ns, arrival_ns)
+            if self._quickest.later_by_ns and not self.jump:
+                moved_s = -self._quickest.later_by_ns / 1e9
+                self.jump = f"the sensor's clock and this machine's have moved apart by {moved_s:+.3f} s"
+            return said_ns + delay_ns + self._offset_ns
         time_ns = said_ns + self._offset_ns
         if abs(time_ns - arrival_ns) > self._limit_ns:
             self.refusal = _words(time_ns - arrival_ns, self._scale)
@@ -96,18 +112,33 @@ class SensorClock:
 
 
 class _Quickest:
-    """The least delay of the last ten to twenty seconds."""
+    """The least delay of the last ten seconds; of the last two alone where those are all later: a clock was set."""
 
     def __init__(self) -> None:
-        self._before: int | None = None
-        self._now: int | None = None
-        self._since_ns = 0
+        self._seconds: deque[tuple[int, int]] = deque()  # begin of each, least delay in it
+        self.later_by_ns = 0
 
     def least_ns(self, delay_ns: int, arrival_ns: int) -> int:
-        if self._now is None or not 0 <= arrival_ns - self._since_ns < _QUICKEST_OF_NS:
-            self._before, self._now, self._since_ns = self._now, delay_ns, arrival_ns
-        self._now = min(self._now, delay_ns)
-        return self._now if self._before is None else min(self._before, self._now)
+        """`later_by_ns` is by how much those are later, once, when that is found; else zero."""
+        seconds, self.later_by_ns = self._seconds, 0
+        if seconds and 0 <= arrival_ns - seconds[-1][0] < NS_PER_SECOND:
+            seconds[-1] = (seconds[-1][0], min(seconds[-1][1], delay_ns))
+        else:
+            self._forget(arrival_ns)
+            seconds.append((arrival_ns, delay_ns))
+        return min(least for _, least in seconds)
+
+    def _forget(self, arrival_ns: int) -> None:
+        seconds = self._seconds
+        while seconds and not 0 <= arrival_ns - seconds[0][0] < _QUICKEST_OF_NS:
+            seconds.popleft()
+        if len(seconds) > 2:
+            newest_ns = min(least for _, least in list(seconds)[-2:])
+            later_ns = newest_ns - min(least for _, least in list(seconds)[:-2])
+            if later_ns > _LATER_NS:
+                self.later_by_ns = later_ns
+                while len(seconds) > 2:
+                    seconds.popleft()
 
 
 def _words(apart_ns: int, scale: TimeScale) -> str:

@@ -13,6 +13,7 @@ from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
 from camber.schemas.motion import Suspension
+from camber.sensors.can_motion import said_in
 from camber.sensors.inputs import Input, Live, Played, gps_ns
 from camber.sensors.settings import SensorsSettings, can_source, lidar_source
 
@@ -32,9 +33,10 @@ class SensorsService(Service[SensorsSettings]):
         self._can = None if self._frames is None else settings.can.reader()
         self._sweeps_ended = False
         self._named_silent: frozenset[str] = frozenset()
+        self._bus_name = settings.can.bus  # of frames; unset: that of the first one
         self._start_playing(bus.now_ns())
         expected = [] if self._lidar is None else ["sweep"]
-        expected += [] if self._can is None else self._can.channels
+        expected += [] if self._can is None else self._can.quantities
         # By a clock that nobody sets: who is silent stays so when this machine's is set back.
         self._given_s = dict.fromkeys(expected, time.monotonic())
 
@@ -92,13 +94,13 @@ class SensorsService(Service[SensorsSettings]):
 
     def _silent(self) -> frozenset[str]:
         since_s = time.monotonic() - self.settings.silence_s
-        return frozenset(channel for channel, given_s in self._given_s.items() if given_s < since_s)
+        return frozenset(what for what, given_s in self._given_s.items() if given_s < since_s)
 
     def _name_silent(self) -> None:
         silent = self._silent()
-        for channel in sorted(silent - self._named_silent):
-            name = "lidar" if channel == "sweep" else "can"
-            self.bus.issue("sensor_silent", f"{name}: no {channel} for {self.settings.silence_s:g} s")
+        for what in sorted(silent - self._named_silent):
+            name = "lidar" if what == "sweep" else "can"
+            self.bus.issue("sensor_silent", f"{name}: no {what} for {self.settings.silence_s:g} s")
         self._named_silent = silent
 
     def close(self) -> None:
@@ -118,8 +120,12 @@ class SensorsService(Service[SensorsSettings]):
             if (settings.sender is None or one.source == settings.sender)
             and (self._packets not in self._played or one.port == settings.udp_port())
         ]
-        self.bus.count("lidar.packets.of_others", len(found) - len(packets))
-        sweeps = self._lidar.take([one.payload for one in packets], [gps_ns(one.time_ns) for one in packets])
+        self._lidar.counts["packets.of_others"] += len(found) - len(packets)
+        sweeps = self._lidar.take(
+            [one.payload for one in packets],
+            [gps_ns(one.time_ns) for one in packets],
+            [one.source for one in packets],
+        )
         issues = [*self._packets.issues, *self._lidar.issues]
         if self._packets.ended:
             self._sweeps_ended = True
@@ -133,19 +139,27 @@ class SensorsService(Service[SensorsSettings]):
             return
         settings = self.settings.can
         offset_ns = round(settings.clock_offset_s * 1e9)
-        for frame in self._frames.take(now_ns):
-            if settings.bus is not None and frame.bus != settings.bus:
+        frames, others = self._frames.take(now_ns), set[str]()
+        for frame in frames:
+            if self._bus_name is None:
+                self._bus_name = frame.bus
+            if frame.bus != self._bus_name:
                 self.bus.count("can.frames.of_other_buses")
+                others.add(frame.bus)
                 continue
             for message in self._can.take(frame, gps_ns(frame.time_ns) + offset_ns):
                 channel = "suspension" if isinstance(message, Suspension) else "motion"
                 self._give(channel, message, self._frames.shift_ns)
+        if others and settings.bus is None:
+            words = f"frames of {', '.join(sorted(others))} beside those of {self._bus_name}: set bus"
+            self.bus.issue("can_recording", words)
         self._report("can", self._frames.issues, {**self._frames.counts, **self._can.counts})
 
     def _give(self, channel: str, message: Message, shift_ns: int) -> None:
         if shift_ns:
             message = message.model_copy(update={"time_ns": message.time_ns + shift_ns})
-        self._given_s[channel] = time.monotonic()
+        said = ["sweep"] if channel == "sweep" else said_in(message)
+        self._given_s.update(dict.fromkeys(said, time.monotonic()))
         self.bus.publish(channel, message)
 
     def _report(self, name: str, issues: list[tuple[str, str]], counts: Mapping[str, int]) -> None:

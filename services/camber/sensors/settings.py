@@ -150,7 +150,9 @@ class CanSettings(BaseModel):
 
     source: str | None = Field(None, description="socketcan:INTERFACE or candump:FILE; unset: none")
     dbc: Path | None = Field(None, description="the DBC file; must be set")
-    bus: str | None = Field(None, description="of a log with several: the interface that is read")
+    bus: str | None = Field(
+        None, description="of a log with several: the interface that is read; unset: the first"
+    )
     clock_offset_s: float = Field(
         0.0,
         ge=-10.0,
@@ -163,6 +165,9 @@ class CanSettings(BaseModel):
     )
     oldest_s: float = Field(0.1, gt=0.0, le=10.0, description="older values of other messages are not known")
     reverse_codes: tuple[int, ...] = Field((), description="raw values of reverse_gear that mean backwards")
+    forward_codes: tuple[int, ...] = Field(
+        (), description="those that mean forwards; with any other the speed is not known"
+    )
     stroke_sigma_m: float = Field(0.003, gt=0.0, le=1.0, description="σ of the stroke")
     wheel_speed: SignalSettings = Field(default_factory=SignalSettings, description="forward")
     yaw_rate: SignalSettings = Field(default_factory=SignalSettings, description="positive to the left")
@@ -200,12 +205,17 @@ class CanSettings(BaseModel):
             raise ValueError("wheel_speed, yaw_rate …: missing; expected at least one signal")
         if "reverse_gear" in uses and not self.reverse_codes:
             raise ValueError("reverse_codes: missing; which values of reverse_gear mean backwards?")
+        if "reverse_gear" in uses and not self.forward_codes:
+            raise ValueError("forward_codes: missing; which values of reverse_gear mean forwards?")
+        if both := set(self.reverse_codes) & set(self.forward_codes):
+            raise ValueError(f"forward_codes: {min(both)} is in reverse_codes too")
         return CanMotion(
             _messages(self.dbc),
             uses,
             trigger=self.trigger,
             oldest_ns=round(self.oldest_s * 1e9),
             reverse=self.reverse_codes,
+            forward=self.forward_codes,
             stroke_sigma_m=self.stroke_sigma_m,
         )
 

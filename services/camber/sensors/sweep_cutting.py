@@ -92,6 +92,9 @@ class SweepCutter:
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         self._count_lost(time_ns, firings.turn, step)
         self._done_ns, self._done_turn = int(time_ns[-1]), float(firings.turn[-1])
+        if time_ns[-1] - time_ns[0] > _LONGEST_NS:
+            self.counts["sweeps.not_turning"] += 1
+            return None
         if min(len(time_ns) * step, float(np.ptp(firings.turn)) + step) < self._least_share:
             self.counts["sweeps.partial"] += 1
             return None

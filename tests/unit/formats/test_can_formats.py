@@ -80,6 +80,12 @@ def test_a_floating_point_signal_is_one_with_a_colon_or_without(words: str) -> N
     assert [name for name, signal in signals.items() if signal.real] == ["Real"]
 
 
+def test_words_may_be_parted_by_tabs() -> None:
+    assert read_dbc(DBC.replace("SG_ ", "SG_\t").replace("\nBO_ ", "\nBO_\t"), "x.dbc") == read_dbc(
+        DBC, "x.dbc"
+    )
+
+
 def test_bits_are_where_the_format_says() -> None:
     """Worked by hand: 0x1234 as Motorola's from bit 7 of byte 0, as Intel's from bit 4."""
     motorola = DbcSignal("M", "s", 7, 16, False, False, 1.0, 0.0, 0.0, 0.0, "")

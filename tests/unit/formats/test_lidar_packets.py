@@ -178,7 +178,7 @@ def test_an_ouster_packet_that_is_none_is_refused_by_its_reason() -> None:
     cut = ouster_packet(profile).tobytes()[:-1]
     for packet, reason in (
         (other, "model"),
-        (beyond, "model"),
+        (beyond, "turn"),
         (kind, "type"),
         (empty, "empty"),
         (cut, "size"),

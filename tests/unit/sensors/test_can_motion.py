@@ -179,17 +179,20 @@ def test_frames_of_others_and_of_another_length_of_identifier_change_nothing() -
     assert motion_of((0.0, CanFrame(0, "can0", 0x7FF, False, bytes(8)))) == []
 
 
-@pytest.mark.parametrize(("gear", "speed_m_s"), [(7, -10.0), (1, 10.0), (None, None)])
+@pytest.mark.parametrize(("gear", "speed_m_s"), [(7, -10.0), (1, 10.0), (0, None), (15, None), (None, None)])
 def test_where_the_speed_has_no_sign_the_gear_gives_it(gear: int | None, speed_m_s: float | None) -> None:
     text = DBC.replace("CM_", 'BO_ 5 Gear: 1 G\n SG_ Now : 0|4@1+ (1,0) [0|15] "" G\n\nCM_')
     messages = read_dbc(text, "can.dbc")
     uses = {**USES, "reverse_gear": SignalUse("Gear.Now", None)}
-    can = CanMotion(messages, uses, reverse=(7,))
+    can = CanMotion(messages, uses, reverse=(7,), forward=(1, 2, 3))
     if gear is not None:
         can.take(CanFrame(0, "can0", 5, False, bytes([gear])), START_NS)
     can.take(frame("Wheels", 3600), START_NS)
     (found,) = can.take(frame("Dynamics", 1), START_NS)
     assert found.wheel_speed_m_s == (None if speed_m_s is None else pytest.approx(speed_m_s))
+    can.take(frame("Wheels", 0), START_NS)
+    (found,) = can.take(frame("Dynamics", 1), START_NS)
+    assert found.wheel_speed_m_s == 0.0
 
 
 @pytest.mark.parametrize(

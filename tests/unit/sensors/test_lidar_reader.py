@@ -281,6 +281,116 @@ def test_packets_of_others_are_counted_and_change_nothing() -> None:
         alike("velodyne", a, b)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_is_named(kind: str) -> None:
+    """The other one is a moment ahead: by their times alone its points would stand for those of the first."""
+    other = dict(packets(kind)[8:])
+    mixed = [
+        (arrival_ns, payload, sender)
+        for (arrival_ns, payload), sender in sorted(
+            [(packet, "10.0.0.2") for packet in packets(kind)]
+            + [
+                ((arrival_ns - 12_000, foreign(kind, payload)), "10.0.0.3")
+                for arrival_ns, payload in other.items()
+            ]
+        )
+    ]
+    one = reader(kind)
+    found, issues = [], []
+    for k in range(0, len(mixed), 16):
+        part = mixed[k : k + 16]
+        found += one.take([p for _, p, _ in part], [a for a, _, _ in part], [s for _, _, s in part])
+        issues += one.issues
+    found += one.finish()
+    assert len(found) == 4
+    for a, b in zip(found, sweeps(kind), strict=True):
+        alike(kind, a, b)
+    words = "packets of such a sensor from 10.0.0.3 too, beside 10.0.0.2: set sender"
+    assert set(issues) == {("lidar_packets", words)}
+    assert one.counts["packets.of_others"] == len(other)
+
+
+def foreign(kind: str, payload: bytes) -> bytes:
+    return shifted_velodyne(payload, -12) if kind == "velodyne" else shifted_ouster(payload, -12_000)
+
+
+def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
+    half = len(packets("velodyne")) // 2
+    one = reader("velodyne")
+    found = []
+    for k, (arrival_ns, payload) in enumerate(packets("velodyne")):
+        late_s = 3 * (k >= half)
+        sender = "10.0.0.2" if k < half else "10.0.0.3"
+        found += one.take(
+            [shifted_velodyne(payload, late_s * 1_000_000)], [arrival_ns + late_s * 10**9], [sender]
+        )
+    assert len(found) + len(one.finish()) == 4
+    assert one.counts["packets.of_others"] == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_free_running_sensor_is_late_by_no_more_than_its_network(kind: str) -> None:
+    """A packet leaves once its last measurement is made; that is not the delay of its first."""
+    decoder = reader(kind)._decoder
+    one = LidarReader("top", decoder, SensorClock("arrival", 0, 100_000_000), 0.5)
+    found, _ = read(one, packets(kind))
+    late_ns = [
+        sweep.time_ns - true.time_ns - LATE_NS for sweep, true in zip(found, sweeps(kind), strict=True)
+    ]
+    assert max(map(abs, late_ns)) < 150_000
+
+
+@pytest.mark.parametrize("mode", ["2048x10", "512x10", "1024x20", "512x20", "2048x5", "1024x5"])
+def test_an_ouster_in_another_mode_than_its_metadata_say_gives_no_sweep(mode: str) -> None:
+    """The packets are those of 1024x10."""
+    said = json.loads(ouster_metadata())
+    columns = int(mode.split("x")[0])
+    text = json.dumps(said).replace('"1024x10"', f'"{mode}"')
+    for name in ("columns_per_frame",):
+        text = text.replace(f'"{name}": 1024', f'"{name}": {columns}')
+    text = text.replace('"column_window": [0, 1023]', f'"column_window": [0, {columns - 1}]')
+    metadata = read_ouster_metadata(text, "m.json")
+    assert (metadata.columns, metadata.turns_hz) == (columns, int(mode.split("x")[1]))
+    one = LidarReader("top", OusterDecoder(metadata), SensorClock("tai", 0, 100_000_000), 0.5)
+    found, issues = read(one, packets("ouster"))
+    assert found == []
+    assert "lidar_model" in {code for code, _ in issues}
+
+
+@pytest.mark.parametrize("gap_deg", [60, 120])
+def test_a_velodyne_that_looks_to_one_side_alone_dates_what_is_behind_the_gap(gap_deg: int) -> None:
+    """Packets are filled up with what comes after the part that is not measured."""
+    made = list(velodyne_packets(sweeps("velodyne")))
+    firings = []
+    for time_ns, payload in made:
+        first_us = int.from_bytes(payload[1200:1204], "little")
+        for k in range(12):
+            block = payload[100 * k : 100 * k + 100]
+            azimuth_deg = int.from_bytes(block[2:4], "little") / 100.0
+            if abs(azimuth_deg - 90.0) > gap_deg / 2.0:
+                firings.append((time_ns - (11 - k) * 46_080, first_us + k * 46.08, block))
+    arrived = []
+    for k in range(0, len(firings) - 11, 12):
+        part = firings[k : k + 12]
+        stamp = (round(part[0][1]) % 3_600_000_000).to_bytes(4, "little")
+        arrived.append((part[-1][0] + LATE_NS, b"".join(block for *_, block in part) + stamp + b"\x37\x21"))
+    one = reader("velodyne", least_share=0.3)
+    found, issues = read(one, arrived)
+    assert issues == []
+    assert len(found) == 4
+    for sweep, true in zip(found, sweeps("velodyne"), strict=True):
+        seam_ns = true.time_ns + float(np.median(since_the_seam_ns(true, true.time_ns)))
+        # How fast it turns is known to a hundredth, from one packet's azimuths.
+        assert np.abs(since_the_seam_ns(sweep, seam_ns)).max() < 0.01 * gap_deg / 360.0 * 1e8
+
+
+def since_the_seam_ns(sweep: Sweep, seam_ns: float) -> np.ndarray:
+    """When each point was measured, less what a turn of 0.1 s takes to its azimuth; of whole turns nothing."""
+    turn = np.arctan2(-sweep.points_m[:, 1], sweep.points_m[:, 0]) / (2.0 * np.pi) - 0.5
+    since_ns: np.ndarray = (sweep.time_ns - seam_ns) + sweep.offset_ns - turn * 1e8
+    return (since_ns + 5e7) % 1e8 - 5e7
+
+
 def test_of_packets_that_are_refused_each_issue_has_its_own_words() -> None:
     arrival_ns, payload = packets("velodyne")[0]
     one = reader("velodyne")

@@ -94,6 +94,46 @@ def test_a_free_running_clock_is_told_by_its_quickest_packets() -> None:
         assert not found.jump
 
 
+def test_what_a_free_running_clock_was_before_a_pause_is_forgotten() -> None:
+    """50 ppm over ten minutes without packets: 30 ms."""
+    found = clock("arrival")
+    for k in range(100):
+        found.time_ns(77 * S + k * S // 10, TIME_NS + k * S // 10)
+    drifted_ns = round(600 * 50e-6 * S)
+    time_ns = found.time_ns(677 * S - drifted_ns, TIME_NS + 600 * S)
+    assert time_ns == TIME_NS + 600 * S
+
+
+@pytest.mark.parametrize("step_ms", [45, -45])
+def test_a_small_step_of_the_machines_clock_is_followed_within_seconds(step_ms: int) -> None:
+    """Less than what is seen from one packet to the next; the quickest packets tell it."""
+    found = clock("arrival")
+    jumps = []
+    for k in range(100):
+        step_ns = step_ms * 1_000_000 * (k >= 50)
+        time_ns = found.time_ns(77 * S + k * S // 10, TIME_NS + k * S // 10 + step_ns)
+        jumps += [found.jump] if found.jump else []
+        if k < 50 or k >= 80:
+            assert time_ns == TIME_NS + k * S // 10 + step_ns
+    assert jumps == (
+        ["the sensor's clock and this machine's have moved apart by -0.045 s"] if step_ms > 0 else []
+    )
+
+
+@pytest.mark.parametrize("scale", ["utc_hour", "arrival"])
+@pytest.mark.parametrize("hours", [1, 2])
+def test_a_machines_clock_that_is_set_back_by_whole_hours_is_named(scale: TimeScale, hours: int) -> None:
+    found = clock(scale)
+    back_ns = 3600 * S * hours
+    for k in range(-5, 5):
+        arrival_ns = TIME_NS + k * S // 10 - back_ns * (k >= 0)
+        stamp_ns = (STAMPS["utc_hour"] + k * S // 10) % (3600 * S)
+        time_ns = found.time_ns(stamp_ns, arrival_ns)
+        assert time_ns is not None
+        assert abs(time_ns - arrival_ns) < S // 1000
+        assert bool(found.jump) == (k == 0)
+
+
 def test_an_hours_counter_that_nobody_set_goes_on_over_its_hour() -> None:
     free = clock("arrival")
     last_s = 3599.9

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -83,10 +84,12 @@ def frame(name: str, at_s: float) -> CanFrame:
     )
 
 
-def service(time: Time, folder: Path, frames: list[CanFrame], **more: Any) -> SensorsService:
+def service(
+    time: Time, folder: Path, frames: list[CanFrame], signals: Any = SIGNALS, **more: Any
+) -> SensorsService:
     (folder / "can.dbc").write_text(DBC)
     (folder / "can.log").write_text(candump_text(frames))
-    can = {"source": f"candump:{folder / 'can.log'}", "dbc": str(folder / "can.dbc"), **SIGNALS}
+    can = {"source": f"candump:{folder / 'can.log'}", "dbc": str(folder / "can.dbc"), **signals}
     time.services.append(SensorsService(SensorsSettings(can=cast(Any, can), **more), cast(Bus, time.bus)))
     return time.services[-1]
 
@@ -100,7 +103,7 @@ def test_a_bus_that_is_dead_stays_so_when_the_clock_is_set_back(time: Time, tmp_
     time.go(one, 1.0)
     assert one.healthy()
     time.go(one, 2.0)
-    assert silent(time) == ["can: no motion for 2 s", "can: no suspension for 2 s"]
+    assert silent(time) == ["can: no stroke_height for 2 s", "can: no yaw_rate for 2 s"]
     time.bus.time_ns -= 3600 * S
     time.go(one, 1.0)
     assert not one.healthy()
@@ -112,8 +115,30 @@ def test_strokes_are_no_motion(time: Time, tmp_path: Path) -> None:
     )
     time.go(one, 5.0)
     assert {name for name, _ in time.bus.given[-10:]} == {"suspension"}
-    assert silent(time) == ["can: no motion for 2 s"]
+    assert silent(time) == ["can: no yaw_rate for 2 s"]
     assert not one.healthy()
+
+
+def test_a_quantity_that_is_never_known_is_named_though_others_are(time: Time, tmp_path: Path) -> None:
+    """The message of the wheels does not come; that of the yaw rate makes a motion each time."""
+    signals = {**SIGNALS, "wheel_speed": {"signal": "Wheels.Speed", "unit": "km/h"}}
+    frames = [frame(name, k / 10) for k in range(40) for name in ("Dynamics", "Suspension")]
+    one = service(time, tmp_path, frames, signals)
+    time.go(one, 3.5)
+    assert silent(time) == ["can: no wheel_speed for 2 s"]
+    assert not one.healthy()
+
+
+def test_of_a_log_of_two_buses_the_first_is_read_and_the_other_named(time: Time, tmp_path: Path) -> None:
+    other = [
+        replace(frame("Dynamics", k / 10 + 0.05), bus="can1", data=bytes([0, 1, 0, 0, 0, 0, 0, 0]))
+        for k in range(20)
+    ]
+    one = service(time, tmp_path, [each for k in range(20) for each in (frame("Dynamics", k / 10), other[k])])
+    time.go(one, 2.5)
+    assert {message.yaw_rate_rad_s for _, message in time.bus.given} == {0.0}
+    assert ("can_recording", "frames of can1 beside those of can0: set bus") in time.bus.issues
+    assert time.bus.counters["can.frames.of_other_buses"] == 20
 
 
 def test_a_fault_in_the_lidar_is_none_in_the_motion(time: Time, tmp_path: Path) -> None:
@@ -131,7 +156,7 @@ def test_a_fault_in_the_lidar_is_none_in_the_motion(time: Time, tmp_path: Path) 
         with pytest.raises(RuntimeError):
             time.go(one, 0.1)
     assert Counter(name for name, _ in time.bus.given) == {"motion": 31}
-    assert silent(time) == ["can: no suspension for 2 s", "lidar: no sweep for 2 s"]
+    assert silent(time) == ["can: no stroke_height for 2 s", "lidar: no sweep for 2 s"]
 
 
 def stepped(time: Time) -> list[str]:

@@ -23,6 +23,7 @@ LIDAR = '[lidar]\nsource = "udp:2368"\n'
 OUSTER = LIDAR + 'model = "ouster"\n'
 CAN = '[can]\nsource = "socketcan:can0"\n'
 CODE = 'wheel_speed = { signal = "Wheels.Speed", unit = "km/h", invalid = [65535] }\n'
+GEAR = 'dbc = "DIR/can.dbc"\nreverse_gear = { signal = "Wheels.Speed" }\n'
 SPEED = 'wheel_speed = { signal = "Wheels.Speed", unit = "km/h" }\n'
 
 
@@ -59,6 +60,9 @@ def test_what_is_whole_is_taken(tmp_path: Path, text: str) -> None:
         (CAN + 'dbc = "DIR/m.json"\n' + SPEED, "can: m.json: content, expected messages, BO_ … of a DBC file"),
         (CAN + 'dbc = "DIR/can.dbc"\n' + SPEED.replace("km/h", "m/s"), "can: wheel_speed: the DBC file has Wheels"),
         (CAN + 'dbc = "DIR/can.dbc"\n' + CODE, "sensors.toml: can: wheel_speed: invalid: 65535, expected -32768 to 32"),
+        (CAN + GEAR + SPEED, "can: reverse_codes: missing; which values of reverse_gear mean backwards?"),
+        (CAN + GEAR + SPEED + "reverse_codes = [7]\n", "can: forward_codes: missing; which values of rev"),
+        (CAN + GEAR + SPEED + "reverse_codes = [7]\nforward_codes = [1, 7]\n", "can: forward_codes: 7 is in reverse"),
         ('clock = "replay"\n', "clock: replay, expected system"),
     ],
 )  # fmt: skip
