@@ -1,8 +1,14 @@
 # The commands people type. `make check` is what CI runs.
 PYTHON ?= python3
 BIN := .venv/bin
-# Without --compile: byte code is made of what is imported, and not of all that is installed.
-PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+# What is there stays, whatever python3 is today, until PYTHON asks for another or it runs no more.
+VERSION := $(shell for python in $(if $(filter file,$(origin PYTHON)),$(BIN)/python) $(PYTHON); do \
+	$$python -c 'import platform; print(platform.python_version())' 2>/dev/null && break; done)
+MADE := .venv/.made-$(VERSION)
+# Without --compile: byte code is made of what is imported, and not of all that is installed. The constraints are no
+# option, since they hold for what builds are made with, too: pip before 25.3 knows the first name, later ones the second.
+PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 OUT := out
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
@@ -27,25 +33,28 @@ help:
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
 
-$(BIN)/python:
-	$(PYTHON) -m venv .venv
+# Marked when it is whole: what ended halfway is begun anew.
+$(MADE):
+	$(PYTHON) -m venv --clear .venv
+	@touch $@
 
 # What running needs; redone when the requirements change.
-.venv/.runtime: pyproject.toml constraints.txt | $(BIN)/python
+.venv/.runtime: pyproject.toml constraints.txt $(MADE)
 	$(PIP) -e '.[localizer,simulator]'
 	@touch $@
 
-.venv/.development: pyproject.toml constraints.txt | $(BIN)/python
+.venv/.development: pyproject.toml constraints.txt $(MADE)
 	$(PIP) -e '.[engine,localizer,map,fleet,web,simulator,dev]'
 	@touch .venv/.runtime $@
 
-.venv/.mutation: pyproject.toml constraints.txt | .venv/.development
+.venv/.mutation: pyproject.toml constraints.txt $(MADE) | .venv/.development
 	$(PIP) -e '.[mutation]'
 	@touch .venv/.runtime .venv/.development $@
 
 setup: .venv/.development
 
-demo: .venv/.runtime
+# With anything else asked for at once it takes what that needs: two of pip at a time would be in each other's way.
+demo: $(if $(filter-out demo,$(MAKECMDGOALS)),.venv/.development,.venv/.runtime)
 	$(BIN)/camber demo --out $(OUT)/demo
 
 # Machine code is made once, before any worker needs it.
@@ -122,7 +131,7 @@ docs: setup
 	$(BIN)/python -m camber.tools.data_flow
 
 image:
-	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg KIND=compiled \
+	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg PYTHON_IMAGE --build-arg KIND=compiled \
 		--build-arg EXTRAS=engine,localizer,map,fleet,web,simulator --tag camber .
 
 sbom: setup

@@ -1,9 +1,10 @@
 """Print the requirements that pyproject.toml names, so that an image layer holds them apart from the source.
 
-usage: requirements.py pyproject.toml least|whole|compiled|EXTRA,EXTRA…
+usage: requirements.py pyproject.toml least|whole|compiled
+       requirements.py pyproject.toml EXTRA,EXTRA… KIND
 
 least: what every process of Camber imports; whole: what the distribution asks for beyond that; compiled: the compiler,
-which several extras ask for; extras: what they ask for beyond all these.
+which several extras ask for; extras: what they ask for beyond all these, in an image of that kind.
 """
 
 import re
@@ -21,7 +22,7 @@ def name_of(requirement: str) -> str:
     return re.split(r"[^A-Za-z0-9_.-]", requirement, maxsplit=1)[0]
 
 
-path, what = Path(sys.argv[1]), "".join(sys.argv[2:])
+path, what, *kind = Path(sys.argv[1]), *sys.argv[2:]
 project = tomllib.loads(path.read_text("utf-8"))["project"]
 extras = project["optional-dependencies"]
 everyone = project["dependencies"]
@@ -40,5 +41,7 @@ if what not in layers:
     for name in names:
         if name not in extras:
             raise SystemExit(f"{path}: no extra {name!r}, expected some of {', '.join(extras)}")
+        if kind != ["compiled"] and any(name_of(line) == COMPILER for line in extras[name]):
+            raise SystemExit(f"extra {name} needs {COMPILER}: expected KIND compiled, not {''.join(kind)!r}")
     layers[what] = [line for name in names for line in extras[name] if name_of(line) != COMPILER]
 print("\n".join(layers[what]))

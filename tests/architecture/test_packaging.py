@@ -11,6 +11,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import hatchling.build
 import pytest
 
 from support.tree import ROOT, SOURCE_ROOTS
@@ -60,10 +61,15 @@ def test_a_wheel_holds_both_roots_and_leaves_the_namespace_open(tmp_path: Path) 
         assert built <= names
 
 
-def test_every_dependency_is_pinned_and_nothing_says_from_where() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"].values()
-    wanted = [*project["dependencies"], *(line for extra in extras for line in extra)]
+def test_every_dependency_is_pinned_and_nothing_says_from_where(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What wheel and editable installation are made with, too: pip fetches that for each of them."""
+    monkeypatch.chdir(ROOT)
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = table["project"]["optional-dependencies"].values()
+    wanted = [*table["project"]["dependencies"], *(line for extra in extras for line in extra)]
+    wanted += table["build-system"]["requires"]
+    wanted += hatchling.build.get_requires_for_build_wheel()
+    wanted += hatchling.build.get_requires_for_build_editable()
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pins = [line for line in lines if not line.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][0-9a-z.]*", pin) for pin in pins)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -125,5 +126,47 @@ def test_an_image_gets_the_requirements_of_its_kind_and_extras() -> None:
     assert [line.split(">")[0] for line in compiled] == ["numba"]
     extras = project["optional-dependencies"]
     wanted = [line for name in ("map", "engine") for line in extras[name] if line not in compiled]
-    assert requirements("map,engine").stdout.split("\n")[:-1] == wanted
-    assert requirements("nosuch").returncode == 1
+    assert requirements("map,engine", "compiled").stdout.split("\n")[:-1] == wanted
+    assert requirements("", "least").stdout == "\n"
+    assert requirements("nosuch", "compiled").returncode == 1
+
+
+@pytest.mark.parametrize("kind", [["least"], ["whole"], []])
+def test_an_image_without_the_compiler_refuses_extras_that_need_it(kind: list[str]) -> None:
+    done = requirements("map,simulator", *kind)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "extra simulator needs numba: expected KIND compiled" in done.stderr
+    assert requirements("map", *kind).returncode == 0
+
+
+DOCKERFILE = (ROOT / "deploy" / "Dockerfile").read_text()
+
+
+def test_the_base_of_the_images_is_named_once_and_may_be_another() -> None:
+    bases = re.findall(r"^FROM (\S+)", DOCKERFILE, re.M)
+    stages = re.findall(r"^FROM \S+ AS (\S+)", DOCKERFILE, re.M)
+    others = {base for base in bases if base not in stages and "${KIND}" not in base}
+    assert others == {"${PYTHON_IMAGE}"}
+    assert re.search(r"^ARG PYTHON_IMAGE=python:3\.\d+-slim$", DOCKERFILE.partition("FROM")[0], re.M)
+
+
+def test_pip_takes_the_settings_of_the_images_as_they_are_meant() -> None:
+    """By pip's own parser: of options that begin with `no` some take their variable for the opposite."""
+    words = re.findall(r"\b(PIP_\w+)=(\S+)", re.sub(r"#.*", "", DOCKERFILE))
+    ask = (
+        "from pip._internal.commands import create_command\n"
+        "options, _ = create_command('install').parser.parse_args([])\n"
+        "print(bool(options.compile), options.cache_dir, options.constraints)"
+    )
+    environ = {name: text for name, text in os.environ.items() if not name.startswith("PIP_")}
+    environ |= {**dict(words), "PIP_CONFIG_FILE": os.devnull}
+    command = [sys.executable, "-c", ask]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False False ['/src/constraints.txt']"
+    assert dict(words)["PIP_BUILD_CONSTRAINT"] == "/src/constraints.txt"
+
+
+def test_a_machine_with_one_processor_can_start_them_all() -> None:
+    """The engine refuses a container that may use more than there are."""
+    compose = (ROOT / "docker-compose.yml").read_text()
+    assert set(re.findall(r"^ +cpus: (.+)$", compose, re.M)) == {"1", "${CAMBER_CPUS:-2}"}

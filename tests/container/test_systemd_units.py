@@ -13,6 +13,8 @@ from support.tree import ROOT
 
 UNITS = ROOT / "deploy" / "systemd"
 SERVICE_UNITS = ("camber@.service", "camber-router.service")
+WITH_MORE = sorted(path.name.removesuffix(".d") for path in UNITS.glob("camber@*.service.d"))
+"""Services that have a drop-in."""
 NEWER_THAN_SOME = ("RestartSteps", "RestartMaxDelaySec")  # systemd 254; those before pass over them
 
 
@@ -40,8 +42,7 @@ def test_they_start_what_there_is(name: str) -> None:
     words = unit(name)["Service"]["ExecStart"].split()
     assert words[0] == "/opt/camber/bin/camber"
     assert words[1] == "%i" or words[1] in TOOLS
-    for drop_in in UNITS.glob("camber@*.service.d"):
-        assert drop_in.name.removeprefix("camber@").removesuffix(".service.d") in SERVICES
+    assert {each.removeprefix("camber@").removesuffix(".service") for each in WITH_MORE} <= set(SERVICES)
 
 
 @pytest.mark.parametrize("name", SERVICE_UNITS)
@@ -70,8 +71,11 @@ def runnable(tmp_path: Path) -> Path:
         pytest.skip("there is no systemd-analyze")
     folder = tmp_path / "units"
     shutil.copytree(UNITS, folder)
-    (folder / "camber@.service").rename(folder / "camber@integrity.service")
-    for path in folder.glob("*.service"):
+    template = folder / "camber@.service"
+    for name in ("camber@integrity.service", *WITH_MORE):
+        shutil.copy(template, folder / name)
+    template.unlink()
+    for path in sorted(folder.glob("*.service")):
         path.write_text(path.read_text().replace("/opt/camber/bin/camber", "/bin/true"))
     return folder
 
@@ -83,13 +87,34 @@ def analyzed(*arguments: object) -> tuple[int, list[str]]:
     return done.returncode, (done.stdout + done.stderr).splitlines()
 
 
+def complaints(runnable: Path) -> list[str]:
+    units = [path for path in sorted(runnable.iterdir()) if path.suffix in (".service", ".target")]
+    _, said = analyzed("verify", *units)
+    about_them = [line for line in said if str(runnable) in line]
+    return [line for line in about_them if not any(name in line for name in NEWER_THAN_SOME)]
+
+
 def test_systemd_finds_nothing_wrong_with_them(runnable: Path) -> None:
-    _, said = analyzed("verify", *sorted(runnable.glob("*.service")), runnable / "camber.target")
-    complaints = [line for line in said if str(runnable) in line]
-    assert [line for line in complaints if not any(name in line for name in NEWER_THAN_SOME)] == []
+    assert complaints(runnable) == []
 
 
-@pytest.mark.parametrize("name", ["camber@integrity.service", "camber-router.service"])
+@pytest.mark.parametrize("name", WITH_MORE)
+def test_it_would_find_what_is_wrong_with_a_drop_in(runnable: Path, name: str) -> None:
+    (drop_in,) = (runnable / f"{name}.d").iterdir()
+    drop_in.write_text(drop_in.read_text() + "NoSuchSetting=yes\n")
+    assert any(drop_in.name in line and "NoSuchSetting" in line for line in complaints(runnable))
+
+
+def test_a_receiver_may_be_plugged_in_after_gnss_has_started() -> None:
+    """Drivers are there before: systemd allows no group of devices that the kernel does not know at the start."""
+    sections = unit("camber@gnss.service.d/receiver.conf")
+    drivers = {f"modprobe@{driver}.service" for driver in ("cdc_acm", "usbserial")}
+    assert drivers <= set(sections["Unit"]["Wants"].split()) & set(sections["Unit"]["After"].split())
+    allowed = sections["Service"]["DeviceAllow"].splitlines()
+    assert {f"char-tty{kind} rw" for kind in ("ACM", "USB", "S", "AMA", "THS")} == set(allowed)
+
+
+@pytest.mark.parametrize("name", ["camber@integrity.service", *WITH_MORE, "camber-router.service"])
 def test_systemd_calls_them_well_confined(runnable: Path, name: str) -> None:
     code, said = analyzed("security", "--offline=true", "--threshold=20", runnable / name)
     if any("offline" in line and "unrecognized" in line for line in said):

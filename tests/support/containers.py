@@ -79,6 +79,7 @@ class Stack:
             "CAMBER_IMAGES": f"localhost/{self.project}",
             "CAMBER_PORT": str(self.port),
             "CAMBER_CLOUD_PORT": f"127.0.0.1:{self.cloud_port}",
+            "CAMBER_CPUS": str(min(2, os.cpu_count() or 1)),
             **{f"CAMBER_{name.upper()}": str(value) for name, value in variables.items()},
         }
 

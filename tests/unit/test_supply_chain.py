@@ -8,9 +8,10 @@ import re
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from email.message import Message
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from importlib.metadata import Distribution
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -81,6 +82,11 @@ def test_what_is_shipped_has_licences_that_may_be(capsys: pytest.CaptureFixture[
         ("GPL-3.0-only WITH GCC-exception-3.1", False),
         ("MIT BSD-3-Clause", False),
         ("MIT AND", False),
+        ("MIT OR", False),
+        ("MIT OR )", False),
+        ("(MIT OR", False),
+        ("MIT OR (MIT", False),
+        ("OR MIT", False),
         ("(MIT", False),
         ("LicenseRef-Proprietary", False),
     ],
@@ -104,6 +110,13 @@ def test_of_or_one_side_must_be_allowed_and_of_and_both(expression: str | None, 
         ({"License": "MPL-2.0 AND MIT"}, "MPL-2.0 AND MIT"),
         ({"License": "GPLv3"}, None),
         ({"License": "UNKNOWN"}, None),
+        ({"License": "UNKNOWN", "Classifier": ["License :: OSI Approved :: MIT License"]}, "MIT"),
+        ({"License": "BSD-2-Clause", "Classifier": ["License :: OSI Approved :: BSD License"]}, "BSD-2-Clause"),
+        ({"License": "LGPL-3.0-only", "Classifier": ["License :: OSI Approved :: MIT License"]}, None),
+        ({"License": "BSD-4-Clause", "Classifier": ["License :: OSI Approved :: BSD License"]}, None),
+        ({"License": "Apache-2.0", "Classifier": ["License :: OSI Approved :: MIT License"]}, None),
+        ({"License": "Permission is\n  granted", "Classifier": ["License :: OSI Approved :: MIT License"]}, "MIT"),
+        ({"License": "GNU GENERAL\n  PUBLIC", "Classifier": ["License :: OSI Approved :: MIT License"]}, None),
         ({}, None),
     ],
 )  # fmt: skip
@@ -124,6 +137,66 @@ def test_a_package_that_may_not_be_shipped_fails_and_is_named(
     assert "mystery 2.0: unknown" in said
 
 
+ELF = b"\x7fELF"
+RECORD = {
+    "wheel/__init__.py": b"",
+    "wheel/_core.cpython-311-x86_64-linux-gnu.so": ELF,
+    "wheel/_core.abi3.so": ELF,
+    "wheel/table.bin": b"table",
+    "wheel/tool": ELF,
+    "wheel.libs/libgeos-1269e1bd.so.3.14.1": ELF,
+    "wheel.libs/libglib-2.0-040039e1-0352e75f.so.0": ELF,
+    "wheel.libs/libgone-1269e1bd.so.3": None,
+}
+
+
+@pytest.fixture
+def wheel(tmp_path: Path) -> Any:
+    """An installed package with its own modules, two libraries and a program of others, and one file that is gone."""
+    for name, content in RECORD.items():
+        if content is not None:
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_bytes(content)
+    info = tmp_path / "wheel-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.4\nName: wheel\nVersion: 1.0\nLicense-Expression: MIT\n"
+    )
+    (info / "RECORD").write_text("".join(f"{name},,\n" for name in RECORD))
+    return Distribution.at(info)
+
+
+def test_what_a_package_brings_of_others_is_found_by_its_name(wheel: Any) -> None:
+    assert [(each.name, each.licence) for each in tool.bundled_in(wheel)] == [
+        ("libgeos", "LGPL-2.1-only"),
+        ("libglib-2.0", None),
+        ("tool", None),
+    ]
+
+
+def test_a_library_that_nobody_has_read_the_licence_of_fails_and_is_named(
+    wheel: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package = tool.Package("wheel", "1.0", "MIT", (), tool.bundled_in(wheel))
+    monkeypatch.setattr(tool, "installed", lambda: [package])
+    assert tool.main(["licences"]) == 1
+    said = capsys.readouterr()
+    assert "wheel 1.0: wheel.libs/libglib-2.0-040039e1-0352e75f.so.0: unknown" in said.err
+    assert "wheel 1.0: wheel/tool: unknown" in said.err
+    assert "libgeos" not in said.err
+    assert re.search("libgeos +LGPL-2.1-only: unchanged", said.out)
+
+
+def test_every_licence_that_was_read_is_one_that_may_be_shipped_in_a_file_of_its_own_or_as_a_package() -> (
+    None
+):
+    assert [
+        name for name, licence in tool.BUNDLED.items() if not tool.Bundled("", name, licence).shippable
+    ] == []
+    assert not [licence for licence in tool.ALLOWED_BUNDLED if tool.may_ship(licence)], "said twice"
+    assert not tool.Bundled("", "libreadline", "GPL-3.0-or-later").shippable
+
+
 def test_the_bill_is_the_same_each_time_and_names_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,6 +212,10 @@ def test_the_bill_is_the_same_each_time_and_names_everything(
     assert len(set(refs)) == len(refs) == len(tool.installed())
     assert sorted(each["ref"] for each in bill["dependencies"]) == sorted(refs)
     assert all(set(each["dependsOn"]) <= set(refs) for each in bill["dependencies"])
+    parts = {part["bom-ref"]: part for each in bill["components"] for part in each.get("components", ())}
+    assert len(parts) == sum(len(each.bundled) for each in tool.installed()) > 30
+    assert not parts.keys() & set(refs)
+    assert {"LGPL-2.1-only"} <= {part["licenses"][0]["expression"] for part in parts.values()}
     zenoh = next(each for each in bill["components"] if each["name"] == "eclipse-zenoh")
     assert zenoh["purl"] == f"pkg:pypi/eclipse-zenoh@{PINS['eclipse-zenoh']}"
     (camber,) = [each for each in bill["dependencies"] if each["ref"] == refs[0]]
@@ -201,13 +278,65 @@ def test_a_known_vulnerability_fails_and_is_named(
     assert re.fullmatch(r"vulnerabilities: 0 of \d+ packages have known ones\n", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("answer", [{"results": []}, {}, []])
+def test_a_vulnerability_on_a_later_page_is_found_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(asked: dict[str, Any]) -> dict[str, Any]:
+        """msgpack has a page with one vulnerability, then one with another; zstandard has a first one alone."""
+        results = []
+        for query in asked["queries"]:
+            page = query.get("page_token")
+            if "/msgpack@" in query["package"]["purl"]:
+                ids = {None: ["PYSEC-1"], "second": [], "third": ["PYSEC-2"]}[page]
+                following = {None: {"next_page_token": "second"}, "second": {"next_page_token": "third"}}
+                results.append({"vulns": [{"id": each} for each in ids], **following.get(page, {})})
+            else:
+                assert page is None
+                results.append(
+                    {"vulns": [{"id": "PYSEC-3"}]} if "/zstandard@" in query["package"]["purl"] else {}
+                )
+        return {"results": results}
+
+    with osv(answer) as url:
+        monkeypatch.setenv("OSV_URL", url)
+        assert tool.main(["vulnerabilities"]) == 1
+    said = capsys.readouterr()
+    assert f"pkg:pypi/msgpack@{PINS['msgpack']}: PYSEC-1, PYSEC-2" in said.err
+    assert f"pkg:pypi/zstandard@{PINS['zstandard']}: PYSEC-3" in said.err
+    assert said.out.startswith("vulnerabilities: 2 of ")
+
+
+def of_each(result: Any) -> Any:
+    return lambda asked: {"results": [result] * len(asked["queries"])}
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None,  # there is no server
+        lambda _: {"results": []},
+        lambda _: {},
+        lambda _: [],
+        *map(
+            of_each,
+            [
+                None,
+                "",
+                [],
+                {"error": "x"},
+                {"vulns": None},
+                {"vulns": "x"},
+                {"vulns": [{}]},
+                {"next_page_token": "x"},
+            ],
+        ),
+    ],
+)
 def test_where_nobody_can_tell_it_says_skipped_and_fails_only_if_it_is_required(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], answer: Any
 ) -> None:
-    with osv(lambda _: answer) as url:
-        for server in (url, f"http://127.0.0.1:{free_port()}"):
-            monkeypatch.setenv("OSV_URL", server)
-            assert tool.main(["vulnerabilities"]) == 0
-            assert "SKIPPED, nothing was checked" in capsys.readouterr().err
-            assert tool.main(["vulnerabilities", "--required"]) == 1
+    with osv(answer) if answer else nullcontext(f"http://127.0.0.1:{free_port()}") as url:
+        monkeypatch.setenv("OSV_URL", url)
+        assert tool.main(["vulnerabilities"]) == 0
+        assert "SKIPPED, nothing was checked" in capsys.readouterr().err
+        assert tool.main(["vulnerabilities", "--required"]) == 1
