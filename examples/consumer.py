@@ -2,16 +2,22 @@
 
     python examples/consumer.py --vehicle car --connect tcp/127.0.0.1:7447
 
-Unknown means: drive as without satellites. It is unknown when the position says so (`usable` is false, and `reason`
-says why), and also when no position comes any more: one older than the table's age limit says nothing about now.
+Unknown means: drive as without satellites. It is unknown until a position comes, when the position says so (`usable` is
+false, and `reason` says why), and also when none comes any more: one older than the table's age limit says nothing
+about now.
 """
 
 import argparse
 import contextlib
+import json
 import math
 
 from camber.runtime.listen import Listener
+from camber.runtime.session import BusError
+from camber.runtime.settings import ServiceSettings, load_or_exit
 from camber.schemas.integrity import Position
+
+PROG = "consumer.py"
 
 
 def line(position: Position) -> str:
@@ -25,7 +31,7 @@ def line(position: Position) -> str:
 def main() -> None:
     """Listen for ever."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--vehicle", default="vehicle")
     parser.add_argument(
@@ -35,7 +41,14 @@ def main() -> None:
         "--replay", action="store_true", help="times are those of a drive, not of this machine"
     )
     args = parser.parse_args()
-    with Listener("position", vehicle=args.vehicle, connect=args.connect, live=not args.replay) as listener:
+    words = [] if args.connect is None else ["--zenoh.connect", json.dumps(args.connect)]
+    settings = load_or_exit(ServiceSettings, ["--vehicle", args.vehicle, *words], prog=PROG)
+    print("unknown (no position yet)", flush=True)
+    try:
+        listener = Listener("position", vehicle=settings.vehicle, zenoh=settings.zenoh, live=not args.replay)
+    except BusError as error:
+        raise SystemExit(f"{PROG}: {error}") from None
+    with listener:
         valid_s = None
         while True:
             position = listener.next(timeout_s=valid_s)

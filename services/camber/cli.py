@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
+import select
+import signal
 import sys
 
 SERVICES = {
@@ -64,8 +67,26 @@ EXTRA_OF = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Dispatch to a service or a tool; returns the exit code."""
+    """Dispatch to a service or a tool; returns the exit code: 130 interrupted, 141 whoever reads has gone."""
     args = sys.argv[1:] if argv is None else argv
+    try:
+        try:
+            return _dispatch(args)
+        finally:
+            print(end="", flush=True)  # here, where it can be caught
+    except BrokenPipeError:
+        output = select.poll()
+        output.register(sys.stdout, 0)
+        if not output.poll(0):  # it was another pipe
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except KeyboardInterrupt:
+        print(f"{' '.join(['camber', *args[:1]])}: interrupted", file=sys.stderr)
+        return 128 + signal.SIGINT
+
+
+def _dispatch(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help", "help"):
         print(_help())
         return 0

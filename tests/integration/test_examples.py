@@ -9,7 +9,7 @@ import pytest
 
 from camber.schemas.channels import BY_NAME
 from camber.simulator.short_drive import write_short_drive
-from support.running import endpoint_of, kill, process_ids, started
+from support.running import endpoint_of, free_port, kill, process_ids, started, wait_until
 
 CONSUMER = Path(__file__).parents[2] / "examples" / "consumer.py"
 USABLE = re.compile(r"3[45]\.\d{8} 13[67]\.\d{8} within \d+\.\d\d m by (rtk|sensors)")
@@ -93,3 +93,34 @@ def test_a_consumer_stops_trusting_the_last_position_when_the_judge_is_gone(tmp_
             replay.wait(120.0)
             consumer.send_signal(signal.SIGINT)
             consumer.wait(10.0)
+
+
+def test_a_consumer_says_unknown_before_it_has_heard_anything(tmp_path):
+    printed = tmp_path / "consumer.txt"
+    with (
+        printed.open("w") as file,
+        started(CONSUMER, "--connect", f"tcp/127.0.0.1:{free_port()}", stdout=file, stderr=file) as consumer,
+    ):
+        wait_until(printed.read_text, timeout_s=30.0, why="it says nothing")
+        consumer.send_signal(signal.SIGINT)
+        consumer.wait(10.0)
+    assert printed.read_text() == "unknown (no position yet)\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--vehicle", "a b"], "vehicle: "),
+        (["--vehicle", ""], "vehicle: "),
+        (["--connect", "127.0.0.1:7447"], "connect/endpoints: "),
+        (["--connect", "tls/router:7447"], "tls_ca"),
+    ],
+)
+def test_a_consumer_told_wrongly_says_so_in_one_line(words, named):
+    with started(CONSUMER, *words) as consumer:
+        said, _ = consumer.communicate(timeout=30.0)
+    line = said.splitlines()[-1]
+    assert consumer.returncode != 0
+    assert line.startswith("consumer.py: ")
+    assert named in line
+    assert "Traceback" not in said

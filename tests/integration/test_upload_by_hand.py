@@ -1,11 +1,18 @@
 """`camber upload`: a file goes to the store, each batch once, and each file hears what became of it."""
 
+import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 
-from support.running import camber, free_port, started
+from camber.runtime.session import open_session
+from camber.runtime.settings import ZenohSettings
+from camber.schemas.codec import decode, encode, encoding_of
+from camber.schemas.fleet import UploadBatch, UploadReceipt
+from support.running import camber, free_port, started, wait_until
 from support.tree import ROOT
 
 EXAMPLE = ROOT / "examples" / "uploads.csv"
@@ -54,6 +61,37 @@ def test_what_is_refused_or_wrong_says_so(tmp_path: Path, cloud: str) -> None:
     wrong = camber("upload", EXAMPLE, foreign, "--connect", cloud)
     assert wrong.returncode == 2
     assert (wrong.stdout, wrong.stderr.count("\n")) == ("", 1), "nothing is sent where one file is wrong"
+
+
+def test_interrupted_it_says_what_is_stored() -> None:
+    """A store that takes one batch, and is silent then."""
+    endpoint, key = f"tcp/127.0.0.1:{free_port()}", "camber/v1/fleet/*/upload_batch"
+    asked: list[zenoh.Query] = []
+
+    def one(query: zenoh.Query) -> None:
+        asked.append(query)
+        if len(asked) > 1 or query.payload is None:
+            return
+        batch = decode(UploadBatch, query.payload.to_bytes()).message
+        receipt = UploadReceipt(
+            time_ns=batch.time_ns, vehicle=batch.vehicle, upload_id=batch.batch_id, status="stored"
+        )
+        with query:
+            query.reply(
+                query.key_expr, encode(receipt, source="map_update"), encoding=encoding_of(UploadReceipt)
+            )
+
+    with open_session(ZenohSettings(mode="router", listen=[endpoint], connect=[])) as store:
+        store.declare_queryable(key, one)
+        with started(
+            "-m", "camber.cli", "upload", EXAMPLE, "--connect", endpoint, stderr=subprocess.PIPE
+        ) as process:  # fmt: skip
+            wait_until(lambda: len(asked) > 1, timeout_s=30.0, why="the second batch does not come")
+            process.send_signal(signal.SIGINT)
+            said, why = process.communicate(timeout=30.0)
+        asked.clear()
+    assert (process.returncode, why) == (130, "camber upload: interrupted\n")
+    assert said == f"{EXAMPLE}: 4 observations in 1 of 3 batches: 4 stored\n"
 
 
 def test_nobody_there_is_one_line() -> None:

@@ -23,6 +23,7 @@ from camber.runtime.heard import HeardWatch, are_we_heard
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.tools.certificates import Authority
+from camber.tools.doctor_inputs import check_bus
 from support.fleet_routers import (
     Certificates,
     cloud_file,
@@ -245,6 +246,18 @@ def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
     right = HeardWatch(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
     time.sleep(2.0)
     assert right.problems() == []
+
+
+def test_the_doctor_says_whose_certificate_is_in_no_access_list(fleet: Fleet) -> None:
+    def problems(who: str, vehicle: str) -> list[str]:
+        zenoh_settings = fleet.certificates.settings(who, fleet.endpoint)
+        found = check_bus(ServiceSettings(vehicle=vehicle, zenoh=zenoh_settings))
+        return [finding.text for finding in found if finding.state == "problem"]
+
+    assert problems("car-1", "car-1") == []
+    (said,) = problems("revoked", "revoked")
+    assert "revoked says as revoked: not in its access list" in said
+    assert len(problems("car-1", "car-2")) == 1
 
 
 def test_an_upload_in_anothers_name_has_no_receipt_and_a_reason(fleet: Fleet) -> None:

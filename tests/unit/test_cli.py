@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import subprocess
 import sys
 
@@ -120,3 +121,58 @@ def test_a_package_that_is_missing_is_named_with_what_brings_it(package: str, na
     )
     assert (ended.returncode, ended.stdout) == (2, "")
     assert ended.stderr == f"camber {name}: {package} is not installed; it comes with {whence}\n"
+
+
+def run_into(stdout: int, code: str, unbuffered: str = "") -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        stdin=subprocess.DEVNULL,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        check=False,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )
+
+
+TOOL = "from camber import cli\ncli._dispatch = lambda args: {}\nraise SystemExit(cli.main(['health']))"
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"], ids=["buffered", "unbuffered"])
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from camber import cli; raise SystemExit(cli.main(['--help']))",
+        "from camber import cli; raise SystemExit(cli.main(['health', '--help']))",
+        TOOL.format("print('gnss: ok') or 0"),
+        TOOL.format("print('gnss: ok', flush=True) or 0"),
+    ],
+    ids=["its help", "a tool's help", "at the end", "at once"],
+)
+def test_whoever_reads_no_more_ends_it_without_a_word(code: str, unbuffered: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = run_into(writing, code, unbuffered)
+    finally:
+        os.close(writing)
+    assert ended.stderr == ""
+    # argparse itself passes over an output that takes nothing.
+    assert ended.returncode == (0 if unbuffered and "'health', '--help'" in code else 141)
+
+
+def test_a_pipe_that_is_not_its_output_is_no_reader() -> None:
+    ended = run_into(subprocess.DEVNULL, TOOL.format("(_ for _ in ()).throw(BrokenPipeError('of another'))"))
+    assert ended.returncode == 1
+    assert ended.stderr.endswith("BrokenPipeError: of another\n")
+
+
+def test_an_interrupted_tool_says_so() -> None:
+    ended = run_into(subprocess.DEVNULL, TOOL.format("(_ for _ in ()).throw(KeyboardInterrupt())"))
+    assert (ended.returncode, ended.stderr) == (130, "camber health: interrupted\n")
+
+
+def test_without_any_output_it_does_its_work() -> None:
+    code = "import sys; sys.stdout = None\n" + TOOL.format("print('gnss: ok') or 0")
+    assert run_into(subprocess.DEVNULL, code).returncode == 0

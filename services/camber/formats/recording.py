@@ -95,9 +95,9 @@ class Recorder:
     """Writes a recording. `add` may be called from any thread, the rest from one.
 
     A full disk or a broken one ends the recording, not the program: `problem` then says why, `dropped` counts
-    what came after, and what reached the disk can be read. What exceeds `limit_bytes` within one tick is
-    dropped too, and what is no message is counted in `malformed`, as one more schema of no version is where a file
-    has many such already.
+    what came after and the chunk that did not reach the disk, and what is `written` can be read. What exceeds
+    `limit_bytes` within one tick is dropped too, and what is no message is counted in `malformed`, as one more schema
+    of no version is where a file has many such already.
     Raises OSError where the file cannot be made; with `anew` FileExistsError where there is one.
     """
 
@@ -106,6 +106,7 @@ class Recorder:
         self.written = 0
         self.dropped = 0
         self.malformed = 0
+        self._in_chunk = 0  # of those written: what is in the open chunk, in memory
         self._path = path
         self._limit_bytes = limit_bytes
         self._lock = threading.Lock()
@@ -117,6 +118,7 @@ class Recorder:
         self._stream = path.open("xb" if anew else "wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(PROFILE, library="camber")
+        self._end = self._stream.tell()
 
     def __enter__(self) -> Self:
         return self
@@ -167,7 +169,7 @@ class Recorder:
         if self.problem is not None:
             return
         try:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._flush()
         except OSError as error:
             self._stop(error)
 
@@ -194,8 +196,21 @@ class Recorder:
     def _write(self, item: _Pending) -> None:
         time_ns, _, key, sequence, payload, arrival_ns, schema, channel = item
         number = self._mcap_channels.get((key, schema)) or self._register(channel, key, schema)
+        self._settle()
         self._writer.add_message(number, time_ns, payload, arrival_ns, sequence & 0xFFFFFFFF)
         self.written += 1
+        self._in_chunk += 1
+        self._settle()
+
+    def _settle(self) -> None:
+        """Where the library has just ended a chunk by itself: all that is written so far is to reach the file."""
+        if self._stream.tell() != self._end:
+            self._stream.flush()
+            self._end, self._in_chunk = self._stream.tell(), 0
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._end, self._in_chunk = self._stream.tell(), 0
 
     def _register(self, channel: str, key: str, schema: str) -> int:
         cls = _SCHEMAS.get(schema)
@@ -214,11 +229,14 @@ class Recorder:
         if self._chunk_began_ns is None:
             self._chunk_began_ns = newest_ns
         elif newest_ns - self._chunk_began_ns >= _FLUSH_AFTER_NS:
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._flush()
             self._chunk_began_ns = newest_ns
 
     def _stop(self, error: OSError) -> None:
         self.problem = f"{self._path.name}: recording stopped: {error.strerror or error}"
+        self.written -= self._in_chunk
+        self.dropped += self._in_chunk
+        self._in_chunk = 0
         with contextlib.suppress(OSError):
             self._stream.close()
 

@@ -80,17 +80,23 @@ class SqliteStore(Store):
 
     Raises StoreError when the file cannot be opened, is damaged (it is read through at the start) or comes from a
     later version of this program; one of an earlier version is brought to this one. `busy_s`: how long a commit waits
-    for another process that has the file locked.
+    for another process that has the file locked. `read_only`: the file is left as it is, and one of another version
+    is an error too.
     """
 
-    def __init__(self, path: Path, *, busy_s: float = 1.0) -> None:
+    def __init__(self, path: Path, *, busy_s: float = 1.0, read_only: bool = False) -> None:
         self.path = path
         with self._named():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._db = sqlite3.connect(path, timeout=busy_s, isolation_level=None)
+            if not read_only:
+                path.parent.mkdir(parents=True, exist_ok=True)
+            uri = f"{path.absolute().as_uri()}?mode={'ro' if read_only else 'rwc'}"
+            self._db = sqlite3.connect(uri, uri=True, timeout=busy_s, isolation_level=None)
         try:
             with self._named():
-                self._prepare()
+                if read_only:
+                    self._check()
+                else:
+                    self._prepare()
         except StoreError:
             self._db.close()
             raise
@@ -254,11 +260,8 @@ class SqliteStore(Store):
     def _prepare(self) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
-        self._db.execute("PRAGMA cell_size_check = ON")
         self._db.execute("PRAGMA secure_delete = ON")
-        (verdict,) = self._db.execute("PRAGMA integrity_check(1)").fetchone()
-        if verdict != "ok":
-            raise StoreError(f"{self.path}: damaged, restore it from a copy: {verdict}")
+        self._check_whole()
         with self._writing() as db:
             (found,) = db.execute("PRAGMA user_version").fetchone()
             if found > FORMAT:
@@ -268,7 +271,25 @@ class SqliteStore(Store):
             if found < FORMAT:
                 _MAKE[found](db)
                 db.execute(f"PRAGMA user_version = {FORMAT}")
-            layout = dict(db.execute("SELECT name, descr FROM layout").fetchall())
+            self._check_layout()
+
+    def _check(self) -> None:
+        self._check_whole()
+        (found,) = self._db.execute("PRAGMA user_version").fetchone()
+        if found != FORMAT:
+            raise StoreError(
+                f"{self.path}: format {found}, expected {FORMAT}: of another version, or no store"
+            )
+        self._check_layout()
+
+    def _check_whole(self) -> None:
+        self._db.execute("PRAGMA cell_size_check = ON")
+        (verdict,) = self._db.execute("PRAGMA integrity_check(1)").fetchone()
+        if verdict != "ok":
+            raise StoreError(f"{self.path}: damaged, restore it from a copy: {verdict}")
+
+    def _check_layout(self) -> None:
+        layout = dict(self._db.execute("SELECT name, descr FROM layout").fetchall())
         if wrong := [name for name, descr in _LAYOUT.items() if layout.get(name) != descr]:
             raise StoreError(f"{self.path}: table {wrong[0]} is of another layout: {layout.get(wrong[0])}")
 

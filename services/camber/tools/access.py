@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import stat
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,8 +23,9 @@ from camber.runtime.heard import BusError, are_we_heard, denial, name_in
 from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
-from camber.tools.access_rules import Kind, Party
+from camber.tools.access_rules import INSIDE, Kind, Party
 from camber.tools.access_table import table_text
+from camber.tools.bus_options import seconds
 from camber.tools.certificates import Authority, CertsError, check_name
 from camber.tools.router_config import cloud_config, text_of, vehicle_config
 
@@ -94,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     check.set_defaults(work=_check)
     check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
     check.add_argument("--name", help="vehicle in whose name (that of the rules, or of the certificate)")
-    check.add_argument("--timeout-s", type=float, default=5.0)
+    check.add_argument("--timeout-s", type=seconds, default=5.0)
     return parser
 
 
@@ -136,6 +138,9 @@ def _vehicle(args: argparse.Namespace) -> int:
     for endpoint in args.connect:
         if not endpoint.startswith(OVER_TLS):  # its rules take what comes otherwise for a service within
             raise ValueError(f"--connect {endpoint}: expected tls/… or quic/…")
+    for endpoint in args.listen or ():
+        if endpoint.partition("/")[0] not in INSIDE:  # and what comes over TLS for the cloud
+            raise ValueError(f"--listen {endpoint}: expected {' or '.join(f'{name}/…' for name in INSIDE)}")
     config = vehicle_config(
         args.name,
         connect=args.connect,
@@ -185,9 +190,16 @@ def _write(path: Path | None, text: str) -> None:
     if path is None:
         print(text, end="")
         return
-    fresh = path.with_name(path.name + ".new")
-    fresh.write_text(text, "utf-8")
-    fresh.replace(path)
+    target = path.resolve()
+    fresh = target.with_name(target.name + ".new")
+    try:
+        fresh.write_text(text, "utf-8")
+        if target.exists():
+            fresh.chmod(stat.S_IMODE(target.stat().st_mode))
+        fresh.replace(target)
+    except OSError:
+        fresh.unlink(missing_ok=True)
+        raise
     print(f"{path} written", file=sys.stderr)
 
 

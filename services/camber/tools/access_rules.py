@@ -183,7 +183,8 @@ def cloud_access_control(parties: Sequence[Party], routers: Sequence[str]) -> di
     control.subject("routers", {"cert_common_names": list(routers)}, [_everything()])
     for party in parties:
         subject = {"cert_common_names": [party.certificate]}
-        control.subject(party.certificate, subject, _rules(allowed(party, kinds)))
+        # With the kind before it no common name can be the id of another's subject or rule.
+        control.subject(f"{party.kind} {party.certificate}", subject, _rules(allowed(party, kinds)))
     return control.made()
 
 

@@ -3,6 +3,7 @@
     ca.pem, ca.key          the authority; the key leaves this folder never
     NAME.pem, NAME.key      one for each router, vehicle, service and consumer
     issued.json             all that were issued, by serial number: `Issued`
+    issued.lock             held by whoever issues or revokes; NAME.key.new, NAME.pem.new: a pair that is being written
 
 The common name is what access rules go by. It is the name itself; after a revocation, `NAME+2` and so on: Zenoh knows
 no revocation lists, so what was revoked is a common name that is no more in the rules, and it never comes back.
@@ -10,10 +11,13 @@ no revocation lists, so what was revoked is a common name that is no more in the
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import json
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -30,10 +34,14 @@ from camber.schemas.base import Name
 
 Kind = Literal["router", "vehicle", "map_update", "consumer", "judge", "operator"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-INDEX = "issued.json"
+INDEX, LOCK = "issued.json", "issued.lock"
+LONGEST_NAME = 60
+"""A common name has at most 64 characters (RFC 5280, ub-common-name), and `+2` may follow the name."""
 _BACKDATED = timedelta(minutes=5)  # clocks that are a little behind take it at once
 _RESERVED = frozenset({"ca", "fleet", "*"})
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
+_LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
+_HOST = re.compile(rf"(?=.{{1,253}}$)(?!(.*\.)?\d+$)(\*\.)?({_LABEL}\.)*{_LABEL}")  # none ends in a number
 
 
 class CertsError(Exception):
@@ -61,6 +69,8 @@ class Authority:
     @classmethod
     def make(cls, folder: Path, *, name: str, days: float, now: datetime) -> Authority:
         """A new authority; raises CertsError where there is one."""
+        if not 0 < len(name) <= LONGEST_NAME:
+            raise CertsError(f"{name!r}: expected a name of 1 to {LONGEST_NAME} characters")
         folder.mkdir(parents=True, exist_ok=True)
         key = ec.generate_private_key(ec.SECP256R1())
         builder = (
@@ -68,10 +78,11 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_key_usage(signs=True), critical=True)
         )
-        _must_be_free(folder / "ca")
-        _write_pair(folder / "ca", key, builder.sign(key, hashes.SHA256()))
         authority = cls(folder)
-        authority._save([])
+        with authority._locked():
+            _must_be_free(folder / "ca")
+            _write_pair(folder / "ca", key, builder.sign(key, hashes.SHA256()))
+            authority._save([])
         return authority
 
     def issued(self) -> list[Issued]:
@@ -99,13 +110,26 @@ class Authority:
         `renew`: in place of the one that is there, which stays valid until its end; without `hosts` for the same hosts.
         """
         check_name(name)
+        check_hosts(hosts)
+        with self._changing() as known:
+            return self._issue(known, name, kind, hosts, days, now, renew)
+
+    def _issue(
+        self,
+        known: list[Issued],
+        name: str,
+        kind: Kind,
+        hosts: Sequence[str],
+        days: float,
+        now: datetime,
+        renew: bool,
+    ) -> Issued:
         if kind == "router" and renew and not hosts:
             hosts = _hosts_of(read_certificate(self.folder / f"{name}.pem"))
         if kind == "router" and not hosts:
             raise CertsError(
                 f"{name}: a router's certificate needs the host names or addresses it is reached at"
             )
-        known = self.issued()
         of_name = [row for row in known if row.name == name]
         if any(row.kind != kind for row in of_name):
             raise CertsError(f"{name}: was issued as {of_name[-1].kind}, not as {kind}")
@@ -114,6 +138,8 @@ class Authority:
             raise CertsError(
                 f"{self.folder / name}.pem: there is one already; --renew makes one in its place"
             )
+        if not in_use:
+            check_length(name)
         revoked = {row.common_name for row in of_name if row.revoked is not None}
         common_name = name if not revoked else f"{name}+{len(revoked) + 1}"
         if any(row.common_name == common_name and row.name != name for row in known):
@@ -152,12 +178,28 @@ class Authority:
 
     def revoke(self, name: str, *, now: datetime) -> list[Issued]:
         """Mark all certificates under the present common name of `name` as revoked; returns them."""
-        known = self.issued()
-        taken = [row for row in known if row.name == name and row.revoked is None]
-        if not taken:
-            raise CertsError(f"{name}: no certificate of {self.folder} that is not revoked bears this name")
-        self._save([replace(row, revoked=_iso(now)) if row in taken else row for row in known])
+        with self._changing() as known:
+            taken = [row for row in known if row.name == name and row.revoked is None]
+            if not taken:
+                raise CertsError(
+                    f"{name}: no certificate of {self.folder} that is not revoked bears this name"
+                )
+            self._save([replace(row, revoked=_iso(now)) if row in taken else row for row in known])
         return taken
+
+    @contextmanager
+    def _changing(self) -> Iterator[list[Issued]]:
+        """All certificates so far, while nobody else issues or revokes; what an interruption has left is put right."""
+        self.issued()  # no lock is left in a folder that is no authority's
+        with self._locked():
+            _finish_pairs(self.folder)
+            yield self.issued()
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        with (self.folder / LOCK).open("a") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
 
     def _signer(self) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
         certificate = read_certificate(self.folder / "ca.pem")
@@ -174,9 +216,8 @@ class Authority:
 
     def _save(self, rows: list[Issued]) -> None:
         path = self.folder / INDEX
-        fresh = path.with_suffix(".new")
-        fresh.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", "utf-8")
-        fresh.replace(path)
+        text = json.dumps([asdict(row) for row in rows], indent=1) + "\n"
+        _written_beside(path, text.encode(), 0o644).replace(path)
 
 
 def check_name(name: str) -> None:
@@ -189,6 +230,24 @@ def check_name(name: str) -> None:
         ) from None
     if name in _RESERVED or name != name_of(name):
         raise CertsError(f"{name}: this name has a meaning of its own")
+
+
+def check_length(name: str) -> None:
+    """Raises CertsError for a new name that leaves no room for what a revocation adds."""
+    if len(name) > LONGEST_NAME:
+        raise CertsError(f"{name}: {len(name)} characters, expected at most {LONGEST_NAME}")
+
+
+def check_hosts(hosts: Sequence[str]) -> None:
+    """Raises CertsError for what is neither an address nor a host name."""
+    for host in hosts:
+        try:
+            ipaddress.ip_address(host)
+        except ValueError:
+            if not _HOST.fullmatch(host):
+                raise CertsError(
+                    f"host {host!r}: expected an IP address, or a host name in ASCII (xn--… for others)"
+                ) from None
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -264,19 +323,46 @@ def _must_be_free(stem: Path) -> None:
 
 
 def _write_pair(stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
-    """Key first: a certificate without its key is of no use, a key without a certificate does no harm."""
+    """Both reach the disk before one gets its name, the key first: `_finish_pairs` does the rest of an interruption."""
     secret = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     public = certificate.public_bytes(serialization.Encoding.PEM)
     pairs = [(stem.with_name(stem.name + end), data, mode) for end, data, mode in
              ((".key", secret, 0o600), (".pem", public, 0o644))]  # fmt: skip
-    for path, data, mode in pairs:
-        fresh = path.with_name(path.name + ".new")
+    fresh = [_written_beside(*pair) for pair in pairs]
+    for new, (path, _, _) in zip(fresh, pairs, strict=True):
+        new.replace(path)
+
+
+def _written_beside(path: Path, data: bytes, mode: int) -> Path:
+    fresh = path.with_name(path.name + ".new")
+    fresh.unlink(missing_ok=True)
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    return fresh
+
+
+def _finish_pairs(folder: Path) -> None:
+    """A certificate whose key has its name already gets its own; what else was being written is discarded."""
+    for fresh in folder.glob("*.pem.new"):
+        path = fresh.with_suffix("")
+        key, new_key = path.with_suffix(".key"), path.with_suffix(".key.new")
+        if not new_key.exists() and _is_pair(fresh, key):
+            fresh.replace(path)
         fresh.unlink(missing_ok=True)
-        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(data)
-        fresh.replace(path)
+    for fresh in folder.glob("*.key.new"):
+        fresh.unlink()
+
+
+def _is_pair(certificate: Path, key: Path) -> bool:
+    try:
+        read = serialization.load_pem_private_key(key.read_bytes(), password=None)
+        return read.public_key() == x509.load_pem_x509_certificate(certificate.read_bytes()).public_key()
+    except (OSError, ValueError, TypeError):
+        return False
 
 
 def _iso(time: datetime) -> str:

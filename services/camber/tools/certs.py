@@ -27,6 +27,9 @@ from camber.tools.certificates import (
     CertsError,
     Issued,
     Kind,
+    check_hosts,
+    check_length,
+    check_name,
     common_name,
     read_certificate,
 )
@@ -92,10 +95,17 @@ def _parser() -> argparse.ArgumentParser:
 
 def _make(args: argparse.Namespace) -> int:
     now = datetime.now(UTC)
-    authority = Authority.make(args.folder, name=args.name, days=args.authority_days, now=now)
     wanted: list[tuple[str, Kind]] = [(args.router, "router"), ("map_update", "map_update")]
     for kind in KINDS:
         wanted += [(name, kind) for name in getattr(args, kind, ()) if kind not in ("router", "map_update")]
+    check_hosts(args.host)  # all of it before anything is made: an authority is made once
+    names = [name for name, _ in wanted]
+    for name in names:
+        check_name(name)
+        check_length(name)
+        if names.count(name) > 1:
+            raise CertsError(f"{name}: named twice")
+    authority = Authority.make(args.folder, name=args.name, days=args.authority_days, now=now)
     print(f"{args.folder / 'ca.pem'}: {args.name}, {args.authority_days:g} days")
     for name, kind in wanted:
         hosts = args.host if kind == "router" else ()

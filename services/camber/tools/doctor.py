@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import importlib
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ from typing import Any
 
 from camber.runtime.settings import ConfigError, ServiceSettings, load
 from camber.schemas.channels import VEHICLE_SERVICES
+from camber.tools.bus_options import seconds
 from camber.tools.doctor_checks import (
     LEAST_FREE_BYTES,
     Finding,
@@ -44,7 +46,7 @@ exit codes: 0 no problem was found; 1 one was; 2 wrong usage. What could not be 
 def main(argv: Sequence[str]) -> int:
     """Check a deployment; returns the exit code."""
     args = _parser().parse_args(argv)
-    if not args.config.is_dir():
+    if not os.path.isdir(args.config):  # False also where we may not look
         print(f"{_PROG}: {args.config}: expected the folder of a deployment's settings", file=sys.stderr)
         return 2
     findings = []
@@ -88,6 +90,7 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
 def _settings(path: Path, known: dict[str, Any]) -> Finding:
     """Read one service's file as that service would, into `known`."""
     what, name = f"settings {path.name}", path.stem
+    nobody = problem(what, "no service has this name", "rename or remove it")
     try:
         module = importlib.import_module(f"camber.{name}.settings")
     except ModuleNotFoundError as error:
@@ -95,12 +98,14 @@ def _settings(path: Path, known: dict[str, Any]) -> Finding:
             return not_checked(
                 what, f"{error.name} is not installed here; `camber {name} --check` where it is"
             )
-        return problem(what, "no service has this name", "rename or remove it")
+        return nobody
     classes = [
         value
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, ServiceSettings) and name == value.SERVICE
     ]
+    if not classes:
+        return nobody
     try:
         known[name], _ = load(classes[0], ["--config", str(path)], prog=_PROG)
     except ConfigError as error:
@@ -133,7 +138,7 @@ def _name_of(router: Path) -> str | None:
 
 def _of_a_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
     """Is there all without which nothing is confirmed?"""
-    missing = [name for name in VEHICLE_SERVICES if not (folder / f"{name}.toml").exists()]
+    missing = [name for name in VEHICLE_SERVICES if not os.path.exists(folder / f"{name}.toml")]
     if missing and set(known) & set(VEHICLE_SERVICES):
         yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
     height = known.get("antenna_height")
@@ -239,7 +244,7 @@ def _parser() -> argparse.ArgumentParser:
         "config", type=Path, metavar="FOLDER", help="a TOML for each service, as deploy/config/vehicle"
     )
     parser.add_argument(
-        "--seconds", type=float, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
+        "--seconds", type=seconds, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
     )
     parser.add_argument("--offline", action="store_true", help="leave out bus, ports, receiver and caster")
     parser.add_argument("--json", action="store_true", help="a list of findings")

@@ -150,8 +150,9 @@ def check_clock(discipline: Discipline | None, unix_s: float) -> Iterator[Findin
 
 def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Finding:
     """A folder that a service keeps its state in: there or to be made, writable, durable, with room."""
-    place = next((path for path in (folder, *folder.parents) if path.exists()), Path("/"))
-    if not place.is_dir():
+    # Those of `os.path` say no where we may not look; what hinders us is said by the folder that we get to.
+    place = next((path for path in (folder, *folder.parents) if os.path.exists(path)), Path("/"))
+    if not os.path.isdir(place):
         return problem(what, f"{place} is no folder", "remove it, or set another folder")
     probe = place / f".camber-doctor-{uuid.uuid4().hex}"
     began_s = time.monotonic()

@@ -18,7 +18,9 @@ from camber.formats.stream_frames import FrameBuffer
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.runtime.ask import Asker, BusError
 from camber.runtime.clock import SystemClock
+from camber.runtime.heard import are_we_heard, denial
 from camber.runtime.settings import ServiceSettings
+from camber.runtime.tls import TlsError
 from camber.tools.doctor_checks import Finding, not_checked, ok, problem
 
 _REACH_S = 3.0
@@ -39,7 +41,7 @@ def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
             yield not_checked(f"bus {endpoint}", "only tcp/ and tls/ can be tried alone")
             continue
         try:
-            socket.create_connection((host[1].strip("[]"), int(host[2])), timeout=_REACH_S).close()
+            socket.create_connection(_address(host[1], host[2]), timeout=_REACH_S).close()
         except OSError as error:
             yield problem(
                 f"bus {endpoint}",
@@ -52,7 +54,9 @@ def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
         with Asker(settings, timeout_s=_REACH_S) as asker:
             alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
         yield ok("bus", f"joined; of {settings.vehicle} is there: {', '.join(sorted(alive)) or 'nobody yet'}")
-    except BusError as error:
+        if zenoh.over_tls and are_we_heard(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
+            yield problem("bus, access", denial(zenoh, settings.vehicle), "`camber access cloud` anew")
+    except (BusError, TlsError) as error:
         yield problem("bus", str(error), "router, certificates; `camber health router`")
 
 
@@ -68,19 +72,35 @@ def check_ports(all_settings: Sequence[tuple[str, ServiceSettings]]) -> Iterator
             if port == 0:
                 continue
             what = f"port {host}:{port} of {name}"
-            if (host, port) in wanted:
-                yield problem(
-                    what, f"also that of {wanted[host, port]}", "a port of its own for each service"
-                )
+            others = (of for (place, number), of in wanted.items() if number == port and _meet(place, host))
+            if (other := next(others, None)) is not None:
+                yield problem(what, f"also that of {other}", "a port of its own for each service")
                 continue
             wanted[host, port] = name
             yield _port(what, host, port)
 
 
+def _meet(one: str, other: str) -> bool:
+    """Can these two not have the same port? `::` stands for all addresses, 0.0.0.0 for all of IPv4."""
+    return one == other or "::" in (one, other) or ("0.0.0.0" in (one, other) and ":" not in one + other)
+
+
+def _address(host: str, port: str | int) -> tuple[str, int]:
+    """As sockets take it, which raise all kinds of errors for what is none; here it is an OSError."""
+    host, number = host.strip("[]"), int(port)
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise OSError(f"{host} is no name of a host") from None
+    if number > 65_535:
+        raise OSError(f"{number} is no port: expected at most 65535")
+    return host, number
+
+
 def _port(what: str, host: str, port: int) -> Finding:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        with socket.create_server((host, port), family=family):
+        with socket.create_server(_address(host, port), family=family):
             return ok(what, "free")
     except OSError as error:
         if _is_ours(host, port):
@@ -90,7 +110,7 @@ def _port(what: str, host: str, port: int) -> Finding:
 
 def _is_ours(host: str, port: int) -> bool:
     try:
-        with socket.create_connection((host, port), timeout=1.0) as connection:
+        with socket.create_connection(_address(host, port), timeout=1.0) as connection:
             connection.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
             connection.settimeout(2.0)
             return b"camber_" in connection.recv(65536)

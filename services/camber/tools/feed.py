@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError, open_session
-from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.gnss import ReceiverBytes
@@ -34,12 +35,14 @@ from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.simulator.drive_inputs import DriveInputs, prepare_drive
 from camber.simulator.sweep_files import SweepFile, SweepReader
+from camber.tools.bus_options import bus_settings
 from camber.tools.stopping import stopped_by_signals
 
 _PROG = "camber feed"
 _NS = 1_000_000_000
 _ROUTER = "tcp/127.0.0.1:7447"
 _ASK_ROUTER_S = 0.5
+_NOBODY_THERE = "cannot join the bus"  # of `open_session`; all else that it says was wrong before it asked
 _LONGEST_WAIT_NS = 3600 * _NS
 _LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
 
@@ -167,10 +170,11 @@ def main(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     try:
         manifest = load_manifest(args.drive, args.set)
-        with stopped_by_signals() as stop:
+        # A map made for the drive goes where it is in nobody's way: it is not fed.
+        with stopped_by_signals() as stop, tempfile.TemporaryDirectory(prefix="camber-feed-") as work_folder:
             feed(
                 manifest,
-                args.drive.parent,
+                Path(work_folder),
                 stop,
                 connect=args.connect,
                 vehicle=args.vehicle,
@@ -179,6 +183,9 @@ def main(argv: Sequence[str]) -> int:
             )
     except (ManifestError, FormatError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{_PROG}: {error.filename or args.drive}: {error.strerror or error}", file=sys.stderr)
         return 2
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
@@ -198,8 +205,11 @@ def feed(
 ) -> None:
     """Play a drive onto the bus of a vehicle (None: the manifest's) to its end, or until `stop` is set.
 
-    A router that is not there is waited for. Raises ManifestError, FormatError, BusError, OSError.
+    A router that is not there is waited for; where settings of the bus are wrong, the process ends. Raises
+    ManifestError, FormatError, BusError, OSError.
     """
+    options = argparse.Namespace(config=None, connect=connect)
+    settings = bus_settings(options, prog=prog, vehicle=vehicle or manifest.vehicle)
     inputs = prepare_drive(manifest, work_folder)
     epochs = epochs_of(inputs)
     if not any(epoch.solutions or epoch.samples or epoch.sweeps for epoch in epochs):
@@ -208,10 +218,6 @@ def feed(
         )
     for note in inputs.notes:
         print(f"{prog}: {note}", file=sys.stderr)
-    settings = ServiceSettings(
-        vehicle=vehicle or manifest.vehicle,
-        zenoh=ZenohSettings(mode="client", connect=connect or [_ROUTER]),
-    )
     bus = _joined(settings, stop, prog)
     if bus is None:
         return
@@ -222,16 +228,22 @@ def feed(
 
 
 def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
-    """The bus, as soon as its router is there; None where `stop` came first. It says once that it waits."""
+    """The bus, as soon as its router is there; None where `stop` came first. It says once that it waits.
+
+    Raises BusError for what no waiting helps: an endpoint that is none, a certificate.
+    """
     said = False
     while not stop.is_set():
         try:
             session = open_session(settings.zenoh, timeout_s=_ASK_ROUTER_S)
             return Bus(session, settings, "vehicle", SystemClock())
         except BusError as error:
+            if not str(error).startswith(_NOBODY_THERE):
+                raise
             if not said:
                 print(f"{prog}: {error}; waiting", file=sys.stderr, flush=True)
             said = True
+            stop.wait(_ASK_ROUTER_S)  # some failures come at once
     return None
 
 

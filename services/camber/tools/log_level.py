@@ -12,7 +12,7 @@ from camber.runtime.ask import Asker, BusError, QueryFailed
 from camber.runtime.clock import SystemClock
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
-from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.bus_options import add_bus_options, bus_settings, seconds
 
 _TOLD = (*SERVICES, SENSORS)
 _PROG = "camber log_level"
@@ -57,7 +57,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=float, default=3.0, metavar="S", help="seconds to wait (default 3)")
+    parser.add_argument(
+        "--timeout", type=seconds, default=3.0, metavar="S", help="seconds to wait (default 3)"
+    )
     return parser
 
 

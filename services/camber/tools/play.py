@@ -28,7 +28,7 @@ from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.tap import Tap
 from camber.schemas.channels import BY_NAME, SENSORS, Channel
-from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.bus_options import add_bus_options, bus_settings, seconds
 from camber.tools.stopping import stopped_by_signals
 from camber.tools.times import NS_PER_FIX_ID, moved
 
@@ -37,11 +37,10 @@ _NS = 1_000_000_000
 _LISTEN_S = 1.0
 _LATE_S = 0.5
 _LONG_GAP_S = 10.0
-PLAYABLE = tuple(
-    c
-    for c in BY_NAME.values()
-    if c.delivery in ("small", "bulk") and c.key.startswith("camber/v1/{vehicle}/")
-)
+_RECORDED = tuple(c for c in BY_NAME.values() if c.delivery in ("small", "bulk"))
+PLAYABLE = tuple(c for c in _RECORDED if c.key.startswith("camber/v1/{vehicle}/"))
+_OF_OTHERS = tuple(c for c in _RECORDED if c not in PLAYABLE)
+"""What a vehicle hears and no part of it says."""
 _HELP = """\
 exit codes: 0 played, or stopped as asked; 1 a producer is on the bus already, or the recording is damaged (what stands
 before the damage was played); 2 wrong usage, no such file, or nothing to play; 3 no bus.
@@ -64,11 +63,11 @@ def main(argv: Sequence[str]) -> int:
         return 2
     try:
         channels = _chosen(args.channels, args.without)
-        names = _producers(args.files, channels)
+        names, vehicle = _producers(args.files, channels)
     except (OSError, Refused) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
-    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle or _vehicle_of(args.files))
+    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle or vehicle)
     try:
         refuse_where_they_are(settings, names, channels, timeout_s=args.timeout)
         with stopped_by_signals() as stop:
@@ -76,7 +75,8 @@ def main(argv: Sequence[str]) -> int:
                 settings, names, stop, speed=args.speed, now=args.times == "now", timeout_s=args.timeout
             )
             try:
-                errors = player.play(_messages(args.files, channels))
+                heard = _OF_OTHERS if args.channels is None else ()
+                errors = player.play(_messages(args.files, (*channels, *heard)))
             finally:
                 player.close()
     except BusError as error:
@@ -148,6 +148,9 @@ class Player:
             if isinstance(item, RecordingError):
                 errors.append(item)
                 continue
+            if self._is_left_out(item.channel):
+                self.left_out[item.channel] += 1
+                continue
             if first_ns is None:
                 first_ns, began_s = item.message.time_ns, time.monotonic()
                 if self._now:
@@ -182,10 +185,10 @@ class Player:
         )
         return f"played {counts or 'nothing'}{f'; left out: {left}' if left else ''}{late}"
 
+    def _is_left_out(self, channel: str) -> bool:
+        return BY_NAME[channel] in _OF_OTHERS or (self._now and channel == "receiver_bytes")
+
     def _publish(self, item: Recorded[Any], offset_ns: int) -> None:
-        if self._now and item.channel == "receiver_bytes":
-            self.left_out[item.channel] += 1
-            return
         message = moved(item.message, offset_ns) if offset_ns else item.message
         self._buses[BY_NAME[item.channel].producers[0]].publish(item.channel, message)
         self.played[item.channel] += 1
@@ -211,31 +214,34 @@ def _chosen(names: str | None, without: str | None) -> tuple[Channel, ...]:
     return tuple(c for c in PLAYABLE if c.name in wanted and c.name not in left_out)
 
 
-def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> set[str]:
-    """Who published what these files hold of these channels. Raises Refused where they hold nothing."""
+def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[str], str]:
+    """Who published what these files hold of these channels, and the vehicle that their keys name.
+
+    Raises Refused where they hold nothing, or what is not of one vehicle: two sources are never mixed.
+    """
     names: set[str] = set()
-    for item in _messages(files, channels):
-        if isinstance(item, Recorded):
-            names.add(BY_NAME[item.channel].producers[0])
+    vehicles: set[str] = set()
+    for path in files:
+        for item in _messages([path], channels):
+            if isinstance(item, Recorded):
+                channel = BY_NAME[item.channel]
+                names.add(channel.producers[0])
+                try:
+                    vehicles.add(channel.vehicle_in(item.key))
+                except ValueError as error:
+                    raise Refused(f"{path}: {item.channel}: {error}") from None
+    every = ", ".join(map(str, files))
     if not names:
-        raise Refused(
-            f"{', '.join(map(str, files))}: no message of these channels that this version can read"
-        )
-    return names
-
-
-def _vehicle_of(files: Sequence[Path]) -> str:
-    """As the first message's key has it."""
-    for item in _messages(files, PLAYABLE):
-        if isinstance(item, Recorded):
-            return item.key.split("/")[2]
-    raise AssertionError("there is a message")
+        raise Refused(f"{every}: no message of these channels that this version can read")
+    if len(vehicles) > 1:
+        raise Refused(f"{every}: of {', '.join(sorted(vehicles))}, expected one vehicle")
+    return names, vehicles.pop()
 
 
 def _speed(text: str) -> float:
     value = float(text)
-    if not 0.0 < value <= 1000.0:
-        raise argparse.ArgumentTypeError("expected a factor above 0, at most 1000")
+    if not 0.001 <= value <= 1000.0:
+        raise argparse.ArgumentTypeError("expected a factor from 0.001 to 1000")
     return value
 
 
@@ -254,7 +260,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--without", metavar="A,B", help="not these")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="for the bus (default 5)")
+    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="for the bus (default 5)")
     return parser
 
 

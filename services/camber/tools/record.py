@@ -11,13 +11,13 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from camber.runtime.session import BusError
 from camber.runtime.tap import Tap
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
-from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.bus_options import add_bus_options, bus_settings, seconds
 from camber.tools.record_files import Limits, RecordFiles
 from camber.tools.stopping import stopped_by_signals
 
@@ -36,6 +36,11 @@ def main(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     try:
         channels = chosen(args.channels, args.without, sweeps=args.sweeps)
+        if args.keep_mb is not None and args.keep_mb < 2.0 * args.max_mb:
+            # One file is being written, and what goes must not be all that was written before it.
+            raise ValueError(
+                f"--keep-mb {args.keep_mb:g}: expected at least {2.0 * args.max_mb:g}, twice --max-mb"
+            )
     except ValueError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
@@ -46,11 +51,15 @@ def main(argv: Sequence[str]) -> int:
         kept_bytes=None if args.keep_mb is None else round(args.keep_mb * _MB),
         free_bytes=round(args.leave_mb * _MB),
     )
+    try:
+        files = RecordFiles(args.out, settings.vehicle, limits)
+    except OSError as error:
+        print(f"{_PROG}: --out {args.out}: {error.strerror or error}", file=sys.stderr)
+        return 2
     # No file has to be ended yet, and none of Python's handlers runs while Zenoh waits for a router.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         with Tap(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:
-            files = RecordFiles(args.out, settings.vehicle, limits)
             names = ", ".join(channel.name for channel in channels)
             print(f"{_PROG}: {settings.vehicle}: {names}, into {args.out}", file=sys.stderr, flush=True)
             end_s = time.monotonic() + (float("inf") if args.duration is None else args.duration)
@@ -109,6 +118,16 @@ def _write(tap: Tap, files: RecordFiles, said: Counter[str]) -> Counter[str]:
     return dropped
 
 
+def _ranged(least: float, most: float) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        value = float(text)
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text}: expected a number from {least:g} to {most:g}")
+        return value
+
+    return number
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -117,18 +136,26 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--channels", metavar="A,B", help="only these (default: all but sweeps)")
     parser.add_argument("--without", metavar="A,B", help="not these")
     parser.add_argument("--sweeps", action="store_true", help="sweeps too: a megabyte each")
-    parser.add_argument("--duration", type=float, metavar="S", help="end after so many seconds")
-    parser.add_argument("--max-mb", type=float, default=1024.0, metavar="MB", help="of a file (default 1024)")
-    parser.add_argument("--max-minutes", type=float, metavar="MIN", help="of a file")
+    above_0, mb = _ranged(0.001, 1e8), _ranged(1.0, 1e8)
+    parser.add_argument("--duration", type=above_0, metavar="S", help="end after so many seconds")
+    parser.add_argument("--max-mb", type=mb, default=1024.0, metavar="MB", help="of a file (default 1024)")
+    parser.add_argument("--max-minutes", type=above_0, metavar="MIN", help="of a file")
     parser.add_argument(
-        "--keep-mb", type=float, metavar="MB", help="of all files of this vehicle: the oldest go"
+        "--keep-mb",
+        type=mb,
+        metavar="MB",
+        help="of all files of this vehicle: the oldest go; at least twice --max-mb",
     )
     parser.add_argument(
-        "--leave-mb", type=float, default=500.0, metavar="MB", help="of the disk, to others (default 500)"
+        "--leave-mb",
+        type=_ranged(0.0, 1e8),
+        default=500.0,
+        metavar="MB",
+        help="of the disk, to others (default 500)",
     )
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default vehicle)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=float, metavar="S", help="for the bus (default: wait for it)")
+    parser.add_argument("--timeout", type=seconds, metavar="S", help="for the bus (default: wait for it)")
     return parser
 
 

@@ -12,8 +12,11 @@ import sys
 import time
 from collections.abc import Sequence
 
+from pydantic import TypeAdapter, ValidationError
+
 from camber.runtime.ask import Asker, BusError
 from camber.runtime.clock import SystemClock
+from camber.schemas.base import Name
 from camber.schemas.channels import FEEDER, SERVICES, VEHICLE_SERVICES
 from camber.schemas.health import HealthRequest
 from camber.tools.bus_options import add_bus_options, bus_settings, seconds
@@ -22,6 +25,7 @@ from camber.tools.status_view import Answers, View, view_of
 
 FLEET = "fleet"
 _PROG = "camber status"
+_NAME: TypeAdapter[str] = TypeAdapter(Name)
 _OF_FLEET = tuple(name for name in SERVICES if name not in VEHICLE_SERVICES)
 _NO_SERVICES = frozenset(
     {FEEDER, "vehicle", "player"}
@@ -91,26 +95,33 @@ def _ask(asker: Asker, vehicle: str, services: Sequence[str]) -> Answers:
     return asker.ask("health", HealthRequest(time_ns=SystemClock().now_ns()), vehicle, services)
 
 
+def _service(text: str) -> str:
+    try:
+        return _NAME.validate_python(text)
+    except ValidationError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected the name of a service") from None
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     which = parser.add_mutually_exclusive_group()
-    which.add_argument(
-        "--vehicle", default="vehicle", metavar="V", help="name of the vehicle (default vehicle)"
-    )
+    which.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: that of --config)")
     which.add_argument(
         "--fleet", action="store_true", help="the services of the cloud, and the vehicles there"
     )
     parser.add_argument(
         "--service",
         action="append",
+        type=_service,
         metavar="S",
         help="only this one; repeatable (default: all that there should be)",
     )
     parser.add_argument(
         "--expect",
         action="append",
+        type=_service,
         default=[],
         metavar="S",
         help="this one should be there too, as sensors in some vehicles; repeatable",

@@ -58,12 +58,19 @@ def _send(asker: Asker, path: Path, batches: Sequence[UploadBatch], limit_s: flo
     """Is all of a file acknowledged? Says so, with what became of its batches."""
     counts: Counter[str] = Counter()
     reasons: list[str] = []
-    for batch in batches:
-        status, reason = _receipt(asker, batch, limit_s)
-        counts[status] += len(batch.fix_id)
-        reasons += [f"{batch.vehicle} {batch.batch_id}: {reason}"] if reason else []
-    text = ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))
-    print(f"{path}: {sum(counts.values())} observations in {len(batches)} batches: {text}", flush=True)
+    done = 0
+    try:
+        for batch in batches:
+            status, reason = _receipt(asker, batch, limit_s)
+            counts[status] += len(batch.fix_id)
+            reasons += [f"{batch.vehicle} {batch.batch_id}: {reason}"] if reason else []
+            done += 1
+    finally:  # interrupted: what is acknowledged so far is stored
+        text = ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))
+        of_all = len(batches) if done == len(batches) else f"{done} of {len(batches)}"
+        print(
+            f"{path}: {sum(counts.values())} observations in {of_all} batches: {text or 'none'}", flush=True
+        )
     for reason in reasons[:5]:
         print(f"{path}: {reason}", file=sys.stderr)
     return not reasons

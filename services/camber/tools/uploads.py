@@ -1,6 +1,7 @@
 """`camber uploads STORE`: what the fleet's store holds, as CSV; it is only read.
 
-STORE is the file uploads.sqlite, or the address of a database as for `camber map_update --store`.
+STORE is the file uploads.sqlite, or the address of a database as for `camber map_update --store`; the password comes
+from the environment, as there.
 """
 
 from __future__ import annotations
@@ -14,16 +15,19 @@ from contextlib import closing
 from pathlib import Path
 
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
+from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.sqlite_store import SqliteStore
 from camber.map_update.store import Heading, Observed, Store, StoreError
+from camber.runtime.settings import ConfigError, load
 
+_PROG = "camber uploads"
 _AT_ONCE = 50_000
 
 
 def main(argv: list[str] | None = None) -> int:
     """Returns 2 where the store cannot be read."""
     parser = argparse.ArgumentParser(
-        prog="camber uploads", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("store", metavar="STORE")
     parser.add_argument("--records", action="store_true", help="observations; without it: contributions")
@@ -35,8 +39,8 @@ def main(argv: list[str] | None = None) -> int:
             for found in _all(store):
                 out.writerows(_records(found) if args.records else _contributions(found))
             sys.stdout.flush()
-    except StoreError as error:
-        print(f"camber uploads: {error}", file=sys.stderr)
+    except (StoreError, ConfigError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # whoever reads has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -47,11 +51,14 @@ def _opened(where: str) -> Store:
     if "://" in where:
         from camber.map_update.postgres_store import PostgresStore
 
-        return PostgresStore(where, limit_s=30.0)
-    path = Path(where)
-    if not path.is_file():
-        raise StoreError(f"{path}: no such file")
-    return SqliteStore(path)
+        settings, _ = load(MapUpdateSettings, [f"--store={where}"], prog=_PROG)
+        password = settings.store_password
+        return PostgresStore(
+            where, password=None if password is None else password.get_secret_value(), limit_s=30.0
+        )
+    if not os.path.isfile(where):
+        raise StoreError(f"{where}: no such file")
+    return SqliteStore(Path(where), read_only=True)
 
 
 def _all(store: Store) -> Iterator[Observed]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -228,6 +229,30 @@ def test_a_full_disk_ends_the_recording_and_not_the_program(tick: int) -> None:
     assert "No space left" in recorder.problem
     assert recorder.dropped > 0
     assert recorder.written + recorder.dropped == 20_001
+
+
+@pytest.mark.parametrize("limit_bytes", [100, 40_000, 1_000_000])
+def test_where_the_disk_is_full_what_counts_as_written_can_be_read(tmp_path: Path, limit_bytes: int) -> None:
+    rng = np.random.default_rng(limit_bytes)
+    path = tmp_path / "recording.mcap"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+    try:
+        recorder = Recorder(path)
+        for i in range(100):  # noise, which does not compress
+            noisy = sweep(i).model_copy(update={"points_m": rng.normal(size=(2000, 3)).astype(np.float32)})
+            noisy = noisy.model_copy(
+                update={"intensity": np.zeros(2000, np.float32), "offset_ns": np.zeros(2000, np.int32)}
+            )
+            recorder.add("sweep", encode(noisy, sequence=i), key=SWEEP_KEY, arrival_ns=i)
+            recorder.tick_done()
+        recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert recorder.problem is not None
+    found, _ = read(path, "sweep")
+    assert (recorder.written, recorder.dropped) == (len(found), 100 - len(found))
+    assert (len(found) > 0) == (limit_bytes > 300_000)
 
 
 def test_more_than_the_limit_within_one_tick_is_dropped_and_counted(tmp_path: Path) -> None:

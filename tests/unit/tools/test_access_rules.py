@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import stat
 from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
@@ -55,6 +56,15 @@ def test_every_rule_is_someones_and_every_subject_has_a_certificate_or_a_link() 
     inside, outside = vehicle_access_control("v", ["map_update"])["subjects"]
     assert set(outside["link_protocols"]) == set(OUTSIDE)
     assert not set(inside["link_protocols"]) & set(OUTSIDE)
+
+
+def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
+    parties = [Party("consumer", "routers"), Party("vehicle", "c", "routers 1"), Party("judge", "vehicle")]
+    parties += [Party("vehicle", "a"), Party("operator", "b", "vehicle a"), Party("consumer", "d", "a 1")]
+    control = cloud_access_control(parties, ["cloud"])
+    for table in ("rules", "subjects"):
+        ids = [row["id"] for row in control[table]]
+        assert len(ids) == len(set(ids)), table
 
 
 @pytest.mark.parametrize("others", [("map_update", "consumer"), ALL])
@@ -176,3 +186,47 @@ def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, capsys: pytest.
     said = capsys.readouterr()
     assert said.out == ""
     assert f"--connect {endpoint}: expected tls/" in said.err
+
+
+@pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/0.0.0.0:7447"])
+def test_within_a_vehicle_nobody_is_taken_for_the_cloud(
+    endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
+    assert access.main(words) == 0
+    capsys.readouterr()
+    assert access.main([*words, "--listen", endpoint]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…\n"
+
+
+def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: Path) -> None:
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "link.json5")]
+    (tmp_path / "there").mkdir()
+    target = tmp_path / "there" / "vehicle.json5"
+    target.write_text("before")
+    target.chmod(0o640)
+    (tmp_path / "link.json5").symlink_to(target)
+    assert access.main(words) == 0
+    assert (tmp_path / "link.json5").is_symlink()
+    assert "access_control" in target.read_text()
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert list((tmp_path / "there").iterdir()) == [target]
+
+
+def test_where_a_file_cannot_be_written_nothing_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "folder")]
+    assert access.main(words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1"])
+def test_an_echo_is_waited_for_so_long_and_no_longer(number: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        access.main(["check", "vehicle.json5", f"--timeout-s={number}"])
+    assert ended.value.code == 2

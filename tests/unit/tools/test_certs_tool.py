@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import stat
+import threading
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from cryptography.x509.verification import PolicyBuilder, Store
 
 from camber.runtime.session import router_endpoints
 from camber.runtime.tls import check_table
 from camber.tools import access, certs
-from camber.tools.certificates import Authority, common_name, read_certificate
+from camber.tools.certificates import Authority, Issued, common_name, read_certificate
 
 
 @pytest.fixture
@@ -220,6 +222,16 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
         (["issue", "car-1+2", "--kind", "vehicle"], "a meaning of its own"),
         (["issue", "edge", "--kind", "router"], "needs the host names"),
         (["issue", "car-1", "--kind", "consumer"], "was issued as vehicle"),
+        (["issue", "c" * 61, "--kind", "vehicle"], "61 characters, expected at most 60"),
+        (
+            ["issue", "edge", "--kind", "router", "--host", "wölkchen.example"],
+            "host 'wölkchen.example': expected",
+        ),
+        (["issue", "edge", "--kind", "router", "--host", ""], "host '': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "10.0.0.1/24"], "host '10.0.0.1/24': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "10.0.0.256"], "host '10.0.0.256': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "[::1]"], "host '[::1]': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "a..b"], "host 'a..b': expected"),
         (["revoke", "car-9"], "bears this name"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -241,3 +253,123 @@ def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]
     said = capsys.readouterr()
     assert "car-1.key: not a certificate in PEM" in said.err
     assert not [line for line in lines if line in said.out + said.err]
+
+
+def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
+    hosts = [
+        "localhost",
+        "map_update",
+        "cloud.example",
+        "*.cloud.example",
+        "xn--wlkchen-b1a.example",
+        "::1",
+        "7.b",
+    ]
+    words = [word for host in hosts for word in ("--host", host)]
+    assert certs.main(["make", str(tmp_path / "pki"), *words]) == 0
+    names = read_certificate(tmp_path / "pki" / "cloud.pem").extensions
+    places = names.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(place.value) for place in places] == hosts
+
+
+def test_a_name_of_the_greatest_length_can_be_revoked_and_issued_anew(folder: Path) -> None:
+    words = ["issue", str(folder), "c" * 60, "--kind", "vehicle"]
+    for generation in range(1, 4):
+        assert certs.main(words) == 0, generation
+        assert certs.main(["revoke", *words[1:3]]) == 0
+
+
+def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, until = "c" * 64, "2030-01-01T00:00:00+00:00"
+    Authority(folder)._save([*Authority(folder).issued(), Issued(name, "vehicle", name, "1", until)])
+    words = ["issue", str(folder), name, "--kind", "vehicle"]
+    assert certs.main([*words, "--renew"]) == 0
+    assert certs.main(["revoke", str(folder), name]) == 0
+    capsys.readouterr()
+    assert certs.main(words) == 2
+    assert capsys.readouterr().err == f"camber certs: {name}: 64 characters, expected at most 60\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--vehicle", "car 1"], "not a name"),
+        (["--vehicle", "c" * 61], "61 characters"),
+        (["--consumer", "cloud"], "cloud: named twice"),
+        (["--vehicle", "a", "--judge", "a"], "a: named twice"),
+        (["--host", "10.0.0.1/24"], "host '10.0.0.1/24'"),
+        (["--name", ""], "expected a name of 1 to 60 characters"),
+        (["--name", "n" * 65], "expected a name of 1 to 60 characters"),
+    ],
+    ids=lambda value: " ".join(value)[:20] if isinstance(value, list) else "",
+)
+def test_no_half_of_an_authority_is_made(
+    tmp_path: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert certs.main(["make", str(tmp_path / "pki"), "--host", "cloud.example", *words]) == 2
+    said = capsys.readouterr()
+    assert why in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert not (tmp_path / "pki").exists()
+
+
+def test_a_revocation_meanwhile_is_not_undone_and_no_certificate_is_lost(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that issues has read the list and is held up, while others revoke and issue."""
+    signer, reading, go_on = Authority._signer, threading.Event(), threading.Event()
+
+    def held_up(self: Authority) -> object:
+        if not reading.is_set():
+            reading.set()
+            go_on.wait(30.0)
+        return signer(self)
+
+    monkeypatch.setattr(Authority, "_signer", held_up)
+    issue = ["issue", str(folder), "car-3", "--kind", "vehicle"]
+    first = threading.Thread(target=certs.main, args=(issue,))
+    first.start()
+    assert reading.wait(30.0)
+    others = [["revoke", str(folder), "car-1"], ["issue", str(folder), "car-4", "--kind", "vehicle"]]
+    threads = [threading.Thread(target=certs.main, args=(words,)) for words in others]
+    for thread in threads:
+        thread.start()
+        thread.join(0.5)  # time enough for whoever does not wait
+    go_on.set()
+    for thread in (first, *threads):
+        thread.join(30.0)
+    rows = {row.name: row for row in Authority(folder).issued()}
+    assert rows["car-1"].revoked is not None
+    assert {"car-3", "car-4"} <= set(rows)
+
+
+@pytest.mark.parametrize("at", ["issued.json.new", "car-1.key.new", "car-1.pem.new"])
+def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next_run(
+    folder: Path, at: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (folder / "car-1.pem").read_bytes()
+    replace = Path.replace
+
+    def cut(self: Path, target: Path) -> Path:
+        if self.name == at:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", cut)
+        with pytest.raises(KeyboardInterrupt):
+            certs.main(["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"])
+    assert certs.main(["issue", str(folder), "car-5", "--kind", "vehicle"]) == 0
+    key = load_pem_private_key((folder / "car-1.key").read_bytes(), password=None)
+    assert key.public_key() == read_certificate(folder / "car-1.pem").public_key()
+    assert ((folder / "car-1.pem").read_bytes() == before) == (at != "car-1.pem.new")
+    assert not list(folder.glob("*.pem.new")) + list(folder.glob("*.key.new"))
+
+
+def test_no_lock_is_left_in_a_folder_that_is_no_authority_s(tmp_path: Path) -> None:
+    for words in (["revoke", str(tmp_path), "car-1"], ["issue", str(tmp_path), "car-1", "--kind", "vehicle"]):
+        assert certs.main(words) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -90,6 +90,19 @@ def test_a_folder_that_takes_state_is_well_and_nothing_is_left_in_it(tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_folder_below_one_that_is_others_is_a_problem(tmp_path: Path) -> None:
+    private = tmp_path / "private"
+    private.mkdir(mode=0o000)
+    us = os.geteuid()
+    if us == 0:
+        os.seteuid(65534)
+    try:
+        found = check_folder("disk", private / "state", least_free_bytes=1)
+    finally:
+        os.seteuid(us)
+    assert (found.state, "Permission denied" in found.text) == ("problem", True)
+
+
 def test_a_folder_without_room_is_a_problem(tmp_path: Path) -> None:
     assert "make room" in check_folder("disk", tmp_path, least_free_bytes=1 << 60).todo
 
@@ -301,6 +314,41 @@ def test_a_port_that_is_taken_or_wanted_twice_is_a_problem() -> None:
         assert "in use" in the_problem(check_ports(both[:1])).text
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "meet"),
+    [
+        ("0.0.0.0", "127.0.0.1", True),
+        ("127.0.0.1", "0.0.0.0", True),
+        ("[::]", "127.0.0.1", True),
+        ("[::]", "0.0.0.0", True),
+        ("127.0.0.1", "127.0.0.2", False),
+        ("0.0.0.0", "[::1]", False),
+    ],
+)
+def test_a_port_on_all_addresses_is_one_on_each_of_them(one: str, other: str, meet: bool) -> None:
+    port = free_port()
+    both = [
+        (name, service(metrics_port=port, metrics_host=host.strip("[]")))
+        for name, host in (("gnss", one), ("integrity", other))
+    ]
+    found = list(check_ports(both))
+    assert ["also that of gnss" in finding.text for finding in found] == [False, meet]
+
+
+def test_ports_and_hosts_that_there_cannot_be_are_problems() -> None:
+    listening = ZenohSettings(mode="peer", connect=[], listen=["tcp/127.0.0.1:99999", "tcp/a..b:7447"])
+    settings = service().model_copy(update={"zenoh": listening})
+    found = list(check_ports([("gnss", settings)]))
+    assert [(finding.what, finding.state) for finding in found] == [
+        ("port 127.0.0.1:99999 of gnss", "problem"),
+        ("port a..b:7447 of gnss", "problem"),
+    ]
+    for endpoint in ("tcp/router..example:7447", "tcp/127.0.0.1:99999"):
+        tried = next(check_bus(service(endpoint)))
+        assert (tried.what, tried.state) == (f"bus {endpoint}", "problem")
+        assert tried.text
+
+
 def test_a_port_that_a_running_service_of_ours_has_is_well() -> None:
     from camber.runtime.metrics import MetricsServer, Spoken
 
@@ -444,6 +492,7 @@ def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.Ca
         ("gnss.toml", 'vehicle = "car"\ndatum = "JGD2011"\n', "gnss.toml JGD2011"),
         ("gnss.toml", "vehicle = ", "not TOML"),
         ("nosuch.toml", "", "no service has this name"),
+        ("runtime.toml", "", "settings runtime.toml: no service has this name"),
         ("antenna_height.toml", 'vehicle = "car"\n', "fixed_height_m is not set"),
         ("map_update.toml", 'state_dir = "/tmp"\nreference = "/nosuch"\n', "reference: /nosuch"),
         (
@@ -467,4 +516,12 @@ def test_a_deployment_with_a_fault_is_code_1_and_says_what_to_do(
 
 def test_no_folder_is_wrong_usage_and_an_empty_one_a_problem(tmp_path: Path) -> None:
     assert tool.main([str(tmp_path / "nosuch")]) == 2
+    assert tool.main([str(tmp_path / ("x" * 300))]) == 2, "as where we may not look: an OSError"
     assert tool.main([str(tmp_path), "--offline"]) == 1
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1", "0"])
+def test_a_receiver_is_listened_to_for_so_long_and_no_longer(tmp_path: Path, number: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        tool.main([str(tmp_path), f"--seconds={number}"])
+    assert ended.value.code == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import threading
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.pcd import write_sweep
 from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder, read_pos
+from camber.runtime.session import BusError
+from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import ReceiverBytes
@@ -244,3 +247,70 @@ def test_a_drive_that_cannot_be_used_is_one_line_and_code_2(
 ) -> None:
     assert feed.main([str(tmp_path / "none.toml")]) == 2
     assert capsys.readouterr().err.startswith("camber feed: ")
+
+
+def with_surrogate_map(folder: Path) -> Path:
+    """The drive with a map of its own in `folder`/map, and a manifest that has one made instead."""
+    write_short_drive(folder)
+    text = (folder / "drive.toml").read_text().replace('[map]\nrelease = "map"\n', "")
+    text += '\n[surrogates]\ninputs = ["links", "road_surfaces"]\n'
+    (folder / "drive.toml").write_text(text)
+    return folder / "drive.toml"
+
+
+def test_a_map_beside_the_drive_stays_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    manifest = with_surrogate_map(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.setattr(feed, "_joined", lambda *_: None)
+    assert feed.main([str(manifest)]) == 0
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_where_nothing_can_be_written_it_is_one_line_and_code_2(
+    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", "/proc/nowhere")
+    assert feed.main([str(drive)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("camber feed: /proc/nowhere/")
+    assert said.count("\n") == 1
+
+
+def test_what_is_no_endpoint_is_not_waited_for(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert feed.main([str(drive), "--connect", "127.0.0.1:7447"]) == 3
+    said = capsys.readouterr().err
+    assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "named"), [(["--vehicle", "a b"], "vehicle:"), (["--connect", "tls/router:7447"], "tls_ca")]
+)
+def test_wrong_settings_of_the_bus_are_one_line_and_code_2(
+    drive: Path, words: list[str], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        feed.main([str(drive), *words])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert said.count("\n") == 1
+
+
+def test_a_router_that_is_not_there_is_asked_for_in_peace(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[float] = []
+    bus = FakeBus(0)
+    stop = FakeStop(bus)
+
+    def nobody(_: object, *, timeout_s: float) -> None:
+        asked.append(timeout_s)
+        if len(asked) == 20:
+            stop.set()
+        raise BusError("cannot join the bus (client, tcp/away:1): no such host")
+
+    monkeypatch.setattr(feed, "open_session", nobody)
+    assert feed._joined(ServiceSettings(), stop, "camber feed") is None
+    assert bus.now >= 19 * _NS // 2, "at most two a second, however quickly they fail"
+    assert capsys.readouterr().err.count("; waiting\n") == 1

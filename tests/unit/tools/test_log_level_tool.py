@@ -80,7 +80,15 @@ def test_durations(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [["gnss", "loud"], ["gnss", "debug", "--for", "10"], ["gnss", "debug", "--for", "25h"]]
+    "words",
+    [
+        ["gnss", "loud"],
+        ["gnss", "debug", "--for", "10"],
+        ["gnss", "debug", "--for", "25h"],
+        ["gnss", "debug", "--timeout", "nan"],
+        ["gnss", "debug", "--timeout", "inf"],
+        ["gnss", "debug", "--timeout", "-1"],
+    ],
 )
 def test_wrong_usage_is_code_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -15,7 +15,7 @@ from camber.runtime.tap import Tapped
 from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
-from camber.tools.record import chosen
+from camber.tools.record import chosen, main
 from camber.tools.record_files import Limits, RecordFiles
 from support.messages import build
 
@@ -85,6 +85,17 @@ def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Pa
     files.write(motions(0, 10), now_s=0.0)
     files.close()
     assert {path.name for path in tmp_path.iterdir()} == {files.files[0].name, *others}
+
+
+def test_an_old_file_that_cannot_be_deleted_hinders_nothing(tmp_path: Path) -> None:
+    stuck = tmp_path / "car-20200101T000000Z-000.mcap"
+    stuck.mkdir()  # unlink says no, also to root
+    files = RecordFiles(tmp_path, "car", Limits(file_s=1.0, kept_bytes=1, free_bytes=0))
+    for n in range(3):
+        files.write(motions(10 * n, 10), now_s=2.0 * n)
+    files.close()
+    assert (files.written, files.problem) == (30, None)
+    assert sorted(tmp_path.iterdir()) == [stuck, files.files[-1]]
 
 
 def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_path: Path) -> None:
@@ -187,3 +198,39 @@ def test_all_channels_but_sweeps_unless_they_are_wanted() -> None:
 def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: str | None) -> None:
     with pytest.raises(ValueError, match=r"channel"):
         chosen(names, without, sweeps=False)
+
+
+def said_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Of wrong usage: the last line, after argparse's own."""
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(main(words))
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "option", ["--duration", "--max-mb", "--max-minutes", "--keep-mb", "--leave-mb", "--timeout"]
+)
+@pytest.mark.parametrize("number", ["nan", "inf", "-1", "x"])
+def test_a_number_that_is_none_is_refused(
+    tmp_path: Path, option: str, number: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"argument {option}: " in said_of(["--out", str(tmp_path), f"{option}={number}"], capsys)
+
+
+def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
+    said = said_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
+    assert said == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
+    assert "argument --max-mb" in said_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_in_place_of_the_folder_is_wrong_usage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    said = said_of(["--out", str(tmp_path / "file")], capsys)
+    assert said == f"camber record: --out {tmp_path / 'file'}: File exists"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from camber.runtime.ask import QueryFailed
+from camber.runtime.ask import BusError, QueryFailed
+from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.health import ChannelUse, Health, Issue
+from camber.tools import status
 from camber.tools.status_text import as_text, duration, fleet_text
 from camber.tools.status_view import view_of
 
@@ -177,3 +180,35 @@ def test_a_fleet_is_a_list_of_vehicles() -> None:
 def test_durations_are_short() -> None:
     shown = [duration(s) for s in (0.0004, 0.02, 5.0, 90.0, 600.0, 10_000.0, 1e6)]
     assert shown == ["0.4 ms", "20 ms", "5 s", "90 s", "10 min", "2.8 h", "12 d"]
+
+
+@pytest.mark.parametrize(
+    ("words", "vehicle"), [([], "car-7"), (["--vehicle", "car-8"], "car-8"), (["--fleet"], "fleet")]
+)
+def test_the_vehicle_is_the_one_that_is_named_or_that_of_the_settings(
+    tmp_path: Path, words: list[str], vehicle: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def nobody(settings: ServiceSettings, **_: Any) -> None:
+        asked.append(settings.vehicle)
+        raise BusError("away")
+
+    monkeypatch.setattr(status, "Asker", nobody)
+    config = tmp_path / "car.toml"
+    config.write_text('vehicle = "car-7"\n')
+    assert status.main(["--config", str(config), *words]) == 3
+    assert status.main([]) == 3
+    assert asked == [vehicle, "vehicle"]
+
+
+@pytest.mark.parametrize("option", ["--service", "--expect"])
+@pytest.mark.parametrize("name", ["a//b", "", "gnss/", "*", "a b"])
+def test_what_is_no_name_of_a_service_is_not_asked(
+    option: str, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        status.main([option, name])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said == f"camber status: error: argument {option}: {name!r}: expected the name of a service"

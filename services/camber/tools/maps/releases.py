@@ -146,7 +146,7 @@ def _votes(uploads: Path, surface_id: int) -> list[str]:
     if not uploads.is_file():
         raise ReleaseError(str(uploads), "file", "the uploads of map_update")
     try:
-        store = SqliteStore(uploads)
+        store = SqliteStore(uploads, read_only=True)
         try:
             votes = store.votes_of(np.array([surface_id], np.int64))
         finally:
