@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 # What is there stays, whatever python3 is today, until PYTHON asks for another or it runs no more.
 VERSION := $(shell for python in $(if $(filter file,$(origin PYTHON)),$(BIN)/python) $(PYTHON); do \
-	$$python -c 'import platform; print(platform.python_version())' 2>/dev/null && break; done)
+	$$python -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null && break; done)
 MADE := .venv/.made-$(VERSION)
 # Without --compile: byte code is made of what is imported, and not of all that is installed. The constraints are no
 # option, since they hold for what builds are made with, too: pip before 25.3 knows the first name, later ones the second.

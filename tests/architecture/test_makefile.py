@@ -16,7 +16,7 @@ if [ "$1" = -c ]; then echo {version}; exit; fi
 [ "$1 $2" = "-m venv" ] || exit 1
 [ "$3" = --clear ] && rm -rf .venv
 mkdir -p .venv/bin
-cp "$0" .venv/bin/python
+ln -sf "$0" .venv/bin/python
 [ ! -e no-ensurepip ] || exit 1
 cp stubs/pip stubs/camber .venv/bin
 """
@@ -35,8 +35,8 @@ class Checkout:
         for name in ("Makefile", "pyproject.toml", "constraints.txt"):
             shutil.copy(ROOT / name, folder)
         (folder / "stubs").mkdir()
-        self.python("python3", "3.11.4")
-        self.python("python3.13", "3.13.1")
+        self.python("python3", "3.11")
+        self.python("python3.13", "3.13")
         self._program("pip", PIP)
         self._program("camber", "#!/bin/sh\n")
 
@@ -100,22 +100,22 @@ def test_an_environment_whose_interpreter_is_gone_is_made_anew(checkout: Checkou
     python = checkout.folder / ".venv/bin/python"
     python.unlink()
     python.symlink_to("/nonexistent/python3.11")
-    checkout.python("python3", "3.12.7")
+    checkout.python("python3", "3.12")
     checkout.installed()
     assert checkout.make("setup") == 0
-    assert checkout.version() == "3.12.7"
+    assert checkout.version() == "3.12"
     assert len(checkout.installed()) == 2
 
 
 def test_an_interpreter_that_is_asked_for_is_taken_and_stays(checkout: Checkout) -> None:
     assert checkout.make("setup") == 0
-    assert checkout.version() == "3.11.4"
+    assert checkout.version() == "3.11"
     checkout.installed()
     assert checkout.make("PYTHON=python3.13", "setup") == 0
-    assert checkout.version() == "3.13.1"
+    assert checkout.version() == "3.13"
     assert len(checkout.installed()) == 2
     assert checkout.make("setup") == 0
-    assert (checkout.version(), checkout.installed()) == ("3.13.1", [])
+    assert (checkout.version(), checkout.installed()) == ("3.13", [])
 
 
 @pytest.mark.parametrize("goals", [("demo", "setup"), ("setup", "demo"), ("demo",)])

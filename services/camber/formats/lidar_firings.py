@@ -66,7 +66,8 @@ class Decoded:
     """Of some packets (p,): `stamp_ns` by the sensor's clock, and of those that could be read the firings.
 
     `stamp_ns` is None for a packet that was refused; why stands in `refused`, by reason, with the last one's words in
-    `details`. `session` is what tells one run of the sensor from the next, where packets say it.
+    `details`. `session` is what tells one run of the sensor from the next, where packets say it. `otherwise` are those
+    that were refused because the sensor does not turn as it should: what came before them of a turn is void.
     """
 
     stamp_ns: Sequence[int | None]
@@ -74,6 +75,7 @@ class Decoded:
     refused: Counter[str]
     details: Mapping[str, str]
     session: int | None = None
+    otherwise: frozenset[int] = frozenset()
 
 
 class LidarDecoder(Protocol):

@@ -97,6 +97,7 @@ class OusterDecoder:
         stamps: list[int | None] = []
         kept: list[tuple[int, NDArray[Any]]] = []
         session: int | None = None
+        otherwise: list[int] = []
         for number, payload in enumerate(payloads):
             reason, words = self._refusal(payload)
             stamp_ns = None
@@ -113,22 +114,26 @@ class OusterDecoder:
             if reason:
                 refused[reason] += 1
                 details[reason] = words
+            if reason == "turn":
+                otherwise.append(number)
             stamps.append(stamp_ns)
         if not kept:
-            return Decoded(stamps, None, refused, details)
+            self._turns_otherwise |= bool(otherwise)
+            return Decoded(stamps, None, refused, details, otherwise=frozenset(otherwise))
         packets = np.concatenate([packet for _, packet in kept])
         numbers = np.array([number for number, _ in kept], np.int64)
-        fits = self._fits(packets)
+        fits = self._fits(packets, numbers, otherwise)
         if not fits.all():
             refused["turn"] += int((~fits).sum())
             details["turn"] = self._misfit
             for number in numbers[~fits].tolist():
                 stamps[number] = None
+            otherwise += numbers[~fits].tolist()
             packets, numbers = packets[fits], numbers[fits]
         if not len(packets):
-            return Decoded(stamps, None, refused, details, session)
+            return Decoded(stamps, None, refused, details, session, frozenset(otherwise))
         firings = self._firings(packets, numbers, np.array([stamps[number] for number in numbers], np.uint64))
-        return Decoded(stamps, firings, refused, details, session)
+        return Decoded(stamps, firings, refused, details, session, frozenset(otherwise))
 
     def _refusal(self, payload: bytes) -> tuple[str, str]:
         size = self._packet.itemsize
@@ -149,15 +154,16 @@ class OusterDecoder:
         wrong = self._valid(places) & (places["place"] >= self._metadata.columns)
         if wrong.any():
             place = int(places["place"][wrong][0])
-            self._turns_otherwise = True
             return (
                 "turn",
                 f"column {place}, expected one of {self._metadata.columns} (lidar_mode of the metadata)",
             )
         return "", ""
 
-    def _fits(self, packets: NDArray[Any]) -> Bools:
+    def _fits(self, packets: NDArray[Any], numbers: NDArray[np.int64], otherwise: list[int]) -> Bools:
         """Of packets (p,) those that turn as the metadata say: their columns are as far apart in time as in place.
+
+        `otherwise` are numbers of those between them that cannot be of such a sensor.
 
         Of columns that are next to one another it is seen at once; that places begin anew too early or too late, once
         a turn, where they do. From then on nothing is taken until they have once begun anew at the right time.
@@ -166,18 +172,21 @@ class OusterDecoder:
         valid = self._valid(columns)
         place, stamp = columns["place"].astype(np.int64), columns["stamp_ns"].astype(np.int64)
         turn_ns = self._metadata.columns * self.interval_ns
-        fits = np.ones(len(packets), np.bool_)
-        for k, here in enumerate(valid):
-            at, at_ns = place[k][here], stamp[k][here]
-            if len(at) > 1:
-                apart = np.diff(at) % self._metadata.columns * self.interval_ns
-                fits[k] = _alike(float(np.median(apart)), float(np.median(np.diff(at_ns))))
-            before, self._last = self._last, (int(at[0]), int(at_ns[0]))
-            since_ns = self._last[1] - before[1]
-            if 0 < since_ns < turn_ns // 2 and self._last[0] < before[0]:
-                on = (self._last[0] - before[0]) % self._metadata.columns
-                self._turns_otherwise = not _alike(on * self.interval_ns, since_ns)
+        apart_ns = np.diff(place, axis=1) % self._metadata.columns * self.interval_ns
+        pairs = valid[:, 1:] & valid[:, :-1]
+        alike = pairs & _alike(apart_ns, np.diff(stamp, axis=1))
+        fits: Bools = 2 * alike.sum(axis=1) >= pairs.sum(axis=1)
+        rows, first = np.arange(len(packets)), valid.argmax(axis=1)
+        begins = zip(place[rows, first].tolist(), stamp[rows, first].tolist(), strict=True)
+        passed = np.searchsorted(otherwise, numbers)
+        for k, (at, at_ns) in enumerate(begins):
+            self._turns_otherwise |= bool(passed[k] > (passed[k - 1] if k else 0))
+            (before, before_ns), self._last = self._last, (at, at_ns)
+            if at < before and 0 < at_ns - before_ns < turn_ns:
+                on_ns = (at - before) % self._metadata.columns * self.interval_ns
+                self._turns_otherwise = not _alike(on_ns, at_ns - before_ns)
             fits[k] &= not self._turns_otherwise
+        self._turns_otherwise |= bool(len(otherwise) > passed[-1])
         return fits
 
     def _valid(self, columns: NDArray[Any]) -> Bools:
@@ -211,7 +220,7 @@ class OusterDecoder:
         )
 
 
-def _alike(expected_ns: float, found_ns: float) -> bool:
+def _alike(expected_ns: Any, found_ns: Any) -> Any:
     """Within a quarter: what a motor that is at its speed never differs by, and another mode always."""
     return abs(found_ns - expected_ns) <= expected_ns / 4.0
 

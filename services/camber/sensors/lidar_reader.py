@@ -40,13 +40,17 @@ class LidarReader:
         self._cutter = SweepCutter(sensor, decoder.interval_ns, decoder.beam_after_ns, least_share)
         self._session: int | None = None
         self._sender: str | None = None
-        self._heard_ns = 0
+        self._used_ns = 0
 
     def take(
         self, payloads: Sequence[bytes], arrivals_ns: Sequence[int], senders: Sequence[str] = ()
     ) -> list[Sweep]:
         """Packets, the GPS times at which they arrived, in that order, and from where; returns the sweeps of them."""
         self.issues = []
+        kept = self._of_its_sender(arrivals_ns, senders or [""] * len(payloads))
+        if len(kept) < len(payloads):
+            payloads = [payloads[number] for number in kept]
+            arrivals_ns = [arrivals_ns[number] for number in kept]
         decoded = self._decoder.decode(payloads)
         self.counts["packets.read"] += len(payloads)
         for reason, n in decoded.refused.items():
@@ -55,15 +59,11 @@ class LidarReader:
             self.issues.append((code, words))
         self._look_for_a_start(decoded)
         sweeps: list[Sweep] = []
-        for first, times in self._runs(decoded, arrivals_ns, senders):
+        for first, times in self._runs(decoded, arrivals_ns):
             if first:
                 self._cutter.start_anew()
             if decoded.firings is not None and times:
                 sweeps += self._add(decoded.firings, times)
-        if decoded.refused["turn"]:
-            # What fitted by chance is of the same turns as what did not.
-            self._cutter.start_anew()
-            sweeps = []
         self._count()
         return sweeps
 
@@ -86,20 +86,14 @@ class LidarReader:
             self.issues.append(("lidar_started_again", f"the sensor's session is {decoded.session} now"))
         self._session = decoded.session
 
-    def _runs(
-        self, decoded: Decoded, arrivals_ns: Sequence[int], senders: Sequence[str]
-    ) -> list[tuple[bool, dict[int, int]]]:
+    def _runs(self, decoded: Decoded, arrivals_ns: Sequence[int]) -> list[tuple[bool, dict[int, int]]]:
         """Packets between which no clock was set: whether one was before them, and the time of each."""
         runs: list[tuple[bool, dict[int, int]]] = [(False, {})]
         filled_ns = self._filled_ns(decoded)
-        others: set[str] = set()
         for number, (stamp_ns, arrival_ns) in enumerate(zip(decoded.stamp_ns, arrivals_ns, strict=True)):
+            if number in decoded.otherwise:
+                runs.append((True, {}))  # what fitted by chance is of the same turn
             if stamp_ns is None:
-                continue
-            sender = senders[number] if senders else ""
-            if not self._is_its(sender, arrival_ns):
-                self.counts["packets.of_others"] += 1
-                others.add(sender)
                 continue
             time_ns = self._clock.time_ns(stamp_ns, arrival_ns - int(filled_ns[number]))
             if self._clock.jump:
@@ -110,16 +104,28 @@ class LidarReader:
                 self.counts["packets.refused_time"] += 1
                 self.issues.append(("lidar_clock", self._clock.refusal))
             else:
-                self._sender, self._heard_ns = sender, arrival_ns
+                self._used_ns = arrival_ns
                 runs[-1][1][number] = time_ns
-        for sender in sorted(others):
-            words = f"packets of such a sensor from {sender} too, beside {self._sender}: set sender"
-            self.issues.append(("lidar_packets", words))
         return runs
 
-    def _is_its(self, sender: str, arrival_ns: int) -> bool:
-        gone = not 0 <= arrival_ns - self._heard_ns < _GONE_NS
-        return self._sender in (None, sender) or gone
+    def _of_its_sender(self, arrivals_ns: Sequence[int], senders: Sequence[str]) -> list[int]:
+        """Which packets are read: those of the first sender; of another, once none of that has been of use for long."""
+        kept: list[int] = []
+        others: set[str] = set()
+        used_ns = self._used_ns
+        for number, (arrival_ns, sender) in enumerate(zip(arrivals_ns, senders, strict=True)):
+            if self._sender is None or (sender != self._sender and abs(arrival_ns - used_ns) >= _GONE_NS):
+                self._sender, self._used_ns = sender, arrival_ns
+            if sender == self._sender:
+                kept.append(number)
+                used_ns = arrival_ns
+            else:
+                others.add(sender)
+        self.counts["packets.of_others"] += len(arrivals_ns) - len(kept)
+        for sender in sorted(others):
+            words = f"packets from {sender} too, beside those of {self._sender}: set sender"
+            self.issues.append(("lidar_packets", words))
+        return kept
 
     def _filled_ns(self, decoded: Decoded) -> Int64:
         """From the first to the last measurement of each packet: only then it leaves the sensor."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -58,10 +57,7 @@ def main(argv: Sequence[str]) -> int:
         print(f"{_PROG}: {args.file}: {error.strerror or error}", file=sys.stderr)
         return 2
     text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) if args.json else text_of(report)
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:  # who reads has seen enough, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    print(text)
     if report["damage"] is not None:
         print(f"{_PROG}: {report['damage']}", file=sys.stderr)
         return 2

@@ -42,8 +42,6 @@ def main(argv: list[str] | None = None) -> int:
     except (StoreError, ConfigError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # whoever reads has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

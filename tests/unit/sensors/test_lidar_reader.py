@@ -281,20 +281,22 @@ def test_packets_of_others_are_counted_and_change_nothing() -> None:
         alike("velodyne", a, b)
 
 
+@pytest.mark.parametrize("columns", [0, 16, 256, 768])
 @pytest.mark.parametrize("kind", KINDS)
-def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_is_named(kind: str) -> None:
-    """The other one is a moment ahead: by their times alone its points would stand for those of the first."""
-    other = dict(packets(kind)[8:])
-    mixed = [
-        (arrival_ns, payload, sender)
-        for (arrival_ns, payload), sender in sorted(
-            [(packet, "10.0.0.2") for packet in packets(kind)]
-            + [
-                ((arrival_ns - 12_000, foreign(kind, payload)), "10.0.0.3")
-                for arrival_ns, payload in other.items()
-            ]
-        )
+def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_is_named(
+    kind: str, columns: int
+) -> None:
+    """The other one is a moment ahead: by their times alone its points would stand for those of the first. Here and
+    there the network swaps two packets; and the other one looks elsewhere at the same time.
+    """
+    other = [
+        (arrival_ns - 12_000, turned(kind, foreign(kind, payload), columns))
+        for arrival_ns, payload in packets(kind)
     ]
+    both = sorted(
+        [(*packet, "10.0.0.2") for packet in packets(kind)] + [(*packet, "10.0.0.3") for packet in other[8:]]
+    )
+    mixed = [(arrival_ns - 300_000 * (k % 50 == 7), *more) for k, (arrival_ns, *more) in enumerate(both)]
     one = reader(kind)
     found, issues = [], []
     for k in range(0, len(mixed), 16):
@@ -305,13 +307,46 @@ def test_of_two_sensors_of_one_model_those_of_one_sender_are_read_and_the_other_
     assert len(found) == 4
     for a, b in zip(found, sweeps(kind), strict=True):
         alike(kind, a, b)
-    words = "packets of such a sensor from 10.0.0.3 too, beside 10.0.0.2: set sender"
+    words = "packets from 10.0.0.3 too, beside those of 10.0.0.2: set sender"
     assert set(issues) == {("lidar_packets", words)}
-    assert one.counts["packets.of_others"] == len(other)
+    assert one.counts["packets.of_others"] == len(other) - 8
+
+
+def turned(kind: str, payload: bytes, columns: int) -> bytes:
+    """The same packet of a sensor that is so many columns further on."""
+    if kind == "velodyne" or not columns:
+        return payload
+    decoder = OusterDecoder(read_ouster_metadata(ouster_metadata(), "m.json"))
+    packet = np.frombuffer(payload, decoder._packet).copy()
+    packet["columns"]["place"] = (packet["columns"]["place"] + columns) % decoder._metadata.columns
+    return packet.tobytes()
 
 
 def foreign(kind: str, payload: bytes) -> bytes:
     return shifted_velodyne(payload, -12) if kind == "velodyne" else shifted_ouster(payload, -12_000)
+
+
+def test_a_stranger_that_is_heard_first_is_not_listened_to_for_ever() -> None:
+    one = reader("velodyne")
+    arrived = [(packets("velodyne")[0][0], b"stranger", "10.0.0.9")]
+    for turn in range(8):
+        for arrival_ns, payload in packets("velodyne"):
+            later_s = 0.4 * turn
+            arrived.append(
+                (
+                    arrival_ns + round(later_s * 1e9),
+                    shifted_velodyne(payload, round(later_s * 1e6)),
+                    "10.0.0.2",
+                )
+            )
+        arrived.append((arrived[-1][0], b"stranger", "10.0.0.9"))
+    found = []
+    for k in range(0, len(arrived), 16):
+        part = arrived[k : k + 16]
+        found += one.take([p for _, p, _ in part], [a for a, _, _ in part], [s for _, _, s in part])
+    # All but those of the first two seconds.
+    assert len(found) == pytest.approx(32 - 20, abs=1)
+    assert one.counts["packets.of_others"] > 7
 
 
 def test_a_sensor_that_comes_back_with_another_address_is_read_again() -> None:
@@ -355,6 +390,37 @@ def test_an_ouster_in_another_mode_than_its_metadata_say_gives_no_sweep(mode: st
     found, issues = read(one, packets("ouster"))
     assert found == []
     assert "lidar_model" in {code for code, _ in issues}
+
+
+def misplaced() -> list[tuple[int, bytes]]:
+    """The packets of four turns, one of them, in the third, with a column that the metadata do not have."""
+    made = list(packets("ouster"))
+    decoder = OusterDecoder(read_ouster_metadata(ouster_metadata(), "m.json"))
+    at = len(made) * 5 // 8
+    packet = np.frombuffer(made[at][1], decoder._packet).copy()
+    packet["columns"]["place"][0, 3] = 5000
+    made[at] = made[at][0], packet.tobytes()
+    return made
+
+
+@pytest.mark.parametrize("at_once", [1, 16, 10_000])
+def test_one_packet_of_another_mode_costs_its_turn_alone_however_packets_are_read(at_once: int) -> None:
+    found, issues = read(reader("ouster"), misplaced(), at_once)
+    assert [round((sweep.time_ns - START_NS) / 1e8) for sweep in found] == [1, 2, 4]
+    assert {code for code, _ in issues} == {"lidar_model"}
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_an_ouster_with_a_narrow_window_is_read_again_after_such_a_packet(share: float) -> None:
+    """It is seen from one turn to the next, however much of a turn lacks."""
+    quarter = len(packets("ouster")) // 4
+    seen = [
+        packet
+        for k, packet in enumerate(misplaced())
+        if k % quarter < share * quarter or k == len(packets("ouster")) * 5 // 8
+    ]
+    found, _ = read(reader("ouster", least_share=0.2), seen)
+    assert round((found[-1].time_ns - START_NS) / 1e8 + 0.5 - share / 2.0) == 4
 
 
 @pytest.mark.parametrize("gap_deg", [60, 120])

@@ -451,7 +451,7 @@ def test_columns_of_the_table_stand_below_each_other(
     assert "receiver      CAMBER SIMULATED" in out
 
 
-def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+def test_a_reader_that_goes_away_ends_it_without_a_word(tmp_path: Path) -> None:
     path = write(tmp_path, rinex(steady_epochs(2)))
     command = [sys.executable, "-m", "camber.cli", "gnss", "inspect", str(path)]
     with subprocess.Popen(
@@ -461,7 +461,7 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(60) == 0
+        assert process.wait(60) == 141
 
 
 @functools.cache
