@@ -17,6 +17,7 @@ from camber.formats.observations import (
     ObservationEpoch,
     signal_number,
 )
+from camber.formats.rtcm_writing import format_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.doppler_velocity import doppler_velocity
@@ -59,8 +60,15 @@ def warm_up() -> Solution:
 
 
 def compile_readers() -> None:
-    """Compile what finds frames in a stream: any receiver's stream needs it."""
-    MixedDecoder("warm up", _TIME_NS).feed(b"\xb5\x62")
+    """Compile what finds frames in a stream, and what reads the observations of a base: any live stream needs it."""
+    decoder = MixedDecoder("warm up", _TIME_NS)
+    decoder.feed(b"\xb5\x62")
+    ephemerides = EphemerisStore()
+    for ephemeris in _constellation():
+        ephemerides.add(ephemeris)
+    base = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
+    for frame in format_observations(_epoch(ephemerides, base, _TIME_NS), station_id=1):
+        decoder.feed(frame)
 
 
 def _constellation() -> list[Ephemeris]:

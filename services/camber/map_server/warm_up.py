@@ -1,4 +1,4 @@
-"""Compile the choice of roads before the first question comes: the road at a made-up point is asked for.
+"""Compile the choice of roads before the first question comes: the road at a made-up point is asked for, both ways.
 
 The compiled code is kept on disk; where it is there already this takes a moment. `python -m camber.map_server.warm_up`
 does it ahead, for an image.
@@ -34,6 +34,8 @@ def warm_up() -> Road:
     )
     tiles = {(tile.x, tile.y): tile for tile in surface_tiles(surfaces)}
     roads = ElevationMap(lambda x, y: tiles.get((x, y)), lambda x, y: None, datum="WGS84", map_version=1)
+    # By what it was on last: what candidate links alone do not tell is told another way.
+    roads.roads([_LATITUDE_RAD], [_LONGITUDE_RAD], (), 1)
     return roads.road_around(_LATITUDE_RAD, _LONGITUDE_RAD, 1.0)
 
 

@@ -19,7 +19,7 @@ _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
 
 
 def warm_up() -> Decisions:
-    """Two vehicles on two days over two surfaces; returns what is decided of these."""
+    """Two vehicles on two days over two surfaces, twice each; returns what is decided of these."""
     surfaces = RoadSurfaces(
         surface_id=np.array([1, 2]),
         link_id=np.array([1, 1]),
@@ -42,6 +42,9 @@ def warm_up() -> Decisions:
     rows["longitude_rad"] = surfaces.longitude_rad[[0, 1, 0, 1]]
     rows["horizontal_sigma_m"] = rows["road_height_sigma_m"] = 0.02
     rows["road_height_m"] = 50.0
+    again = rows.copy()
+    again["time_ns"] += 10**9
+    rows = np.concatenate((rows, again))
     fusion = Fusion(surfaces, bytes(32))
     votes = fusion.merge(*(fusion.votes_from(rows, vehicle) for vehicle in ("a", "b")))
     return fusion.decide(votes, np.zeros(0, np.int64), np.zeros(0), _TIME_NS + 2 * DAY_NS)

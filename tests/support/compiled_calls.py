@@ -1,0 +1,85 @@
+"""`python -m support.compiled_calls SERVICE`: compiled functions that a service calls and its warm-up does not.
+
+Whatever is called from Python for the first time while a vehicle drives is compiled then, for seconds, and in a
+read-only container after every start. Those that compiled functions call are compiled with them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+from collections.abc import Iterator
+from types import CodeType, FunctionType, ModuleType
+
+from numba.core.dispatcher import Dispatcher
+
+NOT_WHILE_DRIVING = {
+    "_read_epochs": "RINEX comes from files: a pause harms nobody",
+    "_biweights": "asked in analyses, not by the service",
+    "_heights": "of map_update, and warmed up there",
+}
+
+
+def main(service: str) -> int:
+    """1 where there is one; each is a line of the output."""
+    package = importlib.import_module(f"camber.{service}")
+    warm_up = importlib.import_module(f"camber.{service}.warm_up")
+    importlib.import_module(f"camber.{service}.service")
+    own = [
+        importlib.import_module(f"camber.{service}.{found.name}")
+        for found in pkgutil.iter_modules(package.__path__)
+        if found.name != "__main__"
+    ]
+    shared = [
+        each for name, each in sys.modules.items() if name.startswith(("camber.formats.", "camber.geodesy."))
+    ]
+    warm_up.warm_up()
+    if hasattr(warm_up, "compile_readers"):
+        warm_up.compile_readers()
+    called = {each: by for module in (*own, *shared) for each, by in _calls(module, compiled=False)}
+    within = {each for module in (*own, *shared) for each, _ in _calls(module, compiled=True)}
+    missing = [
+        f"{each.py_func.__module__}.{each.py_func.__name__}, called by {by}"
+        for each, by in called.items()
+        if not each.signatures and each not in within and each.py_func.__name__ not in NOT_WHILE_DRIVING
+    ]
+    print("\n".join(missing) or f"{len(called)} compiled functions are called")
+    return 1 if missing or not called else 0
+
+
+def _calls(module: ModuleType, *, compiled: bool) -> Iterator[tuple[Dispatcher, str]]:
+    """Compiled functions whose names stand in functions of a module, in compiled ones or in Python's."""
+    for function in _functions(module, compiled=compiled):
+        for code in _codes(function.__code__):
+            for name in code.co_names:
+                found = function.__globals__.get(name)
+                if isinstance(found, Dispatcher):
+                    yield found, f"{module.__name__}.{function.__qualname__}"
+
+
+def _functions(module: ModuleType, *, compiled: bool) -> Iterator[FunctionType]:
+    for value in vars(module).values():
+        if isinstance(value, Dispatcher):
+            if compiled and value.py_func.__module__ == module.__name__:
+                yield value.py_func
+        elif compiled or getattr(value, "__module__", "") != module.__name__:
+            continue
+        elif isinstance(value, FunctionType):
+            yield value
+        elif isinstance(value, type):
+            for member in vars(value).values():
+                plain = getattr(member, "__func__", getattr(member, "fget", member))
+                if isinstance(plain, FunctionType):
+                    yield plain
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _codes(constant)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1]))
