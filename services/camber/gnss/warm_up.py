@@ -36,20 +36,20 @@ _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5
 _SIGNALS = ("1C", "2L")
 _LOWEST_RAD = 0.3
+_BASE_ECEF_M = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
 
 
 def warm_up() -> Solution:
     """Solve a made-up epoch with all that an epoch goes through; returns what the engine made of it."""
     options = EngineOptions()
-    base = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
-    rover = base + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(base)[:2])
-    engine = Engine(options, base)
+    rover = _BASE_ECEF_M + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(_BASE_ECEF_M)[:2])
+    engine = Engine(options, _BASE_ECEF_M)
     for ephemeris in _constellation():
         engine.add_ephemeris(ephemeris)
     solution = Solution(_TIME_NS, "none", "", None, None, 0)
     for second in range(2):
         time_ns = _TIME_NS + second * NS_PER_SECOND
-        engine.add_base(_epoch(engine.ephemerides, base, time_ns))
+        engine.add_base(_epoch(engine.ephemerides, _BASE_ECEF_M, time_ns))
         epoch = _epoch(engine.ephemerides, rover, time_ns)
         solution = engine.solve(epoch)
         if solution.single is not None:
@@ -66,8 +66,7 @@ def compile_readers() -> None:
     ephemerides = EphemerisStore()
     for ephemeris in _constellation():
         ephemerides.add(ephemeris)
-    base = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
-    for frame in format_observations(_epoch(ephemerides, base, _TIME_NS), station_id=1):
+    for frame in format_observations(_epoch(ephemerides, _BASE_ECEF_M, _TIME_NS), station_id=1):
         decoder.feed(frame)
 
 

@@ -26,6 +26,10 @@ class BusError(RuntimeError):
     """The bus could not be joined."""
 
 
+class NobodyThereError(BusError):
+    """It was looked for and not found; all else was wrong before, and no waiting helps."""
+
+
 def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> zenoh.Session:
     """Join the bus; raises BusError, with `timeout_s` also where nobody has answered by then.
 
@@ -54,7 +58,7 @@ def open_session(settings: ZenohSettings, *, timeout_s: float | None = None) -> 
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise BusError(
+        raise NobodyThereError(
             f"cannot join the bus ({settings.mode}, {settings.connect}): {_reason(error)}"
         ) from None
 

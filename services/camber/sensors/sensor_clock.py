@@ -73,7 +73,7 @@ class SensorClock:
             # By whole hours it can be set back without the two moving apart: the hour is told by the arrival.
             if abs(moved_ns) > _JUMP_NS or since_ns < -_JUMP_NS:
                 self.jump = (
-                    f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
+                    _moved_apart(moved_ns)
                     if abs(moved_ns) > _JUMP_NS
                     else f"this machine's clock was set back by {-since_ns / 1e9:.3f} s"
                 )
@@ -82,8 +82,7 @@ class SensorClock:
         if self._scale == "arrival":
             delay_ns = self._quickest.least_ns(arrival_ns - said_ns, arrival_ns)
             if self._quickest.later_by_ns and not self.jump:
-                moved_s = -self._quickest.later_by_ns / 1e9
-                self.jump = f"the sensor's clock and this machine's have moved apart by {moved_s:+.3f} s"
+                self.jump = _moved_apart(-self._quickest.later_by_ns)
             return said_ns + delay_ns + self._offset_ns
         time_ns = said_ns + self._offset_ns
         if abs(time_ns - arrival_ns) > self._limit_ns:
@@ -139,6 +138,10 @@ class _Quickest:
                 self.later_by_ns = later_ns
                 while len(seconds) > 2:
                     seconds.popleft()
+
+
+def _moved_apart(moved_ns: int) -> str:
+    return f"the sensor's clock and this machine's have moved apart by {moved_ns / 1e9:+.3f} s"
 
 
 def _words(apart_ns: int, scale: TimeScale) -> str:

@@ -26,7 +26,7 @@ from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.session import BusError, open_session
+from camber.runtime.session import BusError, NobodyThereError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
@@ -42,7 +42,6 @@ _PROG = "camber feed"
 _NS = 1_000_000_000
 _ROUTER = "tcp/127.0.0.1:7447"
 _ASK_ROUTER_S = 0.5
-_NOBODY_THERE = "cannot join the bus"  # of `open_session`; all else that it says was wrong before it asked
 _LONGEST_WAIT_NS = 3600 * _NS
 _LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
 
@@ -237,9 +236,7 @@ def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus 
         try:
             session = open_session(settings.zenoh, timeout_s=_ASK_ROUTER_S)
             return Bus(session, settings, "vehicle", SystemClock())
-        except BusError as error:
-            if not str(error).startswith(_NOBODY_THERE):
-                raise
+        except NobodyThereError as error:
             if not said:
                 print(f"{prog}: {error}; waiting", file=sys.stderr, flush=True)
             said = True

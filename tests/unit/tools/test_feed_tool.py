@@ -15,7 +15,7 @@ from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
 from camber.formats.pcd import write_sweep
 from camber.formats.receiver_solution import ReceiverSolution
 from camber.formats.rtklib_pos import PosDecoder, read_pos
-from camber.runtime.session import BusError
+from camber.runtime.session import NobodyThereError
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
@@ -308,7 +308,7 @@ def test_a_router_that_is_not_there_is_asked_for_in_peace(
         asked.append(timeout_s)
         if len(asked) == 20:
             stop.set()
-        raise BusError("cannot join the bus (client, tcp/away:1): no such host")
+        raise NobodyThereError("cannot join the bus (client, tcp/away:1): no such host")
 
     monkeypatch.setattr(feed, "open_session", nobody)
     assert feed._joined(ServiceSettings(), stop, "camber feed") is None
