@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import random
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,24 +27,88 @@ from support.fleet_routers import (
 from support.running import free_port, wait_until
 
 
-@pytest.mark.slow
-def test_who_is_there_is_told_every_time_and_who_has_left_is_not(tmp_path) -> None:
+@dataclass(frozen=True)
+class Fleet:
+    """A vehicle's router that is linked to a cloud's; `bus` joins the vehicle's."""
+
+    vehicle_file: Path
+    bus: ZenohSettings
+
+    @property
+    def settings(self) -> ServiceSettings:
+        return ServiceSettings(vehicle="car-1", zenoh=self.bus)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
     certificates, cloud = make_certificates(tmp_path), tls_endpoint()
     inside = f"tcp/{HOST}:{free_port()}"
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "car-1.json5", cloud)
-    with router(cloud_file(certificates, cloud, tmp_path / "cloud.json5")), router(file) as vehicle:
+    with router(cloud_file(certificates, cloud, tmp_path / "cloud.json5")):
+        yield Fleet(file, ZenohSettings(mode="client", connect=[inside]))
+
+
+@contextmanager
+def linked(fleet: Fleet) -> Iterator[None]:
+    with router(fleet.vehicle_file) as vehicle:
         wait_until(lambda: "heard as" in vehicle.said, timeout_s=60.0, why="no link")
-        bus = ZenohSettings(mode="client", connect=[inside])
-        with open_session(bus) as service:
-            tokens = [
-                service.liveliness().declare_token(f"camber/v1/car-1/{name}/alive")
-                for name in ("gnss", "integrity")
-            ]
-            time.sleep(0.5)
-            with Asker(ServiceSettings(vehicle="car-1", zenoh=bus), timeout_s=3.0) as asker:
-                told = [asker.alive("car-1") for _ in range(12)]
-                assert told == [{"car-1": frozenset({"gnss", "integrity"})}] * 12
+        yield
+
+
+def token(session: Any, service: str) -> Any:
+    return session.liveliness().declare_token(f"camber/v1/car-1/{service}/alive")
+
+
+BOTH = {"car-1": frozenset({"gnss", "integrity"})}
+ONE = {"car-1": frozenset({"integrity"})}
+
+
+@pytest.mark.slow
+def test_who_is_there_is_told_every_time_and_who_has_left_is_not(fleet: Fleet) -> None:
+    with linked(fleet), open_session(fleet.bus) as service:
+        leaver, _stayer = token(service, "gnss"), token(service, "integrity")
+        time.sleep(0.5)
+        for _ in range(12):
+            with Asker(fleet.settings, timeout_s=3.0) as asker:
+                assert asker.alive("car-1") == BOTH
                 assert asker.alive("car-2") == {}
-                tokens[0].undeclare()
-                left = {"car-1": frozenset({"integrity"})}
-                wait_until(lambda: asker.alive() == left, timeout_s=20.0, why="who has left is still there")
+        with Asker(fleet.settings, timeout_s=3.0) as asker:
+            assert [asker.alive() for _ in range(12)] == [BOTH] * 12
+            leaver.undeclare()
+            wait_until(lambda: asker.alive() == ONE, timeout_s=20.0, why="who has left is still there")
+            assert asker.alive("car-1") == ONE
+
+
+@pytest.mark.slow
+def test_who_leaves_in_the_moment_of_the_question_is_not_told_of_ever_after(fleet: Fleet) -> None:
+    """As `camber status --watch` asks."""
+    when = random.Random(seed := random.randrange(2**32))
+    print("seed", seed)
+    with (
+        linked(fleet),
+        open_session(fleet.bus) as service,
+        Asker(fleet.settings, timeout_s=3.0) as asker,
+    ):
+        _stayer = token(service, "integrity")
+        for _ in range(60):
+            leaver = token(service, "gnss")
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="who came is not told of")
+            leaving = threading.Timer(when.uniform(0.0, 0.02), leaver.undeclare)
+            leaving.start()
+            time.sleep(when.uniform(0.0, 0.02))
+            asker.alive()
+            leaving.join()
+            wait_until(lambda: asker.alive() == ONE, timeout_s=10.0, why="who has left is still there")
+
+
+@pytest.mark.slow
+def test_nobody_is_there_without_a_router_and_all_are_again_with_a_new_one(fleet: Fleet) -> None:
+    with ExitStack() as stays:
+        with linked(fleet):
+            service = stays.enter_context(open_session(fleet.bus))
+            asker = stays.enter_context(Asker(fleet.settings, timeout_s=3.0))
+            _tokens = token(service, "gnss"), token(service, "integrity")
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="not told of")
+        wait_until(lambda: asker.alive() == {}, timeout_s=20.0, why="told of without a router")
+        with linked(fleet):
+            wait_until(lambda: asker.alive() == BOTH, timeout_s=20.0, why="not told of again")

@@ -7,6 +7,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import zenoh
@@ -21,12 +22,31 @@ from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 _QUIET_S = 0.3
 
 
+@dataclass
+class _Present:
+    """The keys of those who are there, after all that was told so far."""
+
+    keys: set[str] = field(default_factory=set)
+    told: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+
+    def heed(self, *, quiet_s: float, within_s: float) -> None:
+        """Take what was told until nothing came for `quiet_s`; who comes and goes all the time does not hold us."""
+        until = time.monotonic() + within_s
+        with suppress(queue.Empty):
+            while (left_s := until - time.monotonic()) > 0.0:
+                sample = self.told.get(timeout=min(left_s, quiet_s))
+                change = self.keys.add if sample.kind == zenoh.SampleKind.PUT else self.keys.discard
+                change(str(sample.key_expr))
+
+
 class Asker:
     """On the bus as a client, to ask again and again; use as a context. Raises BusError within about `timeout_s`."""
 
     def __init__(self, settings: ServiceSettings, *, timeout_s: float, source: str = "tools") -> None:
         self._timeout_s = timeout_s
         self._source = source
+        self._entities: list[Any] = []
+        self._watched: dict[str, _Present] = {}
         self._session = open_session(
             settings.zenoh.model_copy(update={"mode": "client"}), timeout_s=timeout_s
         )
@@ -39,26 +59,30 @@ class Asker:
 
     def alive(self, vehicle: str = "*") -> dict[str, frozenset[str]]:
         """Who has declared to be there: vehicle → services. One that hangs still has, for some seconds or for ever."""
-        key, liveliness = f"camber/v1/{vehicle}/*/alive", self._session.liveliness()
-        present: set[str] = set()
-        told: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        # Of a router that is linked to another one Zenoh 1.10 answers half of such questions with nothing, but tells a
-        # subscriber all there is; that has no end, so it is heard until it is quiet.
-        subscriber: Any = liveliness.declare_subscriber(key, told.put, history=True)
-        replies: Any = liveliness.get(key, timeout=min(self._timeout_s, 2.0))
-        present.update(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
-        until = time.monotonic() + self._timeout_s  # whoever comes and goes all the time must not hold us
-        with suppress(queue.Empty):
-            while (left_s := until - time.monotonic()) > 0.0:
-                sample = told.get(timeout=min(left_s, _QUIET_S))
-                there = sample.kind == zenoh.SampleKind.PUT
-                (present.add if there else present.discard)(str(sample.key_expr))
-        subscriber.undeclare()
+        present = self._watched.get(vehicle)
+        if present is None:
+            present = self._watched[vehicle] = self._watch(vehicle)
+        else:
+            present.heed(quiet_s=0.0, within_s=self._timeout_s)
         found: defaultdict[str, set[str]] = defaultdict(set)
-        for alive in present:
+        for alive in present.keys:
             _, _, name, service, _ = alive.split("/")
             found[name].add(service)
         return {name: frozenset(services) for name, services in found.items()}
+
+    def _watch(self, vehicle: str) -> _Present:
+        """Who is there from now on, as long as this session lasts."""
+        key, liveliness = f"camber/v1/{vehicle}/*/alive", self._session.liveliness()
+        present = _Present()
+        # Declared once and kept. A session of Zenoh 1.10 that gives a subscriber up is not told of who leaves in that
+        # moment, and would tell its next subscriber of it for ever.
+        self._entities.append(liveliness.declare_subscriber(key, present.told.put, history=True))
+        # A router that is linked to another one answers half of such questions with nothing, so the subscriber is what
+        # counts; but by the answer's end what it has to tell is on its way, however long that is.
+        replies: Any = liveliness.get(key, timeout=min(self._timeout_s, 2.0))
+        present.keys.update(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        present.heed(quiet_s=_QUIET_S, within_s=self._timeout_s)
+        return present
 
     def ask(
         self, name: str, request: Message, vehicle: str, services: Iterable[str]
