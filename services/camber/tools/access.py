@@ -25,8 +25,8 @@ from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
 from camber.tools.access_rules import INSIDE, Kind, Party
 from camber.tools.access_table import table_text
-from camber.tools.bus_options import seconds
 from camber.tools.certificates import Authority, CertsError, check_name
+from camber.tools.option_numbers import SECONDS
 from camber.tools.router_config import cloud_config, text_of, vehicle_config
 
 LISTEN_CLOUD, LISTEN_VEHICLE = "tls/[::]:7448", "tcp/127.0.0.1:7447"
@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     check.set_defaults(work=_check)
     check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
     check.add_argument("--name", help="vehicle in whose name (that of the rules, or of the certificate)")
-    check.add_argument("--timeout-s", type=seconds, default=5.0)
+    check.add_argument("--timeout-s", type=SECONDS, default=5.0)
     return parser
 
 

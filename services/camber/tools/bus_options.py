@@ -38,11 +38,3 @@ def bus_settings(args: argparse.Namespace, *, prog: str, vehicle: str | None) ->
     argv += [] if vehicle is None else ["--vehicle", vehicle]
     argv += [] if args.connect is None else ["--zenoh.connect", json.dumps(args.connect)]
     return load_or_exit(_OfTools, argv, prog=prog)
-
-
-def seconds(text: str) -> float:
-    """How long a tool waits, as the `type` of an option: up to an hour."""
-    value = float(text)
-    if not 0.0 < value <= 3600.0:
-        raise argparse.ArgumentTypeError("expected seconds above 0, at most 3600")
-    return value

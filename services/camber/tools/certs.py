@@ -33,8 +33,10 @@ from camber.tools.certificates import (
     common_name,
     read_certificate,
 )
+from camber.tools.option_numbers import number_from
 
 DAYS, AUTHORITY_DAYS = 30.0, 3650.0
+_DAYS = number_from(0.001, 36_500.0, "days")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -63,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     for kind in ("vehicle", "consumer", "judge", "operator"):
         make.add_argument(f"--{kind}", action="append", default=[], metavar="NAME", help="repeatable")
-    make.add_argument("--authority-days", type=_days, default=AUTHORITY_DAYS, metavar="DAYS")
+    make.add_argument("--authority-days", type=_DAYS, default=AUTHORITY_DAYS, metavar="DAYS")
     issue = commands.add_parser("issue", help="a certificate, signed by the authority of the folder")
     issue.set_defaults(work=_issue)
     issue.add_argument("folder", type=Path, metavar="FOLDER")
@@ -78,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     issue.add_argument("--renew", action="store_true", help="a new one in place of the one that is there")
     for command in (make, issue):
         command.add_argument(
-            "--days", type=_days, default=DAYS, help=f"how long certificates are valid ({DAYS:.0f})"
+            "--days", type=_DAYS, default=DAYS, help=f"how long certificates are valid ({DAYS:.0f})"
         )
     revoke = commands.add_parser("revoke", help="take a name out of the access list")
     revoke.set_defaults(work=_revoke)
@@ -193,13 +195,6 @@ def _hosts(certificate: x509.Certificate) -> list[str]:
     except x509.ExtensionNotFound:
         return []
     return [str(name.value) for name in names if not isinstance(name, x509.UniformResourceIdentifier)]
-
-
-def _days(text: str) -> float:
-    days = float(text)
-    if not 0.0 < days <= 36_500.0:
-        raise argparse.ArgumentTypeError(f"{text} is not between 0 and 36500 days")
-    return days
 
 
 if __name__ == "__main__":

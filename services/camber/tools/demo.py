@@ -10,6 +10,7 @@ from pathlib import Path
 from camber.schemas.drive import load_manifest
 from camber.simulator.short_drive import write_short_drive
 from camber.tools.in_words import in_words
+from camber.tools.option_numbers import SEED
 from camber.tools.replay import replay, speed_factor
 
 
@@ -19,7 +20,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where everything goes"
     )
-    parser.add_argument("--seed", type=int, help="seed of the drive")
+    parser.add_argument("--seed", type=SEED, help="seed of the drive")
     parser.add_argument(
         "--speed", type=speed_factor, default=math.inf, help="times real time, or max (default)"
     )

@@ -21,7 +21,6 @@ from typing import Any
 
 from camber.runtime.settings import ConfigError, ServiceSettings, load
 from camber.schemas.channels import VEHICLE_SERVICES
-from camber.tools.bus_options import seconds
 from camber.tools.doctor_checks import (
     LEAST_FREE_BYTES,
     Finding,
@@ -34,6 +33,7 @@ from camber.tools.doctor_checks import (
     ok,
     problem,
 )
+from camber.tools.option_numbers import SECONDS
 
 _PROG = "camber doctor"
 _CLOUD = ("map_update",)
@@ -244,7 +244,7 @@ def _parser() -> argparse.ArgumentParser:
         "config", type=Path, metavar="FOLDER", help="a TOML for each service, as deploy/config/vehicle"
     )
     parser.add_argument(
-        "--seconds", type=seconds, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
+        "--seconds", type=SECONDS, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
     )
     parser.add_argument("--offline", action="store_true", help="leave out bus, ports, receiver and caster")
     parser.add_argument("--json", action="store_true", help="a list of findings")

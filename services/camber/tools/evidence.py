@@ -24,6 +24,7 @@ from camber.tools.evidence_faults import run_faults
 from camber.tools.evidence_nagoya import REQUIRED, run_seed
 from camber.tools.evidence_page import page
 from camber.tools.lab_page import page as lab_page
+from camber.tools.option_numbers import PROCESSES, SEED, number_from, whole_from
 
 _PROG = "camber evidence"
 PARTS = ("faults", "drives", "nagoya")
@@ -189,18 +190,26 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("--only", action="append", choices=PARTS, help="this part; may be repeated")
     parser.add_argument(
-        "--seeds", type=int, default=50, metavar="N", help="drives of the recording for each σ"
+        "--seeds",
+        type=whole_from(1, 10_000),
+        default=50,
+        metavar="N",
+        help="drives of the recording for each σ",
     )
-    parser.add_argument("--first-seed", type=int, default=1, help="the first of their seeds")
+    parser.add_argument("--first-seed", type=SEED, default=1, help="the first of their seeds")
     parser.add_argument(
         "--drive-seeds",
-        type=int,
+        type=SEED,
         nargs="+",
         default=list(DRIVE_SEEDS),
         metavar="SEED",
         help="simulated drives",
     )
-    parser.add_argument("--duration-s", type=float, help="of the simulated drives; 1800 where not given")
+    parser.add_argument(
+        "--duration-s",
+        type=number_from(1.0, 86_400.0, "s"),
+        help="of the simulated drives; 1800 where not given",
+    )
     parser.add_argument(
         "--nagoya", type=Path, default=NAGOYA, metavar="FILE", help="the recording's manifest"
     )
@@ -214,7 +223,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--page-only", action="store_true", help="drive nothing: the page of what is there")
     parser.add_argument("--no-lidar", action="store_true", help="faults without a LiDAR, in minutes")
     parser.add_argument("--keep", action="store_true", help="run only what has no figures yet")
-    parser.add_argument("--processes", type=int, default=2, help="drives at a time")
+    parser.add_argument("--processes", type=PROCESSES, default=2, help="drives at a time")
     parser.add_argument("--quiet", action="store_true", help="no line for each drive")
     return parser
 

@@ -23,6 +23,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.gnss.engine import Engine, EngineOptions
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.in_words import in_words
+from camber.tools.option_numbers import number_from
 from camber.tools.raw_recording import RawRecording, load_raw
 from camber.tools.recording_summary import time_text
 from camber.tools.solve_plot import plot
@@ -251,16 +252,6 @@ def _systems(text: str) -> str:
     return letters
 
 
-def _number(least: float, most: float, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a number from {least:g} to {most:g}")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     default = EngineOptions()
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
@@ -277,19 +268,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--ratio",
-        type=lambda text: _number(1.0, 1e3, text),
+        type=number_from(1.0, 1e3),
         default=default.least_ratio,
         help="threshold of the ratio test (default %(default)s)",
     )
     parser.add_argument(
         "--elevation-deg",
-        type=lambda text: _number(0.0, 89.0, text),
+        type=number_from(0.0, 89.0),
         default=round(math.degrees(default.lowest_elevation_rad), 6),
         help="lower satellites are not used (default %(default)s)",
     )
     parser.add_argument(
         "--cn0-dbhz",
-        type=lambda text: _number(0.0, 60.0, text),
+        type=number_from(0.0, 60.0),
         default=default.least_cn0_dbhz,
         help="weaker signals are not used (default %(default)s)",
     )

@@ -15,6 +15,7 @@ from camber.runtime.clock import SystemClock
 from camber.runtime.settings import ServiceSettings, load_or_exit
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import Health, HealthRequest
+from camber.tools.option_numbers import number_from
 
 ROUTER = "router"
 _PROG = "camber health"
@@ -80,13 +81,6 @@ def _settings_of(
     return load_or_exit(cls, argv, prog=_PROG)
 
 
-def _timeout(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value <= 60.0:
-        raise argparse.ArgumentTypeError("expected seconds above 0, at most 60")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -102,7 +96,11 @@ def _parser() -> argparse.ArgumentParser:
         "--connect", action="append", metavar="ENDPOINT", help="router to ask through; repeatable"
     )
     parser.add_argument(
-        "--timeout", type=_timeout, default=3.0, metavar="S", help="seconds to wait (default 3)"
+        "--timeout",
+        type=number_from(0.001, 60.0, "s"),
+        default=3.0,
+        metavar="S",
+        help="seconds to wait (default 3)",
     )
     parser.add_argument(
         "--json", action="store_true", help="one JSON object with counters and texts of issues"

@@ -12,6 +12,7 @@ from camber.tools.in_words import in_words
 from camber.tools.lab_charts import charts
 from camber.tools.lab_page import page
 from camber.tools.lab_run import Size, run
+from camber.tools.option_numbers import PROCESSES, SEED, whole_from
 
 _PROG = "camber lab"
 TRIALS, QUICK_TRIALS = 1_000_000, 4_000
@@ -21,8 +22,6 @@ def main(argv: list[str] | None = None) -> int:
     """Run it; returns the exit code."""
     parser = _parser()
     options = parser.parse_args(argv)
-    if options.trials < 1 or options.processes < 1:
-        parser.error("--trials and --processes: expected 1 or more")
 
     def work() -> int:
         if options.page is None:
@@ -61,12 +60,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--trials",
-        type=int,
+        type=whole_from(1, 10**9),
         default=TRIALS,
         help=f"episodes of each kind in each headline scene ({TRIALS:,})",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of every draw (1)")
-    parser.add_argument("--processes", type=int, default=2, help="the figures do not depend on it (2)")
+    parser.add_argument("--seed", type=SEED, default=1, help="of every draw (1)")
+    parser.add_argument("--processes", type=PROCESSES, default=2, help="the figures do not depend on it (2)")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_TRIALS:,} episodes: seconds, no proof")
     parser.add_argument(
         "--page", type=Path, metavar="LAB_JSON", help="print the page's section of a run and end"

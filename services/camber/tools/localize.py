@@ -26,6 +26,7 @@ from camber.tools.localized_columns import MatchColumns, PoseColumns, PoseErrors
 from camber.tools.localizer_config import localizer_config
 from camber.tools.map_at_hand import MapAtHand, release_for
 from camber.tools.match_picture import picture
+from camber.tools.option_numbers import number_from
 from camber.tools.processes import config_text
 
 _PROG = "camber localize"
@@ -209,7 +210,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--fixes", action="store_true", help="the receiver's unconfirmed fixes may start it")
     parser.add_argument(
         "--picture",
-        type=float,
+        type=number_from(0.0, 1e6, "s"),
         action="append",
         default=[],
         metavar="S",

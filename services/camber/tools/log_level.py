@@ -12,7 +12,8 @@ from camber.runtime.ask import Asker, BusError, QueryFailed
 from camber.runtime.clock import SystemClock
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
-from camber.tools.bus_options import add_bus_options, bus_settings, seconds
+from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.option_numbers import SECONDS
 
 _TOLD = (*SERVICES, SENSORS)
 _PROG = "camber log_level"
@@ -58,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
     add_bus_options(parser)
     parser.add_argument(
-        "--timeout", type=seconds, default=3.0, metavar="S", help="seconds to wait (default 3)"
+        "--timeout", type=SECONDS, default=3.0, metavar="S", help="seconds to wait (default 3)"
     )
     return parser
 

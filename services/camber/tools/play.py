@@ -28,7 +28,8 @@ from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.tap import Tap
 from camber.schemas.channels import BY_NAME, SENSORS, Channel
-from camber.tools.bus_options import add_bus_options, bus_settings, seconds
+from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.option_numbers import SECONDS, number_from
 from camber.tools.stopping import stopped_by_signals
 from camber.tools.times import NS_PER_FIX_ID, moved
 
@@ -238,13 +239,6 @@ def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[
     return names, vehicles.pop()
 
 
-def _speed(text: str) -> float:
-    value = float(text)
-    if not 0.001 <= value <= 1000.0:
-        raise argparse.ArgumentTypeError("expected a factor from 0.001 to 1000")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -254,13 +248,17 @@ def _parser() -> argparse.ArgumentParser:
         "--times", choices=("now", "recorded"), default="now", help="times in messages (default now)"
     )
     parser.add_argument(
-        "--speed", type=_speed, default=1.0, metavar="F", help="with recorded times; 2 is twice as fast"
+        "--speed",
+        type=number_from(0.001, 1000.0),
+        default=1.0,
+        metavar="F",
+        help="with recorded times; 2 is twice as fast",
     )
     parser.add_argument("--channels", metavar="A,B", help="only these (default: all that were recorded)")
     parser.add_argument("--without", metavar="A,B", help="not these")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=seconds, default=5.0, metavar="S", help="for the bus (default 5)")
+    parser.add_argument("--timeout", type=SECONDS, default=5.0, metavar="S", help="for the bus (default 5)")
     return parser
 
 

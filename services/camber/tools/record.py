@@ -11,13 +11,14 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from camber.runtime.session import BusError
 from camber.runtime.tap import Tap
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
-from camber.tools.bus_options import add_bus_options, bus_settings, seconds
+from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.option_numbers import SECONDS, number_from
 from camber.tools.record_files import Limits, RecordFiles
 from camber.tools.stopping import stopped_by_signals
 
@@ -118,16 +119,6 @@ def _write(tap: Tap, files: RecordFiles, said: Counter[str]) -> Counter[str]:
     return dropped
 
 
-def _ranged(least: float, most: float) -> Callable[[str], float]:
-    def number(text: str) -> float:
-        value = float(text)
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(f"{text}: expected a number from {least:g} to {most:g}")
-        return value
-
-    return number
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -136,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--channels", metavar="A,B", help="only these (default: all but sweeps)")
     parser.add_argument("--without", metavar="A,B", help="not these")
     parser.add_argument("--sweeps", action="store_true", help="sweeps too: a megabyte each")
-    above_0, mb = _ranged(0.001, 1e8), _ranged(1.0, 1e8)
+    above_0, mb = number_from(0.001, 1e8), number_from(1.0, 1e8)
     parser.add_argument("--duration", type=above_0, metavar="S", help="end after so many seconds")
     parser.add_argument("--max-mb", type=mb, default=1024.0, metavar="MB", help="of a file (default 1024)")
     parser.add_argument("--max-minutes", type=above_0, metavar="MIN", help="of a file")
@@ -148,14 +139,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--leave-mb",
-        type=_ranged(0.0, 1e8),
+        type=number_from(0.0, 1e8),
         default=500.0,
         metavar="MB",
         help="of the disk, to others (default 500)",
     )
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default vehicle)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=seconds, metavar="S", help="for the bus (default: wait for it)")
+    parser.add_argument("--timeout", type=SECONDS, metavar="S", help="for the bus (default: wait for it)")
     return parser
 
 

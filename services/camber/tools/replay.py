@@ -31,6 +31,7 @@ from camber.simulator.sweep_files import SweepReader
 from camber.tools.evaluate import evaluate_folder, headline
 from camber.tools.in_words import in_words
 from camber.tools.localizer_config import localizer_config
+from camber.tools.option_numbers import SEED, number_from
 from camber.tools.processes import Processes
 from camber.tools.run_folder import DriveFacts, RunFacts, RunFolder
 from camber.tools.truth import offset_of, truth_of
@@ -321,14 +322,12 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+_FACTOR = number_from(0.001, 1e6)
+
+
 def speed_factor(text: str) -> float:
-    """A number above 0, or infinity for `max`; ValueError and ArgumentTypeError are argparse's."""
-    if text == "max":
-        return math.inf
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError("expected max or a number above 0")
-    return value
+    """Infinity for `max`, or a number; ArgumentTypeError is argparse's."""
+    return math.inf if text == "max" else _FACTOR(text)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -340,7 +339,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--out", type=Path, default=Path("out/replay"), metavar="DIR", help="where everything goes"
     )
-    parser.add_argument("--seed", type=int, help="seed of the surrogates")
+    parser.add_argument("--seed", type=SEED, help="seed of the surrogates")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
     )

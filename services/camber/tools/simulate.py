@@ -28,6 +28,7 @@ from camber.simulator.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
 from camber.tools.feed import add_bus_arguments, feed
+from camber.tools.option_numbers import SECONDS, SEED
 from camber.tools.stopping import stopped_by_signals
 
 _PROG = "camber simulate"
@@ -145,13 +146,6 @@ def _make_room(out: Path, scenario: Scenario) -> None:
     (out / _MARK).write_text(scenario.model_dump_json(indent=1) + "\n", "utf-8")
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value <= 3600.0:
-        raise argparse.ArgumentTypeError("expected above 0 and up to 3600")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
@@ -164,12 +158,12 @@ def _parser() -> argparse.ArgumentParser:
     live = parser.add_argument_group("with --live")
     live.add_argument(
         "--starts-in",
-        type=_seconds,
+        type=SECONDS,
         metavar="S",
         help="the drive happens S seconds from now, and its raw observations with it; making it must not take longer",
     )
     add_bus_arguments(live)
-    parser.add_argument("--seed", type=int, help="seed of all that is random")
+    parser.add_argument("--seed", type=SEED, help="seed of all that is random")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"
     )

@@ -19,7 +19,8 @@ from camber.runtime.clock import SystemClock
 from camber.schemas.base import Name
 from camber.schemas.channels import FEEDER, SERVICES, VEHICLE_SERVICES
 from camber.schemas.health import HealthRequest
-from camber.tools.bus_options import add_bus_options, bus_settings, seconds
+from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.option_numbers import SECONDS
 from camber.tools.status_text import as_text, fleet_text
 from camber.tools.status_view import Answers, View, view_of
 
@@ -128,15 +129,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_bus_options(parser)
     parser.add_argument(
-        "--timeout", type=seconds, default=2.0, metavar="S", help="seconds to wait (default 2)"
+        "--timeout", type=SECONDS, default=2.0, metavar="S", help="seconds to wait (default 2)"
     )
     parser.add_argument(
-        "--over", type=seconds, default=1.0, metavar="S", help="for rates: seconds (default 1)"
+        "--over", type=SECONDS, default=1.0, metavar="S", help="for rates: seconds (default 1)"
     )
     parser.add_argument(
         "--watch",
         nargs="?",
-        type=seconds,
+        type=SECONDS,
         const=5.0,
         metavar="S",
         help="again every so many seconds (default 5)",

@@ -24,7 +24,8 @@ from camber.formats.errors import FormatError
 from camber.formats.uploads_csv import read_uploads
 from camber.runtime.ask import Asker, BusError, QueryFailed
 from camber.schemas.fleet import UploadBatch, UploadReceipt
-from camber.tools.bus_options import add_bus_options, bus_settings, seconds
+from camber.tools.bus_options import add_bus_options, bus_settings
+from camber.tools.option_numbers import SECONDS
 
 _PROG = "camber upload"
 _HELP = (
@@ -107,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     add_bus_options(parser)
     parser.add_argument(
-        "--timeout", type=seconds, default=30.0, metavar="S", help="how long a batch is tried (default 30)"
+        "--timeout", type=SECONDS, default=30.0, metavar="S", help="how long a batch is tried (default 30)"
     )
     return parser
 

@@ -85,4 +85,4 @@ def test_a_file_that_is_no_run_of_the_lab_is_one_line(
 def test_no_trials_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         lab.main(["--trials", "0"])
-    assert "expected 1 or more" in capsys.readouterr().err
+    assert "--trials: '0', expected a whole number from 1 to" in capsys.readouterr().err

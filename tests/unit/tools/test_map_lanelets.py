@@ -149,8 +149,8 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
         (("--vertical-datum", "EPSG:5773"), "expected the grid us_nga_egm96_15.tif in "),
         (("--geoid-undulation-m", "45"), "expected all of --geoid-undulation-m"),
         (
-            ("--geoid-undulation-m", "45", "--geoid-sigma-m", "0", "--geoid-source", "x"),
-            "σ of the undulation is 0.0",
+            ("--geoid-undulation-m", "45", "--geoid-sigma-m", "0.1", "--geoid-source", " "),
+            "the undulation's source is not said",
         ),
     ],
 )

@@ -92,4 +92,4 @@ def test_a_number_that_is_none_is_refused(
     with pytest.raises(SystemExit) as ended:
         tool.main(["x.mcap", option, number])
     assert ended.value.code == 2
-    assert f"argument {option}: expected" in capsys.readouterr().err.splitlines()[-1]
+    assert f"argument {option}: {number!r}, expected a number" in capsys.readouterr().err.splitlines()[-1]

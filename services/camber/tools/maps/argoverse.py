@@ -20,6 +20,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.built_map import BuiltMap
 from camber.tools.maps.lane_map import lineage
 from camber.tools.maps.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.option_numbers import HEIGHT, HEIGHT_SIGMA, LATITUDE, LONGITUDE, each_of, number_from
 
 CITIES: dict[str, tuple[int, float, float]] = {
     "ATX": (14, 30.27464237939507, -97.7404457407424),
@@ -85,20 +86,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, help="folder of a log: city_SE3_egovehicle.feather and map/")
     parser.add_argument(
         "--zero-height-m",
-        type=float,
+        type=HEIGHT,
         metavar="H",
         help="ellipsoidal height of the city's zero, where it is known",
     )
     parser.add_argument(
         "--origin",
-        type=float,
+        action=each_of(LATITUDE, LONGITUDE),
         nargs=2,
         metavar=("LAT", "LON"),
         help="degrees: take city coordinates for the plane there, not for those of the city in the files' names",
     )
-    parser.add_argument("--sigma-m", type=float, default=0.03, metavar="S", help="σ of the raster's heights")
     parser.add_argument(
-        "--spacing-m", type=float, metavar="D", help="between the surfaces' heights; else the raster's cells"
+        "--sigma-m", type=HEIGHT_SIGMA, default=0.03, metavar="S", help="σ of the raster's heights"
+    )
+    parser.add_argument(
+        "--spacing-m",
+        type=number_from(0.05, 20.0, "m"),
+        metavar="D",
+        help="between the surfaces' heights; else the raster's cells",
     )
 
 

@@ -15,6 +15,7 @@ from camber.runtime.clock import SystemClock
 from camber.tools.in_words import in_words
 from camber.tools.maps.built_map import BuiltMap
 from camber.tools.maps.command import dispatched
+from camber.tools.option_numbers import number_from, whole_from
 
 _PROG = "camber map build"
 
@@ -104,7 +105,7 @@ def _parser(prog: str, description: str | None) -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--epoch-year",
-        type=_epoch_year,
+        type=number_from(1980.1, datetime.now(UTC).year + 1.0),
         required=True,
         metavar="YEAR",
         help="at which the datum's positions hold",
@@ -115,16 +116,11 @@ def _parser(prog: str, description: str | None) -> argparse.ArgumentParser:
         metavar="YYYY-MM-DD",
         help="when the road was last seen; else the day of --epoch-year",
     )
-    parser.add_argument("--map-version", type=int, help="else the previous release's and one, or 1")
+    parser.add_argument(
+        "--map-version", type=whole_from(1, 2**63 - 1), help="else the previous release's and one, or 1"
+    )
     parser.add_argument("--previous", type=Path, metavar="DIR", help="the release that this one comes after")
     parser.add_argument(
         "--signing-key", type=Path, metavar="PEM", help="Ed25519; else the release is unsigned"
     )
     return parser
-
-
-def _epoch_year(text: str) -> float:
-    year = float(text)
-    if not 1980.1 <= year <= datetime.now(UTC).year + 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected a year from 1980.1 to this one")
-    return year

@@ -32,6 +32,7 @@ from camber.tools.maps.lane_map import lineage
 from camber.tools.maps.rasters import horizontal_and_vertical, to_horizontal
 from camber.tools.maps.surfaces_along import Floats, Integers, surfaces_along
 from camber.tools.maps.survey_drive import DriveRoads, Track, drive_roads
+from camber.tools.option_numbers import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from
 
 _REACH_M = 4.0
 
@@ -46,39 +47,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the vehicle went: a truth.csv, or rows of 12 numbers, 3 × 4 from the poses' frame to --origin's",
     )  # fmt: skip
     parser.add_argument(
-        "--above-road-m", type=float, required=True, metavar="H", help="of what the poses are of"
+        "--above-road-m",
+        type=number_from(0.0, 20.0, "m"),
+        required=True,
+        metavar="H",
+        help="of what the poses are of",
     )
     parser.add_argument(
         "--sweeps", action="store_true", help="each cloud is a sweep in the sensor's own frame"
     )
+    metres, degrees = number_from(-50.0, 50.0, "m"), number_from(-360.0, 360.0, "°")
     parser.add_argument(
-        "--sensor", type=float, nargs=6, default=(0.0,) * 6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
+        "--sensor", nargs=6, action=each_of(metres, metres, metres, degrees, degrees, degrees),
+        default=(0.0,) * 6, metavar=("X", "Y", "Z", "ROLL", "PITCH", "YAW"),
         help="with --sweeps: where the sensor is in the poses' frame, metres and degrees (default: at it)",
     )  # fmt: skip
     parser.add_argument(
-        "--origin", type=float, nargs=3, metavar=("LAT", "LON", "H"),
+        "--origin", action=each_of(LATITUDE, LONGITUDE, HEIGHT), nargs=3, metavar=("LAT", "LON", "H"),
         help="degrees, metres above the ellipsoid: of clouds and poses that name no reference system",
     )  # fmt: skip
     parser.add_argument(
-        "--width-m", type=float, default=6.0, metavar="W", help="of the road (default: %(default)s)"
+        "--width-m",
+        type=number_from(1.0, 40.0, "m"),
+        default=6.0,
+        metavar="W",
+        help="of the road (default: %(default)s)",
     )
     parser.add_argument(
-        "--spacing-m", type=float, default=0.5, metavar="D", help="of heights (default: %(default)s)"
+        "--spacing-m",
+        type=number_from(0.1, 5.0, "m"),
+        default=0.5,
+        metavar="D",
+        help="of heights (default: %(default)s)",
     )
     parser.add_argument(
-        "--voxel-m", type=float, default=0.1, metavar="D", help="of the clouds (default: %(default)s)"
+        "--voxel-m",
+        type=number_from(0.02, 1.0, "m"),
+        default=0.1,
+        metavar="D",
+        help="of the clouds (default: %(default)s)",
     )
     add_height_arguments(parser)
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
     """Surfaces where the road's points are, and two clouds: the road's, and all else."""
-    for name, low, high in (("width_m", 1.0, 40.0), ("spacing_m", 0.1, 5.0), ("voxel_m", 0.02, 1.0)):
-        if not low <= getattr(args, name) <= high:
-            expected = f"{low:g} to {high:g}"
-            raise FormatError(
-                "clouds", f"--{name.replace('_', '-')}", expected, found=f"{getattr(args, name):g}"
-            )
     open3d()  # before minutes of reading
     poses = Poses.read(args)
     roads = drive_roads(poses.track(args.above_road_m), str(args.poses), args.width_m, _REACH_M)
@@ -166,9 +179,8 @@ class Poses:
             return cls(file, frame, _matrices(truth, frame), truth.time_ns, truth)
         if args.origin is None:
             raise FormatError(file, "poses", "--origin LAT LON H, to which they are")
-        latitude_deg, longitude_deg, height_m = args.origin
+        frame = _at(args.origin)
         try:
-            frame = LocalFrame(math.radians(latitude_deg), math.radians(longitude_deg), height_m)
             rows = np.loadtxt(_numbers(args.poses), ndmin=2)
         except ValueError as error:
             raise FormatError(
@@ -246,15 +258,18 @@ def _placed(
             raise FormatError(str(path), "x y", "places within the reference system that the file names")
         height_m = vertical.ellipsoidal_m(latitude, longitude, points[:, 2], str(path))
     elif args.origin is not None:
-        latitude_deg, longitude_deg, origin_m = args.origin
         if args.vertical_datum not in (None, ELLIPSOIDAL):
             raise FormatError(str(path), "--vertical-datum", "ellipsoidal: --origin's height is that")
-        local = LocalFrame(math.radians(latitude_deg), math.radians(longitude_deg), origin_m)
-        latitude, longitude, height_m = local.geodetic_from_enu_array(points)
+        latitude, longitude, height_m = _at(args.origin).geodetic_from_enu_array(points)
     else:
         raise FormatError(str(path), "place", "--origin LAT LON H, to which its metres are")
     plane = frame.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
     return np.column_stack((plane, height_m)), vertical
+
+
+def _at(origin: tuple[float, float, float]) -> LocalFrame:
+    latitude_deg, longitude_deg, height_m = origin
+    return LocalFrame(math.radians(latitude_deg), math.radians(longitude_deg), height_m)
 
 
 def _las(path: Path) -> tuple[Floats, str | None]:

@@ -16,6 +16,7 @@ from camber.formats.map_roads import RoadSurfaces
 from camber.schemas.road import LAYERS
 from camber.tools.in_words import in_words
 from camber.tools.maps.release_at import release_at
+from camber.tools.option_numbers import whole_from
 
 _PROG = "camber map diff"
 _MOVED_M = 1e-3
@@ -167,7 +168,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("a", type=Path, metavar="A", help="folder of a release, or a store")
     parser.add_argument("b", type=Path, metavar="B", help="the same, later")
     parser.add_argument(
-        "--most", type=int, default=20, metavar="N", help="lines of each kind (default: %(default)s)"
+        "--most",
+        type=whole_from(0, 10**9),
+        default=20,
+        metavar="N",
+        help="lines of each kind (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="all of it, for machines")
     return parser

@@ -28,6 +28,7 @@ from camber.tools.in_words import in_words
 from camber.tools.maps.geojson import geojson_text
 from camber.tools.maps.rasters import quiet_rasterio
 from camber.tools.maps.surfaces_along import Floats, Integers
+from camber.tools.option_numbers import number_from
 
 _PROG = "camber map export"
 _MOST_CELLS = 200_000_000
@@ -45,15 +46,16 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="PATH")
     parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
     parser.add_argument(
-        "--cell-m", type=float, metavar="D", help="side of a cell: geotiff 0.5, pcd 20 where it is not given"
+        "--cell-m",
+        type=number_from(0.01, 1e4, "m"),
+        metavar="D",
+        help="side of a cell: geotiff 0.5, pcd 20 where it is not given",
     )
     args = parser.parse_args(argv)
     return in_words(_PROG, args.out, lambda: _export(args))
 
 
 def _export(args: argparse.Namespace) -> int:
-    if args.cell_m is not None and not 0.01 <= args.cell_m <= 1e4:
-        raise FormatError(_PROG, "--cell-m", "0.01 to 10,000", found=f"{args.cell_m:g}")
     key = None if args.public_key is None else load_public_key(args.public_key)
     release = read_release(args.release, public_key=key)
     for line in _WAYS[args.to](release, str(args.release), args.out, args.cell_m):

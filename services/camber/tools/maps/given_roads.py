@@ -15,6 +15,7 @@ from camber.tools.maps.geojson import read_geojson
 from camber.tools.maps.lane_map import Known, road_map
 from camber.tools.maps.lanelets import lanes_of
 from camber.tools.maps.surfaces_along import Roads
+from camber.tools.option_numbers import number_from
 
 
 def add_road_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,13 +29,16 @@ def add_road_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--width-m",
-        type=_width,
+        type=number_from(0.5, 100.0, "m"),
         default=3.0,
         metavar="W",
         help="of a road whose line does not say it (default: %(default)s)",
     )
     parser.add_argument(
-        "--spacing-m", type=_spacing, metavar="D", help="between heights of a surface (default: the input's)"
+        "--spacing-m",
+        type=number_from(0.05, 20.0, "m"),
+        metavar="D",
+        help="between heights of a surface (default: the input's)",
     )
 
 
@@ -60,18 +64,3 @@ def _links(path: Path, width_m: float) -> tuple[RoadLinks, list[float]]:
         _, links, widths = read_geojson(path)
         return links, [width_m if own is None else own for own in widths]
     raise FormatError(str(path), "roads", "the folder of a release, a .geojson or an .osm")
-
-
-def _width(text: str) -> float:
-    return _within(text, 0.5, 100.0)
-
-
-def _spacing(text: str) -> float:
-    return _within(text, 0.05, 20.0)
-
-
-def _within(text: str, low: float, high: float) -> float:
-    value = float(text)
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected {low:g} to {high:g} metres")
-    return value

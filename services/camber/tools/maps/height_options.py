@@ -6,7 +6,14 @@ import argparse
 import math
 
 from camber.formats.errors import FormatError
-from camber.formats.vertical_datum import FIELD, VerticalDatum, constant_undulation, vertical_datum
+from camber.formats.vertical_datum import (
+    FIELD,
+    MOST_UNDULATION_M,
+    VerticalDatum,
+    constant_undulation,
+    vertical_datum,
+)
+from camber.tools.option_numbers import HEIGHT_SIGMA, number_from
 
 
 def add_height_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,16 +26,20 @@ def add_height_arguments(parser: argparse.ArgumentParser) -> None:
     )
     heights.add_argument(
         "--geoid-undulation-m",
-        type=float,
+        type=number_from(-MOST_UNDULATION_M, MOST_UNDULATION_M, "m"),
         metavar="N",
         help="instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map",
     )
     heights.add_argument(
-        "--geoid-sigma-m", type=float, metavar="S", help="its σ, which goes into that of the map"
+        "--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help="its σ, which goes into that of the map"
     )
     heights.add_argument("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
     heights.add_argument(
-        "--sigma-m", type=_sigma, required=True, metavar="S", help="σ of the heights of roads in the input"
+        "--sigma-m",
+        type=HEIGHT_SIGMA,
+        required=True,
+        metavar="S",
+        help="σ of the heights of roads in the input",
     )
 
 
@@ -57,10 +68,3 @@ def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) 
 def sigma_of(args: argparse.Namespace, vertical: VerticalDatum) -> float:
     """σ of heights in the release [m]: of the input's, and of the conversion."""
     return math.hypot(args.sigma_m, vertical.sigma_m)
-
-
-def _sigma(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value <= 10.0:
-        raise argparse.ArgumentTypeError(f"{text!r}, expected metres, more than 0, at most 10")
-    return value

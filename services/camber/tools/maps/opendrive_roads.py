@@ -21,6 +21,7 @@ from camber.tools.maps.built_map import BuiltMap
 from camber.tools.maps.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.lane_map import Known, lineage, road_map
 from camber.tools.maps.lanes import Floats, Lane, named_id
+from camber.tools.option_numbers import number_from
 
 LANE_TYPES = (
     "driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional", "shoulder", "stop", "bus",
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_height_arguments(parser)
     parser.add_argument(
         "--link-sigma-m",
-        type=float,
+        type=number_from(0.001, 100.0, "m"),
         default=0.5,
         metavar="S",
         help="σ of the lanes across (default: %(default)s)",

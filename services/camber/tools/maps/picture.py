@@ -22,6 +22,7 @@ from camber.schemas.road import LAYERS
 from camber.tools.in_words import in_words
 from camber.tools.map_drawing import cloud_raster, plane_links
 from camber.tools.maps.surfaces_along import Floats, Integers
+from camber.tools.option_numbers import whole_from
 from camber.tools.plot_frame import Panel
 from camber.tools.raster import Colours, Raster
 
@@ -36,16 +37,21 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
-    parser.add_argument("--tile", type=int, nargs=2, metavar=("X", "Y"), help="only this one")
-    parser.add_argument("--pixels", type=int, default=1200, help="of the longer side (default: %(default)s)")
+    parser.add_argument(
+        "--tile", type=whole_from(-(2**31), 2**31 - 1), nargs=2, metavar=("X", "Y"), help="only this one"
+    )
+    parser.add_argument(
+        "--pixels",
+        type=whole_from(16, 20_000),
+        default=1200,
+        help="of the longer side (default: %(default)s)",
+    )
     parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
     args = parser.parse_args(argv)
     return in_words(_PROG, args.out, lambda: _draw(args))
 
 
 def _draw(args: argparse.Namespace) -> int:
-    if not 16 <= args.pixels <= 20_000:
-        raise FormatError(_PROG, "--pixels", "16 to 20,000", found=str(args.pixels))
     key = None if args.public_key is None else load_public_key(args.public_key)
     release = read_release(args.release, public_key=key)
     tile = None if args.tile is None else (args.tile[0], args.tile[1])

@@ -18,12 +18,14 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.formats.map_roads import RoadLinks
+from camber.formats.map_tile_checks import MAX_LEVEL
 from camber.formats.vertical_datum import ELLIPSOIDAL, FIELD, aligned_to_wgs84, crs_of
 from camber.tools.maps.built_map import BuiltMap
 from camber.tools.maps.given_roads import add_road_arguments, given_roads
 from camber.tools.maps.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.lane_map import lineage
 from camber.tools.maps.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.option_numbers import whole_from
 
 _WINDOW = 1024
 _SPACING_M = (0.25, 4.0)
@@ -33,10 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What only a raster needs."""
     parser.add_argument("file", type=Path, metavar="FILE.tif")
     parser.add_argument(
-        "--band", type=int, default=1, help="that holds heights in metres (default: %(default)s)"
+        "--band",
+        type=whole_from(1, 65_535),
+        default=1,
+        help="that holds heights in metres (default: %(default)s)",
     )
     parser.add_argument(
-        "--level", type=int, default=0, help="of the roads that the raster shows (default: %(default)s)"
+        "--level",
+        type=whole_from(-MAX_LEVEL, MAX_LEVEL),
+        default=0,
+        help="of the roads that the raster shows (default: %(default)s)",
     )
     add_road_arguments(parser)
     add_height_arguments(parser)

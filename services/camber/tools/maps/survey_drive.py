@@ -26,6 +26,7 @@ from camber.tools.maps.lane_map import lineage
 from camber.tools.maps.lanes import named_id
 from camber.tools.maps.surfaces_along import Floats, Integers, Roads, surfaces_along
 from camber.tools.maps.track_heights import TrackHeights
+from camber.tools.option_numbers import HEIGHT_SIGMA, number_from
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _MAP_FREE = ("fixed", "stroke", "ranging")
@@ -54,33 +55,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "drive", type=Path, metavar="PATH", help="folder of a replay (recording.mcap), or a truth.csv"
     )
     parser.add_argument(
-        "--antenna-height-m", type=float, metavar="H", help="above the road; else as recorded"
+        "--antenna-height-m",
+        type=number_from(0.1, 20.0, "m"),
+        metavar="H",
+        help="above the road; else as recorded",
     )
     parser.add_argument(
-        "--antenna-sigma-m", type=float, default=0.01, metavar="S", help="its σ (default: %(default)s)"
+        "--antenna-sigma-m", type=HEIGHT_SIGMA, default=0.01, metavar="S", help="its σ (default: %(default)s)"
     )
     parser.add_argument(
-        "--position-sigma-m", type=float, default=0.02, metavar="S",
+        "--position-sigma-m", type=HEIGHT_SIGMA, default=0.02, metavar="S",
         help="σ of heights that do not say theirs (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--width-m", type=float, default=3.0, metavar="W", help="of the surfaces (default: %(default)s)"
+        "--width-m",
+        type=number_from(0.5, 20.0, "m"),
+        default=3.0,
+        metavar="W",
+        help="of the surfaces (default: %(default)s)",
     )
-    parser.add_argument("--spacing-m", type=float, default=2.0, metavar="D", help="between their heights")
     parser.add_argument(
-        "--reach-m", type=float, default=4.0, metavar="D",
+        "--spacing-m",
+        type=number_from(0.1, 20.0, "m"),
+        default=2.0,
+        metavar="D",
+        help="between their heights",
+    )
+    parser.add_argument(
+        "--reach-m", type=number_from(1.0, 50.0, "m"), default=4.0, metavar="D",
         help="how far along the road a position speaks for it: half the way between two (default: %(default)s)",
     )  # fmt: skip
 
 
 def build(args: argparse.Namespace) -> BuiltMap:
     """Roads where the drive has positions; none where it has not."""
-    for name, low, high in (("width_m", 0.5, 20.0), ("spacing_m", 0.1, 20.0), ("reach_m", 1.0, 50.0)):
-        if not low <= getattr(args, name) <= high:
-            option = f"--{name.replace('_', '-')}"
-            raise FormatError(
-                str(args.drive), option, f"{low:g} to {high:g}", found=f"{getattr(args, name):g}"
-            )
     track = _csv_track(args) if args.drive.suffix == ".csv" else _replay_track(args)
     roads = drive_roads(track, str(args.drive), args.width_m, args.reach_m)
     surfaces = surfaces_along(

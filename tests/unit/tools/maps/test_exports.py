@@ -180,8 +180,28 @@ def test_what_cannot_be_exported_is_one_clear_line(
     )  # fmt: skip
     for folder, options in (
         (bare, ("--to", "pcd")),
-        (release, ("--to", "geotiff", "--cell-m", "0.001")),
         (tmp_path / "none", ("--to", "geojson")),
     ):
         assert main(["map", "export", str(folder), "--out", str(tmp_path / "x"), *options]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_cell_without_size_is_refused(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "map",
+                "export",
+                str(release),
+                "--out",
+                str(tmp_path / "x"),
+                "--to",
+                "geotiff",
+                "--cell-m",
+                "0.001",
+            ]
+        )
+    assert "--cell-m: '0.001', expected a number from 0.01 to 10000 m" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()

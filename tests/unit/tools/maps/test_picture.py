@@ -95,4 +95,6 @@ def test_one_tile_or_the_whole_map_into_a_file_and_a_tile_that_is_not_there_is_r
     assert 0 < (tile != 255).any(axis=2).mean() < (whole != 255).any(axis=2).mean()
     assert main([*command, "--tile", "0", "0"]) == 2
     assert "tiles" in capsys.readouterr().err
-    assert main([*command, "--pixels", "1"]) == 2
+    with pytest.raises(SystemExit):
+        main([*command, "--pixels", "1"])
+    assert "--pixels: '1', expected a whole number from 16 to 20000" in capsys.readouterr().err
