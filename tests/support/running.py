@@ -78,8 +78,9 @@ def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
+        for stream in (process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
 
 
 def wait_until(what: Callable[[], Any], *, timeout_s: float, why: str) -> Any:
