@@ -43,7 +43,8 @@ _NS = 1_000_000_000
 _ROUTER = "tcp/127.0.0.1:7447"
 _ASK_ROUTER_S = 0.5
 _LONGEST_WAIT_NS = 3600 * _NS
-_LATE_NS = _NS // 2  # a machine that slept: what is later than this would only be refused as stale
+_LATE_NS = _NS // 2  # what is later than this would only be refused as stale
+_AWAY_NS = 60 * _NS  # of a machine that slept; after longer without motion no localizer holds its pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,8 +262,9 @@ def _feed(
         duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
         print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
         reader = SweepReader()
-        start_ns = _feed_pass(way, bus, stop, start_ns, reader)
-        for note in reader.notes():
+        start_ns, missed = _feed_pass(way, bus, stop, start_ns, reader)
+        late = f"this machine was late: {missed} of {len(way)} epochs were not said"
+        for note in (*reader.notes(), *([late] if missed else [])):
             print(f"{prog}: {note}", file=sys.stderr, flush=True)
         if stop.is_set():
             return
@@ -270,20 +272,28 @@ def _feed(
 
 def _feed_pass(
     way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int, reader: SweepReader
-) -> int:
-    """Publish each epoch when its time has come; returns when the next pass may start."""
+) -> tuple[int, int]:
+    """Publish each epoch when its time has come; returns when the next pass may start, and how many were too late.
+
+    Those are left out: the vehicle drove on meanwhile, and to say them later would say that it stood still with its
+    wheels turning. After a long sleep the drive goes on from where it was.
+    """
     # Whole milliseconds: more decimals of a time than that are not in an RTKLIB line.
     offset_ns = (start_ns - way[0].time_ns) // 1_000_000 * 1_000_000
+    missed = 0
     for epoch in way:
-        early_ns = epoch.time_ns + offset_ns - bus.now_ns()
-        if early_ns < -_LATE_NS:
-            offset_ns -= early_ns // 1_000_000 * 1_000_000
-        elif stop.wait(max(early_ns, 0) / _NS):
+        if stop.wait(max(epoch.time_ns + offset_ns - bus.now_ns(), 0) / _NS):
             break
+        late_ns = bus.now_ns() - epoch.time_ns - offset_ns
+        if late_ns > _AWAY_NS:
+            offset_ns += late_ns // 1_000_000 * 1_000_000
+        elif late_ns > _LATE_NS:
+            missed += 1
+            continue
         for name, message in epoch.moved(offset_ns).messages(reader):
             bus.publish(name, message)
     step_ns = (way[-1].time_ns - way[0].time_ns) // max(len(way) - 1, 1)
-    return way[-1].time_ns + offset_ns + step_ns
+    return way[-1].time_ns + offset_ns + step_ns, missed
 
 
 def _pos_lines(solution: ReceiverSolution) -> bytes:

@@ -131,23 +131,43 @@ def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: t
 
 def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
-    next_ns = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    next_ns, missed = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
     assert [
         at - message.time_ns for at, _, message in bus.sent if abs(at - message.time_ns) > 1_000_000
     ] == []
     times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
     assert times == [_START_NS + n * _NS // 5 for n in range(50)]
-    assert next_ns == _START_NS + 10 * _NS
+    assert (next_ns, missed) == (_START_NS + 10 * _NS, 0)
 
 
-def test_after_a_machine_slept_the_drive_goes_on_from_where_it_was(epochs: tuple[Epoch, ...]) -> None:
+def test_what_a_machine_was_too_late_for_is_left_out_and_nothing_is_moved(epochs: tuple[Epoch, ...]) -> None:
+    """As a vehicle drives on: its wheels turned, so it is further."""
     bus = FakeBus(_START_NS)
-    feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 30.0}), _START_NS, SweepReader())  # type: ignore[arg-type]
+    ended = feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 3.05}), _START_NS, SweepReader())  # type: ignore[arg-type]
+    times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
+    # The one that was waited for would be 3.05 s late, and twelve more would be by over half a second.
+    said = [n for n in range(50) if not 20 <= n < 33]
+    assert times == [_START_NS + n * _NS // 5 for n in said]
+    assert ended == (_START_NS + 10 * _NS, 13)
+    assert max(at - message.time_ns for at, _, message in bus.sent) <= _NS // 2
+
+
+def test_after_a_machine_slept_for_long_the_drive_goes_on_from_where_it_was(
+    epochs: tuple[Epoch, ...],
+) -> None:
+    bus = FakeBus(_START_NS)
+    ended = feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 90.0}), _START_NS, SweepReader())  # type: ignore[arg-type]
     moved = [message for _, name, message in bus.sent if name == "motion"]
     assert len(moved) == 50
-    late = [at - message.time_ns for at, name, message in bus.sent if name == "motion"]
-    assert sum(delay > _NS // 2 for delay in late) == 1  # the one that was being waited for
-    assert moved[-1].time_ns > _START_NS + 39 * _NS
+    assert max(at - message.time_ns for at, _, message in bus.sent) < 1_000_000
+    assert moved[-1].time_ns > _START_NS + 99 * _NS
+    assert ended[1] == 0
+
+
+def test_passes_that_a_machine_was_late_for_are_said(epochs: tuple[Epoch, ...], capsys) -> None:
+    bus = FakeBus(_START_NS)
+    feed._feed(iter([epochs[:50]]), bus, FakeStop(bus, {20: 3.05}), "drive")  # type: ignore[arg-type]
+    assert "camber feed: this machine was late: 13 of 50 epochs were not said" in capsys.readouterr().err
 
 
 def test_it_stops_when_told_to(epochs: tuple[Epoch, ...]) -> None:
