@@ -10,7 +10,7 @@ N = TypeVar("N", int, float)
 
 
 def number_from(least: float, most: float, unit: str = "") -> Callable[[str], float]:
-    """The `type` of an option: a number from `least` to `most`, both included. NaN is none."""
+    """The `type` of an option: a number from `least` to `most`, both included; NaN is none. `unit` ends its line."""
     return _bounded(float, least, most, f"a number from {least:g} to {most:g} {unit}".rstrip())
 
 
@@ -48,8 +48,10 @@ def _bounded(read: Callable[[str], N], least: float, most: float, expected: str)
 
 # How long a tool waits.
 SECONDS = number_from(0.001, 3600.0, "s")
-# Of all that is random: what numpy's generators take.
-SEED = whole_from(0, 2**63 - 1)
+# Of a surface, of a release: what a column of maps and stores holds.
+NUMBER = whole_from(0, 2**63 - 1)
+# Of all that is random: what a scenario takes.
+SEED = NUMBER
 LATITUDE, LONGITUDE = number_from(-90.0, 90.0, "°"), number_from(-180.0, 180.0, "°")
 # Above the ellipsoid, of places with roads.
 HEIGHT = number_from(-1000.0, 10_000.0, "m")

@@ -322,7 +322,7 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-_FACTOR = number_from(0.001, 1e6)
+_FACTOR = number_from(0.001, 1e6, "or max")
 
 
 def speed_factor(text: str) -> float:

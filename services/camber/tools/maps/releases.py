@@ -24,7 +24,7 @@ from camber.map_update.review import Review
 from camber.map_update.votes import values_of
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.review import user_name
-from camber.tools.option_numbers import whole_from
+from camber.tools.option_numbers import NUMBER
 
 _PROG = "camber map releases"
 
@@ -36,19 +36,17 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("path", type=Path, metavar="PATH", help="folder of releases, or a vehicle's store")
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--why", type=whole_from(0, 2**63 - 1), metavar="SURFACE", help="what a surface's height comes from"
-    )
+    choice.add_argument("--why", type=NUMBER, metavar="SURFACE", help="what a surface's height comes from")
     choice.add_argument(
         "--roll-back",
-        type=whole_from(0, 2**63 - 1),
+        type=NUMBER,
         metavar="VERSION",
         help="a new release as VERSION was (folder)",
     )
     choice.add_argument("--go-back", action="store_true", help="the release before in force again (store)")
     choice.add_argument(
         "--allow-from",
-        type=whole_from(0, 2**63 - 1),
+        type=NUMBER,
         metavar="VERSION",
         help="let versions from this on come again (store)",
     )

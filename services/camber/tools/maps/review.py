@@ -16,7 +16,7 @@ from pathlib import Path
 from camber.formats.map_roads import ReleaseError
 from camber.map_update.review import Decided, Held, Review, Word
 from camber.runtime.clock import SystemClock
-from camber.tools.option_numbers import whole_from
+from camber.tools.option_numbers import NUMBER
 
 _PROG = "camber map review"
 
@@ -28,12 +28,10 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("releases", type=Path, metavar="RELEASES", help="map_update's folder of releases")
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--accept", type=whole_from(0, 2**63 - 1), nargs="+", metavar="SURFACE", help="publish these changes"
-    )
+    choice.add_argument("--accept", type=NUMBER, nargs="+", metavar="SURFACE", help="publish these changes")
     choice.add_argument(
         "--reject",
-        type=whole_from(0, 2**63 - 1),
+        type=NUMBER,
         nargs="+",
         metavar="SURFACE",
         help="do not publish these changes",
