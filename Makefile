@@ -92,7 +92,7 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m camber.tools.data_flow --check
+	$(BIN)/python -m camber.tools.generate_docs.data_flow --check
 	$(BIN)/python deploy/supply_chain.py licences >/dev/null
 	$(BIN)/python deploy/supply_chain.py vulnerabilities
 
@@ -128,7 +128,7 @@ golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden
 
 docs: setup
-	$(BIN)/python -m camber.tools.data_flow
+	$(BIN)/python -m camber.tools.generate_docs.data_flow
 
 image:
 	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg PYTHON_IMAGE --build-arg KIND=compiled \

@@ -16,12 +16,12 @@ import msgpack
 import numpy as np
 from figure import Figure, higher, lower, per_call_us
 
-from camber.formats.recording import load_recording
+from camber.formats.drive.recording import load_recording
+from camber.replay.short_drive import RATE_HZ, write_short_drive
 from camber.schemas.base import Message
 from camber.schemas.codec import decode, encode
 from camber.schemas.pose import Pose
 from camber.schemas.road import ElevationReply, ElevationRequest
-from camber.simulator.short_drive import RATE_HZ, write_short_drive
 
 NAGOYA = Path(__file__).parents[1] / "tests" / "replay" / "nagoya.toml"
 LATENCY_S = 60.0

@@ -20,11 +20,11 @@ import numpy as np
 from figure import Figure, higher, lower, per_call_us
 from scipy.interpolate import RegularGridInterpolator
 
-from camber.formats.map_release import read_release, write_release
-from camber.formats.map_roads import RoadLinks, RoadSurfaces
-from camber.formats.map_surface_heights import SurfaceHeights
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.elevation import ElevationMap, RoadColumns
+from camber.road_map.release import read_release, write_release
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.surface_heights import SurfaceHeights
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.road import ElevationReply, ElevationRequest

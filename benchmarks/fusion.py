@@ -8,15 +8,15 @@ import numpy as np
 from figure import Figure, higher
 from numpy.typing import NDArray
 
-from camber.map_update.robust_height import (
+from camber.map_update.fusion.biweight import (
     PRIOR_VOTES,
     TUNING,
     ChangeRule,
     biweight,
     heights_of,
 )
-from camber.map_update.shapes import shapes_of, votes_shape_m2
-from camber.map_update.vehicle_bias import BiasModel, biases_of
+from camber.map_update.fusion.surface_shape import shapes_of, votes_shape_m2
+from camber.map_update.fusion.vehicle_bias import BiasModel, biases_of
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from figure import Figure, lower
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from camber.runtime.listen import Listener
+from camber.runtime.subscription import Listener
 from support.live_satellites import LiveDrive, caster, live_gnss, serving
 from support.running import free_port
 

@@ -26,8 +26,8 @@ from figure import Figure, higher
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from camber.map_update.contribution import OBSERVATION, Contribution
-from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Store
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import Store
 from support.contributions import NOW_NS, random_batch, take_all
 from support.databases import NATS, POSTGRES, NatsServer, PostgresServer, lasting_port, running
 from support.running import environment, wait_until
@@ -130,7 +130,7 @@ def binary_copy(rows: np.ndarray) -> memoryview:
 def postgres_figures(server: PostgresServer) -> list[Figure]:
     import asyncpg
 
-    from camber.map_update.postgres_store import PostgresStore
+    from camber.map_update.stores.postgres_store import PostgresStore
 
     loop = asyncio.new_event_loop()
     db = loop.run_until_complete(asyncpg.connect(server.address()))

@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 from figure import Figure, lower
 
-from camber.formats.recording import load_recording
+from camber.formats.drive.recording import load_recording
 from camber.integrity.service import IntegrityService
 from camber.integrity.settings import IntegritySettings
+from camber.replay.drive_inputs import prepare_drive
+from camber.replay.one_process import drive_through
 from camber.runtime.bus import QueryFailed
 from camber.runtime.inbox import Inbox
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, inputs_of
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.drive import load_manifest
-from camber.simulator.drive_inputs import prepare_drive
-from camber.tools.judged import Judged, put_together
-from camber.tools.one_process import drive_through
+from camber.validation.judged_fixes import Judged, put_together
 
 DRIVE_S = 120.0
 LIVE_S = 90.0

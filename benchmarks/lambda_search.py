@@ -23,7 +23,7 @@ import numpy as np
 from figure import Figure, lower
 from numpy.typing import NDArray
 
-from camber.gnss.ambiguity import RESOLVED, resolve
+from camber.gnss.ambiguity.resolution import RESOLVED, resolve
 from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
 
 Floats = NDArray[np.float64]

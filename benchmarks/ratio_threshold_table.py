@@ -1,4 +1,4 @@
-"""Makes the table of `camber.gnss.ratio_thresholds` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
+"""Makes the table of `gnss.ambiguity.ratio_thresholds` by Monte Carlo: `python benchmarks/ratio_threshold_table.py`.
 
 For each number of ambiguities and each bootstrapped failure rate: float ambiguities of random geometries, or the most
 precise of more decorrelated ones, their covariance scaled until bootstrapping fails just so often; then the ratio that
@@ -15,10 +15,10 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
-from camber.gnss.ambiguity import bootstrapped_log_success
-from camber.gnss.decorrelation import decorrelated
-from camber.gnss.lambda_search import nearest_integers
+from camber.compiled.decorator import compiled
+from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
+from camber.gnss.ambiguity.lambda_search import nearest_integers
+from camber.gnss.ambiguity.resolution import bootstrapped_log_success
 from camber.simulator.satellites.ambiguity_models import float_covariance
 
 Floats = NDArray[np.float64]

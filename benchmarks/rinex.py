@@ -13,7 +13,7 @@ import numpy as np
 from figure import Figure, higher, per_call_us
 
 from camber.formats.observations import ObservationEpoch, satellite_name, signal_name
-from camber.formats.rinex_reading import RinexDecoder
+from camber.formats.rinex.observation_reader import RinexDecoder
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 
 FILE = "rooftop-2024-06-24/rover.obs"

@@ -9,8 +9,8 @@ from figure import Figure, higher, per_call_us
 from pyrtcm import RTCMReader
 
 from camber.formats.observations import ObservationEpoch, carrier_hz, satellite_number, signal_number
-from camber.formats.rtcm_reading import RtcmDecoder, StationEpoch
-from camber.formats.rtcm_writing import format_observations
+from camber.formats.rtcm.reader import RtcmDecoder, StationEpoch
+from camber.formats.rtcm.writer import format_observations
 
 START_NS = 1_400_000_000_000_000_000
 SPEED_OF_LIGHT_M_S = 299_792_458.0

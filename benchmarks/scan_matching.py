@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.geodesy.se3 import invert, transform_points
-from camber.localizer.layered_matching import MatchOptions, match_layers
-from camber.localizer.registration import LayerTarget, register
-from camber.localizer.road_fit import fit_road
-from camber.localizer.voxel_grid import voxel_means
+from camber.localizer.map_clouds.voxel_grid import voxel_means
+from camber.localizer.matching.layered_matching import MatchOptions, match_layers
+from camber.localizer.matching.registration import LayerTarget, register
+from camber.localizer.matching.road_plane_fit import fit_road
 from support import street_lidar
 
 Floats = NDArray[np.float64]

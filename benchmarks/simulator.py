@@ -12,11 +12,11 @@ import numpy as np
 from figure import Figure, higher, lower
 from numpy.typing import NDArray
 
-from camber.simulator.fleet_folder import write_fleet
+from camber.simulator.output.fleet_folder import write_fleet
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Shapes
 from camber.simulator.simulated_drive import district_of
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 Floats = NDArray[np.float64]
 

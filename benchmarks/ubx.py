@@ -10,9 +10,9 @@ from figure import Figure, higher, per_call_us
 from pyubx2 import UBXReader
 
 from camber.formats.observations import ObservationEpoch, satellite_number, signal_number
-from camber.formats.ubx_raw_reading import ReceiverEpoch
-from camber.formats.ubx_reading import UbxDecoder
-from camber.formats.ubx_writing import format_raw_measurements
+from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.ubx.reader import UbxDecoder
+from camber.formats.ubx.writer import format_raw_measurements
 
 START_NS = 1_400_000_000_000_000_000
 SIGNALS = {"G": ("1C", "2L"), "E": ("1C", "7Q"), "C": ("2I", "7I"), "J": ("1C", "2L")}

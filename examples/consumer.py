@@ -12,9 +12,9 @@ import contextlib
 import json
 import math
 
-from camber.runtime.listen import Listener
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, load_or_exit
+from camber.runtime.subscription import Listener
 from camber.schemas.integrity import Position
 
 PROG = "consumer.py"

@@ -19,36 +19,51 @@ SERVICES = {
 }
 TOOLS = {
     "router": ("camber.runtime.router", "a Zenoh router in Python"),
-    "replay": ("camber.tools.replay", "run a recorded drive through all processes"),
+    "replay": ("camber.replay.command", "run a recorded drive through all processes"),
     "simulate": ("camber.tools.simulate", "make a drive or a fleet from a scenario, with truth"),
-    "localize": ("camber.tools.localize", "a drive through the localizer alone, with plots"),
-    "calibrate": ("camber.tools.calibrate", "lever arm, antenna height, base offset from a recorded drive"),
+    "localize": ("camber.tools.localize.command", "a drive through the localizer alone, with plots"),
+    "calibrate": (
+        "camber.tools.calibrate.command",
+        "lever arm, antenna height, base offset from a recorded drive",
+    ),
     "demo": ("camber.tools.demo", "simulate two minutes through a city and replay them"),
-    "feed": ("camber.tools.feed", "a recorded drive, live, to services that are running"),
-    "lab": ("camber.tools.lab", "the judge against millions of simulated wrong fixes and faults"),
-    "evaluate": ("camber.tools.evaluate", "summary and report anew from a replay's folder"),
-    "evidence": ("camber.tools.evidence", "recorded and simulated drives, and the page of what came of them"),
+    "feed": ("camber.tools.record.feed", "a recorded drive, live, to services that are running"),
+    "lab": (
+        "camber.validation.lab.command",
+        "the judge against millions of simulated wrong fixes and faults",
+    ),
+    "evaluate": ("camber.validation.evaluate", "summary and report anew from a replay's folder"),
+    "evidence": (
+        "camber.validation.evidence.command",
+        "recorded and simulated drives, and the page of what came of them",
+    ),
     "map": ("camber.tools.maps.command", "releases of the map: build, inspect, compare, give away"),
-    "certs": ("camber.tools.certs", "certificates: an authority, one for each vehicle, who and until when"),
-    "access": ("camber.tools.access", "who may say what: configurations of routers, checked"),
+    "certs": (
+        "camber.tools.security.certs",
+        "certificates: an authority, one for each vehicle, who and until when",
+    ),
+    "access": ("camber.tools.security.access", "who may say what: configurations of routers, checked"),
     "upload": (
-        "camber.tools.upload",
+        "camber.tools.operate.upload",
         "observations of road heights in a file → the fleet's store, acknowledged",
     ),
-    "uploads": ("camber.tools.uploads", "what the fleet's store holds, as CSV"),
-    "health": ("camber.tools.health", "ask a running service how it is"),
+    "uploads": ("camber.tools.operate.uploads", "what the fleet's store holds, as CSV"),
+    "health": ("camber.tools.operate.health", "ask a running service how it is"),
     "doctor": (
-        "camber.tools.doctor",
+        "camber.tools.operate.doctor",
         "is this deployment fit to drive: settings, clock, disk, map, receiver",
     ),
-    "record": ("camber.tools.record", "what is on a vehicle's bus into MCAP files"),
-    "play": ("camber.tools.play", "a recording back onto a bus"),
-    "log_level": ("camber.tools.log_level", "a running service logs more for a while"),
-    "status": ("camber.tools.status", "who is alive on the bus, rates, ages, queues, versions, last errors"),
+    "record": ("camber.tools.record.record", "what is on a vehicle's bus into MCAP files"),
+    "play": ("camber.tools.record.play", "a recording back onto a bus"),
+    "log_level": ("camber.tools.operate.log_level", "a running service logs more for a while"),
+    "status": (
+        "camber.tools.operate.status",
+        "who is alive on the bus, rates, ages, queues, versions, last errors",
+    ),
 }
 GNSS_TOOLS = {
-    "inspect": ("camber.tools.gnss_inspect", "what a recording of satellite navigation holds"),
-    "solve": ("camber.tools.gnss_solve", "positions from a recording's raw observations, and a plot"),
+    "inspect": ("camber.tools.gnss.inspect", "what a recording of satellite navigation holds"),
+    "solve": ("camber.tools.gnss.solve", "positions from a recording's raw observations, and a plot"),
 }
 
 EXTRA_OF = {
@@ -117,7 +132,7 @@ def _run_service(name: str, argv: list[str]) -> int:
     if name == "gnss" and argv and argv[0] in GNSS_TOOLS:
         return _run_tool(GNSS_TOOLS[argv[0]][0], argv[1:])
     if name == "gnss" and "--list-ports" in argv:
-        print(importlib.import_module("camber.formats.serial_ports").describe_ports())
+        print(importlib.import_module("camber.transport.serial_ports").describe_ports())
         return 0
     if name == "gnss" and {"-h", "--help"} & set(argv):
         print("\n".join(_gnss_tools()) + "\n\nor the service:")

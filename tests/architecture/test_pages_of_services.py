@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from camber.gnss.engine import REASON, Warning_
+from camber.gnss.position.rtk_engine import REASON, Warning_
 from camber.localizer.settings import GivenPose
 from camber.runtime.settings import ServiceSettings
 from support.tree import ROOT
@@ -63,7 +63,7 @@ def test_the_table_of_parameters_is_that_of_the_settings(service: str) -> None:
 def test_every_issue_a_service_can_raise_stands_on_its_page(service: str) -> None:
     page = page_of(service)
     folder = ROOT / "services" / "camber" / service
-    source = "".join(path.read_text("utf-8") for path in sorted(folder.glob("*.py")))
+    source = "".join(path.read_text("utf-8") for path in sorted(folder.rglob("*.py")))
     codes = re.findall(r'\bissue\(\s*"(\w+)"', source)
     if service == "gnss":
         codes += [*typing.get_args(Warning_), "ephemeris_refused"]
@@ -72,14 +72,14 @@ def test_every_issue_a_service_can_raise_stands_on_its_page(service: str) -> Non
 
 
 def test_every_reason_to_refuse_an_epoch_stands_on_the_page_of_gnss() -> None:
-    source = (ROOT / "services/camber/gnss/receiver_side.py").read_text("utf-8")
+    source = (ROOT / "services/camber/gnss/candidates/receiver_candidates.py").read_text("utf-8")
     reasons = set(re.findall(r'"(\w+_epoch\w*|epoch_\w+)"', source))
     assert len(reasons) == 3
     assert [reason for reason in reasons if f"`{reason}`" not in page_of("gnss")] == []
 
 
 def test_every_reason_why_an_epoch_is_not_fixed_stands_on_the_page_of_gnss() -> None:
-    source = (ROOT / "services/camber/gnss/engine.py").read_text("utf-8")
+    source = (ROOT / "services/camber/gnss/position/rtk_engine.py").read_text("utf-8")
     without_base = set(re.findall(r'return "(\w+)", (?:math\.inf|age_s)', source))
     assert len(without_base) == 4
     reasons = {*REASON.values(), *without_base} - {"resolved"}

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from camber.tools import data_flow
+from camber.tools.generate_docs import data_flow
 from support.tree import ROOT, SOURCE_ROOTS, tracked_files
 
 # Written so that this file does not match itself.

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from camber.geodesy.ellipsoid import ecef_from_geodetic
+from camber.replay.short_drive import short_drive_truth
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.schemas.channels import BY_NAME, SERVICES, VEHICLE_SERVICES
 from camber.schemas.codec import decode
 from camber.schemas.integrity import Verdict
-from camber.simulator.short_drive import short_drive_truth
 from support.containers import RELEASE, Stack, docker, skip_without_engine
 from support.containers import stack as started_stack
 from support.running import wait_until

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
+from camber.replay.short_drive import ANTENNA_HEIGHT_M, write_short_drive
 from camber.runtime.session import router_endpoints
 from camber.runtime.settings import load
 from camber.schemas.channels import SENSORS, SERVICES, VEHICLE_SERVICES
-from camber.simulator.short_drive import ANTENNA_HEIGHT_M, write_short_drive
 from support.running import camber
 from support.tree import ROOT
 

@@ -24,12 +24,12 @@ from cryptography.hazmat.primitives.serialization import (
     PublicFormat,
 )
 
-from camber.formats.map_release import Release, load_signing_key, read_release, write_release
-from camber.runtime.ask import ask_once
+from camber.replay.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
+from camber.road_map.release import Release, load_signing_key, read_release, write_release
 from camber.runtime.clock import SystemClock
+from camber.runtime.query import ask_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.road import ElevationRequest
-from camber.simulator.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from support.containers import Stack, docker, skip_without_engine
 from support.containers import stack as built_stack
 from support.fleet_files import RAISED_M, RAISED_S, write_fleet

@@ -14,51 +14,44 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import zstandard
 
-from camber.formats.candump import CandumpDecoder, CanFrame, candump_line
-from camber.formats.dbc import read_dbc
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
-from camber.formats.ionosphere_coefficients import IonosphereCoefficients
-from camber.formats.lanelet2 import lanelet2_bytes, lanelet_map
-from camber.formats.lidar_firings import LidarDecoder
-from camber.formats.map_delta import packed, unpacked
-from camber.formats.map_release import read_release
-from camber.formats.map_release_files import decoded
-from camber.formats.map_road_tiles import surface_tiles
-from camber.formats.map_roads import ReleaseError
-from camber.formats.map_tile_checks import wrong_in_tile
-from camber.formats.map_tiles import tile_frame
-from camber.formats.mixed_stream import MixedDecoder
-from camber.formats.nmea import NmeaDecoder
-from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
-from camber.formats.opendrive import opendrive_bytes, opendrive_map
-from camber.formats.ouster import OusterDecoder
-from camber.formats.ouster_metadata import read_ouster_metadata
-from camber.formats.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
-from camber.formats.pcd import PointCloud, cloud_from_pcd, pcd_bytes
-from camber.formats.ply import points_from_ply
-from camber.formats.projected import Projection
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.rinex_navigation import NavigationDecoder
-from camber.formats.rinex_reading import RinexDecoder
-from camber.formats.rinex_writing import StationHeader, navigation_text, observation_lines
-from camber.formats.rtcm_reading import RtcmDecoder
-from camber.formats.rtcm_writing import (
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_line
+from camber.formats.lidar_can.dbc import read_dbc
+from camber.formats.lidar_can.firings import LidarDecoder
+from camber.formats.lidar_can.ouster import OusterDecoder
+from camber.formats.lidar_can.ouster_metadata import read_ouster_metadata
+from camber.formats.lidar_can.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
+from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
+from camber.formats.map_exchange.lanelet2 import lanelet2_bytes, lanelet_map
+from camber.formats.map_exchange.opendrive import opendrive_bytes, opendrive_map
+from camber.formats.map_exchange.pcd import PointCloud, cloud_from_pcd, pcd_bytes
+from camber.formats.map_exchange.ply import points_from_ply
+from camber.formats.map_exchange.projection import Projection
+from camber.formats.map_exchange.vertical_datum import vertical_datum
+from camber.formats.nmea.epochs import NmeaDecoder
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
+from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.formats.rinex.navigation_reader import NavigationDecoder
+from camber.formats.rinex.observation_reader import RinexDecoder
+from camber.formats.rinex.writer import StationHeader, navigation_text, observation_lines
+from camber.formats.rtcm.reader import RtcmDecoder
+from camber.formats.rtcm.writer import (
     format_ephemeris,
     format_observations,
     format_reference_station,
     rtcm_frame,
 )
-from camber.formats.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
-from camber.formats.ubx_navigation import format_high_precision_position, format_position_velocity_time
-from camber.formats.ubx_reading import UbxDecoder
-from camber.formats.ubx_subframes import subframes_between
-from camber.formats.ubx_writing import format_raw_measurements, format_subframe, ubx_frame
-from camber.formats.velodyne import MODELS, VelodyneDecoder
-from camber.formats.vertical_datum import vertical_datum
+from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
+from camber.formats.ubx.reader import UbxDecoder
+from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.writer import format_raw_measurements, format_subframe, ubx_frame
 from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
 from camber.map_update.admission import Refusal
-from camber.map_update.queue_messages import (
+from camber.map_update.queue.queue_messages import (
     Parcel,
     QueueMessageError,
     pack_outcomes,
@@ -66,19 +59,26 @@ from camber.map_update.queue_messages import (
     unpack_outcomes,
     unpack_parcels,
 )
-from camber.map_update.store import Outcome
+from camber.map_update.stores.store import Outcome
+from camber.replay.short_drive import write_short_drive
+from camber.road_map.blob_delta import packed, unpacked
+from camber.road_map.release import read_release
+from camber.road_map.release_files import decoded
+from camber.road_map.road_columns import ReleaseError
+from camber.road_map.road_tiles import surface_tiles
+from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
-from camber.simulator.can_frames import DBC
-from camber.simulator.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
-from camber.simulator.short_drive import write_short_drive
-from camber.tools.maps.lane_map import Known, road_map
-from camber.tools.maps.lanelets import lanes_of as lanes_of_lanelets
-from camber.tools.maps.opendrive_roads import LANE_TYPES
-from camber.tools.maps.opendrive_roads import lanes_of as lanes_of_roads
+from camber.simulator.output.can_frames import DBC
+from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
+from camber.tools.maps.importers.lane_map import Known, road_map
+from camber.tools.maps.importers.lanelets import lanes_of as lanes_of_lanelets
+from camber.tools.maps.importers.opendrive_roads import LANE_TYPES
+from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roads
 from fuzz.target import Target
 from support import lanelet_maps, opendrive_maps
 from support.contributions import contribution, random_batch

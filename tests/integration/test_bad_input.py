@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from camber.cli import main
-from camber.formats.map_release import write_release
-from camber.formats.map_roads import RoadLinks, RoadSurfaces
-from camber.formats.recording import Recorded
+from camber.formats.drive.recording import Recorded
+from camber.replay.short_drive import ANTENNA_HEIGHT_M, START_NS, short_drive_truth, write_short_drive
+from camber.replay.surrogate_map import make_map
+from camber.road_map.release import write_release
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.schemas.drive import Surrogates
-from camber.simulator.short_drive import ANTENNA_HEIGHT_M, START_NS, short_drive_truth, write_short_drive
-from camber.simulator.surrogate_map import make_map
 from support import small_map
 from support.running import Drive, camber, drive_s, in_one_process, recorded, summary_of
 

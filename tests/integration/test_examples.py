@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from camber.replay.short_drive import write_short_drive
 from camber.schemas.channels import BY_NAME
-from camber.simulator.short_drive import write_short_drive
 from support.running import endpoint_of, free_port, kill, process_ids, started, wait_until
 
 CONSUMER = Path(__file__).parents[2] / "examples" / "consumer.py"

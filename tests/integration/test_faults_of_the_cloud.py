@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ZenohSettings
-from camber.tools.certificates import Authority
+from camber.tools.security.certificates import Authority
 from support import paced_uploads
 from support.databases import PostgresServer, lasting_port, needs_postgres
 from support.fault_figures import LONG, measured

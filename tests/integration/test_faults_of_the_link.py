@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.stores.sqlite_store import SqliteStore
 from support import paced_uploads
 from support.fault_figures import LONG, measured
 from support.fleet_routers import Certificates, cloud_file, make_certificates, vehicle_file

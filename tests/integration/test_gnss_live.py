@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from camber.runtime.listen import Listener
+from camber.runtime.subscription import Listener
 from camber.schemas.gnss import Fix, SatelliteVelocity
 from support.live_satellites import LiveDrive, LiveGnss, Port, caster, live_gnss, serving
 from support.running import free_port, wait_until

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.byte_streams import ByteStream, open_stream
-from camber.formats.ntrip import NtripAccess
+from camber.transport.byte_streams import ByteStream, open_stream
+from camber.transport.ntrip_client import NtripAccess
 from support.hostile_caster import HostileCaster, Peer, Script, certificates
 from support.streams import Reader, wait_for
 
@@ -236,7 +236,7 @@ def test_positions_come_at_most_once_a_second_across_connections_too(answer: byt
 def test_a_caster_that_does_not_take_positions_is_still_read(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.formats.connections.Connection.send", refusing_sentences())
+    monkeypatch.setattr("camber.transport.tcp_connection.Connection.send", refusing_sentences())
     access = NtripAccess(position=lambda: GGA, version=1)
 
     def script(peer: Peer) -> None:
@@ -254,7 +254,7 @@ def test_a_caster_that_does_not_take_positions_is_still_read(
 
 def refusing_sentences() -> Callable[..., int]:
     """What a connection's `send` does when the queue to the other side is full."""
-    from camber.formats.connections import Connection
+    from camber.transport.tcp_connection import Connection
 
     send = Connection.send
     return lambda self, data: 0 if data.startswith(b"$") else send(self, data)
@@ -263,7 +263,7 @@ def refusing_sentences() -> Callable[..., int]:
 def test_a_caster_that_answers_a_letter_at_a_time_is_given_up_in_bounded_time(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.formats.ntrip._ANSWER_S", 0.5)
+    monkeypatch.setattr("camber.transport.ntrip_client._ANSWER_S", 0.5)
 
     def script(peer: Peer) -> None:
         peer.request()

@@ -10,9 +10,9 @@ import pytest
 
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode
 from camber.schemas.gnss import Estimates, EstimatesRequest

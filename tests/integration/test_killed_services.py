@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from camber.runtime.listen import Listener
+from camber.replay.short_drive import RATE_HZ, SCHEDULE, write_short_drive
+from camber.runtime.subscription import Listener
 from camber.schemas.channels import BY_NAME
-from camber.simulator.short_drive import RATE_HZ, SCHEDULE, write_short_drive
 from support.running import (
     drive_s,
     endpoint_of,

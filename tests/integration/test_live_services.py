@@ -16,18 +16,18 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.nmea_writing import format_gga, format_gst, format_rmc
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.runtime.ask import ask_once
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.replay.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
+from camber.runtime.query import ask_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.channels import BY_NAME, SERVICES
 from camber.schemas.health import HealthRequest
 from camber.schemas.motion import Motion
-from camber.simulator.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from support.running import environment, kill, started, wait_until
 
 pytestmark = pytest.mark.timed

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from camber.formats.receiver_solution import ReceiverSolution
-from camber.formats.rtklib_pos import PosDecoder
-from camber.runtime.listen import Listener
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.runtime.subscription import Listener
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion

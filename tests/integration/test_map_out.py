@@ -20,13 +20,13 @@ import pytest
 import zenoh
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from camber.formats.map_release import open_release
-from camber.formats.map_release_files import blob_path
-from camber.formats.map_store import MapStore
-from camber.map_update.corrections import CORRECTION, Corrections
-from camber.map_update.release_making import ReleaseMaking
-from camber.runtime.ask import QueryFailed, ask_once
+from camber.map_update.fusion.corrections import CORRECTION, Corrections
+from camber.map_update.release.release_builder import ReleaseMaking
+from camber.road_map.release import open_release
+from camber.road_map.release_files import blob_path
+from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
+from camber.runtime.query import QueryFailed, ask_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import BY_NAME
@@ -44,7 +44,7 @@ import sys
 import time
 from pathlib import Path
 
-from camber.formats.map_serving import ReleaseServing
+from camber.road_map.release_server import ReleaseServing
 from camber.runtime.run import run
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings

@@ -7,13 +7,13 @@ from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 
-from camber.map_update import nats_queue
 from camber.map_update.admission import Refusal
-from camber.map_update.nats_queue import Sending, Taking
-from camber.map_update.queue_messages import Parcel, QueueError, pack_parcels
-from camber.map_update.shards import Shards
-from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Outcome
+from camber.map_update.queue import nats_queue
+from camber.map_update.queue.nats_queue import Sending, Taking
+from camber.map_update.queue.queue_messages import Parcel, QueueError, pack_parcels
+from camber.map_update.stores.shards import Shards
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import Outcome
 from support.contributions import NOW_NS, contribution
 from support.databases import NatsServer, in_a_loop, needs_nats, running
 from support.running import wait_until

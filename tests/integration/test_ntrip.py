@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.byte_streams import open_stream
-from camber.formats.ntrip import NtripAccess
-from camber.formats.rtcm_writing import format_reference_station
+from camber.formats.rtcm.writer import format_reference_station
+from camber.transport.byte_streams import open_stream
+from camber.transport.ntrip_client import NtripAccess
 from support.hostile_caster import HostileCaster, Peer
 from support.streams import Reader, wait_for
 

@@ -13,15 +13,15 @@ from typing import NamedTuple
 import pytest
 import zenoh
 
-from camber.runtime.ask import ask_once
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
+from camber.runtime.query import ask_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.channels import BY_NAME
 from camber.schemas.fleet import UploadBatch
-from camber.tools import access
-from camber.tools.certificates import Authority
+from camber.tools.security import access
+from camber.tools.security.certificates import Authority
 from support.fleet_routers import (
     HOST,
     Certificates,

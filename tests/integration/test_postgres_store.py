@@ -9,10 +9,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from camber.map_update import postgres_store
 from camber.map_update.contribution import OBSERVATION
-from camber.map_update.postgres_store import PostgresStore
-from camber.map_update.store import Step, StoreError
+from camber.map_update.stores import postgres_store
+from camber.map_update.stores.postgres_store import PostgresStore
+from camber.map_update.stores.store import Step, StoreError
 from support.contributions import NOW_NS, committed, contribution, names_in, random_batch, take_all
 from support.databases import PostgresServer, needs_postgres, running
 from support.running import free_port, wait_until

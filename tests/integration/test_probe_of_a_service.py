@@ -10,7 +10,7 @@ from support.running import environment, free_port, started, wait_until
 
 def probed(service: str, settings: Path) -> tuple[int, str]:
     done = subprocess.run(
-        [sys.executable, "-m", "camber.runtime.probe", service, str(settings)],
+        [sys.executable, "-m", "camber.runtime.health.probe", service, str(settings)],
         env=environment(),
         capture_output=True,
         text=True,

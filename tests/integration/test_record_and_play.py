@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from camber.formats.recording import Recorded, Recorder, RecordingError, read_recording
+from camber.formats.drive.recording import Recorded, Recorder, RecordingError, read_recording
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep

@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.candump import CandumpDecoder
-from camber.formats.motion_csv import read_motion
-from camber.formats.pcap import PcapDecoder
-from camber.formats.pcd import read_sweep
+from camber.formats.drive.motion_csv import read_motion
+from camber.formats.lidar_can.candump import CandumpDecoder
+from camber.formats.lidar_can.pcap import PcapDecoder
+from camber.formats.map_exchange.pcd import read_sweep
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
-from camber.runtime.ask import ask_once
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
+from camber.runtime.query import ask_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.health import HealthRequest
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
-from camber.simulator.lidar_packets import velodyne_packets
+from camber.simulator.output.lidar_packets import velodyne_packets
 from support.running import camber, free_port, started, wait_until
 
 pytestmark = [pytest.mark.timed, pytest.mark.slow]

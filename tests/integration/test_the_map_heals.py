@@ -17,17 +17,17 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.formats.map_release import Release, RoadSurfaces, load_signing_key, read_release, write_release
-from camber.formats.map_store import MapStore
-from camber.formats.truth_csv import FIX_STATES
+from camber.formats.drive.truth_csv import FIX_STATES
 from camber.map_server.elevation import ElevationMap
 from camber.map_update.contribution import OBSERVATION
-from camber.map_update.sqlite_store import SqliteStore
-from camber.runtime.ask import ask_once
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.replay.short_drive import RATE_HZ, short_drive_truth, write_short_drive
+from camber.road_map.release import Release, RoadSurfaces, load_signing_key, read_release, write_release
+from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
+from camber.runtime.query import ask_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.fleet import UploadBatch
-from camber.simulator.short_drive import RATE_HZ, short_drive_truth, write_short_drive
 from support.running import camber, free_port, recorded, started, wait_until
 
 pytestmark = pytest.mark.slow

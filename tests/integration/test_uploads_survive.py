@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.map_update.sqlite_store import SqliteStore
+from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.runtime.clock import SystemClock
 
 UPLOADS = 10_000
@@ -25,8 +25,8 @@ from pathlib import Path
 
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.outbox import Outbox, Upload
-from camber.runtime.sender import SenderThread
+from camber.runtime.uploads.outbox import Outbox, Upload
+from camber.runtime.uploads.sender import SenderThread
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.codec import encode

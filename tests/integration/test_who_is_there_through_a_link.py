@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from camber.runtime.ask import Asker
+from camber.runtime.query import Asker
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from support.fleet_routers import (

@@ -17,13 +17,13 @@ from typing import Any, Literal, NamedTuple
 import pytest
 import zenoh
 
+from camber.runtime.access_probe import HeardWatch, are_we_heard
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.clock import SystemClock
-from camber.runtime.heard import HeardWatch, are_we_heard
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
-from camber.tools.certificates import Authority
-from camber.tools.doctor_inputs import check_bus
+from camber.tools.operate.doctor_connection_checks import check_bus
+from camber.tools.security.certificates import Authority
 from support.fleet_routers import (
     Certificates,
     cloud_file,

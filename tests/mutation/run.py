@@ -43,8 +43,8 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     args = parser.parse_args()
     modules = sorted(
-        path.stem
-        for path in (_ROOT / "services/camber" / _PACKAGE).glob("*.py")
+        ".".join(path.relative_to(_ROOT / "services/camber" / _PACKAGE).with_suffix("").parts)
+        for path in (_ROOT / "services/camber" / _PACKAGE).rglob("*.py")
         if path.name not in _PROCESS and (not args.only or path.stem in args.only)
     )
     folder, began_s = args.out.resolve(), time.monotonic()
@@ -75,11 +75,11 @@ def _lay_out(folder: Path, modules: list[str]) -> None:
         shutil.copytree(_ROOT / root, folder / "src/camber", ignore=without, dirs_exist_ok=True)
     for part in (f"unit/{_PACKAGE}", "support"):
         shutil.copytree(_ROOT / "tests" / part, folder / "tests" / part, ignore=without)
-    for test in (folder / "tests/unit" / _PACKAGE).glob("*.py"):
+    for test in (folder / "tests/unit" / _PACKAGE).rglob("*.py"):
         if any(module in test.read_text() for module in _OF_PROCESSES):
             test.unlink()
     shutil.copy(Path(__file__).parent / "for_mutants.py", folder / "tests/conftest.py")
-    names = ", ".join(f'"src/camber/{_PACKAGE}/{module}.py"' for module in modules)
+    names = ", ".join(f'"{_path_of(module)}"' for module in modules)
     (folder / "pyproject.toml").write_text(
         f"""\
 [tool.pytest.ini_options]
@@ -182,12 +182,12 @@ def _report(results: dict[str, str], modules: list[str], folder: Path) -> int:
             unexplained += change not in explained
         print(f"{place}: {was or '(nothing)'}  ->  {becomes or '(nothing)'}: {why}")
     for place, was, becomes in sorted(explained.keys() - seen):
-        if re.split("[ .]", place)[1] in modules:
+        if place.split(" ")[0].partition(".")[2] in modules:
             print(f"{place}: {was}  ->  {becomes}: explained, and noticed or gone")
     for module in modules:
-        of = [outcome for name, outcome in results.items() if name.split(".")[2] == module]
+        of = [outcome for name, outcome in results.items() if _module_of(name) == module]
         if of:
-            print(f"{module:20} {len(of):5} {100.0 * _share(of):6.1f} %")
+            print(f"{module:34} {len(of):5} {100.0 * _share(of):6.1f} %")
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(results.values()).items()))
     share = _share(list(results.values()))
     print(
@@ -195,6 +195,15 @@ def _report(results: dict[str, str], modules: list[str], folder: Path) -> int:
         f"{slight} too slight to tell"
     )
     return int(share < _LEAST_SHARE or unexplained > 0)
+
+
+def _module_of(mutant: str) -> str:
+    """The module below the package, as in `checks.comparison`, of a mutant's name."""
+    return ".".join(mutant.split(".")[2:-1])
+
+
+def _path_of(module: str) -> str:
+    return f"src/camber/{_PACKAGE}/{module.replace('.', '/')}.py"
 
 
 def _share(outcomes: list[str]) -> float:
@@ -237,8 +246,7 @@ def _change(name: str, folder: Path) -> tuple[str, str, str]:
     with contextlib.chdir(folder):
         from mutmut.mutation.diff_apply import get_diff_for_mutant  # reads its settings when it is imported
 
-        module = name.split(".")[2]
-        shown = get_diff_for_mutant(name, path=f"src/camber/{_PACKAGE}/{module}.py")
+        shown = get_diff_for_mutant(name, path=_path_of(_module_of(name)))
     lines = [line for line in shown.splitlines() if not line.startswith(("---", "+++", "#"))]
     was = " ".join(line[1:].strip() for line in lines if line.startswith("-"))
     becomes = " ".join(line[1:].strip() for line in lines if line.startswith("+"))

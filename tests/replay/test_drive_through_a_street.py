@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.map_release import write_release
-from camber.formats.motion_csv import write_motion
-from camber.formats.pcd import write_sweep
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.rtklib_pos import format_pos_header, format_pos_line
+from camber.formats.drive.motion_csv import write_motion
+from camber.formats.map_exchange.pcd import write_sweep
+from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.localizer.warm_up import made_up_street, made_up_tile
+from camber.road_map.release import write_release
 from support.running import camber, payloads, recorded
 from support.small_map import DAY_NS, link, links, surface, surfaces
 from support.street_drive import FRAME, START_NS, StreetDrive, geodetic

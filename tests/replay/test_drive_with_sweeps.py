@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.pcd import write_sweep
+from camber.formats.map_exchange.pcd import write_sweep
+from camber.replay.short_drive import START_NS, write_short_drive
 from camber.schemas.lidar import Sweep
-from camber.simulator.short_drive import START_NS, write_short_drive
 from support.running import camber, in_one_process, recorded
 
 DURATION_S = 8.0

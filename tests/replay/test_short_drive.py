@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.simulator.short_drive import write_short_drive
+from camber.replay.short_drive import write_short_drive
 from support.running import Drive, camber, figures, in_one_process, payloads, said_alike, summary_of
 
 SPEEDS = ("max", "20")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.truth_csv import read_truth
+from camber.formats.drive.truth_csv import read_truth
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
 from support.running import camber, in_one_process, recorded, summary_of

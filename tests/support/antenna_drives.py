@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.antenna_height.settings import AntennaHeightSettings, Place
-from camber.formats.map_release import read_release
 from camber.localizer.localization import Localization
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.release import read_release
 from camber.schemas.base import Message
 from camber.schemas.pose import Pose, Road, ScanMatch
-from camber.simulator.faults import Fault
+from camber.simulator.faults.schedule import Fault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Path, Trajectory
@@ -33,8 +33,8 @@ from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_me
 from camber.simulator.vehicle.sensors import Surface, read_sensors
 from camber.simulator.world.district import District
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
-from camber.tools.localize_run import Tally
-from camber.tools.map_at_hand import MapAtHand
+from camber.tools.localize.local_map_queries import MapAtHand
+from camber.tools.localize.localizer_run import Tally
 from support.lidar_drives import lidar_drive
 from support.localization_drives import options_of_car
 from support.simulated_paths import path_over, sloping

@@ -27,21 +27,21 @@ from typing import Any
 
 import numpy as np
 
-from camber.antenna_height.antenna import Antenna
+from camber.antenna_height.estimator import Antenna
 from camber.antenna_height.settings import AntennaHeightSettings
-from camber.formats.recording import load_recording
-from camber.formats.truth_csv import TruthTable, read_truth
+from camber.formats.drive.recording import load_recording
+from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.localizer.settings import LocalizerSettings
+from camber.replay.command import antenna_height_config
+from camber.replay.drive_inputs import Arrival, prepare_drive
+from camber.replay.run_folder import RunFolder
 from camber.schemas.antenna import AntennaHeight, HeightByWay
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
-from camber.simulator.drive_inputs import Arrival, prepare_drive
-from camber.simulator.faults import ChangedLoad, ChangedTyre, Fault
-from camber.tools.localize_run import localize
-from camber.tools.localizer_config import localizer_config
-from camber.tools.map_at_hand import MapAtHand, release_for
-from camber.tools.replay import antenna_height_config
-from camber.tools.run_folder import RunFolder
+from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, Fault
+from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.localizer_config import localizer_config
+from camber.tools.localize.localizer_run import localize
 from support.antenna_drives import AntennaDrive, antenna_drive, matched_drive, settings_of, slope_drive
 from support.lidar_drives import HILL
 

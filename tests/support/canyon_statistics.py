@@ -25,8 +25,8 @@ from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gps
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.observations import SimulatedSignals, simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER, SignalParameters
-from camber.simulator.satellites.signals import SimulatedSignals, simulate_signals
 from camber.simulator.satellites.track import AntennaTrack, static_track
 from camber.simulator.scenario import load_scenario
 from camber.simulator.simulated_drive import simulate_drive

@@ -6,7 +6,7 @@ import numpy as np
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
-from camber.map_update.store import Judge, Store
+from camber.map_update.stores.store import Judge, Store
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
 

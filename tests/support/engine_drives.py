@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.engine import Engine, EngineOptions, Solution
-from camber.gnss.ephemeris_store import EphemerisStore
+from camber.gnss.observations.ephemeris_store import EphemerisStore
+from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
-from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import static_track
 from support.canyon_statistics import BASE_M, FIRST_NS, FRAME, SPEED_M_S
 from support.rtklib_runs import ecef_of

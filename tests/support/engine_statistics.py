@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from camber.gnss.engine import Engine, EngineOptions, Solution
-from camber.gnss.re_estimation import OtherEstimate, other_estimates
+from camber.gnss.candidates.satellite_subsets import OtherEstimate, other_estimates
+from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from support.canyon_statistics import BASE_M, FRAME, canyon_run
 from support.rtklib_runs import RNX2RTKP, ecef_of, run_rtklib

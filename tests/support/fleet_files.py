@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from camber.formats.map_release import Release
-from camber.formats.uploads_csv import COLUMNS
+from camber.formats.drive.uploads_csv import COLUMNS
 from camber.map_server.elevation import ElevationMap
+from camber.replay.short_drive import short_drive_truth
+from camber.road_map.release import Release
 from camber.runtime.clock import SystemClock
-from camber.simulator.short_drive import short_drive_truth
 
 RAISED_M = 0.12
 RAISED_S = (66.0, 71.0)

@@ -17,8 +17,8 @@ import zenoh
 
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
-from camber.tools import access
-from camber.tools.certificates import Authority, Kind
+from camber.tools.security import access
+from camber.tools.security.certificates import Authority, Kind
 from support.running import environment, free_port, wait_until
 
 HOST = "127.0.0.1"

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from camber.formats.map_surface_heights import SurfaceHeights
-from camber.map_update.fusion import Fusion
-from camber.map_update.publication import REASONS, Decisions
-from camber.map_update.votes import SAMPLES, Votes, session_of, values_of
+from camber.map_update.fusion.pipeline import Fusion
+from camber.map_update.fusion.publication import REASONS, Decisions
+from camber.map_update.fusion.votes import SAMPLES, Votes, session_of, values_of
+from camber.road_map.surface_heights import SurfaceHeights
 from support.fleet_votes import DAY_NS, FleetWorld, Record, fusion_of, record_of, votes_of, world_of
 
 Floats = NDArray[np.float64]

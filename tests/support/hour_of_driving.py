@@ -22,13 +22,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from camber.localizer.filter.pose_filter import PoseModel
 from camber.localizer.localization import GivenStart, Localization, LocalizationOptions
-from camber.localizer.pose_filter import PoseModel
-from camber.localizer.scan_matcher import ScanMatchOptions
-from camber.localizer.sweep_preparation import SensorMount
-from camber.runtime.memory import return_freed_memory
+from camber.localizer.matching.scan_matcher import ScanMatchOptions
+from camber.localizer.matching.sweep_preparation import SensorMount
+from camber.runtime.health.memory_release import return_freed_memory
 from camber.schemas.road import TileReply, TileRequest
-from camber.tools.map_at_hand import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import MapAtHand, release_for
 
 ROUND_S = 345.0
 WARM_MINUTES = 10.0  # a whole round and more: all of the map has been seen

@@ -6,20 +6,30 @@ import ast
 import typing
 from collections.abc import Iterator
 
-from camber.gnss.engine import Warning_
-from camber.gnss.receiver_side import Refusal
-from camber.integrity.causes import ISSUE_CODES
-from camber.localizer.sweep_preparation import SweepProblem
+from camber.gnss.candidates.receiver_candidates import Refusal
+from camber.gnss.position.rtk_engine import Warning_
+from camber.integrity.learning.offset_causes import ISSUE_CODES
+from camber.localizer.matching.sweep_preparation import SweepProblem
 from camber.map_update.service import _UNAVAILABLE
-from camber.runtime.ledger import _OTHERS
+from camber.runtime.health.issue_log import _OTHERS
 from support.tree import ROOT
 
 SOURCE = ROOT / "services" / "camber"
-NO_SERVICES = ("tools", "simulator", "formats", "geodesy")
+NO_SERVICES = (
+    "tools",
+    "validation",
+    "replay",
+    "simulator",
+    "road_map",
+    "transport",
+    "formats",
+    "geodesy",
+    "compiled",
+)
 
 _QUEUED = (
-    "map_server/fetch_thread.py",
-    "runtime/uploader.py",
+    "map_server/download_thread.py",
+    "runtime/uploads/uploader.py",
     "sensors/inputs.py",
     "sensors/lidar_reader.py",
 )
@@ -31,14 +41,14 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
     ("integrity/service.py", "ISSUE_CODES[named.cause]"): tuple(ISSUE_CODES.values()),
     ("integrity/service.py", "code"): _OF_QUEUES,
     ("localizer/localization.py", "f'motion_{outcome}'"): ("motion_repeated", "motion_backwards"),
-    ("localizer/scan_matcher.py", "f'sweep_{sweep.problem}'"): tuple(
+    ("localizer/matching/scan_matcher.py", "f'sweep_{sweep.problem}'"): tuple(
         f"sweep_{word}" for word in typing.get_args(SweepProblem)
     ),
-    ("map_server/fetch_thread.py", "code"): ("store_full", "release_refused"),
+    ("map_server/download_thread.py", "code"): ("store_full", "release_refused"),
     ("map_server/service.py", "code"): ("datum_mismatch", "release_refused"),
     ("map_update/service.py", "_UNAVAILABLE[name]"): tuple(_UNAVAILABLE.values()),
     ("runtime/bus.py", "code"): (_OTHERS,),
-    ("runtime/uploader.py", "code"): (
+    ("runtime/uploads/uploader.py", "code"): (
         "outbox_damaged",
         "upload_unanswered",
         "upload_refused",

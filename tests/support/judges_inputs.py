@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from camber.replay.drive_inputs import prepare_drive
+from camber.replay.one_process import drive_through
+from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.schemas.integrity import Verdict
-from camber.simulator.drive_inputs import prepare_drive
-from camber.simulator.short_drive import write_short_drive
-from camber.tools.one_process import drive_through
 
 AFTER_S = {"motion": 0.001, "antenna_height": 0.002, "fix": 0.004, "velocity": 0.005, "pose": 0.006}
 """How long after the time of measurement each is said."""

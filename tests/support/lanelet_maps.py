@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.lanelet2 import Lanelet, LaneletMap
+from camber.formats.map_exchange.lanelet2 import Lanelet, LaneletMap
 from camber.geodesy.local_frame import LocalFrame
 
 Floats = NDArray[np.float64]

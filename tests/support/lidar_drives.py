@@ -24,12 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camber.formats.map_release import Release, read_release
 from camber.geodesy.angles import wrap_pi
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.release import Release, read_release
 from camber.schemas.drive import InitialPose
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import Scenario, load_scenario
 from camber.simulator.scene import Floats, Integers, Trajectory
@@ -47,14 +48,13 @@ from camber.simulator.vehicle.sensor_messages import (
 )
 from camber.simulator.vehicle.sensors import read_sensors
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
-from camber.simulator.vehicle.vehicle_faults import VehicleFault
 from camber.simulator.world.district import NAGOYA_RAD, District
 from camber.simulator.world.layouts import Layout, Route
+from camber.simulator.world.ray_tracing import ShapeTracer
 from camber.simulator.world.road_building import LinkKind, RoadBuilder
 from camber.simulator.world.routes import Leg
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 from camber.simulator.world.terrain import rolling_terrain
-from camber.simulator.world.tracing import ShapeTracer
 
 NS = 1_000_000_000
 HILL = "hill"

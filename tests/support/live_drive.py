@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from camber.formats.rtklib_pos import PosDecoder
-from camber.simulator import short_drive
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.replay import short_drive
 
 TRUSTED = ("confirmed", "confirmed_after_verification")
 ALERT_M = 0.5

@@ -19,16 +19,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.truth_csv import TruthTable, read_truth
+from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.gnss.warm_up import warm_up
-from camber.runtime.ask import ask_once
+from camber.replay.arrivals import TimedBytes
+from camber.replay.observation_files import read_observation_file
 from camber.runtime.clock import SystemClock
+from camber.runtime.query import ask_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
-from camber.simulator.arrivals import TimedBytes
-from camber.simulator.observation_files import read_observation_file
 from support.running import camber, free_port, started, wait_until
 
 PASSWORD = "geheim"

@@ -18,17 +18,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from camber.map_update.sqlite_store import SqliteStore
-from camber.runtime.ask import QueryFailed, ask_once
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.replay.short_drive import ANTENNA_HEIGHT_M
 from camber.runtime.clock import SystemClock
-from camber.runtime.listen import Listener
+from camber.runtime.query import QueryFailed, ask_once
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.subscription import Listener
 from camber.schemas.channels import VEHICLE_SERVICES
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
 from camber.schemas.integrity import Position, Verdict
-from camber.simulator.short_drive import ANTENNA_HEIGHT_M
 from support.live_drive import TRUSTED, Known, judged, known_fixes, write_drive
 from support.running import environment, wait_until
 

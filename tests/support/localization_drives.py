@@ -23,23 +23,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_release import read_release
 from camber.geodesy.angles import wrap_pi
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.dead_reckoning import Behind, MotionSample
+from camber.localizer.filter.dead_reckoning import Behind, MotionSample
+from camber.localizer.filter.pose_estimate import Prediction
+from camber.localizer.filter.pose_filter import MatchUpdate, PoseFilter
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.localization import Localization, LocalizationOptions
-from camber.localizer.pose_estimate import Prediction
-from camber.localizer.pose_filter import MatchUpdate, PoseFilter
-from camber.localizer.scan_matcher import ScanMatcher
+from camber.localizer.matching.scan_matcher import ScanMatcher
 from camber.localizer.settings import LocalizerSettings
+from camber.road_map.release import read_release
 from camber.schemas.drive import InitialPose
 from camber.schemas.pose import Pose, Road, ScanMatch
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers
 from camber.simulator.vehicle.body import CAR
-from camber.tools.localize_run import Tally
-from camber.tools.map_at_hand import MapAtHand
+from camber.tools.localize.local_map_queries import MapAtHand
+from camber.tools.localize.localizer_run import Tally
 from support.lidar_drives import DriveTruth, Tick, lidar_drive
 
 ALONE_EVERY = 10

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.opendrive import (
+from camber.formats.map_exchange.opendrive import (
     Connection,
     DriveLane,
     Geometry,
@@ -16,7 +16,7 @@ from camber.formats.opendrive import (
     Road,
     RoadEnd,
 )
-from camber.formats.opendrive_geometry import reference_line
+from camber.formats.map_exchange.opendrive_geometry import reference_line
 
 Floats = NDArray[np.float64]
 

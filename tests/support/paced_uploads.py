@@ -13,10 +13,10 @@ from pathlib import Path
 
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.outbox import Outbox, Upload
-from camber.runtime.sender import SenderThread
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.uploads.outbox import Outbox, Upload
+from camber.runtime.uploads.sender import SenderThread
 from camber.schemas.codec import encode
 from support.live_vehicle import VEHICLE
 from support.upload_load import Load, upload

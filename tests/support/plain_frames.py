@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 
-from camber.formats.bit_fields import crc24q
-from camber.formats.rtcm_writing import PREAMBLE
-from camber.formats.stream_frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
-from camber.formats.stream_frames import Frame, FrameProtocol
-from camber.formats.ubx_writing import SYNC, checksum
+from camber.formats.broadcast.bit_fields import crc24q
+from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frames import Frame, FrameProtocol
+from camber.formats.rtcm.writer import PREAMBLE
+from camber.formats.ubx.writer import SYNC, checksum
 
 _UBX_HEAD, _UBX_FRAMING = 6, 8
 _RTCM_HEAD, _RTCM_FRAMING = 3, 6

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
-from camber.localizer.layered_matching import MatchOptions
-from camber.localizer.registration import LayerTarget
+from camber.localizer.matching.layered_matching import MatchOptions
+from camber.localizer.matching.registration import LayerTarget
 
 Floats = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from camber.formats.stream_frames import FrameBuffer
-from camber.formats.truth_csv import read_truth
+from camber.formats.drive.truth_csv import read_truth
+from camber.formats.receiver.frames import FrameBuffer
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.replay.observation_files import read_observation_file
 from camber.schemas.gnss import Fix
-from camber.simulator.observation_files import read_observation_file
 from support.running import camber
 
 DURATION_S, RATE_HZ = 6, 10

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.formats.map_release import open_release
-from camber.formats.map_serving import ReleaseServing
-from camber.map_server.fetching import NoAnswer
-from camber.map_update.corrections import CORRECTION, Corrections
-from camber.map_update.release_making import ReleaseMaking
+from camber.map_server.release_download import NoAnswer
+from camber.map_update.fusion.corrections import CORRECTION, Corrections
+from camber.map_update.release.release_builder import ReleaseMaking
+from camber.road_map.release import open_release
+from camber.road_map.release_server import ReleaseServing
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from support.small_map import MADE_NS, link, surface, write
 

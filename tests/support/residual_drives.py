@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from camber.integrity.learning import Learning
-from camber.integrity.residuals import Key, Residual
+from camber.integrity.learning.height_correction import Learning
+from camber.integrity.learning.residuals import Key, Residual
 
 START_NS = 1_400_000_000 * 1_000_000_000
 SPEED_M_S, RATE_HZ, SURFACE_M, LINK_M = 10.0, 10, 50.0, 200.0

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.ionosphere_coefficients import IonosphereCoefficients
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.formats.rinex_writing import StationHeader, navigation_text, observation_text
+from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.gps_time import gps_ns_from_week_tow, nanoseconds_from_decimal
 from camber.geodesy.local_frame import LocalFrame

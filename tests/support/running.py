@@ -18,16 +18,16 @@ from mcap.records import Channel as McapChannel
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 
-from camber.formats.recording import Recorded, load_recording
+from camber.formats.drive.recording import Recorded, load_recording
+from camber.replay.command import facts_of
+from camber.replay.drive_inputs import prepare_drive
+from camber.replay.one_process import Reported, drive_through
+from camber.replay.run_folder import RunFacts
+from camber.replay.short_drive import START_NS
 from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
-from camber.simulator.drive_inputs import prepare_drive
-from camber.simulator.short_drive import START_NS
-from camber.tools.evaluation import CHANNELS, evaluate
-from camber.tools.one_process import Reported, drive_through
-from camber.tools.replay import facts_of
-from camber.tools.run_folder import RunFacts
-from camber.tools.truth import truth_of
+from camber.validation.evaluation import CHANNELS, evaluate
+from camber.validation.truth import truth_of
 
 MACHINE = frozenset({"latency_ms", "notes", "speed_factor", "wall_s"})
 """What of a summary depends on the machine and its load; nothing else may."""

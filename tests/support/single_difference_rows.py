@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.gnss.signals import WAVELENGTH_M, group_of
-from camber.gnss.single_differences import Rows
+from camber.gnss.observations.signal_pairs import WAVELENGTH_M, group_of
+from camber.gnss.observations.single_differences import Rows
 
 SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "7I")}
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from camber.formats.map_release import RoadLinks, RoadSurfaces, write_release
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.release import RoadLinks, RoadSurfaces, write_release
 from camber.schemas.road import ReleaseRoot
 
 FRAME = LocalFrame(math.radians(35.17), math.radians(136.9), 0.0)

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from camber.formats.byte_streams import ByteStream
+from camber.transport.byte_streams import ByteStream
 
 PATIENCE_S = 20.0
 

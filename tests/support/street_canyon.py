@@ -12,7 +12,7 @@ from camber.simulator.random_streams import stream
 from camber.simulator.satellites.propagation import Surroundings
 from camber.simulator.satellites.track import AntennaTrack
 from camber.simulator.scene import Shapes, Walls
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 STREET_M = 20.0
 BLOCK_M = 30.0

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from camber.formats.map_tiles import tile_frame
 from camber.localizer.localization import GivenStart, Localization, LocalizationOptions
-from camber.localizer.scan_matcher import ScanMatchOptions
-from camber.localizer.sweep_preparation import SensorMount
+from camber.localizer.matching.scan_matcher import ScanMatchOptions
+from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.warm_up import MadeUpMap, made_up_street
+from camber.road_map.tile_grid import tile_frame
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion

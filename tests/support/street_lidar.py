@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.pcd import cloud_from_pcd
-from camber.formats.pcd_header import read_header
+from camber.formats.map_exchange.pcd import cloud_from_pcd
+from camber.formats.map_exchange.pcd_header import read_header
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
-from camber.localizer.layered_matching import Bounds
-from camber.localizer.registration import LayerTarget
-from camber.localizer.road_fit import fit_road
+from camber.localizer.matching.layered_matching import Bounds
+from camber.localizer.matching.registration import LayerTarget
+from camber.localizer.matching.road_plane_fit import fit_road
 from support.moved_objects import Change, changed
 
 Floats = NDArray[np.float64]

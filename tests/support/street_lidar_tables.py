@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.localizer.coarse_search import search, seems_mirrored
-from camber.localizer.layer_choice import LayerEstimate, Rule, choose
-from camber.localizer.layered_matching import (
+from camber.localizer.matching.coarse_search import search, seems_mirrored
+from camber.localizer.matching.layer_selection import LayerEstimate, Rule, choose
+from camber.localizer.matching.layered_matching import (
     DOCUMENT_BOUNDS_M,
     Bounds,
     LayeredMatch,
     MatchOptions,
     match_layers,
 )
-from camber.localizer.plane_fit import moved
-from camber.localizer.registration import Method
+from camber.localizer.matching.point_to_plane import moved
+from camber.localizer.matching.registration import Method
 from support.moved_objects import Change
 from support.street_lidar import Query, queries, targets
 

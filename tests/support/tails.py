@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.protection_level import TailPart
+from camber.integrity.protection.protection_level import TailPart
 
 Floats = NDArray[np.float64]
 

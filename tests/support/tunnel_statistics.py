@@ -22,14 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from camber.formats.map_release import read_release
-from camber.formats.map_roads import RoadLinks
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.dead_reckoning import MotionModel, MotionSample
-from camber.localizer.link_matching import Link, LinkMatcher, LinkNetwork
-from camber.localizer.pose_filter import PoseFilter, PoseModel
+from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample
+from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
+from camber.localizer.links.link_matching import Link, LinkMatcher, LinkNetwork
+from camber.road_map.release import read_release
+from camber.road_map.road_columns import RoadLinks
 from camber.schemas.motion import Motion
+from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.random_streams import stream
 from camber.simulator.scenario import load_scenario
 from camber.simulator.scene import Trajectory
@@ -38,7 +39,6 @@ from camber.simulator.vehicle.body import CAR
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.sensor_messages import motion_messages
 from camber.simulator.vehicle.sensors import read_sensors
-from camber.simulator.vehicle.vehicle_faults import VehicleFault
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
 
 Floats = NDArray[np.float64]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp
 
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.rtklib_pos import PosDecoder
-from camber.formats.truth_csv import WRONG_M, read_truth
+from camber.formats.drive.truth_csv import WRONG_M, read_truth
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.truth import interpolate_truth
+from camber.replay.truth_interpolation import interpolate_truth
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import sys
 import pytest
 
 from camber import cli
-from camber.formats.serial_ports import describe_ports
 from camber.schemas import channels
+from camber.transport.serial_ports import describe_ports
 
 
 def test_help_names_every_service_and_every_tool(capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,7 +125,7 @@ class RawObservations(Model):
 
 
 class OneFile(Model):
-    """A table of samples in Camber's CSV layout (`camber.formats.motion_csv`)."""
+    """A table of samples in Camber's CSV layout (`camber.formats.drive.motion_csv`)."""
 
     file: File = Field(description="CSV file, its columns as in docs/drive.md")
 

@@ -112,7 +112,7 @@ class MapRootReply(Message):
 
 
 class MapBlobRequest(Message):
-    """A manifest or a tile by its hash, packed as `camber.formats.map_delta` does, a part of it."""
+    """A manifest or a tile by its hash, packed as `camber.road_map.blob_delta` does, a part of it."""
 
     sha256: Sha256
     base_sha256: Sha256 | None = Field(

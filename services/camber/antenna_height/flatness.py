@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from camber.antenna_height.stance import Slopes
+from camber.antenna_height.body_attitude import Slopes
 
 _NS = 1_000_000_000
 _WINDOW_M = 5.0

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from camber.antenna_height.antenna import Antenna
-from camber.antenna_height.comparison import References
-from camber.antenna_height.heights import Vehicle
-from camber.antenna_height.memory import references_as_text, references_from_text
+from camber.antenna_height.available_heights import Vehicle
+from camber.antenna_height.estimator import Antenna
+from camber.antenna_height.method_comparison import References
+from camber.antenna_height.saved_state import references_as_text, references_from_text
 from camber.antenna_height.settings import AntennaHeightSettings
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service

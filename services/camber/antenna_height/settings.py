@@ -7,12 +7,12 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from camber.antenna_height.antenna import AntennaOptions
-from camber.antenna_height.change import ChangeRules
-from camber.antenna_height.comparison import ComparisonRules
+from camber.antenna_height.available_heights import FixedWay, RangingWay, StrokeWay, Vehicle
+from camber.antenna_height.body_attitude import Arm, TiltRules
+from camber.antenna_height.change_detection import ChangeRules
+from camber.antenna_height.estimator import AntennaOptions
 from camber.antenna_height.flatness import FlatRules
-from camber.antenna_height.heights import FixedWay, RangingWay, StrokeWay, Vehicle
-from camber.antenna_height.stance import Arm, TiltRules
+from camber.antenna_height.method_comparison import ComparisonRules
 from camber.runtime.settings import ServiceSettings
 
 

@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, SEMI_MAJOR_AXIS_M
 
 _COS_REACH = math.cos(0.016)

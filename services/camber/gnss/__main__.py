@@ -2,9 +2,9 @@
 
 import sys
 
-from camber.formats.serial_ports import describe_ports
 from camber.gnss.service import SERVICE
 from camber.runtime.run import run
+from camber.transport.serial_ports import describe_ports
 
 if "--list-ports" in sys.argv[1:]:
     print(describe_ports())

@@ -7,25 +7,25 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from camber.formats.byte_streams import ByteStream, open_stream
 from camber.formats.errors import FormatError
-from camber.formats.nmea_writing import format_gga
-from camber.formats.ntrip import NtripAccess
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.nmea.writer import format_gga
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.engine_side import fix_from_solution, observations_from, velocity_from
-from camber.gnss.engine_warnings import EngineWarnings
-from camber.gnss.receiver_side import fix_from, refuse
-from camber.gnss.rover import Rover, SolvedEpoch
+from camber.gnss.candidates.engine_candidates import fix_from_solution, observations_from, velocity_from
+from camber.gnss.candidates.receiver_candidates import fix_from, refuse
+from camber.gnss.candidates.subset_agreement import subset_agreement
+from camber.gnss.observations.receiver_streams import Heard, Stream, StreamProtocol, StreamReader
+from camber.gnss.observations.rover import Rover, SolvedEpoch
+from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.settings import GnssSettings
-from camber.gnss.streams import Heard, Stream, StreamProtocol, StreamReader
-from camber.gnss.subset_agreement import subset_agreement
 from camber.gnss.warm_up import compile_readers, warm_up
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
 from camber.schemas.motion import Motion
+from camber.transport.byte_streams import ByteStream, open_stream
+from camber.transport.ntrip_client import NtripAccess
 
 M = TypeVar("M", bound=Message)
 _SILENT_NS = 5_000_000_000

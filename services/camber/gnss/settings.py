@@ -9,12 +9,12 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, field_validator, model_validator
 
-from camber.formats.byte_streams import source_of
-from camber.gnss.engine import EngineOptions
-from camber.gnss.signals import groups_of
-from camber.gnss.streams import StreamProtocol
+from camber.gnss.observations.receiver_streams import StreamProtocol
+from camber.gnss.observations.signal_pairs import groups_of
+from camber.gnss.position.rtk_engine import EngineOptions
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
+from camber.transport.byte_streams import source_of
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from camber.formats.mixed_stream import MixedDecoder
 from camber.formats.observations import (
     CARRIER_OF_BAND_HZ,
     SPEED_OF_LIGHT_M_S,
@@ -17,20 +16,21 @@ from camber.formats.observations import (
     ObservationEpoch,
     signal_number,
 )
-from camber.formats.rtcm_writing import format_observations
+from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.rtcm.writer import format_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.doppler_velocity import doppler_velocity
-from camber.gnss.engine import Engine, EngineOptions, Solution
-from camber.gnss.ephemeris_store import EphemerisStore
-from camber.gnss.re_estimation import other_estimates
-from camber.gnss.satellite_states import (
+from camber.gnss.candidates.satellite_subsets import other_estimates
+from camber.gnss.observations.ephemeris_store import EphemerisStore
+from camber.gnss.observations.satellite_states import (
     elevation_azimuth,
     enu_from_ecef_rotation,
     geodetic,
     ranges,
     states_at_transmission,
 )
+from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.velocity.doppler_velocity import doppler_velocity
 
 _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5

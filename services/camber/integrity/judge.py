@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from camber.integrity.examination import Examination
-from camber.integrity.fix_order import FixOrder
-from camber.integrity.fixes_before import FixesBefore
-from camber.integrity.heard import Heard
+from camber.integrity.checks.fix_history import FixesBefore
+from camber.integrity.checks.fix_sequence import FixOrder
+from camber.integrity.checks.fix_tests import Examination
+from camber.integrity.epoch_inputs import Situation, unusable_fix
 from camber.integrity.judgement import Judgement
-from camber.integrity.learning import Correction, Learning
+from camber.integrity.latest_inputs import Heard
+from camber.integrity.learning.height_correction import Correction, Learning
+from camber.integrity.learning.height_residual import base_of, key_of, residual_of
 from camber.integrity.rules import Rules
-from camber.integrity.situation import Situation, unusable_fix
-from camber.integrity.told_to_learning import base_of, key_of, residual_of
 from camber.schemas.gnss import Fix
 
 

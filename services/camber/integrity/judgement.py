@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from camber.integrity.comparison import Comparison
-from camber.integrity.height_check import RoadPoint
-from camber.integrity.true_sigma import TrueSigma, with_true_sigma
+from camber.integrity.checks.comparison import Comparison
+from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictWord

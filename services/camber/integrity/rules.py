@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from camber.integrity.determination import DeterminationRules
-from camber.integrity.learning import LearningRules
-from camber.integrity.re_estimation import ReEstimationRules
-from camber.integrity.start import StartRules
-from camber.integrity.time_series import SeriesRules
-from camber.integrity.true_sigma import TrueSigma
-from camber.integrity.verification import VerificationRules
+from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.start_rule import StartRules
+from camber.integrity.checks.time_series import SeriesRules
+from camber.integrity.checks.verification import VerificationRules
+from camber.integrity.learning.height_correction import LearningRules
+from camber.integrity.protection.covariance_inflation import TrueSigma
+from camber.integrity.re_estimation.requests import ReEstimationRules
 
 SAME_EPOCH_S = 0.02
 """A fix and a pose not further apart than this are of one epoch."""

@@ -6,21 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from camber.integrity.causes import ISSUE_CODES
+from camber.integrity.epoch_inputs import Situation, age_s
 from camber.integrity.judge import Judge
 from camber.integrity.judgement import Judgement, verdict_of
-from camber.integrity.learning import Learning, LearningRules
-from camber.integrity.learning_text import from_text, to_text
-from camber.integrity.position import Positions, is_provisional, no_position
-from camber.integrity.re_estimation import Answering, concluded, question_for, unanswered
+from camber.integrity.learning.height_correction import Learning, LearningRules
+from camber.integrity.learning.offset_causes import ISSUE_CODES
+from camber.integrity.learning.saved_state import from_text, to_text
+from camber.integrity.protection.position_output import Positions, is_provisional, no_position
+from camber.integrity.publish_schedule import Spoken
+from camber.integrity.re_estimation.requests import Answering, concluded, question_for, unanswered
 from camber.integrity.rules import SAME_EPOCH_S
 from camber.integrity.settings import IntegritySettings
-from camber.integrity.situation import Situation, age_s
-from camber.integrity.spoken import Spoken
 from camber.integrity.uploads import Collector, upload_for
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
-from camber.runtime.uploader import Uploader
+from camber.runtime.uploads.uploader import Uploader
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Estimates, Fix
 from camber.schemas.integrity import Reason, Verdict

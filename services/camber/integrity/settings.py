@@ -6,18 +6,18 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from camber.integrity.agreement import AgreementRules
-from camber.integrity.bounds import LevelRules
-from camber.integrity.determination import ALL_TESTS, DeterminationRules, Test
-from camber.integrity.doppler_position import DopplerRules
-from camber.integrity.learning import LearningRules, Mode
-from camber.integrity.re_estimation import ReEstimationRules
+from camber.integrity.checks.determination import ALL_TESTS, DeterminationRules, Test
+from camber.integrity.checks.start_rule import StartRules
+from camber.integrity.checks.time_series import SeriesRules
+from camber.integrity.checks.verification import VerificationRules, Witness
+from camber.integrity.learning.height_correction import LearningRules, Mode
+from camber.integrity.protection.covariance_inflation import TrueSigma
+from camber.integrity.protection.doppler_position import DopplerRules
+from camber.integrity.protection.position_bounds import LevelRules
+from camber.integrity.protection.wrong_fix_probability import WrongFixRules
+from camber.integrity.re_estimation.requests import ReEstimationRules
+from camber.integrity.re_estimation.subset_agreement import AgreementRules
 from camber.integrity.rules import Rules
-from camber.integrity.start import StartRules
-from camber.integrity.time_series import SeriesRules
-from camber.integrity.true_sigma import TrueSigma
-from camber.integrity.verification import VerificationRules, Witness
-from camber.integrity.wrong_fix import WrongFixRules
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME
 

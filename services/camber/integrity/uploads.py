@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.integrity.judgement import Judgement
-from camber.integrity.true_sigma import TrueSigma, with_true_sigma
+from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from camber.schemas.gnss import Quality

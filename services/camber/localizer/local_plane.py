@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.link_matching import Link
+from camber.localizer.links.link_matching import Link
 from camber.schemas.road import LinksReply
 
 MOVE_AFTER_M = 2000.0

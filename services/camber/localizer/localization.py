@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.se3 import lever_arm_enu
-from camber.localizer.dead_reckoning import MotionSample, Outcome
-from camber.localizer.link_matching import LinkMatch
-from camber.localizer.links_around import LinksAround
+from camber.localizer.filter.dead_reckoning import MotionSample, Outcome
+from camber.localizer.filter.pose_filter import PoseEstimate, PoseFilter, PoseModel
+from camber.localizer.filter.start import FixTrackStart, StartPose, lever_arm, moved_by_lever
+from camber.localizer.links.link_cache import LinksAround
+from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
-from camber.localizer.map_answers import MapAnswers, Reports
-from camber.localizer.pose_filter import PoseEstimate, PoseFilter, PoseModel
-from camber.localizer.road_under import RoadUnder, attitude_on
-from camber.localizer.scan_matcher import ScanMatcher, ScanMatchOptions
-from camber.localizer.start import FixTrackStart, StartPose, lever_arm, moved_by_lever
+from camber.localizer.map_queries import MapAnswers, Reports
+from camber.localizer.matching.scan_matcher import ScanMatcher, ScanMatchOptions
+from camber.localizer.road.road_below_antenna import RoadUnder, attitude_on
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 from camber.schemas.lidar import Sweep

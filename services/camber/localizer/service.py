@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from camber.localizer.localization import Localization
-from camber.localizer.map_answers import NoAnswer
+from camber.localizer.map_queries import NoAnswer
 from camber.localizer.settings import GivenPose, LocalizerSettings
 from camber.localizer.warm_up import warm_up
 from camber.runtime.bus import Bus, QueryFailed
-from camber.runtime.memory import return_freed_memory
+from camber.runtime.health.memory_release import return_freed_memory
 from camber.runtime.service import Service
 from camber.schemas.road import (
     ElevationReply,

@@ -8,12 +8,12 @@ from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from camber.localizer.dead_reckoning import MotionModel
-from camber.localizer.layered_matching import MatchOptions
+from camber.localizer.filter.dead_reckoning import MotionModel
+from camber.localizer.filter.pose_filter import PoseModel
 from camber.localizer.localization import GivenStart, LocalizationOptions
-from camber.localizer.pose_filter import PoseModel
-from camber.localizer.scan_matcher import ScanMatchOptions
-from camber.localizer.sweep_preparation import SensorMount
+from camber.localizer.matching.layered_matching import MatchOptions
+from camber.localizer.matching.scan_matcher import ScanMatchOptions
+from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.runtime.settings import ServiceSettings
 
 

@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tiles import tile_frame
 from camber.localizer.localization import GivenStart, Localization, LocalizationOptions, Step
-from camber.localizer.map_answers import NoAnswer
-from camber.localizer.scan_matcher import ScanMatchOptions
-from camber.localizer.sweep_preparation import SensorMount
+from camber.localizer.map_queries import NoAnswer
+from camber.localizer.matching.scan_matcher import ScanMatchOptions
+from camber.localizer.matching.sweep_preparation import SensorMount
+from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion

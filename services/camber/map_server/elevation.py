@@ -10,15 +10,22 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from camber.formats.map_tiles import TILES, Tile, tile_of
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.choice_by_links import find_by_links, put_back
 from camber.map_server.point_groups import group_rows, members, sort_by_tile, tile_numbers
-from camber.map_server.road_choice import KNOWN, UNDECIDED, FoundRoads, find_roads, nothing_found, topologies
-from camber.map_server.road_choice import LEVELS_AMBIGUOUS as AMBIGUOUS
-from camber.map_server.road_choice import NO_SURFACE as NO_SURFACE_HERE
+from camber.map_server.road_selection import (
+    KNOWN,
+    UNDECIDED,
+    FoundRoads,
+    find_roads,
+    nothing_found,
+    topologies,
+)
+from camber.map_server.road_selection import LEVELS_AMBIGUOUS as AMBIGUOUS
+from camber.map_server.road_selection import NO_SURFACE as NO_SURFACE_HERE
+from camber.map_server.road_selection_by_links import find_by_links, put_back
 from camber.map_server.tile_index import TileIndex
 from camber.map_server.topology import Topology, choose
+from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
 

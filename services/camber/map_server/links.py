@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tiles import tile_frame
+from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import encode
 from camber.schemas.road import LinksReply, LinksRequest, LinkTile
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tiles import LIMIT_LATITUDE_RAD, TILES
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
+from camber.road_map.tile_grid import LIMIT_LATITUDE_RAD, TILES
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

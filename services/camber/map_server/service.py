@@ -9,17 +9,17 @@ from typing import Any, ClassVar, TypeVar
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from camber.formats.map_release import BlobMissing, Release, ReleaseError, load_public_key
-from camber.formats.map_release_watch import ReleaseWatch
-from camber.formats.map_store import MapStore
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_server.fetch_thread import FetchThread, Times
-from camber.map_server.fetching import FolderSupplier, NoAnswer, Wishes
+from camber.map_server.download_thread import FetchThread, Times
 from camber.map_server.links import unknown_links
-from camber.map_server.release_answers import ReleaseAnswers
+from camber.map_server.release_download import FolderSupplier, NoAnswer, Wishes
+from camber.map_server.release_queries import ReleaseAnswers
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.tile_parts import unknown_tile
 from camber.map_server.warm_up import warm_up
+from camber.road_map.release import BlobMissing, Release, ReleaseError, load_public_key
+from camber.road_map.release_watch import ReleaseWatch
+from camber.road_map.store import MapStore
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
 from camber.schemas.base import Message

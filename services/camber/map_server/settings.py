@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from camber.formats.map_release import ReleaseError, load_public_key
+from camber.road_map.release import ReleaseError, load_public_key
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 

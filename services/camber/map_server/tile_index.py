@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_tile_checks import surface_slopes
-from camber.formats.map_tiles import MARGIN_M, tile_corners_rad, tile_frame
 from camber.geodesy.tangent_planes import plane_origins, plane_series
+from camber.road_map.tile_checks import surface_slopes
+from camber.road_map.tile_grid import MARGIN_M, tile_corners_rad, tile_frame
 from camber.schemas.road import SurfaceTile
 
 TOLERANCE_M = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from camber.formats.map_release_files import PART_BYTES
+from camber.road_map.release_files import PART_BYTES
 from camber.schemas.road import TileReply, TileRequest
 
 

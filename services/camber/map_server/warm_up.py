@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from camber.formats.map_road_tiles import surface_tiles
-from camber.formats.map_roads import RoadSurfaces
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.pose import Road
 
 _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4

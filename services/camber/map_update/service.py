@@ -10,31 +10,31 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import SecretStr
 
-from camber.formats.map_release import ReleaseError, load_signing_key, read_release
-from camber.formats.map_serving import ReleaseServing
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.admission import Refusal, other_name, refusals
 from camber.map_update.contribution import Contribution, from_batch, from_upload
-from camber.map_update.fusion import Fusion
-from camber.map_update.publication import DECISIONS, REASONS
-from camber.map_update.queue_messages import Parcel, QueueError
-from camber.map_update.release_making import ReleaseMaking
-from camber.map_update.rounds import Round, Rounds, Taken
+from camber.map_update.fusion.pipeline import Fusion
+from camber.map_update.fusion.publication import DECISIONS, REASONS
+from camber.map_update.fusion.votes import checked_secret
+from camber.map_update.queue.queue_messages import Parcel, QueueError
+from camber.map_update.release.fusion_cycle import Round, Rounds, Taken
+from camber.map_update.release.release_builder import ReleaseMaking
 from camber.map_update.settings import MapUpdateSettings
-from camber.map_update.shards import WORLD, Shards
-from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Outcome, OvertakenError, Store, StoreError
-from camber.map_update.votes import checked_secret
+from camber.map_update.stores.shards import WORLD, Shards
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import Outcome, OvertakenError, Store, StoreError
 from camber.map_update.warm_up import warm_up
+from camber.road_map.release import ReleaseError, load_signing_key, read_release
+from camber.road_map.release_server import ReleaseServing
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.uploaded import Uploaded
+from camber.runtime.uploads.received import Uploaded
 from camber.schemas.base import EARLIEST_NS, Message
 from camber.schemas.fleet import UploadReceipt
 
 if TYPE_CHECKING:
-    from camber.map_update.nats_queue import Sending, Taking
+    from camber.map_update.queue.nats_queue import Sending, Taking
 
 T = TypeVar("T")
 
@@ -306,7 +306,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
 def _store(settings: MapUpdateSettings) -> Store:
     if settings.store is None:
         return SqliteStore(settings.state_dir / "uploads.sqlite", busy_s=settings.busy_s)
-    from camber.map_update.postgres_store import PostgresStore
+    from camber.map_update.stores.postgres_store import PostgresStore
 
     return PostgresStore(settings.store, password=_secret(settings.store_password), limit_s=settings.answer_s)
 
@@ -346,7 +346,7 @@ def _voters_key(path: Path | None, own: Path) -> bytes:
 
 
 def _sending(settings: MapUpdateSettings) -> Sending:
-    from camber.map_update.nats_queue import Sending
+    from camber.map_update.queue.nats_queue import Sending
 
     assert settings.queue is not None
     password = _secret(settings.queue_password)
@@ -354,7 +354,7 @@ def _sending(settings: MapUpdateSettings) -> Sending:
 
 
 def _taking(settings: MapUpdateSettings) -> Taking:
-    from camber.map_update.nats_queue import Taking
+    from camber.map_update.queue.nats_queue import Taking
 
     assert settings.queue is not None
     password = _secret(settings.queue_password)

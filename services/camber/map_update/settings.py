@@ -9,9 +9,9 @@ from urllib.parse import urlsplit
 from pydantic import Field, SecretStr, ValidationInfo, field_validator, model_validator
 
 from camber.map_update.admission import Rules
-from camber.map_update.fusion import Rules as FusionRules
-from camber.map_update.publication import PublicationRules
-from camber.map_update.shards import Shards
+from camber.map_update.fusion.pipeline import Rules as FusionRules
+from camber.map_update.fusion.publication import PublicationRules
+from camber.map_update.stores.shards import Shards
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 

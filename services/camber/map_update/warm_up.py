@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from camber.formats.map_roads import RoadSurfaces
 from camber.map_update.contribution import OBSERVATION, QUALITIES
-from camber.map_update.fusion import Fusion
-from camber.map_update.publication import Decisions
-from camber.map_update.votes import DAY_NS
+from camber.map_update.fusion.pipeline import Fusion
+from camber.map_update.fusion.publication import Decisions
+from camber.map_update.fusion.votes import DAY_NS
+from camber.road_map.road_columns import RoadSurfaces
 
 _TIME_NS = 1_400_000_000 * 10**9
 _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import zenoh
 
 from camber.runtime.clock import Clock, ReplayClock, SystemClock
-from camber.runtime.ledger import Ledger
+from camber.runtime.health.issue_log import Ledger
 from camber.runtime.log import Leveller, make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
@@ -26,7 +26,7 @@ from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 from camber.schemas.health import ChannelUse, Issue, LogLevel
 
 if TYPE_CHECKING:
-    from camber.runtime.heard import HeardWatch
+    from camber.runtime.access_probe import HeardWatch
 
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
@@ -341,7 +341,7 @@ class Bus:
         self._entities.append(liveliness.declare_subscriber(f"{prefix}/*/alive", changed, history=True))
         self._entities.append(liveliness.declare_token(f"{prefix}/{self.service}/alive"))
         if self.settings.zenoh.over_tls:  # elsewhere nobody has a name that could be denied
-            from camber.runtime.heard import HeardWatch
+            from camber.runtime.access_probe import HeardWatch
 
             self._heard = HeardWatch(self.settings.zenoh, self.settings.vehicle)
 

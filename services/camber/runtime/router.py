@@ -134,7 +134,7 @@ def _watch(
     At its start Zenoh tries a client's first endpoint alone (a link that is lost it seeks at all of them): where
     another one would hear us, the router begins anew with that.
     """
-    from camber.runtime.heard import name_in
+    from camber.runtime.access_probe import name_in
     from camber.runtime.settings import ZenohSettings
 
     name = name_in(rules)
@@ -176,7 +176,7 @@ def _whether_heard(
     settings: ZenohSettings, name: str | None, linked: frozenset[str]
 ) -> tuple[str, str | None]:
     """In words, and who hears us or would, of the router that we are linked to: another may have another list."""
-    from camber.runtime.heard import are_we_heard, denial
+    from camber.runtime.access_probe import are_we_heard, denial
     from camber.runtime.tls import TlsError, certificate_name, name_of
 
     several, words = len(settings.connect) > 1, []

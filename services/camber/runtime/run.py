@@ -24,19 +24,19 @@ import zenoh
 from camber.runtime.barrier import Barrier
 from camber.runtime.bus import Arrived, Bus
 from camber.runtime.clock import ReplayClock, SystemClock
+from camber.runtime.health.report import SelfReport
 from camber.runtime.inbox import Inbox
 from camber.runtime.log import make_logger
-from camber.runtime.self_report import SelfReport
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.runtime.uploaded import Uploaded
+from camber.runtime.uploads.received import Uploaded
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.health import Done, Health, LogLevelReply, LogLevelRequest, Tick
 
 if TYPE_CHECKING:
-    from camber.runtime.metrics import MetricsServer, Spoken
+    from camber.runtime.health.metrics import MetricsServer, Spoken
 
 STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
@@ -409,7 +409,7 @@ def _metrics(settings: ServiceSettings, service: str) -> tuple[Spoken | None, Me
     """What the loop speaks to, who serves it, and what hinders that: nothing a service should not start for."""
     if settings.metrics_port is None:
         return None, None, ""
-    from camber.runtime.metrics import MetricsServer, Spoken
+    from camber.runtime.health.metrics import MetricsServer, Spoken
 
     spoken = Spoken(service, settings.vehicle)
     try:

@@ -14,8 +14,8 @@ from typing import Literal
 
 from pydantic import ValidationError
 
-from camber.formats.candump import CanFrame
-from camber.formats.dbc import DbcMessage, DbcSignal
+from camber.formats.lidar_can.candump import CanFrame
+from camber.formats.lidar_can.dbc import DbcMessage, DbcSignal
 from camber.schemas.base import Message
 from camber.schemas.motion import Motion, Suspension
 from camber.sensors.units import Quantity, Unit, quantity_of, si_of, spelt

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import Generic, Protocol, TypeVar
 
+from camber.formats.drive.timed_file import Timed, TimedFile
 from camber.formats.errors import FormatError
-from camber.formats.timed_file import Timed, TimedFile
 from camber.geodesy.gps_time import UNIX_OF_GPS_EPOCH_NS, gps_ns_from_unix_ns
 
 T = TypeVar("T", bound=Timed)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from camber.formats.lidar_firings import Decoded, Firings, Int64, LidarDecoder
+from camber.formats.lidar_can.firings import Decoded, Firings, Int64, LidarDecoder
 from camber.schemas.lidar import Sweep
 from camber.sensors.sensor_clock import SensorClock
-from camber.sensors.sweep_cutting import SweepCutter
+from camber.sensors.sweep_assembly import SweepCutter
 
 ISSUES = {
     "size": "lidar_packets",

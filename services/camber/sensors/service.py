@@ -5,10 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from camber.formats.candump import CandumpDecoder, CanFrame
-from camber.formats.packet_ports import CanPort, UdpPort
-from camber.formats.pcap import Datagram, PcapDecoder
-from camber.formats.timed_file import TimedFile
+from camber.formats.drive.timed_file import TimedFile
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame
+from camber.formats.lidar_can.pcap import Datagram, PcapDecoder
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
@@ -16,6 +15,7 @@ from camber.schemas.motion import Suspension
 from camber.sensors.can_motion import said_in
 from camber.sensors.inputs import Input, Live, Played, gps_ns
 from camber.sensors.settings import SensorsSettings, can_source, lidar_source
+from camber.transport.packet_ports import CanPort, UdpPort
 
 
 class SensorsService(Service[SensorsSettings]):

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from camber.formats.dbc import DbcMessage, read_dbc
-from camber.formats.lidar_firings import LidarDecoder
-from camber.formats.ouster import OusterDecoder
-from camber.formats.ouster_metadata import FREE_RUNNING, OusterMetadata, read_ouster_metadata
-from camber.formats.velodyne import MODELS, VelodyneDecoder
+from camber.formats.lidar_can.dbc import DbcMessage, read_dbc
+from camber.formats.lidar_can.firings import LidarDecoder
+from camber.formats.lidar_can.ouster import OusterDecoder
+from camber.formats.lidar_can.ouster_metadata import FREE_RUNNING, OusterMetadata, read_ouster_metadata
+from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
 from camber.sensors.can_motion import QUANTITIES, CanMotion, Gives, SignalUse

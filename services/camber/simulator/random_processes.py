@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 
 Floats = NDArray[np.float64]
 

@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.formats.drive.truth_csv import WRONG_M
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
-from camber.formats.truth_csv import WRONG_M
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import (
+from camber.simulator.faults import radio_faults
+from camber.simulator.faults.schedule import (
     ChangedLoad,
     ChangedRoad,
     ChangedTyre,
@@ -33,12 +34,12 @@ from camber.simulator.faults import (
     WrongMap,
     of_kind,
 )
-from camber.simulator.satellites import radio_faults
+from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
 from camber.simulator.satellites.propagation import Surroundings, what_blocks
 from camber.simulator.satellites.receiver_solution import SimulatedSolutions, receiver_solutions
-from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import AntennaTrack, static_track
 from camber.simulator.scenario import Scenario, ScenarioError
 from camber.simulator.scene import Floats, Integers, Path, Trajectory
@@ -55,9 +56,8 @@ from camber.simulator.vehicle.sensors import (
     WheelSensor,
     read_sensors,
 )
-from camber.simulator.vehicle.vehicle_faults import VehicleFault
 from camber.simulator.world.district import District, make_district
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 _NS = 1_000_000_000
 _BODIES = {"car": CAR, "robot": ROBOT}

@@ -7,11 +7,11 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from camber.replay.command import replay, speed_factor
+from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
-from camber.simulator.short_drive import write_short_drive
-from camber.tools.in_words import in_words
-from camber.tools.option_numbers import SEED
-from camber.tools.replay import replay, speed_factor
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import SEED
 
 
 def main(argv: Sequence[str]) -> int:

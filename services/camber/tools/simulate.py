@@ -23,13 +23,13 @@ from camber.geodesy.gps_time import gpst_from_gps_ns
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError
 from camber.schemas.drive import ManifestError, load_manifest
-from camber.simulator.drive_folder import parts_of, write_drive
-from camber.simulator.fleet_folder import write_fleet
+from camber.simulator.output.drive_folder import parts_of, write_drive
+from camber.simulator.output.fleet_folder import write_fleet
 from camber.simulator.scenario import Scenario, ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import simulate_drive
-from camber.tools.feed import add_bus_arguments, feed
-from camber.tools.option_numbers import SECONDS, SEED
-from camber.tools.stopping import stopped_by_signals
+from camber.tools.options.number_options import SECONDS, SEED
+from camber.tools.options.stop_signals import stopped_by_signals
+from camber.tools.record.feed import add_bus_arguments, feed
 
 _PROG = "camber simulate"
 _MARK = "scenario.json"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camber.formats.observations import satellite_name, signal_name
-from camber.formats.rinex_reading import RinexDecoder, read_observations
+from camber.formats.rinex.observation_reader import RinexDecoder, read_observations
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 
 DATA = os.environ.get("CAMBER_DATA")

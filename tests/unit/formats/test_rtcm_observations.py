@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyrtcm import RTCMReader
 from pyrtcm.rtcmtables import BEIDOU_SIG_MAP, GALILEO_SIG_MAP, GPS_SIG_MAP, QZSS_SIG_MAP
 
-from camber.formats.bit_fields import crc24q
+from camber.formats.broadcast.bit_fields import crc24q
 from camber.formats.observations import (
     ObservationEpoch,
     carrier_hz,
@@ -19,10 +19,10 @@ from camber.formats.observations import (
     signal_name,
     signal_number,
 )
-from camber.formats.phase_counts import PhaseCounts
-from camber.formats.rtcm_msm import lock_indicator
-from camber.formats.rtcm_signals import MSM_SIGNALS
-from camber.formats.rtcm_writing import format_observations
+from camber.formats.receiver.phase_counts import PhaseCounts
+from camber.formats.rtcm.msm_writer import lock_indicator
+from camber.formats.rtcm.signals import MSM_SIGNALS
+from camber.formats.rtcm.writer import format_observations
 from support.random_observations import COMMON, LIGHT_M_S, MOST, SECOND_NS, WEEK_NS, random_epoch
 
 LIGHT_MS_M = LIGHT_M_S * 1e-3

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from camber.formats.observations import ObservationEpoch, satellite_number, signal_number
-from camber.formats.rtcm_writing import format_ephemeris, format_observations, format_reference_station
-from camber.formats.ubx_subframes import subframes_between
-from camber.formats.ubx_writing import format_raw_measurements, format_subframe
+from camber.formats.rtcm.writer import format_ephemeris, format_observations, format_reference_station
+from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.writer import format_raw_measurements, format_subframe
 from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris
 
 CONVBIN = shutil.which("convbin")

@@ -8,7 +8,7 @@ import pytest
 
 from camber.integrity.service import SERVICE, IntegrityService
 from camber.integrity.settings import IntegritySettings
-from camber.runtime.outbox import Outbox
+from camber.runtime.uploads.outbox import Outbox
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode
 from camber.schemas.fleet import UploadBatch

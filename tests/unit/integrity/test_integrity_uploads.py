@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
-from camber.integrity.height_check import RoadPoint
+from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.judgement import Judgement
-from camber.integrity.true_sigma import TrueSigma
+from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, decimal_year, upload_for
 from camber.map_update.contribution import QUALITIES, VERDICTS
 from camber.schemas.antenna import HeightByWay

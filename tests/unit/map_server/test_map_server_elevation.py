@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from camber.formats.map_release import read_release
-from camber.formats.map_road_tiles import link_tiles, surface_tiles
-from camber.formats.map_tiles import tile_corners_rad, tile_of
 from camber.geodesy.local_frame import LocalFrame
 from camber.map_server.elevation import REASONS, ElevationMap, RoadColumns
+from camber.road_map.release import read_release
+from camber.road_map.road_tiles import link_tiles, surface_tiles
+from camber.road_map.tile_grid import tile_corners_rad, tile_of
 from camber.schemas.pose import Road
 from support.small_map import FRAME, at, link, links, surface, surfaces, write
 

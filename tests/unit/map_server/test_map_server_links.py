@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.formats.map_road_tiles import link_tiles
-from camber.formats.map_tiles import tiles_around
 from camber.map_server.links import MAX_REPLY_BYTES, links_around
+from camber.road_map.road_tiles import link_tiles
+from camber.road_map.tile_grid import tiles_around
 from camber.schemas.codec import encode
 from camber.schemas.road import LinksReply, LinksRequest
 from support.small_map import FRAME, MADE_NS, at, link, links

@@ -13,10 +13,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from camber.formats.map_release import ROOT_NAME
-from camber.formats.map_tiles import tile_of
 from camber.map_server.service import MapServerService
 from camber.map_server.settings import MapServerSettings
+from camber.road_map.release import ROOT_NAME
+from camber.road_map.tile_grid import tile_of
 from camber.runtime.bus import Bus
 from camber.runtime.settings import ConfigError, load
 from camber.schemas.fleet import ReleaseHead

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from camber.formats.map_tiles import TILES, tile_of
 from camber.map_server.point_groups import sort_by_tile, tile_numbers
+from camber.road_map.tile_grid import TILES, tile_of
 
 SEED = 91
 

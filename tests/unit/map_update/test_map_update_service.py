@@ -10,9 +10,9 @@ import pytest
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
-from camber.map_update.sqlite_store import SqliteStore
-from camber.map_update.store import Step
-from camber.runtime.uploaded import Uploaded
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import Step
+from camber.runtime.uploads.received import Uploaded
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from support.small_map import surface, write
 

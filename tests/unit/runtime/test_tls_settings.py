@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from camber.runtime import heard, router
+from camber.runtime import access_probe as heard
+from camber.runtime import router
 from camber.runtime.session import BusError, open_session, router_endpoints
 from camber.runtime.settings import ConfigError, ServiceSettings, ZenohSettings, load, to_toml
 from camber.runtime.tls import TlsError, certificate_name, check_table, ends_soon, name_of, tls_table
-from camber.tools.certificates import Authority
+from camber.tools.security.certificates import Authority
 
 TLS = 'tls_ca = "a.pem"\ntls_certificate = "b.pem"\ntls_key = "b.key"\n'
 

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from camber.formats.candump import CandumpDecoder, CanFrame, candump_text
-from camber.formats.dbc import read_dbc
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
+from camber.formats.lidar_can.dbc import read_dbc
 from camber.schemas.motion import Motion, Suspension
 from camber.sensors.can_motion import CanMotion, SignalError, SignalUse
 from camber.sensors.inputs import gps_ns
-from camber.simulator.can_frames import DBC, INVALID, STEERING_RATIO, can_frames
+from camber.simulator.output.can_frames import DBC, INVALID, STEERING_RATIO, can_frames
 from camber.simulator.vehicle.sensor_clock import Readings
 from camber.simulator.vehicle.sensor_messages import motion_messages
 from camber.simulator.vehicle.sensors import VehicleReadings

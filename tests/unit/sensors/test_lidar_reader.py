@@ -9,14 +9,14 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from camber.formats.ouster import OusterDecoder
-from camber.formats.ouster_metadata import read_ouster_metadata
-from camber.formats.velodyne import MODELS, VelodyneDecoder
+from camber.formats.lidar_can.ouster import OusterDecoder
+from camber.formats.lidar_can.ouster_metadata import read_ouster_metadata
+from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.lidar import Sweep
 from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock
-from camber.simulator.lidar_packets import (
+from camber.simulator.output.lidar_packets import (
     PATTERNS,
     ouster_metadata,
     ouster_packets,
@@ -25,7 +25,7 @@ from camber.simulator.lidar_packets import (
 from camber.simulator.scene import Shapes
 from camber.simulator.vehicle.lidar import Lidar
 from camber.simulator.vehicle.pose_track import PoseTrack
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 KINDS = ("velodyne", "ouster")
 # So that an hour ends within.

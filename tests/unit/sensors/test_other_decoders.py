@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.candump import CandumpDecoder, CanFrame, candump_text
-from camber.formats.dbc import read_dbc
-from camber.formats.pcap import PcapDecoder
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
+from camber.formats.lidar_can.dbc import read_dbc
+from camber.formats.lidar_can.pcap import PcapDecoder
 from camber.sensors.inputs import gps_ns
-from camber.simulator.can_frames import DBC
-from camber.simulator.lidar_packets import ouster_metadata, pcap_of
+from camber.simulator.output.can_frames import DBC
+from camber.simulator.output.lidar_packets import ouster_metadata, pcap_of
 from support.tree import ROOT
 from unit.sensors.test_lidar_reader import read, reader, sweeps
 

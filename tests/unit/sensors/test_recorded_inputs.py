@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from camber.formats.candump import CandumpDecoder, CanFrame, candump_text
-from camber.formats.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
-from camber.formats.timed_file import TimedFile
+from camber.formats.drive.timed_file import TimedFile
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
+from camber.formats.lidar_can.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
 from camber.sensors.inputs import Played, gps_ns
 
 S = 1_000_000_000

@@ -10,15 +10,15 @@ from typing import Any, cast
 import pytest
 
 import camber.sensors.service
-from camber.formats.candump import CanFrame, candump_text
-from camber.formats.dbc import read_dbc
-from camber.formats.pcap import Datagram, pcap_frames, pcap_header
+from camber.formats.lidar_can.candump import CanFrame, candump_text
+from camber.formats.lidar_can.dbc import read_dbc
+from camber.formats.lidar_can.pcap import Datagram, pcap_frames, pcap_header
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.runtime.bus import Bus
 from camber.schemas.base import Message
 from camber.sensors.service import SensorsService
 from camber.sensors.settings import SensorsSettings
-from camber.simulator.can_frames import DBC
+from camber.simulator.output.can_frames import DBC
 
 S = 1_000_000_000
 START_NS = 1_400_000_000 * S

@@ -4,8 +4,8 @@ import pytest
 
 from camber.runtime.settings import ConfigError, load
 from camber.sensors.settings import SensorsSettings
-from camber.simulator.can_frames import DBC
-from camber.simulator.lidar_packets import ouster_metadata
+from camber.simulator.output.can_frames import DBC
+from camber.simulator.output.lidar_packets import ouster_metadata
 
 
 def read(folder: Path, text: str) -> SensorsSettings:

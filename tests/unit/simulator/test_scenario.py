@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from camber.simulator.faults import Jamming, WrongBase, of_kind
 from camber.simulator.scenario import ScenarioError, load_scenario, shipped
 from camber.simulator.simulated_drive import district_of
 from camber.simulator.world.district import make_district
@@ -85,81 +83,6 @@ def test_a_scenario_that_is_not_there_is_told_which_are() -> None:
         ScenarioError, match="expected a scenario file or one of canyon, canyons, changed-road, city"
     ):
         load_scenario("nowhere")
-
-
-def test_a_fault_acts_from_its_onset_until_before_its_end() -> None:
-    time_s = np.array([0.9, 1.0, 1.9, 2.0])
-    assert Jamming(kind="jamming", onset_s=1.0, end_s=2.0, loss_db=3.0).acts(time_s).tolist() == [
-        False,
-        True,
-        True,
-        False,
-    ]
-    assert WrongBase(kind="wrong_base", onset_s=1.0).acts(time_s).tolist() == [False, True, True, True]
-
-
-def test_faults_are_found_by_their_kind() -> None:
-    faults = load_scenario("faults").faults
-    (base,) = of_kind(faults, WrongBase)
-    assert base.east_m == 12.0
-
-
-@pytest.mark.parametrize(
-    ("overrides", "said"),
-    [
-        (
-            ['faults=[{kind="blocked_lidar", onset_s=1.0, share=0.5}]'],
-            "blocked_lidar cannot act, expected a table lidar",
-        ),
-        (
-            ['vehicle="robot"', 'faults=[{kind="changed_load", onset_s=1.0, load_kg=10.0}]'],
-            "changed_load cannot act, expected vehicle = 'car'",
-        ),
-        (
-            ["fleet.vehicles=2", 'faults=[{kind="missing_epochs", onset_s=1.0}]'],
-            "missing_epochs cannot act, expected no table fleet",
-        ),
-        (
-            ['faults=[{kind="dropped_process", onset_s=1.0, end_s=2.0, service="gnss"}]'],
-            "started again at once, expected no end_s",
-        ),
-    ],
-)
-def test_a_fault_that_could_not_act_is_refused(overrides: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=re.escape(said)):
-        load_scenario("open-sky", overrides)
-
-
-def tyre(onset_s: float, end_s: float, change_m: float) -> str:
-    return f'{{kind="changed_tyre", onset_s={onset_s}, end_s={end_s}, radius_change_m={change_m}}}'
-
-
-@pytest.mark.parametrize(
-    ("faults", "said"),
-    [
-        ([tyre(1, 9, -0.08), tyre(5, 20, -0.08)], "2 changed_tyre act at 5 s with radius_change_m -0.16"),
-        ([tyre(1, 9, -0.1), tyre(1, 20, 0.1), tyre(8, 20, 0.1)], "2 changed_tyre act at 9 s"),
-        (
-            ['{kind="wheel_slip", onset_s=1, factor=0.2}', '{kind="wheel_slip", onset_s=2, factor=0.7}'],
-            "2 wheel_slip act at 2 s with factor -0.1 together, expected 0 to 3",
-        ),
-        (
-            [f'{{kind="changed_load", onset_s={s}, load_kg=800.0}}' for s in (1, 2, 3)],
-            "3 changed_load act at 3 s with load_kg 2400 together, expected 0 to 2000",
-        ),
-    ],
-)
-def test_faults_that_act_at_once_keep_the_limits_of_one(faults: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=re.escape(said)) as refused:
-        load_scenario("open-sky", [f"faults=[{', '.join(faults)}]"])
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("vehicle", ["car", "robot"])
-def test_faults_that_follow_or_undo_one_another_are_taken(vehicle: str) -> None:
-    faults = [tyre(1, 5, -0.1), tyre(5, 20, -0.1), tyre(6, 7, 0.1)]
-    scenario = load_scenario("open-sky", [f'vehicle="{vehicle}"', f"faults=[{', '.join(faults)}]"])
-    assert len(scenario.faults) == 3
 
 
 @pytest.mark.parametrize(("name", "mean_m_s"), [("faults", 10.0), ("canyons", 8.0)])

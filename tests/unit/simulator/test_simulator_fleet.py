@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.formats.map_road_tiles import surface_tiles
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.codec import encode
 from camber.schemas.fleet import UploadBatch
 from camber.simulator.fleet import (

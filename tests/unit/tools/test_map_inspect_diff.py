@@ -11,11 +11,11 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber import cli
-from camber.formats.lanelet2 import lanelet2_bytes
-from camber.formats.map_release import read_release
-from camber.formats.map_release_files import ROOT_NAME
-from camber.formats.map_store import MapStore
-from camber.formats.opendrive import opendrive_bytes
+from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
+from camber.formats.map_exchange.opendrive import opendrive_bytes
+from camber.road_map.release import read_release
+from camber.road_map.release_files import ROOT_NAME
+from camber.road_map.store import MapStore
 from camber.tools.maps.diff import compared
 from camber.tools.maps.inspect import inspected
 from camber.tools.maps.release_at import release_at

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from camber import cli
-from camber.formats.lanelet2 import LaneletMap, lanelet2_bytes, read_lanelet2
-from camber.formats.map_release import Release, read_release
+from camber.formats.map_exchange.lanelet2 import LaneletMap, lanelet2_bytes, read_lanelet2
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.release import Release, read_release
 from support.lanelet_maps import (
     BRIDGE,
     FRAME,

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from camber import cli
 from camber.formats.errors import FormatError
-from camber.formats.lanelet2 import lanelet2_bytes
-from camber.formats.map_release import read_release
-from camber.tools.maps.lane_levels import cuts_and_levels
-from camber.tools.maps.lane_map import Known, road_map
-from camber.tools.maps.lane_pieces import Piece, pieces_of
-from camber.tools.maps.lanes import Lane
+from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
+from camber.road_map.release import read_release
+from camber.tools.maps.importers.lane_levels import cuts_and_levels
+from camber.tools.maps.importers.lane_map import Known, road_map
+from camber.tools.maps.importers.lane_pieces import Piece, pieces_of
+from camber.tools.maps.importers.lanes import Lane
 from support.lanelet_maps import FRAME, town
 
 Floats = NDArray[np.float64]

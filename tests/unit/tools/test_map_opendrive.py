@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from camber import cli
-from camber.formats.map_release import Release, read_release
-from camber.formats.opendrive import OpenDrive, Road, opendrive_bytes
-from camber.formats.opendrive_geometry import cubics_at, reference_line
+from camber.formats.map_exchange.opendrive import OpenDrive, Road, opendrive_bytes
+from camber.formats.map_exchange.opendrive_geometry import cubics_at, reference_line
 from camber.map_server.elevation import ElevationMap
-from camber.tools.maps.lanes import named_id
+from camber.road_map.release import Release, read_release
+from camber.tools.maps.importers.lanes import named_id
 from support.opendrive_maps import cubics, town
 
 pyproj = pytest.importorskip("pyproj")

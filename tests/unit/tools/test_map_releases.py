@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from camber.formats.map_release import open_release, read_release
-from camber.formats.map_store import MapStore
-from camber.map_server.fetching import Fetching, Where, Wishes
-from camber.map_update.publication import DECISION, DECISIONS, Decisions
-from camber.map_update.review import Review
+from camber.map_server.release_download import Fetching, Where, Wishes
+from camber.map_update.fusion.publication import DECISION, DECISIONS, Decisions
+from camber.map_update.release.review import Review
+from camber.road_map.release import open_release, read_release
+from camber.road_map.store import MapStore
 from camber.tools.maps.command import main
 from support.release_world import KEY, Cloud, making, offsets
 from support.small_map import MADE_NS

@@ -8,13 +8,13 @@ from random import Random
 
 import pytest
 
-from camber.formats.recording import Recorder
+from camber.formats.drive.recording import Recorder
 from camber.runtime.session import open_session
 from camber.runtime.settings import ZenohSettings
 from camber.schemas.codec import encode
 from camber.schemas.fleet import ReleaseHead
 from camber.schemas.motion import Motion
-from camber.tools import play as tool
+from camber.tools.record import play as tool
 from support.messages import build
 from support.running import free_port
 

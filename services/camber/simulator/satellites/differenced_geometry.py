@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.simulator.satellites.observations import SimulatedSignals
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
-from camber.simulator.satellites.signals import SimulatedSignals
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

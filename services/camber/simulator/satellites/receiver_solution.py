@@ -4,7 +4,7 @@ A state machine over the geometry of each epoch: a fix is taken when the success
 phase stands out of the rest, after a while of search; it may then be a wrong point of the lattice, the more easily the
 weaker the geometry and the larger the code's error is. Wrong integers are held until the receiver finds out or has too
 few satellites. What is left out is left out by elevation, C/N0 and residuals, so a right fix carries the reflections
-that fit. Whether a fix is *wrong* is another question, of its distance from the truth: `camber.formats.truth_csv`.
+that fit. Whether a fix is *wrong* is another question, of its distance from the truth: `formats.drive.truth_csv`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.receiver_solution import ReceiverSolution, SolutionQuality
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
@@ -25,7 +25,7 @@ from camber.simulator.satellites.differenced_geometry import (
     Screening,
     differenced_geometry,
 )
-from camber.simulator.satellites.signals import SimulatedSignals
+from camber.simulator.satellites.observations import SimulatedSignals
 from camber.simulator.satellites.track import AntennaTrack
 from camber.simulator.satellites.wrong_integers import integers_at, shift_of, wrong_integers
 

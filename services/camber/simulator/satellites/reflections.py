@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.scene import Tracer, Walls
 
 Floats = NDArray[np.float64]

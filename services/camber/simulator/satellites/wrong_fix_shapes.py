@@ -4,7 +4,7 @@ Three kinds, each with its integers, from which the shift of the position follow
 later: `cycles`, one to three cycles on one to three satellites, whatever the engine would think of them; `search`,
 what LAMBDA finds from floats that reflected codes have biased, as a common receiver takes it, by the ratio test alone;
 `right`, the right integers with errors of the phases that passed the residual test. The tests are those of
-`camber.gnss.fixing`; Camber's own engine, which asks for a success rate too, takes one in a hundred of `search`.
+`ambiguity.fixed_solution`; Camber's own engine, which asks for a success rate too, takes one in a hundred of `search`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
-from camber.gnss.ambiguity import RESOLVED
-from camber.gnss.engine import EngineOptions
-from camber.gnss.fixing import CONTRADICTORY, Limits, chi2_limit, estimate, phase_residuals
-from camber.gnss.float_position import inverse_3
-from camber.gnss.single_differences import Rows, without_clocks
+from camber.compiled.decorator import compiled
+from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, Limits, chi2_limit, estimate, phase_residuals
+from camber.gnss.ambiguity.resolution import RESOLVED
+from camber.gnss.observations.single_differences import Rows, without_clocks
+from camber.gnss.position.float_solution import inverse_3
+from camber.gnss.position.rtk_engine import EngineOptions
 from camber.simulator.satellites.random_skies import LATER_S, RandomSkies
 
 Floats = NDArray[np.float64]

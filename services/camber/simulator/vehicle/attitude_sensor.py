@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Trajectory

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.scene import Floats
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled_without_gil
+from camber.compiled.decorator import compiled_without_gil
 from camber.schemas.lidar import Sweep
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Material, Tracer

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camber.simulator.faults.vehicle_faults import VehicleFault, effect
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.attitude import angular_velocity, body_yaw_rate, rotations, turned
 from camber.simulator.vehicle.body import GRAVITY_M_S2, VehicleBody
+from camber.simulator.vehicle.driven_path import Contact, Way
 from camber.simulator.vehicle.roughness import Roughness
 from camber.simulator.vehicle.speed_profile import Driver, Progress, progress_along
-from camber.simulator.vehicle.springs import sprung
-from camber.simulator.vehicle.vehicle_faults import VehicleFault, effect
-from camber.simulator.vehicle.way import Contact, Way
+from camber.simulator.vehicle.suspension import sprung
 
 INNER_RATE_HZ = 100
 _INNER_STEP_NS = 1_000_000_000 // INNER_RATE_HZ

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from camber.geodesy.compiled import compiled_without_gil
+from camber.compiled.decorator import compiled_without_gil
 from camber.simulator.scene import Floats, Integers, Trajectory
 from camber.simulator.vehicle.attitude import rotations, turned
 from camber.simulator.vehicle.body import Point, VehicleBody

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from camber.replay.surrogates import correlated_noise
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats
-from camber.simulator.surrogates import correlated_noise
 
 _LENGTH_M = 1.6  # 10 m / 2π
 _STEP_M = 0.05

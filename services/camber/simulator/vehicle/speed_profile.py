@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.scene import Floats
 
 _STRAIGHT = 1.0e-9  # 1/m, less is no curve

@@ -9,9 +9,9 @@ from typing import Self
 
 import numpy as np
 
-from camber.geodesy.compiled import compiled_without_gil
+from camber.compiled.decorator import compiled_without_gil
 from camber.simulator.scene import Floats, Integers, Material, Path
-from camber.simulator.vehicle.way import Way
+from camber.simulator.vehicle.driven_path import Way
 
 _STEP_NS = 100_000_000
 _VEHICLE = int(Material.VEHICLE)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.world.ray_shapes import box_span, crown_span, cylinder_span, triangle_distance
 from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER
 

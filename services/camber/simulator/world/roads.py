@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled, compiled_without_gil
+from camber.compiled.decorator import compiled, compiled_without_gil
 from camber.simulator.world.terrain import Terrain, ground_height
 
 Floats = NDArray[np.float64]

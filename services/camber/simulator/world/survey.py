@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from camber.formats.map_release import write_release
 from camber.geodesy.gps_time import gpst_from_gps_ns
+from camber.road_map.release import write_release
 from camber.schemas.road import CloudTile, ReleaseRoot
 from camber.simulator.world.district import District
+from camber.simulator.world.ray_tracing import ShapeTracer
 from camber.simulator.world.survey_clouds import surveyed_clouds
 from camber.simulator.world.survey_links import surveyed_links
 from camber.simulator.world.survey_surfaces import surveyed_surfaces
-from camber.simulator.world.tracing import ShapeTracer
 
 DATUM = "WGS84"
 SURVEYED_BEFORE_NS = 120 * 86_400 * 1_000_000_000

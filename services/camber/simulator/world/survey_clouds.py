@@ -13,8 +13,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.cloud_tiles import cloud_tiles, first_of_voxels
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.cloud_tiles import cloud_tiles, first_of_voxels
 from camber.schemas.road import CloudTile, Layer
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Material, Tracer

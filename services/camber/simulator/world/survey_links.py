@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_roads import RoadLinks
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.coarse_links import thinned
+from camber.replay.coarse_links import thinned
+from camber.road_map.road_columns import RoadLinks
 from camber.simulator.random_streams import stream
 from camber.simulator.world.roads import Roads
 

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_roads import RoadSurfaces
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.road_columns import RoadSurfaces
 from camber.simulator.random_streams import stream
 from camber.simulator.world.roads import HALF_WIDTH, Roads
 

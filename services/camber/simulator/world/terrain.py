@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.geodesy.compiled import compiled
+from camber.compiled.decorator import compiled
 from camber.simulator.random_streams import stream
 
 Floats = NDArray[np.float64]

@@ -8,28 +8,34 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
-from camber.formats.map_release import ROOT_NAME, load_signing_key, open_release, write_release
-from camber.formats.map_roads import ReleaseError
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.road_map.release import ROOT_NAME, load_signing_key, open_release, write_release
+from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
-from camber.tools.in_words import in_words
-from camber.tools.maps.built_map import BuiltMap
 from camber.tools.maps.command import dispatched
-from camber.tools.option_numbers import number_from, whole_from
+from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import number_from, whole_from
 
 _PROG = "camber map build"
 
 KINDS: dict[str, tuple[str, str]] = {
-    "lanelet2": ("camber.tools.maps.lanelets", "a Lanelet2 map, .osm with `ele`"),
-    "opendrive": ("camber.tools.maps.opendrive_roads", "an OpenDRIVE map, .xodr"),
-    "argoverse": ("camber.tools.maps.argoverse", "a log of Argoverse 2: ground raster and lanes"),
-    "clouds": ("camber.tools.maps.clouds", "LAS, LAZ, PCD or PLY clouds and where the vehicle went"),
+    "lanelet2": ("camber.tools.maps.importers.lanelets", "a Lanelet2 map, .osm with `ele`"),
+    "opendrive": ("camber.tools.maps.importers.opendrive_roads", "an OpenDRIVE map, .xodr"),
+    "argoverse": ("camber.tools.maps.importers.argoverse", "a log of Argoverse 2: ground raster and lanes"),
+    "clouds": (
+        "camber.tools.maps.importers.clouds",
+        "LAS, LAZ, PCD or PLY clouds and where the vehicle went",
+    ),
     "drive": (
-        "camber.tools.maps.survey_drive",
+        "camber.tools.maps.importers.survey_drive",
         "confirmed positions of a drive, from a replay or a truth.csv",
     ),
-    "geojson": ("camber.tools.maps.geojson_roads", "surfaces and links, as `camber map export` writes them"),
-    "geotiff": ("camber.tools.maps.rasters", "heights of a raster along roads that are given"),
+    "geojson": (
+        "camber.tools.maps.importers.geojson_roads",
+        "surfaces and links, as `camber map export` writes them",
+    ),
+    "geotiff": ("camber.tools.maps.importers.rasters", "heights of a raster along roads that are given"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
 `build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the

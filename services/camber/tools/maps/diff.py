@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.map_release import Release
-from camber.formats.map_roads import RoadSurfaces
+from camber.road_map.release import Release
+from camber.road_map.road_columns import RoadSurfaces
 from camber.schemas.road import LAYERS
-from camber.tools.in_words import in_words
 from camber.tools.maps.release_at import release_at
-from camber.tools.option_numbers import whole_from
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import whole_from
 
 _PROG = "camber map diff"
 _MOVED_M = 1e-3

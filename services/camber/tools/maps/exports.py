@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.formats.map_release import Release, load_public_key, read_release
-from camber.formats.map_release_files import write_file
-from camber.formats.map_roads import RoadSurfaces
-from camber.formats.map_surface_heights import SurfaceHeights
-from camber.formats.map_tiles import tile_frame, tiles_of
-from camber.formats.pcd import PointCloud, pcd_bytes
-from camber.formats.vertical_datum import aligned_to_wgs84, crs_of
+from camber.formats.map_exchange.pcd import PointCloud, pcd_bytes
+from camber.formats.map_exchange.vertical_datum import aligned_to_wgs84, crs_of
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.road_map.release import Release, load_public_key, read_release
+from camber.road_map.release_files import write_file
+from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.surface_heights import SurfaceHeights
+from camber.road_map.tile_grid import tile_frame, tiles_of
 from camber.schemas.road import CloudTile, Layer
-from camber.tools.in_words import in_words
 from camber.tools.maps.geojson import geojson_text
-from camber.tools.maps.rasters import quiet_rasterio
-from camber.tools.maps.surfaces_along import Floats, Integers
-from camber.tools.option_numbers import number_from
+from camber.tools.maps.importers.rasters import quiet_rasterio
+from camber.tools.maps.importers.surfaces_along import Floats, Integers
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import number_from
 
 _PROG = "camber map export"
 _MOST_CELLS = 200_000_000

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.formats.map_road_tiles import surface_tiles, surfaces_from_tiles
-from camber.formats.map_roads import ReleaseError, RoadLinks, RoadSurfaces
 from camber.geodesy.local_frame import LocalFrame
-from camber.tools.maps.lanes import named_id
+from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
+from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
+from camber.tools.maps.importers.lanes import named_id
 
 _DECIMALS = 10  # of degrees: a hundredth of a millimetre
 _SURFACE = (

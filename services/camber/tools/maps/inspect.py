@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
-from camber.formats.lanelet2 import LaneletMap, read_lanelet2
-from camber.formats.map_release import Release, load_public_key
-from camber.formats.map_release_files import BlobMissing
-from camber.formats.map_road_tiles import links_from_tiles, surfaces_from_tiles
-from camber.formats.map_roads import RoadLinks, RoadSurfaces
-from camber.formats.opendrive import read_opendrive
+from camber.formats.map_exchange.lanelet2 import LaneletMap, read_lanelet2
+from camber.formats.map_exchange.opendrive import read_opendrive
 from camber.geodesy.gps_time import gpst_from_gps_ns, text_from_calendar
+from camber.road_map.release import Release, load_public_key
+from camber.road_map.release_files import BlobMissing
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
-from camber.tools.in_words import in_words
 from camber.tools.maps.release_at import is_release, release_at
+from camber.tools.options.error_report import in_words
 
 _PROG = "camber map inspect"
 _EARTH_M = 6.371e6

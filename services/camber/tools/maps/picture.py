@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.formats.map_release import Release, load_public_key, read_release
-from camber.formats.map_release_files import write_file
-from camber.formats.map_roads import RoadSurfaces
-from camber.formats.map_tiles import Tile, tile_corners_rad
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.release import Release, load_public_key, read_release
+from camber.road_map.release_files import write_file
+from camber.road_map.road_columns import RoadSurfaces
+from camber.road_map.tile_grid import Tile, tile_corners_rad
 from camber.schemas.road import LAYERS
-from camber.tools.in_words import in_words
-from camber.tools.map_drawing import cloud_raster, plane_links
-from camber.tools.maps.surfaces_along import Floats, Integers
-from camber.tools.option_numbers import whole_from
-from camber.tools.plot_frame import Panel
-from camber.tools.raster import Colours, Raster
+from camber.tools.localize.map_drawing import cloud_raster, plane_links
+from camber.tools.maps.importers.surfaces_along import Floats, Integers
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import whole_from
+from camber.validation.plot_frame import Panel
+from camber.validation.raster import Colours, Raster
 
 _PROG = "camber map picture"
 _LINK = np.array([205, 60, 80], np.uint8)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from camber.formats.map_release import Release, open_release
-from camber.formats.map_release_files import BlobMissing
-from camber.formats.map_roads import ReleaseError
+from camber.road_map.release import Release, open_release
+from camber.road_map.release_files import BlobMissing
+from camber.road_map.road_columns import ReleaseError
 
 _MAGIC = b"SQLite format 3\x00"
 
@@ -29,7 +29,7 @@ def is_release(path: Path) -> bool:
 
 
 class _StoreToRead:
-    """A store of `camber.formats.map_store` as it is: that one would move a damaged file aside to begin anew."""
+    """A store of `camber.road_map.store` as it is: that one would move a damaged file aside to begin anew."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

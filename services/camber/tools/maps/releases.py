@@ -13,18 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from camber.formats.map_release import load_signing_key
-from camber.formats.map_release_files import ReleaseFolder
-from camber.formats.map_roads import ReleaseError
-from camber.formats.map_store import MapStore
 from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
-from camber.map_update.corrections import NONE, Corrections
-from camber.map_update.release_making import ReleaseMaking, corrections_of, history, reference_in
-from camber.map_update.review import Review
-from camber.map_update.votes import values_of
+from camber.map_update.fusion.corrections import NONE, Corrections
+from camber.map_update.fusion.votes import values_of
+from camber.map_update.release.release_builder import ReleaseMaking, corrections_of, history, reference_in
+from camber.map_update.release.review import Review
+from camber.road_map.release import load_signing_key
+from camber.road_map.release_files import ReleaseFolder
+from camber.road_map.road_columns import ReleaseError
+from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.review import user_name
-from camber.tools.option_numbers import NUMBER
+from camber.tools.options.number_options import NUMBER
 
 _PROG = "camber map releases"
 
@@ -147,8 +147,8 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
 
 def _votes(uploads: Path, surface_id: int) -> list[str]:
     """The votes on a surface: by pseudonym, which only whoever has the key can lead back to a vehicle."""
-    from camber.map_update.sqlite_store import SqliteStore
-    from camber.map_update.store import StoreError
+    from camber.map_update.stores.sqlite_store import SqliteStore
+    from camber.map_update.stores.store import StoreError
 
     if not uploads.is_file():
         raise ReleaseError(str(uploads), "file", "the uploads of map_update")

@@ -13,10 +13,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from camber.formats.map_roads import ReleaseError
-from camber.map_update.review import Decided, Held, Review, Word
+from camber.map_update.release.review import Decided, Held, Review, Word
+from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
-from camber.tools.option_numbers import NUMBER
+from camber.tools.options.number_options import NUMBER
 
 _PROG = "camber map review"
 

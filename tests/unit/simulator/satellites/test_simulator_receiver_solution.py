@@ -5,14 +5,14 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import norm
 
-from camber.formats.receiver_solution import SolutionQuality
+from camber.formats.receiver.solution import SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.simulator.faults.radio_faults import RadioFaults, Spoofing
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.differenced_geometry import Screening, differenced_geometry, fitting
+from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
-from camber.simulator.satellites.radio_faults import RadioFaults, Spoofing
 from camber.simulator.satellites.receiver_solution import receiver_solutions
-from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import static_track
 from camber.simulator.satellites.wrong_integers import shift_of, wrong_integers
 from support.canyon_statistics import BASE_M, FRAME, canyon_run

@@ -11,7 +11,7 @@ from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.propagation import Surroundings, propagation, what_blocks
 from camber.simulator.satellites.reflections import reflections
 from camber.simulator.scene import Hits, Shapes, Walls
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 FAR_M = 1.0e9
 

@@ -5,8 +5,8 @@ import pytest
 
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
+from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
-from camber.simulator.satellites.signals import simulate_signals
 from camber.simulator.satellites.track import AntennaTrack, static_track
 from support.canyon_statistics import BASE_M, FRAME, canyon_statistics
 from support.rtklib_runs import RNX2RTKP, run_rtklib

@@ -8,12 +8,12 @@ import pytest
 from camber.formats.observations import ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.faults.radio_faults import Jamming, RadioFaults, Restart, Spoofing
+from camber.simulator.satellites.carrier_locks import locks
 from camber.simulator.satellites.constellation import true_ephemerides
-from camber.simulator.satellites.locks import locks
+from camber.simulator.satellites.observations import SimulatedSignals, simulate_signals
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
 from camber.simulator.satellites.parameters import ROVER
-from camber.simulator.satellites.radio_faults import Jamming, RadioFaults, Restart, Spoofing
-from camber.simulator.satellites.signals import SimulatedSignals, simulate_signals
 from camber.simulator.satellites.track import AntennaTrack
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 6, 0, 0))

@@ -14,7 +14,7 @@ from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.pose_track import PoseTrack, points_in_world, undo_motion
 from camber.simulator.vehicle.sensor_clock import SensorClock
 from camber.simulator.vehicle.traffic import RoadUser, Traffic
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 from support.simulated_paths import flat, path_over
 
 START_NS = 1_400_000_000 * 1_000_000_000

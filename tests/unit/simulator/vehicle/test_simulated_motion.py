@@ -7,12 +7,12 @@ import pytest
 from scipy import signal
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
+from camber.simulator.faults.vehicle_faults import VehicleFault
 from camber.simulator.scene import Floats, Path, Trajectory
 from camber.simulator.vehicle.body import CAR, GRAVITY_M_S2, ROBOT, VehicleBody
 from camber.simulator.vehicle.motion import drive
 from camber.simulator.vehicle.roughness import Roughness
 from camber.simulator.vehicle.speed_profile import Driver
-from camber.simulator.vehicle.vehicle_faults import VehicleFault
 from support.simulated_paths import flat, hilly, path_over, sloping, winding
 
 START_NS = 1_400_000_000 * 1_000_000_000

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from camber.simulator.vehicle.body import Mode
 from camber.simulator.vehicle.cubic_curve import CubicCurve
-from camber.simulator.vehicle.springs import sprung
+from camber.simulator.vehicle.suspension import sprung
 
 
 def test_a_released_push_rings_as_the_closed_form_says() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camber.simulator.scene import Material, Path
 from camber.simulator.world.district import KINDS, District, Kind, make_district
-from camber.simulator.world.tracing import ShapeTracer
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 Floats = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.formats.map_release import Release, read_release
-from camber.formats.map_tiles import tile_frame
 from camber.map_server.elevation import ElevationMap
+from camber.road_map.release import Release, read_release
+from camber.road_map.tile_grid import tile_frame
 from camber.schemas.road import CloudTile
 from camber.simulator.random_streams import stream
 from camber.simulator.world.district import KINDS, District, Kind, make_district

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from camber.cli import main
-from camber.formats.map_release import read_release, write_release
-from camber.formats.map_roads import RoadLinks, RoadSurfaces
 from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.release import read_release, write_release
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.tools.maps.picture import picture
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)

@@ -1,0 +1,1 @@
+"""Compilation by numba: the decorator of this project and the cache of machine code on disk."""

@@ -1,0 +1,172 @@
+"""BeiDou D1 subframes 1 to 3 and D2 pages (geostationary satellites) on B1I, as ten words with their check bits.
+
+Source: BDS-SIS-ICD-B1I: 5.1.3 (BCH and interleaving), 5.2.3, 5.2.4 (D1), 5.3.2, 5.3.3 (D2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from camber.formats.broadcast.bit_fields import joined
+from camber.formats.broadcast.bit_layouts import BitLayout, laid_out, taken_apart
+from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.broadcast.klobuchar_coefficients import IONOSPHERE_FIELDS
+from camber.formats.observations import Ephemeris
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+
+D1_SUBFRAME_S = 6
+D2_FRAME_S = 3
+D2_PAGES = (1, 3, 4, 5, 6, 7, 8, 9, 10)
+"""Those that hold the ephemeris; page 2 is of the ionosphere."""
+_PERIOD_S = 30
+_PREAMBLE = 0b11100010010
+_Fields = list[tuple[int, int]]
+D1: dict[int, BitLayout] = {
+    1: (
+        *("health", "aodc", "accuracy", "week", "toc_s", "tgd1_s", "tgd2_s"),
+        *IONOSPHERE_FIELDS,
+        *("af2", "af0_s", "af1", "iode"),
+    ),
+    2: (
+        *("mean_motion_difference_rad_s", "cuc", "mean_anomaly_rad", "eccentricity", "cus", "crc_m", "crs_m"),
+        *("sqrt_a", "toe_s>15"),
+    ),
+    3: (
+        *("toe_s<15", "inclination_rad", "cic", "ascending_node_rate_rad_s", "cis", "inclination_rate_rad_s"),
+        *("ascending_node_rad", "perigee_rad", 1),
+    ),
+}
+D2: dict[int, BitLayout] = {
+    1: ("health", "aodc", "accuracy", "week", "toc_s", "tgd1_s", "tgd2_s", 12),
+    3: (38, "af0_s", "af1>18", 6),
+    4: ("af1<18", "af2", "iode", "mean_motion_difference_rad_s", "cuc>4", 8),
+    5: ("cuc<4", "mean_anomaly_rad", "cus", "eccentricity>22", 8),
+    6: ("eccentricity<22", "sqrt_a", "cic>8", 8),
+    7: ("cic<8", "cis", "toe_s", "inclination_rad>11", 8),
+    8: ("inclination_rad<11", "crc_m", "crs_m", "ascending_node_rate_rad_s>5", 6),
+    9: ("ascending_node_rate_rad_s<5", "ascending_node_rad", "perigee_rad>5", 8),
+    10: ("perigee_rad<5", "inclination_rate_rad_s", 53),
+}
+_D2_RESERVED_BITS = 5 * 22
+FIELDS_AND_IONOSPHERE = FIELDS["C"] | IONOSPHERE_FIELDS
+_BITS, _BODY_BITS = 26 + 9 * 22, 26 + 9 * 22 - 38
+
+
+def is_geostationary(satellite: int) -> bool:
+    """Whether a BeiDou satellite is one of those that send D2: C01 to C05, C59 to C63."""
+    number = satellite & 255
+    return number <= 5 or number >= 59
+
+
+def d1_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
+    """Ten words of 30 bits of D1 subframe 1, 2 or 3 that begins at a GPS time; the ionosphere is zero.
+
+    Words are as after de-interleaving: 22 information bits (26 in the first), then 8 check bits (4). Raises ValueError
+    as `broadcast_integers` does, or where no subframe begins at this time.
+    """
+    week, second = _second_of_week(start_ns, D1_SUBFRAME_S, subframe)
+    integers = dict.fromkeys(IONOSPHERE_FIELDS, 0) | broadcast_integers(ephemeris) | {"week": week % 8192}
+    return _words([*_head(subframe, second), *laid_out(D1[subframe], FIELDS_AND_IONOSPHERE, integers)])
+
+
+def d2_page(ephemeris: Ephemeris, page: int, start_ns: int) -> list[int]:
+    """Ten words of page 1 or 3 to 10 of D2 subframe 1, beginning at a GPS time; else as `d1_subframe`."""
+    week, second = _second_of_week(start_ns, D2_FRAME_S, page)
+    integers = broadcast_integers(ephemeris) | {"week": week % 8192}
+    return _words(
+        [
+            *_head(1, second),
+            (page, 4),
+            *laid_out(D2[page], FIELDS_AND_IONOSPHERE, integers),
+            (0, _D2_RESERVED_BITS),
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BeidouPart:
+    """A subframe (D1) or page (D2): its number, when it began [s of BeiDou's week], what of the fields it holds."""
+
+    number: int
+    second: int
+    fields: dict[str, int]
+
+
+def read_d1_subframe(words: Sequence[int]) -> BeidouPart:
+    """One of D1; only 1 to 3 hold fields, subframe 1 the ionosphere's too.
+
+    Words as in `d1_subframe`, whatever stands before their 30 bits. Raises ValueError where check bits, the preamble,
+    the time or the number of words is wrong.
+    """
+    number, second, bits = _read(words)
+    layout = D1.get(number, ())
+    return BeidouPart(number, second, taken_apart(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE))
+
+
+def read_d2_page(words: Sequence[int]) -> BeidouPart | None:
+    """A page of D2 subframe 1; None of another subframe. Else as `read_d1_subframe`."""
+    subframe, second, bits = _read(words)
+    if subframe != 1:
+        return None
+    page = bits >> _BODY_BITS - 4 & 0b1111
+    fields = taken_apart(bits, _BODY_BITS - 4, D2.get(page, ()), FIELDS_AND_IONOSPHERE)
+    return BeidouPart(page, second, fields)
+
+
+def bch_check(information: int) -> int:
+    """The four check bits of eleven information bits: BCH(15, 11), g(x) = x⁴ + x + 1."""
+    rest = information << 4
+    for place in range(14, 3, -1):
+        if rest >> place & 1:
+            rest ^= 0b10011 << place - 4
+    return rest
+
+
+def _read(words: Sequence[int]) -> tuple[int, int, int]:
+    """Subframe, second of the week and all information bits."""
+    if len(words) != 10:
+        raise ValueError(f"{len(words)} words, expected 10")
+    bits = 0
+    for place, word in enumerate(words):
+        information = word >> 8 & 0x3FFFFF if place else word >> 4 & 0x3FFFFFF
+        expected = _first_word(information) if place == 0 else _other_word(information)
+        if word & 0x3FFFFFFF != expected:
+            raise ValueError(f"check bits of word {word:08x} are wrong")
+        bits = bits << (22 if place else 26) | information
+    if bits >> _BITS - 11 != _PREAMBLE:
+        raise ValueError(f"preamble is {bits >> _BITS - 11:011b}, expected {_PREAMBLE:011b}")
+    second = bits >> _BODY_BITS & 0xFFFFF
+    if second >= NS_PER_WEEK // NS_PER_SECOND:
+        raise ValueError(f"second {second} of the week, expected less than a week's")
+    return bits >> _BITS - 18 & 0b111, second, bits
+
+
+def _second_of_week(start_ns: int, length_s: int, number: int) -> tuple[int, int]:
+    week, of_week_ns = system_week("C", start_ns)
+    second, rest = divmod(of_week_ns, NS_PER_SECOND)
+    if rest or second % _PERIOD_S != length_s * (number - 1):
+        raise ValueError(
+            f"part {number} at {of_week_ns / NS_PER_SECOND} s of BeiDou's week, expected in its turn"
+        )
+    return week, second
+
+
+def _head(subframe: int, second: int) -> _Fields:
+    return [(_PREAMBLE, 11), (0, 4), (subframe, 3), (second, 20)]
+
+
+def _words(fields: _Fields) -> list[int]:
+    information, width = joined(fields)
+    first = _first_word(information >> width - 26)
+    return [first, *(_other_word(information >> width - 26 - 22 * n & 0x3FFFFF) for n in range(1, 10))]
+
+
+def _first_word(information: int) -> int:
+    """26 bits, of which the last 11 are checked."""
+    return information << 4 | bch_check(information & 0x7FF)
+
+
+def _other_word(information: int) -> int:
+    """22 bits, which are two codes."""
+    return information << 8 | bch_check(information >> 11) << 4 | bch_check(information & 0x7FF)

@@ -1,0 +1,276 @@
+"""A broadcast ephemeris as the integers that its system transmits: what RTCM messages and subframes both hold.
+
+Sources, for widths and resolutions: IS-GPS-200, tables 20-I to 20-III (QZSS alike: IS-QZSS-PNT, 5.4); Galileo OS SIS
+ICD, tables 60 to 69; BDS-SIS-ICD-B1I, tables 5-6 to 5-11.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from camber.formats.broadcast.bit_fields import quantised
+from camber.formats.observations import Ephemeris, satellite_name
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+
+Layout = tuple[str, ...]
+"""Names of `FIELDS`, in the order of transmission."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """So many bits of `resolution`, in the unit of `Ephemeris`; angles that go round are taken modulo a turn."""
+
+    width: int
+    resolution: float = 1.0
+    signed: bool = False
+    round: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TimeScale:
+    """A system's own week count: first week in GPS weeks, and how far it is behind GPS time."""
+
+    first_gps_week: int
+    behind_gps_ns: int
+    weeks: int
+
+
+TIME_SCALES = {
+    "G": TimeScale(0, 0, 1024),
+    "J": TimeScale(0, 0, 1024),
+    "E": TimeScale(1024, 0, 4096),
+    "C": TimeScale(1356, 14 * NS_PER_SECOND, 8192),
+}
+
+_TURN = Field(32, math.pi * 2.0**-31, signed=True, round=True)
+_ORBIT = {
+    "sqrt_a": Field(32, 2.0**-19),
+    "eccentricity": Field(32, 2.0**-33),
+    "inclination_rad": Field(32, math.pi * 2.0**-31, signed=True),
+    "inclination_rate_rad_s": Field(14, math.pi * 2.0**-43, signed=True),
+    "ascending_node_rad": _TURN,
+    "ascending_node_rate_rad_s": Field(24, math.pi * 2.0**-43, signed=True),
+    "perigee_rad": _TURN,
+    "mean_anomaly_rad": _TURN,
+    "mean_motion_difference_rad_s": Field(16, math.pi * 2.0**-43, signed=True),
+}
+
+
+def _harmonics(width: int, angle: float, length_m: float) -> dict[str, Field]:
+    angles = {name: Field(width, angle, signed=True) for name in ("cuc", "cus", "cic", "cis")}
+    return angles | {name: Field(width, length_m, signed=True) for name in ("crc_m", "crs_m")}
+
+
+_GPS = {
+    **_ORBIT,
+    **_harmonics(16, 2.0**-29, 2.0**-5),
+    "satellite": Field(6),
+    "week": Field(10),
+    "toe_s": Field(16, 16.0),
+    "toc_s": Field(16, 16.0),
+    "af0_s": Field(22, 2.0**-31, signed=True),
+    "af1": Field(16, 2.0**-43, signed=True),
+    "af2": Field(8, 2.0**-55, signed=True),
+    "iode": Field(8),
+    "iodc": Field(10),
+    "accuracy": Field(4),
+    "health": Field(6),
+    "tgd_s": Field(8, 2.0**-31, signed=True),
+    "fit": Field(1),
+    "codes_on_l2": Field(2),
+    "l2_p_data": Field(1),
+}
+FIELDS: dict[str, dict[str, Field]] = {
+    "G": _GPS,
+    "J": {**_GPS, "satellite": Field(4)},
+    "E": {
+        **_ORBIT,
+        **_harmonics(16, 2.0**-29, 2.0**-5),
+        "satellite": Field(6),
+        "week": Field(12),
+        "toe_s": Field(14, 60.0),
+        "toc_s": Field(14, 60.0),
+        "af0_s": Field(31, 2.0**-34, signed=True),
+        "af1": Field(21, 2.0**-46, signed=True),
+        "af2": Field(6, 2.0**-59, signed=True),
+        "iode": Field(10),
+        "accuracy": Field(8),
+        "bgd_e5a_s": Field(10, 2.0**-32, signed=True),
+        "bgd_e5b_s": Field(10, 2.0**-32, signed=True),
+        "e1b_invalid": Field(1),
+        "e1b_health": Field(2),
+        "e5a_invalid": Field(1),
+        "e5a_health": Field(2),
+        "e5b_invalid": Field(1),
+        "e5b_health": Field(2),
+    },
+    "C": {
+        **_ORBIT,
+        **_harmonics(18, 2.0**-31, 2.0**-6),
+        "satellite": Field(6),
+        "week": Field(13),
+        "toe_s": Field(17, 8.0),
+        "toc_s": Field(17, 8.0),
+        "af0_s": Field(24, 2.0**-33, signed=True),
+        "af1": Field(22, 2.0**-50, signed=True),
+        "af2": Field(11, 2.0**-66, signed=True),
+        "iode": Field(5),
+        "aodc": Field(5),
+        "accuracy": Field(4),
+        "health": Field(1),
+        "tgd1_s": Field(10, 1e-10, signed=True),
+        "tgd2_s": Field(10, 1e-10, signed=True),
+    },
+}
+_MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
+# Galileo's health as RINEX 3.04 (table A8) packs it, from its lowest bit on.
+_GALILEO_HEALTH = ("e1b_invalid", "e1b_health", "e5a_invalid", "e5a_health", "e5b_invalid", "e5b_health")
+_NOMINAL_FIT_H = {"G": 4.0, "J": 2.0}
+# IS-GPS-200 20.3.3.3.1.3: the greatest URA of each index; index 15 is "no prediction". BeiDou's are the same.
+_URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0, 3072.0, 6144.0)
+# What a user may take for them: 2^(1 + N/2), rounded, up to index 6, then 2^(N − 2).
+_NOMINAL_URA_M = (2.0, 2.8, 4.0, 5.7, 8.0, 11.3, 16.0, *(2.0 ** (n - 2) for n in range(7, 15)))
+# Galileo OS SIS ICD, table 76: the SISA of each index up to 125; 255 is "no accuracy prediction available".
+_SISA_M = (
+    *(0.01 * n for n in range(50)),
+    *(0.50 + 0.02 * n for n in range(25)),
+    *(1.00 + 0.04 * n for n in range(25)),
+    *(2.00 + 0.16 * n for n in range(26)),
+)
+_NO_SISA = 255
+
+
+def system_week(system: str, time_ns: int) -> tuple[int, int]:
+    """The system's own full week number and the ns into it, of a GPS time."""
+    scale = TIME_SCALES[system]
+    week, of_week_ns = divmod(time_ns - scale.behind_gps_ns, NS_PER_WEEK)
+    return week - scale.first_gps_week, of_week_ns
+
+
+def gps_ns_near(system: str, of_week_ns: int, near_ns: int) -> int:
+    """The GPS time nearest to `near_ns` at which the system's time of week is this."""
+    since = (of_week_ns - system_week(system, near_ns)[1] + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
+    return near_ns + since
+
+
+def broadcast_integers(ephemeris: Ephemeris) -> dict[str, int]:
+    """Each field of `FIELDS` of the satellite's system as the integer that is transmitted.
+
+    `week` is that of the ephemeris' reference time, modulo what the field holds. Accuracies become the least index that
+    is not better than they are, angles are taken modulo a turn. Without a `fit_interval_h` the nominal one is said, of
+    the codes on L2 always P.
+
+    Raises ValueError where a value does not fit its field, a reference time is no multiple of its resolution, or
+    `other` lacks what the system has.
+    """
+    name = satellite_name(ephemeris.satellite)
+    system, number = name[0], ephemeris.satellite & 255
+    fields = FIELDS.get(system)
+    if fields is None or not 1 <= number <= _MOST_SATELLITES[system]:
+        raise ValueError(f"satellite {name}: no broadcast ephemeris of this number, expected G, J, E or C")
+    values: dict[str, float] = {
+        "satellite": number,
+        "week": system_week(system, ephemeris.toe_ns)[0] % TIME_SCALES[system].weeks,
+        "af0_s": ephemeris.clock[0],
+        "af1": ephemeris.clock[1],
+        "af2": ephemeris.clock[2],
+        **{attribute: float(getattr(ephemeris, attribute)) for attribute in _attributes(fields)},
+        **_health(system, name, ephemeris.health),
+        "codes_on_l2": 1,
+        "l2_p_data": 0,
+    }
+    for time, time_ns in (("toe_s", ephemeris.toe_ns), ("toc_s", ephemeris.toc_ns)):
+        of_week_ns = system_week(system, time_ns)[1]
+        if of_week_ns % int(fields[time].resolution * NS_PER_SECOND):
+            raise ValueError(
+                f"{name}: {time} is {of_week_ns / NS_PER_SECOND} s of the week,"
+                f" expected a multiple of {fields[time].resolution:.0f} s"
+            )
+        values[time] = of_week_ns / NS_PER_SECOND
+    values["accuracy"] = _accuracy_index(system, ephemeris.accuracy_m)
+    if "fit" in fields:
+        nominal = _NOMINAL_FIT_H[system]
+        values["fit"] = float(ephemeris.other.get("fit_interval_h", nominal) > nominal)
+    for field in ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s"):
+        if field in fields:
+            if field not in ephemeris.other:
+                raise ValueError(f"{name}: the ephemeris has no {field}")
+            values[field] = ephemeris.other[field]
+    return {field: _integer(f"{name} {field}", values[field], is_) for field, is_ in fields.items()}
+
+
+def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: int) -> Ephemeris:
+    """The ephemeris that these integers say, its weeks being those nearest to `near_ns` (GPS time).
+
+    `transmission_ns` is `near_ns`, as the integers do not hold it. A field that is missing is NaN in the orbit and is
+    left out of `other`.
+    """
+    fields = FIELDS[system]
+    values = {name: integers[name] * fields[name].resolution for name in fields if name in integers}
+    other: dict[str, float] = {
+        name: values[name]
+        for name in ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s")
+        if name in values
+    }
+    if "fit" in values:
+        other["fit_interval_h"] = _NOMINAL_FIT_H[system] * (1.0 if values["fit"] == 0 else 1.5)
+    health, shift = 0, 0
+    for name in _GALILEO_HEALTH if system == "E" else ("health",):
+        health |= integers.get(name, 0) << shift
+        shift += fields[name].width
+    return Ephemeris(
+        satellite=ord(system) * 256 + integers["satellite"],
+        toe_ns=gps_ns_near(system, int(values["toe_s"]) * NS_PER_SECOND, near_ns),
+        toc_ns=gps_ns_near(system, int(values["toc_s"]) * NS_PER_SECOND, near_ns),
+        transmission_ns=near_ns,
+        iode=integers["iode"],
+        clock=(values["af0_s"], values["af1"], values["af2"]),
+        accuracy_m=_accuracy_m(system, integers["accuracy"]),
+        health=health,
+        other=other,
+        **{name: values.get(name, math.nan) for name in _attributes(fields) if name not in ("iode",)},
+    )
+
+
+def _attributes(fields: Mapping[str, Field]) -> list[str]:
+    """The fields that have the name of an attribute and are taken as they are."""
+    return [
+        name
+        for name in fields
+        if name in Ephemeris.__slots__ and name not in ("satellite", "health", "accuracy_m")
+    ]
+
+
+def _integer(name: str, value: float, field: Field) -> int:
+    if field.round and math.isfinite(value):
+        # Whole turns are dropped; just below +π it may round to +π, which is −π.
+        turns = round(value / field.resolution) & (1 << field.width) - 1
+        return turns - (1 << field.width) if turns >> (field.width - 1) else turns
+    return quantised(name, value, field.resolution, field.width, signed=field.signed)
+
+
+def _health(system: str, name: str, health: int) -> dict[str, float]:
+    if system != "E":
+        return {"health": health}
+    if not 0 <= health < 512:
+        raise ValueError(f"{name}: health is {health}, expected 0 to 511")
+    values, shift = dict[str, float](), 0
+    for field in _GALILEO_HEALTH:
+        width = FIELDS["E"][field].width
+        values[field] = health >> shift & (1 << width) - 1
+        shift += width
+    return values
+
+
+def _accuracy_index(system: str, accuracy_m: float) -> int:
+    steps, unknown = (_SISA_M, _NO_SISA) if system == "E" else (_URA_M, len(_URA_M))
+    if not accuracy_m >= 0.0:  # NaN, and −1, by which RINEX says that there is none
+        return unknown
+    return next((index for index, step in enumerate(steps) if accuracy_m <= step + 1e-9), unknown)
+
+
+def _accuracy_m(system: str, index: int) -> float:
+    steps = _SISA_M if system == "E" else _NOMINAL_URA_M
+    return steps[index] if index < len(steps) else math.nan

@@ -1,0 +1,93 @@
+"""Galileo I/NAV word types 1 to 6 as nominal pages of E1-B, written and read.
+
+Source: Galileo OS SIS ICD, 4.3.2 (page layout), 4.3.5 (word types), 5.1.9.4 (CRC).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from camber.formats.broadcast.bit_fields import bytes_of, crc24q, joined
+from camber.formats.broadcast.bit_layouts import BitLayout, laid_out, taken_apart
+from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.observations import Ephemeris
+from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s
+
+PAGE_S = 2
+WORD_STARTS_S = {2: 1, 4: 3, 6: 5, 1: 21, 3: 23, 5: 25}
+"""When in a subframe of 30 s the page of a word type begins on E1-B (table 38)."""
+WORDS: dict[int, BitLayout] = {
+    1: ("iode", "toe_s", "mean_anomaly_rad", "eccentricity", "sqrt_a"),
+    2: ("iode", "ascending_node_rad", "inclination_rad", "perigee_rad", "inclination_rate_rad_s"),
+    3: (
+        *("iode", "ascending_node_rate_rad_s", "mean_motion_difference_rad_s"),
+        *("cuc", "cus", "crc_m", "crs_m", "accuracy"),
+    ),
+    4: ("iode", "satellite", "cic", "cis", "toc_s", "af0_s", "af1", "af2"),
+    5: (
+        11 + 11 + 14 + 5,  # the ionosphere
+        *("bgd_e5a_s", "bgd_e5b_s", "e5b_health", "e1b_health", "e5b_invalid", "e1b_invalid", "week"),
+    ),
+}
+"""What follows the six bits of the word type; word 5 goes on with the time of week."""
+_WORD_BITS = 128
+
+
+def inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int]:
+    """Nine words of 32 bits: the even part of the page (120 bits, filled up), then the odd one, as u-blox gives them.
+
+    Of E1-B receivers send a ninth word, whose content is not documented and is zero here; of E5b they send eight, and
+    readers (RTKLIB) tell the two signals apart by that.
+
+    Word type 1 to 6; `start_ns` (GPS time) is when the even part begins, which is said in words 5 and 6. Word 6 says
+    that UTC is whole leap seconds behind, with none announced; some readers wait for it. The ionosphere of word 5, the
+    authentication and the search-and-rescue bits are zero. Raises ValueError as `broadcast_integers` does.
+    """
+    integers = broadcast_integers(ephemeris)
+    week, of_week_ns = system_week("E", start_ns)
+    if word == 6:
+        leap_s = gps_minus_utc_s(start_ns)
+        # A0, A1; leap seconds; reference time and week; week, day and leap seconds of the last announcement; now.
+        body = [(0, 32 + 24), (leap_s, 8), (0, 8), (week % 256, 8), (week % 256, 8), (1, 3), (leap_s, 8)]
+        body.append((of_week_ns // NS_PER_SECOND, 20))
+    elif word == 5:
+        body = laid_out(WORDS[5], FIELDS["E"], integers | {"week": week % 4096})
+        body.append((of_week_ns // NS_PER_SECOND, 20))
+    else:
+        body = laid_out(WORDS[word], FIELDS["E"], integers)
+    data, width = joined([(word, 6), *body])
+    data <<= _WORD_BITS - width
+    even = (0b00 << 112 | data >> 16, 114)
+    odd = ((0b10 << 16 | data & 0xFFFF) << 64, 82)
+    crc = _crc(even[0], odd[0])
+    page, width = joined([even, (0, 6 + 8), odd, (crc, 24), (0, 8 + 6 + 8)])
+    as_bytes = bytes_of(page, width)
+    return [*(int.from_bytes(as_bytes[place : place + 4], "big") for place in range(0, 32, 4)), 0]
+
+
+def read_inav_page(words: Sequence[int]) -> tuple[int, dict[str, int]]:
+    """Word type and content of a page: parts of `FIELDS` of types 1 to 5, else none.
+
+    Words as in `inav_page`, eight or nine. Raises ValueError where the CRC or the number of words is wrong, or the page
+    is none of the nominal ones with its even part first.
+    """
+    if len(words) not in (8, 9):
+        raise ValueError(f"{len(words)} words, expected 8 or 9")
+    page = 0
+    for word in words[:8]:
+        page = page << 32 | word
+    even, odd = page >> 256 - 114, page >> 128 - 82 & (1 << 82) - 1
+    if even >> 112 != 0b00 or odd >> 80 != 0b10:
+        raise ValueError("no nominal page with an even part first")
+    if page >> 128 - 82 - 24 & 0xFFFFFF != _crc(even, odd):
+        raise ValueError("CRC is wrong")
+    data = (even & (1 << 112) - 1) << 16 | odd >> 64 & 0xFFFF
+    word_type = data >> _WORD_BITS - 6
+    if word_type not in WORDS:
+        return word_type, {}
+    return word_type, taken_apart(data, _WORD_BITS - 6, WORDS[word_type], FIELDS["E"])
+
+
+def _crc(even: int, odd: int) -> int:
+    """Of 114 and 82 bits, filled up to whole bytes at the front: leading zeros change nothing."""
+    return crc24q((even << 82 | odd).to_bytes(25, "big"))

@@ -1,0 +1,1 @@
+"""Files of a recorded drive: motion, truth, recordings of the bus, uploads."""

@@ -1,0 +1,1 @@
+"""Packets of LiDAR sensors, network captures, CAN logs and DBC files."""

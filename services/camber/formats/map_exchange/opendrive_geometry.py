@@ -1,0 +1,264 @@
+"""Where the lanes of an OpenDRIVE road are: reference line, borders of lanes, heights.
+
+Source: ASAM OpenDRIVE 1.8.0, chapters 9 (geometries), 10.4–10.5 (elevation, superelevation, lateral shape), 11 (lanes);
+1.4H, 5.3.6.2 (crossfall). Spirals are integrated by Gauss and Legendre's rule from one point asked for to the next,
+with eight nodes for at most half a metre: exact to the last digits for every curvature a road can have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.opendrive import DriveLane, Geometry, LaneSection, Road
+
+Floats = NDArray[np.float64]
+
+MOST_POINTS = 400_000
+"""Cross-sections of one road."""
+_CHORD_M = 2.5e-4
+_LONGEST_STEP_M, _SHORTEST_STEP_M = 1.0, 0.05
+_GAP_M = 0.5
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_ACROSS = 9
+_STEEPEST_RAD = 1.0
+
+
+def reference_line(road: Road, s_m: Floats) -> Floats:
+    """x, y [m] and heading [rad] (n, 3) of the reference line at distances (n,) along it, ascending."""
+    starts = np.array([part.s_m for part in road.geometries])
+    which = np.clip(np.searchsorted(starts, s_m, "right") - 1, 0, len(starts) - 1)
+    found = np.zeros((len(s_m), 3))
+    for k in np.unique(which).tolist():
+        rows = which == k
+        found[rows] = _along(road.geometries[k], s_m[rows] - starts[k])
+    return found
+
+
+def cubics_at(table: Floats, s_m: Floats) -> Floats:
+    """Values (n,) at distances (n,) of cubics (k, 5), 0 before the first."""
+    if not len(table):
+        return np.zeros(len(s_m))
+    which = np.searchsorted(table[:, 0], s_m, "right") - 1
+    s, a, b, c, d = table[np.maximum(which, 0)].T
+    ds = s_m - s
+    values: Floats = np.where(which >= 0, a + ds * (b + ds * (c + ds * d)), 0.0)
+    return values
+
+
+def section_span(road: Road, number: int) -> tuple[float, float]:
+    """From where to where a lane section goes."""
+    end = road.sections[number + 1].s_m if number + 1 < len(road.sections) else road.length_m
+    return road.sections[number].s_m, end
+
+
+def stations(road: Road, number: int, file: str) -> Floats:
+    """Distances along the road at which a section is cut across: its breaks, and as many between as curves ask for."""
+    begin, end = section_span(road, number)
+    name = f"road {road.identity}, laneSection at s {begin:g}"
+    if not 0.0 <= begin < end <= road.length_m + _GAP_M:
+        raise FormatError(file, f"{name}, s", f"less than the next one and the length {road.length_m:g}")
+    breaks = [[begin, end], [part.s_m for part in road.geometries]]
+    profiles = (
+        road.elevation, road.superelevation, road.crossfall_left, road.crossfall_right, road.shape, road.lane_offset,
+    )  # fmt: skip
+    breaks += [table[:, 0].tolist() for table in profiles]
+    breaks += [
+        (begin + table[:, 0]).tolist()
+        for lane in road.sections[number].lanes
+        for table in (lane.widths, lane.borders)
+    ]
+    at = np.unique(np.concatenate([np.asarray(part, np.float64) for part in breaks]))
+    at = at[(at >= begin) & (at <= end)]
+    at = at[np.concatenate(([True], np.diff(at) > 1e-4))]
+    if len(at) < 2:
+        raise FormatError(file, f"{name}, s", "a section longer than 0.1 mm")
+    step_m = np.array([_step(road, float(a), float(b)) for a, b in pairwise(at)])
+    parts = np.maximum(np.ceil(np.diff(at) / step_m), 1.0)
+    if parts.sum() > MOST_POINTS:
+        raise FormatError(file, f"{name}", f"at most {MOST_POINTS} cross-sections")
+    pieces = [a + (b - a) * np.arange(n) / n for (a, b), n in zip(pairwise(at), parts.tolist(), strict=True)]
+    return np.concatenate([*pieces, at[-1:]])
+
+
+def lane_points(road: Road, number: int, s_m: Floats, file: str) -> dict[int, Floats]:
+    """For each lane of a section points (n, k, 3): x, y, z [m] at stations (n,), from its right to its left border in
+    the direction of the road."""
+    section = road.sections[number]
+    line = reference_line(road, s_m)
+    gap_m = np.hypot(*np.diff(line[:, :2], axis=0).T) - np.diff(s_m)
+    if not np.isfinite(line).all() or (gap_m > _GAP_M).any():
+        at = float(s_m[int(np.argmax(np.append(gap_m, 0.0) > _GAP_M))])
+        raise FormatError(file, f"road {road.identity}, planView", f"no gap after s {at:.2f}")
+    offset_m = cubics_at(road.lane_offset, s_m)
+    flat = not (len(road.shape) or len(road.crossfall_left) or len(road.crossfall_right))
+    found: dict[int, Floats] = {}
+    for side in (1, -1):
+        inner = offset_m
+        for lane in sorted(
+            (own for own in section.lanes if own.lane_id * side > 0), key=lambda own: abs(own.lane_id)
+        ):
+            outer = _outer(road, section, lane, inner, offset_m, s_m, file)
+            right, left = (inner, outer) if side > 0 else (outer, inner)
+            share = np.linspace(0.0, 1.0, 2 if flat else _ACROSS)
+            found[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
+            inner = outer
+    return found
+
+
+def _outer(
+    road: Road, section: LaneSection, lane: DriveLane, inner: Floats, offset_m: Floats, s_m: Floats, file: str
+) -> Floats:
+    """t of the outer border of a lane (n,)."""
+    name = f"road {road.identity}, laneSection at s {section.s_m:g}, lane {lane.lane_id}"
+    ds = s_m - section.s_m
+    side = 1.0 if lane.lane_id > 0 else -1.0
+    if len(lane.widths):
+        width_m = cubics_at(lane.widths, ds)
+    elif len(lane.borders):
+        width_m = side * (cubics_at(lane.borders, ds) + offset_m - inner)
+    else:
+        raise FormatError(file, name, "a width or a border")
+    if not ((width_m > -0.05) & (width_m < 500.0)).all():
+        raise FormatError(
+            file, f"{name}, width", "0 to 500", found=f"{width_m[np.argmax(np.abs(width_m))]:.3g}"
+        )
+    return inner + side * np.maximum(width_m, 0.0)
+
+
+def _points(road: Road, line: Floats, s_m: Floats, t_m: Floats) -> Floats:
+    """x, y, z (n, k, 3) of points at t (n, k) beside the reference line (n, 3).
+
+    With superelevation the cross-section is turned about the reference line: left side up where it is positive.
+    """
+    above_m = _shape_heights(road.shape, s_m, t_m) + _crossfall_heights(road, s_m, t_m)
+    roll = np.clip(cubics_at(road.superelevation, s_m), -_STEEPEST_RAD, _STEEPEST_RAD)[:, None]
+    beside_m = t_m * np.cos(roll) - above_m * np.sin(roll)
+    z = cubics_at(road.elevation, s_m)[:, None] + t_m * np.sin(roll) + above_m * np.cos(roll)
+    x = line[:, :1] - np.sin(line[:, 2:]) * beside_m
+    y = line[:, 1:2] + np.cos(line[:, 2:]) * beside_m
+    return np.stack((x, y, z), axis=2)
+
+
+def _crossfall_heights(road: Road, s_m: Floats, t_m: Floats) -> Floats:
+    """The road falls from the reference line to its sides by these angles."""
+    falls = [cubics_at(table, s_m)[:, None] for table in (road.crossfall_left, road.crossfall_right)]
+    left, right = (np.tan(np.clip(fall, -_STEEPEST_RAD, _STEEPEST_RAD)) for fall in falls)
+    heights: Floats = np.where(t_m >= 0.0, -left, right) * t_m
+    return heights
+
+
+def _shape_heights(shape: Floats, s_m: Floats, t_m: Floats) -> Floats:
+    if not len(shape):
+        return np.zeros(t_m.shape)
+    places = np.unique(shape[:, 0])
+    over = [_over_t(shape[shape[:, 0] == s], t_m) for s in places]
+    after = np.clip(np.searchsorted(places, s_m, "right"), 1, max(len(places) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(places) - 1)
+    run = np.maximum(places[after] - places[before], 1e-9)
+    share = np.clip((s_m - places[before]) / run, 0.0, 1.0)[:, None]
+    rows, table = np.arange(len(s_m)), np.stack(over)
+    heights: Floats = table[before, rows] * (1.0 - share) + table[after, rows] * share
+    return heights
+
+
+def _over_t(rows: Floats, t_m: Floats) -> Floats:
+    """Heights at t (n, k) of the polynomials over t at one s; the first holds also before it begins."""
+    which = np.maximum(np.searchsorted(rows[:, 1], t_m.ravel(), "right") - 1, 0)
+    _, t, a, b, c, d = rows[which].T
+    dt = t_m.ravel() - t
+    return np.asarray(a + dt * (b + dt * (c + dt * d))).reshape(t_m.shape)
+
+
+def _step(road: Road, begin: float, end: float) -> float:
+    """How far apart cross-sections may be for chords to leave the road by _CHORD_M at most."""
+    middle = 0.5 * (begin + end)
+    starts = [part.s_m for part in road.geometries]
+    part = road.geometries[max(int(np.searchsorted(starts, middle, "right")) - 1, 0)]
+    bend = _bend(part)
+    for table in (road.elevation, road.superelevation):
+        rows = table[np.searchsorted(table[:, 0], middle, "right") - 1] if len(table) else np.zeros(5)
+        ends = (begin - rows[0], end - rows[0])
+        scale = 1.0 if table is road.elevation else 10.0  # borders are about as far from the reference line
+        bend = max(bend, *(scale * abs(2.0 * rows[3] + 6.0 * rows[4] * ds) for ds in ends))
+    return float(np.clip(math.sqrt(8.0 * _CHORD_M / max(bend, 1e-9)), _SHORTEST_STEP_M, _LONGEST_STEP_M))
+
+
+def _bend(part: Geometry) -> float:
+    """The greatest curvature of a geometry, roughly for polynomials."""
+    if part.shape in ("arc", "spiral"):
+        return max(map(abs, part.numbers))
+    if part.shape == "line" or part.length_m <= 0.0:
+        return 0.0
+    s = np.linspace(0.0, part.length_m, 33)
+    heading = np.unwrap(_along(part, s)[:, 2])
+    return float(np.abs(np.diff(heading)).max() / (s[1] - s[0]))
+
+
+# -- geometries ------------------------------------------------------------------------------------------------------
+
+
+def _along(part: Geometry, s: Floats) -> Floats:
+    """x, y, heading (n, 3) at distances s (n,), ascending, from the geometry's begin."""
+    match part.shape:
+        case "line" | "arc" | "spiral":
+            c0 = part.numbers[0] if part.numbers else 0.0
+            c1 = part.numbers[-1] if part.numbers else 0.0
+            rate = (c1 - c0) / part.length_m if part.length_m > 0.0 else 0.0
+            turn = s * (c0 + 0.5 * rate * s)
+            u, v = _integrated(s, c0, rate)
+        case "poly3":
+            u = _abscissa(part.numbers, s, part.length_m)
+            a, b, c, d = part.numbers
+            v = a + u * (b + u * (c + u * d))
+            turn = np.arctan(b + u * (2.0 * c + 3.0 * d * u))
+        case _:
+            scale = part.length_m if part.normalised and part.length_m > 0.0 else 1.0
+            p = s / scale
+            (u, du), (v, dv) = (_parametric(part.numbers[k : k + 4], p) for k in (0, 4))
+            turn = np.arctan2(dv, du)
+    cos, sin = math.cos(part.heading_rad), math.sin(part.heading_rad)
+    return np.column_stack(
+        (part.x_m + cos * u - sin * v, part.y_m + sin * u + cos * v, part.heading_rad + turn)
+    )
+
+
+def _integrated(s: Floats, c0: float, rate: float) -> tuple[Floats, Floats]:
+    """u, v (n,) at distances s (n,), ascending, along a curve whose curvature is c0 + rate · s."""
+    stops = np.concatenate(([0.0], s))
+    pieces = np.maximum(np.ceil(np.abs(np.diff(stops)) / 0.5), 1.0).astype(int)
+    edges = np.concatenate(
+        [a + (b - a) * np.arange(n) / n for (a, b), n in zip(pairwise(stops), pieces.tolist(), strict=True)]
+        + [stops[-1:]]
+    )
+    half = 0.5 * np.diff(edges)
+    at = (edges[:-1] + half)[:, None] + half[:, None] * _NODES
+    turn = at * (c0 + 0.5 * rate * at)
+    last = np.cumsum(pieces)
+    u, v = (
+        np.concatenate(([0.0], np.cumsum((f(turn) * _WEIGHTS).sum(axis=1) * half)))[last]
+        for f in (np.cos, np.sin)
+    )
+    return u, v
+
+
+def _abscissa(numbers: Sequence[float], s: Floats, length_m: float) -> Floats:
+    """u (n,) of a cubic v(u) at lengths s (n,) along it."""
+    _, b, c, d = numbers
+    u = np.linspace(0.0, max(length_m, 1e-9), int(min(max(length_m / 0.01, 16.0), 1e5)) + 1)
+    slope = b + u * (2.0 * c + 3.0 * d * u)
+    speed = np.sqrt(1.0 + slope**2)
+    along = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(u))))
+    return np.interp(s, along, u)
+
+
+def _parametric(numbers: Sequence[float], p: Floats) -> tuple[Floats, Floats]:
+    """Value and derivative of a cubic."""
+    a, b, c, d = numbers
+    return a + p * (b + p * (c + p * d)), b + p * (2.0 * c + 3.0 * d * p)

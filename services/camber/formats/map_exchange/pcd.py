@@ -1,0 +1,243 @@
+"""Point clouds as PCD files, version 0.7 (the Point Cloud Library's "PCD file format" page).
+
+Written: `binary`, little-endian, the fields x y z intensity (F4) and, for a sweep, t (I4): nanoseconds against the
+sweep's end, not above zero. Read: `ascii`, `binary` and `binary_compressed`, the fields in any order and of any of the
+format's types; x, y and z must be there, what is neither of the five is passed over. A point whose coordinates are
+NaN, which organised clouds are filled up with, is left out.
+
+A sweep's file is named after the time of its end, `<time_ns>.pcd`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.lzf import LzfError, lzf_decompressed
+from camber.formats.map_exchange.pcd_header import USED, PcdHeader, read_header
+from camber.schemas.base import EARLIEST_NS, LATEST_NS, Float32, Int32
+from camber.schemas.lidar import Sweep
+
+_Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points (n, 3) [m]; `intensity` and `offset_ns` (n,), None where the file has no such field."""
+
+    points_m: Float32
+    intensity: Float32 | None = None
+    offset_ns: Int32 | None = None
+
+
+def pcd_bytes(cloud: PointCloud) -> bytes:
+    """A binary file. Raises ValueError for columns of different lengths or numbers that are not finite."""
+    n = len(cloud.points_m)
+    columns: list[tuple[str, str, _Array]] = [
+        (name, "<f4", cloud.points_m[:, axis]) for axis, name in enumerate("xyz")
+    ]
+    if cloud.intensity is not None:
+        columns.append(("intensity", "<f4", cloud.intensity))
+    if cloud.offset_ns is not None:
+        columns.append(("t", "<i4", cloud.offset_ns))
+    rows = np.empty(n, np.dtype([(name, kind) for name, kind, _ in columns]))
+    for name, _, column in columns:
+        if len(column) != n or not np.isfinite(column).all():
+            raise ValueError(f"{name} has {len(column)} values, expected {n} finite ones")
+        rows[name] = column
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(name for name, _, _ in columns)}",
+        f"SIZE {' '.join('4' for _ in columns)}",
+        f"TYPE {' '.join(kind[1].upper() for _, kind, _ in columns)}",
+        f"COUNT {' '.join('1' for _ in columns)}",
+        f"WIDTH {n}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {n}",
+        "DATA binary",
+    ]
+    return ("\n".join(header) + "\n").encode("ascii") + rows.tobytes()
+
+
+def write_pcd(path: Path, cloud: PointCloud) -> None:
+    """As `pcd_bytes`; the same cloud gives the same bytes."""
+    path.write_bytes(pcd_bytes(cloud))
+
+
+def read_pcd(path: Path) -> PointCloud:
+    """Raises FormatError for what is no such file, OSError if it cannot be read."""
+    return cloud_from_pcd(path.read_bytes(), path.name)
+
+
+def write_sweep(folder: Path, sweep: Sweep) -> Path:
+    """Write a sweep to `<time_ns>.pcd` in a folder and return the file's path."""
+    path = folder / f"{sweep.time_ns}.pcd"
+    write_pcd(path, PointCloud(sweep.points_m, sweep.intensity, sweep.offset_ns))
+    return path
+
+
+def sweep_time_ns(path: Path) -> int:
+    """The time of a sweep's end, by its file's name. Raises FormatError for another name."""
+    time_ns = int(path.stem) if path.stem.isascii() and path.stem.isdecimal() and len(path.stem) < 20 else -1
+    if not EARLIEST_NS <= time_ns <= LATEST_NS:
+        raise FormatError(path.name, "name", "the GPS time of the sweep's end in ns, then .pcd")
+    return time_ns
+
+
+def read_sweep(path: Path, sensor: str) -> Sweep:
+    """A sweep by the time in its file's name. Without intensities they are zero; without times it was made at once.
+
+    Raises FormatError for another name, a damaged file or offsets above zero, OSError if it cannot be read.
+    """
+    time_ns = sweep_time_ns(path)
+    cloud = read_pcd(path)
+    n = len(cloud.points_m)
+    intensity = np.zeros(n, np.float32) if cloud.intensity is None else cloud.intensity
+    offset_ns = np.zeros(n, np.int32) if cloud.offset_ns is None else cloud.offset_ns
+    if n and offset_ns.max() > 0:
+        raise FormatError(path.name, "t", "nanoseconds before the sweep's end", found=str(offset_ns.max()))
+    if not np.isfinite(intensity).all():
+        raise FormatError(path.name, "intensity", "finite numbers")
+    return Sweep(
+        time_ns=time_ns, sensor=sensor, points_m=cloud.points_m, intensity=intensity, offset_ns=offset_ns
+    )
+
+
+def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
+    """The cloud of a file's bytes. Raises FormatError."""
+    header = read_header(data, source_name)
+    if header.data == "ascii":
+        columns = _ascii_columns(data, header, source_name)
+    elif header.data == "binary":
+        columns = _binary_columns(data, header, source_name)
+    else:
+        columns = _compressed_columns(data, header, source_name)
+    points = np.empty((header.points, 3), np.float32)
+    for axis, name in enumerate("xyz"):
+        points[:, axis] = _narrowed(columns[header.names.index(name)], np.float32)
+    intensity = _column(columns, header, "intensity", np.float32)
+    offset = _column(columns, header, "t", np.int32, source_name)
+    if np.isfinite(points).all():
+        return PointCloud(points, intensity, offset)
+    if np.isinf(points).any():
+        raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
+    kept = ~np.isnan(points).any(axis=1)
+    return PointCloud(
+        np.ascontiguousarray(points[kept]),
+        None if intensity is None else intensity[kept],
+        None if offset is None else offset[kept],
+    )
+
+
+def _column(
+    columns: list[_Array], header: PcdHeader, name: str, dtype: type, source_name: str = ""
+) -> _Array | None:
+    if name not in header.names:
+        return None
+    values = columns[header.names.index(name)]
+    if dtype is np.int32:
+        if values.dtype.kind == "f":
+            raise FormatError(source_name, name, "a type of integers, I or U")
+        limits = np.iinfo(np.int32)
+        if len(values) and not (values.min() >= limits.min and values.max() <= limits.max):
+            raise FormatError(source_name, name, "values within 32 bits", found=str(values.max()))
+        return values.astype(np.int32)
+    return _narrowed(values, dtype)
+
+
+def _narrowed(values: _Array, dtype: type) -> _Array:
+    with np.errstate(over="ignore"):
+        return values.astype(dtype)
+
+
+def _binary_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+    row = header.row()
+    _check_length(len(data) - header.begin, row.itemsize * header.points, header, source_name)
+    rows = np.frombuffer(data, row, header.points, header.begin)
+    return [rows[f"{k}"][:, 0] if count else _nothing(rows) for k, count in enumerate(header.counts)]
+
+
+def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+    """Two lengths (U4: compressed, not compressed), then LZF; within it field after field instead of point by point."""
+    if len(data) - header.begin < 8:
+        raise FormatError(source_name, "data", "eight bytes of lengths", byte_offset=header.begin)
+    packed, plain = (int(n) for n in np.frombuffer(data, "<u4", 2, header.begin))
+    _check_length(len(data) - header.begin - 8, packed, header, source_name)
+    if plain != header.row().itemsize * header.points:
+        expected = f"{header.row().itemsize * header.points} bytes, as the header says"
+        raise FormatError(source_name, "data", expected, found=str(plain), byte_offset=header.begin + 4)
+    try:
+        unpacked = lzf_decompressed(data[header.begin + 8 :], plain)
+    except LzfError as error:
+        raise FormatError(source_name, "data", str(error), byte_offset=header.begin + 8) from None
+    columns, at = [], 0
+    for kind, count in zip(header.kinds, header.counts, strict=True):
+        columns.append(np.frombuffer(unpacked, kind, header.points * count, at)[:: max(count, 1)])
+        at += np.dtype(kind).itemsize * count * header.points
+    return columns
+
+
+def _check_length(have: int, want: int, header: PcdHeader, source_name: str) -> None:
+    if have != want:
+        expected = f"{want} bytes of it, as the header says"
+        raise FormatError(source_name, "data", expected, found=f"{have} bytes", byte_offset=header.begin)
+
+
+def _nothing(rows: _Array) -> _Array:
+    return np.zeros(len(rows))
+
+
+def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
+    lines = data[header.begin :].decode("latin-1").split("\n")
+    while lines and not lines[-1].strip():
+        lines.pop()
+    width = sum(header.counts)
+    if len(lines) != header.points:
+        expected = f"{header.points} lines, as POINTS says"
+        raise FormatError(
+            source_name, "data", expected, found=f"{len(lines)} lines", line_number=header.lines + 1
+        )
+    starts = np.append(0, np.cumsum(header.counts))[:-1].tolist()
+    texts: list[list[str]] = [[] for _ in header.names]
+    for number, line in enumerate(lines, start=header.lines + 1):
+        words = line.split()
+        if len(words) != width:
+            expected = f"{width} numbers, one a field"
+            raise FormatError(source_name, "data", expected, found=line, line_number=number)
+        for text, start in zip(texts, starts, strict=True):
+            text.append(words[start] if start < width else "0")
+    columns: list[_Array] = []
+    for name, kind, text in zip(header.names, header.kinds, texts, strict=True):
+        used = name in USED
+        columns.append(_parsed(name, kind, text, header, source_name) if used else np.zeros(0))
+    return columns
+
+
+def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_name: str) -> _Array:
+    """One field of every line. Numbers are read one by one, so that the bad one can be named."""
+    dtype = np.dtype(kind)
+    values: list[float] = []
+    for number, text in enumerate(texts, start=header.lines + 1):
+        try:
+            if "_" in text:  # Python's own way of writing numbers
+                raise ValueError
+            if dtype.kind == "f":
+                values.append(float(text))
+            else:
+                whole = int(text) if len(text) < 25 else None
+                limits = np.iinfo(dtype)
+                if whole is None or not limits.min <= whole <= limits.max:
+                    raise ValueError
+                values.append(whole)
+        except ValueError:
+            expected = "a number" if dtype.kind == "f" else f"a whole number of {dtype.itemsize} bytes"
+            raise FormatError(source_name, name, expected, found=text, line_number=number) from None
+    with np.errstate(over="ignore"):
+        return np.array(values, dtype)

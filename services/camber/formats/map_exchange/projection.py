@@ -1,0 +1,72 @@
+"""Latitude and longitude of coordinates in a projection that a map names, without changing their datum."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.vertical_datum import ELLIPSOIDAL, aligned_to_wgs84, crs_of
+
+Floats = NDArray[np.float64]
+
+_GEOID_GRID = re.compile(r"\+geoidgrids=(\S+)")
+_VERTICAL_PARTS = re.compile(r"\s*\+(geoidgrids|vunits|vto_meter)=\S+")
+_VERTICAL_OF_GRID = {
+    "egm96_15.gtx": "EPSG:5773",
+    "us_nga_egm96_15.tif": "EPSG:5773",
+    "egm08_25.gtx": "EPSG:3855",
+    "us_nga_egm08_25.tif": "EPSG:3855",
+}
+
+
+@dataclass(frozen=True)
+class Projection:
+    """What takes x, y [m] to latitude and longitude [rad], and the vertical datum where the text says it."""
+
+    geodetic: Callable[[Floats, Floats], tuple[Floats, Floats]]
+    vertical: str | None
+
+
+def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
+    """The projection in a text of PROJ or WKT; its datum must be the `datum` of the map that is made.
+
+    FormatError where the text says none, or another datum: positions are not moved from one to the other here. Of a
+    text that says only an ellipsoid the datum is taken to be that of the map.
+    """
+    import pyproj
+
+    grid = _GEOID_GRID.search(text)
+    crs = crs_of(_VERTICAL_PARTS.sub("", text), file, field, "a projection as PROJ knows it")
+    vertical = None if grid is None else _VERTICAL_OF_GRID.get(grid[1], f"above {grid[1]}")
+    if crs.is_compound:
+        above = crs.sub_crs_list[1]
+        authority = above.to_authority()
+        vertical = ":".join(authority) if authority else above.name
+    elif crs.is_projected and len(crs.axis_info) == 3:
+        vertical = ELLIPSOIDAL
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
+        raise FormatError(file, field, "a projection in metres", found=text)
+    own = flat.geodetic_crs
+    of_map = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
+    said = own.name if own.name != "unknown" else own.datum.name
+    said = "WGS 84" if said == "World Geodetic System 1984" else said
+    same = said == of_map.name or (aligned_to_wgs84(said) and aligned_to_wgs84(of_map.name))
+    if not same and not said.lower().startswith("unknown"):
+        raise FormatError(file, f"{field}, datum", f"{datum}, the map's (--datum)", found=said)
+    inverse = pyproj.Transformer.from_crs(flat, own, always_xy=True)
+
+    def geodetic(x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:
+        longitude, latitude = inverse.transform(x_m, y_m)
+        if not (
+            np.isfinite(longitude).all() and np.isfinite(latitude).all() and (np.abs(latitude) < 85.0).all()
+        ):
+            raise FormatError(file, field, "coordinates within the projection's reach")
+        return np.radians(latitude), np.radians(longitude)
+
+    return Projection(geodetic, vertical)

@@ -1,0 +1,41 @@
+"""What a sentence of NMEA 0183 is made of, and whether its checksum is right.
+
+Source: NMEA 0183 v4.11, 5.3: `$`, printable characters, `*`, two hexadecimal digits of the exclusive or of
+everything between `$` and `*`, carriage return, line feed.
+"""
+
+import re
+from dataclasses import dataclass
+
+from pynmeagps.nmeahelpers import calc_checksum, get_parts
+
+from camber.formats.errors import FormatError
+from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES
+
+_WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A sentence whose checksum is right: `kind` is its formatter (`GGA`), `fields` what follows, as text."""
+
+    talker: str
+    kind: str
+    fields: tuple[str, ...]
+    byte_offset: int
+
+
+def sentence_of(source_name: str, text: bytes, byte_offset: int) -> Sentence | FormatError:
+    """The sentence of what looks like one, from its `$` on without the line end; an error where it is broken."""
+    if len(text) > MOST_SENTENCE_BYTES:
+        expected = f"at most {MOST_SENTENCE_BYTES} bytes before its end"
+    elif not _WHOLE.fullmatch(text):
+        expected = "$…*hh and a line end: cut short or interrupted"
+    else:
+        content, talker, kind, fields, checksum = get_parts(text)
+        if calc_checksum(content) == checksum.upper():
+            return Sentence(talker, kind, tuple(fields), byte_offset)
+        expected = f"checksum {calc_checksum(content)}"
+    # The end is shown too when it is the checksum that is wrong.
+    found = text if "checksum" not in expected else text[:6] + b"..." + text[-6:]
+    return FormatError(source_name, "sentence", expected, found=found, byte_offset=byte_offset)

@@ -1,0 +1,1 @@
+"""Solutions that receivers compute, streams that mix protocols, and what phase measurements share."""

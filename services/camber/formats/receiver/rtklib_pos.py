@@ -1,0 +1,356 @@
+"""RTKLIB solution files (`.pos`): position with ellipsoidal height per epoch, read as a stream and written.
+
+Source: RTKLIB 2.4.2 manual, appendix B.1 "Positioning Solution File", and `outpos`, `decode_solllh` in its
+`solution.c`. Taken as they are: columns named by the header in any order, times as calendar or GPS week and
+seconds, GPST or UTC, blanks, tabs or commas between columns, with or without velocity.
+
+Refused, with a reason: heights that are not declared ellipsoidal (`WGS84/geodetic` are heights above a geoid
+that the file does not name), other datums, degrees-minutes-seconds, ECEF and baselines, JST, and week and
+seconds under a UTC header (RTKLIB writes them in UTC and reads them as GPST, so they may be 18 s off).
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from camber.formats.errors import FormatError
+from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
+from camber.formats.receiver.printed_covariance import covariance_from_printed, signed_root
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.covariance import EnuCovariance
+from camber.geodesy.gps_time import (
+    calendar_from_text,
+    gps_ns_from_gpst,
+    gps_ns_from_utc,
+    gps_ns_from_week_tow,
+    gpst_from_gps_ns,
+    nanoseconds_from_decimal,
+    text_from_calendar,
+)
+from camber.schemas.base import LATEST_NS
+
+_REQUIRED = ("latitude(deg)", "longitude(deg)", "height(m)", "Q", "ns")
+_DEVIATIONS = ("sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)")
+_VELOCITIES = ("vn(m/s)", "ve(m/s)", "vu(m/s)")
+_VELOCITY_DEVIATIONS = ("sdvn", "sdve", "sdvu", "sdvne", "sdveu", "sdvun")
+_GROUPS = (_REQUIRED, _DEVIATIONS, _VELOCITIES, _VELOCITY_DEVIATIONS)
+
+# Half a unit of the last digit RTKLIB prints: four decimals for positions, five for velocities.
+_POSITION_ROUNDING_M = 0.5e-4
+_VELOCITY_ROUNDING_M_S = 0.5e-5
+
+_HEIGHT_LIMIT_M = 1.0e5
+_DEVIATION_LIMIT = 1.0e6
+_VELOCITY_LIMIT_M_S = 1.0e4
+_CHUNK_BYTES = 65536
+
+_DATUM = re.compile(r"lat/lon/height=([^/,\s]*)/([^,\s)]*)")
+_OTHER_POSITION = re.compile(r"x/y/z-ecef|e/n/u-baseline|x-ecef\(|e-baseline\(")
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """What a column header says: the time system and where each column stands after the two of the time."""
+
+    utc: bool
+    columns: dict[str, int]
+    field_count: int
+
+
+class PosDecoder:
+    """Turns the bytes of a `.pos` file, in pieces of any size, into solutions and errors.
+
+    `undeclared_height="ellipsoidal"` says what heights are when the file has no line `(lat/lon/height=…)`;
+    without it such a file is refused. It does not overrule a file that says otherwise.
+    """
+
+    def __init__(self, source_name: str, *, undeclared_height: Literal["ellipsoidal"] | None = None) -> None:
+        self.source_name = source_name
+        self.rows_refused = 0
+        """Rows skipped because their header is missing or refused, which is reported once, not by row."""
+        self._lines = LineBuffer()
+        self._undeclared_height = undeclared_height
+        self._datum: Literal["unknown", "good", "refused"] = "unknown"
+        self._layout: _Layout | None = None
+        self._reported = False
+
+    def feed(self, data: bytes) -> list[ReceiverSolution | FormatError]:
+        """What the lines completed by `data` say. Never raises; keeps one partial line at most."""
+        results: list[ReceiverSolution | FormatError] = []
+        for line_number, line in self._lines.feed(data):
+            try:
+                if line is None:
+                    expected = f"at most {MAXIMUM_LINE_BYTES} bytes before the next newline"
+                    raise FormatError(self.source_name, "line", expected, line_number=line_number)
+                solution = self._line(line, line_number)
+            except FormatError as error:
+                results.append(error)
+            else:
+                if solution is not None:
+                    results.append(solution)
+        return results
+
+    def finish(self) -> list[ReceiverSolution | FormatError]:
+        """Call at the end of the file: a last line without newline may be cut short and is an error."""
+        rest = self._lines.take_rest()
+        if not rest.strip():
+            return []
+        line_number = self._lines.line_number
+        return [
+            FormatError(
+                self.source_name, "last line", "a newline at its end", found=rest, line_number=line_number
+            )
+        ]
+
+    def _line(self, line: bytes, line_number: int) -> ReceiverSolution | None:
+        if line.startswith(b"%"):
+            self._header(line.decode("latin-1"), line_number)
+            return None
+        fields = line.replace(b",", b" ").split()
+        if not fields:
+            return None
+        layout = self._layout_for_row(line_number)
+        return None if layout is None else _Row(self.source_name, line_number, layout, fields).solution()
+
+    def _header(self, text: str, line_number: int) -> None:
+        datum = _DATUM.search(text)
+        names = text[1:].replace(",", " ").split()
+        if datum is not None:
+            self._reported = False
+            self._datum = "refused"
+            self._check_datum(datum[1], datum[2], line_number)
+            self._datum = "good"
+        elif _OTHER_POSITION.search(text):
+            said_already = self._reported and self._datum == "refused"
+            self._reported, self._layout, self._datum = True, None, "refused"
+            if said_already:
+                return
+            expected = "latitude(deg) longitude(deg) height(m); ECEF and baselines are not read"
+            raise FormatError(
+                self.source_name, "columns", expected, found=text.strip("% "), line_number=line_number
+            )
+        elif any(name.startswith("latitude(") for name in names):
+            self._reported, self._layout = True, None
+            self._layout = self._read_columns(names, line_number)
+            self._reported = self._datum == "refused"
+
+    def _check_datum(self, datum: str, height: str, line_number: int) -> None:
+        self._reported = True
+        if datum != "WGS84":
+            raise FormatError(self.source_name, "datum", "WGS84", found=datum, line_number=line_number)
+        if height != "ellipsoidal":
+            expected = "ellipsoidal: orthometric height without a named geoid model"
+            raise FormatError(self.source_name, "height(m)", expected, found=height, line_number=line_number)
+        self._reported = False
+
+    def _read_columns(self, names: list[str], line_number: int) -> _Layout:
+        time_system, *columns = names
+        if time_system not in ("GPST", "UTC"):
+            raise FormatError(
+                self.source_name, "time system", "GPST or UTC", found=time_system, line_number=line_number
+            )
+        if len(set(columns)) != len(columns):
+            raise FormatError(self.source_name, "columns", "each name once", line_number=line_number)
+        for group in _GROUPS:
+            missing = [name for name in group if name not in columns]
+            if missing and (group is _REQUIRED or len(missing) < len(group)):
+                expected = f"a column {missing[0]}"
+                raise FormatError(
+                    self.source_name, "columns", expected, found=" ".join(columns), line_number=line_number
+                )
+        # The time takes two fields: date and time of day, or week and seconds.
+        indices = {name: 2 + i for i, name in enumerate(columns)}
+        return _Layout(time_system == "UTC", indices, 2 + len(columns))
+
+    def _layout_for_row(self, line_number: int) -> _Layout | None:
+        """The layout rows have now, or None if they cannot be read and that has been said already."""
+        datum_known = self._datum == "good" or (
+            self._datum == "unknown" and self._undeclared_height is not None
+        )
+        if self._layout is not None and datum_known:
+            return self._layout
+        self.rows_refused += 1
+        if self._reported:
+            return None
+        self._reported = True
+        if self._layout is None:
+            field, expected = "columns", "a header line naming them before the first solution"
+        else:
+            field, expected = (
+                "height(m)",
+                "a header line (lat/lon/height=WGS84/ellipsoidal,…) before the first solution",
+            )
+        raise FormatError(self.source_name, field, expected, line_number=line_number)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    source_name: str
+    line_number: int
+    layout: _Layout
+    fields: Sequence[bytes]
+
+    def solution(self) -> ReceiverSolution:
+        if len(self.fields) != self.layout.field_count:
+            expected = f"{self.layout.field_count} fields, as the header names"
+            raise self.error("columns", expected, f"{len(self.fields)} fields")
+        columns = self.layout.columns
+        velocity = "vn(m/s)" in columns
+        quality = self.quality()
+        return ReceiverSolution(
+            time_ns=self.time_ns(),
+            latitude_rad=math.radians(self.number("latitude(deg)", -90.0, 90.0)),
+            longitude_rad=math.radians(self.number("longitude(deg)", -180.0, 180.0)),
+            height_m=self.number("height(m)", -_HEIGHT_LIMIT_M, _HEIGHT_LIMIT_M),
+            quality=quality,
+            satellites=self.integer("ns", 0, 255),
+            covariance_enu_m2=self.covariance(_DEVIATIONS, _POSITION_ROUNDING_M),
+            age_s=self.age_s(quality),
+            ratio=self.ratio(),
+            velocity_enu_m_s=self.velocity_enu_m_s() if velocity else None,
+            velocity_covariance_enu_m2_s2=(
+                self.covariance(_VELOCITY_DEVIATIONS, _VELOCITY_ROUNDING_M_S) if velocity else None
+            ),
+        )
+
+    def error(self, field: str, expected: str, found: str | bytes) -> FormatError:
+        return FormatError(self.source_name, field, expected, found=found, line_number=self.line_number)
+
+    def time_ns(self) -> int:
+        first, second = (field.decode("latin-1") for field in self.fields[:2])
+        try:
+            if "/" in first:
+                calendar = calendar_from_text(f"{first} {second}")
+                time_ns = gps_ns_from_utc(calendar) if self.layout.utc else gps_ns_from_gpst(calendar)
+            elif first.isascii() and first.isdigit() and len(first) <= 4:
+                time_ns = gps_ns_from_week_tow(int(first), nanoseconds_from_decimal(second))
+            else:
+                raise ValueError(first)
+            if time_ns > LATEST_NS:
+                raise ValueError(time_ns)
+        except ValueError:
+            expected = "yyyy/mm/dd hh:mm:ss.sss or GPS week and seconds of week, from 1980 to 2079"
+            raise self.error("time", expected, f"{first} {second}") from None
+        if self.layout.utc and "/" not in first:
+            raise self.error("time", "a date and time of day where the header says UTC", f"{first} {second}")
+        return time_ns
+
+    def number(self, name: str, lowest: float, highest: float) -> float:
+        text = self.fields[self.layout.columns[name]]
+        try:
+            value = float(text) if b"_" not in text else math.nan
+        except ValueError:
+            value = math.nan
+        if not lowest <= value <= highest:
+            raise self.error(name, f"a number from {lowest:g} to {highest:g}", text)
+        return value
+
+    def integer(self, name: str, lowest: int, highest: int) -> int:
+        text = self.fields[self.layout.columns[name]]
+        if not (text.isdigit() and len(text) <= 9 and lowest <= int(text) <= highest):
+            raise self.error(name, f"a whole number from {lowest} to {highest}", text)
+        return int(text)
+
+    def quality(self) -> SolutionQuality:
+        return SolutionQuality(self.integer("Q", min(SolutionQuality), max(SolutionQuality)))
+
+    def ratio(self) -> float | None:
+        """A ratio of zero is how RTKLIB says that it searched no ambiguities; a computed one is 1 or more."""
+        if "ratio" not in self.layout.columns:
+            return None
+        ratio = self.number("ratio", 0.0, math.inf)
+        if math.isinf(ratio):
+            raise self.error("ratio", "a finite number", "inf")
+        return ratio if ratio > 0.0 else None
+
+    def age_s(self, quality: SolutionQuality) -> float | None:
+        """An age of zero is real (a base of the same second) unless no corrections were used at all."""
+        if "age(s)" not in self.layout.columns:
+            return None
+        age_s = self.number("age(s)", -_DEVIATION_LIMIT, _DEVIATION_LIMIT)
+        return None if quality is SolutionQuality.SINGLE and age_s == 0.0 else age_s
+
+    def velocity_enu_m_s(self) -> tuple[float, float, float]:
+        north, east, up = (
+            self.number(name, -_VELOCITY_LIMIT_M_S, _VELOCITY_LIMIT_M_S) for name in _VELOCITIES
+        )
+        return east, north, up
+
+    def covariance(self, names: tuple[str, ...], rounding: float) -> EnuCovariance | None:
+        if names[0] not in self.layout.columns:
+            return None
+        n, e, u = (self.number(name, 0.0, _DEVIATION_LIMIT) for name in names[:3])
+        ne, eu, un = (self.number(name, -_DEVIATION_LIMIT, _DEVIATION_LIMIT) for name in names[3:])
+        try:
+            return covariance_from_printed((e, n, u), (ne, eu, un), rounding)
+        except ValueError:
+            found = b" ".join(self.fields[self.layout.columns[name]] for name in names)
+            expected = "standard deviations and cross terms of a positive semidefinite covariance"
+            raise self.error(f"{names[0]} to {names[-1]}", expected, found) from None
+
+
+def read_pos(
+    path: Path, *, undeclared_height: Literal["ellipsoidal"] | None = None
+) -> Iterator[ReceiverSolution | FormatError]:
+    """Solutions and errors of a file in their order. Raises OSError if it cannot be opened or read."""
+    decoder = PosDecoder(path.name, undeclared_height=undeclared_height)
+    with path.open("rb") as file:
+        while data := file.read(_CHUNK_BYTES):
+            yield from decoder.feed(data)
+    yield from decoder.finish()
+
+
+def format_pos_header(*, velocity: bool = False) -> bytes:
+    """The header lines for `format_pos_line`: GPST, decimal degrees, ellipsoidal heights."""
+    columns = (
+        f"%  {'GPST':<20} {'latitude(deg)':>14} {'longitude(deg)':>14} {'height(m)':>10} {'Q':>3} {'ns':>3} "
+        + " ".join(f"{name:>8}" for name in _DEVIATIONS)
+        + f" {'age(s)':>6} {'ratio':>6}"
+    )
+    if velocity:
+        columns += " " + " ".join(f"{name:>10}" for name in _VELOCITIES)
+        columns += " " + " ".join(f"{name:>8}" for name in _VELOCITY_DEVIATIONS)
+    legend = "Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites"
+    return f"% (lat/lon/height=WGS84/ellipsoidal,{legend})\n{columns}\n".encode("ascii")
+
+
+def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False) -> bytes:
+    """One line as RTKLIB prints it, with more decimals of the time where they are needed.
+
+    The format knows no "unknown": an unknown covariance, ratio, age or number of satellites is written as
+    zero, as RTKLIB does (an unknown age then reads as zero unless the solution is single). With `velocity`, a
+    solution without one raises ValueError, as do numbers that are not finite.
+    """
+    values = [
+        f"{math.degrees(solution.latitude_rad):14.9f}",
+        f"{math.degrees(solution.longitude_rad):14.9f}",
+        f"{solution.height_m:10.4f}",
+        f"{solution.quality:3d}",
+        f"{solution.satellites or 0:3d}",
+        *_printed_covariance(solution.covariance_enu_m2, 4),
+        f"{solution.age_s or 0.0:6.2f}",
+        f"{solution.ratio or 0.0:6.1f}",
+    ]
+    if velocity:
+        if solution.velocity_enu_m_s is None:
+            raise ValueError("solution has no velocity, expected one because velocity columns were asked for")
+        east, north, up = solution.velocity_enu_m_s
+        values += [f"{component:10.5f}" for component in (north, east, up)]
+        values += _printed_covariance(solution.velocity_covariance_enu_m2_s2, 5)
+    if any(text.strip() in ("nan", "inf", "-inf") for text in values):
+        raise ValueError(f"solution has a number that is not finite: {solution}")
+    time_text = text_from_calendar(gpst_from_gps_ns(solution.time_ns))
+    return f"{time_text} {' '.join(values)}\n".encode("ascii")
+
+
+def _printed_covariance(covariance: EnuCovariance | None, decimals: int) -> list[str]:
+    """σn σe σu and the signed roots of ne, eu, un; what is known is never printed as zero."""
+    if covariance is None:
+        return [f"{0.0:8.{decimals}f}"] * 6
+    ee, en, eu, nn, nu, uu = covariance
+    smallest = 10.0**-decimals
+    deviations = [max(math.sqrt(variance), smallest) for variance in (nn, ee, uu)]
+    return [f"{value:8.{decimals}f}" for value in (*deviations, *(signed_root(c) for c in (en, eu, nu)))]

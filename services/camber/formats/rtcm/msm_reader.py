@@ -1,0 +1,255 @@
+"""MSM4 to MSM7 messages of RTCM 3.3 as columns of observations.
+
+Source: RTCM 10403.3, 3.5.16, tables 3.5-78 to 3.5-88; DF402 (table 3.5-74), DF407 (table 3.5-75).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.compiled.decorator import compiled
+from camber.formats.broadcast.ephemeris_fields import gps_ns_near
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
+from camber.formats.rtcm.msm_writer import (
+    CN0_PER_DBHZ,
+    INVALID_ROUGH_MS,
+    MOST_CELLS,
+    PHASE_PER_MS,
+    PSEUDORANGE_PER_MS,
+    ROUGH_PER_MS,
+    ROUGH_RATE_INVALID,
+)
+from camber.formats.rtcm.signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
+
+Bytes = NDArray[np.uint8]
+FIRST_MSM, LAST_MSM = 1071, 1137
+_FIRST_KIND, _LAST_KIND = 4, 7
+_HEADER_BITS, _MASK_BITS = 73, 64 + 32
+_MS_PER_WEEK = 604_800_000
+_NS_PER_MS = 1_000_000
+_SYSTEM_OF_TENS = {system.message // 10: place for place, system in enumerate(MSM_SYSTEMS)}
+_MOST_SATELLITES = tuple(system.satellites for system in MSM_SYSTEMS)
+
+INTEGER_COLUMNS = ("satellite", "signal", "half_cycle")
+FLOAT_COLUMNS = (
+    "pseudorange_m",
+    "carrier_phase_cycles",
+    "doppler_hz",
+    "cn0_dbhz",
+    "lock_time_s",
+    "most_lock_s",
+)
+
+_READ, _TOO_SHORT, _WRONG_TIME, _WRONG_MASK, _CUT_SHORT = range(5)
+_PROBLEMS = {
+    _TOO_SHORT: f"MSM of less than {_HEADER_BITS} bits",
+    _WRONG_TIME: f"epoch time of {_MS_PER_WEEK} ms or more",
+    _WRONG_MASK: f"satellites that the system has not got, or more than {MOST_CELLS} cells",
+    _CUT_SHORT: "message ends before its last cell",
+}
+
+
+def minimum_lock_s() -> dict[int, Floats]:
+    """Least lock time of each indicator, by the field's width: 4 bits (DF402) and 10 bits (DF407), infinity behind."""
+    short = np.array([0.0, *(2.0 ** (i + 4) for i in range(1, 16)), np.inf]) * 1e-3
+    steps = [np.arange(64.0)]
+    steps += [2.0 ** (k + 5) + 2.0**k * np.arange(32.0) for k in range(1, 21)]
+    long = np.concatenate((*steps, [2.0**26], np.full(1025 - 705, np.inf))) * 1e-3
+    return {4: short, 10: long}
+
+
+_SHORT_LOCK_S, _LONG_LOCK_S = minimum_lock_s().values()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MsmMessage:
+    """One message: `integers` (3, n) and `floats` (6, n) are columns as named above, a row of them each.
+
+    A phase was last broken between `most_lock_s` and `lock_time_s` before the epoch: the least lock times of the next
+    indicator and of this one. `unknown_signals` counts cells without a known carrier, which are left out.
+    """
+
+    station_id: int
+    more_follow: bool
+    time_ns: int
+    integers: Integers
+    floats: Floats
+    unknown_signals: int
+
+
+def is_msm(number: int) -> bool:
+    """Whether a message is an MSM of any system and kind."""
+    return FIRST_MSM <= number <= LAST_MSM and 1 <= number % 10 <= 7
+
+
+def msm_header(payload: bytes) -> tuple[int, bool]:
+    """Station id and multiple-message bit, which stand alike in all MSM; ValueError where the message is too short."""
+    if 8 * len(payload) < _HEADER_BITS:
+        raise ValueError(_PROBLEMS[_TOO_SHORT])
+    return (payload[1] & 15) << 8 | payload[2], bool(payload[6] & 2)
+
+
+def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
+    """The observations, their week being that nearest to `near_ns`; None for systems and kinds that are not read.
+
+    ValueError with one line where the message contradicts itself or is too short.
+    """
+    system, kind = _SYSTEM_OF_TENS.get(number // 10), number % 10
+    if system is None or not _FIRST_KIND <= kind <= _LAST_KIND:
+        return None
+    station_id, more = msm_header(payload)
+    letter = MSM_SYSTEMS[system].letter
+    integers, floats = np.empty((3, MOST_CELLS), np.int64), np.empty((6, MOST_CELLS))
+    status, time_ms, count, unknown = _read_cells(
+        np.frombuffer(payload, np.uint8),
+        kind,
+        ord(letter) << 8,
+        _MOST_SATELLITES[system],
+        _SIGNAL_OF_ID[system],
+        _CARRIER_OF_ID_HZ[system],
+        _SHORT_LOCK_S if kind < 6 else _LONG_LOCK_S,
+        integers,
+        floats,
+    )
+    if status != _READ:
+        raise ValueError(_PROBLEMS[status])
+    time_ns = gps_ns_near(letter, time_ms * _NS_PER_MS, near_ns)
+    return MsmMessage(station_id, more, time_ns, integers[:, :count], floats[:, :count], unknown)
+
+
+@compiled
+def _read_cells(
+    payload: Bytes,
+    kind: int,
+    first_satellite: int,
+    most_satellites: int,
+    signal_of_id: Integers,
+    carrier_of_id_hz: Floats,
+    minimum_lock_s: Floats,
+    integers: Integers,
+    floats: Floats,
+) -> tuple[int, int, int, int]:
+    """Fill the columns; gives the status, epoch time in ms of the week, rows filled, cells of unknown signals.
+
+    A message is columns one after another: of each satellite, then of each cell (tables 3.5-80 to 3.5-88).
+    """
+    rates = kind == 5 or kind == 7
+    fine = kind >= 6
+    code_width, phase_width, lock_width, cn0_width = (20, 24, 10, 10) if fine else (15, 22, 4, 6)
+    code_per_ms = PSEUDORANGE_PER_MS if fine else 2.0**24
+    phase_per_ms = PHASE_PER_MS if fine else 2.0**29
+    cn0_step = 1.0 / CN0_PER_DBHZ if fine else 1.0
+    size = 8 * payload.size
+    if size < _HEADER_BITS + _MASK_BITS:
+        return _TOO_SHORT, 0, 0, 0
+    time_ms = _unsigned(payload, 24, 30)
+    if time_ms >= _MS_PER_WEEK:
+        return _WRONG_TIME, 0, 0, 0
+    numbers, satellites = np.empty(64, np.int64), 0
+    for place in range(64):
+        if _unsigned(payload, _HEADER_BITS + place, 1):
+            numbers[satellites] = place + 1
+            satellites += 1
+    ids, signals = np.empty(32, np.int64), 0
+    for place in range(32):
+        if _unsigned(payload, _HEADER_BITS + 64 + place, 1):
+            ids[signals] = place + 1
+            signals += 1
+    if satellites * signals > MOST_CELLS or (satellites and numbers[satellites - 1] > most_satellites):
+        return _WRONG_MASK, 0, 0, 0
+    mask = _HEADER_BITS + _MASK_BITS
+    of_satellites = mask + satellites * signals
+    if of_satellites > size:
+        return _CUT_SHORT, 0, 0, 0
+    cells = 0
+    for place in range(satellites * signals):
+        cells += _unsigned(payload, mask + place, 1)
+
+    whole_ranges = of_satellites
+    rough_ranges = whole_ranges + satellites * (12 if rates else 8)
+    rough_rates = rough_ranges + satellites * 10
+    codes = rough_rates + satellites * (14 if rates else 0)
+    phases = codes + cells * code_width
+    locks = phases + cells * phase_width
+    half_cycles = locks + cells * lock_width
+    cn0s = half_cycles + cells
+    fine_rates = cn0s + cells * cn0_width
+    if fine_rates + cells * (15 if rates else 0) > size:
+        return _CUT_SHORT, 0, 0, 0
+
+    # Beyond indicator 704 the numbers are reserved: such a lock is taken for the longest.
+    longest_s = 0.0
+    for least_s in minimum_lock_s:
+        if np.isfinite(least_s):
+            longest_s = max(longest_s, least_s)
+    cell, row = -1, 0
+    for satellite in range(satellites):
+        whole_ms = _unsigned(payload, whole_ranges + 8 * satellite, 8)
+        rough_ms = whole_ms + _unsigned(payload, rough_ranges + 10 * satellite, 10) / ROUGH_PER_MS
+        if whole_ms == INVALID_ROUGH_MS:
+            rough_ms = np.nan
+        rough_rate = np.nan
+        if rates:
+            rough_rate = float(_signed(payload, rough_rates + 14 * satellite, 14))
+            if rough_rate == ROUGH_RATE_INVALID:
+                rough_rate = np.nan
+        for signal in range(signals):
+            if not _unsigned(payload, mask + satellite * signals + signal, 1):
+                continue
+            cell += 1
+            carrier_hz = carrier_of_id_hz[ids[signal]]
+            if np.isnan(carrier_hz):
+                continue
+            code_ms = rough_ms + _fine(payload, codes + cell * code_width, code_width) / code_per_ms
+            phase_ms = rough_ms + _fine(payload, phases + cell * phase_width, phase_width) / phase_per_ms
+            rate_m_s = rough_rate
+            if rates:
+                rate_m_s += _fine(payload, fine_rates + cell * 15, 15) * 1e-4
+            lock = _unsigned(payload, locks + cell * lock_width, lock_width)
+            cn0 = _unsigned(payload, cn0s + cell * cn0_width, cn0_width)
+            integers[0, row] = first_satellite + numbers[satellite]
+            integers[1, row] = signal_of_id[ids[signal]]
+            integers[2, row] = _unsigned(payload, half_cycles + cell, 1)
+            floats[0, row] = code_ms * METRES_PER_MS
+            floats[1, row] = phase_ms * METRES_PER_MS / SPEED_OF_LIGHT_M_S * carrier_hz
+            floats[2, row] = -rate_m_s / SPEED_OF_LIGHT_M_S * carrier_hz
+            floats[3, row] = cn0 * cn0_step if cn0 else np.nan
+            floats[4, row] = min(minimum_lock_s[lock], longest_s)
+            floats[5, row] = minimum_lock_s[lock + 1]
+            row += 1
+    return _READ, time_ms, row, cells - row
+
+
+@compiled
+def _unsigned(payload: Bytes, first: int, width: int) -> int:
+    """`width` bits, at most 32, from bit `first` on: the caller has seen to it that they are there."""
+    value = 0
+    for place in range(first >> 3, (first + width + 7) >> 3):
+        value = value << 8 | payload[place]
+    return value >> (-(first + width) & 7) & (1 << width) - 1
+
+
+@compiled
+def _signed(payload: Bytes, first: int, width: int) -> int:
+    value = _unsigned(payload, first, width)
+    return value - (1 << width) if value >> (width - 1) else value
+
+
+@compiled
+def _fine(payload: Bytes, first: int, width: int) -> float:
+    """Signed, where the lowest value says that there is none: NaN."""
+    value = _signed(payload, first, width)
+    return np.nan if value == -(1 << (width - 1)) else float(value)
+
+
+def _by_id() -> tuple[Integers, Floats]:
+    signal, carrier = np.zeros((len(MSM_SYSTEMS), 33), np.int64), np.full((len(MSM_SYSTEMS), 33), np.nan)
+    signal[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.keys & 0xFFFF
+    carrier[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.carriers_hz
+    return signal, carrier
+
+
+_SIGNAL_OF_ID, _CARRIER_OF_ID_HZ = _by_id()

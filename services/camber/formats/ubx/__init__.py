@@ -1,0 +1,1 @@
+"""UBX messages of u-blox receivers, read and written."""

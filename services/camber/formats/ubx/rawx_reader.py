@@ -1,0 +1,128 @@
+"""RXM-RAWX payloads as observations.
+
+Source: u-blox ZED-F9P, interface description (UBX-18010854), 3.17.4; u-blox M8 (UBX-13003221), 32.18.7, for version 0.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.observations import Floats, Integers, ObservationEpoch
+from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.ubx.gps_week import checked_time_ns, unrolled_ns
+from camber.formats.ubx.signals import (
+    GEOSTATIONARY_CYCLES,
+    MOST_OF_GNSS,
+    SIGNAL_OF_IDS,
+    SYSTEM_OF_GNSS,
+    are_geostationary,
+)
+from camber.formats.ubx.writer import (
+    HALF_CYCLE_SUBTRACTED,
+    HALF_CYCLE_VALID,
+    MEASUREMENT,
+    PHASE_VALID,
+    PSEUDORANGE_VALID,
+)
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+
+_HEADER = struct.Struct("<dHbBBB2x")
+_CLOCK_RESET = 0b10
+_LOCK_RESOLUTION_S = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReceiverEpoch:
+    """All observations of one epoch of the receiver itself, and whether it has just reset its clock by whole ms."""
+
+    epoch: ObservationEpoch
+    clock_reset: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """How many measurements are not in the epoch: of systems that are not read, without a known name, told twice."""
+
+    other_systems: int
+    unknown_signals: int
+    repeated: int
+
+
+def read_raw_measurements(
+    payload: bytes, locks: LockTimes, near_ns: int | None
+) -> tuple[ReceiverEpoch, LeftOut]:
+    """Versions 0 and 1; the time is the receiver's own, rounded to ns.
+
+    Of a week that has rolled over inside the receiver (1024 weeks), that one is meant which is nearest to `near_ns`. A
+    value that the receiver says is not valid, or that is not finite, is NaN; so are a Doppler and a C/N0 of exactly 0,
+    for which there is no such bit. `half_cycle`: there is a phase, and its half cycles are not resolved.
+    `loss_of_lock`: as `LockTimes` has it, and where half a cycle that was not subtracted from the phase now is, or the
+    other way round. To phases of BeiDou's geostationary satellites half a cycle is added, see `GEOSTATIONARY_CYCLES`.
+    Of what comes twice the first one counts.
+
+    Raises ValueError where the message contradicts itself.
+    """
+    if len(payload) < _HEADER.size:
+        raise ValueError(f"{len(payload)} bytes, expected at least {_HEADER.size}")
+    of_week_s, week, _, count, status, version = _HEADER.unpack_from(payload)
+    if version > 1 or len(payload) != _HEADER.size + count * MEASUREMENT.itemsize:
+        raise ValueError(f"version {version}, {len(payload)} bytes for {count} measurements")
+    if not (math.isfinite(of_week_s) and 0.0 <= of_week_s * NS_PER_SECOND < NS_PER_WEEK - 0.5):
+        raise ValueError(f"time of week {of_week_s} s")
+    time_ns = checked_time_ns(unrolled_ns(week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND), near_ns))
+    rows = np.frombuffer(payload, MEASUREMENT, count, _HEADER.size)
+    gnss, number = rows["gnssId"].astype(np.int64), rows["svId"].astype(np.int64)
+    # Receivers of version 0 have one signal of each system; the byte is reserved.
+    signal = SIGNAL_OF_IDS[gnss, rows["sigId"] if version else 0]
+    ours = SYSTEM_OF_GNSS[gnss] > 0
+    known = ours & (signal > 0) & (number > 0) & (number <= MOST_OF_GNSS[gnss])
+    satellite = SYSTEM_OF_GNSS[gnss] * 256 + number
+    keys = (satellite << 16) + signal
+    used, repeated = _firsts(known, keys)
+    left_out = LeftOut(count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), repeated)
+    if used.size < count:
+        rows, keys, satellite, signal = rows[used], keys[used], satellite[used], signal[used]
+    status_bits = rows["trkStat"]
+    phase = _valid(rows["cpMes"], (status_bits & PHASE_VALID) > 0)
+    phase += GEOSTATIONARY_CYCLES * are_geostationary(satellite)
+    has_phase = ~np.isnan(phase)
+    lock_s = rows["locktime"] / 1000.0
+    epoch = ObservationEpoch(
+        time_ns=time_ns,
+        satellite=satellite,
+        signal=signal,
+        pseudorange_m=_valid(rows["prMes"], (status_bits & PSEUDORANGE_VALID) > 0),
+        carrier_phase_cycles=phase,
+        doppler_hz=_valid(rows["doMes"], rows["doMes"] != 0.0),
+        cn0_dbhz=_valid(rows["cno"], rows["cno"] > 0),
+        lock_time_s=lock_s,
+        loss_of_lock=locks.lost(
+            time_ns,
+            keys,
+            has_phase,
+            lock_s,
+            lock_s + _LOCK_RESOLUTION_S,
+            (status_bits & HALF_CYCLE_SUBTRACTED).astype(np.int64),
+        ),
+        half_cycle=has_phase & ((status_bits & HALF_CYCLE_VALID) == 0),
+    )
+    return ReceiverEpoch(epoch, bool(status & _CLOCK_RESET)), left_out
+
+
+def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:
+    wide = values.astype(np.float64)
+    return np.where(valid & np.isfinite(wide), wide, np.nan)
+
+
+def _firsts(known: NDArray[np.bool_], keys: Integers) -> tuple[Integers, int]:
+    """Rows of known signals, of each only the first, in order; and how many were more."""
+    used = np.flatnonzero(known)
+    if len(set(keys[used].tolist())) == used.size:
+        return used, 0
+    firsts = np.sort(np.unique(keys[used], return_index=True)[1])
+    return used[firsts], used.size - firsts.size

@@ -1,0 +1,74 @@
+"""Which subframes and pages of a satellite end when, and what u-blox receivers call the signals that carry them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from camber.formats.broadcast.beidou_d1_d2 import (
+    D1_SUBFRAME_S,
+    D2_FRAME_S,
+    D2_PAGES,
+    d1_subframe,
+    d2_page,
+    is_geostationary,
+)
+from camber.formats.broadcast.ephemeris_fields import TIME_SCALES
+from camber.formats.broadcast.galileo_inav import PAGE_S, WORD_STARTS_S, inav_page
+from camber.formats.broadcast.gps_lnav import SUBFRAME_S, lnav_subframe
+from camber.formats.observations import Ephemeris, satellite_name
+from camber.geodesy.gps_time import NS_PER_SECOND
+
+_PERIOD_NS = 30 * NS_PER_SECOND
+_D2_SUBFRAME_NS = 600_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Subframe:
+    """What a satellite has sent until `end_ns` (GPS time at the satellite), on the signal `signal_id` of u-blox."""
+
+    end_ns: int
+    satellite: int
+    signal_id: int
+    words: tuple[int, ...]
+
+
+_Writer = Callable[[Ephemeris, int, int], list[int]]
+
+
+def subframes_between(ephemeris: Ephemeris, from_ns: int, to_ns: int) -> list[Subframe]:
+    """All parts of the ephemeris whose transmission ends at `from_ns` or later and before `to_ns`, in order.
+
+    GPS and QZSS: LNAV subframes 1 to 3 of each frame of 30 s. Galileo: I/NAV words 1 to 6 on E1-B. BeiDou: D1 subframes
+    1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. Almanacs and ionosphere are not sent. Raises
+    ValueError as `broadcast_integers` does.
+    """
+    system = satellite_name(ephemeris.satellite)[0]
+    signal_id, write, schedule = _schedule(system, ephemeris.satellite)
+    behind_ns = TIME_SCALES[system].behind_gps_ns if system in TIME_SCALES else 0
+    found: list[Subframe] = []
+    for part, start_ns, length_ns in schedule:
+        # The first end that is not before from_ns, in the system's own periods of 30 s.
+        end_ns = from_ns + (start_ns + length_ns + behind_ns - from_ns) % _PERIOD_NS
+        for end in range(end_ns, to_ns, _PERIOD_NS):
+            words = write(ephemeris, part, end - length_ns)
+            found.append(Subframe(end, ephemeris.satellite, signal_id, tuple(words)))
+    return sorted(found, key=lambda subframe: subframe.end_ns)
+
+
+def _schedule(system: str, satellite: int) -> tuple[int, _Writer, list[tuple[int, int, int]]]:
+    """u-blox signal id, what writes a part, and (part, start, duration) of each in ns of a period of 30 s."""
+    second = NS_PER_SECOND
+    if system in "GJ":
+        length = SUBFRAME_S * second
+        return 0, lnav_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
+    if system == "E":
+        starts = WORD_STARTS_S.items()
+        return 1, inav_page, [(word, start * second, PAGE_S * second) for word, start in starts]
+    if system == "C" and is_geostationary(satellite):
+        frame = D2_FRAME_S * second
+        return 1, d2_page, [(page, (page - 1) * frame, _D2_SUBFRAME_NS) for page in D2_PAGES]
+    if system == "C":
+        length = D1_SUBFRAME_S * second
+        return 0, d1_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
+    raise ValueError(f"satellite {satellite_name(satellite)}: expected one of G, J, E, C")

@@ -1,0 +1,1 @@
+"""Integer ambiguity resolution: LAMBDA, ratio test, partial resolution, the fixed solution, continuity."""

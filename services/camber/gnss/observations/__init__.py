@@ -1,0 +1,1 @@
+"""Observations of rover and base station: streams, cycle slips, ephemerides, single differences."""

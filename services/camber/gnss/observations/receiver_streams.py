@@ -1,0 +1,141 @@
+"""Bytes of one stream → what they say, whatever the protocol: observations, ephemerides, positions, statements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+from typing import Literal
+
+import numpy as np
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.errors import FormatError
+from camber.formats.nmea.epochs import NmeaDecoder
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.rinex.observation_reader import RinexDecoder
+from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder, StationEpoch
+from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.ubx.reader import UbxDecoder
+from camber.gnss.observations.navigation_files import NavigationFiles
+from camber.gnss.observations.satellite_states import enu_from_ecef_rotation, geodetic
+from camber.schemas.gnss import ReceiverIntegrity
+
+Stream = Literal["rover", "base", "ephemerides"]
+StreamProtocol = Literal["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"]
+Decoder = PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | RinexDecoder | NavigationFiles
+
+
+@dataclass(frozen=True, slots=True)
+class StationPosition:
+    """Where an antenna's reference point is said to be, ECEF, and what the station is called."""
+
+    position_ecef_m: tuple[float, float, float]
+    told: str = "unnamed"
+
+
+Said = (
+    ObservationEpoch
+    | Ephemeris
+    | IonosphereCoefficients
+    | StationPosition
+    | ReceiverSolution
+    | ReceiverIntegrity
+    | FormatError
+)
+"""What comes out of any stream; the rest (baselines, for example) is left out."""
+_KINDS = (
+    ObservationEpoch, Ephemeris, IonosphereCoefficients, ReceiverSolution, ReceiverIntegrity, FormatError,
+)  # fmt: skip
+Heard = tuple[Stream, Said]
+"""Of whom it is, and what was said."""
+_FRAMING = ("bytes_skipped", "failed_checks", "rows_refused", "rtcm_without_time")
+_CONTENT = ("malformed", "incomplete", "bad_subframes", "repeated_signals", "without_time")
+
+
+class StreamReader:
+    """Reads one stream piece by piece; `near_ns` (GPS time) is for protocols that do not say the week.
+
+    In a receiver's mixed stream RTCM is what it was sent of a base: its observations are not the receiver's own.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        protocol: StreamProtocol,
+        source_name: str,
+        near_ns: int,
+        utc_date: date | None = None,
+    ) -> None:
+        self.name = source_name
+        self._stream: Stream = stream
+        self._decoder = _decoder(stream, protocol, source_name, near_ns, utc_date)
+        self._station: Stream = "base" if protocol == "mixed" and stream == "rover" else stream
+        self._marker_said = False
+
+    def feed(self, data: bytes) -> list[Heard]:
+        """What the bytes complete, in order; never raises for what they hold."""
+        heard = [known for result in self._decoder.feed(data) for known in self._known(result)]
+        marker = self._marker()
+        return heard if marker is None else [(self._stream, marker), *heard]
+
+    def fell_silent(self) -> list[Heard]:
+        """What only the end of a file completes."""
+        if not isinstance(self._decoder, NavigationFiles):
+            return []
+        return [known for result in self._decoder.end() for known in self._known(result)]
+
+    def damage(self) -> dict[str, int]:
+        """How much of the stream could not be used so far, by the decoders' names of what was the matter; not those
+        with 0."""
+        decoder = self._decoder
+        inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "rtcm")]
+        counts = {name: getattr(decoder, name, 0) for name in _FRAMING}
+        counts |= {name: sum(getattr(part, name, 0) for part in (decoder, *inside)) for name in _CONTENT}
+        return {name: count for name, count in counts.items() if count}
+
+    def _known(self, result: object) -> list[Heard]:
+        if isinstance(result, ReceiverEpoch):
+            return [(self._stream, result.epoch)]
+        if isinstance(result, StationEpoch):
+            return [(self._station, result.epoch)]
+        if isinstance(result, ReferenceStation):
+            return [(self._station, StationPosition(result.position_ecef_m, f"rtcm-{result.station_id}"))]
+        return [(self._stream, result)] if isinstance(result, _KINDS) else []
+
+    def _marker(self) -> StationPosition | None:
+        """RINEX says in its header where the antenna was, once."""
+        decoder = self._decoder
+        if self._marker_said or not isinstance(decoder, RinexDecoder) or decoder.header is None:
+            return None
+        self._marker_said = True
+        header = decoder.header
+        if header.position_ecef_m is None:
+            return None
+        marker = np.array(header.position_ecef_m)
+        latitude, longitude, _ = geodetic(marker)
+        up_m, east_m, north_m = header.delta_hen_m or (0.0, 0.0, 0.0)
+        x, y, z = marker + np.array([east_m, north_m, up_m]) @ enu_from_ecef_rotation(latitude, longitude)
+        if not np.isfinite(latitude):
+            return None
+        return StationPosition((float(x), float(y), float(z)), f"rinex-{header.marker or 'unnamed'}")
+
+
+def _decoder(
+    stream: Stream, protocol: StreamProtocol, source_name: str, near_ns: int, utc_date: date | None
+) -> Decoder:
+    match protocol:
+        case "pos":
+            return PosDecoder(source_name)
+        case "nmea":
+            return NmeaDecoder(source_name, utc_date=utc_date)
+        case "ubx":
+            return UbxDecoder(source_name, near_ns)
+        case "rtcm":
+            return RtcmDecoder(near_ns)
+        case "mixed":
+            return MixedDecoder(source_name, near_ns, utc_date=utc_date)
+        case "rinex":
+            return NavigationFiles(source_name) if stream == "ephemerides" else RinexDecoder(source_name)

@@ -1,0 +1,156 @@
+"""Which signals of rover and base are differenced with one another.
+
+A group is what shares a carrier, a clock and its delays: GPS with QZSS, Galileo, BeiDou (R: "formed per system: GPS
+with QZSS, BeiDou (and, today, Galileo)"), by band, and by family of codes: the parts of one signal and their sum (`2S`
+`2L` `2X`) may be differenced; another signal of the same band (`2W`) has a delay of its own in each receiver, and
+receivers of different make do not agree about its quarter of a cycle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.compiled.decorator import compiled
+from camber.formats.observations import CARRIER_OF_BAND_HZ, SPEED_OF_LIGHT_M_S, Floats, Integers
+
+SYSTEMS = "GEC"
+"""The first letter of what shares a clock; QZSS goes with GPS. A group's number is (10 · place + band) · 4 + family."""
+_MOST_FAMILIES = 4
+GROUPS = 10 * len(SYSTEMS) * _MOST_FAMILIES
+
+_FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
+    "G": {"1": ("C", "SLX", "PWYM"), "2": ("SLX", "PWYM", "C"), "5": ("IQX",)},
+    "J": {"1": ("C", "SLX", "EB"), "2": ("SLX",), "5": ("IQX", "DP")},
+    "E": {"1": ("ABCXZ",), "5": ("IQX",), "7": ("IQX",), "8": ("IQX",), "6": ("ABCXZ",)},
+    "C": {"1": ("DPX", "A"), "2": ("IQX",), "5": ("DPX",), "7": ("IQX", "DPZ"), "8": ("DPX",), "6": ("IQX", "DPZ")},
+}  # fmt: skip
+"""Codes by system and band (RINEX 4.01, tables 10 to 16), the family that is best tracked first."""
+
+
+def _family_table() -> NDArray[np.int8]:
+    """By letter, band and code: 0 for the best family of the band, −1 where it is not used."""
+    table = np.full((128, 10, 128), -1, np.int8)
+    for letter, bands in _FAMILIES.items():
+        for band, families in bands.items():
+            for rank, codes in enumerate(families):
+                table[ord(letter), int(band), [ord(code) for code in codes]] = rank
+    return table
+
+
+def _wavelengths() -> Floats:
+    table = np.full(GROUPS, np.nan)
+    for place, letter in enumerate(SYSTEMS):
+        for band, carrier in CARRIER_OF_BAND_HZ[letter].items():
+            first = _MOST_FAMILIES * (10 * place + int(band))
+            table[first : first + _MOST_FAMILIES] = SPEED_OF_LIGHT_M_S / carrier
+    return table
+
+
+def _places() -> NDArray[np.int8]:
+    table = np.full(128, -1, np.int8)
+    for place, letter in enumerate(SYSTEMS):
+        table[ord(letter)] = place
+    table[ord("J")] = SYSTEMS.index("G")
+    return table
+
+
+_FAMILY = _family_table()
+_PLACE = _places()
+WAVELENGTH_M = _wavelengths()
+"""Of each group (120,); NaN for a band that the system has not got."""
+L1_M = SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"]["1"]
+
+
+def systems_of(group: Integers) -> Integers:
+    """Place in `SYSTEMS` of each group."""
+    return group // (10 * _MOST_FAMILIES)
+
+
+@compiled
+def band_of(group: int) -> int:
+    """The digit of its band."""
+    return group // _MOST_FAMILIES % 10
+
+
+def groups_of(bands: dict[str, str]) -> NDArray[np.bool_]:
+    """Which groups (120,) are used, from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
+    used = np.zeros(GROUPS, np.bool_)
+    for letter, digits in bands.items():
+        for band in digits:
+            if letter not in SYSTEMS or band not in CARRIER_OF_BAND_HZ[letter]:
+                raise ValueError(f"{letter}{band}: expected a system of {SYSTEMS} and one of its bands")
+            first = _MOST_FAMILIES * (10 * SYSTEMS.index(letter) + int(band))
+            used[first : first + _MOST_FAMILIES] = True
+    return used
+
+
+@compiled
+def group_of(satellite: int, signal: int) -> int:
+    """Group of a signal (numbers of `camber.formats.observations`); −1 where it is not used."""
+    letter, band, code = satellite >> 8, (signal >> 8) - 48, signal & 127
+    if letter < 0 or letter > 127 or band < 0 or band > 9 or _PLACE[letter] < 0:
+        return -1
+    family = _FAMILY[letter, band, code]
+    if family < 0:
+        return -1
+    return int((10 * _PLACE[letter] + band) * _MOST_FAMILIES + family)
+
+
+@compiled
+def pair_signals(
+    rover_satellite: Integers,
+    rover_signal: Integers,
+    rover_usable: Integers,
+    base_satellite: Integers,
+    base_signal: Integers,
+    base_usable: Integers,
+    groups: NDArray[np.bool_],
+) -> tuple[Integers, Integers, Integers]:
+    """Rows of the rover and of the base that are differenced, and their group, one row a satellite and band: (k,) each.
+
+    `usable` (n,) is 2 where a row has code and phase, 1 where it has the code only, 0 where it has neither. Of several
+    codes the one with most to offer at both is taken, then the better family, then the same code on both sides.
+    A satellite that is there twice counts once, by its first row.
+    """
+    count = rover_satellite.size
+    of_rover, of_base = np.empty(count, np.int64), np.empty(count, np.int64)
+    of_group, score = np.empty(count, np.int64), np.empty(count, np.int64)
+    base_group = np.empty(base_satellite.size, np.int64)
+    for j in range(base_satellite.size):
+        base_group[j] = group_of(base_satellite[j], base_signal[j])
+    found = 0
+    for i in range(count):
+        if rover_usable[i] == 0:
+            continue
+        group = group_of(rover_satellite[i], rover_signal[i])
+        if group < 0 or not groups[group]:
+            continue
+        family = group % _MOST_FAMILIES
+        best_row, best_score = -1, -1
+        for j in range(base_satellite.size):
+            if base_satellite[j] != rover_satellite[i] or base_usable[j] == 0:
+                continue
+            if base_group[j] != group:
+                continue
+            same = 1 if base_signal[j] == rover_signal[i] else 0
+            offer = 100 * min(rover_usable[i], base_usable[j]) + 10 * (5 - family) + same
+            if offer > best_score:
+                best_row, best_score = j, offer
+        if best_row < 0:
+            continue
+        place = found
+        for k in range(found):
+            if (
+                of_group[k] // _MOST_FAMILIES == group // _MOST_FAMILIES
+                and rover_satellite[of_rover[k]] == rover_satellite[i]
+            ):
+                place = k
+                break
+        if place < found and best_score <= score[place]:
+            continue
+        of_rover[place], of_base[place] = i, best_row
+        of_group[place], score[place] = group, best_score
+        if place == found:
+            found += 1
+    return of_rover[:found].copy(), of_base[:found].copy(), of_group[:found].copy()

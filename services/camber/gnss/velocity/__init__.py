@@ -1,0 +1,1 @@
+"""Velocity from Doppler and the heading that follows from it."""

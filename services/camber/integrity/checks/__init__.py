@@ -1,0 +1,1 @@
+"""The checks of one candidate fix: comparison, tests, verification, order and history of fixes."""

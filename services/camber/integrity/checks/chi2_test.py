@@ -1,0 +1,158 @@
+"""Height and horizontal position together: does a fix agree with road, antenna and pose? For one fix or n at once.
+
+The difference d of fix and model is three numbers: the fix less the pose to the east and to the north, and the fix's
+height less that of road + antenna + correction *at the fix's place*. If the fix is right, d has the covariance S made
+here, dᵀ S⁻¹ d is χ² with three degrees of freedom, and each part of it alone with one or two. There are two limits:
+beyond that of the false-alarm rate a fix *contradicts*; only below the tighter one of the hold-back rate it *agrees*;
+between them nobody can say, and the verdict is *unknown*.
+
+numpy only; metres; east, north, up; parts are floats or arrays (n,), see `either_number`. Source of the distributions:
+Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4 (χ² with 1, 2, 3 degrees of freedom in closed form).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.integrity.scalar_or_array import Either, known, positive, root, where
+
+Floats = NDArray[np.float64]
+Words = NDArray[np.int8]
+
+AGREES, UNVERIFIED, CONTRADICTS = 0, 1, 2
+
+
+Upper: TypeAlias = tuple[Either, Either, Either, Either, Either, Either]
+"""(ee, en, eu, nn, nu, uu) of symmetric matrices, each a float or (n,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """Squared distances in standard deviations: of the height, the horizontal position, and both together.
+
+    `height_sigma_m`: of the height difference. Each is a float or (n,). Anything not finite, and a covariance that is
+    none, is infinitely far off.
+    """
+
+    height: Either
+    position: Either
+    joint: Either
+    height_sigma_m: Either
+
+
+def difference_covariance(
+    fix_covariance_m2: Floats, pose_covariance_m2: Floats, height_variance_m2: Floats, slope: Floats
+) -> Floats:
+    """S (n, 3, 3) of the difference, if the fix is right; see `covariance_of_difference`.
+
+    `fix_covariance_m2` (n, 3, 3), `pose_covariance_m2` (n, 2, 2), `height_variance_m2` (n,), `slope` (n, 2).
+    """
+    pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
+    found = covariance_of_difference(
+        upper(fix_covariance_m2), pose, height_variance_m2, (slope[:, 0], slope[:, 1])
+    )
+    ee, en, eu, nn, nu, uu = np.broadcast_arrays(*found)
+    return np.stack([ee, en, eu, en, nn, nu, eu, nu, uu], axis=-1).reshape(-1, 3, 3)
+
+
+def covariance_of_difference(
+    fix_m2: Upper,
+    pose_m2: tuple[Either, Either, Either],
+    height_variance_m2: Either,
+    slope: tuple[Either, Either],
+) -> Upper:
+    """S of the difference, if the fix is right, each part a float or (n,).
+
+    `fix_m2` and `pose_m2` (ee, en, nn) are their covariances, `height_variance_m2` is that of road and antenna
+    together, `slope` of the road to the east and north. The road is taken at the fix's place: its horizontal error
+    moves the height difference by the slope, the pose's does not. So with J = [[1, 0, 0], [0, 1, 0], [−s_e, −s_n, 1]]
+    it is J F Jᵀ of the fix's F, and what pose and height add.
+    """
+    (ee, en, eu, nn, nu, uu), (pose_ee, pose_en, pose_nn), (se, sn) = fix_m2, pose_m2, slope
+    level_eu, level_nu = eu - se * ee - sn * en, nu - se * en - sn * nn
+    level_uu = uu - se * eu - sn * nu - se * level_eu - sn * level_nu
+    return ee + pose_ee, en + pose_en, level_eu, nn + pose_nn, level_nu, level_uu + height_variance_m2
+
+
+def upper(matrices: Floats) -> Upper:
+    """The upper triangles of matrices (n, 3, 3)."""
+    m = matrices
+    return m[:, 0, 0], m[:, 0, 1], m[:, 0, 2], m[:, 1, 1], m[:, 1, 2], m[:, 2, 2]
+
+
+def distances(difference_m: tuple[Either, Either, Either], covariance_m2: Upper) -> Distances:
+    """How far differences east, north and up are from nothing, by their covariances; each part a float or (n,)."""
+    horizontal, joint, _ = terms(difference_m, covariance_m2)
+    up, upright = difference_m[2], positive(covariance_m2[5])
+    return Distances(
+        height=known(up * up / upright),
+        position=known(horizontal),
+        joint=known(joint),
+        height_sigma_m=root(known(upright)),
+    )
+
+
+def terms(
+    difference_m: tuple[Either, Either, Either], covariance_m2: Upper
+) -> tuple[Either, Either, tuple[Either, Either, Either]]:
+    """dᵀ S⁻¹ d of the horizontal position alone and of all, and the three pivots of S, whose product is det S.
+
+    Golub and Van Loan, Matrix Computations, 4.1.2: S = L D Lᵀ with the horizontal axes first, so that the first two
+    terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is nought or less: not
+    numbers where it is none.
+    """
+    (east, north, up), (ee, en, eu, nn, nu, uu) = difference_m, covariance_m2
+    pivot_east, upright = positive(ee), positive(uu)
+    l_north, l_up = en / pivot_east, eu / pivot_east
+    pivot_north = positive(nn - l_north * en)
+    coupled = nu - l_up * en
+    pivot_up = positive(upright - l_up * eu - coupled * coupled / pivot_north)
+    off_north = north - l_north * east
+    off_up = up - l_up * east - coupled / pivot_north * off_north
+    horizontal = east * east / pivot_east + off_north * off_north / pivot_north
+    return horizontal, horizontal + off_up * off_up / pivot_up, (pivot_east, pivot_north, pivot_up)
+
+
+def words(squared: Either, hold_back_limit: float, false_alarm_limit: float) -> Either:
+    """AGREES, UNVERIFIED or CONTRADICTS of squared distances; what is not a number contradicts."""
+    return where(
+        squared <= hold_back_limit, AGREES, where(squared <= false_alarm_limit, UNVERIFIED, CONTRADICTS)
+    )
+
+
+def chi2_limit(probability: float, degrees: int) -> float:
+    """The limit that a χ² variable of 1, 2 or 3 degrees of freedom exceeds with this probability.
+
+    Raises ValueError for any other number of degrees, or a probability that is not between 0 and 1.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"probability {probability}, expected between 0 and 1")
+    if degrees == 2:
+        return -2.0 * math.log(probability)
+    low, high = 0.0, 1.0
+    while chi2_survival(high, degrees) > probability:
+        high *= 2.0
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if chi2_survival(middle, degrees) > probability:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def chi2_survival(squared: float, degrees: int) -> float:
+    """P(χ² > squared) for 1, 2 or 3 degrees of freedom. Raises ValueError for any other number."""
+    if degrees == 2:
+        return math.exp(-0.5 * squared)
+    root = math.sqrt(0.5 * squared)
+    if degrees == 1:
+        return math.erfc(root)
+    if degrees == 3:
+        return math.erfc(root) + 2.0 / math.sqrt(math.pi) * root * math.exp(-0.5 * squared)
+    raise ValueError(f"{degrees} degrees of freedom, expected 1, 2 or 3")

@@ -1,0 +1,234 @@
+"""The determination: what height and horizontal position, alone and together, say of fixes. For n fixes at once.
+
+Each test that is asked has two limits, from a rate of false alarms and from a rate of right fixes that may be held
+back; both rates are shared evenly by the tests asked, so that all of them together keep to it, whatever they have in
+common. The height has a cap besides: however badly road and antenna are known, a difference beyond it never agrees.
+With a fixed tolerance, H (2) and (3), the height agrees or contradicts and there is nothing between. So has the
+position: however wide a fix claims to be, it agrees only as near to the pose as a right fix is.
+
+The judge asks of one, in plain floats, the lab of millions: there is one implementation (`either_number`). numpy only,
+metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, TypeVar
+
+import numpy as np
+
+from camber.integrity.checks.chi2_test import (
+    AGREES,
+    CONTRADICTS,
+    UNVERIFIED,
+    Distances,
+    Floats,
+    Upper,
+    Words,
+    chi2_limit,
+    distances,
+    upper,
+    words,
+)
+from camber.integrity.scalar_or_array import Either, larger_eigenvalue, negated, positive, root, where
+from camber.schemas.integrity import Reason
+
+Test = Literal["height", "position", "joint", "phase_residuals", "subset_agreement", "continuity", "receiver"]
+ALL_TESTS: tuple[Test, ...] = (
+    "height",
+    "position",
+    "joint",
+    "phase_residuals",
+    "subset_agreement",
+    "continuity",
+    "receiver",
+)
+_SPEAK_FOR: frozenset[Test] = frozenset(
+    {"height", "position", "joint", "phase_residuals", "subset_agreement"}
+)
+Said = TypeVar("Said")
+_DEGREES: dict[Test, int] = {"height": 1, "position": 2, "joint": 3}
+
+ALL_AGREE, HEIGHT_UNVERIFIED, POSITION_UNVERIFIED = 0, 1, 2
+HEIGHT_CONTRADICTS, POSITION_CONTRADICTS, BOTH_CONTRADICT = 3, 4, 5
+REASONS: tuple[Reason, ...] = (
+    "height_agrees",
+    "height_unverified",
+    "position_unverified",
+    "height_disagrees",
+    "position_disagrees",
+    "height_and_position_disagree",
+)
+"""The reason for each outcome."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeterminationRules:
+    """Which tests are asked, and by which limits.
+
+    `height_cap_m` is for tolerances from covariances: 0.3 m is the gate below which map and antenna of σ 0.1 m let a
+    right fix through. `position_cap_m` is how far agreement with the pose may reach and still say something: errors of
+    wrong fixes are metres wide. `fix_sigma_cap_m`, each axis, is how much of a fix's own σ may widen the agreement of
+    the position: integers that are right leave centimetres (multipath of the phase, reference point, frame), and what
+    claims more by a weak geometry is where wrong integers hide.
+    """
+
+    tests: tuple[Test, ...] = ALL_TESTS
+    tolerance: Literal["from_covariances", "fixed"] = "from_covariances"
+    tolerance_m: float = 0.2
+    height_cap_m: float = 0.3
+    position_cap_m: float = 1.0
+    false_alarm_rate: float = 1e-6
+    hold_back_rate: float = 1e-3
+    fix_sigma_cap_m: float = 0.06
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where nothing could ever speak for a fix, or the limits are the wrong way round."""
+        if not _SPEAK_FOR.intersection(self.tests):
+            names = ", ".join(test for test in ALL_TESTS if test in _SPEAK_FOR)
+            raise ValueError(f"tests: expected one at least of {names}")
+        if not 0.0 < self.false_alarm_rate <= self.hold_back_rate < 1.0:
+            raise ValueError("false_alarm_rate: expected above 0 and at most hold_back_rate, below 1")
+
+    @property
+    def asks_height(self) -> bool:
+        """Does a verdict need road and antenna?"""
+        return "height" in self.tests or "joint" in self.tests
+
+    @property
+    def asks_position(self) -> bool:
+        """Does a verdict need the pose for more than the road below it?"""
+        return "position" in self.tests or "joint" in self.tests
+
+    @property
+    def largest_tolerance_m(self) -> float:
+        """No difference beyond it agrees; a height that is known worse than it says nothing."""
+        return self.tolerance_m if self.tolerance == "fixed" else self.height_cap_m
+
+    def limits(self) -> Limits:
+        """The squared distances of these rates."""
+        asked = sum(test in self.tests for test in _DEGREES)
+
+        def pair(test: Test, needed: bool) -> tuple[float, float]:
+            if not needed:
+                return math.inf, math.inf
+            within, beyond = (
+                chi2_limit(rate / asked, _DEGREES[test])
+                for rate in (self.hold_back_rate, self.false_alarm_rate)
+            )
+            return within, beyond
+
+        return Limits(
+            self,
+            pair("height", "height" in self.tests),
+            pair("position", self.asks_position),
+            pair("joint", "joint" in self.tests),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Of each test the squared distance up to which a fix agrees, and that beyond which it contradicts.
+
+    Infinite, both, for a test that is not asked; the position's are there for the joint test too.
+    """
+
+    rules: DeterminationRules
+    height: tuple[float, float]
+    position: tuple[float, float]
+    joint: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Determination(Generic[Said]):
+    """What the tests say of fixes: one outcome each, the words of the tests, and what they rest on; each one number or
+    (n,), a tolerance that is fixed always one.
+
+    `tolerance_m` is the largest height difference that would agree, `reach_m` how far from the pose a fix may be and
+    agree in any direction. `position` is the word of the horizontal position where it or the joint test is asked.
+    """
+
+    outcome: Said
+    position: Said
+    distances: Distances
+    tolerance_m: Either
+    reach_m: Either
+
+
+def determine(
+    difference_m: Floats, covariance_m2: Floats, pose_covariance_m2: Floats, limits: Limits
+) -> Determination[Words]:
+    """What differences (n, 3) say, if those of right fixes have the covariances (n, 3, 3); see `joint_test`.
+
+    `pose_covariance_m2` (n, 2, 2) is the part of the pose in that.
+    """
+    pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
+    east_m, north_m, up_m = difference_m.T
+    with np.errstate(all="ignore"):  # what is not finite agrees with nothing
+        found = determination_of((east_m, north_m, up_m), upper(covariance_m2), pose, limits)
+    return replace(found, outcome=found.outcome.astype(np.int8), position=found.position.astype(np.int8))
+
+
+def determination_of(
+    difference_m: tuple[Either, Either, Either],
+    covariance_m2: Upper,
+    pose_m2: tuple[Either, Either, Either],
+    limits: Limits,
+) -> Determination[Either]:
+    """The same of differences east, north, up, with `pose_m2` (ee, en, nn); each part a float or (n,)."""
+    rules, found = limits.rules, distances(difference_m, covariance_m2)
+    east_m, north_m, up_m = difference_m
+    ee, en, _, nn, _, _ = covariance_m2
+    off_m = abs(up_m)
+    tolerance_m = _tolerance_m(found.height_sigma_m, limits)
+    if rules.tolerance == "fixed" and "height" in rules.tests:
+        height = where(off_m <= tolerance_m, AGREES, CONTRADICTS)
+    else:
+        height = words(found.height, *limits.height)
+    aside, joint = words(found.position, *limits.position), words(found.joint, *limits.joint)
+    cap_m2 = rules.fix_sigma_cap_m**2
+    near_m2 = pose_m2[0] + cap_m2, pose_m2[1], pose_m2[2] + cap_m2
+    reach_m, near_reach_m = _reach_m((ee, en, nn), limits), _reach_m(near_m2, limits)
+    reach_m = where(near_reach_m >= reach_m, reach_m, near_reach_m)
+    near = _squared(east_m, north_m, near_m2) <= limits.position[0]
+    far = (aside == AGREES) & negated(near) & rules.asks_position
+    position = where(far, UNVERIFIED, aside)
+    # However wide σ is, no height agrees beyond the tolerance; and a test of the position alone has to have power.
+    tall = negated(off_m <= tolerance_m) & rules.asks_height
+    blunt = negated(reach_m <= rules.position_cap_m) & (rules.asks_position and not rules.asks_height)
+    aside = position if "position" in rules.tests else where(far, UNVERIFIED, AGREES)
+    outcome: Either = ALL_AGREE
+    # What is said later overrides what was said before.
+    for applies, said in (
+        (joint == UNVERIFIED, POSITION_UNVERIFIED),
+        ((joint == UNVERIFIED) & (found.height >= found.position), HEIGHT_UNVERIFIED),
+        ((aside == UNVERIFIED) | blunt, POSITION_UNVERIFIED),
+        ((height == UNVERIFIED) | tall, HEIGHT_UNVERIFIED),
+        (joint == CONTRADICTS, BOTH_CONTRADICT),
+        (aside == CONTRADICTS, POSITION_CONTRADICTS),
+        (height == CONTRADICTS, HEIGHT_CONTRADICTS),
+        ((height == CONTRADICTS) & (aside == CONTRADICTS), BOTH_CONTRADICT),
+    ):
+        outcome = where(applies, said, outcome)
+    return Determination(outcome, position, found, tolerance_m, reach_m)
+
+
+def _tolerance_m(sigma_m: Either, limits: Limits) -> Either:
+    rules = limits.rules
+    if rules.tolerance == "fixed":
+        return rules.tolerance_m
+    tolerance_m = math.sqrt(limits.height[0]) * sigma_m
+    return where(tolerance_m < rules.height_cap_m, tolerance_m, rules.height_cap_m)
+
+
+def _squared(east_m: Either, north_m: Either, covariance_m2: tuple[Either, Either, Either]) -> Either:
+    """dᵀ C⁻¹ d; not a number where C is no covariance."""
+    a, b, c = covariance_m2
+    determinant = where(a > 0.0, positive(a * c - b * b), math.nan)
+    return (c * east_m * east_m - 2.0 * b * east_m * north_m + a * north_m * north_m) / determinant
+
+
+def _reach_m(covariance_m2: tuple[Either, Either, Either], limits: Limits) -> Either:
+    larger = larger_eigenvalue(*covariance_m2)
+    return root(where(larger > 0.0, limits.position[0] * larger, math.nan))

@@ -1,0 +1,99 @@
+"""What the fixes judged so far leave behind for those to come: the chain of right ones, their integers, the start."""
+
+from __future__ import annotations
+
+import math
+
+from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.pose_gate import claimed_sigma_m, offset_from_pose
+from camber.integrity.checks.start_rule import StartCount, StartFix
+from camber.integrity.checks.time_series import Link, continues, next_link
+from camber.integrity.checks.verification import Integers
+from camber.integrity.judgement import Judgement
+from camber.integrity.protection.covariance_inflation import with_true_sigma
+from camber.integrity.protection.position_output import is_provisional
+from camber.integrity.rules import Rules
+from camber.schemas.gnss import Fix
+from camber.schemas.pose import Pose
+
+
+class FixesBefore:
+    """Changed by `settle` alone; all else only asks."""
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self.integers = Integers()
+        self.chain: Link | None = None
+        self._start = StartCount()
+
+    def settle(self, judgement: Judgement, speed_m_s: float | None) -> None:
+        """Remember what follows from a judgement that is final; `speed_m_s` of the wheels then, None: not known."""
+        fix, confirmed = judgement.fix, judgement.word == "confirmed"
+        # The engine compares integers with those of its own fix, not with another estimate's.
+        self.integers = self.integers.after(
+            fix,
+            confirmed=confirmed and judgement.trials == 1,
+            contradicted=judgement.reason == "continuity_disagrees",
+        )
+        starting = judgement.pose is not None and is_provisional(judgement.pose)
+        in_a_row = starting and (confirmed or judgement.reason == "starting")
+        self._start = self.start_after(fix, speed_m_s) if in_a_row else StartCount()
+        if judgement.confirmed and judgement.road is not None and is_sharp(fix, self._rules):
+            self.chain = self._chain_after(judgement, judgement.road)
+
+    def forget_after(self, limit_ns: int) -> None:
+        """Drop what is dated later than this."""
+        if self.chain is not None and self.chain.time_ns > limit_ns:
+            self.chain = None
+        if self.integers.last_ns > limit_ns:
+            self.integers = Integers()
+
+    def start_after(self, fix: Fix, speed_m_s: float | None) -> StartCount:
+        """Agreeing fixes in a row, if this is one more."""
+        start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, speed_m_s)
+        return self._start.after(start, self._rules.start)
+
+    def are_continued_by(self, fix: Fix, pose_then: Pose | None, pose_now: Pose | None) -> bool:
+        """Has the fix moved since the last right one as the vehicle has? The poses are those of both times."""
+        last = self.chain
+        if last is None or pose_then is None or pose_now is None:
+            return False
+        east_m, north_m = east_north_between(
+            last.latitude_rad, last.longitude_rad, fix.latitude_rad, fix.longitude_rad
+        )
+        east_then, north_then = offset_from_pose(
+            last.latitude_rad, last.longitude_rad, pose_then, last.time_ns
+        )
+        east_now, north_now = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose_now, fix.time_ns)
+        return continues(
+            last,
+            self._rules.series,
+            time_ns=fix.time_ns,
+            moved_east_m=east_m,
+            moved_north_m=north_m,
+            # It has moved otherwise than the vehicle by as much as it has moved against the pose.
+            astray_m=math.hypot(east_now - east_then, north_now - north_then),
+            height_m=fix.height_m,
+        )
+
+    def _chain_after(self, judgement: Judgement, road: RoadPoint) -> Link:
+        """The chain with a position found right as its head."""
+        fix = judgement.fix
+        link = Link(
+            fix.time_ns,
+            fix.latitude_rad,
+            fix.longitude_rad,
+            fix.height_m,
+            road.slope_east,
+            road.slope_north,
+        )
+        return next_link(link, self.chain, verified=judgement.word != "confirmed")
+
+
+def is_sharp(fix: Fix, rules: Rules) -> bool:
+    """Is the fix so precise, by its own account, that where it stands and how it moves says something?"""
+    assert fix.covariance_enu_m2 is not None
+    return claimed_sigma_m(with_true_sigma(fix.covariance_enu_m2, rules.true_sigma)) <= (
+        rules.verification.fix_sigma_m
+    )

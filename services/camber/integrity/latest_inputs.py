@@ -1,0 +1,78 @@
+"""What the judge has heard last: the newest poses, the antenna's height, the wheels' speed, the receiver's own word."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+
+from camber.integrity.checks.receiver_integrity import ReceiverWord
+from camber.integrity.epoch_inputs import Situation, age_s
+from camber.schemas.antenna import AntennaHeight
+from camber.schemas.pose import Pose
+
+_POSES = 64  # a second or more at any rate of the pose
+_NEAR_S = 0.5  # the pose by which a displacement is told is at most so far from the fix
+
+
+class Heard:
+    """The inputs beside the fixes, each as it came."""
+
+    def __init__(self) -> None:
+        self.receiver = ReceiverWord()
+        self.poses: deque[Pose] = deque(maxlen=_POSES)
+        self._antenna: AntennaHeight | None = None
+        self._speed: tuple[int, float] | None = None
+
+    @property
+    def pose(self) -> Pose | None:
+        """The newest pose."""
+        return self.poses[-1] if self.poses else None
+
+    def hear_pose(self, pose: Pose) -> None:
+        """A new pose; one that is older than the last is of no use."""
+        if not self.poses or pose.time_ns > self.poses[-1].time_ns:
+            self.poses.append(pose)
+
+    def hear_antenna(self, antenna: AntennaHeight) -> None:
+        """A new antenna height."""
+        self._antenna = antenna
+
+    def hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+        """A new wheel speed; None does not overwrite a known one, its age does."""
+        if speed_m_s is not None:
+            self._speed = (time_ns, speed_m_s)
+
+    def forget_after(self, limit_ns: int) -> None:
+        """Drop what is dated later than this."""
+        while self.poses and self.poses[-1].time_ns > limit_ns:
+            self.poses.pop()
+        if self._antenna is not None and self._antenna.time_ns > limit_ns:
+            self._antenna = None
+        self.receiver.forget_after(limit_ns)
+
+    def situation(self, at_ns: int, alive: frozenset[str]) -> Situation:
+        """What is known for a judgement at this time: the pose nearest to it."""
+        return Situation(self._nearest_pose(at_ns), self._antenna, alive)
+
+    def speed_at(self, time_ns: int, max_age_s: float) -> float | None:
+        """The wheels' speed, None where it is too far from this time."""
+        if self._speed is None or not abs(age_s(self._speed[0], time_ns)) <= max_age_s:
+            return None
+        return self._speed[1]
+
+    def pose_near(self, time_ns: int) -> Pose | None:
+        """The nearest pose that has a place, if it is near enough to tell a displacement by."""
+        pose = self._nearest_pose(time_ns)
+        if pose is None or pose.latitude_rad is None or not abs(age_s(pose.time_ns, time_ns)) <= _NEAR_S:
+            return None
+        return pose
+
+    def _nearest_pose(self, time_ns: int) -> Pose | None:
+        """Of two as near the earlier; they are in the order of their times."""
+        poses = self.poses
+        if not poses or time_ns >= poses[-1].time_ns:
+            return self.pose
+        after = bisect_left(poses, time_ns, key=lambda pose: pose.time_ns)
+        before = max(after - 1, 0)
+        nearer = time_ns - poses[before].time_ns <= poses[after].time_ns - time_ns
+        return poses[before if nearer else after]

@@ -1,0 +1,1 @@
+"""Learning of the height correction, and the causes of a common height difference."""

@@ -1,0 +1,358 @@
+"""Why do fixes and height model differ, and go on to: antenna, road, base, or what one vehicle cannot tell?
+
+All judged fixes are heard, also those found erroneous: one wrong fix is a wrong fix, but where stretch after stretch
+differs by the same vector, something else is wrong.
+
+- **base** (or datum): fixes are off by one vector. Its horizontal part shows against a pose that owes nothing to them:
+  a scan match, or one that leans on no fix since they are off.
+- **antenna**: heights are off alike on several links, and the horizontal position is seen to be right.
+- **road**: one stretch differs, the roads before and after it do not; and a fix there was verified otherwise, or
+  another drive over it found the same.
+- **ambiguous**: it lasts, but is one of several: on too few links antenna or road; without an independent pose
+  antenna or base. What changed at the onset decides: another base's key, another antenna's.
+
+A base that is wrong in height alone looks like an antenna, unless its key changed; a wrong fix whose integers hold for
+minutes looks like a wrong base as long as it holds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from camber.integrity.learning.residuals import Cell, CellCollector, Residual, distance_m
+from camber.schemas.integrity import Cause
+
+ISSUE_CODES: dict[Cause, str] = {
+    "antenna": "antenna_changed",
+    "road": "road_changed",
+    "base": "base_wrong",
+    "ambiguous": "cause_ambiguous",
+}
+"""Under which a named cause stands in health."""
+
+_MOST_CELLS = 40
+_BEFORE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class CauseRules:
+    """When a difference is large, when it is one, when it lasts, and when it is not that of one road.
+
+    A height counts beyond `least_height_m` and `sigmas` of the mean, a horizontal one beyond `least_horizontal_m` and
+    `horizontal_sigmas` of a single stretch: errors of scan matching are alike from stretch to stretch. `coherent` is
+    the share of the stretches that must agree with one another. Roads are built, and surveyed, from crossing to
+    crossing, and sometimes on to the next: an antenna shows on `antenna_links`, with `link_cells` on each, over
+    `antenna_distance_m`.
+    """
+
+    cell_m: float = 20.0
+    least_height_m: float = 0.1
+    sigmas: float = 5.0
+    least_horizontal_m: float = 0.2
+    horizontal_sigmas: float = 3.0
+    horizontal_sigma_limit_m: float = 0.3
+    coherent: float = 0.75
+    standing: float = 0.75
+    least_cells: int = 4
+    far_m: float = 5.0
+    least_far_s: float = 8.0
+    least_aside_s: float = 30.0
+    least_s: float = 15.0
+    antenna_links: int = 3
+    antenna_distance_m: float = 400.0
+    again_s: float = 60.0
+    link_cells: int = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """A cause with its onset, its vector as far as it is known, and for a road its surface.
+
+    `after_right`: as many stretches before its onset were seen as a cause needs, and did not differ so.
+    """
+
+    cause: Cause = "none"
+    onset_ns: int | None = None
+    up_m: float | None = None
+    east_north_m: tuple[float, float] | None = None
+    surface_id: int | None = None
+    text: str = ""
+    after_right: bool = False
+
+
+NOTHING = Diagnosis()
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A cell, and the correction that was in force at its end."""
+
+    cell: Cell
+    correction_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedRoad:
+    """A surface that lies otherwise than this version of the map says."""
+
+    surface_id: int
+    map_version: int
+    offset_m: float
+    onset_ns: int
+
+
+class Causes:
+    """Hears residuals in the order of time. `roads`: those known to have changed, by surface."""
+
+    def __init__(self, rules: CauseRules, roads: Sequence[ChangedRoad] = ()) -> None:
+        self.rules = rules
+        self.common = NOTHING
+        self.roads = {road.surface_id: road for road in roads}
+        self._collector = CellCollector(rules.cell_m)
+        self._map_version = roads[0].map_version if roads else None
+        self._seen: deque[_Seen] = deque(maxlen=_MOST_CELLS)
+        self._run: list[_Seen] = []  # of deviating cells since the last that did not deviate
+        self._whole = False  # is the cell before that run known not to have deviated?
+        self._suspects: dict[int, tuple[float, int]] = {}  # surface: offset and time of the pass
+        self._news: list[Diagnosis] = []
+
+    def at(self, surface_id: int | None) -> Diagnosis:
+        """The cause of a difference on this surface: a road that is known goes before what is not told apart."""
+        road = self.roads.get(surface_id) if surface_id is not None else None
+        told_apart = self.common.cause not in ("none", "ambiguous")
+        return self.common if road is None or told_apart else _diagnosis_of(road)
+
+    def news(self) -> list[Diagnosis]:
+        """What has been named since the last call."""
+        news, self._news = self._news, []
+        return news
+
+    def hear(self, residual: Residual, correction_m: float) -> None:
+        """Take a residual, whatever its verdict; `correction_m` is that in force."""
+        cell = self._collector.hear(residual)
+        if cell is None:
+            return
+        if cell.up_m is not None and cell.key.map_version != self._map_version:
+            if self._map_version is not None:  # else nothing here is from another map
+                self._forget_map(cell.key.map_version)
+            self._map_version = cell.key.map_version
+        seen = _Seen(cell, correction_m)
+        self._seen.append(seen)
+        self._follow_roads(seen)
+        self._name(self._common_cause())
+
+    def _forget_map(self, version: int) -> None:
+        """Differences from another map are none from this one."""
+        self._seen.clear()
+        self._run, self._whole, self._suspects = [], False, {}
+        self.roads = {key: road for key, road in self.roads.items() if road.map_version == version}
+
+    def _name(self, found: Diagnosis) -> None:
+        if found.cause == self.common.cause:
+            # It began when it was first seen to begin, and after what, also when that has left the memory.
+            self.common = replace(found, onset_ns=self.common.onset_ns, after_right=self.common.after_right)
+            return
+        if found.cause != "none":
+            self._news.append(found)
+        self.common = found
+
+    def _common_cause(self) -> Diagnosis:
+        """Of the longest row of newest cells that differ by one vector."""
+        seen = list(self._seen)
+        for first in range(len(seen) - self.rules.least_cells + 1):
+            if first == 0 and len(seen) == _MOST_CELLS and self.common.cause == "none":
+                continue  # its beginning has not been seen
+            offset = _offset_of(seen, first, self.rules)
+            if offset is not None:
+                cells = [s.cell for s in seen[first:]]
+                before = seen[first - 1].cell if first else None
+                found = _cause_of(cells, before, offset, self.rules)
+                after_right = found is not NOTHING and first >= self.rules.least_cells
+                return replace(found, after_right=after_right)
+        return NOTHING
+
+    def _follow_roads(self, seen: _Seen) -> None:
+        """Has a stretch that differs ended, with a road before it and after it that does not?"""
+        differs = _difference_m(seen)
+        if differs is None:
+            self._run, self._whole = [], False
+        elif _is_large(seen.cell, differs, self.rules):
+            self._run.append(seen)
+        else:
+            if self._whole and self._run:
+                self._close(self._run)
+            self._run, self._whole = [], True
+
+    def _close(self, run: list[_Seen]) -> None:
+        for surface_id in {s.cell.surface_id for s in run} - {None}:
+            assert surface_id is not None
+            here = [s for s in run if s.cell.surface_id == surface_id]
+            others = [s for s in self._seen if s.cell.surface_id == surface_id and s not in run]
+            if any(s.cell.begin_ns >= run[0].cell.begin_ns - round(1e9 * self.rules.again_s) for s in others):
+                continue  # a part of it does not differ: it is not the surface
+            offset_m = statistics.median(d for s in here if (d := _difference_m(s)) is not None)
+            self._suspect(surface_id, offset_m, here)
+
+    def _suspect(self, surface_id: int, offset_m: float, here: list[_Seen]) -> None:
+        """Named where the fixes were verified otherwise, or an earlier pass found the same."""
+        begin_ns, rules = here[0].cell.begin_ns, self.rules
+        verified = 2 * sum(s.cell.verified for s in here) >= sum(s.cell.fixes for s in here)
+        earlier = self._suspects.get(surface_id)
+        again = (
+            earlier is not None
+            and begin_ns - earlier[1] >= rules.again_s * 1e9
+            and abs(earlier[0] - offset_m) <= rules.least_height_m
+        )
+        if not again:
+            self._suspects[surface_id] = (offset_m, begin_ns)
+        if not (verified or again) or surface_id in self.roads:
+            return
+        onset_ns = earlier[1] if again and earlier is not None else begin_ns
+        road = ChangedRoad(surface_id, here[0].cell.key.map_version, offset_m, onset_ns)
+        self.roads[surface_id] = road
+        self._news.append(_diagnosis_of(road))
+
+
+def _difference_m(seen: _Seen) -> float | None:
+    """Of the height, with the correction in force."""
+    return None if seen.cell.up_m is None else seen.cell.up_m - seen.correction_m
+
+
+def _is_large(cell: Cell, difference_m: float, rules: CauseRules) -> bool:
+    sigma_m = math.hypot(cell.fix_sigma_m, cell.map_sigma_m)
+    return abs(difference_m) > max(rules.least_height_m, 3.0 * sigma_m)
+
+
+@dataclass(frozen=True, slots=True)
+class _Offset:
+    """What cells have in common; None where it is not observed. `aside`: the horizontal part is one."""
+
+    up_m: float | None
+    up_is_one: bool
+    east_north_m: tuple[float, float] | None
+    aside: bool
+
+
+def _offset_of(seen: Sequence[_Seen], first: int, rules: CauseRules) -> _Offset | None:
+    """What the cells from `first` on differ by, against what held before; None: nothing, or not one thing.
+
+    Most of them, the first and the newest must be nearer to it than to nothing: so the row begins where the difference
+    begins, and a difference that has ended is none.
+    """
+    cells, before = [s.cell for s in seen[first:]], seen[max(first - _BEFORE, 0) : first]
+    before_m = (before[-1] if before else seen[0]).correction_m
+    up_m, up_is_one = _height(cells, before_m, rules)
+    east_north_m, aside = _horizontal([_side(cell, cells[0].begin_ns) for cell in cells], rules)
+    up_is_one = up_is_one and not _had_begun([d for s in before if (d := _difference_m(s)) is not None], up_m)
+    aside = aside and not _had_begun([_along(s.cell, east_north_m) for s in before], 1.0)
+    return _Offset(up_m, up_is_one, east_north_m, aside) if up_is_one or aside else None
+
+
+def _had_begun(before: Sequence[float], value: float | None) -> bool:
+    """Were the cells before nearer to this value than to nothing? Then it did not begin here: it grows."""
+    if not before or value is None:
+        return False
+    middle = statistics.median(before)
+    return abs(middle - value) < abs(middle)
+
+
+def _along(cell: Cell, east_north_m: tuple[float, float] | None) -> float:
+    """How much of a horizontal difference a cell shows: 1 all of it, 0 nothing or not known."""
+    if cell.horizontal_m is None or east_north_m is None:
+        return 0.0
+    east_m, north_m = east_north_m
+    return (cell.horizontal_m[0] * east_m + cell.horizontal_m[1] * north_m) / (east_m**2 + north_m**2)
+
+
+def _height(cells: Sequence[Cell], before_m: float, rules: CauseRules) -> tuple[float | None, bool]:
+    known = [(cell.up_m - before_m, cell) for cell in cells if cell.up_m is not None]
+    if len(known) < rules.least_cells:
+        return None, False
+    middle_m = statistics.median(up_m for up_m, _ in known)
+    # The map's error goes on from one cell to the next (by 1/e after its own length): it averages out half as fast.
+    variance_m2 = statistics.fmean(cell.fix_sigma_m**2 + 2.2 * cell.map_sigma_m**2 for _, cell in known)
+    if abs(middle_m) < max(rules.least_height_m, rules.sigmas * math.sqrt(variance_m2 / len(known))):
+        return middle_m, False
+    nearer = [abs(up_m - middle_m) < abs(up_m) for up_m, _ in known]
+    newest_m = statistics.median(up_m for up_m, _ in known[-rules.least_cells :])
+    goes_on = nearer[0] and abs(newest_m - middle_m) < abs(newest_m)
+    half = len(known) // 2
+    early_m, late_m = (statistics.median(up_m for up_m, _ in part) for part in (known[:half], known[half:]))
+    stands = abs(early_m) >= rules.standing * abs(late_m)
+    return middle_m, goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
+
+
+def _side(cell: Cell, since_ns: int) -> tuple[float, float, float] | None:
+    """Fix less pose, where the pose leans on no fix since then: it owes nothing to those that are in question."""
+    return None if cell.anchored_ns is not None and cell.anchored_ns >= since_ns else cell.horizontal_m
+
+
+def _horizontal(
+    sides: Sequence[tuple[float, float, float] | None], rules: CauseRules
+) -> tuple[tuple[float, float] | None, bool]:
+    known = [side for side in sides if side is not None and side[2] <= rules.horizontal_sigma_limit_m]
+    if len(known) < rules.least_cells or len(known) < rules.coherent * len(sides):
+        return None, False
+    east_m, north_m, sigma_m = (statistics.median(column) for column in zip(*known, strict=True))
+    size_m = math.hypot(east_m, north_m)
+    if size_m < max(rules.least_horizontal_m, rules.horizontal_sigmas * sigma_m):
+        return (east_m, north_m), False
+    nearer = [math.hypot(e - east_m, n - north_m) < 0.5 * size_m for e, n, _ in known]
+    goes_on = nearer[0] and all(nearer[-2:])
+    half = len(known) // 2
+    grown_m = math.hypot(
+        *(
+            statistics.median(side[axis] for side in known[half:])
+            - statistics.median(side[axis] for side in known[:half])
+            for axis in (0, 1)
+        )
+    )
+    stands = grown_m <= max(rules.least_horizontal_m, rules.horizontal_sigmas * sigma_m)
+    return (east_m, north_m), goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
+
+
+def _cause_of(cells: Sequence[Cell], before: Cell | None, offset: _Offset, rules: CauseRules) -> Diagnosis:
+    """Of a row of cells that differ by one vector."""
+    if (cells[-1].end_ns - cells[0].begin_ns) / 1e9 < _least_s(offset, rules):
+        return NOTHING
+    diagnosis = Diagnosis("ambiguous", cells[0].begin_ns, offset.up_m, offset.east_north_m)
+    if offset.aside:
+        return _said(replace(diagnosis, cause="base"), "fixes are off by one vector")
+    if before is not None:
+        new_antenna = before.key.antenna != cells[0].key.antenna
+        new_base = before.key.base != cells[0].key.base
+        if new_base and not new_antenna:
+            return _said(replace(diagnosis, cause="base"), "since the base changed")
+        if new_antenna and not new_base:
+            return _said(replace(diagnosis, cause="antenna"), "since the antenna changed")
+    cells_on = Counter(cell.link_id for cell in cells if cell.link_id is not None)
+    links = sum(count >= rules.link_cells for count in cells_on.values())
+    driven_m = sum(distance_m(a, b) for a, b in itertools.pairwise(cells))
+    if links < rules.antenna_links or driven_m < rules.antenna_distance_m:
+        return _said(diagnosis, f"antenna or road, {links} links so far")
+    if offset.east_north_m is None:
+        return _said(diagnosis, "antenna or base: no pose that owes nothing to fixes")
+    return _said(replace(diagnosis, cause="antenna"), f"alike on {links} links")
+
+
+def _least_s(offset: _Offset, rules: CauseRules) -> float:
+    if not offset.aside or offset.east_north_m is None:
+        return rules.least_s
+    return rules.least_far_s if math.hypot(*offset.east_north_m) > rules.far_m else rules.least_aside_s
+
+
+def _said(diagnosis: Diagnosis, why: str) -> Diagnosis:
+    parts = [f"{diagnosis.up_m:+.2f} m up"] if diagnosis.up_m is not None else []
+    if diagnosis.east_north_m is not None:
+        parts.append("{:+.2f} m east, {:+.2f} m north".format(*diagnosis.east_north_m))
+    return replace(diagnosis, text=f"{', '.join(parts)}: {why}")
+
+
+def _diagnosis_of(road: ChangedRoad) -> Diagnosis:
+    text = f"surface {road.surface_id} lies {road.offset_m:+.2f} m from map version {road.map_version}"
+    return Diagnosis("road", road.onset_ns, road.offset_m, None, road.surface_id, text)

@@ -1,0 +1,153 @@
+"""What a judged fix is off from road, antenna and pose, and such differences gathered by stretches of road.
+
+The map's error is alike over some twenty metres: twenty fixes on them are no more than one observation of it. So the
+fixes of a stretch make one cell, by their medians, which a few wrong fixes do not move.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from dataclasses import dataclass
+
+from camber.geodesy.horizontal_offsets import east_north_between
+from camber.schemas.integrity import VerdictWord
+
+MOST_FIXES = 256
+"""In one cell: whoever stands still learns nothing new of the road."""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """What an offset belongs to: how the antenna's height is known, whose fixes these are, which map."""
+
+    antenna: str = ""
+    base: str = ""
+    map_version: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """One judged fix less its model, without any learnt correction; None: not known.
+
+    `up_m` is `h_r − (h_m + h_a)` of H (4), `fix_sigma_m` that of fix and antenna together, `map_sigma_m` the road's.
+    `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
+    time of the newest confirmed fix that the pose leans on, None where it leans on none. `link_id` is the road's, from
+    crossing to crossing; a surface is a piece of it.
+    """
+
+    time_ns: int
+    verdict: VerdictWord
+    latitude_rad: float
+    longitude_rad: float
+    up_m: float | None = None
+    fix_sigma_m: float = 0.0
+    map_sigma_m: float = 0.0
+    east_m: float | None = None
+    north_m: float | None = None
+    horizontal_sigma_m: float | None = None
+    surface_id: int | None = None
+    speed_m_s: float | None = None
+    key: Key = Key()
+    link_id: int | None = None
+    anchored_ns: int | None = None
+
+    @property
+    def confirmed(self) -> bool:
+        """May a consumer use the position?"""
+        return self.verdict in ("confirmed", "confirmed_after_verification")
+
+    @property
+    def known_up_m(self) -> float | None:
+        """`up_m` where it and its σ are numbers that can be used."""
+        up_m, sigma_m = self.up_m, math.hypot(self.fix_sigma_m, self.map_sigma_m)
+        return up_m if up_m is not None and math.isfinite(up_m) and 0.0 < sigma_m < math.inf else None
+
+    @property
+    def known_horizontal_m(self) -> tuple[float, float, float] | None:
+        """East, north and their σ where all three are numbers that can be used."""
+        if self.east_m is None or self.north_m is None or self.horizontal_sigma_m is None:
+            return None
+        usable = math.isfinite(self.east_m + self.north_m) and 0.0 < self.horizontal_sigma_m < math.inf
+        return (self.east_m, self.north_m, self.horizontal_sigma_m) if usable else None
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """The fixes of one stretch on one surface: medians, and how many of the fixes were verified against the height.
+
+    Where it lies is where it began. `horizontal_m` is east, north and their σ, `anchored_ns` the newest fix that one of
+    their poses leans on.
+    """
+
+    key: Key
+    surface_id: int | None
+    begin_ns: int
+    end_ns: int
+    latitude_rad: float
+    longitude_rad: float
+    up_m: float | None
+    fix_sigma_m: float
+    map_sigma_m: float
+    horizontal_m: tuple[float, float, float] | None
+    fixes: int
+    verified: int
+    link_id: int | None = None
+    anchored_ns: int | None = None
+
+
+class CellCollector:
+    """Makes cells of residuals in the order of time."""
+
+    def __init__(self, length_m: float) -> None:
+        self._length_m = length_m
+        self._residuals: list[Residual] = []
+
+    def hear(self, residual: Residual) -> Cell | None:
+        """Take one; returns the cell that it ends, if it ends one. One that is no place is left out."""
+        if not math.isfinite(residual.latitude_rad + residual.longitude_rad):
+            return None
+        ended = None
+        if self._residuals and not self._goes_on(self._residuals[0], residual):
+            ended = cell_of(self._residuals)
+            self._residuals = []
+        if len(self._residuals) < MOST_FIXES:
+            self._residuals.append(residual)
+        return ended
+
+    def _goes_on(self, first: Residual, residual: Residual) -> bool:
+        if (first.surface_id, first.key) != (residual.surface_id, residual.key):
+            return False
+        return distance_m(first, residual) < self._length_m
+
+
+def cell_of(residuals: list[Residual]) -> Cell:
+    """The cell of residuals of one surface and key, at least one."""
+    first = residuals[0]
+    ups = [(up_m, r) for r in residuals if (up_m := r.known_up_m) is not None]
+    sides = [side for r in residuals if (side := r.known_horizontal_m) is not None]
+    horizontal_m = None
+    if sides:
+        east_m, north_m, sigma_m = (statistics.median(column) for column in zip(*sides, strict=True))
+        horizontal_m = (east_m, north_m, sigma_m)
+    return Cell(
+        first.key,
+        first.surface_id,
+        first.time_ns,
+        residuals[-1].time_ns,
+        first.latitude_rad,
+        first.longitude_rad,
+        up_m=statistics.median(up_m for up_m, _ in ups) if ups else None,
+        fix_sigma_m=statistics.median(r.fix_sigma_m for _, r in ups) if ups else 0.0,
+        map_sigma_m=statistics.median(r.map_sigma_m for _, r in ups) if ups else 0.0,
+        horizontal_m=horizontal_m,
+        fixes=len(residuals),
+        verified=sum(r.verdict == "confirmed_after_verification" for r in residuals),
+        link_id=first.link_id,
+        anchored_ns=max((r.anchored_ns for r in residuals if r.anchored_ns is not None), default=None),
+    )
+
+
+def distance_m(a: Residual | Cell, b: Residual | Cell) -> float:
+    """Between two places, along the ellipsoid's tangent plane."""
+    return math.hypot(*east_north_between(a.latitude_rad, a.longitude_rad, b.latitude_rad, b.longitude_rad))

@@ -1,0 +1,96 @@
+"""What was learnt, as text that is kept over a restart. A damaged one never moves the height: it is refused whole."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+from camber.integrity.learning.height_correction import Correction, Learning, LearningRules, Part
+from camber.integrity.learning.offset_causes import ChangedRoad
+from camber.schemas.base import Count, Model, TimeNs
+
+_Key = Annotated[str, Field(max_length=200)]
+
+
+class _Part(Model):
+    antenna: _Key
+    base: _Key
+    map_version: Count
+    correction_m: float
+    sigma_m: Annotated[float, Field(ge=0.0, le=1.0)]
+    samples: Count
+
+
+class _Road(Model):
+    surface_id: Count
+    map_version: Count
+    offset_m: Annotated[float, Field(ge=-100.0, le=100.0)]
+    onset_ns: TimeNs
+
+
+class _Kept(Model):
+    format: Literal[1]
+    parts: Annotated[tuple[_Part, ...], Field(max_length=64)]
+    roads: Annotated[tuple[_Road, ...], Field(max_length=4096)]
+
+
+def to_text(learning: Learning) -> str:
+    """Everything worth keeping; the stretches in memory are not: after a restart they are seen anew."""
+    parts = tuple(
+        _Part(
+            antenna=part.antenna,
+            base=part.base,
+            map_version=part.map_version,
+            correction_m=part.correction.correction_m,
+            sigma_m=min(part.correction.sigma_m, 1.0),
+            samples=part.correction.samples,
+        )
+        for part in learning.parts
+    )
+    roads = tuple(
+        _Road(
+            surface_id=road.surface_id,
+            map_version=road.map_version,
+            offset_m=road.offset_m,
+            onset_ns=road.onset_ns,
+        )
+        for road in learning.causes.roads.values()
+    )
+    return _Kept(format=1, parts=parts, roads=roads[-4096:]).model_dump_json()
+
+
+def from_text(text: str, rules: LearningRules) -> Learning:
+    """The reverse. Raises ValueError, one line, that says what was expected where."""
+    try:
+        kept = _Kept.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "text"
+        raise ValueError(f"{place}: {first['msg']}") from error
+    for part in kept.parts:
+        if not abs(part.correction_m) <= rules.cap_m:
+            raise ValueError(
+                f"correction_m is {part.correction_m}, expected a number within ±{rules.cap_m} m"
+            )
+    keys = {(part.antenna, part.base) for part in kept.parts}
+    if len(keys) != len(kept.parts):
+        raise ValueError("parts: expected each antenna and base once")
+    return Learning(
+        rules,
+        [_part_of(part, rules) for part in kept.parts],
+        [ChangedRoad(r.surface_id, r.map_version, r.offset_m, r.onset_ns) for r in kept.roads],
+    )
+
+
+def _part_of(kept: _Part, rules: LearningRules) -> Part:
+    """As a prior it is less sure than it was: load and tyres change while a vehicle stands."""
+    sigma_m = max(kept.sigma_m, rules.release_sigma_m)
+    return Part(
+        kept.antenna,
+        kept.base,
+        kept.map_version,
+        Correction(kept.correction_m, kept.sigma_m, kept.samples),
+        prior_m=kept.correction_m,
+        prior_sigma_m=sigma_m,
+    )

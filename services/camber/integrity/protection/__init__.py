@@ -1,0 +1,1 @@
+"""Protection levels and error ellipses of the position at every epoch."""

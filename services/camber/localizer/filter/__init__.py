@@ -1,0 +1,1 @@
+"""The pose filter: dead reckoning, wheel slip, anchors, scan matches, initialization."""

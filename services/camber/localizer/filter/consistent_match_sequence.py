@@ -1,0 +1,111 @@
+"""Scan matches in a row that tell one story: laid along the driven track, each follows from the one before."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from camber.localizer.filter.dead_reckoning import Behind, TrackPoint
+from camber.localizer.filter.start import largest_variance, lever_arm, moved_by_lever
+from camber.localizer.links.link_filter import Array, wrapped
+
+
+class SeenMatch(NamedTuple):
+    """The pose by a scan match (m, rad), its covariance (3, 3), and where the dead-reckoned track was then; how far
+    behind the sweeps were that were overlaid by that track."""
+
+    time_ns: int
+    east_m: float
+    north_m: float
+    yaw_rad: float
+    covariance: Array
+    track: TrackPoint
+    behind: Behind = Behind()
+
+    def carried(self, track: TrackPoint) -> tuple[float, float, float, Array]:
+        """East, north, yaw and covariance (3, 3) where the track was at another time."""
+        turned = self.yaw_rad - self.track.yaw_rad
+        east, north = lever_arm(turned, track.east_m - self.track.east_m, track.north_m - self.track.north_m)
+        covariance = moved_by_lever(self.covariance, east, north)
+        return self.east_m + east, self.north_m + north, track.yaw_rad + turned, covariance
+
+
+class RunModel(NamedTuple):
+    """When matches agree, and which are determined well enough to say so."""
+
+    gate: float = 21.11
+    drift_m: float = 0.05
+    drift_per_m: float = 0.01
+    drift_rad: float = math.radians(0.5)
+    max_gap_s: float = 3.0
+    max_sigma_m: float = 0.5
+    max_sigma_rad: float = math.radians(3.0)
+
+
+class MatchRun:
+    """Collects unique matches that agree; one that does not agree begins a new run."""
+
+    def __init__(self, model: RunModel | None = None) -> None:
+        self._model = model or RunModel()
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._first: SeenMatch | None = None
+        self._last: SeenMatch | None = None
+        self.count = 0
+
+    @property
+    def path_m(self) -> float:
+        """Distance driven from the first to the last."""
+        if self._first is None or self._last is None:
+            return 0.0
+        return self._last.track.path_m - self._first.track.path_m
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last."""
+        return 0.0 if self._first is None or self._last is None else _seconds(self._first, self._last)
+
+    def shift(self, east_m: float, north_m: float) -> None:
+        """The plane's origin has moved by (east, north)."""
+        self._first, self._last = (
+            None if m is None else shifted(m, east_m, north_m) for m in (self._first, self._last)
+        )
+
+    def add(self, match: SeenMatch, *, unique: bool) -> None:
+        """Take in a match; one that is not unique, or vague in any direction, says nothing."""
+        model = self._model
+        sigma_m = math.sqrt(largest_variance(match.covariance))
+        sigma_rad = math.sqrt(float(match.covariance[2, 2]))
+        if not unique or sigma_m > model.max_sigma_m or sigma_rad > model.max_sigma_rad:
+            return
+        first, last = self._first, self._last
+        follows = first is not None and last is not None and self._follows(first, last, match)
+        self._first = first if follows else match
+        self.count = self.count + 1 if follows else 1
+        self._last = match
+
+    def _follows(self, first: SeenMatch, last: SeenMatch, match: SeenMatch) -> bool:
+        if not 0.0 < _seconds(last, match) <= self._model.max_gap_s:
+            return False
+        return self._agree(last, match) and self._agree(first, match)
+
+    def _agree(self, a: SeenMatch, b: SeenMatch) -> bool:
+        model = self._model
+        east, north, yaw, covariance = a.carried(b.track)
+        off = np.array([b.east_m - east, b.north_m - north, wrapped(b.yaw_rad - yaw)])
+        drift = (model.drift_m + model.drift_per_m * abs(b.track.path_m - a.track.path_m)) ** 2
+        s = covariance + b.covariance + np.diag([drift, drift, model.drift_rad**2])
+        return float(off @ np.linalg.solve(s, off)) <= model.gate
+
+
+def shifted(match: SeenMatch, east_m: float, north_m: float) -> SeenMatch:
+    """The match in a plane whose origin has moved by (east, north)."""
+    return match._replace(east_m=match.east_m - east_m, north_m=match.north_m - north_m)
+
+
+def _seconds(a: SeenMatch, b: SeenMatch) -> float:
+    return (b.time_ns - a.time_ns) * 1e-9

@@ -1,0 +1,86 @@
+"""Everything the localizer's filter assumes of sensors, links, anchors and scan matches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from camber.localizer.filter.dead_reckoning import MotionModel
+from camber.localizer.filter.start import HeadingModel
+
+
+@dataclass(frozen=True, slots=True)
+class PoseModel:
+    """Antenna: x forward, y left of the vehicle's reference point. Gates are chi-square."""
+
+    motion: MotionModel = field(default_factory=MotionModel)
+    antenna_x_m: float = 0.0
+    antenna_y_m: float = 0.0
+    anchor_sigma_floor_m: float = 0.05
+    anchor_common_sigma_m: float = 0.04
+    anchor_common_time_s: float = 30.0
+    anchor_gate: float = 18.42  # chi-square, 2 degrees of freedom, 99.99 %
+    anchored_for_s: float = 1.0
+    anchor_max_age_s: float = 5.0
+    recover_after_anchors: int = 5
+    recover_after_s: float = 0.8
+    match_gate: float = 21.11  # chi-square, 3 degrees of freedom, 99.99 %
+    match_doubt: float = 11.34  # the same, 99 %: from here on the wheels may be doubted
+    match_sure_m: float = 1.5  # a vaguer pose needs a unique match
+    match_sure_rad: float = math.radians(5.0)
+    match_max_age_s: float = 1.0
+    match_fresh_s: float = 0.5
+    match_sigma_floor_m: float = 0.01
+    match_sigma_floor_rad: float = math.radians(0.03)
+    match_common_sigma_m: float = 0.02
+    match_common_sigma_rad: float = math.radians(0.03)
+    match_common_length_m: float = 15.0
+    match_renewed_m: float = 5.0  # so far apart two matches see other things
+    match_renewed_s: float = 20.0
+    recover_after_matches: int = 5
+    recover_after_m: float = 10.0
+    unmodelled_drift: float = 0.005  # share of the distance by which dead reckoning may be wrong unnoticed
+    unmodelled_turn_rad: float = math.radians(1.0)
+    support_after_matches: int = 5
+    support_after_m: float = 5.0
+    support_after_s: float = 5.0
+    support_sigma_m: float = 0.1
+    support_sigma_rad: float = math.radians(0.5)
+    holds_for_s: float = 2.0  # so long after it was accepted does a source hold the pose against another
+    slip_sigma_m_s: float = 1.5
+    slip_seen_within_s: float = 1.0
+    slip_window_s: float = 0.5
+    slip_above_m_s: float = 2.0
+    most_acceleration_m_s2: float = 4.5
+    most_braking_m_s2: float = 9.0
+    calm_change_m_s2: float = 3.5  # wheels in doubt that change faster go on or cease to slip
+    come_back_m_s: float = 1.0
+    doubt_sigma_m_s: float = 3.0
+    doubt_time_s: float = 20.0
+    doubt_ends_s: float = 1.0
+    doubt_unseen_s: float = 15.0
+    locked_time_s: float = 1.0  # in which a vehicle on locked wheels loses two thirds of its speed
+    locked_for_s: float = 3.0
+    heading: HeadingModel = field(default_factory=HeadingModel)
+    max_yaw_sigma_rad: float = 0.5
+    restart_sigma_m: float = 20.0
+    lost_sigma_m: float = 500.0
+    couple_links: bool = True
+    couple_every_m: float = 5.0
+    couple_rotation_every_s: float = 1.0
+    road_noise_m: float = 0.1
+    lane_sigma_m: float = 4.0
+    lane_wander_m_sqrt_m: float = 0.1
+    lane_turn_sigma_m: float = 2.0
+    deviation_length_m: float = 40.0  # a link runs straight between vertices some 50 m apart
+    link_shift_share: float = 0.5  # of a link's sigma: a quarter of its variance is the neighbourhood's
+    link_shift_length_m: float = 2000.0
+    memory_cell_m: float = 25.0
+    memory_cells: int = 100
+    new_road_rad: float = math.radians(20.0)
+    parallel_sigma_rad: float = math.radians(5.0)
+    parallel_max_rad: float = math.radians(25.0)
+    bend_clearance_m: float = 12.0
+    bend_max_sigma_m: float = 30.0
+    coupling_gate: float = 9.0
+    lane_change_after_rejections: int = 3

@@ -1,0 +1,1 @@
+"""Road links: matching the vehicle to a link and holding the pose by it."""

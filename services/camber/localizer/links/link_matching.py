@@ -1,0 +1,406 @@
+"""Which link the vehicle is on: by topology and the history of the pose, never by height.
+
+Every plausible (link, direction) is kept with a weight, the logarithm of its likelihood relative to the best.
+A step of the pose adds evidence of distance and heading, and hypotheses pass on only to themselves, their
+own reverse and the links at their ends: a road that crosses above or runs alongside is never reached without
+a node. As long as several remain within reason the match is *ambiguous* and says which; when no link
+explains the pose over some distance there is none (car parks), until the pose has followed one for a while.
+
+Beyond CN101360971, which takes a link to be found. The weights are those of map matching by hidden Markov
+models (Newson and Krumm 2009), the evidence counted per distance, for a link's deviation varies slowly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.localizer.links.link_filter import Array, LinkLine, require, wrapped
+
+LinkId: TypeAlias = int | str
+MatchStatus: TypeAlias = Literal["none", "ambiguous", "matched"]
+
+
+class _Key(NamedTuple):
+    link: int
+    forward: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """A piece of road: vertices (n >= 2, 2) east/north in metres from `start_node` to `end_node`, level for
+    stacked roads, `sigma_m` its lateral deviation from the road. One-way links run along their vertices."""
+
+    link_id: LinkId
+    start_node: LinkId
+    end_node: LinkId
+    vertices_m: Array
+    level: int = 0
+    sigma_m: float = 2.0
+    one_way: bool = False
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.vertices_m)
+        if len(shape) != 2 or shape[0] < 2 or shape[1] != 2:
+            raise ValueError(f"vertices_m: expected shape (n >= 2, 2), got {shape}")
+        require("vertices_m", self.vertices_m, shape)
+        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0.0):
+            raise ValueError(f"sigma_m: must be finite and positive; got {self.sigma_m}")
+
+
+@dataclass(frozen=True, slots=True)
+class MatchingModel:
+    """What counts as plausible. Angles in radians, distances in metres."""
+
+    lane_sigma_m: float = 3.0
+    direction_sigma_rad: float = math.radians(12.0)
+    plausible_angle_rad: float = math.radians(60.0)
+    plausible_sigmas: float = 3.5
+    evidence_per_m: float = 1.0 / 25.0
+    u_turn_penalty: float = 4.0
+    step_back_penalty: float = 1.0
+    forget_below: float = 12.0
+    ambiguous_above: float = 4.6
+    same_direction_rad: float = math.radians(20.0)
+    sharp_bend_rad: float = math.radians(25.0)
+    lost_after_m: float = 20.0
+    regain_after_m: float = 20.0
+    min_step_m: float = 1.0
+    search_margin_m: float = 25.0
+    max_search_m: float = 150.0
+    max_yaw_sigma_rad: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMatch:
+    """The current link. `line` is directed along the travel; `level` is None where candidates differ in it;
+    `station_m` is the distance along the link from its start, `to_sharp_m` that to the nearest vertex where its
+    direction means nothing."""
+
+    status: MatchStatus
+    link_id: LinkId | None = None
+    forward: bool = True
+    level: int | None = None
+    line: LinkLine | None = None
+    sigma_m: float = 0.0
+    to_sharp_m: float = 0.0
+    candidates: tuple[LinkId, ...] = ()
+    station_m: float = 0.0
+
+
+class _Foot(NamedTuple):
+    """The nearest point of a link: its distance and normal, the link's direction there, and its station."""
+
+    distance_m: float
+    normal_east: float
+    normal_north: float
+    alpha_rad: float
+    start_east_m: float
+    start_north_m: float
+    station_m: float
+
+
+class LinkNetwork:
+    """Links as flat arrays of segments, a grid over them, and who meets whom at the nodes."""
+
+    def __init__(self, links: Sequence[Link], sharp_bend_rad: float = math.radians(25.0)) -> None:
+        self.links = tuple(_without_repeats(link) for link in links)
+        self._sharp_bend_rad = sharp_bend_rad
+        self._at_node: dict[LinkId, list[_Key]] = {}
+        for index, link in enumerate(self.links):
+            self._at_node.setdefault(link.start_node, []).append(_Key(index, True))
+            self._at_node.setdefault(link.end_node, []).append(_Key(index, False))
+        self._flatten()
+        self._sharp = [self._sharp_stations(index) for index in range(len(self.links))]
+
+    def shifted(self, east_m: float, north_m: float) -> LinkNetwork:
+        """The same network in a plane whose origin has moved by (east, north)."""
+        step = np.array([east_m, north_m])
+        moved = [
+            Link(k.link_id, k.start_node, k.end_node, k.vertices_m - step, k.level, k.sigma_m, k.one_way)
+            for k in self.links
+        ]
+        return LinkNetwork(moved, self._sharp_bend_rad)
+
+    def _flatten(self) -> None:
+        steps = [np.diff(link.vertices_m, axis=0) for link in self.links]
+        self._lengths = [np.hypot(step[:, 0], step[:, 1]) for step in steps]
+        self._stations = [np.concatenate(([0.0], np.cumsum(length))) for length in self._lengths]
+        empty = np.zeros((0, 2))
+        self._start = np.concatenate([empty, *(link.vertices_m[:-1] for link in self.links)])
+        self._length = np.concatenate([np.zeros(0), *self._lengths])
+        self._direction = np.concatenate([empty, *steps]) / self._length[:, None]
+        self._station = np.concatenate([np.zeros(0), *(station[:-1] for station in self._stations)])
+        self._owner = np.repeat(np.arange(len(self.links)), [len(length) for length in self._lengths])
+        self._cell_m = 64.0
+        self._cells: dict[tuple[int, int], list[int]] = {}
+        end = self._start + self._direction * self._length[:, None]
+        low = np.floor(np.minimum(self._start, end) / self._cell_m).astype(int)
+        high = np.floor(np.maximum(self._start, end) / self._cell_m).astype(int)
+        for index in range(len(self._start)):
+            for i in range(low[index, 0], high[index, 0] + 1):
+                for j in range(low[index, 1], high[index, 1] + 1):
+                    self._cells.setdefault((i, j), []).append(index)
+
+    def _sharp_stations(self, index: int) -> NDArray[np.float64]:
+        """Stations of the link's bends, and of its ends where no other link carries straight on."""
+        step = np.diff(self.links[index].vertices_m, axis=0)
+        alpha = np.arctan2(step[:, 1], step[:, 0])
+        bend = np.abs((np.diff(alpha) + math.pi) % math.tau - math.pi)
+        stations = list(self._stations[index][1:-1][bend > self._sharp_bend_rad])
+        for forward, station in ((True, self._stations[index][-1]), (False, 0.0)):
+            key = _Key(index, forward)
+            heading = self._alpha_at_end(key, at_far_end=True)
+            onward = [self._alpha_at_end(k, at_far_end=False) for k in self.successors(key)]
+            if not any(abs(wrapped(alpha - heading)) <= self._sharp_bend_rad for alpha in onward):
+                stations.append(station)
+        return np.array(stations)
+
+    def _alpha_at_end(self, key: _Key, *, at_far_end: bool) -> float:
+        vertices = self.links[key.link].vertices_m
+        a, b = (vertices[-2], vertices[-1]) if key.forward == at_far_end else (vertices[0], vertices[1])
+        if not key.forward:
+            a, b = b, a
+        return math.atan2(b[1] - a[1], b[0] - a[0])
+
+    def _node(self, key: _Key, *, far: bool) -> LinkId:
+        link = self.links[key.link]
+        return link.end_node if key.forward == far else link.start_node
+
+    def successors(self, key: _Key) -> list[_Key]:
+        """(link, direction) that may follow this one over the node at its far end."""
+        return [k for k in self._at_node[self._node(key, far=True)] if k.link != key.link and self.allowed(k)]
+
+    def predecessors(self, key: _Key) -> list[_Key]:
+        """(link, direction) that may precede this one over the node at its near end."""
+        return [
+            _Key(k.link, not k.forward)
+            for k in self._at_node[self._node(key, far=False)]
+            if k.link != key.link and self.allowed(_Key(k.link, not k.forward))
+        ]
+
+    def allowed(self, key: _Key) -> bool:
+        """Whether traffic runs this way on this link."""
+        return key.forward or not self.links[key.link].one_way
+
+    def to_sharp_m(self, link: int, station_m: float) -> float:
+        """Distance along the link to its nearest sharp vertex, infinite where it has none."""
+        sharp = self._sharp[link]
+        return float(np.abs(sharp - station_m).min()) if len(sharp) else math.inf
+
+    def feet(self, east_m: float, north_m: float, radius_m: float) -> dict[int, _Foot]:
+        """Nearest points of the links within the radius, by link index."""
+        i0, i1 = (math.floor((east_m + r) / self._cell_m) for r in (-radius_m, radius_m))
+        j0, j1 = (math.floor((north_m + r) / self._cell_m) for r in (-radius_m, radius_m))
+        cells = self._cells
+        near = {k for i in range(i0, i1 + 1) for j in range(j0, j1 + 1) for k in cells.get((i, j), ())}
+        if not near:
+            return {}
+        index = np.fromiter(near, dtype=np.intp, count=len(near))
+        start, direction = self._start[index], self._direction[index]
+        off_east, off_north = east_m - start[:, 0], north_m - start[:, 1]
+        along = np.clip(off_east * direction[:, 0] + off_north * direction[:, 1], 0.0, self._length[index])
+        off_east -= along * direction[:, 0]
+        off_north -= along * direction[:, 1]
+        distance = np.hypot(off_east, off_north)
+        feet: dict[int, _Foot] = {}
+        for k in np.lexsort((index, distance)):
+            if distance[k] > radius_m:
+                break
+            owner = int(self._owner[index[k]])
+            if owner in feet:
+                continue
+            d, (u, v) = float(distance[k]), direction[k]
+            normal = (float(off_east[k]) / d, float(off_north[k]) / d) if d > 1e-9 else (-float(v), float(u))
+            feet[owner] = _Foot(
+                d,
+                *normal,
+                math.atan2(v, u),
+                float(start[k, 0]),
+                float(start[k, 1]),
+                float(self._station[index[k]] + along[k]),
+            )
+        return feet
+
+
+class LinkMatcher:
+    """Follows the vehicle over the network."""
+
+    def __init__(self, network: LinkNetwork, model: MatchingModel | None = None) -> None:
+        self._network = network
+        self._model = model or MatchingModel()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the history, as after a jump of the pose."""
+        self._weights: dict[_Key, float] = {}
+        self._travelled_m: float | None = None
+        self._lost_m = 0.0
+        self._regained_m = math.inf
+        self._match = LinkMatch("none")
+
+    def replace_network(self, network: LinkNetwork) -> None:
+        """Another part of the map, or another origin; hypotheses on links that remain are kept."""
+        index = {link.link_id: k for k, link in enumerate(network.links)}
+        old = self._network.links
+        self._weights = {
+            _Key(index[old[key.link].link_id], key.forward): weight
+            for key, weight in self._weights.items()
+            if old[key.link].link_id in index
+        }
+        self._network = network
+        self._match = LinkMatch("none")
+        if self._travelled_m is not None:
+            self._travelled_m -= self._model.min_step_m
+
+    def step(
+        self, east_m: float, north_m: float, yaw_rad: float, covariance: Array, travelled_m: float
+    ) -> LinkMatch:
+        """The match at a pose with covariance (3, 3) after a path of `travelled_m` since the beginning.
+
+        Evidence counts per distance travelled: asked again at the same place, the answer is the same.
+        """
+        for name, value in (("east_m", east_m), ("north_m", north_m), ("yaw_rad", yaw_rad)):
+            if not math.isfinite(value):
+                raise ValueError(f"{name}: must be finite; got {value}")
+        if not math.isfinite(travelled_m):
+            raise ValueError(f"travelled_m: must be finite; got {travelled_m}")
+        moved = math.inf if self._travelled_m is None else travelled_m - self._travelled_m
+        if 0.0 <= moved < self._model.min_step_m:
+            return self._match
+        require("covariance", covariance, (3, 3))
+        self._travelled_m = travelled_m
+        self._match = self._next(east_m, north_m, yaw_rad, covariance, min(abs(moved), 50.0))
+        return self._match
+
+    def _next(self, east_m: float, north_m: float, yaw_rad: float, p: Array, moved_m: float) -> LinkMatch:
+        model = self._model
+        pee, pnn, pen, pyy = float(p[0, 0]), float(p[1, 1]), float(p[0, 1]), float(p[2, 2])
+        radius = 3.0 * math.sqrt(max(0.0, pee + pnn)) + model.search_margin_m
+        if radius > model.max_search_m:
+            self.reset()
+            return self._match
+        feet = self._network.feet(east_m, north_m, radius)
+        evidence, plausible = self._evidence(feet, yaw_rad, pee, pnn, pen, pyy)
+        if not self._weights:
+            self._weights = {key: evidence[key] for key in plausible}
+        else:
+            self._pass_on(evidence, min(1.0, moved_m * model.evidence_per_m))
+        self._keep_the_likely()
+        alive = plausible & self._weights.keys()
+        self._lost_m = 0.0 if alive else self._lost_m + moved_m
+        self._regained_m += moved_m if alive else 0.0
+        if not alive and (not self._weights or self._lost_m > model.lost_after_m):
+            self._weights, self._lost_m, self._regained_m = {}, 0.0, 0.0
+        if not alive:
+            return LinkMatch("none")
+        return self._judge(alive, feet, pyy)
+
+    def _evidence(
+        self, feet: dict[int, _Foot], yaw: float, pee: float, pnn: float, pen: float, pyy: float
+    ) -> tuple[dict[_Key, float], set[_Key]]:
+        model = self._model
+        evidence: dict[_Key, float] = {}
+        plausible: set[_Key] = set()
+        heading_var = pyy + model.direction_sigma_rad**2
+        widest = model.plausible_angle_rad + 3.0 * math.sqrt(pyy)
+        for link, foot in feet.items():
+            u, v = foot.normal_east, foot.normal_north
+            own_var = self._network.links[link].sigma_m ** 2 + model.lane_sigma_m**2
+            variance = own_var + u * u * pee + v * v * pnn + 2.0 * u * v * pen
+            d2 = foot.distance_m**2 / variance
+            for key in (_Key(link, True), _Key(link, False)):
+                if not self._network.allowed(key):
+                    continue
+                turn = abs(wrapped(yaw - foot.alpha_rad - (0.0 if key.forward else math.pi)))
+                evidence[key] = -0.5 * (min(d2, 40.0) + min(turn * turn / heading_var, 20.0))
+                if d2 <= model.plausible_sigmas**2 and turn <= widest:
+                    plausible.add(key)
+        return evidence, plausible
+
+    def _pass_on(self, evidence: dict[_Key, float], share: float) -> None:
+        model = self._model
+        prior = dict(self._weights)
+
+        def offer(key: _Key, weight: float) -> None:
+            if key in evidence and weight > prior.get(key, -math.inf):
+                prior[key] = weight
+
+        for key, weight in self._weights.items():
+            offer(_Key(key.link, not key.forward), weight - model.u_turn_penalty)
+            for k in self._network.successors(key):
+                offer(k, weight)
+            for k in self._network.predecessors(key):
+                offer(k, weight - model.step_back_penalty)
+        self._weights = {key: weight + share * evidence.get(key, -30.0) for key, weight in prior.items()}
+
+    def _keep_the_likely(self) -> None:
+        if not self._weights:
+            return
+        best = max(self._weights.values())
+        floor = best - self._model.forget_below
+        self._weights = {key: w - best for key, w in self._weights.items() if w >= floor}
+
+    def _judge(self, alive: set[_Key], feet: dict[int, _Foot], pyy: float) -> LinkMatch:
+        model, links = self._model, self._network.links
+        best = max(alive, key=lambda key: (self._weights[key], -feet[key.link].distance_m, key))
+        threshold = self._weights[best] - model.ambiguous_above
+        near = sorted((k for k in alive if self._weights[k] >= threshold), key=lambda k: -self._weights[k])
+        rivals = [k for k in near if not self._same_road(best, k, feet)]
+        levels = {links[k.link].level for k in near}
+        foot = feet[best.link]
+        alpha = foot.alpha_rad if best.forward else wrapped(foot.alpha_rad + math.pi)
+        c = foot.start_east_m * math.sin(alpha) - foot.start_north_m * math.cos(alpha)
+        settled = not rivals and self._regained_m >= model.regain_after_m
+        return LinkMatch(
+            status="matched" if settled else "ambiguous",
+            link_id=links[best.link].link_id,
+            forward=best.forward,
+            level=levels.pop() if len(levels) == 1 else None,
+            line=LinkLine(alpha, c) if math.sqrt(pyy) <= model.max_yaw_sigma_rad else None,
+            sigma_m=links[best.link].sigma_m,
+            to_sharp_m=self._network.to_sharp_m(best.link, foot.station_m),
+            candidates=_unique(links[k.link].link_id for k in near),
+            station_m=foot.station_m,
+        )
+
+    def _same_road(self, a: _Key, b: _Key, feet: dict[int, _Foot]) -> bool:
+        """Whether two hypotheses are one road: one link, or one going straight on into the other."""
+        links = self._network.links
+        if a.link == b.link:
+            return True
+        if links[a.link].level != links[b.link].level:
+            return False
+        turn = feet[a.link].alpha_rad - feet[b.link].alpha_rad
+        turn += 0.0 if a.forward == b.forward else math.pi
+        if abs(wrapped(turn)) > self._model.same_direction_rad:
+            return False
+        return b in self._network.successors(a) or a in self._network.successors(b)
+
+
+def _unique(ids: Iterable[LinkId]) -> tuple[LinkId, ...]:
+    return tuple(dict.fromkeys(ids))
+
+
+def _without_repeats(link: Link) -> Link:
+    """The link without vertices that coincide with the one before; ValueError if no length remains."""
+    step = np.diff(link.vertices_m, axis=0)
+    keep = np.concatenate(([True], np.hypot(step[:, 0], step[:, 1]) > 1e-6))
+    if keep.sum() < 2:
+        raise ValueError(f"vertices_m: link {link.link_id} has no length")
+    if keep.all():
+        return link
+    return Link(
+        link.link_id,
+        link.start_node,
+        link.end_node,
+        link.vertices_m[keep],
+        link.level,
+        link.sigma_m,
+        link.one_way,
+    )

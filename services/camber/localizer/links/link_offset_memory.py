@@ -1,0 +1,75 @@
+"""A link that is driven again departs from its road as it did before.
+
+Every `cell_m` along a link the deviation found there is kept as a state of its own, a clone of `DEVIATION` with all its
+correlations. Back at the place that is the deviation again: nothing is averaged that does not average, and what dead
+reckoning has gained in error since the pass before shows. Without it a loop driven n times would claim a variance n
+times too small.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from camber.localizer.filter.filter_state import DEVIATION, N_STATES, FilterState
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.links.link_matching import LinkId, LinkMatch
+
+
+class _Cell(NamedTuple):
+    link_id: LinkId
+    number: int
+
+
+class _Kept(NamedTuple):
+    cell: _Cell
+    station_m: float
+    forward: bool
+
+
+class LinkMemory:
+    """The deviations kept: one state each, behind the filter's own, the oldest first."""
+
+    def __init__(self, state: FilterState, model: PoseModel) -> None:
+        self._state, self._model = state, model
+        self._kept: list[_Kept] = []
+        self._here: _Cell | None = None
+
+    def forget(self) -> None:
+        """The pose is another one: what was found with the one before says nothing any more."""
+        self._kept, self._here = [], None
+        self._state.keep_first(N_STATES)
+
+    def recall(self, match: LinkMatch, along_sigma_m: float) -> None:
+        """Before a coupling: at a place where one was kept the deviation is that one, but for what lies between."""
+        cell = self._cell(match)
+        if cell is None or cell == self._here:
+            return
+        for index, kept in enumerate(self._kept, N_STATES):
+            if kept.cell == cell:
+                self._here = cell
+                state = self._state
+                state.copy(index, DEVIATION)
+                if kept.forward != match.forward:
+                    state.negate(DEVIATION)
+                apart_m = abs(match.station_m - kept.station_m) + along_sigma_m
+                keep = math.exp(-apart_m / self._model.deviation_length_m)
+                state.p[DEVIATION, DEVIATION] += 2.0 * (1.0 - keep) * match.sigma_m**2
+                return
+
+    def keep(self, match: LinkMatch) -> None:
+        """After a coupling: keep the deviation, once a cell."""
+        cell = self._cell(match)
+        if cell is None or cell == self._here:
+            return
+        self._here = cell
+        if len(self._kept) == self._model.memory_cells:
+            del self._kept[0]
+            self._state.drop(N_STATES)
+        self._kept.append(_Kept(cell, match.station_m, match.forward))
+        self._state.append_clone(DEVIATION)
+
+    def _cell(self, match: LinkMatch) -> _Cell | None:
+        if match.link_id is None:
+            return None
+        return _Cell(match.link_id, math.floor(match.station_m / self._model.memory_cell_m))

@@ -1,0 +1,1 @@
+"""Point clouds of the map around the vehicle: download, blocks, normals, static structure."""

@@ -1,0 +1,102 @@
+"""Keeps the clouds around the vehicle supplied: tiles come from the map server some parts at a time."""
+
+from __future__ import annotations
+
+from camber.localizer.map_clouds.map_blocks import Block, BlockOptions, CloudBlocks
+from camber.localizer.map_clouds.tile_download import CloudLayer, TileFetch
+from camber.localizer.map_queries import MapAnswers, NoAnswer, Reports
+from camber.localizer.matching.layered_matching import Bounds
+
+_PARTS_PER_STEP = 16  # 4 MB
+_PAUSE_NS = 1_000_000_000  # after a question that nobody answered
+_ASK_AGAIN_NS = 30_000_000_000  # for tiles that there were none of: the map server may have had no map yet
+
+_Key = tuple[CloudLayer, int, int]
+
+
+class CloudSupply:
+    """Blocks of the map. Each tile is loaded once while it is in use, and again only where it has changed."""
+
+    def __init__(self, options: BlockOptions, answers: MapAnswers, reports: Reports) -> None:
+        self._blocks = CloudBlocks(options)
+        self._answers, self._reports = answers, reports
+        self._fetch: TileFetch | None = None
+        self._sha256: dict[_Key, str] = {}
+        self._stale: list[_Key] = []
+        self._version: int | None = None
+        self._paused_ns: int | None = None
+        self._forgot_ns: int | None = None
+        self.reason = ""
+
+    def seen_version(self, map_version: int | None) -> None:
+        """The map's answers are of this version: of another one, tiles may have changed."""
+        if map_version is None or map_version == self._version:
+            return
+        if self._version is not None:
+            self._stale = self._blocks.tiles_held()
+            self._blocks.forget_missing()
+        self._version = map_version
+
+    def block_at(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> Block | None:
+        """The block that holds a place, if its tiles have come; None: `reason` says why not."""
+        if self._forgot_ns is None or not 0 <= now_ns - self._forgot_ns < _ASK_AGAIN_NS:
+            self._forgot_ns = now_ns
+            self._blocks.forget_missing()
+        needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
+        held = set(self._blocks.tiles_held())
+        self._sha256 = {key: sha256 for key, sha256 in self._sha256.items() if key in held}
+        self._stale = [key for key in self._stale if key in held]
+        self._load(needed, now_ns)
+        block = self._blocks.block_at(latitude_rad, longitude_rad)
+        self.reason = self._blocks.reason
+        return block
+
+    def build_ahead(self, latitude_rad: float, longitude_rad: float, bounds: Bounds) -> None:
+        """A step towards the block at a place where the vehicle will be soon, of tiles that are here already."""
+        self._blocks.build_ahead(latitude_rad, longitude_rad, bounds)
+
+    def _load(self, needed: list[_Key], now_ns: int) -> None:
+        paused = self._paused_ns is not None and 0 <= now_ns - self._paused_ns < _PAUSE_NS
+        if paused or not self._answers.is_there():
+            return
+        parts = _PARTS_PER_STEP
+        while parts > 0:
+            if self._fetch is None:
+                key = next(iter((*needed, *self._stale)), None)
+                if key is None:
+                    return
+                self._fetch = TileFetch(*key, have_sha256=self._sha256.get(key), parts_per_step=parts)
+            parts -= self._step(self._fetch, now_ns)
+            if self._paused_ns == now_ns:
+                return
+            if self._fetch.state != "loading":
+                done = self._finish(self._fetch)
+                needed = [key for key in needed if key != done]
+                self._fetch = None
+
+    def _step(self, fetch: TileFetch, now_ns: int) -> int:
+        """Ask for some parts; how many."""
+        asked = 0
+        for request in fetch.requests(now_ns):
+            reply = self._answers.tile(request)
+            if isinstance(reply, NoAnswer):
+                self._reports.issue("no_tile", reply.text)
+                self._paused_ns = now_ns
+                break
+            fetch.take(request.part, reply)
+            asked += 1
+        return max(asked, 1)
+
+    def _finish(self, fetch: TileFetch) -> _Key:
+        key: _Key = (fetch.layer, fetch.x, fetch.y)
+        if key in self._stale:
+            self._stale.remove(key)
+        if fetch.state == "loaded" and fetch.tile is not None and fetch.sha256 is not None:
+            self._blocks.set_tile(*key, fetch.tile)
+            self._sha256[key] = fetch.sha256
+            self._reports.count("tile.loaded")
+        elif fetch.state == "unknown":
+            self._blocks.set_tile(*key, None, fetch.reason)
+            self._sha256.pop(key, None)
+            self._reports.count("tile.missing")
+        return key

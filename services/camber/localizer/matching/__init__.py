@@ -1,0 +1,1 @@
+"""Layered scan matching: sweep preparation, local map, ground alignment, registration, covariance."""

@@ -1,0 +1,1 @@
+"""The road below the antenna: height, slope and the vehicle's attitude on it."""

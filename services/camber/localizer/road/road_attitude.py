@@ -1,0 +1,237 @@
+"""Height and tilt of the vehicle over the road: by the map's road points, and by its own returns from the road.
+
+`road_line` is step 10 of layered matching (spec/layered-matching.md): map points of the road within 10 m, brought into
+the local frame, projected on x–z, a line by RANSAC. Crossfall would bend such a line towards the side that has more
+points; so only a strip about the vehicle's own path is used, and the last step solves for the slope across too.
+
+`ground_plane` does the same with the sweep's own returns: the sensor above its own road, whatever the map says.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from camber.compiled.decorator import compiled_without_gil
+from camber.localizer.map_clouds.voxel_grid import Floats
+from camber.localizer.matching.sweep_preparation import SensorMount
+
+REACH_M: Final = 10.0
+"""Of the road around the vehicle, as in the document."""
+_TRIALS: Final = 120
+_INLIER_M: Final = 0.05
+_ROUNDS: Final = 8
+_TUKEY: Final = 4.685
+_LEAST_POINTS: Final = 15
+_LEAST_SIGMA_M: Final = 0.004
+"""What no number of points takes away: the range errs alike for all of them, and the road is rough under the wheels."""
+_NEIGHBOURS: Final = 4.0  # points so many of which err alike
+_CURVATURE_PER_M: Final = 1.0 / 400.0  # sigma of a road's vertical curvature, crests in towns included
+
+
+@dataclass(frozen=True, slots=True)
+class RoadLine:
+    """The map's road in the local frame: `dz_m` above its origin, falling ahead by `dpitch_rad` (as pitch: nose down),
+    left side up by `droll_rad`; sigmas; and how many points say so."""
+
+    dz_m: float
+    dpitch_rad: float
+    droll_rad: float
+    dz_sigma_m: float
+    dpitch_sigma_rad: float
+    droll_sigma_rad: float
+    points: int
+
+    @property
+    def local_from_road(self) -> Floats:
+        """`M_ΔZ` of M (5): `[R_y(Δφ) T_z(Δz); 0 1]`, from the frame that stands on the road to the local one."""
+        cos, sin = math.cos(self.dpitch_rad), math.sin(self.dpitch_rad)
+        return np.array(
+            [[cos, 0.0, sin, 0.0], [0.0, 1.0, 0.0, 0.0], [-sin, 0.0, cos, self.dz_m], [0.0, 0.0, 0.0, 1.0]]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class GroundPlane:
+    """The road about the vehicle by its own returns, in the vehicle frame as it is mounted.
+
+    `distance_m` is from the sensor to the road along the road's normal; `dz_m` how far the road lies above the
+    vehicle's origin, along the body's z. `pitch_rad`, `roll_rad` are those of the body against the road. `problem` is
+    *mounting* where the sensor cannot be where its mount says: more than 0.3 m or 3° off.
+    """
+
+    distance_m: float
+    distance_sigma_m: float
+    dz_m: float
+    roll_rad: float
+    pitch_rad: float
+    tilt_sigma_rad: float
+    points: int
+    residual_m: float
+    problem: Literal["mounting"] | None
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Roll and pitch of the body against the road (rad); of a sensor that is elsewhere nothing is known: level."""
+        return (0.0, 0.0) if self.problem is not None else (self.roll_rad, self.pitch_rad)
+
+    def height_m(self, slope: float) -> float:
+        """The sensor above the road below it, vertically, where the road's slope (metres a metre) is known."""
+        return self.distance_m * math.hypot(1.0, slope)
+
+
+def road_line(
+    road_m: Floats,
+    *,
+    reach_m: float = REACH_M,
+    half_width_m: float = 2.0,
+    search_m: float = 1.5,
+) -> RoadLine | None:
+    """From road points of the map in the local frame (n, 3), x forward and z up, z about zero on the road.
+
+    Points more than `search_m` above or below are of another road. None where fewer than 15 points say it.
+    """
+    x, y, z = road_m[:, 0], road_m[:, 1], road_m[:, 2]
+    near = (x * x + y * y < reach_m * reach_m) & (np.abs(y) < half_width_m) & (np.abs(z) < search_m)
+    fit = _fitted(road_m[near], across=False)
+    if fit is None:
+        return None
+    return RoadLine(
+        dz_m=fit.at_origin_m,
+        dpitch_rad=-math.atan(fit.ahead),
+        droll_rad=math.atan(fit.left),
+        dz_sigma_m=math.sqrt(fit.covariance[0, 0]),
+        dpitch_sigma_rad=math.sqrt(fit.covariance[1, 1]),
+        droll_sigma_rad=math.sqrt(fit.covariance[2, 2]),
+        points=fit.points,
+    )
+
+
+def ground_plane(
+    points_m: Floats,
+    mount: SensorMount,
+    *,
+    nearest_m: float = 2.0,
+    reach_m: float = 12.0,
+    half_width_m: float = 2.5,
+) -> GroundPlane | None:
+    """From a sweep in the vehicle frame (n, 3), own vehicle left out. None where no road is seen about it.
+
+    Only a strip of `half_width_m` to each side counts (a crowned road is two planes), between `nearest_m` and `reach_m`
+    from the sensor. It is a plane with curvature along the way, so that crests do not lift the road.
+    """
+    x, y, z = points_m[:, 0] - mount.x_m, points_m[:, 1] - mount.y_m, points_m[:, 2]
+    square = x * x + y * y
+    # Wide enough for a sensor that is 0.5 m and 10° off: to say that it is, the road must be found.
+    near = (square > nearest_m * nearest_m) & (square < reach_m * reach_m) & (np.abs(y) < half_width_m)
+    near &= np.abs(z) < 0.6 + 0.18 * np.sqrt(square)
+    about = np.column_stack((x[near], y[near], z[near]))
+    fit = _fitted(about, across=True)
+    if fit is None:
+        return None
+    norm = math.sqrt(1.0 + fit.ahead**2 + fit.left**2)
+    # The plane is z = a + b x + c y, the normal (−b, −c, 1) / norm; the sensor stands above the fit's origin.
+    distance_m = (mount.z_m - fit.at_origin_m) / norm
+    dz_m = fit.at_origin_m - fit.ahead * mount.x_m - fit.left * mount.y_m
+    pitch, roll = math.atan(fit.ahead), -math.atan(fit.left)
+    off = abs(fit.at_origin_m) > 0.3 or max(abs(pitch), abs(roll)) > math.radians(3.0)
+    return GroundPlane(
+        distance_m=distance_m,
+        distance_sigma_m=math.sqrt(fit.covariance[0, 0]),
+        dz_m=dz_m,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        tilt_sigma_rad=math.sqrt(max(fit.covariance[1, 1], fit.covariance[2, 2])),
+        points=fit.points,
+        residual_m=fit.residual_m,
+        problem="mounting" if off else None,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """z = at_origin + ahead x + left y, and the covariance (3, 3) of these."""
+
+    at_origin_m: float
+    ahead: float
+    left: float
+    covariance: Floats
+    points: int
+    residual_m: float
+
+
+def _fitted(points_m: Floats, *, across: bool) -> _Fit | None:
+    """RANSAC (a line in x–z, or a plane), then weighted least squares of plane and curvature with Tukey's weights."""
+    if len(points_m) < _LEAST_POINTS:
+        return None
+    points = np.ascontiguousarray(points_m, np.float64)
+    inlier_m = _INLIER_M if across else 2.0 * _INLIER_M  # crossfall spreads the points about a line
+    trial, inliers = _ransac(points, across, inlier_m, _TRIALS)
+    if inliers < max(_LEAST_POINTS, 0.2 * len(points)):
+        return None
+    # Ahead, left, and half the curvature ahead: what is known of a road before it is seen.
+    prior = np.array([0.0, 0.0, 0.0, 1.0 / (0.5 * _CURVATURE_PER_M) ** 2])
+    rows = np.column_stack((np.ones(len(points)), points[:, 0], points[:, 1], points[:, 0] ** 2))
+    solution = np.append(trial, 0.0)
+    scale = inlier_m
+    weight = (np.abs(points[:, 2] - rows @ solution) < 2.0 * inlier_m).astype(np.float64)
+    inverse = np.eye(4)
+    for _ in range(_ROUNDS):
+        normal = (rows * weight[:, None]).T @ rows + np.diag(prior) * scale**2
+        inverse = np.linalg.pinv(normal, hermitian=True)
+        solution = inverse @ ((rows * weight[:, None]).T @ points[:, 2])
+        residual = points[:, 2] - rows @ solution
+        used = weight > 0.0
+        if int(used.sum()) < _LEAST_POINTS:
+            return None
+        scale = max(1.4826 * float(np.median(np.abs(residual[used]))), _LEAST_SIGMA_M)
+        weight = np.where(
+            np.abs(residual) < _TUKEY * scale, (1.0 - (residual / (_TUKEY * scale)) ** 2) ** 2, 0.0
+        )
+    covariance = (scale**2 * _NEIGHBOURS * inverse)[:3, :3]
+    covariance[0, 0] += _LEAST_SIGMA_M**2
+    used = weight > 0.0
+    a, b, c, _ = solution.tolist()
+    return _Fit(a, b, c, covariance, int(used.sum()), float(np.sqrt(np.mean(residual[used] ** 2))))
+
+
+@compiled_without_gil
+def _ransac(points_m: Floats, across: bool, inlier_m: float, trials: int) -> tuple[Floats, int]:
+    """Of planes (lines, not `across`) through points drawn at random the one that most points lie on: a, b, c."""
+    n = len(points_m)
+    best = np.zeros(3)
+    most = -1
+    state = 88_172_645_463_325_252  # xorshift64: the same draws for the same points
+    for _ in range(trials):
+        drawn = np.empty(3, np.int64)
+        for k in range(3):
+            state ^= (state << 13) & 0x7FFFFFFFFFFFFFFF
+            state ^= state >> 7
+            state ^= (state << 17) & 0x7FFFFFFFFFFFFFFF
+            drawn[k] = state % n
+        p, q, r = points_m[drawn[0]], points_m[drawn[1]], points_m[drawn[2]]
+        if across:
+            e, f, g, h = q[0] - p[0], q[1] - p[1], r[0] - p[0], r[1] - p[1]
+            area = e * h - f * g
+            if abs(area) < 0.5:
+                continue
+            b = ((q[2] - p[2]) * h - (r[2] - p[2]) * f) / area
+            c = ((r[2] - p[2]) * e - (q[2] - p[2]) * g) / area
+        else:
+            if abs(q[0] - p[0]) < 1.0:
+                continue
+            b, c = (q[2] - p[2]) / (q[0] - p[0]), 0.0
+        if abs(b) > 0.35 or abs(c) > 0.35:
+            continue
+        a = p[2] - b * p[0] - c * p[1]
+        inliers = 0
+        for i in range(n):
+            if abs(points_m[i, 2] - a - b * points_m[i, 0] - c * points_m[i, 1]) < inlier_m:
+                inliers += 1
+        if inliers > most:
+            most = inliers
+            best[0], best[1], best[2] = a, b, c
+    return best, most

@@ -1,0 +1,68 @@
+"""The three questions, answered from one release: for the process, and for whoever has the release itself at hand."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from camber.map_server.elevation import ElevationMap
+from camber.map_server.links import links_around
+from camber.map_server.tile_parts import tile_part, unknown_tile
+from camber.road_map.release import BlobMissing, Release
+from camber.road_map.tile_grid import tiles_around
+from camber.schemas.pose import Road
+from camber.schemas.road import (
+    ElevationReply,
+    ElevationRequest,
+    LinksReply,
+    LinksRequest,
+    RoadsAhead,
+    TileReply,
+    TileRequest,
+)
+
+
+class ReleaseAnswers:
+    """Answers of one release. Each raises ReleaseError where a tile can no longer be read as it was written.
+
+    Where a tile that is needed has not been fetched they raise BlobMissing: it is not known what is there.
+    """
+
+    def __init__(self, release: Release, *, tiles_kept: int = 256) -> None:
+        self._release = release
+        manifest = release.manifest
+        self._elevation = ElevationMap(
+            release.surface_tile,
+            release.link_tile,
+            datum=manifest.datum,
+            map_version=manifest.map_version,
+            tiles_kept=tiles_kept,
+        )
+        self._blob: tuple[str, bytes] | None = None  # the last one asked for, for its other parts
+
+    def elevation(self, request: ElevationRequest, *, time_ns: int) -> ElevationReply:
+        """The road under a point, and where it was asked for those ahead of it."""
+        point = request.latitude_rad, request.longitude_rad
+        topology = request.link_ids, request.last_surface_id
+        road: Road = self._elevation.road_around(*point, request.radius_m, *topology)
+        ahead: RoadsAhead | None = None
+        if request.ahead is not None and road.status == "known":
+            with suppress(BlobMissing):
+                ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
+        return ElevationReply(time_ns=time_ns, road=road, ahead=ahead)
+
+    def links(self, request: LinksRequest, *, time_ns: int) -> LinksReply:
+        """The links around a point."""
+        around = tiles_around(request.latitude_rad, request.longitude_rad, request.radius_m)
+        tiles = [tile for xy in around if (tile := self._release.link_tile(*xy)) is not None]
+        return links_around(tiles, request, map_version=self._release.manifest.map_version, time_ns=time_ns)
+
+    def tile(self, request: TileRequest, *, time_ns: int) -> TileReply:
+        """A part of a tile's blob."""
+        digest = self._release.sha256(request.layer, request.x, request.y)
+        if digest is None:
+            return unknown_tile("the release has no such tile", time_ns=time_ns)
+        if self._blob is None or self._blob[0] != digest:
+            blob = self._release.blob(request.layer, request.x, request.y)
+            assert blob is not None, "the release has just named its hash"
+            self._blob = digest, blob
+        return tile_part(self._blob[1], digest, request, time_ns=time_ns)

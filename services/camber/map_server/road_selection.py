@@ -1,0 +1,286 @@
+"""The road under each of many points of a tile, in one pass over the points: `topology.choose`, compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.compiled.decorator import compiled
+from camber.geodesy.tangent_planes import east_north_near
+from camber.map_server.tile_index import CELL_M, EDGE_M, TOLERANCE_M, SurfaceTable
+from camber.map_server.topology import TIE_M, Topology
+from camber.road_map.surface_heights import grid_plane
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+KNOWN, NO_SURFACE, LEVELS_AMBIGUOUS, UNDECIDED = 0, 1, 2, 3
+"""Codes of why a road is not known; the last: not yet."""
+
+
+class Topologies(NamedTuple):
+    """Topologies one after the other: of number t the candidates are `names[bounds[t, 0] : bounds[t, 1]]`, from there
+    to `bounds[t, 2]` the connected links, and to `bounds[t, 3]` the levels."""
+
+    names: Integers
+    bounds: Integers
+
+
+class FoundRoads(NamedTuple):
+    """The roads under n points, each as a column (n,); where `reason` is not KNOWN, only the first two say anything.
+
+    `elsewhere`: all surfaces there are on levels that no candidate is on: by topology the vehicle is not there.
+    """
+
+    reason: NDArray[np.uint8]
+    elsewhere: NDArray[np.bool_]
+    surface_id: Integers
+    level: Integers
+    elevation_m: Floats
+    sigma_m: Floats
+    slope_east: Floats
+    slope_north: Floats
+    extent_m: Floats
+
+
+def nothing_found(count: int) -> FoundRoads:
+    """No surface at any of n points."""
+    return FoundRoads(
+        reason=np.full(count, NO_SURFACE, np.uint8),
+        elsewhere=np.zeros(count, np.bool_),
+        surface_id=np.empty(count, np.int64),
+        level=np.empty(count, np.int64),
+        elevation_m=np.empty(count),
+        sigma_m=np.empty(count),
+        slope_east=np.empty(count),
+        slope_north=np.empty(count),
+        extent_m=np.empty(count),
+    )
+
+
+def topologies(each: Sequence[Topology]) -> Topologies:
+    """Topologies as tables."""
+    names = [name for one in each for names in (one.candidates, one.connected, one.levels) for name in names]
+    sizes = np.array(
+        [[0, len(one.candidates), len(one.connected), len(one.levels)] for one in each], np.int64
+    )
+    sizes = sizes.reshape(-1, 4)
+    begin = np.cumsum(sizes.sum(axis=1)) - sizes.sum(axis=1)
+    return Topologies(np.array(names, np.int64), begin[:, None] + np.cumsum(sizes, axis=1))
+
+
+@compiled
+def find_roads(
+    table: SurfaceTable,
+    points: Integers,
+    latitude_rad: Floats,
+    longitude_rad: Floats,
+    topology: Integers,
+    known: Topologies,
+    found: FoundRoads,
+) -> None:
+    """Fill the rows `points` (k,) of `found`, all of them points of the table's tile, each by its topology (k,).
+
+    Positions are columns (n,), as those of `found`.
+    """
+    # Of the surfaces at a point: their rows, where on them it is, and what of them is still to be chosen from.
+    row, at = np.empty(table.most_in_cell, np.int64), np.empty((table.most_in_cell, 2))
+    inside, left = np.empty(table.most_in_cell, np.bool_), np.empty(table.most_in_cell, np.bool_)
+    on_candidate, is_connected = left.copy(), left.copy()
+    for place in range(len(points)):
+        i = points[place]
+        hits = _hits(table, latitude_rad[i], longitude_rad[i], row, at, inside)
+        if hits == 0:
+            continue
+        reason, found.elsewhere[i] = _left_by_topology(
+            table.names,
+            row,
+            hits,
+            known.names,
+            known.bounds[topology[place]],
+            left,
+            on_candidate,
+            is_connected,
+        )
+        found.reason[i] = reason
+        if reason != KNOWN:
+            continue
+        best = _nearest(at, inside, left, hits)
+        k = row[best]
+        height_m, slope_u, slope_v = grid_plane(
+            table.heights_m,
+            table.grid[k, 0],
+            table.grid[k, 1],
+            table.grid[k, 2],
+            table.shape[k, 4],
+            table.shape[k, 5],
+            at[best, 0],
+            at[best, 1],
+        )
+        agree = True
+        for h in range(hits):
+            if left[h] and h != best:
+                other = row[h]
+                other_m, _, _ = grid_plane(
+                    table.heights_m,
+                    table.grid[other, 0],
+                    table.grid[other, 1],
+                    table.grid[other, 2],
+                    table.shape[other, 4],
+                    table.shape[other, 5],
+                    at[h, 0],
+                    at[h, 1],
+                )
+                agree &= abs(other_m - height_m) <= table.shape[other, 6] + table.shape[k, 6]
+        if not agree:
+            found.reason[i] = LEVELS_AMBIGUOUS
+            continue
+        cos, sin = table.shape[k, 2], table.shape[k, 3]
+        found.surface_id[i], found.level[i] = table.names[k, 0], table.names[k, 2]
+        found.elevation_m[i], found.sigma_m[i] = height_m, table.shape[k, 6]
+        found.slope_east[i] = slope_u * cos - slope_v * sin
+        found.slope_north[i] = slope_u * sin + slope_v * cos
+        found.extent_m[i] = table.shape[k, 7]
+
+
+@compiled
+def _hits(
+    table: SurfaceTable,
+    latitude_rad: float,
+    longitude_rad: float,
+    row: Integers,
+    at: Floats,
+    inside: NDArray[np.bool_],
+) -> int:
+    """How many surfaces are at a point; their rows, where on them it is, and whether within their rectangle."""
+    east_m, north_m = east_north_near(table.series, table.origin, latitude_rad, longitude_rad)
+    if east_m == math.inf:
+        return 0
+    column = math.floor((east_m - table.west_m) / CELL_M)
+    line = math.floor((north_m - table.south_m) / CELL_M)
+    if not (0 <= column < table.columns and 0 <= line < table.lines):
+        return 0
+    cell = line * table.columns + column
+    hits = 0
+    for nth in range(table.cell_start[cell], table.cell_start[cell + 1]):
+        k = table.cell_rows[nth]
+        u, v, near, within = on_surface(
+            east_m - table.shape[k, 0],
+            north_m - table.shape[k, 1],
+            table.shape[k, 2],
+            table.shape[k, 3],
+            table.shape[k, 4],
+            table.shape[k, 5],
+        )
+        if not near:
+            continue
+        row[hits], at[hits, 0], at[hits, 1], inside[hits] = k, u, v, within
+        hits += 1
+    return hits
+
+
+@compiled
+def on_surface(
+    east_m: float, north_m: float, cos: float, sin: float, half_length: float, half_width: float
+) -> tuple[float, float, bool, bool]:
+    """Where on a surface a point is, given from its centre (u, v), whether near enough to count, and whether inside."""
+    u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
+    beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
+    near = (beyond_u <= TOLERANCE_M) & (beyond_v <= TOLERANCE_M)
+    if beyond_u > 0.0 and beyond_v > 0.0:
+        near &= math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
+    return u, v, near, (beyond_u <= EDGE_M) & (beyond_v <= EDGE_M)
+
+
+@compiled
+def _left_by_topology(
+    names: Integers,
+    row: Integers,
+    hits: int,
+    known: Integers,
+    bounds: Integers,
+    left: NDArray[np.bool_],
+    on_candidate: NDArray[np.bool_],
+    is_connected: NDArray[np.bool_],
+) -> tuple[int, bool]:
+    """KNOWN with the surfaces `left` to choose from, or LEVELS_AMBIGUOUS; and whether all are `elsewhere`."""
+    begin, connected, levels, end = bounds
+    plausible, both, elsewhere = False, False, False
+    for h in range(hits):
+        link = names[row[h], 1]
+        on_candidate[h] = _holds(known, begin, connected, link)
+        is_connected[h] = _holds(known, connected, levels, link)
+        plausible |= on_candidate[h] if connected > begin else is_connected[h]
+        both |= on_candidate[h] and is_connected[h]
+    for h in range(hits):
+        if not plausible:
+            left[h] = True
+        elif connected == begin:
+            left[h] = is_connected[h]
+        else:
+            left[h] = on_candidate[h] and (is_connected[h] or not both)
+    if connected > begin and end > levels and not plausible:
+        elsewhere = True
+        for h in range(hits):
+            elsewhere &= not _holds(known, levels, end, names[row[h], 2])
+    clear = _on_one_level(names, row, left, is_connected, hits) and (
+        plausible or _all_there(known, levels, end, names, row, hits)
+    )
+    return KNOWN if clear else LEVELS_AMBIGUOUS, elsewhere
+
+
+@compiled
+def _holds(names: Integers, begin: int, end: int, name: int) -> bool:
+    for k in range(begin, end):  # noqa: SIM110 (any() over a generator is not compiled)
+        if names[k] == name:
+            return True
+    return False
+
+
+@compiled
+def _on_one_level(
+    names: Integers, row: Integers, left: NDArray[np.bool_], is_connected: NDArray[np.bool_], hits: int
+) -> bool:
+    """Are the surfaces left on one level, or all connected to the last surface?"""
+    several, strange, level = False, False, np.int64(0)
+    first = True
+    for h in range(hits):
+        if left[h]:
+            several |= not first and names[row[h], 2] != level
+            strange |= not is_connected[h]
+            level, first = names[row[h], 2], False
+    return not (several and strange)
+
+
+@compiled
+def _all_there(names: Integers, begin: int, end: int, of_rows: Integers, row: Integers, hits: int) -> bool:
+    """Is each of the levels known by topology that of a surface here?"""
+    for k in range(begin, end):
+        there = False
+        for h in range(hits):
+            there |= of_rows[row[h], 2] == names[k]
+        if not there:
+            return False
+    return True
+
+
+@compiled
+def _nearest(at: Floats, inside: NDArray[np.bool_], left: NDArray[np.bool_], hits: int) -> int:
+    """Of the surfaces left that with the nearest centre line; where one contains the point only such are left.
+
+    Rows are in the order of surface ids, so the first of those equally near has the smallest.
+    """
+    contained = False
+    for h in range(hits):
+        contained |= left[h] and inside[h]
+    best, least = -1, math.inf
+    for h in range(hits):
+        left[h] &= inside[h] or not contained
+        tie = np.rint(abs(at[h, 1]) / TIE_M)
+        if left[h] and tie < least:
+            best, least = h, tie
+    return best

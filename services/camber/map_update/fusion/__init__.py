@@ -1,0 +1,1 @@
+"""Fusion of the fleet's votes into heights of road surfaces."""

@@ -1,0 +1,1 @@
+"""The queue between those who receive uploads and those who store them: NATS JetStream."""

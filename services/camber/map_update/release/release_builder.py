@@ -1,0 +1,268 @@
+"""Makes releases of the map: the reference and the fleet's corrections, signed, under a version that only grows.
+
+The folder of releases holds all of them: `root.msgpack` is the newest, each manifest names the one before it, and the
+corrections of each lie there as a blob. To roll back to a release is to make a new one with its corrections: vehicles
+take versions in one direction only.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from numpy.typing import NDArray
+
+from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, rows_of, settled, to_bytes
+from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
+from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
+from camber.road_map.release_writer import Heading, Known, Place, seal_release
+from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.tile_grid import Tile
+from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
+
+_HEIGHT_DECIMALS = 4  # as in tiles made from columns
+
+
+class Made(NamedTuple):
+    """A release of the past, by its manifest."""
+
+    manifest_sha256: str
+    manifest: Manifest
+
+
+class ReleaseMaking:
+    """Makes the releases of one region in one folder, from one reference.
+
+    Another process that makes releases in the same folder waits or is waited for. All methods raise ReleaseError for
+    what cannot be a release, and OSError where the disk fails: the release before is then still in force.
+    """
+
+    def __init__(self, folder: Path, reference: Release, *, signing_key: Ed25519PrivateKey | None) -> None:
+        self.folder = folder
+        self.reference = reference
+        self._signing_key = signing_key
+        self._tiles_of: tuple[NDArray[np.int64], NDArray[np.int64], list[Tile]] | None = None
+
+    def current(self) -> Release | None:
+        """The newest release in the folder; None: there was none yet."""
+        return open_release(self.folder) if (self.folder / ROOT_NAME).exists() else None
+
+    def corrections(self) -> Corrections:
+        """Those of the newest release."""
+        current = self.current()
+        return NONE if current is None else corrections_of(current.source, current.manifest)
+
+    def make(self, corrections: Corrections, *, time_ns: int) -> ReleaseRoot:
+        """The release with these corrections: a new one, unless the newest has just these.
+
+        Only tiles with a surface whose correction changed get other bytes, and in them only these surfaces. The same
+        reference, folder and arguments give the same bytes.
+        """
+        with self._alone():
+            return self._make(corrections, time_ns)
+
+    def roll_back(self, map_version: int, *, time_ns: int) -> ReleaseRoot:
+        """A new release with the corrections that release `map_version` had."""
+        with self._alone():
+            made = next((m for m in history(self.folder) if m.manifest.map_version == map_version), None)
+            if made is None:
+                versions = ", ".join(str(m.manifest.map_version) for m in history(self.folder))
+                raise ReleaseError(str(self.folder), "version", f"one of {versions}", found=str(map_version))
+            return self._make(corrections_of(ReleaseFolder(self.folder), made.manifest), time_ns)
+
+    def _make(self, corrections: Corrections, time_ns: int) -> ReleaseRoot:
+        current, reference = self.current(), self.reference
+        before = NONE if current is None else corrections_of(current.source, current.manifest)
+        previous = reference.root if current is None else current.root
+        version = max(previous.map_version, reference.root.map_version) + 1
+        rows = settled(corrections, before, version)
+        same_reference = (
+            current is not None and current.manifest.reference_sha256 == reference.root.manifest_sha256
+        )
+        if same_reference and current is not None and np.array_equal(rows, before):
+            return current.root
+        if current is not None and not same_reference:
+            self._refuse_reused_ids()
+        if not same_reference:
+            self._keep_reference()
+        blobs = self._kept_blobs()
+        blobs |= {(0, *tile): self._corrected(tile, rows) for tile in self._touched(rows)}
+        kept = to_bytes(rows, time_ns)
+        digest = hashlib.sha256(kept).hexdigest()
+        write_blob(self.folder, digest, kept)
+        heading = Heading(
+            region=reference.manifest.region,
+            map_version=version,
+            datum=reference.manifest.datum,
+            epoch_year=reference.manifest.epoch_year,
+            time_ns=time_ns,
+            surrogate=reference.manifest.surrogate,
+            lineage=self._lineage(current),
+            reference_sha256=reference.root.manifest_sha256,
+            corrections_sha256=digest,
+        )
+        return seal_release(self.folder, heading, blobs, previous=previous, signing_key=self._signing_key)
+
+    def _kept_blobs(self) -> dict[Place, bytes | Known]:
+        """The reference's tiles, which are in the folder already."""
+        manifest = self.reference.manifest
+        columns = (manifest.layer.tolist(), manifest.tile_x.tolist(), manifest.tile_y.tolist())
+        return {
+            place: Known(manifest.sha256[row].tobytes(), int(manifest.size_bytes[row]))
+            for row, place in enumerate(zip(*columns, strict=True))
+        }
+
+    def _keep_reference(self) -> None:
+        """The folder has all that releases are made of: the chain of manifests ends at the reference's."""
+        source, reference = self.reference.source, self.reference
+        if isinstance(source, ReleaseFolder) and source.folder.resolve() == self.folder.resolve():
+            return
+        digests = {*reference.hashes(), reference.root.manifest_sha256}
+        for digest in sorted(digests):
+            write_blob(self.folder, digest, source.blob(digest, None))
+
+    def _touched(self, rows: Corrections) -> list[Tile]:
+        """The tiles that hold a corrected surface; ReleaseError for one that the reference does not have."""
+        if self._tiles_of is None:
+            tiles = self.reference.tiles("surfaces")
+            ids = [tile.surface_id for xy in tiles if (tile := self.reference.surface_tile(*xy)) is not None]
+            number = np.repeat(np.arange(len(ids)), [len(each) for each in ids])
+            every = np.concatenate([*ids, np.zeros(0, np.int64)])
+            order = np.argsort(every, kind="stable")
+            self._tiles_of = every[order], number[order], tiles
+        every, number, tiles = self._tiles_of
+        first, last = (np.searchsorted(every, rows["surface_id"], side) for side in ("left", "right"))
+        if (first == last).any():
+            unknown = int(rows["surface_id"][np.argmax(first == last)])
+            raise ReleaseError("corrections", "surface_id", "a surface of the reference", found=str(unknown))
+        at = np.concatenate([np.arange(i, j) for i, j in zip(first, last, strict=True)] or [np.zeros(0, int)])
+        return [tiles[n] for n in np.unique(number[at]).tolist()]
+
+    def _corrected(self, tile: Tile, rows: Corrections) -> bytes:
+        original = self.reference.surface_tile(*tile)
+        assert original is not None
+        changed = corrected_tile(original, rows)
+        name = f"surfaces of tile {tile[0]}, {tile[1]}"
+        wrong = wrong_in_tile(changed)
+        if wrong is not None:
+            raise ReleaseError(name, *wrong)
+        return encoded(changed, name)
+
+    def _lineage(self, current: Release | None) -> list[tuple[int, int]]:
+        """All that is known of the surfaces of this release: what the reference says, and the releases before."""
+        pairs: set[tuple[int, int]] = set()
+        for manifest in (self.reference.manifest, *(() if current is None else (current.manifest,))):
+            parents = manifest.lineage_parent_id.tolist()
+            pairs |= set(zip(manifest.lineage_surface_id.tolist(), parents, strict=True))
+        here = set(surface_ids(self.reference.source, self.reference.manifest).tolist())
+        return sorted(pair for pair in pairs if pair[0] in here)
+
+    def _refuse_reused_ids(self) -> None:
+        """An id that was given up in an earlier release names another surface for ever."""
+        here = surface_ids(self.reference.source, self.reference.manifest)
+        source, newer = ReleaseFolder(self.folder), here
+        gone: list[NDArray[np.int64]] = []
+        # From the newest to the oldest: what an older release has and a newer one has not was given up in between.
+        ours = (made for made in history(self.folder) if made.manifest.reference_sha256 is not None)
+        for number, made in enumerate(ours):
+            ids = surface_ids(source, made.manifest)
+            if number:
+                gone.append(np.setdiff1d(ids, newer))
+            gone.append(np.setdiff1d(made.manifest.lineage_parent_id, ids))
+            newer = ids
+        reused = np.intersect1d(here, np.concatenate([*gone, np.zeros(0, np.int64)]))
+        if len(reused):
+            found = f"{len(reused)}, {reused[0]} first"
+            raise ReleaseError(
+                self.reference.source.name(None),
+                "surface_id",
+                "no id of a surface that was given up",
+                found=found,
+            )
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / ".making").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+
+def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
+    """A tile of the reference with the corrections of its surfaces; nothing else in it changes.
+
+    The tile's time is the newest at which one of its surfaces was seen.
+    """
+    at = rows_of(rows, tile.surface_id)
+    surfaces = np.flatnonzero(at >= 0)
+    mine = rows[at[surfaces]]
+    sizes = tile.rows[surfaces].astype(np.int64) * tile.columns[surfaces]
+    nth = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    nodes = np.repeat(tile.first_height[surfaces].astype(np.int64), sizes) + nth
+    grid_m, sigma_m = tile.grid_m.copy(), tile.sigma_m.copy()
+    vehicles, last_seen_ns = tile.vehicles.copy(), tile.last_seen_ns.copy()
+    heights_m = np.round(tile.base_height_m + grid_m[nodes].astype(np.float64), _HEIGHT_DECIMALS)
+    heights_m = np.round(heights_m + np.repeat(mine["offset_m"], sizes), _HEIGHT_DECIMALS)
+    grid_m[nodes] = (heights_m - tile.base_height_m).astype(np.float32)
+    sigma_m[surfaces] = mine["sigma_m"].astype(np.float32)
+    vehicles[surfaces] = mine["vehicles"]
+    last_seen_ns[surfaces] = np.maximum(last_seen_ns[surfaces], mine["last_seen_ns"])
+    changed = {"grid_m": grid_m, "sigma_m": sigma_m, "vehicles": vehicles, "last_seen_ns": last_seen_ns}
+    time_ns = max(tile.time_ns, int(mine["last_seen_ns"].max(initial=0)))
+    return SurfaceTile(**tile.__dict__ | changed | {"time_ns": time_ns})
+
+
+def reference_in(folder: Path) -> Release:
+    """The reference of the newest release in a folder of releases, which is kept there; else ReleaseError."""
+    current = open_release(folder)
+    digest = current.manifest.reference_sha256
+    if digest is None:
+        return current
+    source = ReleaseFolder(folder)
+    manifest = decoded(Manifest, source.blob(digest, None), source.name(digest))
+    root = ReleaseRoot(
+        time_ns=manifest.time_ns,
+        region=manifest.region,
+        map_version=manifest.map_version,
+        manifest_sha256=digest,
+    )
+    return release_of(source, root, source.name(digest))
+
+
+def history(folder: Path) -> Iterator[Made]:
+    """The releases in a folder from the newest back to the reference, as far as manifests are there."""
+    if not (folder / ROOT_NAME).exists():
+        return
+    source = ReleaseFolder(folder)
+    root = decoded(ReleaseRoot, source.root(), source.name(None))
+    digest: str | None = root.manifest_sha256
+    while digest is not None:
+        try:
+            manifest = decoded(Manifest, source.blob(digest, None), source.name(digest))
+        except ReleaseError:
+            if digest == root.manifest_sha256:
+                raise
+            return
+        yield Made(digest, manifest)
+        digest = manifest.previous_sha256
+
+
+def corrections_of(source: BlobSource, manifest: Manifest) -> Corrections:
+    """The corrections of a release whose blobs are in `source`."""
+    digest = manifest.corrections_sha256
+    return NONE if digest is None else from_bytes(source.blob(digest, None), source.name(digest))
+
+
+def surface_ids(source: BlobSource, manifest: Manifest) -> NDArray[np.int64]:
+    """The ids of all surfaces of a release, each once, ascending."""
+    ids = [np.zeros(0, np.int64)]
+    for row in np.flatnonzero(manifest.layer == LAYERS.index("surfaces")).tolist():
+        digest = manifest.sha256[row].tobytes().hex()
+        ids.append(decoded(SurfaceTile, source.blob(digest, None), source.name(digest)).surface_id)
+    return np.unique(np.concatenate(ids))

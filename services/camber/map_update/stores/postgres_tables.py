@@ -1,0 +1,76 @@
+"""The tables of the store in PostgreSQL, and a view of the observations for people who ask with SQL.
+
+The observations of a contribution are one value of `packed`, as in SQLite: the rows of an array as they lie in memory,
+little-endian, out of line and not compressed. The server takes that in at a quarter of what a row of a table for each
+observation costs it. Whoever asks the view `observation` pays instead, some microseconds a value.
+"""
+
+from __future__ import annotations
+
+import json
+
+from camber.map_update.contribution import OBSERVATION
+from camber.map_update.fusion.votes import VOTE
+
+FORMAT = 2
+LAYOUT = {
+    "format": str(FORMAT),
+    "observation": json.dumps(OBSERVATION.descr),
+    "vote": json.dumps(VOTE.descr),
+}
+
+
+def _integer(at: int) -> str:
+    return " | ".join(f"(get_byte(whole, start + {at + k})::bigint << {8 * k})" for k in range(8))
+
+
+def _column(name: str) -> str:
+    field, at = OBSERVATION.fields[name][:2] if OBSERVATION.fields else (OBSERVATION, 0)
+    match field.kind:
+        case "u":
+            return f"get_byte(whole, start + {at})::smallint AS {name}"
+        case "f":
+            return f"float8_of_bits({_integer(at)}) AS {name}"
+        case _:
+            return f"{_integer(at)} AS {name}"
+
+
+# IEEE 754: sign, exponent, fraction; all steps are exact. Numbers below 2⁻¹⁰²² are zero. RETURN is read when it is
+# made, so the view means the same from every search path. What lies out of line is fetched once (OFFSET 0), not for
+# every byte.
+_VIEW = f"""
+CREATE FUNCTION float8_of_bits(bits bigint) RETURNS double precision LANGUAGE sql IMMUTABLE STRICT
+RETURN CASE WHEN ((bits >> 52) & 2047) = 0 THEN 0.0
+    ELSE sign(bits::double precision) * (1 + (bits & 4503599627370495) / 4503599627370496.0::double precision)
+        * power(2.0::double precision, ((bits >> 52) & 2047) - 1023) END;
+CREATE VIEW observation AS
+SELECT contribution, {", ".join(map(_column, OBSERVATION.names or ()))}
+FROM packed, LATERAL (SELECT packed.rows || ''::bytea AS whole OFFSET 0) AS fetched,
+    generate_series(0, length(whole) - 1, {OBSERVATION.itemsize}) AS start;
+"""
+
+MAKE = f"""
+CREATE TABLE contribution (
+    number bigint PRIMARY KEY,
+    vehicle text NOT NULL,
+    kind text NOT NULL,
+    id text NOT NULL,
+    digest bytea NOT NULL,
+    received_ns bigint NOT NULL,
+    records integer NOT NULL,
+    datum text NOT NULL,
+    map_version bigint NOT NULL,
+    epoch_year double precision NOT NULL,
+    position_covariance_enu_m2 bytea,
+    UNIQUE (vehicle, kind, id)
+);
+CREATE TABLE ledger_end (number bigint NOT NULL, partitions bigint NOT NULL);
+INSERT INTO ledger_end VALUES (0, 0);
+CREATE TABLE packed (contribution bigint NOT NULL, rows bytea NOT NULL) PARTITION BY RANGE (contribution);
+ALTER TABLE packed ALTER rows SET STORAGE EXTERNAL;
+CREATE TABLE vote (surface_id bigint PRIMARY KEY, rows bytea NOT NULL);
+CREATE TABLE state (name text PRIMARY KEY, value bytea NOT NULL);
+CREATE TABLE progress ("cursor" bigint NOT NULL, revision bigint NOT NULL, forgotten bigint NOT NULL);
+INSERT INTO progress VALUES (0, 0, 0);
+CREATE TABLE layout (name text PRIMARY KEY, descr text NOT NULL);
+{_VIEW}"""

@@ -1,0 +1,195 @@
+"""Files of raw observations cut into epochs, byte for byte, by as little of their content as says when.
+
+RINEX 3 and 4: a header, then a block from each `>` to the next (IGS/RTCM, "RINEX", 3.04, table A3). UBX: frames up to
+the last of an epoch that has a time: RXM-RAWX, and NAV messages with a time of week (u-blox UBX-18010854, 3.15, 3.17).
+RTCM 3: frames up to the last MSM of an epoch (RTCM 10403.3, 3.5.16.2). What carries no time goes with the epoch after
+it, in RINEX with that before it.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Literal
+
+from camber.formats.broadcast.bit_fields import crc24q
+from camber.formats.broadcast.ephemeris_fields import gps_ns_near
+from camber.formats.errors import FormatError
+from camber.formats.rinex.compressed_files import rinex_pieces
+from camber.formats.rtcm.msm_reader import is_msm
+from camber.formats.ubx.writer import checksum
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
+from camber.replay.arrivals import TimedBytes
+
+RawProtocol = Literal["rinex", "ubx", "rtcm"]
+
+_END_OF_HEADER = re.compile(rb"^.{60}END OF HEADER[^\n]*\n", re.MULTILINE)
+_FIRST_EPOCH = re.compile(rb"^.{48}(...).{9}TIME OF FIRST OBS", re.MULTILINE)
+_EPOCH = re.compile(
+    rb"^> (\d{4}) ([ \d]\d) ([ \d]\d) ([ \d]\d) ([ \d]\d) ?([ \d]\d)\.(\d{7})[^\n]{2}[016]", re.MULTILINE
+)
+_OFFSET_NS = {b"GPS": 0, b"GAL": 0, b"QZS": 0, b"IRN": 0, b"   ": 0, b"BDT": 14 * NS_PER_SECOND}
+
+_SYNC = re.compile(rb"\xb5\x62|\xd3[\x00-\x03]")
+_RAWX = (0x02, 0x15)
+_RAWX_HEAD = struct.Struct("<dH")
+# Class NAV: where iTOW stands in the messages that have it.
+_TIME_OF_WEEK_AT = {
+    **dict.fromkeys((0x01, 0x02, 0x03, 0x04, 0x07, 0x11, 0x12, 0x20, 0x21, 0x22, 0x35, 0x36, 0x43, 0x61), 0),
+    **dict.fromkeys((0x13, 0x14, 0x3C), 4),
+}
+_SAME_EPOCH_NS = 20_000_000
+"""A receiver's clock is a few ms off the time of week that it rounds; epochs are 40 ms apart at least."""
+_MS_PER_WEEK = 604_800_000
+_GLONASS, _BEIDOU = 108, 112  # an MSM's number without its last digit
+
+_EXPECTED_EPOCHS = {
+    "rinex": "at least one, from a line '> yyyy mm dd …'",
+    "ubx": "at least one RXM-RAWX",
+    "rtcm": "at least one MSM",
+}
+
+_Marks = Iterable[tuple[int, int]]
+"""(end of what carries a time, that time), in the file's order."""
+
+
+def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol, bytes, list[TimedBytes]]:
+    """Protocol, header (RINEX only) and the epochs in the file's order; together they are the file, unpacked.
+
+    RTCM does not say the week: `near_ns` must be within half a week of its first epoch. Raises FormatError for another
+    format or where there is no epoch, OSError where the file cannot be read.
+    """
+    protocol, data = read_raw_file(path)
+    if protocol == "rinex":
+        header = _rinex_header(path.name, data)
+        epochs = _cut(data, len(header), _before_next(data, _rinex_begins(path.name, data, header)))
+    else:
+        if protocol == "rtcm" and near_ns is None:
+            expected = "another file of the drive that tells the date: RTCM 3 does not"
+            raise FormatError(path.name, "week", expected)
+        frames = _frames(data)
+        marks = _ubx_marks(data, frames) if protocol == "ubx" else _rtcm_marks(data, frames, near_ns or 0)
+        header, epochs = b"", _cut(data, 0, marks)
+    if not epochs:
+        raise FormatError(path.name, "epochs", _EXPECTED_EPOCHS[protocol])
+    return protocol, header, epochs
+
+
+def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
+    """A file unpacked, and what it is by its content. Raises FormatError, OSError."""
+    data = b"".join(rinex_pieces(path))
+    if data[60:80].startswith(b"RINEX VERSION"):
+        return "rinex", data
+    for start, _ in _frames(data):
+        return ("ubx" if data[start] == 0xB5 else "rtcm"), data
+    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX or RTCM 3", found=data[:20])
+
+
+def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
+    """What lies between the marks; neighbours of one time are one epoch, what is left goes with the last."""
+    spans: list[tuple[int, int, int]] = []
+    for end, time_ns in marks:
+        if spans and abs(time_ns - spans[-1][0]) <= _SAME_EPOCH_NS:
+            spans[-1] = (spans[-1][0], spans[-1][1], end)
+        else:
+            spans.append((time_ns, spans[-1][2] if spans else begin, end))
+    if spans:
+        spans[-1] = (*spans[-1][:2], len(data))
+    return [TimedBytes(time_ns, data[start:end]) for time_ns, start, end in spans]
+
+
+def _rinex_header(name: str, data: bytes) -> bytes:
+    found = _END_OF_HEADER.search(data)
+    version = data[:9].strip()
+    if not version.startswith((b"3", b"4")) or data[20:21] != b"O":
+        raise FormatError(name, "version", "observations in RINEX 3 or 4", found=data[:21])
+    if found is None:
+        raise FormatError(name, "header", "a line END OF HEADER")
+    return data[: found.end()]
+
+
+def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, int]]:
+    """Where each epoch's line begins, and its time. A line that is no date begins nothing."""
+    first = _FIRST_EPOCH.search(header)
+    system = b"   " if first is None else first[1]
+    offset_ns = _OFFSET_NS.get(system)
+    if offset_ns is None:
+        raise FormatError(name, "time system", "GPS, GAL, QZS, IRN or BDT", found=system)
+    for line in _EPOCH.finditer(data, len(header)):
+        year, month, day, hour, minute, second, fraction = (int(text) for text in line.groups())
+        try:
+            time_ns = gps_ns_from_gpst(CalendarTime(year, month, day, hour, minute, second, 100 * fraction))
+        except ValueError:
+            continue
+        yield line.start(), time_ns + offset_ns
+
+
+def _before_next(data: bytes, begins: Iterator[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """From where epochs begin to where they end: before the next."""
+    before_ns: int | None = None
+    for begin, time_ns in begins:
+        if before_ns is not None:
+            yield begin, before_ns
+        before_ns = time_ns
+    if before_ns is not None:
+        yield len(data), before_ns
+
+
+def _frames(data: bytes) -> Iterator[tuple[int, int]]:
+    """Begin and end of all UBX and RTCM 3 frames whose checksums are right."""
+    place = 0
+    while (found := _SYNC.search(data, place)) is not None:
+        start = found.start()
+        place = start + 1
+        if data[start] == 0xB5:
+            end = start + 8 + int.from_bytes(data[start + 4 : start + 6], "little")
+            whole = end <= len(data) and checksum(data[start + 2 : end - 2]) == data[end - 2 : end]
+        else:
+            end = start + 6 + int.from_bytes(data[start + 1 : start + 3], "big")
+            check = data[end - 3 : end]
+            whole = end <= len(data) and crc24q(data[start : end - 3]) == int.from_bytes(check, "big")
+        if whole:
+            yield start, end
+            place = end
+
+
+def _ubx_marks(data: bytes, frames: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    near_ns: int | None = None
+    for start, end in frames:
+        if data[start] != 0xB5:
+            continue
+        kind, payload = (data[start + 2], data[start + 3]), data[start + 6 : end - 2]
+        if kind == _RAWX and len(payload) >= _RAWX_HEAD.size:
+            of_week_s, week = _RAWX_HEAD.unpack_from(payload)
+            if 0.0 <= of_week_s < 604_800.0:
+                near_ns = week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND)
+                yield end, near_ns
+        elif kind[0] == 0x01 and near_ns is not None:
+            at = _TIME_OF_WEEK_AT.get(kind[1], len(payload))
+            of_week_ms = int.from_bytes(payload[at : at + 4], "little")
+            if len(payload) >= at + 4 and of_week_ms < _MS_PER_WEEK:
+                yield end, gps_ns_near("G", of_week_ms * 1_000_000, near_ns)
+
+
+def _rtcm_marks(data: bytes, frames: Iterable[tuple[int, int]], near_ns: int) -> Iterator[tuple[int, int]]:
+    """Each MSM. GLONASS counts another day: one between the others is of their epoch."""
+    open_ns: int | None = None
+    for start, end in frames:
+        payload = data[start + 3 : end - 3]
+        number = int.from_bytes(payload[:2], "big") >> 4
+        if data[start] != 0xD3 or not is_msm(number) or len(payload) < 10:
+            continue
+        more = bool(payload[6] & 0x02)
+        if number // 10 == _GLONASS:
+            if open_ns is not None:
+                yield end, open_ns
+        else:
+            of_week_ms = int.from_bytes(payload[3:7], "big") >> 2
+            if of_week_ms >= _MS_PER_WEEK:
+                continue
+            system = "C" if number // 10 == _BEIDOU else "G"
+            open_ns = near_ns = gps_ns_near(system, of_week_ms * 1_000_000, near_ns)
+            yield end, near_ns
+        open_ns = open_ns if more else None

@@ -1,0 +1,152 @@
+"""What a replay leaves behind, and what evaluation needs of it: the only place that knows the files of a run.
+
+    recording.mcap  everything that was on the bus (`formats/recording.py`)
+    drive.json      DriveFacts: what of the drive's manifest the figures rest on
+    truth.npz       the reference track, where there is one: time_ns, latitude_rad, longitude_rad, height_m
+    run.json        RunFacts: how fast it ran; absent where the run was not a replay
+    summary.json    made by evaluation
+    report.html     made by evaluation
+
+Files appear whole or not at all. What cannot be read is a FormatError, one clear line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from camber.formats.errors import FormatError
+from camber.schemas.base import Model, Sigma
+from camber.validation.truth import Truth
+
+# All that np.load has raised on files that are no archive of arrays, or a damaged one.
+_NO_ARRAYS = (
+    ValueError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    OverflowError,
+    RuntimeError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+_ARRAYS = ("time_ns", "latitude_rad", "longitude_rad", "height_m")
+F = TypeVar("F", bound=Model)
+
+
+class DriveFacts(Model):
+    """What the figures rest on besides the recording."""
+
+    drive: Annotated[str, Field(min_length=1, max_length=200, description="name of the drive")]
+    surrogates: tuple[Annotated[str, Field(max_length=500)], ...] = Field(
+        default=(), description="what was not measured but made up, and how; one line each"
+    )
+    truth: bool = Field(description="whether there is a truth.npz")
+    offset_enu_m: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="constant datum offset receiver − reference: east, north, up"
+    )
+    alert_limit_m: Annotated[float, Field(gt=0.0, le=1e4)] | None = Field(
+        default=None, description="horizontal; None: the positions' own"
+    )
+    fixed_tolerance_m: Annotated[float, Field(gt=0.0, le=1e3)] = Field(
+        default=0.3, description="of the control that knows the height only"
+    )
+
+
+class RunFacts(Model):
+    """How the run went; what is not known is None."""
+
+    speed_factor: Sigma | None = Field(default=None, description="time of the drive / time of the machine")
+    wall_s: Sigma | None = None
+    notes: tuple[Annotated[str, Field(max_length=500)], ...] = Field(
+        default=(), description="what a reader should know, e.g. that the recording stopped on a full disk"
+    )
+
+
+class RunFolder:
+    """The folder of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.recording_path = path / "recording.mcap"
+        self.drive_path = path / "drive.json"
+        self.truth_path = path / "truth.npz"
+        self.run_path = path / "run.json"
+        self.summary_path = path / "summary.json"
+        self.report_path = path / "report.html"
+
+    def write_drive(self, facts: DriveFacts, truth: Truth | None) -> None:
+        """Write drive.json and, where there is truth, truth.npz. ValueError where `facts.truth` says
+        otherwise."""
+        if facts.truth != (truth is not None):
+            raise ValueError(f"drive {facts.drive}: truth is {facts.truth}, but the arrays say otherwise")
+        self.path.mkdir(parents=True, exist_ok=True)
+        if truth is not None:
+            temporary = self.truth_path.with_suffix(".tmp")
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, **{name: getattr(truth, name) for name in _ARRAYS})
+            os.replace(temporary, self.truth_path)
+        _write_text(self.drive_path, facts.model_dump_json(indent=2) + "\n")
+
+    def write_run(self, facts: RunFacts) -> None:
+        """Write run.json."""
+        _write_text(self.run_path, facts.model_dump_json(indent=2) + "\n")
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Write summary.json; what is not known is null."""
+        _write_text(
+            self.summary_path, json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        )
+
+    def write_report(self, page: str) -> None:
+        """Write report.html."""
+        _write_text(self.report_path, page)
+
+    def read_drive(self) -> DriveFacts:
+        """Read drive.json."""
+        return _read_json(self.drive_path, DriveFacts)
+
+    def read_run(self) -> RunFacts:
+        """Read run.json; nothing is known where there is none."""
+        return _read_json(self.run_path, RunFacts) if self.run_path.exists() else RunFacts()
+
+    def read_truth(self) -> Truth:
+        """Read truth.npz."""
+        name = self.truth_path.name
+        try:
+            # Opened here: np.load leaves the file open where it is no archive.
+            with self.truth_path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+                return Truth(**{array: arrays[array] for array in _ARRAYS})
+        except OSError as error:
+            expected = "a readable file, as drive.json says that there is truth"
+            raise FormatError(name, "file", expected, found=error.strerror or str(error)) from None
+        except KeyError:
+            raise FormatError(name, "arrays", ", ".join(_ARRAYS)) from None
+        except _NO_ARRAYS as error:
+            raise FormatError(name, "arrays", f"a reference track: {str(error)[:120]}") from None
+
+
+def _write_text(path: Path, text: str) -> None:
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(text, "utf-8")
+    os.replace(temporary, path)
+
+
+def _read_json(path: Path, cls: type[F]) -> F:
+    try:
+        return cls.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise FormatError(path.name, "file", "a readable file", found=error.strerror or str(error)) from None
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or "file"
+        raise FormatError(path.name, field, first["msg"]) from None

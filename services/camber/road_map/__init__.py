@@ -1,0 +1,1 @@
+"""The road map as a domain: releases, tiles, deltas and the vehicle's store."""

@@ -1,0 +1,109 @@
+"""Points of a map as tiles: quantised, each in every tile that it comes within MARGIN_M of."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
+from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.tile_grid import MARGIN_M, TILES, Tile, tile_corners_rad, tile_frame, tiles_of_boxes
+from camber.schemas.road import CloudTile, Layer
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+RESOLUTION_M = 0.005
+_NODES_M = 25.0
+_KEY_HALF = 1 << 20
+
+
+def first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
+    """Rows of the first point in each voxel, ascending."""
+    cell = np.floor(points_m / voxel_m).astype(np.int64) + _KEY_HALF
+    key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
+    _, first = np.unique(key, return_index=True)
+    rows: Integers = np.sort(first)
+    return rows
+
+
+def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> list[CloudTile]:
+    """The tiles of points (n, 3): east, north in the frame's tangent plane, and *ellipsoidal height*.
+
+    `seen_ns`: when the newest of them was seen. The frame must not be at the antimeridian.
+    """
+    if not len(points_m):
+        return []
+    nodes = _NodeGrid(points_m)
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(nodes.plane_m, np.zeros(len(nodes.plane_m)))
+    everything = np.arange(len(points_m))
+    at_latitude, at_longitude = nodes.between(latitude, everything), nodes.between(longitude, everything)
+    tiles = []
+    for tile_x, tile_y in _tiles_near(latitude, longitude):
+        # What comes within the margin of a tile stands in it too.
+        south, west, north, east = tile_corners_rad(tile_x, tile_y)
+        margin_north = MARGIN_M / meridian_radius_m(0.0)
+        margin_east = MARGIN_M / (prime_vertical_radius_m(0.0) * math.cos(max(abs(south), abs(north))))
+        rows = np.flatnonzero(
+            (at_latitude > south - margin_north)
+            & (at_latitude < north + margin_north)
+            & (at_longitude > west - margin_east)
+            & (at_longitude < east + margin_east)
+        )
+        if not len(rows):
+            continue
+        own = tile_frame(tile_x, tile_y)
+        plane = own.east_north_from_geodetic_array(latitude, longitude, np.zeros(len(latitude)))
+        height = points_m[rows, 2]
+        base = float(np.round(np.median(height)))
+        about = np.column_stack(
+            (nodes.between(plane[:, 0], rows), nodes.between(plane[:, 1], rows), height - base)
+        )
+        tiles.append(
+            CloudTile(
+                time_ns=seen_ns,
+                x=tile_x,
+                y=tile_y,
+                layer=layer,
+                base_height_m=base,
+                resolution_m=RESOLUTION_M,
+                quanta=np.rint(about / RESOLUTION_M).astype(np.int32),
+            )
+        )
+    return tiles
+
+
+def _tiles_near(latitude: Floats, longitude: Floats) -> list[Tile]:
+    """Tiles that come within two node spacings of the nodes, in order."""
+    reach = np.full(len(latitude), 2.0 * _NODES_M)
+    _, x, y = tiles_of_boxes(latitude, longitude, reach, reach)
+    return [divmod(tile, TILES) for tile in np.unique(x * TILES + y).tolist()]
+
+
+class _NodeGrid:
+    """Nodes every 25 m under some points (not at the antimeridian): what is known there is bilinear between them.
+
+    From one tangent plane to another the second derivatives are those of the earth's curvature, 1 / R, so that this
+    misses by 25² / 8 R = 12 µm, for a fraction of the time.
+    """
+
+    def __init__(self, points_m: Floats) -> None:
+        low = points_m[:, :2].min(axis=0)
+        at = (points_m[:, :2] - low) / _NODES_M
+        self._cell = at.astype(np.int64)
+        self._share = at - self._cell
+        self._columns, self._rows = (self._cell.max(axis=0) + 2).tolist()
+        e, n = np.meshgrid(np.arange(self._columns), np.arange(self._rows), indexing="ij")
+        self.plane_m: Floats = low + _NODES_M * np.column_stack((e.ravel(), n.ravel()))
+
+    def between(self, at_nodes: Floats, rows: Integers) -> Floats:
+        """Values (k,) at some of the points, from those at the nodes."""
+        value = at_nodes.reshape(self._columns, self._rows)
+        i, j = self._cell[rows].T
+        u, v = self._share[rows].T
+        lower = (1.0 - u) * value[i, j] + u * value[i + 1, j]
+        upper = (1.0 - u) * value[i, j + 1] + u * value[i + 1, j + 1]
+        result: Floats = (1.0 - v) * lower + v * upper
+        return result

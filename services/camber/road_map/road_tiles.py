@@ -1,0 +1,208 @@
+"""Tiles of road surfaces and links, made from columns and made into columns again.
+
+Positions are rounded to 1e-11 rad (0.06 mm), heights to 0.1 mm, yaws to 1e-9 rad: a map that was read and is written
+again gives the same bytes, so tiles that did not change stay the same blobs. Sizes and σ are kept as 32-bit floats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.road_columns import Floats, Integers, ReleaseError, RoadLinks, RoadSurfaces
+from camber.road_map.tile_grid import MARGIN_M, Tile, tile_frame, tiles_of_boxes
+from camber.schemas.base import EARLIEST_NS, LATEST_NS
+from camber.schemas.road import LinkTile, SurfaceTile
+
+_ANGLE_DECIMALS, _YAW_DECIMALS, _HEIGHT_DECIMALS = 11, 9, 4
+_PLANE_DECIMALS = 6  # of metres: the last bits of sines differ between machines
+
+
+# -- to tiles --------------------------------------------------------------------------------------------------------
+
+
+def surface_tiles(surfaces: RoadSurfaces) -> list[SurfaceTile]:
+    """The tiles of all surfaces; a surface that comes within MARGIN_M of several tiles stands whole in each.
+
+    A tile's time is the newest at which one of its surfaces was seen, so it owes nothing to the release it is in.
+    """
+    cos, sin = np.abs(np.cos(surfaces.yaw_rad)), np.abs(np.sin(surfaces.yaw_rad))
+    half_east_m = cos * surfaces.half_length_m + sin * surfaces.half_width_m + MARGIN_M
+    half_north_m = sin * surfaces.half_length_m + cos * surfaces.half_width_m + MARGIN_M
+    row, x, y = tiles_of_boxes(surfaces.latitude_rad, surfaces.longitude_rad, half_east_m, half_north_m)
+    return [_surface_tile(tile, rows, surfaces) for tile, rows in _by_tile(row, x, y, surfaces.surface_id)]
+
+
+def _surface_tile(tile: Tile, rows: Integers, surfaces: RoadSurfaces) -> SurfaceTile:
+    frame = tile_frame(*tile)
+    latitude_rad, longitude_rad = (
+        _rounded(surfaces.latitude_rad[rows]),
+        _rounded(surfaces.longitude_rad[rows]),
+    )
+    plane_m = _plane(frame, latitude_rad, longitude_rad)
+    yaw_rad = np.round(surfaces.yaw_rad[rows], _YAW_DECIMALS) + _convergence(frame, longitude_rad)
+    heights_m = [np.round(surfaces.heights_m[row].ravel(), _HEIGHT_DECIMALS) for row in rows]
+    sizes = np.array([len(heights) for heights in heights_m])
+    all_m = np.concatenate(heights_m)
+    base_m = float(np.round(np.median(all_m)))
+    seen_ns = int(np.clip(surfaces.last_seen_ns[rows].max(), EARLIEST_NS, LATEST_NS))
+    return SurfaceTile(
+        time_ns=seen_ns,
+        x=tile[0],
+        y=tile[1],
+        base_height_m=base_m,
+        surface_id=surfaces.surface_id[rows],
+        link_id=surfaces.link_id[rows],
+        level=surfaces.level[rows].astype(np.int32),
+        centre_east_m=plane_m[:, 0],
+        centre_north_m=plane_m[:, 1],
+        yaw_rad=np.round(yaw_rad, _YAW_DECIMALS + 3),
+        half_length_m=surfaces.half_length_m[rows].astype(np.float32),
+        half_width_m=surfaces.half_width_m[rows].astype(np.float32),
+        rows=np.array([surfaces.heights_m[row].shape[0] for row in rows], np.int32),
+        columns=np.array([surfaces.heights_m[row].shape[1] for row in rows], np.int32),
+        first_height=(np.cumsum(sizes) - sizes).astype(np.int32),
+        sigma_m=surfaces.sigma_m[rows].astype(np.float32),
+        vehicles=surfaces.vehicles[rows].astype(np.int32),
+        last_seen_ns=surfaces.last_seen_ns[rows],
+        grid_m=(all_m - base_m).astype(np.float32),
+    )
+
+
+def link_tiles(links: RoadLinks) -> list[LinkTile]:
+    """The tiles of all links; a link that comes within MARGIN_M of several tiles stands whole in each.
+
+    Links have no time of their own: their tiles carry the earliest there is.
+    """
+    if not len(links):
+        return []
+    count = np.array([len(line) for line in links.vertices])
+    points = _rounded(np.concatenate(list(links.vertices)))
+    begins = np.ones(len(points), bool)
+    begins[np.cumsum(count) - 1] = False  # the last vertex of a link begins no segment
+    first = np.flatnonzero(begins)
+    a, b = points[first], points[first + 1]
+    # A step over the antimeridian is the short way round.
+    step = b - a
+    step[:, 1] = (step[:, 1] + math.pi) % (2.0 * math.pi) - math.pi
+    half_m = np.abs(step) * 0.5 * 6.4e6 + MARGIN_M  # more than the larger radius of curvature
+    middle = a + 0.5 * step
+    segment, x, y = tiles_of_boxes(middle[:, 0], middle[:, 1], half_m[:, 1], half_m[:, 0])
+    link = np.repeat(np.arange(len(count)), count)[first][segment]
+    return [_link_tile(tile, rows, links) for tile, rows in _by_tile(link, x, y, links.link_id)]
+
+
+def _link_tile(tile: Tile, rows: Integers, links: RoadLinks) -> LinkTile:
+    points = _rounded(np.concatenate([links.vertices[row] for row in rows]))
+    plane_m = _plane(tile_frame(*tile), points[:, 0], points[:, 1])
+    count = [len(links.vertices[row]) for row in rows]
+    return LinkTile(
+        time_ns=EARLIEST_NS,
+        x=tile[0],
+        y=tile[1],
+        link_id=links.link_id[rows],
+        start_node=links.start_node[rows],
+        end_node=links.end_node[rows],
+        level=links.level[rows].astype(np.int32),
+        sigma_m=links.sigma_m[rows].astype(np.float32),
+        first_vertex=np.concatenate(([0], np.cumsum(count))).astype(np.int32),
+        east_m=plane_m[:, 0],
+        north_m=plane_m[:, 1],
+    )
+
+
+def _by_tile(row: Integers, x: Integers, y: Integers, ids: Integers) -> Iterable[tuple[Tile, Integers]]:
+    """Rows of each tile in the order of their ids, each once; tiles in the order of their numbers."""
+    if not len(row):
+        return
+    triples = np.unique(np.column_stack((x, y, ids[row], row)), axis=0)
+    change = np.flatnonzero((np.diff(triples[:, :2], axis=0) != 0).any(axis=1)) + 1
+    for group in np.split(triples, change):
+        yield (int(group[0, 0]), int(group[0, 1])), group[:, 3]
+
+
+# -- from tiles ------------------------------------------------------------------------------------------------------
+
+
+def surfaces_from_tiles(tiles: Iterable[SurfaceTile]) -> RoadSurfaces:
+    """All surfaces of some tiles, each once, in the order of their ids."""
+    parts = [_tile_columns(tile) for tile in tiles]
+    names = [field.name for field in fields(RoadSurfaces)]
+    empty: dict[str, Any] = {name: [] for name in names}
+    if not parts:
+        return RoadSurfaces(**empty)
+    ids, first = np.unique(np.concatenate([part["surface_id"] for part in parts]), return_index=True)
+    columns: dict[str, Any] = {
+        name: np.concatenate([part[name] for part in parts])[first] for name in names if name != "heights_m"
+    }
+    grids = [grid for part in parts for grid in part["heights_m"]]
+    return RoadSurfaces(**columns | {"surface_id": ids, "heights_m": [grids[i] for i in first]})
+
+
+def _tile_columns(tile: SurfaceTile) -> dict[str, Any]:
+    frame = tile_frame(tile.x, tile.y)
+    latitude_rad, longitude_rad = _geodetic(frame, tile.centre_east_m, tile.centre_north_m)
+    heights_m = np.round(tile.base_height_m + tile.grid_m.astype(np.float64), _HEIGHT_DECIMALS)
+    shapes = zip(tile.first_height.tolist(), tile.rows.tolist(), tile.columns.tolist(), strict=True)
+    columns = {field.name: getattr(tile, field.name, None) for field in fields(RoadSurfaces)}
+    return columns | {
+        "latitude_rad": latitude_rad,
+        "longitude_rad": longitude_rad,
+        "yaw_rad": np.round(tile.yaw_rad - _convergence(frame, longitude_rad), _YAW_DECIMALS),
+        "heights_m": [heights_m[i : i + n * m].reshape(n, m) for i, n, m in shapes],
+    }
+
+
+def links_from_tiles(tiles: Iterable[LinkTile]) -> RoadLinks:
+    """All links of some tiles, each once, in the order of their ids."""
+    found: dict[int, list[Any]] = {}
+    for tile in tiles:
+        points = np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
+        lines = np.split(points, tile.first_vertex[1:-1])
+        columns = (tile.start_node, tile.end_node, tile.level, tile.sigma_m)
+        rows = zip(tile.link_id.tolist(), *(c.tolist() for c in columns), lines, strict=False)
+        for link_id, *rest in rows:
+            found.setdefault(link_id, rest)
+    ordered = sorted(found.items())
+    return RoadLinks(
+        link_id=np.array([link_id for link_id, _ in ordered], np.int64),
+        start_node=np.array([link[0] for _, link in ordered], np.int64),
+        end_node=np.array([link[1] for _, link in ordered], np.int64),
+        level=np.array([link[2] for _, link in ordered], np.int64),
+        sigma_m=np.array([link[3] for _, link in ordered]),
+        vertices=[link[4] for _, link in ordered],
+    )
+
+
+# -- small parts -----------------------------------------------------------------------------------------------------
+
+
+def _rounded(angle_rad: Floats) -> Floats:
+    rounded: Floats = np.round(angle_rad, _ANGLE_DECIMALS)
+    return rounded
+
+
+def _plane(frame: LocalFrame, latitude_rad: Floats, longitude_rad: Floats) -> Floats:
+    plane_m = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, np.zeros(len(latitude_rad)))
+    rounded: Floats = np.round(plane_m, _PLANE_DECIMALS) + 0.0  # no −0.0: one value has one form in bytes
+    return rounded
+
+
+def _geodetic(frame: LocalFrame, east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
+    try:
+        latitude, longitude, _ = frame.geodetic_from_east_north_array(np.column_stack((east_m, north_m)), 0.0)
+    except ValueError as error:
+        raise ReleaseError("tile", "east, north", str(error)) from None
+    # Rounding may step over the antimeridian by some 1e-12 rad.
+    return _rounded(latitude), np.clip(_rounded(longitude), -math.pi, math.pi)
+
+
+def _convergence(frame: LocalFrame, longitude_rad: Floats) -> Floats:
+    """By how much north at a longitude is turned, counter-clockwise, against north at the frame's origin."""
+    step = (longitude_rad - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
+    return step * math.sin(frame.latitude_rad)

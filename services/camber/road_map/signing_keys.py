@@ -1,0 +1,71 @@
+"""Keys that sign releases of the map: Ed25519 (RFC 8032), in PEM files as OpenSSL writes them.
+
+    openssl genpkey -algorithm ed25519 -out release.key              # stays with who makes the map
+    openssl pkey -in release.key -pubout -out release.pub            # goes to every vehicle
+
+A key's id is the first 16 hexadecimal digits of the SHA-256 of its 32 public bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key, load_pem_public_key
+
+from camber.road_map.road_columns import ReleaseError
+from camber.schemas.road import ReleaseRoot, signed_bytes
+
+
+def load_public_key(path: Path) -> Ed25519PublicKey:
+    """The public key in a PEM file; ReleaseError where there is none."""
+    try:
+        key = load_pem_public_key(path.read_bytes())
+    except (OSError, ValueError, UnsupportedAlgorithm) as error:
+        raise ReleaseError(str(path), "public key", f"an Ed25519 key in PEM ({_first_line(error)})") from None
+    if not isinstance(key, Ed25519PublicKey):
+        raise ReleaseError(str(path), "public key", "an Ed25519 key in PEM")
+    return key
+
+
+def load_signing_key(path: Path) -> Ed25519PrivateKey:
+    """The private key in a PEM file without a passphrase; ReleaseError where there is none."""
+    try:
+        key = load_pem_private_key(path.read_bytes(), password=None)
+    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise ReleaseError(
+            str(path), "signing key", f"an Ed25519 key in PEM ({_first_line(error)})"
+        ) from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise ReleaseError(str(path), "signing key", "an Ed25519 key in PEM")
+    return key
+
+
+def key_id(key: Ed25519PublicKey) -> str:
+    """Name of a key, as it stands in the roots it signed."""
+    return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:16]
+
+
+def signed(root: ReleaseRoot, key: Ed25519PrivateKey) -> ReleaseRoot:
+    """The root with its signature."""
+    signature = np.frombuffer(key.sign(signed_bytes(root)), np.uint8)
+    return ReleaseRoot(**root.__dict__ | {"key_id": key_id(key.public_key()), "signature": signature})
+
+
+def check_signature(root: ReleaseRoot, key: Ed25519PublicKey, file: str) -> None:
+    """Raise ReleaseError unless `key` signed this root."""
+    if root.signature is None:
+        raise ReleaseError(file, "signature", f"one by key {key_id(key)}", found="none")
+    if root.key_id != key_id(key):
+        raise ReleaseError(file, "key_id", f"key {key_id(key)}", found=str(root.key_id))
+    try:
+        key.verify(root.signature.tobytes(), signed_bytes(root))
+    except InvalidSignature:
+        raise ReleaseError(file, "signature", f"one by key {key_id(key)} over this root") from None
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__

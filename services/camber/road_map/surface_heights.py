@@ -1,0 +1,124 @@
+"""Heights of road surfaces that are named by their ids: for whoever has a whole map at hand and asks it by the million.
+
+Which surface is under a point is map_server's question; here it is known. A surface's own axes: u along (yaw,
+counter-clockwise from east), v across (positive to the left), metres from its centre in the tangent plane there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from camber.compiled.decorator import compiled
+from camber.geodesy.tangent_planes import east_north, plane_origins
+from camber.road_map.road_columns import Floats, Integers, RoadSurfaces
+
+
+class SurfaceHeights:
+    """The grids of all surfaces of a map, ready for questions by row; rows are those of the `RoadSurfaces` given."""
+
+    def __init__(self, surfaces: RoadSurfaces) -> None:
+        self._order = np.argsort(surfaces.surface_id, kind="stable")
+        self._sorted_id = surfaces.surface_id[self._order]
+        self._origin = plane_origins(surfaces.latitude_rad, surfaces.longitude_rad)
+        self._shape = np.column_stack(
+            (
+                np.cos(surfaces.yaw_rad),
+                np.sin(surfaces.yaw_rad),
+                surfaces.half_length_m,
+                surfaces.half_width_m,
+            )
+        )
+        shapes = np.array([grid.shape for grid in surfaces.heights_m], np.int64).reshape(-1, 2)
+        sizes = shapes[:, 0] * shapes[:, 1]
+        self._grid = np.column_stack((np.cumsum(sizes) - sizes, shapes))
+        self._heights_m = np.concatenate([np.zeros(0), *(grid.ravel() for grid in surfaces.heights_m)])
+
+    def __len__(self) -> int:
+        return len(self._sorted_id)
+
+    def rows_of(self, surface_id: ArrayLike) -> Integers:
+        """Rows (n,) of surfaces; −1 where the map has no such surface."""
+        wanted = np.asarray(surface_id, np.int64)
+        if not len(self):
+            return np.full(wanted.shape, -1)
+        place = np.minimum(np.searchsorted(self._sorted_id, wanted), len(self) - 1)
+        return np.where(self._sorted_id[place] == wanted, self._order[place], -1)
+
+    def heights_m(
+        self, row: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike
+    ) -> tuple[Floats, Floats]:
+        """Ellipsoidal heights (n,) [m] of surfaces at n points, and how far outside its surface each point is (n,) [m].
+
+        Outside its rectangle a surface goes on with the slope at its edge: how far that is to be believed is the
+        caller's affair. Where the row is −1, and where a point is not a number or 100 km off, nothing is known: the
+        distance is infinite and the height no number. Raises ValueError for columns that differ in length and for a
+        row that is none.
+        """
+        rows = np.ascontiguousarray(row, np.int64)
+        latitude = np.ascontiguousarray(latitude_rad, np.float64)
+        longitude = np.ascontiguousarray(longitude_rad, np.float64)
+        if rows.ndim != 1 or not rows.shape == latitude.shape == longitude.shape:
+            shapes = f"{rows.shape}, {latitude.shape}, {longitude.shape}"
+            raise ValueError(f"row, latitude_rad, longitude_rad: expected three of (n,), got {shapes}")
+        if len(rows) and not -1 <= rows.min() <= rows.max() < len(self):
+            raise ValueError(f"row: expected −1 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
+        return _heights(self._origin, self._shape, self._grid, self._heights_m, rows, latitude, longitude)
+
+
+@compiled
+def _heights(
+    origin: Floats,
+    shape: Floats,
+    grid: Integers,
+    heights_m: Floats,
+    row: Integers,
+    latitude_rad: Floats,
+    longitude_rad: Floats,
+) -> tuple[Floats, Floats]:
+    height_m, outside_m = np.full(len(row), np.nan), np.full(len(row), np.inf)
+    for i in range(len(row)):
+        k = row[i]
+        if k < 0:
+            continue
+        east_m, north_m = east_north(origin[k], latitude_rad[i], longitude_rad[i])
+        if east_m == math.inf:
+            continue
+        cos, sin, half_length, half_width = shape[k, 0], shape[k, 1], shape[k, 2], shape[k, 3]
+        u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
+        beyond_u, beyond_v = max(abs(u) - half_length, 0.0), max(abs(v) - half_width, 0.0)
+        outside_m[i] = math.sqrt(beyond_u * beyond_u + beyond_v * beyond_v)
+        height_m[i], _, _ = grid_plane(
+            heights_m, grid[k, 0], grid[k, 1], grid[k, 2], half_length, half_width, u, v
+        )
+    return height_m, outside_m
+
+
+@compiled
+def grid_plane(
+    heights_m: Floats,
+    first: int,
+    rows: int,
+    columns: int,
+    half_length: float,
+    half_width: float,
+    u: float,
+    v: float,
+) -> tuple[float, float, float]:
+    """Height [m], slope along and slope across of a surface at (u, v); beyond its edge it goes on with the slope there.
+
+    Its heights begin at `first` of `heights_m`, `rows` of them along and `columns` across. Bilinear between them.
+    """
+    at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
+    step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
+    p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
+    i, j = min(int(p), rows - 2), min(int(q), columns - 2)
+    p, q = p - i, q - j
+    k = first + i * columns + j
+    a, b, c, d = heights_m[k], heights_m[k + 1], heights_m[k + columns], heights_m[k + columns + 1]
+    slope_u = ((c - a) * (1.0 - q) + (d - b) * q) / step_u
+    slope_v = ((b - a) * (1.0 - p) + (d - c) * p) / step_v
+    height_m = (a * (1.0 - q) + b * q) * (1.0 - p) + (c * (1.0 - q) + d * q) * p
+    return height_m + slope_u * (u - at_u) + slope_v * (v - at_v), slope_u, slope_v

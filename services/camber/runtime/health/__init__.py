@@ -1,0 +1,1 @@
+"""Health of a service: issues, report, metrics and the probe that asks for it."""

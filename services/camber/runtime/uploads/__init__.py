@@ -1,0 +1,1 @@
+"""Uploads of a vehicle: durable outbox, sender, and their receipt."""

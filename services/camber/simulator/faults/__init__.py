@@ -1,0 +1,1 @@
+"""Faults of a simulated drive: their schedule, of the radio, of the vehicle."""

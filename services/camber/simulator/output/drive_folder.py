@@ -1,0 +1,337 @@
+"""The native files of a simulated drive, its map, its truth and `drive.toml`.
+
+rover.obs base.obs brdc.nav     RINEX 3.04
+rover.ubx                       RXM-RAWX, RXM-SFRBX, NAV-PVT, NAV-HPPOSLLH
+base.rtcm                       RTCM 3: 1005, MSM7, ephemerides
+receiver.pos receiver.nmea      what the receiver solved by itself
+receiver_arrivals.csv           when each part of receiver.pos was said, by a clock that is right
+rover_arrivals.csv              the same for rover.obs
+motion.csv suspension.csv ranging.csv
+sweeps/<time_ns>.pcd            one point cloud a turn
+lidar.pcap lidar.json           the LiDAR's packets, and an Ouster's metadata, where a scenario asks for packets
+can.log can.dbc sensors.toml    then also the CAN bus, and settings for `camber sensors` to read them
+map/                            the release that a survey made
+truth.csv                       the antenna, the vehicle, the road, the heights, which fix is wrong since when, faults
+drive.toml                      the manifest
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.drive.motion_csv import write_motion, write_ranging, write_suspension
+from camber.formats.drive.truth_csv import FIX_STATES, TruthTable, write_truth
+from camber.formats.lidar_can.candump import candump_text
+from camber.formats.map_exchange.pcd import write_sweep
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
+from camber.formats.observations import Ephemeris
+from camber.formats.receiver.phase_counts import PhaseCounts
+from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
+from camber.formats.rinex.writer import StationHeader, navigation_text, observation_lines
+from camber.formats.rtcm.writer import format_ephemeris, format_observations, format_reference_station
+from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
+from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.writer import format_raw_measurements, format_subframe
+from camber.geodesy.angles import wrap_pi_array
+from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.replay.arrivals import write_arrivals
+from camber.schemas.lidar import Sweep
+from camber.simulator.faults.schedule import BlockedLidar, ChangedRoad, SymmetricScene, WrongMap, of_kind
+from camber.simulator.output.can_frames import DBC, SETTINGS, can_frames
+from camber.simulator.output.drive_manifest import manifest_text
+from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, pcap_of
+from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
+from camber.simulator.satellites.orbits import newest_in_use
+from camber.simulator.scene import Floats
+from camber.simulator.simulated_drive import SENSORS, SimulatedDrive, offsets_by_link
+from camber.simulator.vehicle.beam_pattern import BEAMS_32, BEAMS_64
+from camber.simulator.vehicle.lidar import Lidar, LidarFault, Scan
+from camber.simulator.vehicle.pose_track import PoseTrack
+from camber.simulator.vehicle.sensor_messages import (
+    motion_messages,
+    ranging_messages,
+    suspension_messages,
+)
+from camber.simulator.vehicle.traffic import RoadUser, Traffic
+from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
+
+GEOID_SEPARATION_M = 37.0
+"""Of NMEA and UBX heights above the sea; about that of Nagoya. Nothing in Camber rests on it."""
+_STATION_ID = 1
+_THREADS = 2
+
+
+def write_drive(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
+    """Write all files, naming each part before it is made, each sweep after it. OSError where one cannot be written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    yield "receiver"
+    _write_rinex(folder, drive)
+    _write_solutions(folder, drive)
+    if drive.scenario.satellites.streams:
+        yield "streams"
+        (folder / "rover.ubx").write_bytes(b"".join(_ubx(drive)))
+        (folder / "base.rtcm").write_bytes(b"".join(_rtcm(drive)))
+    yield "sensors"
+    write_motion(folder / "motion.csv", motion_messages(drive.readings))
+    write_ranging(folder / "ranging.csv", ranging_messages(drive.readings, SENSORS, drive.body))
+    strokes = suspension_messages(drive.readings, SENSORS)
+    if strokes:
+        write_suspension(folder / "suspension.csv", strokes)
+    yield "truth"
+    write_truth(folder / "truth.csv", truth_of(drive))
+    yield "map"
+    errors = SurveyErrors(clouds=drive.scenario.lidar is not None, wrong_m=drive.map_offset_m)
+    surveyed_ns = drive.scenario.start_ns - SURVEYED_BEFORE_NS
+    write_survey(folder / "map", drive.district, surveyed_ns, errors, scanned_route="default")
+    if drive.scenario.lidar is not None:
+        (folder / "sweeps").mkdir(exist_ok=True)
+        yield from _write_sweeps(folder, drive)
+    (folder / "drive.toml").write_bytes(manifest_text(drive).encode("utf-8"))
+
+
+def _write_sweeps(folder: Path, drive: SimulatedDrive) -> Iterator[str]:
+    lidar = drive.scenario.lidar
+    assert lidar is not None
+    done: list[str] = []
+
+    def written() -> Iterator[Sweep]:
+        for scan in scans_of(drive):
+            write_sweep(folder / "sweeps", scan.sweep)
+            done.append("sweep")
+            yield scan.sweep
+
+    if lidar.packets is None:
+        for _ in written():
+            yield done.pop()
+        return
+    write_can(folder, drive, lidar.packets)
+    with (folder / "lidar.pcap").open("wb") as file:
+        for piece in pcap_of(written(), lidar.packets):
+            file.write(piece)
+            while done:
+                yield done.pop()
+
+
+def write_can(folder: Path, drive: SimulatedDrive, packets: str) -> None:
+    """The CAN bus, and what is to be said to `camber sensors`."""
+    (folder / "can.log").write_text(candump_text(can_frames(drive.readings)), "ascii")
+    (folder / "can.dbc").write_text(DBC, "ascii")
+    ouster = packets == "ouster"
+    if ouster:
+        (folder / "lidar.json").write_text(ouster_metadata(), "ascii")
+    model = 'model = "ouster"\nmetadata = "lidar.json"' if ouster else 'model = "HDL-32E"'
+    stamps = "tai" if ouster else "utc_hour"
+    lidar = f'[lidar]\nsource = "pcap:lidar.pcap"\n{model}\nstamps = "{stamps}"\n\n'
+    (folder / "sensors.toml").write_bytes(
+        f"# For `camber sensors`, started in this folder.\n{lidar}{SETTINGS}".encode()
+    )
+
+
+def parts_of(drive: SimulatedDrive) -> int:
+    """How many parts `write_drive` names, about."""
+    lidar = drive.scenario.lidar
+    turns = int(drive.scenario.duration_s * 1e9 / BEAMS_64.turn_ns)
+    return 4 + int(drive.scenario.satellites.streams) + (0 if lidar is None else turns)
+
+
+def scans_of(drive: SimulatedDrive) -> Iterator[Scan]:
+    """The sweeps of the drive's LiDAR, in order."""
+    settings, scenario = drive.scenario.lidar, drive.scenario
+    assert settings is not None
+    end_s = scenario.duration_s
+    faults = tuple(
+        LidarFault(f.onset_s, f.end_s or end_s, blocked_share=f.share)
+        for f in of_kind(scenario.faults, BlockedLidar)
+    ) + tuple(
+        LidarFault(f.onset_s, f.end_s or end_s, road_only=True)
+        for f in of_kind(scenario.faults, SymmetricScene)
+    )
+    track = PoseTrack.of(drive.trajectory, drive.body, drive.body.lidar)
+    traffic = Traffic.of(_road_users(drive, settings.traffic), int(track.time_ns[0]), int(track.time_ns[-1]))
+    pattern = BEAMS_64 if settings.beams == 64 else BEAMS_32
+    if settings.packets is not None:
+        pattern = PATTERNS[settings.packets]
+    lidar = Lidar(pattern, track, drive.tracer, scenario.seed, traffic, faults=faults)
+    return lidar.scans(_THREADS)
+
+
+def _road_users(drive: SimulatedDrive, count: int) -> list[RoadUser]:
+    """Every other one comes towards the vehicle in the other lane, the rest drive ahead and do not stop."""
+    length_m = drive.path.step_m * (len(drive.path.east_m) - 1)
+    users = []
+    for k in range(count):
+        if k % 2:
+            users.append(RoadUser(drive.path, 40.0 + 60.0 * k, 9.0 + 0.5 * k))
+        else:
+            start_m = length_m * (k + 1) / (count + 1)
+            users.append(RoadUser(drive.path, start_m, -8.0 - 0.5 * k, left_m=-3.4))
+    return users
+
+
+def truth_of(drive: SimulatedDrive) -> TruthTable:
+    """The truth at the receiver's epochs."""
+    t, rows, frame = drive.trajectory, drive.of_epoch, drive.district.frame
+    antenna_m, origin_m = t.antenna_m[rows], t.origin_m[rows]
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(antenna_m[:, :2], antenna_m[:, 2])
+    at_axle = frame.geodetic_from_east_north_array(origin_m[:, :2], origin_m[:, 2])
+    states = np.where(drive.fixed, np.where(drive.fix_wrong, "wrong", "right"), "none")
+    since = np.where(drive.fix_wrong, _since(drive.fix_wrong, drive.epoch_ns), np.nan)
+    time_s = (drive.epoch_ns - drive.epoch_ns[0]) / 1e9
+    changed_m = np.array([drive.district.changed_roads.get(link, 0.0) for link in t.link_id[rows].tolist()])
+    map_m = np.array([drive.map_offset_m.get(link, 0.0) for link in t.link_id[rows].tolist()])
+    more: dict[str, Floats] = {
+        "vehicle_latitude_deg": np.degrees(at_axle[0]),
+        "vehicle_longitude_deg": np.degrees(at_axle[1]),
+        "vehicle_height_m": origin_m[:, 2],
+        "road_height_m": t.road_height_m[rows],
+        "antenna_height_m": t.antenna_height_m[rows],
+        "stroke_m": t.stroke_m[rows],
+        "speed_m_s": t.speed_m_s[rows],
+        "wheel_speed_m_s": t.wheel_speed_m_s[rows],
+        "yaw_rate_rad_s": t.yaw_rate_rad_s[rows],
+        "steering_rad": t.steering_rad[rows],
+        "level": t.level[rows].astype(np.float64),
+        "link_id": t.link_id[rows].astype(np.float64),
+        "link_offset_m": t.link_offset_m[rows],
+        "road_changed_m": changed_m,
+        "map_wrong_m": map_m,
+        "fix_wrong_since_s": since,
+        "fix_integers_wrong": np.where(drive.fixed, drive.solutions.wrong_integers, np.nan),
+    }
+    for fault in drive.scenario.faults:
+        name = f"fault_{fault.kind}"
+        if isinstance(fault, ChangedRoad | WrongMap):  # a link is changed as a whole
+            acts = np.isin(t.link_id[rows], list(offsets_by_link([fault], t)))
+        else:
+            acts = fault.acts(time_s)
+        more[name] = np.maximum(more.get(name, np.zeros(len(rows))), acts)
+    return TruthTable(
+        drive.epoch_ns,
+        latitude,
+        longitude,
+        antenna_m[:, 2],
+        t.roll_rad[rows],
+        t.pitch_rad[rows],
+        wrap_pi_array(t.yaw_rad[rows]),
+        t.antenna_velocity_m_s[rows],
+        np.array([FIX_STATES.index(state) for state in states.tolist()], np.int8),
+        more,
+    )
+
+
+def _since(on: np.ndarray, time_ns: np.ndarray) -> Floats:
+    """Seconds since the first epoch at which each stretch of `on` began."""
+    begins = np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))
+    place = np.searchsorted(begins, np.arange(len(on)), side="right") - 1
+    seconds = (time_ns - time_ns[0]) / 1e9
+    return np.where(on, seconds[begins[np.maximum(place, 0)]] if len(begins) else np.nan, np.nan)
+
+
+def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
+    rover = [
+        (said.arrival_ns, said.rover)
+        for said in drive.said
+        if said.rover is not None and len(said.rover.satellite)
+    ]
+    latitude, longitude, height = _geodetic(drive, drive.trajectory.antenna_m[0])
+    near = ecef_from_geodetic_scalar(latitude, longitude, height)
+    station = StationHeader("rover", near)
+    header, *blocks = observation_lines([epoch for _, epoch in rover], station)
+    _write_said(
+        folder,
+        "rover",
+        "obs",
+        header.encode("ascii"),
+        [(arrival_ns, block.encode("ascii")) for (arrival_ns, _), block in zip(rover, blocks, strict=True)],
+    )
+    with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
+        station = StationHeader("base", base_ecef_m(drive), marker_type="GEODETIC")
+        file.writelines(observation_lines(list(drive.base), station))
+    ionosphere = IonosphereCoefficients("G", KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)
+    (folder / "brdc.nav").write_text(navigation_text(drive.broadcast, [ionosphere]), "ascii", newline="\n")
+
+
+def _write_said(folder: Path, name: str, ending: str, header: bytes, parts: list[tuple[int, bytes]]) -> None:
+    """A file of the receiver, and when each of its parts was said; the header with the first."""
+    (folder / f"{name}.{ending}").write_bytes(b"".join((header, *(payload for _, payload in parts))))
+    lengths = [(arrival_ns, len(payload)) for arrival_ns, payload in parts]
+    first_ns, first = lengths[0]
+    write_arrivals(folder / f"{name}_arrivals.csv", [(first_ns, len(header) + first), *lengths[1:]])
+
+
+def base_ecef_m(drive: SimulatedDrive, offset_m: Floats | None = None) -> tuple[float, float, float]:
+    """The base station, or where its coordinates say that it is."""
+    place = np.array(drive.base_m) + (0.0 if offset_m is None else offset_m)
+    return ecef_from_geodetic_scalar(*_geodetic(drive, place))
+
+
+def _geodetic(drive: SimulatedDrive, place_m: Floats) -> tuple[float, float, float]:
+    east_m, north_m, up_m = place_m.tolist()
+    latitude, longitude, _ = drive.district.frame.geodetic_from_east_north(east_m, north_m, up_m)
+    return latitude, longitude, up_m
+
+
+def _write_solutions(folder: Path, drive: SimulatedDrive) -> None:
+    solutions = [(said.arrival_ns, said.solution) for said in drive.said if said.solution is not None]
+    lines = [(arrival_ns, format_pos_line(solution)) for arrival_ns, solution in solutions]
+    _write_said(folder, "receiver", "pos", format_pos_header(), lines)
+    sentences = (
+        part
+        for _, solution in solutions
+        for part in (
+            format_gga(solution, geoid_separation_m=GEOID_SEPARATION_M),
+            format_rmc(solution),
+            format_gst(solution) if solution.covariance_enu_m2 is not None else b"",
+        )
+    )
+    (folder / "receiver.nmea").write_bytes(b"".join(sentences))
+
+
+def _ubx(drive: SimulatedDrive) -> Iterator[bytes]:
+    """In the order of time: raw measurements, subframes as they end, the receiver's position."""
+    seen = {int(s) for said in drive.said if said.rover is not None for s in np.unique(said.rover.satellite)}
+    begin_ns, end_ns = int(drive.epoch_ns[0]), int(drive.epoch_ns[-1])
+    waiting = sorted(
+        (
+            part
+            for ephemeris in _newest(drive)
+            if ephemeris.satellite in seen
+            for part in subframes_between(ephemeris, begin_ns, end_ns)
+        ),
+        key=lambda part: (part.end_ns, part.satellite),
+    )
+    place, counts = 0, PhaseCounts()
+    for said in drive.said:
+        if said.rover is not None:
+            while place < len(waiting) and waiting[place].end_ns <= said.rover.time_ns:
+                yield format_subframe(waiting[place])
+                place += 1
+            yield format_raw_measurements(counts.near_pseudorange(said.rover))
+        if said.solution is not None:
+            yield format_position_velocity_time(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
+            yield format_high_precision_position(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
+
+
+def _rtcm(drive: SimulatedDrive) -> Iterator[bytes]:
+    """Observations at the base's rate, its place and the ephemerides every ten seconds."""
+    offsets = dict(zip(drive.epoch_ns.tolist(), drive.base_offset_m, strict=True))
+    ephemerides = [frame for ephemeris in _newest(drive) for frame in format_ephemeris(ephemeris)]
+    every = 10 * drive.scenario.satellites.rate_hz
+    said_m: tuple[float, ...] = ()
+    counts = PhaseCounts()
+    for number, epoch in enumerate(drive.base):
+        place_m = base_ecef_m(drive, offsets[epoch.time_ns])
+        if number % every == 0 or place_m != said_m:
+            said_m = place_m
+            yield format_reference_station(place_m, station_id=_STATION_ID)
+        if number % every == 0:
+            yield from ephemerides
+        yield from format_observations(counts.near_pseudorange(epoch), station_id=_STATION_ID)
+
+
+def _newest(drive: SimulatedDrive) -> list[Ephemeris]:
+    return newest_in_use(drive.broadcast, int(drive.epoch_ns[0]))

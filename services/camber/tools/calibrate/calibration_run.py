@@ -1,0 +1,138 @@
+"""A recorded drive's fixes beside poses made without them: the differences that calibration rests on."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from camber.formats.observations import Floats
+from camber.geodesy.horizontal_offsets import east_north_between
+from camber.integrity.checks.height_check import road_at
+from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pose_sigma_m
+from camber.integrity.learning.common_offset import CommonPart, Differences, common_part
+from camber.integrity.learning.residuals import Cell, CellCollector, Residual, cell_of
+from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.schemas.gnss import Fix
+from camber.schemas.pose import Pose
+from camber.tools.calibrate.calibration import Pairs
+
+_NEAR_S = 0.1
+_MAP_CORRELATION_M = 20.0
+_STRETCH_M = 20.0
+_LEAST_STRETCHES = 5
+_SIGMA_LIMIT_M = 0.3
+_ANY_HEIGHT_M = 10.0
+"""σ of what is known of the antenna's height beforehand: nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paired:
+    """What a drive gives: pairs with poses of a scan match, heights (m,) of stretches of road, and how many fixes."""
+
+    pairs: Pairs
+    cells: tuple[Cell, ...]
+    fixes: int
+
+
+def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
+    """Each fixed position with the pose nearest to it; both in the order of their times."""
+    rows: list[tuple[int, float, float, float, float]] = []
+    cells, collector, last = list[Cell](), CellCollector(_STRETCH_M), list[Residual]()
+    times_ns = [pose.time_ns for pose in poses]
+    fixed = [fix for fix in fixes if fix.quality == "fixed" and fix.covariance_enu_m2 is not None]
+    for fix in fixed:
+        pose = _nearest(poses, times_ns, fix.time_ns)
+        if pose is None:
+            continue
+        row = _row(fix, pose)
+        if row is not None:
+            rows.append(row)
+        residual = _height(fix, pose)
+        if residual is not None:
+            ended = collector.hear(residual)
+            if ended is not None:
+                cells.append(ended)
+                last = []
+            last.append(residual)
+    if last:
+        cells.append(cell_of(last))
+    table = np.array(rows, np.float64).reshape(-1, 5)
+    time_ns = np.array([row[0] for row in rows], np.int64)
+    return Paired(Pairs(time_ns, table[:, 1:3], table[:, 3], table[:, 4]), tuple(cells), len(fixed))
+
+
+def height_of(cells: Sequence[Cell]) -> CommonPart | None:
+    """Antenna above the road, with a base that is right in height; None where there is too little road."""
+    if len(cells) < _LEAST_STRETCHES:
+        return None
+    return common_part(_differences(cells), _MAP_CORRELATION_M, _middle_m(cells), _ANY_HEIGHT_M)
+
+
+def _middle_m(cells: Sequence[Cell]) -> float:
+    return float(np.median([cell.up_m for cell in cells if cell.up_m is not None]))
+
+
+def _nearest(poses: Sequence[Pose], times_ns: Sequence[int], at_ns: int) -> Pose | None:
+    after = bisect_left(times_ns, at_ns)
+    near = poses[max(after - 1, 0) : after + 1]
+    pose = min(near, key=lambda p: abs(p.time_ns - at_ns), default=None)
+    if pose is None or pose.latitude_rad is None or not can_move_on(pose):
+        return None
+    return pose if abs(pose.time_ns - at_ns) <= _NEAR_S * 1e9 else None
+
+
+def _row(fix: Fix, pose: Pose) -> tuple[int, float, float, float, float] | None:
+    """Time, east, north, yaw, σ; None where the pose is no scan match, or not a sure one."""
+    sigma_m = pose_sigma_m(pose)
+    if pose.mode != "scan_match" or pose.yaw_rad is None or not 0.0 < sigma_m <= _SIGMA_LIMIT_M:
+        return None
+    assert fix.covariance_enu_m2 is not None
+    ee, _, _, nn, _, _ = with_true_sigma(fix.covariance_enu_m2, TrueSigma())
+    east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
+    return fix.time_ns, east_m, north_m, pose.yaw_rad, math.hypot(sigma_m, math.sqrt(max(ee, nn)))
+
+
+def _height(fix: Fix, pose: Pose) -> Residual | None:
+    """The fix above the road at its place."""
+    assert fix.covariance_enu_m2 is not None
+    if pose.road.datum != fix.datum:
+        return None
+    road = road_at(pose.road, *offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, pose.time_ns))
+    if road is None:
+        return None
+    sigma_m = math.sqrt(with_true_sigma(fix.covariance_enu_m2, TrueSigma())[5])
+    return Residual(
+        fix.time_ns,
+        "unknown",
+        fix.latitude_rad,
+        fix.longitude_rad,
+        up_m=fix.height_m - road.elevation_m,
+        fix_sigma_m=sigma_m,
+        map_sigma_m=road.sigma_m,
+        surface_id=road.surface_id,
+    )
+
+
+def _differences(cells: Sequence[Cell]) -> Differences:
+    known = [cell for cell in cells if cell.up_m is not None]
+    first = known[0]
+
+    def place(cell: Cell) -> tuple[float, float]:
+        return east_north_between(
+            first.latitude_rad, first.longitude_rad, cell.latitude_rad, cell.longitude_rad
+        )
+
+    def column(values: list[float | None]) -> Floats:
+        return np.array(values, np.float64)
+
+    return Differences(
+        column([cell.up_m for cell in known]),
+        column([cell.fix_sigma_m**2 for cell in known]),
+        column([cell.map_sigma_m for cell in known]),
+        np.array([place(cell) for cell in known]),
+        column([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known]),
+    )

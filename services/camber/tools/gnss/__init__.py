@@ -1,0 +1,1 @@
+"""`camber gnss inspect` and `camber gnss solve`: recordings of raw observations."""

@@ -1,0 +1,242 @@
+"""`camber gnss inspect`: what a recording of satellite navigation holds, as a table or as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.errors import FormatError
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.rinex.navigation_reader import NavigationDecoder
+from camber.formats.rinex.observation_reader import RinexDecoder
+from camber.formats.rtcm.reader import ReferenceStation, StationEpoch
+from camber.formats.ubx.nav_reader import ReceiverBaseline
+from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.schemas.gnss import ReceiverIntegrity
+from camber.tools.gnss.inspect_text import text_of
+from camber.tools.gnss.recording_file import Item, RecordingFile
+from camber.tools.gnss.recording_summary import (
+    EphemerisSummary,
+    ObservationSummary,
+    PositionSummary,
+    StatementSummary,
+)
+
+_PROG = "camber gnss inspect"
+_MOST_PROBLEMS = 5
+_MOST_STATIONS = 16
+_COUNTERS_OF_UBX = (
+    "malformed", "not_read", "without_time", "other_systems", "unknown_signals", "repeated_signals", "bad_subframes",
+    "epochs_without_position", "late",
+)  # fmt: skip
+_COUNTERS_OF_RTCM = ("malformed", "not_read", "unknown_signals", "incomplete")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print what a file holds; 0 done, 2 it cannot be read, or not to its end."""
+    args = _parser().parse_args(argv)
+    try:
+        report = inspect_recording(args.file, args.date)
+    except FormatError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{_PROG}: {args.file}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    text = json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) if args.json else text_of(report)
+    print(text)
+    if report["damage"] is not None:
+        print(f"{_PROG}: {report['damage']}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def inspect_recording(path: Path, day: date | None = None) -> dict[str, Any]:
+    """What the file holds, as plain values; times are GPS time, None is not known.
+
+    `day` is near the recording, for protocols that do not say the week. Raises FormatError where nothing of the file
+    can be read, OSError where it cannot be opened.
+    """
+    near_ns = None if day is None else gps_ns_from_utc(CalendarTime(day.year, day.month, day.day, 12, 0, 0))
+    recording = RecordingFile(path, near_ns, count_messages=True)
+    held = _Held()
+    for items in recording.items():
+        held.take(items)
+    decoder = recording.decoder
+    refused = isinstance(decoder, RinexDecoder) and decoder.header is None
+    refused |= isinstance(decoder, NavigationDecoder) and decoder.version is None
+    refused |= isinstance(decoder, PosDecoder) and held.nothing
+    if refused and (held.problems or recording.damage):
+        raise recording.damage or held.problems[0]
+    return {
+        "file": path.name,
+        "bytes": path.stat().st_size,
+        "format": recording.format,
+        "week_from": recording.week_from,
+        "damage": None if recording.damage is None else str(recording.damage),
+        "header": _header(decoder),
+        **held.report(),
+        "messages": dict(sorted(recording.messages.items())),
+        "counters": {name: count for name, count in _counters(decoder) if count},
+    }
+
+
+class _Held:
+    """What has come so far, by what it is."""
+
+    def __init__(self) -> None:
+        self.problems: list[FormatError] = []
+        self._problem_count = 0
+        self._observed: dict[str, ObservationSummary] = {}
+        self._stations: Counter[ReferenceStation] = Counter()
+        self._ephemerides = EphemerisSummary()
+        self._ionosphere: set[str] = set()
+        self._positions = PositionSummary()
+        self._statements = StatementSummary()
+        self._baselines = 0
+        self._left_out = 0
+
+    @property
+    def nothing(self) -> bool:
+        """No observations and no positions."""
+        return not self._observed and self._positions.report() is None
+
+    def take(self, items: Iterable[Item]) -> None:
+        """The next piece's."""
+        for item in items:
+            match item:
+                case FormatError():
+                    self._problem_count += 1
+                    if len(self.problems) < _MOST_PROBLEMS:
+                        self.problems.append(item)
+                case ObservationEpoch():
+                    self._epoch("file", item)
+                case ReceiverEpoch():
+                    self._epoch("receiver", item.epoch)
+                case StationEpoch():
+                    self._epoch(f"station {item.station_id}", item.epoch)
+                case ReferenceStation():
+                    if item in self._stations or len(self._stations) < _MOST_STATIONS:
+                        self._stations[item] += 1
+                case Ephemeris():
+                    self._ephemerides.add(item)
+                case IonosphereCoefficients():
+                    self._ionosphere.add(item.system)
+                case ReceiverSolution():
+                    self._positions.add(item)
+                case ReceiverIntegrity():
+                    self._statements.add(item)
+                case ReceiverBaseline():
+                    self._baselines += 1
+
+    def _epoch(self, source: str, epoch: ObservationEpoch) -> None:
+        if source not in self._observed and len(self._observed) == _MOST_STATIONS:
+            self._left_out += 1
+            return
+        self._observed.setdefault(source, ObservationSummary()).add(epoch)
+
+    def report(self) -> dict[str, Any]:
+        """The parts of the report that come from the items."""
+        return {
+            "observations": [{"of": source, **s.report()} for source, s in self._observed.items()],
+            "epochs_of_further_stations": self._left_out,
+            "reference_stations": [
+                {
+                    "station": station.station_id,
+                    "times_said": count,
+                    "position_ecef_m": station.position_ecef_m,
+                    "position": _geodetic(station.position_ecef_m),
+                    "antenna_height_m": station.antenna_height_m,
+                }
+                for station, count in self._stations.items()
+            ],
+            "ephemerides": self._ephemerides.report(),
+            "ionosphere": sorted(self._ionosphere),
+            "positions": self._positions.report(),
+            "baselines": self._baselines,
+            "integrity": self._statements.report(),
+            "problems": {"count": self._problem_count, "first": [str(problem) for problem in self.problems]},
+        }
+
+
+def _header(decoder: object) -> dict[str, Any] | None:
+    """What a RINEX header says; None where there is none."""
+    if isinstance(decoder, NavigationDecoder):
+        return {"version": decoder.version, "leap_seconds": decoder.leap_seconds}
+    header = decoder.header if isinstance(decoder, RinexDecoder) else None
+    if header is None:
+        return None
+    return {
+        "version": header.version,
+        "marker": header.marker,
+        "receiver": header.receiver,
+        "antenna": header.antenna,
+        "position_ecef_m": header.position_ecef_m,
+        "position": None if header.position_ecef_m is None else _geodetic(header.position_ecef_m),
+        "antenna_height_east_north_m": header.delta_hen_m,
+        "interval_s": header.interval_s,
+        "leap_seconds": header.leap_seconds,
+        "time_system": header.time_system,
+    }
+
+
+def _geodetic(ecef_m: tuple[float, float, float]) -> dict[str, float] | None:
+    """None where no place on earth is meant."""
+    try:
+        latitude_rad, longitude_rad, height_m = geodetic_from_ecef_scalar(*ecef_m)
+    except ValueError:
+        return None
+    return {
+        "latitude_deg": math.degrees(latitude_rad),
+        "longitude_deg": math.degrees(longitude_rad),
+        "height_m": height_m,
+    }
+
+
+def _counters(decoder: object) -> Iterator[tuple[str, int]]:
+    """What a decoder left out, and how often."""
+    if isinstance(decoder, RinexDecoder | NavigationDecoder):
+        yield from ((f"not_read.{what}", count) for what, count in sorted(decoder.skipped.items()))
+    elif isinstance(decoder, PosDecoder):
+        yield "rows_refused", decoder.rows_refused
+    elif isinstance(decoder, MixedDecoder):
+        yield "bytes_skipped", decoder.bytes_skipped
+        yield "failed_checks", decoder.failed_checks
+        yield "rtcm.without_time", decoder.rtcm_without_time
+        yield "nmea.positions_beside_ubx", decoder.positions_not_used
+        yield "nmea.epochs_without_position", decoder.nmea.epochs_without_position
+        yield "nmea.late_sentences", decoder.nmea.late_sentences
+        yield from ((f"ubx.{name}", getattr(decoder.ubx, name)) for name in _COUNTERS_OF_UBX)
+        if decoder.rtcm is not None:
+            yield from ((f"rtcm.{name}", getattr(decoder.rtcm, name)) for name in _COUNTERS_OF_RTCM)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos; may be packed",
+    )
+    parser.add_argument("--json", action="store_true", help="all of it, for machines")
+    parser.add_argument(
+        "--date",
+        type=date.fromisoformat,
+        metavar="YYYY-MM-DD",
+        help="a day within half a week of the recording, for RTCM, which does not say its week",
+    )
+    return parser

@@ -1,0 +1,182 @@
+"""Raw observations of a recorded drive: epochs of rover and base, ephemerides, where the base is.
+
+Every file may be of any format with observations that `recording_file` knows; ephemerides are taken from the streams of
+observations too.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.errors import FormatError
+from camber.formats.observations import Ephemeris, Floats, ObservationEpoch
+from camber.formats.rinex.header import ObservationHeader
+from camber.formats.rinex.observation_reader import RinexDecoder
+from camber.formats.rtcm.reader import ReferenceStation, StationEpoch
+from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
+from camber.geodesy.local_frame import LocalFrame
+from camber.schemas.drive import RawObservations
+from camber.tools.gnss.recording_file import RecordingFile
+
+_OWN = -1
+"""The receiver of a file itself, beside the stations in it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawRecording:
+    """What an engine is given. `ionosphere` are GPS's coefficients (8,), alpha and beta; None: not broadcast.
+
+    `base_ecef_m` (3,) is that of the antenna's reference point, None where nothing says it; `base_position_from` says
+    in words what did. `notes` are lines on what was amiss in the files.
+    """
+
+    rover: list[ObservationEpoch]
+    base: list[ObservationEpoch]
+    ephemerides: list[Ephemeris]
+    base_ecef_m: Floats | None
+    base_position_from: str
+    ionosphere: Floats | None
+    notes: tuple[str, ...]
+
+
+def load_raw(observations: RawObservations, *, near_ns: int | None = None) -> RawRecording:
+    """Reads all files of a drive's table of raw observations.
+
+    The base is where the table says, else where its messages 1005 or 1006 do, else where its RINEX header does.
+    `near_ns` (GPS time) is within half a week of the drive, for RTCM, which does not say its week; the drive's other
+    files say it too. Raises FormatError for a file that cannot be read or lacks what it is for, OSError where one
+    cannot be opened.
+    """
+    files = []
+    for path in observations.ephemerides:
+        files.append(_read(path, near_ns))
+        near_ns = near_ns or files[-1].first_ns
+    rover = _read(observations.rover_obs, near_ns)
+    base = _read(observations.base_obs, rover.first_ns or near_ns)
+    files += [rover, base]
+    notes = [note for file in files for note in file.notes()]
+    # One port may carry the receiver's own observations and the corrections that go into it.
+    rover_epochs = _observed(rover, own_first=True, notes=notes)
+    base_epochs = _observed(base, own_first=False, notes=notes)
+    position, position_from = _base_position(observations.base_ecef_m, base, notes)
+    ionosphere = next((file.ionosphere for file in files if file.ionosphere is not None), None)
+    return RawRecording(
+        rover_epochs,
+        base_epochs,
+        [ephemeris for file in files for ephemeris in file.ephemerides],
+        position,
+        position_from,
+        ionosphere,
+        tuple(notes),
+    )
+
+
+@dataclass(slots=True)
+class _File:
+    """What one file holds; epochs by station."""
+
+    name: str
+    epochs: defaultdict[int, list[ObservationEpoch]] = field(default_factory=lambda: defaultdict(list))
+    stations: Counter[tuple[int, tuple[float, float, float]]] = field(default_factory=Counter)
+    ephemerides: list[Ephemeris] = field(default_factory=list)
+    ionosphere: Floats | None = None
+    header: ObservationHeader | None = None
+    problems: list[FormatError] = field(default_factory=list)
+    week_guessed: bool = False
+
+    @property
+    def first_ns(self) -> int | None:
+        """A time of it, where it has one that is no guess."""
+        if self.week_guessed:
+            return None
+        epochs = next(iter(self.epochs.values()), None)
+        if epochs:
+            return epochs[0].time_ns
+        return self.ephemerides[0].toe_ns if self.ephemerides else None
+
+    def notes(self) -> list[str]:
+        """What was amiss in it, a line each."""
+        notes = []
+        if self.problems:
+            more = f" and {len(self.problems) - 1:,} more" if len(self.problems) > 1 else ""
+            notes.append(f"{self.problems[0]}{more}")
+        if self.week_guessed:
+            notes.append(f"{self.name}: nothing says the week, guessed from the date of the file")
+        return notes
+
+
+def _read(path: Path, near_ns: int | None) -> _File:
+    recording = RecordingFile(path, near_ns)
+    file = _File(path.name, week_guessed=recording.week_from == "file date")
+    for items in recording.items():
+        for item in items:
+            match item:
+                case ObservationEpoch():
+                    file.epochs[_OWN].append(item)
+                case ReceiverEpoch():
+                    file.epochs[_OWN].append(item.epoch)
+                case StationEpoch():
+                    file.epochs[item.station_id].append(item.epoch)
+                case ReferenceStation():
+                    file.stations[item.station_id, item.position_ecef_m] += 1
+                case Ephemeris():
+                    file.ephemerides.append(item)
+                case IonosphereCoefficients() if item.system == "G":
+                    file.ionosphere = np.array([*item.alpha, *item.beta])
+                case FormatError():
+                    file.problems.append(item)
+    if isinstance(recording.decoder, RinexDecoder):
+        file.header = recording.decoder.header
+    if recording.damage is not None:
+        file.problems.append(recording.damage)
+    if not file.epochs and not file.ephemerides and file.problems:
+        raise file.problems[-1] if recording.damage else file.problems[0]
+    return file
+
+
+def _observed(file: _File, *, own_first: bool, notes: list[str]) -> list[ObservationEpoch]:
+    """The epochs of the receiver itself or of the station with most of them, whichever is asked for first."""
+    stations = sorted((key for key in file.epochs if key != _OWN), key=lambda key: -len(file.epochs[key]))
+    own = [_OWN] if _OWN in file.epochs else []
+    order = [*own, *stations] if own_first else [*stations, *own]
+    if not order:
+        raise FormatError(file.name, "observations", "at least one epoch of them")
+    if order[0] != _OWN and len(stations) > 1:
+        notes.append(f"{file.name}: {len(stations)} stations, station {order[0]} with most epochs is used")
+    return file.epochs[order[0]]
+
+
+def _base_position(
+    given: tuple[float, float, float] | None, base: _File, notes: list[str]
+) -> tuple[Floats | None, str]:
+    """Where the base's antenna reference point is, and what says so."""
+    if given is not None:
+        return np.array(given), "the manifest"
+    if base.stations:
+        (station, position), _ = base.stations.most_common(1)[0]
+        others = [other for _, other in base.stations if other != position]
+        if others:
+            far_m = max(float(np.linalg.norm(np.subtract(other, position))) for other in others)
+            notes.append(
+                f"{base.name}: the base says {len(others) + 1} positions up to {far_m:.3f} m apart, "
+                "that said most often is used"
+            )
+        return np.array(position), f"RTCM 1005 or 1006 of station {station}"
+    header = base.header
+    if header is None or header.position_ecef_m is None:
+        return None, "nothing"
+    up_m, east_m, north_m = header.delta_hen_m or (0.0, 0.0, 0.0)
+    try:
+        marker = LocalFrame(*geodetic_from_ecef_scalar(*header.position_ecef_m))
+    except ValueError:
+        notes.append(f"{base.name}: APPROX POSITION XYZ is no place on earth")
+        return None, "nothing"
+    return np.array(
+        marker.ecef_from_enu(east_m, north_m, up_m)
+    ), "the header of the base's RINEX file (may be approximate)"

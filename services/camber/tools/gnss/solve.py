@@ -1,0 +1,299 @@
+"""`camber gnss solve`: positions from a recorded drive's raw observations, as a file of RTKLIB's format and a plot."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.formats.drive.truth_csv import WRONG_M, read_truth
+from camber.formats.observations import Floats, Integers, ObservationEpoch
+from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.ellipsoid import geodetic_from_ecef
+from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.geodesy.local_frame import LocalFrame
+from camber.gnss.position.rtk_engine import Engine, EngineOptions
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.tools.gnss.raw_recording import RawRecording, load_raw
+from camber.tools.gnss.recording_summary import time_text
+from camber.tools.gnss.solve_plot import plot
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import number_from
+from camber.validation.truth import offset_of, truth_of
+
+_PROG = "camber gnss solve"
+_QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
+_SAME_TIME_NS = NS_PER_SECOND // 50
+"""Epochs of one time are so far apart at most, by the clocks of the receivers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedDrive:
+    """Every epoch of the rover, columns (n,): what the engine made of it.
+
+    `quality` is `fixed`, `float`, `single` or `none`; `position_ecef_m` (n, 3) and `covariance_ecef_m2` (n, 3, 3) are
+    NaN where that is `none`, `ratio` and `age_s` where there is none.
+    """
+
+    time_ns: Integers
+    quality: NDArray[np.str_]
+    continuity: NDArray[np.str_]
+    position_ecef_m: Floats
+    covariance_ecef_m2: Floats
+    satellites: Integers
+    ratio: Floats
+    age_s: Floats
+    reasons: Counter[str]
+    warnings: Counter[str]
+    epochs_per_s: float | None
+    """Without the first epoch, in which compiled code is loaded; None where there is no other."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Solve one drive; 0 done, 2 it cannot be used, 130 interrupted."""
+    args = _parser().parse_args(argv)
+
+    def work() -> int:
+        print(solve(load_manifest(args.drive, args.set), _options(args), args.out))
+        return 0
+
+    return in_words(_PROG, args.out, work)
+
+
+def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
+    """Writes `engine.pos` and `engine.svg` into a folder and returns a paragraph on what came out.
+
+    Raises ManifestError where the drive has no raw observations or none in its time, FormatError, OSError.
+    """
+    if manifest.observations is None:
+        raise ManifestError(f"{manifest.name}: no table observations, expected raw observations and a base")
+    recording = load_raw(manifest.observations)
+    rover = _within(recording.rover, manifest)
+    if not rover:
+        raise ManifestError(f"{manifest.name}: no epoch of the rover from start_s to end_s, expected some")
+    solved = run_engine(recording, rover, options)
+    places = _places(solved)
+    errors_m = _errors_m(manifest, solved, places)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "engine.pos").write_bytes(_pos_file(solved, places))
+    (out / "engine.svg").write_text(
+        plot(
+            manifest.name, solved.time_ns, places, solved.quality, solved.satellites, solved.ratio,
+            options.least_ratio,
+        ),
+        "utf-8",
+    )  # fmt: skip
+    lines = [_summary(manifest, recording, solved, errors_m, out), *recording.notes]
+    return "\n".join(lines)
+
+
+def run_engine(
+    recording: RawRecording, rover: Sequence[ObservationEpoch], options: EngineOptions
+) -> SolvedDrive:
+    """Epochs of the rover in their order, each with the newest epoch of the base at its time; ephemerides all at once,
+    as whoever solves afterwards has them."""
+    sets = Counter(ephemeris.satellite for ephemeris in recording.ephemerides)
+    most = max(options.ephemerides_of_satellite, *sets.values(), 0)
+    engine = Engine(replace(options, ephemerides_of_satellite=most), recording.base_ecef_m)
+    for ephemeris in recording.ephemerides:
+        engine.add_ephemeris(ephemeris)
+    if recording.ionosphere is not None:
+        engine.ionosphere = recording.ionosphere
+    base = sorted(recording.base, key=lambda epoch: epoch.time_ns)
+    n, place, began_s = len(rover), 0, 0.0
+    quality, continuity = np.full(n, "none", "U6"), np.full(n, "no_evidence", "U11")
+    position, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    satellites, ratio, age_s = np.zeros(n, np.int64), np.full(n, np.nan), np.full(n, np.nan)
+    for k, epoch in enumerate(rover):
+        if k == 1:
+            began_s = time.perf_counter()
+        while place < len(base) and base[place].time_ns <= epoch.time_ns + _SAME_TIME_NS:
+            engine.add_base(base[place])
+            place += 1
+        found = engine.solve(epoch)
+        quality[k], continuity[k], satellites[k] = found.quality, found.continuity, found.satellites
+        if found.position_ecef_m is not None and found.covariance_ecef_m2 is not None:
+            position[k], covariance[k] = found.position_ecef_m, found.covariance_ecef_m2
+        ratio[k] = math.nan if found.ratio is None else found.ratio
+        age_s[k] = math.nan if found.age_s is None else found.age_s
+    return SolvedDrive(
+        np.array([epoch.time_ns for epoch in rover], np.int64),
+        quality,
+        continuity,
+        position,
+        covariance,
+        satellites,
+        ratio,
+        age_s,
+        engine.reasons,
+        Counter(engine.warnings),
+        None if n < 2 else (n - 1) / (time.perf_counter() - began_s),
+    )
+
+
+def _within(rover: list[ObservationEpoch], manifest: DriveManifest) -> list[ObservationEpoch]:
+    """From `start_s` to `end_s` after the first epoch."""
+    first_ns = rover[0].time_ns
+    begin_s = manifest.start_s or 0.0
+    end_s = math.inf if manifest.end_s is None else manifest.end_s
+    return [epoch for epoch in rover if begin_s <= (epoch.time_ns - first_ns) / NS_PER_SECOND <= end_s]
+
+
+def _places(solved: SolvedDrive) -> Floats:
+    """Latitude, longitude [rad], ellipsoidal height [m] (n, 3); NaN where there is no position."""
+    places = np.full((len(solved.time_ns), 3), np.nan)
+    known = solved.quality != "none"
+    if known.any():
+        places[known] = np.column_stack(geodetic_from_ecef(solved.position_ecef_m[known]))
+    return places
+
+
+def _pos_file(solved: SolvedDrive, places: Floats) -> bytes:
+    lines = [format_pos_header()]
+    for k in np.flatnonzero(solved.quality != "none").tolist():
+        latitude_rad, longitude_rad, height_m = places[k].tolist()
+        turn = LocalFrame(latitude_rad, longitude_rad, height_m).enu_from_ecef_rotation()
+        enu = turn @ solved.covariance_ecef_m2[k] @ turn.T
+        ratio, age_s = float(solved.ratio[k]), float(solved.age_s[k])
+        lines.append(
+            format_pos_line(
+                ReceiverSolution(
+                    time_ns=int(solved.time_ns[k]),
+                    latitude_rad=latitude_rad,
+                    longitude_rad=longitude_rad,
+                    height_m=height_m,
+                    quality=_QUALITIES[str(solved.quality[k])],
+                    satellites=int(solved.satellites[k]),
+                    covariance_enu_m2=(enu[0, 0], enu[0, 1], enu[0, 2], enu[1, 1], enu[1, 2], enu[2, 2]),
+                    age_s=None if math.isnan(age_s) else age_s,
+                    ratio=None if math.isnan(ratio) else ratio,
+                )
+            )
+        )
+    return b"".join(lines)
+
+
+def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> Floats | None:
+    """Distances in 3D (n,) from the truth, NaN where it is not known; None: there is no truth."""
+    if manifest.truth is None:
+        return None
+    truth = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
+    error_enu_m = truth.error_enu_m(
+        solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_of(manifest)
+    )
+    distance_m: Floats = np.linalg.norm(error_enu_m, axis=1)
+    return distance_m
+
+
+def _summary(
+    manifest: DriveManifest, recording: RawRecording, solved: SolvedDrive, errors_m: Floats | None, out: Path
+) -> str:
+    n = len(solved.time_ns)
+    counts = Counter(solved.quality.tolist())
+    shares = ", ".join(
+        f"{counts[q]:,} {q} ({counts[q] / n:.1%})" for q in ("fixed", "float", "single", "none")
+    )
+    reasons = [(reason, count) for reason, count in solved.reasons.most_common() if reason != "resolved"]
+    chain = Counter(solved.continuity[solved.quality == "fixed"].tolist())
+    parts = [
+        f"{manifest.name}: {n:,} epochs from {time_text(int(solved.time_ns[0]))} GPS time: {shares}.",
+        f"Not fixed: {_counted(reasons)}." if reasons else "",
+        f"Integers of the fixes: {_counted(chain.most_common())}." if chain else "",
+        f"Amiss: {_counted(solved.warnings.most_common())}." if solved.warnings else "",
+        f"Base position from {recording.base_position_from}.",
+        "" if errors_m is None else _accuracy(errors_m[solved.quality == "fixed"]),
+        "" if solved.epochs_per_s is None else f"{solved.epochs_per_s:,.0f} epochs/s.",
+        f"Written: {out / 'engine.pos'}, {out / 'engine.svg'}.",
+    ]
+    return " ".join(part for part in parts if part)
+
+
+def _accuracy(errors_m: Floats) -> str:
+    known = errors_m[~np.isnan(errors_m)]
+    if not known.size:
+        return "No fix has a truth beside it."
+    p50, p95 = np.quantile(known, (0.5, 0.95))
+    wrong = int((known > WRONG_M).sum())
+    return (
+        f"Errors in 3D of {known.size:,} fixes with truth: p50 {p50:.3f} m, p95 {p95:.3f} m, "
+        f"largest {known.max():.3f} m, {wrong:,} wrong by more than {WRONG_M} m."
+    )
+
+
+def _counted(counts: Sequence[tuple[str, int]]) -> str:
+    return ", ".join(f"{count:,} {word.replace('_', ' ')}" for word, count in counts)
+
+
+def _options(args: argparse.Namespace) -> EngineOptions:
+    bands = {letter: digits for letter, digits in EngineOptions().bands.items() if letter in args.systems}
+    return EngineOptions(
+        bands=bands,
+        lowest_elevation_rad=math.radians(args.elevation_deg),
+        least_cn0_dbhz=args.cn0_dbhz,
+        least_ratio=args.ratio,
+        partial=args.partial,
+    )
+
+
+def _systems(text: str) -> str:
+    letters = text.upper()
+    if not set(letters) & set("GEC") or set(letters) - set("GJEC") or ("J" in letters and "G" not in letters):
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected letters of G (with QZSS), E (Galileo), C (BeiDou)"
+        )
+    return letters
+
+
+def _parser() -> argparse.ArgumentParser:
+    default = EngineOptions()
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest with a table observations")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/solve"),
+        metavar="DIR",
+        help="where engine.pos and engine.svg go",
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
+    )
+    parser.add_argument(
+        "--ratio",
+        type=number_from(1.0, 1e3),
+        default=default.least_ratio,
+        help="threshold of the ratio test (default %(default)s)",
+    )
+    parser.add_argument(
+        "--elevation-deg",
+        type=number_from(0.0, 89.0),
+        default=round(math.degrees(default.lowest_elevation_rad), 6),
+        help="lower satellites are not used (default %(default)s)",
+    )
+    parser.add_argument(
+        "--cn0-dbhz",
+        type=number_from(0.0, 60.0),
+        default=default.least_cn0_dbhz,
+        help="weaker signals are not used (default %(default)s)",
+    )
+    parser.add_argument(
+        "--systems",
+        type=_systems,
+        default="GEC",
+        help="G (GPS with QZSS), E (Galileo), C (BeiDou); default %(default)s",
+    )
+    parser.add_argument(
+        "--partial",
+        action=argparse.BooleanOptionalAction,
+        default=default.partial,
+        help="fix a part of the ambiguities where all cannot be",
+    )
+    return parser

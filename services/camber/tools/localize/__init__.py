@@ -1,0 +1,1 @@
+"""`camber localize`: a drive through the localizer alone, with tables and pictures."""

@@ -1,0 +1,220 @@
+"""`camber localize`: a drive through the localizer alone, with tables, figures, a plot, and pictures of matches."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import get_args
+
+from camber.localizer.matching.match_view import MatchView
+from camber.localizer.matching.scan_matcher import ScanMatcher
+from camber.localizer.settings import LocalizerSettings
+from camber.replay.drive_inputs import DriveInputs, prepare_drive
+from camber.replay.processes import config_text
+from camber.road_map.release import Release
+from camber.runtime.settings import load
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.schemas.pose import ScanMatch
+from camber.tools.localize.csv_files import matches_csv, poses_csv
+from camber.tools.localize.drive_anchors import Anchors, anchors_of, receiver_fixes
+from camber.tools.localize.figures import paragraph
+from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.localizer_config import localizer_config
+from camber.tools.localize.localizer_run import LocalizedDrive, localize
+from camber.tools.localize.match_picture import picture
+from camber.tools.localize.plot import plot
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import number_from
+from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors
+
+_PROG = "camber localize"
+_NEAR_NS = 500_000_000
+"""A picture is of the match nearest to the time asked for, no farther from it than this."""
+_BADNESS = {"converged": 0, "ambiguous": 1, "lost": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class What:
+    """What of a drive the localizer hears, and which matches are drawn (seconds after the start)."""
+
+    anchors: Anchors = "none"
+    fixes: bool = False
+    pictures_s: tuple[float, ...] = ()
+    settings: tuple[str, ...] = ()
+    """Further settings, as the service takes them on its command line."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Localize one drive; 0 done, 2 it cannot be used, 130 interrupted."""
+    args, further = _parser().parse_known_args(argv)
+    what = What(args.anchors, args.fixes, tuple(args.picture), tuple(further))
+
+    def work() -> int:
+        print(localize_drive(load_manifest(args.drive, args.set), args.out, what, quiet=args.quiet))
+        return 0
+
+    return in_words(_PROG, args.out, work)
+
+
+def localize_drive(manifest: DriveManifest, out: Path, what: What, *, quiet: bool = True) -> str:
+    """Write poses.csv, matches.csv, localize.svg and pictures into a folder; returns a paragraph on what came out.
+
+    Raises ManifestError where the drive lacks what it takes, ConfigError, FormatError, OSError.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    inputs = prepare_drive(manifest, out / "work")
+    settings = _settings(inputs, out, what)
+    release = _release(inputs, what, settings)
+    views = _Views(inputs.tick_times_ns[0], what.pictures_s)
+    drive = localize(
+        inputs,
+        settings.options(settings.initial_pose),
+        MapAtHand(release),
+        fixes=receiver_fixes(inputs) if what.fixes else (),
+        anchors=anchors_of(inputs, what.anchors),
+        watcher=views,
+        quiet=quiet,
+    )
+    written = _write(inputs, drive, release, views, out)
+    lines = [
+        _said(inputs, drive, what),
+        f"Written: {', '.join(map(str, written))}.",
+        *views.missed(),
+        *drive.notes,
+    ]
+    return "\n".join(lines)
+
+
+def _release(inputs: DriveInputs, what: What, settings: LocalizerSettings) -> Release:
+    """The map of a drive that has all it takes; ManifestError where one thing is missing."""
+    manifest = inputs.manifest
+    missing = {
+        "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs": not inputs.motion,
+        "table sweeps with sweeps in it, expected one, or --no-match-sweeps for motion and links alone": (
+            settings.match_sweeps and not inputs.sweeps
+        ),
+        "initial_pose, expected one, or --fixes or --anchors to start from": (
+            settings.initial_pose is None and not what.fixes and what.anchors == "none"
+        ),
+    }
+    for expected, is_missing in missing.items():
+        if is_missing:
+            raise ManifestError(f"{manifest.name}: no {expected}")
+    if inputs.map_release is None:
+        raise ManifestError(
+            f"{manifest.name}: no table map, expected one, or links and road_surfaces as surrogates"
+        )
+    return release_for(inputs.map_release, manifest.datum)
+
+
+def _settings(inputs: DriveInputs, out: Path, what: What) -> LocalizerSettings:
+    """As the process would have them in a replay; left in `out`."""
+    file = out / "localizer.toml"
+    file.write_text(config_text(localizer_config(inputs.manifest, inputs.initial_pose)) + "\n", "utf-8")
+    settings, _ = load(LocalizerSettings, ["--config", str(file), *what.settings], prog=_PROG)
+    return settings
+
+
+@dataclass(slots=True)
+class _Views:
+    """Keeps the material of the matches that are drawn: those asked for, and the worst."""
+
+    start_ns: int
+    asked_s: tuple[float, ...]
+    asked: dict[float, MatchView] = field(default_factory=dict)
+    worst: MatchView | None = None
+    _least: tuple[int, float] = (-1, 0.0)
+
+    def saw(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
+        """The view is that of the last match; it is made only where it will be drawn."""
+        match = matches[-1]
+        badness = (_BADNESS[match.status], -(0.0 if match.overlap is None else match.overlap))
+        nearest = [at_s for at_s in self.asked_s if self._is_nearer(at_s, match.time_ns)]
+        if badness <= self._least and not nearest:
+            return
+        view = matcher.last_view
+        if view is None or view.time_ns != match.time_ns:
+            return
+        self.asked |= dict.fromkeys(nearest, view)
+        if badness > self._least:
+            self._least, self.worst = badness, view
+
+    def missed(self) -> list[str]:
+        """A line for each picture asked for that there is none of."""
+        return [
+            f"No picture at {at_s:g} s: nothing was matched there."
+            for at_s in self.asked_s
+            if at_s not in self.asked
+        ]
+
+    def _is_nearer(self, at_s: float, time_ns: int) -> bool:
+        wanted_ns = self.start_ns + round(at_s * 1e9)
+        before = self.asked.get(at_s)
+        least_ns = _NEAR_NS if before is None else abs(before.time_ns - wanted_ns)
+        return abs(time_ns - wanted_ns) < least_ns
+
+
+def _write(
+    inputs: DriveInputs, drive: LocalizedDrive, release: Release, views: _Views, out: Path
+) -> list[Path]:
+    """Everything but the paragraph; returns the files."""
+    poses, matches = PoseColumns.of(drive.poses), MatchColumns.of(drive.matches)
+    errors = None if inputs.truth is None else PoseErrors.of(poses, inputs.truth)
+    texts = {
+        "poses.csv": poses_csv(drive.poses, errors),
+        "matches.csv": matches_csv(drive.matches),
+        "localize.svg": plot(inputs.manifest.name, poses, matches, errors, inputs.truth, release),
+    }
+    if views.worst is not None:
+        texts["match-worst.svg"] = picture(inputs.manifest.name, views.worst, views.start_ns)
+    for at_s, view in views.asked.items():
+        texts[f"match-{at_s:g}s.svg"] = picture(inputs.manifest.name, view, views.start_ns)
+    for name, text in texts.items():
+        (out / name).write_text(text, "utf-8")
+    return [out / name for name in texts]
+
+
+def _said(inputs: DriveInputs, drive: LocalizedDrive, what: What) -> str:
+    surrogates = list(inputs.manifest.surrogate_notes())
+    if what.anchors != "none":
+        surrogates.append(f"anchors from {what.anchors}: a judge that is never wrong")
+    poses = PoseColumns.of(drive.poses)
+    errors = None if inputs.truth is None else PoseErrors.of(poses, inputs.truth)
+    return paragraph(inputs.manifest.name, drive, poses, MatchColumns.of(drive.matches), errors, surrogates)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=_PROG,
+        description=__doc__,
+        epilog="The localizer's settings are taken too: --no-match-sweeps is motion and links alone.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "drive", type=Path, metavar="drive.toml", help="manifest with motion, sweeps and a map"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/localize"), metavar="DIR", help="where tables and pictures go"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
+    )
+    parser.add_argument(
+        "--anchors",
+        choices=get_args(Anchors),
+        default="none",
+        help="confirmed positions: none, the truth once a second, or the receiver's fixes that the truth proves right",
+    )
+    parser.add_argument("--fixes", action="store_true", help="the receiver's unconfirmed fixes may start it")
+    parser.add_argument(
+        "--picture",
+        type=number_from(0.0, 1e6, "s"),
+        action="append",
+        default=[],
+        metavar="S",
+        help="draw the match nearest to so many seconds after the start; may be repeated",
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    return parser

@@ -1,0 +1,123 @@
+"""poses.csv and matches.csv of `camber localize`: one row each, empty where there is nothing to say.
+
+Times are GPS time in nanoseconds; the place of a pose is the antenna's, that of a match the sensor's. Ages count back
+from the pose. Along and across are those of the truth's heading.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from camber.schemas.pose import Pose, ScanMatch
+from camber.validation.localization_columns import PoseErrors
+
+_POSES = (
+    "time_ns", "mode", "provenance", "latitude_deg", "longitude_deg", "yaw_deg", "covariance_ee_m2", "covariance_en_m2",
+    "covariance_nn_m2", "sigma_yaw_deg", "roll_deg", "pitch_deg", "speed_m_s", "link_id", "road_status", "surface_id",
+    "level", "elevation_m", "elevation_sigma_m", "anchor_age_s", "motion_age_s", "match_age_s", "error_along_m",
+    "error_cross_m", "error_yaw_deg", "error_elevation_m", "reason",
+)  # fmt: skip
+_MATCHES = (
+    "time_ns", "status", "reason", "latitude_deg", "longitude_deg", "height_m", "roll_deg", "pitch_deg", "yaw_deg",
+    "covariance_ee_m2", "covariance_en_m2", "covariance_nn_m2", "overlap", "sensor_height_m", "sensor_height_sigma_m",
+    "ground_height_m", "ground_height_sigma_m", "road_slope_forward", "road_slope_left",
+)  # fmt: skip
+
+
+def poses_csv(poses: Sequence[Pose], errors: PoseErrors | None) -> str:
+    """A row for each pose; errors are empty without truth."""
+    return _csv(_POSES, (_pose(pose, errors, row) for row, pose in enumerate(poses)))
+
+
+def matches_csv(matches: Sequence[ScanMatch]) -> str:
+    """A row for each match; a column for each layer's mean distance, from the lowest up."""
+    layers = max((match.layers for match in matches), default=0)
+    columns = (*_MATCHES, *(f"layer_{number}_mean_distance_m" for number in range(1, layers + 1)))
+    return _csv(columns, (_match(match, layers) for match in matches))
+
+
+def _csv(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _pose(pose: Pose, errors: PoseErrors | None, row: int) -> list[str]:
+    covariance, road = pose.covariance_east_north_yaw, pose.road
+    ee, en, _, nn, _, yy = covariance or (None,) * 6
+    error: tuple[float | None, ...] = (None,) * 4
+    if errors is not None:
+        error = tuple(
+            float(column[row])
+            for column in (errors.along_m, errors.cross_m, errors.yaw_rad, errors.elevation_m)
+        )
+    return [
+        str(pose.time_ns),
+        pose.mode,
+        pose.provenance,
+        _degrees(pose.latitude_rad, 10),
+        _degrees(pose.longitude_rad, 10),
+        _degrees(pose.yaw_rad),
+        *(_number(value, ".6g") for value in (ee, en, nn)),
+        _degrees(None if yy is None else math.sqrt(yy)),
+        _degrees(pose.roll_rad),
+        _degrees(pose.pitch_rad),
+        _number(pose.speed_m_s),
+        _whole(pose.link_id),
+        road.status if road.status == "known" else road.reason,
+        _whole(road.surface_id),
+        _whole(road.level),
+        _number(road.elevation_m),
+        _number(road.sigma_m),
+        *(_age(pose, then_ns) for then_ns in (pose.anchor_time_ns, pose.motion_time_ns, pose.match_time_ns)),
+        _number(error[0]),
+        _number(error[1]),
+        _degrees(error[2]),
+        _number(error[3]),
+        pose.reason,
+    ]
+
+
+def _match(match: ScanMatch, layers: int) -> list[str]:
+    roll, pitch, yaw = match.roll_pitch_yaw_rad or (None,) * 3
+    ee, en, nn = match.covariance_east_north or (None,) * 3
+    return [
+        str(match.time_ns),
+        match.status,
+        match.reason,
+        _degrees(match.latitude_rad, 10),
+        _degrees(match.longitude_rad, 10),
+        _number(match.height_m),
+        *(_degrees(angle) for angle in (roll, pitch, yaw)),
+        *(_number(value, ".6g") for value in (ee, en, nn)),
+        _number(match.overlap),
+        _number(match.sensor_height_m),
+        _number(match.sensor_height_sigma_m),
+        _number(match.ground_height_m),
+        _number(match.ground_height_sigma_m),
+        _number(match.road_slope_forward, ".6f"),
+        _number(match.road_slope_left, ".6f"),
+        *("" if math.isnan(value) else _number(value) for value in match.distances_m(layers).tolist()),
+    ]
+
+
+def _age(pose: Pose, then_ns: int | None) -> str:
+    return "" if then_ns is None else f"{(pose.time_ns - then_ns) * 1e-9:.3f}"
+
+
+def _whole(value: int | None) -> str:
+    return "" if value is None else str(value)
+
+
+def _number(value: float | None, form: str = ".4f") -> str:
+    return "" if value is None or math.isnan(value) else format(value, form)
+
+
+def _degrees(angle_rad: float | None, decimals: int = 5) -> str:
+    return "" if angle_rad is None else _number(math.degrees(angle_rad), f".{decimals}f")

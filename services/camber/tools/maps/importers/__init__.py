@@ -1,0 +1,1 @@
+"""`camber map build`: releases of the map from the formats that people have."""

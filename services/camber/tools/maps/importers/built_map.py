@@ -1,0 +1,26 @@
+"""What every kind of `camber map build` gives: the columns of a release, and what is to be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.schemas.road import CloudTile
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltMap:
+    """Columns and tiles for `write_release`.
+
+    `surrogate`: not empty where the map was not surveyed, or heights are not as exact as their σ by a conversion that
+    the user answers for: how it was made. `lineage`: (surface here, surface of the previous release that it came
+    from). `remarks`: lines for whoever builds, of what was left out and why.
+    """
+
+    surfaces: RoadSurfaces
+    links: RoadLinks
+    clouds: Sequence[CloudTile] = ()
+    lineage: Sequence[tuple[int, int]] = ()
+    surrogate: str = ""
+    remarks: Sequence[str] = ()

@@ -1,0 +1,70 @@
+"""Options that say above what the heights of a map are; none of them, and the map does not say it: refused."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.vertical_datum import (
+    FIELD,
+    MOST_UNDULATION_M,
+    VerticalDatum,
+    constant_undulation,
+    vertical_datum,
+)
+from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
+
+
+def add_height_arguments(parser: argparse.ArgumentParser) -> None:
+    """The vertical datum, or an undulation that the user answers for; and σ of the heights."""
+    heights = parser.add_argument_group("heights of the input")
+    heights.add_argument(
+        "--vertical-datum",
+        metavar="NAME",
+        help="above what they are: ellipsoidal, or a vertical CRS as PROJ knows it (EPSG:7837, 'EGM2008 height')",
+    )
+    heights.add_argument(
+        "--geoid-undulation-m",
+        type=number_from(-MOST_UNDULATION_M, MOST_UNDULATION_M, "m"),
+        metavar="N",
+        help="instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map",
+    )
+    heights.add_argument(
+        "--geoid-sigma-m", type=HEIGHT_SIGMA, metavar="S", help="its σ, which goes into that of the map"
+    )
+    heights.add_argument("--geoid-source", metavar="TEXT", help="where it is from; stands in the release")
+    heights.add_argument(
+        "--sigma-m",
+        type=HEIGHT_SIGMA,
+        required=True,
+        metavar="S",
+        help="σ of the heights of roads in the input",
+    )
+
+
+def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) -> VerticalDatum:
+    """What `args` say, or else the map itself (`stated`); FormatError where neither does, or they contradict."""
+    constant = (args.geoid_undulation_m, args.geoid_sigma_m, args.geoid_source)
+    if any(part is not None for part in constant):
+        if any(part is None for part in constant) or args.vertical_datum is not None:
+            expected = "all of --geoid-undulation-m, --geoid-sigma-m, --geoid-source without --vertical-datum"
+            raise FormatError(file, FIELD, expected)
+        try:
+            return constant_undulation(*constant)
+        except ValueError as error:
+            raise FormatError(file, FIELD, str(error)) from None
+    named = args.vertical_datum
+    if named is not None and stated is not None and named != stated:
+        raise FormatError(file, FIELD, f"{stated}, as the file says", found=named)
+    name = named or stated
+    if name is None:
+        raise FormatError(
+            file, FIELD, "--vertical-datum with its name (ellipsoidal, EPSG:7837, …)", found="not stated"
+        )
+    return vertical_datum(name, args.datum, file)
+
+
+def sigma_of(args: argparse.Namespace, vertical: VerticalDatum) -> float:
+    """σ of heights in the release [m]: of the input's, and of the conversion."""
+    return math.hypot(args.sigma_m, vertical.sigma_m)

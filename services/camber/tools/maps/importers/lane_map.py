@@ -1,0 +1,184 @@
+"""A release's columns from lanes: surfaces along each, a link for each, nodes where they meet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.release import Release
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.tools.maps.importers.lane_levels import cuts_and_levels
+from camber.tools.maps.importers.lane_pieces import Piece, pieces_of
+from camber.tools.maps.importers.lanes import Floats, Lane, named_id
+
+_STEP_M = 0.01
+"""How far a lane may be off its surfaces before that is said."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """How well the lanes are known: σ of heights, σ of links across, and when they were seen (GPS time)."""
+
+    sigma_m: float
+    link_sigma_m: float
+    seen_ns: int
+
+
+def road_map(
+    lanes: Sequence[Lane], frame: LocalFrame, known: Known, file: str
+) -> tuple[RoadSurfaces, RoadLinks, list[str]]:
+    """Surfaces and links of lanes given in the plane of a frame, and remarks on lanes that no surface can follow.
+
+    A surface's id comes from its lane's name and plan and the number of its piece, so a map that is read again, or
+    with other heights, has the same ids, and a lane with another course has new ones.
+    """
+    pieces = [pieces_of(lane, file) for lane in lanes]
+    cuts, levels = cuts_and_levels(lanes, pieces, file)
+    links: list[_Link] = []
+    link_of, level_of, id_of = [], [], []
+    for lane, own, cut, level in zip(lanes, pieces, cuts, levels, strict=True):
+        parts = _links(lane, own, cut, level)
+        of_piece = np.searchsorted(cut, np.arange(len(own)), "right")
+        link_of += [parts[k].link_id for k in of_piece]
+        level_of += [parts[k].level for k in of_piece]
+        id_of += [named_id("surface", lane.name, lane.plan, k) for k in range(len(own))]
+        links += parts
+    flat = [piece for own in pieces for piece in own]
+    remarks = [
+        f"{file}: {lane.name}: heights make a step, σ of a surface is up to {worst_m:.2f} m"
+        for lane, own in zip(lanes, pieces, strict=True)
+        if (worst_m := max(piece.off_m for piece in own)) > _STEP_M
+    ]
+    surfaces = _surfaces(flat, frame, known, id_of, link_of, level_of)
+    return surfaces, _road_links(links, frame, known), remarks
+
+
+def lineage(surfaces: RoadSurfaces, previous: Release | None) -> list[tuple[int, int]]:
+    """(new surface, surface of the previous release that is no more): on one level, the centre of one on the other.
+
+    What is in both releases has no parents and is none: its id goes on.
+    """
+    if previous is None:
+        return []
+    before = previous.road_surfaces()
+    gone = np.flatnonzero(~np.isin(before.surface_id, surfaces.surface_id))
+    new = np.flatnonzero(~np.isin(surfaces.surface_id, before.surface_id))
+    if not len(gone) or not len(new):
+        return []
+    cell_rad = 2e-4  # more than the longest piece
+    cells: dict[tuple[int, int], list[int]] = {}
+    for k in gone.tolist():
+        place = (int(before.latitude_rad[k] // cell_rad), int(before.longitude_rad[k] // cell_rad))
+        cells.setdefault(place, []).append(k)
+    pairs = []
+    for k in new.tolist():
+        i, j = int(surfaces.latitude_rad[k] // cell_rad), int(surfaces.longitude_rad[k] // cell_rad)
+        near = [row for a in (-1, 0, 1) for b in (-1, 0, 1) for row in cells.get((i + a, j + b), ())]
+        near = [row for row in near if before.level[row] == surfaces.level[k]]
+        pairs += [
+            (int(surfaces.surface_id[k]), int(before.surface_id[row]))
+            for row in near
+            if _meet(surfaces, k, before, row)
+        ]
+    return pairs
+
+
+def _meet(a: RoadSurfaces, i: int, b: RoadSurfaces, j: int) -> bool:
+    """Is the centre of one on the other?"""
+    return _is_on(a, i, b, j) or _is_on(b, j, a, i)
+
+
+def _is_on(a: RoadSurfaces, i: int, b: RoadSurfaces, j: int) -> bool:
+    frame = LocalFrame(float(a.latitude_rad[i]), float(a.longitude_rad[i]), 0.0)
+    east_m, north_m = frame.east_north_from_geodetic(float(b.latitude_rad[j]), float(b.longitude_rad[j]), 0.0)
+    c, s = math.cos(a.yaw_rad[i]), math.sin(a.yaw_rad[i])
+    u, v = c * east_m + s * north_m, c * north_m - s * east_m
+    return bool(abs(u) <= a.half_length_m[i] and abs(v) <= a.half_width_m[i])
+
+
+@dataclass(frozen=True, eq=False)
+class _Link:
+    link_id: int
+    nodes: tuple[int, int]
+    level: int
+    line_m: Floats
+
+
+def _links(lane: Lane, pieces: Sequence[Piece], cuts: Sequence[int], levels: Sequence[int]) -> list[_Link]:
+    """One link, or as many as the lane is cut into: then with ids and nodes of their own between."""
+    nodes = [named_id("node", lane.nodes[0])]
+    nodes += [named_id("node", lane.name, lane.plan, cut) for cut in cuts]
+    nodes.append(named_id("node", lane.nodes[1]))
+    line_m = lane.centre_m
+    along_m = _along(line_m)
+    # Where the lane is cut: between two pieces.
+    at_m = np.array([0.0] + [_nearest(line_m, along_m, pieces, cut) for cut in cuts] + [along_m[-1]])
+    links = []
+    for k, (begin, end) in enumerate(pairwise(at_m.tolist())):
+        at = np.concatenate(([begin], along_m[(along_m > begin + 1e-3) & (along_m < end - 1e-3)], [end]))
+        part_m = np.column_stack([np.interp(at, along_m, line_m[:, axis]) for axis in (0, 1)])
+        own = lane.link_id if not cuts else named_id("link", lane.name, k)
+        links.append(_Link(own, (nodes[k], nodes[k + 1]), levels[k], part_m))
+    return links
+
+
+def _along(line_m: Floats) -> Floats:
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))))
+
+
+def _nearest(line_m: Floats, along_m: Floats, pieces: Sequence[Piece], cut: int) -> float:
+    """How far along a line the beginning of a piece is."""
+    length_m = np.array([2.0 * piece.half_length_m for piece in pieces])
+    return float(along_m[-1] * length_m[:cut].sum() / length_m.sum())
+
+
+def _surfaces(
+    pieces: Sequence[Piece],
+    frame: LocalFrame,
+    known: Known,
+    ids: Sequence[int],
+    links: Sequence[int],
+    levels: Sequence[int],
+) -> RoadSurfaces:
+    n = len(pieces)
+    centre_m = np.array([piece.centre_m for piece in pieces]).reshape(n, 2)
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(centre_m, np.zeros(n))
+    # The frame's north is not quite that of the place.
+    turned = ((longitude - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi) * math.sin(
+        frame.latitude_rad
+    )
+    return RoadSurfaces(
+        surface_id=np.array(ids, np.int64),
+        link_id=np.array(links, np.int64),
+        level=np.array(levels, np.int64),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        yaw_rad=np.array([piece.yaw_rad for piece in pieces]) - turned,
+        half_length_m=np.array([piece.half_length_m for piece in pieces]),
+        half_width_m=np.array([piece.half_width_m for piece in pieces]),
+        # Where the grid cannot follow the lane, as over a step, the surface is as unsure as that.
+        sigma_m=np.array([math.hypot(known.sigma_m, piece.off_m) for piece in pieces]),
+        vehicles=np.zeros(n, np.int64),
+        last_seen_ns=np.full(n, known.seen_ns),
+        heights_m=[piece.heights_m for piece in pieces],
+    )
+
+
+def _road_links(links: Sequence[_Link], frame: LocalFrame, known: Known) -> RoadLinks:
+    count = [len(link.line_m) for link in links]
+    points = np.concatenate([link.line_m for link in links] + [np.zeros((0, 2))])
+    latitude, longitude, _ = frame.geodetic_from_east_north_array(points, np.zeros(len(points)))
+    lines = np.split(np.column_stack((latitude, longitude)), np.cumsum(count)[:-1]) if links else []
+    return RoadLinks(
+        link_id=np.array([link.link_id for link in links], np.int64),
+        start_node=np.array([link.nodes[0] for link in links], np.int64),
+        end_node=np.array([link.nodes[1] for link in links], np.int64),
+        level=np.array([link.level for link in links], np.int64),
+        sigma_m=np.full(len(links), known.link_sigma_m),
+        vertices=lines,
+    )

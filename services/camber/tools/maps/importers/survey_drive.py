@@ -1,0 +1,250 @@
+"""`camber map build drive`: confirmed positions of a drive become roads: links where it went, surfaces under it.
+
+From the folder of a replay come the positions that the judge confirmed, and the antenna's height by ways that do not
+need the map. From a truth.csv come all its positions: whoever names one answers for them, and for the antenna's height.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.drive.recording import load_recording
+from camber.formats.drive.truth_csv import read_truth
+from camber.formats.errors import FormatError
+from camber.geodesy.local_frame import LocalFrame
+from camber.replay.coarse_links import PlaneLinks, coarse_links
+from camber.replay.road_lines import RoadLines, road_lines
+from camber.road_map.road_columns import RoadLinks
+from camber.schemas.antenna import AntennaHeight
+from camber.tools.maps.importers.built_map import BuiltMap
+from camber.tools.maps.importers.lane_map import lineage
+from camber.tools.maps.importers.lanes import named_id
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.track_heights import TrackHeights
+from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
+
+_CONFIRMED = ("confirmed", "confirmed_after_verification")
+_MAP_FREE = ("fixed", "stroke", "ranging")
+_HEIGHT_AGE_NS = 1_000_000_000
+_STEP_M = 0.1
+_LINK_SIGMA_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Places of the antenna (n,) [rad], ellipsoidal heights of the road there and their σ [m], in the order driven."""
+
+    latitude_rad: Floats
+    longitude_rad: Floats
+    road_height_m: Floats
+    sigma_m: Floats
+    last_ns: int
+
+    def __len__(self) -> int:
+        return len(self.latitude_rad)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What only a drive needs."""
+    parser.add_argument(
+        "drive", type=Path, metavar="PATH", help="folder of a replay (recording.mcap), or a truth.csv"
+    )
+    parser.add_argument(
+        "--antenna-height-m",
+        type=number_from(0.1, 20.0, "m"),
+        metavar="H",
+        help="above the road; else as recorded",
+    )
+    parser.add_argument(
+        "--antenna-sigma-m", type=HEIGHT_SIGMA, default=0.01, metavar="S", help="its σ (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--position-sigma-m", type=HEIGHT_SIGMA, default=0.02, metavar="S",
+        help="σ of heights that do not say theirs (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--width-m",
+        type=number_from(0.5, 20.0, "m"),
+        default=3.0,
+        metavar="W",
+        help="of the surfaces (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--spacing-m",
+        type=number_from(0.1, 20.0, "m"),
+        default=2.0,
+        metavar="D",
+        help="between their heights",
+    )
+    parser.add_argument(
+        "--reach-m", type=number_from(1.0, 50.0, "m"), default=4.0, metavar="D",
+        help="how far along the road a position speaks for it: half the way between two (default: %(default)s)",
+    )  # fmt: skip
+
+
+def build(args: argparse.Namespace) -> BuiltMap:
+    """Roads where the drive has positions; none where it has not."""
+    track = _csv_track(args) if args.drive.suffix == ".csv" else _replay_track(args)
+    roads = drive_roads(track, str(args.drive), args.width_m, args.reach_m)
+    surfaces = surfaces_along(
+        roads.roads, roads.ground, spacing_m=args.spacing_m, seen_ns=track.last_ns, vehicles=1
+    )
+    if not len(surfaces):
+        raise FormatError(
+            str(args.drive), "track", f"positions nearer to one another than {args.reach_m:g} m"
+        )
+    remarks = [f"{args.drive}: {len(track)} positions, {roads.lines.distance_m[-1]:.0f} m"]
+    return BuiltMap(
+        surfaces, roads.roads.links, lineage=lineage(surfaces, args.previous_release), remarks=remarks
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class DriveRoads:
+    """The roads of a track in the plane of a frame, and what says how high they are."""
+
+    roads: Roads
+    lines: RoadLines
+    frame: LocalFrame
+    heights: TrackHeights
+    link_row: Integers
+    """Row of the link of each of the lines' samples (k,)."""
+
+    def lines_level(self) -> Integers:
+        """Level of the link of each sample (k,)."""
+        found: Integers = self.roads.links.level[self.link_row]
+        return found
+
+    def ground(self, latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:
+        """As `surfaces_along` asks: of the level of the link that is asked for."""
+        plane = self.frame.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
+        about_m = np.empty(len(plane))
+        for link in np.unique(row).tolist():
+            mine, samples = np.flatnonzero(row == link), np.flatnonzero(self.link_row == link)
+            away = np.sum((plane[mine, None, :] - self.lines.east_north_m[samples]) ** 2, axis=2)
+            about_m[mine] = self.lines.height_m[samples[np.argmin(away, axis=1)]]
+        return self.heights.at(plane, about_m)
+
+
+def drive_roads(track: Track, file: str, width_m: float, reach_m: float) -> DriveRoads:
+    """Raises FormatError for a track that does not move."""
+    frame = LocalFrame(float(np.median(track.latitude_rad)), float(np.median(track.longitude_rad)), 0.0)
+    plane = frame.east_north_from_geodetic_array(
+        track.latitude_rad, track.longitude_rad, 0.0 * track.latitude_rad
+    )
+    try:
+        lines = road_lines(plane, track.road_height_m)
+        links = coarse_links(lines, 0.0, np.random.default_rng(0))
+    except ValueError as error:
+        raise FormatError(file, "track", str(error)) from None
+    moved = _moved(plane)
+    heights = TrackHeights(
+        plane[moved], track.road_height_m[moved], track.sigma_m[moved], reach_m, 0.5 * width_m
+    )
+    road_links = _road_links(links, frame)
+    return DriveRoads(
+        Roads(road_links, np.full(len(road_links), 0.5 * width_m)),
+        lines,
+        frame,
+        heights,
+        links.link_of_sample - 1,
+    )
+
+
+def _moved(plane_m: Floats) -> Integers:
+    """Rows of a track that are _STEP_M on from the one before: standing still is one position."""
+    kept, last = [0], plane_m[0]
+    for row in range(1, len(plane_m)):
+        if math.hypot(*(plane_m[row] - last)) >= _STEP_M:
+            kept.append(row)
+            last = plane_m[row]
+    return np.array(kept)
+
+
+def _road_links(links: PlaneLinks, frame: LocalFrame) -> RoadLinks:
+    vertices = [
+        np.column_stack(frame.geodetic_from_east_north_array(line, 0.0)[:2]) for line in links.vertices_m
+    ]
+    places = [np.rint(np.degrees(line) * 1e8).astype(np.int64).tolist() for line in vertices]
+    return RoadLinks(
+        link_id=np.array([named_id("drive", line) for line in places]),
+        start_node=np.array([named_id("node", line[0]) for line in places]),
+        end_node=np.array([named_id("node", line[-1]) for line in places]),
+        level=links.level,
+        sigma_m=np.full(len(vertices), _LINK_SIGMA_M),
+        vertices=vertices,
+    )
+
+
+def _csv_track(args: argparse.Namespace) -> Track:
+    truth = read_truth(args.drive, "camber")
+    if args.antenna_height_m is None:
+        raise FormatError(str(args.drive), "antenna", "--antenna-height-m: a truth.csv does not say it")
+    if len(truth) < 2:
+        raise FormatError(str(args.drive), "track", "at least two positions", found=str(len(truth)))
+    sigma = math.hypot(args.position_sigma_m, args.antenna_sigma_m)
+    return Track(
+        truth.latitude_rad,
+        truth.longitude_rad,
+        truth.height_m - args.antenna_height_m,
+        np.full(len(truth), sigma),
+        int(truth.time_ns[-1]),
+    )
+
+
+def _replay_track(args: argparse.Namespace) -> Track:
+    """Raises FormatError where nothing was confirmed, or the antenna's height is not known beside it."""
+    path = args.drive / "recording.mcap" if args.drive.is_dir() else args.drive
+    found, _ = load_recording(path, ("verdict", "antenna_height"))
+    antenna = [
+        m.message
+        for m in found["antenna_height"]
+        if m.message.way in _MAP_FREE and m.message.height_m is not None
+    ]
+    antenna_ns = np.array([message.time_ns for message in antenna], np.int64)
+    rows = []
+    for verdict in (m.message for m in found["verdict"]):
+        if verdict.verdict not in _CONFIRMED or verdict.latitude_rad is None or verdict.height_m is None:
+            continue
+        height = _antenna_at(args, antenna, antenna_ns, verdict.time_ns)
+        if height is not None:
+            up2 = (
+                args.position_sigma_m**2
+                if verdict.covariance_enu_m2 is None
+                else verdict.covariance_enu_m2[5]
+            )
+            sigma = math.sqrt(up2 + height[1] ** 2)
+            rows.append(
+                (
+                    verdict.time_ns,
+                    verdict.latitude_rad,
+                    verdict.longitude_rad,
+                    verdict.height_m - height[0],
+                    sigma,
+                )
+            )
+    if len(rows) < 2:
+        expected = "at least two confirmed positions with an antenna height that does not rest on the map"
+        raise FormatError(str(path), "verdicts", expected, found=str(len(rows)))
+    columns = np.array(rows)
+    latitude, longitude, height_m, sigma_m = columns[:, 1:].T
+    return Track(latitude, longitude, height_m, sigma_m, int(rows[-1][0]))
+
+
+def _antenna_at(
+    args: argparse.Namespace, heights: list[AntennaHeight], times_ns: Integers, time_ns: int
+) -> tuple[float, float] | None:
+    """Height of the antenna above the road and its σ: as said, or the newest recorded, of at most a second before."""
+    if args.antenna_height_m is not None:
+        return args.antenna_height_m, args.antenna_sigma_m
+    place = int(np.searchsorted(times_ns, time_ns, "right")) - 1
+    if place < 0 or time_ns - int(times_ns[place]) > _HEIGHT_AGE_NS:
+        return None
+    newest = heights[place]
+    assert newest.height_m is not None  # only such are kept
+    return newest.height_m, args.antenna_sigma_m if newest.sigma_m is None else newest.sigma_m

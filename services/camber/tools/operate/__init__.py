@@ -1,0 +1,1 @@
+"""Operating a vehicle and a fleet: status, health, doctor, log level, uploads."""

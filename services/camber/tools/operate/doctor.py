@@ -1,0 +1,255 @@
+"""`camber doctor`: is this deployment fit to drive? One line for each thing: ok, or a problem and what to do.
+
+It reads the settings of a deployment as its services would, and tries what they will need: settings, ports, router,
+clock, disk, certificates, map, receiver, corrections. It changes nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from camber.runtime.settings import ConfigError, ServiceSettings, load
+from camber.schemas.channels import VEHICLE_SERVICES
+from camber.tools.operate.doctor_machine_checks import (
+    LEAST_FREE_BYTES,
+    Finding,
+    check_certificates,
+    check_clock,
+    check_folder,
+    check_python,
+    kernel_discipline,
+    not_checked,
+    ok,
+    problem,
+)
+from camber.tools.options.number_options import SECONDS
+
+_PROG = "camber doctor"
+_CLOUD = ("map_update",)
+_WAYS = ("listen", "connect")
+_HELP = """\
+exit codes: 0 no problem was found; 1 one was; 2 wrong usage. What could not be checked is said, and is no problem.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Check a deployment; returns the exit code."""
+    args = _parser().parse_args(argv)
+    if not os.path.isdir(args.config):  # False also where we may not look
+        print(f"{_PROG}: {args.config}: expected the folder of a deployment's settings", file=sys.stderr)
+        return 2
+    findings = []
+    for finding in examine(args.config, receiver_s=args.seconds, offline=args.offline):
+        findings.append(finding)
+        if not args.json:
+            print(finding, flush=True)
+    wrong = sum(finding.state == "problem" for finding in findings)
+    if args.json:
+        print(json.dumps([asdict(finding) for finding in findings]))
+    else:
+        print(f"\n{wrong} problem{'' if wrong == 1 else 's'}" if wrong else "\nno problem was found")
+    return 1 if wrong else 0
+
+
+def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> Iterator[Finding]:
+    """All findings in a deployment's folder of TOML files; `offline`: nothing that needs bus, receiver or caster."""
+    yield from check_python()
+    yield from check_clock(kernel_discipline(), time.time())
+    yield from _routers(folder)
+    known: dict[str, Any] = {}
+    for path in sorted(folder.glob("*.toml")):
+        yield _settings(path, known)
+    if not known:
+        yield problem(
+            "settings", f"{folder}: no file of a service that can be read", "one TOML for each service"
+        )
+        return
+    yield _vehicles(known, folder)
+    yield from _of_a_vehicle(known, folder)
+    yield from _disks(known)
+    yield from _certificates(known)
+    guarded = [_map(known)] if offline else [_connections(known), _map(known), _receiver(known, receiver_s)]
+    for checks in guarded:
+        try:
+            yield from checks
+        except ModuleNotFoundError as error:
+            yield not_checked("map and receiver", f"{error.name} is not installed here")
+
+
+def _settings(path: Path, known: dict[str, Any]) -> Finding:
+    """Read one service's file as that service would, into `known`."""
+    what, name = f"settings {path.name}", path.stem
+    nobody = problem(what, "no service has this name", "rename or remove it")
+    try:
+        module = importlib.import_module(f"camber.{name}.settings")
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith("camber"):
+            return not_checked(
+                what, f"{error.name} is not installed here; `camber {name} --check` where it is"
+            )
+        return nobody
+    classes = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, ServiceSettings) and name == value.SERVICE
+    ]
+    if not classes:
+        return nobody
+    try:
+        known[name], _ = load(classes[0], ["--config", str(path)], prog=_PROG)
+    except ConfigError as error:
+        return problem(what, str(error), f"`camber {name} --help` has all settings")
+    return ok(what, f"right, for {known[name].vehicle}")
+
+
+def _vehicles(known: dict[str, Any], folder: Path) -> Finding:
+    names = {name: settings.vehicle for name, settings in known.items() if name not in _CLOUD}
+    for path in folder.glob("*router*.json5") if names else ():
+        if (name := _name_of(path)) is not None:
+            names[path.name] = name
+    if len(set(names.values())) > 1:
+        each = ", ".join(f"{name} {vehicle}" for name, vehicle in sorted(names.items()))
+        return problem(
+            "vehicle", f"not the same in all files: {each}", "services of different names never meet"
+        )
+    return ok("vehicle", next(iter(names.values()), "none: services of the cloud"))
+
+
+def _name_of(router: Path) -> str | None:
+    """The vehicle for which a router's rules were made; None where they are of none, or of many."""
+    from camber.runtime.access_probe import name_in
+    from camber.runtime.session import BusError, router_rules
+
+    with contextlib.suppress(BusError):  # said where the file itself is looked at
+        return name_in(router_rules(router))
+    return None
+
+
+def _of_a_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
+    """Is there all without which nothing is confirmed?"""
+    missing = [name for name in VEHICLE_SERVICES if not os.path.exists(folder / f"{name}.toml")]
+    if missing and set(known) & set(VEHICLE_SERVICES):
+        yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
+    height = known.get("antenna_height")
+    if height is not None and height.way == "fixed" and height.fixed_height_m is None:
+        yield problem(
+            "antenna height",
+            "way fixed, and fixed_height_m is not set: nothing will be confirmed",
+            "measure it, or set another way: docs/services/antenna_height.md",
+        )
+
+
+def _disks(known: dict[str, Any]) -> Iterator[Finding]:
+    seen: set[Path] = set()
+    for name, settings in known.items():
+        store = getattr(settings, "store", None)
+        places = (
+            settings.state_dir,
+            store.parent if isinstance(store, Path) else None,
+            getattr(settings, "releases", None),
+        )
+        for folder in places:
+            if folder is None or folder in seen:
+                continue
+            seen.add(folder)
+            outbox = getattr(settings, "outbox_limit_mb", 0)
+            least = max(LEAST_FREE_BYTES, int(outbox) << 20)
+            yield check_folder(f"disk of {name}", folder, least_free_bytes=least)
+
+
+def _certificates(known: dict[str, Any]) -> Iterator[Finding]:
+    now, seen = datetime.now(UTC), set()
+    for name, settings in known.items():
+        files = tuple(
+            getattr(settings.zenoh, field, None) for field in ("tls_ca", "tls_certificate", "tls_key")
+        )
+        caster = getattr(settings, "ntrip_ca_file", None)
+        for what, each in ((f"TLS of {name}", files), ("TLS of the caster", (caster, None, None))):
+            if any(each) and each not in seen:
+                seen.add(each)
+                authority, certificate, key = each
+                yield from check_certificates(what, authority, certificate, key, now)
+
+
+def _routers(folder: Path) -> Iterator[Finding]:
+    """Of each router's file, the certificates that it shows and asks for."""
+    from camber.runtime.session import BusError, router_endpoints
+
+    now = datetime.now(UTC)
+    for path in sorted(folder.glob("*router*.json5")):
+        what = f"router {path.name}"
+        try:
+            _, _, tls = router_endpoints(path)
+        except BusError as error:
+            yield problem(what, str(error), "docs/security.md")
+            continue
+        pairs = {(tls.get(f"{way}_certificate"), tls.get(f"{way}_private_key")) for way in _WAYS}
+        for pair in pairs - {(None, None)}:
+            authority, certificate, key = (
+                Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair)
+            )
+            yield from check_certificates(what, authority, certificate, key, now)
+
+
+def _connections(known: dict[str, Any]) -> Iterator[Finding]:
+    from camber.tools.operate.doctor_connection_checks import check_bus, check_ports
+
+    yield from check_ports(list(known.items()))
+    seen: set[str] = set()
+    for settings in known.values():
+        key = settings.zenoh.model_dump_json()
+        if key not in seen:
+            seen.add(key)
+            yield from check_bus(settings)
+
+
+def _map(known: dict[str, Any]) -> Iterator[Finding]:
+    from camber.tools.operate.doctor_connection_checks import check_map, check_reference
+
+    if "map_update" in known:
+        yield from check_reference(known["map_update"])
+    if "map_server" in known:
+        gnss = known.get("gnss")
+        yield from check_map(known["map_server"], None if gnss is None else gnss.datum)
+
+
+def _receiver(known: dict[str, Any], seconds: float) -> Iterator[Finding]:
+    from camber.runtime.query import Asker, BusError
+    from camber.tools.operate.doctor_connection_checks import check_receiver
+
+    if "gnss" not in known:
+        return
+    settings, runs = known["gnss"], False
+    with contextlib.suppress(BusError), Asker(settings, timeout_s=1.0) as asker:
+        runs = "gnss" in asker.alive(settings.vehicle).get(settings.vehicle, ())
+    yield from check_receiver(settings, seconds, gnss_runs=runs)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "config", type=Path, metavar="FOLDER", help="a TOML for each service, as deploy/config/vehicle"
+    )
+    parser.add_argument(
+        "--seconds", type=SECONDS, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
+    )
+    parser.add_argument("--offline", action="store_true", help="leave out bus, ports, receiver and caster")
+    parser.add_argument("--json", action="store_true", help="a list of findings")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

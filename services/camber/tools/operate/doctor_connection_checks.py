@@ -1,0 +1,300 @@
+"""Checks of what a deployment connects to, for `camber doctor`: bus, map, receiver, corrections."""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from camber.formats.receiver.frames import FrameBuffer
+from camber.formats.receiver.mixed_stream import MixedDecoder
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.geodesy.gps_time import NS_PER_DAY
+from camber.road_map.release import ReleaseError, load_public_key, load_signing_key, open_release
+from camber.runtime.access_probe import are_we_heard, denial
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import Asker, BusError
+from camber.runtime.settings import ServiceSettings
+from camber.runtime.tls import TlsError
+from camber.tools.operate.doctor_machine_checks import Finding, not_checked, ok, problem
+from camber.transport.byte_streams import open_stream
+from camber.transport.ntrip_client import NtripAccess
+
+_REACH_S = 3.0
+_VERIFY_S = 20.0
+# A receiver's message comes some tenths of a second after its epoch, and none comes before it.
+MOST_LATENCY_S, MOST_AHEAD_S = 0.5, 0.05
+
+
+# -- bus and ports ----------------------------------------------------------------------------------------------------
+
+
+def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
+    """Is there a router where this service looks for one, and does it let us in?"""
+    zenoh = settings.zenoh
+    for endpoint in zenoh.connect:
+        host = re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)(?:[?#].*)?", endpoint)
+        if host is None:
+            yield not_checked(f"bus {endpoint}", "only tcp/ and tls/ can be tried alone")
+            continue
+        try:
+            socket.create_connection(_address(host[1], host[2]), timeout=_REACH_S).close()
+        except OSError as error:
+            yield problem(
+                f"bus {endpoint}",
+                f"{error.strerror or error}",
+                "is the router running, and is this its address?",
+            )
+            continue
+        yield ok(f"bus {endpoint}", "somebody listens there")
+    try:
+        with Asker(settings, timeout_s=_REACH_S) as asker:
+            alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
+        yield ok("bus", f"joined; of {settings.vehicle} is there: {', '.join(sorted(alive)) or 'nobody yet'}")
+        if zenoh.over_tls and are_we_heard(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
+            yield problem("bus, access", denial(zenoh, settings.vehicle), "`camber access cloud` anew")
+    except (BusError, TlsError) as error:
+        yield problem("bus", str(error), "router, certificates; `camber health router`")
+
+
+def check_ports(all_settings: Sequence[tuple[str, ServiceSettings]]) -> Iterator[Finding]:
+    """Ports on which services of this machine are to listen: free, or that service's already, and none twice."""
+    wanted: dict[tuple[str, int], str] = {}
+    for name, settings in all_settings:
+        ports = [] if settings.metrics_port is None else [(settings.metrics_host, settings.metrics_port)]
+        if settings.zenoh.mode != "client":
+            found = (re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)", endpoint) for endpoint in settings.zenoh.listen)
+            ports += [(match[1].strip("[]"), int(match[2])) for match in found if match is not None]
+        for host, port in ports:
+            if port == 0:
+                continue
+            what = f"port {host}:{port} of {name}"
+            others = (of for (place, number), of in wanted.items() if number == port and _meet(place, host))
+            if (other := next(others, None)) is not None:
+                yield problem(what, f"also that of {other}", "a port of its own for each service")
+                continue
+            wanted[host, port] = name
+            yield _port(what, host, port)
+
+
+def _meet(one: str, other: str) -> bool:
+    """Can these two not have the same port? `::` stands for all addresses, 0.0.0.0 for all of IPv4."""
+    return one == other or "::" in (one, other) or ("0.0.0.0" in (one, other) and ":" not in one + other)
+
+
+def _address(host: str, port: str | int) -> tuple[str, int]:
+    """As sockets take it, which raise all kinds of errors for what is none; here it is an OSError."""
+    host, number = host.strip("[]"), int(port)
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise OSError(f"{host} is no name of a host") from None
+    if number > 65_535:
+        raise OSError(f"{number} is no port: expected at most 65535")
+    return host, number
+
+
+def _port(what: str, host: str, port: int) -> Finding:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.create_server(_address(host, port), family=family):
+            return ok(what, "free")
+    except OSError as error:
+        if _is_ours(host, port):
+            return ok(what, "in use by a running service of Camber")
+        return problem(what, f"{error.strerror or error}", "another port, or end what has it (`ss -ltnp`)")
+
+
+def _is_ours(host: str, port: int) -> bool:
+    try:
+        with socket.create_connection(_address(host, port), timeout=1.0) as connection:
+            connection.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
+            connection.settimeout(2.0)
+            return b"camber_" in connection.recv(65536)
+    except OSError:
+        return False
+
+
+# -- map --------------------------------------------------------------------------------------------------------------
+
+
+def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
+    """The release opens, is signed by the key that is trusted, is of the datum of the fixes, and can be read."""
+    if settings.store is not None and settings.public_key is None and not settings.unsigned:
+        text = f"without public_key nothing is fetched into {settings.store}: newer releases do not come"
+        yield problem("map, signature", text, "public_key of map_server, the other half of the signing key")
+    if settings.release is None:
+        yield not_checked(
+            "map", f"map_server fetches it into {settings.store}; `camber status` says which it uses"
+        )
+        return
+    try:
+        key = None if settings.public_key is None else load_public_key(settings.public_key)
+        release = open_release(settings.release, public_key=key)
+    except ReleaseError as error:
+        yield problem(
+            "map", str(error), "`camber map inspect`; a release that is whole, and the key that signed it"
+        )
+        return
+    manifest = release.manifest
+    signature = (
+        "not asked for a signature (public_key)" if key is None else f"signed by {settings.public_key}"
+    )
+    yield ok("map", f"{settings.release}: {manifest.region}, version {manifest.map_version}, {signature}")
+    yield from _datums(manifest.datum, settings.datum, datum_of_fixes)
+    age_ns = SystemClock().now_ns() - manifest.time_ns
+    if settings.max_age_days is not None and not -NS_PER_DAY <= age_ns <= settings.max_age_days * NS_PER_DAY:
+        text = f"made {age_ns / NS_PER_DAY:.0f} days ago, at most {settings.max_age_days:g} are taken"
+        yield problem("map, age", text, "a newer release, or another max_age_days")
+    if manifest.surrogate:
+        yield problem(
+            "map, origin", f"a surrogate: {manifest.surrogate}", "a surveyed map for a real vehicle"
+        )
+    yield _verified(release)
+
+
+def check_reference(settings: Any) -> Iterator[Finding]:
+    """What map_update makes releases of, and the key that signs them."""
+    if settings.reference is None:
+        if settings.role != "receive":
+            yield not_checked(
+                "reference", "map_update has none: uploads are kept, no releases are made of them"
+            )
+        return
+    try:
+        manifest = open_release(settings.reference).manifest
+        if settings.signing_key is not None:
+            load_signing_key(settings.signing_key)
+    except ReleaseError as error:
+        yield problem("reference", str(error), "reference and signing_key of map_update")
+        return
+    signed = "signed" if settings.signing_key else "not signed: vehicles with a public_key take none"
+    yield ok("reference", f"{settings.reference}: {manifest.region}; releases of it will be {signed}")
+
+
+def _datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Finding]:
+    for name, datum in (("map_server.toml", of_server), ("gnss.toml", of_fixes)):
+        if datum is not None and datum != of_map:
+            yield problem(
+                "datum",
+                f"map {of_map}, {name} {datum}: every verdict will be unknown",
+                "the datum of the corrections, and a map in the same (`camber map build --datum`)",
+            )
+            return
+    yield ok("datum", f"{of_map}, as of fixes and map_server" if of_fixes else f"{of_map}, as of map_server")
+
+
+def _verified(release: Any) -> Finding:
+    deadline_s, tiles, size = time.monotonic() + _VERIFY_S, 0, 0
+    try:
+        for tile_bytes in release.check():
+            tiles, size = tiles + 1, size + tile_bytes
+            if time.monotonic() > deadline_s:
+                return ok("map, tiles", f"the first {tiles}, {size >> 20} MB, are right")
+    except ReleaseError as error:
+        return problem("map, tiles", str(error), "copy the release anew")
+    return ok("map, tiles", f"all {tiles}, {size / 1e6:.1f} MB, are right")
+
+
+# -- receiver and corrections -----------------------------------------------------------------------------------------
+
+
+def check_receiver(settings: Any, seconds: float, *, gnss_runs: bool) -> Iterator[Finding]:
+    """Bytes come, in the protocol of the settings, of now; and so do corrections."""
+    access = _access(settings)
+    if settings.source == "bus":
+        yield not_checked("receiver", "its bytes come over the bus; `camber status` shows receiver_bytes")
+    elif gnss_runs and settings.source.startswith("serial:"):
+        yield not_checked("receiver", f"gnss runs and has {settings.source}; `camber status`")
+    else:
+        yield from _stream("receiver", settings.source, settings.protocol, access, seconds, with_time=True)
+    if settings.base_source in (None, "bus"):
+        yield not_checked("corrections", "the receiver's own, or over the bus: no base_source")
+    elif gnss_runs and settings.base_source.startswith("serial:"):
+        yield not_checked("corrections", f"gnss runs and has {settings.base_source}")
+    else:
+        yield from _stream(
+            "corrections", settings.base_source, settings.base_protocol, access, seconds, with_time=False
+        )
+
+
+def _access(settings: Any) -> NtripAccess:
+    password = settings.ntrip_password
+    return NtripAccess(
+        user=settings.ntrip_user,
+        password=None if password is None else password.get_secret_value(),
+        version=settings.ntrip_version,
+        ca_file=settings.ntrip_ca_file,
+    )
+
+
+def _stream(
+    what: str, url: str, protocol: str, access: NtripAccess, seconds: float, *, with_time: bool
+) -> Iterator[Finding]:
+    where = (
+        "cable, address, rights of the device"
+        if url.startswith(("serial", "tcp", "file"))
+        else "caster, mount point, user"
+    )
+    clock = SystemClock()
+    frames, decoder = FrameBuffer("ubx", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
+    found: Counter[str] = Counter()
+    latencies_s: list[float] = []
+    stream = open_stream(url, arrived=lambda: None, ntrip=access)
+    size, deadline_s = 0, time.monotonic() + seconds
+    try:
+        while time.monotonic() < deadline_s:
+            time.sleep(0.02)
+            data = stream.take()
+            now_ns = clock.now_ns()
+            size += len(data)
+            found.update(frame.protocol for frame in frames.feed(data))
+            said = (
+                [item for item in decoder.feed(data) if isinstance(item, ReceiverSolution)]
+                if with_time
+                else []
+            )
+            latencies_s += [(now_ns - solution.time_ns) / 1e9 for solution in said]
+    finally:
+        stream.close()
+    if stream.failures and not size:
+        yield problem(what, f"{url}: {stream.last_failure}", where)
+        return
+    if not size:
+        yield problem(what, f"{url}: nothing came for {seconds:g} s", where)
+        return
+    counts = ", ".join(f"{count} {name}" for name, count in found.most_common())
+    if protocol in ("ubx", "nmea", "rtcm", "mixed"):
+        right = bool(found) if protocol == "mixed" else bool(found[protocol])
+        if not right:
+            yield problem(
+                what,
+                f"{url}: {size} bytes, of {protocol} nothing ({counts or 'no frame of any protocol'})",
+                "protocol in gnss.toml, baud rate, output of the receiver",
+            )
+            return
+        if protocol != "mixed" and len(found) > 1:
+            yield problem(what, f"{url}: {counts}, but {protocol} alone is read", 'protocol = "mixed"')
+            return
+    yield ok(what, f"{url}: {size} bytes in {seconds:g} s{f', {counts}' if counts else ''}")
+    if with_time:
+        yield _offset(latencies_s)
+
+
+def _offset(latencies_s: list[float]) -> Finding:
+    """The clock against the receiver's, by the shortest time that a solution took."""
+    if not latencies_s:
+        return not_checked("clock against the receiver", "it gave no position with a date")
+    least_s = min(latencies_s)
+    text = f"its positions come {least_s:+.3f} s after their time"
+    if -MOST_AHEAD_S <= least_s <= MOST_LATENCY_S:
+        return ok("clock against the receiver", text)
+    whole = abs(least_s) > 0.9 and abs(least_s - round(least_s)) < 0.3
+    return problem(
+        "clock against the receiver",
+        text,
+        f"{'leap seconds, or ' if whole else ''}the machine's clock (NTP, PTP): fixes will be refused by their age",
+    )

@@ -1,0 +1,292 @@
+"""Checks of the machine for `camber doctor`: clock, disk, certificates, cache of machine code."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import shutil
+import stat
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+
+from camber.geodesy.gps_time import gps_minus_utc_s
+from camber.runtime.clock import SystemClock
+from camber.runtime.tls import RENEW_BEFORE
+
+State = Literal["ok", "problem", "not checked"]
+
+MOST_CLOCK_ERROR_S = 0.05
+LEAST_FREE_BYTES = 500 << 20
+SLOW_FSYNC_S = 0.5
+_EARLIEST_UNIX_S = 1_704_067_200  # 2024: a machine that is earlier has no clock of its own
+_TAI_MINUS_GPS_S = 19
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line: what was looked at, how it is, and what to do where it is wrong."""
+
+    what: str
+    state: State
+    text: str
+    todo: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.state:<11} {self.what}: {self.text}{f' → {self.todo}' if self.todo else ''}"
+
+
+def ok(what: str, text: str) -> Finding:
+    """Well."""
+    return Finding(what, "ok", text)
+
+
+def problem(what: str, text: str, todo: str) -> Finding:
+    """Wrong, and what to do."""
+    return Finding(what, "problem", text, todo)
+
+
+def not_checked(what: str, why: str) -> Finding:
+    """Nobody can say from here."""
+    return Finding(what, "not checked", why)
+
+
+# -- clock ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Discipline:
+    """What the kernel says of its clock: disciplined by NTP or PTP, its largest error, TAI − UTC (0: not told)."""
+
+    synchronised: bool
+    most_error_s: float
+    tai_minus_utc_s: int
+
+
+class _Timex(ctypes.Structure):
+    """`struct timex` of Linux (adjtimex(2)), on 64 bits."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        *((name, ctypes.c_long) for name in ("offset", "freq", "maxerror", "esterror")),
+        ("status", ctypes.c_int),
+        *((name, ctypes.c_long) for name in ("constant", "precision", "tolerance", "sec", "usec", "tick")),
+        *((name, ctypes.c_long) for name in ("ppsfreq", "jitter")),
+        ("shift", ctypes.c_int),
+        *((name, ctypes.c_long) for name in ("stabil", "jitcnt", "calcnt", "errcnt", "stbcnt")),
+        ("tai", ctypes.c_int),
+        ("padding", ctypes.c_int * 11),
+    )
+
+
+_STA_UNSYNC = 0x0040
+_TIME_ERROR = 5
+
+
+def kernel_discipline() -> Discipline | None:
+    """None where the kernel does not tell."""
+    try:
+        adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
+    except (OSError, AttributeError):
+        return None
+    timex = _Timex()
+    state = adjtimex(ctypes.byref(timex))
+    if state < 0:
+        return None
+    synchronised = state != _TIME_ERROR and not timex.status & _STA_UNSYNC
+    return Discipline(synchronised, timex.maxerror / 1e6, timex.tai)
+
+
+def check_clock(discipline: Discipline | None, unix_s: float) -> Iterator[Finding]:
+    """Plausible, disciplined, and with the leap seconds that Camber has."""
+    what = "clock"
+    if unix_s < _EARLIEST_UNIX_S:
+        yield problem(what, f"it is {_date(unix_s)}", "set it; without a time nothing is judged")
+        return
+    if discipline is None:
+        yield not_checked(what, "the kernel does not say whether it is synchronised")
+        return
+    if not discipline.synchronised:
+        yield problem(
+            what,
+            "not synchronised by NTP or PTP",
+            "start chrony, systemd-timesyncd or phc2sys; messages are refused by their age",
+        )
+    elif discipline.most_error_s > MOST_CLOCK_ERROR_S:
+        yield problem(
+            what,
+            f"synchronised, but up to {discipline.most_error_s:.3f} s off",
+            f"a nearer server: expected {MOST_CLOCK_ERROR_S} s or less",
+        )
+    else:
+        yield ok(what, f"synchronised, at most {1e3 * discipline.most_error_s:.1f} ms off")
+    known_s = gps_minus_utc_s(max(SystemClock().now_ns(), 0))
+    if discipline.tai_minus_utc_s == 0:
+        yield ok("leap seconds", f"GPS − UTC is {known_s} s here; the kernel does not say")
+    elif discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S != known_s:
+        kernel_s = discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S
+        yield problem(
+            "leap seconds",
+            f"GPS − UTC is {known_s} s here, {kernel_s} s for the kernel",
+            "update Camber, or the machine's leap second file (tzdata)",
+        )
+    else:
+        yield ok("leap seconds", f"GPS − UTC is {known_s} s, as the kernel has it")
+
+
+# -- disk -------------------------------------------------------------------------------------------------------------
+
+
+def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Finding:
+    """A folder that a service keeps its state in: there or to be made, writable, durable, with room."""
+    # Those of `os.path` say no where we may not look; what hinders us is said by the folder that we get to.
+    place = next((path for path in (folder, *folder.parents) if os.path.exists(path)), Path("/"))
+    if not os.path.isdir(place):
+        return problem(what, f"{place} is no folder", "remove it, or set another folder")
+    probe = place / f".camber-doctor-{uuid.uuid4().hex}"
+    began_s = time.monotonic()
+    try:
+        with probe.open("wb") as file:
+            file.write(b"\0" * 4096)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        owner = f"as user {os.getuid()}"
+        return problem(
+            what,
+            f"{place}: {error.strerror or error} {owner}",
+            "owner, mount options and room of this folder",
+        )
+    finally:
+        with suppress(OSError):
+            probe.unlink()
+    took_s = time.monotonic() - began_s
+    free = shutil.disk_usage(place).free
+    if free < least_free_bytes:
+        return problem(
+            what, f"{place}: {free >> 20} MB free", f"make room: expected {least_free_bytes >> 20} MB or more"
+        )
+    if took_s > SLOW_FSYNC_S:
+        return problem(what, f"{place}: a flush took {took_s:.1f} s", "another disk: uploads are as slow")
+    made = "" if place == folder else f", {folder} will be made"
+    return ok(what, f"{place}: {free >> 20} MB free, a flush takes {1e3 * took_s:.0f} ms{made}")
+
+
+# -- certificates -----------------------------------------------------------------------------------------------------
+
+
+def check_certificates(
+    what: str, authority: Path | None, certificate: Path | None, key: Path | None, now: datetime
+) -> Iterator[Finding]:
+    """Readable, in force, signed by the authority, with its own key, which nobody else may read."""
+    authorities = _read(authority)
+    if isinstance(authorities, str):
+        yield problem(f"{what}, authority", authorities, "camber certs")
+    elif authority is not None:
+        yield from (_in_force(f"{what}, authority", each, now) for each in authorities)
+    chain = _read(certificate)
+    if isinstance(chain, str):
+        yield problem(f"{what}, certificate", chain, "camber certs")
+    elif chain:
+        yield _in_force(f"{what}, certificate", chain[0], now)
+        if not isinstance(authorities, str) and authorities:
+            yield _signed_by(f"{what}, certificate", chain[0], authorities)
+    if key is not None:
+        yield _key(f"{what}, key", key, None if isinstance(chain, str) or not chain else chain[0])
+
+
+def _read(path: Path | None) -> list[x509.Certificate] | str:
+    if path is None:
+        return []
+    try:
+        return x509.load_pem_x509_certificates(path.read_bytes())
+    except OSError as error:
+        return f"{path}: {error.strerror or error}"
+    except ValueError:
+        return f"{path}: expected a certificate in PEM"
+
+
+def _in_force(what: str, certificate: x509.Certificate, now: datetime) -> Finding:
+    name = certificate.subject.rfc4514_string()
+    begins, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if now < begins:
+        return problem(what, f"{name}: in force only from {begins:%Y-%m-%d %H:%M} UTC", "is the clock right?")
+    if now >= ends:
+        return problem(what, f"{name}: expired {ends:%Y-%m-%d %H:%M} UTC", "camber certs: make a new one")
+    if ends - now < RENEW_BEFORE:
+        return problem(what, f"{name}: expires {ends:%Y-%m-%d}", "camber certs: make a new one now")
+    return ok(what, f"{name}, until {ends:%Y-%m-%d}")
+
+
+def _signed_by(what: str, certificate: x509.Certificate, authorities: list[x509.Certificate]) -> Finding:
+    for authority in authorities:
+        try:
+            certificate.verify_directly_issued_by(authority)
+            return ok(what, f"signed by {authority.subject.rfc4514_string()}")
+        except (ValueError, TypeError, InvalidSignature):
+            continue
+    return problem(
+        what, "not signed by this authority", "certificate and authority of the same `camber certs`"
+    )
+
+
+def _key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding:
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+        key = load_pem_private_key(path.read_bytes(), password=None)
+    except OSError as error:
+        return problem(what, f"{path}: {error.strerror or error}", "owner and mode of this file")
+    except (ValueError, TypeError):
+        return problem(what, f"{path}: expected a private key in PEM, without a password", "camber certs")
+    if mode & 0o077:
+        return problem(what, f"{path}: mode {mode:04o}: others may read it", f"chmod 600 {path}")
+    form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    if certificate is not None and key.public_key().public_bytes(
+        *form
+    ) != certificate.public_key().public_bytes(*form):
+        return problem(what, f"{path}: not the key of the certificate", "the pair that was made together")
+    return ok(what, f"{path}: mode {mode:04o}{', of this certificate' if certificate is not None else ''}")
+
+
+# -- cache of machine code --------------------------------------------------------------------------------------------
+
+
+def check_python() -> Iterator[Finding]:
+    """The interpreter, and where compiled functions are kept: without that every start compiles for a minute."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    yield ok("Python", version)
+    if importlib.util.find_spec("numba") is None:
+        yield not_checked("machine code", "numba is not installed; it comes with the services that need it")
+        return
+    spec = importlib.util.find_spec("camber.compiled")
+    beside = Path((spec.submodule_search_locations or ["/"])[0]) if spec is not None else Path("/")
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(named)] if named else [beside, Path.home() / ".cache"]
+    for place in places:
+        found = check_folder("machine code", place, least_free_bytes=50 << 20)
+        if found.state == "ok":
+            yield found
+            return
+    if next((beside / "__pycache__").glob("*.nbc"), None):
+        yield ok("machine code", f"brought along in {beside}")
+        return
+    yield problem(
+        "machine code",
+        f"none of {', '.join(map(str, places))} can be written: compiled anew at each start",
+        "set NUMBA_CACHE_DIR to a folder that can be",
+    )
+
+
+def _date(unix_s: float) -> str:
+    return f"{datetime.fromtimestamp(unix_s, UTC):%Y-%m-%d}"

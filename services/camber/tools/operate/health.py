@@ -1,0 +1,112 @@
+"""`camber health`: how a running service is, in its own words; for people and for container health checks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic_settings import SettingsConfigDict
+
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import BusError, QueryFailed, ask_once, reach_router
+from camber.runtime.settings import ServiceSettings, load_or_exit
+from camber.schemas.channels import SENSORS, SERVICES
+from camber.schemas.health import Health, HealthRequest
+from camber.tools.options.number_options import number_from
+
+ROUTER = "router"
+_PROG = "camber health"
+_HELP = """\
+exit codes: 0 the service answers and nothing in it has failed: also while it waits for its inputs (degraded), where
+starting it again would help nobody; 1 failing, or no answer; 2 wrong usage.
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Ask one service, say what it says; returns the exit code."""
+    args = _parser().parse_args(argv)
+    settings = _settings_of(args.service, args.config, args.vehicle, args.connect)
+    try:
+        if args.service == ROUTER:
+            reach_router(settings, timeout_s=args.timeout)
+            print(_router_text(settings, as_json=args.json))
+            return 0
+        request = HealthRequest(time_ns=SystemClock().now_ns())
+        health = ask_once(settings, "health", request, service=args.service, timeout_s=args.timeout)
+    except (BusError, QueryFailed) as error:
+        text = f"{args.service}: no answer: {error}"
+        silence = {"service": args.service, "status": "no_answer", "reason": str(error)}
+        print(json.dumps(silence) if args.json else text)
+        return 1
+    print(health.model_dump_json() if args.json else line(health))
+    return exit_code(health)
+
+
+def exit_code(health: Health) -> int:
+    """1 for a service that a supervisor should look at; one that waits for its inputs is as well as it can be."""
+    return 1 if health.status == "failing" else 0
+
+
+def line(health: Health) -> str:
+    """One line for people: status, age, and what it has met, the most frequent first."""
+    met = sorted(health.issues, key=lambda issue: (-issue.count, issue.code))
+    issues = ", ".join(f"{issue.code} ×{issue.count}" for issue in met)
+    status = f"{health.service}: {health.status}, version {health.version}, up {health.uptime_s:.0f} s"
+    return f"{status}; {issues}" if issues else status
+
+
+def _router_text(settings: ServiceSettings, *, as_json: bool) -> str:
+    if as_json:
+        return json.dumps({"service": ROUTER, "status": "ok", "endpoints": settings.zenoh.connect})
+    return f"{ROUTER}: ok, reached over {', '.join(settings.zenoh.connect)}"
+
+
+class _Anywhere(ServiceSettings):
+    """The settings that all services have; the service's own are skipped, so that no service is imported."""
+
+    model_config = SettingsConfigDict(extra="ignore")
+
+
+def _settings_of(
+    service: str, config: Path | None, vehicle: str | None, connect: list[str] | None
+) -> ServiceSettings:
+    """Vehicle and endpoints: as given, else as the service itself reads them from environment, file and default."""
+    cls = type("_Settings", (_Anywhere,), {"SERVICE": service, "__doc__": __doc__, "__module__": __name__})
+    argv = [] if config is None else ["--config", str(config)]
+    argv += [] if vehicle is None else ["--vehicle", vehicle]
+    argv += [] if connect is None else ["--zenoh.connect", json.dumps(connect)]
+    return load_or_exit(cls, argv, prog=_PROG)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "service", choices=(*SERVICES, SENSORS, ROUTER), metavar="SERVICE", help="which one, or router"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints"
+    )
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
+    parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="router to ask through; repeatable"
+    )
+    parser.add_argument(
+        "--timeout",
+        type=number_from(0.001, 60.0, "s"),
+        default=3.0,
+        metavar="S",
+        help="seconds to wait (default 3)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object with counters and texts of issues"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,68 @@
+"""`camber log-level`: a running service logs more, or less, for a while, and falls back by itself."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import typing
+from collections.abc import Sequence
+
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import Asker, BusError, QueryFailed
+from camber.schemas.channels import SENSORS, SERVICES
+from camber.schemas.health import LogLevel, LogLevelRequest
+from camber.tools.options.bus_options import add_bus_options, bus_settings
+from camber.tools.options.number_options import SECONDS
+
+_TOLD = (*SERVICES, SENSORS)
+_PROG = "camber log_level"
+_UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
+_LONGEST_S = 86_400.0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Tell one service, or all workers of it; 0 done, 1 no answer, 3 the bus cannot be joined."""
+    args = _parser().parse_args(argv)
+    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
+    request = LogLevelRequest(time_ns=SystemClock().now_ns(), level=args.level, for_s=args.for_s)
+    try:
+        with Asker(settings, timeout_s=args.timeout) as asker:
+            replies = asker.ask("log_level", request, settings.vehicle, [args.service])[args.service]
+    except BusError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 3
+    for reply in replies:
+        if isinstance(reply, QueryFailed):
+            print(f"{_PROG}: {args.service}: no answer: {reply}", file=sys.stderr)
+        else:
+            print(f"{reply.service}: {reply.level} for {reply.for_s:g} s, was {reply.before}")
+    return 1 if any(isinstance(reply, QueryFailed) for reply in replies) else 0
+
+
+def duration_s(text: str) -> float:
+    """Seconds of `90s`, `10m`, `2h`."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", text)
+    value = float(match[1]) * _UNITS_S[match[2]] if match else 0.0
+    if not 0.0 < value <= _LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a duration as 90s, 10m or 2h, at most 24h")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("service", choices=_TOLD, metavar="SERVICE", help=", ".join(_TOLD))
+    parser.add_argument("level", choices=typing.get_args(LogLevel), help="least level that is logged")
+    parser.add_argument(
+        "--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help="90s, 10m, 2h (default 10m)"
+    )
+    parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
+    add_bus_options(parser)
+    parser.add_argument(
+        "--timeout", type=SECONDS, default=3.0, metavar="S", help="seconds to wait (default 3)"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

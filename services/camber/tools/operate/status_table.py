@@ -1,0 +1,103 @@
+"""A look at a vehicle as a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from camber.schemas.health import Health
+from camber.tools.operate.status_view import ChannelRow, ServiceRow, View, last_issue
+
+_WAITING = ("fixes_waiting", "uploads_not_stored", "uploads_waiting", "queue_waiting")
+_MOST_TEXT = 70
+
+
+def as_text(view: View, now_ns: int) -> str:
+    """Services, then channels, then what stands out."""
+    name = "the cloud" if view.vehicle == "fleet" else f"vehicle {view.vehicle}"
+    parts = [name, *_services(view.services, now_ns), "", *_channels(view.channels)]
+    return "\n".join([*parts, *(["", *view.notes] if view.notes else [])])
+
+
+def fleet_text(vehicles: dict[str, frozenset[str]]) -> str:
+    """Who of the fleet is on the bus."""
+    if not vehicles:
+        return "no vehicle is on this bus"
+    rows = [(name, ", ".join(sorted(services))) for name, services in sorted(vehicles.items())]
+    return "\n".join(_table([("vehicle", "declares to be there"), *rows]))
+
+
+def duration(seconds: float) -> str:
+    """At the unit that tells most."""
+    for limit, unit, size in (
+        (1.0, "ms", 1e-3),
+        (120.0, "s", 1.0),
+        (7200.0, "min", 60.0),
+        (172_800.0, "h", 3600.0),
+    ):
+        if seconds < limit:
+            return f"{seconds / size:.2g} {unit}" if seconds < 10.0 * size else f"{seconds / size:.0f} {unit}"
+    return f"{seconds / 86_400.0:.0f} d"
+
+
+def _services(rows: Sequence[ServiceRow], now_ns: int) -> list[str]:
+    head = ("service", "state", "up", "version", "memory", "lag", "waiting", "map", "met last")
+    table = [head]
+    for row in rows:
+        if row.health is None:
+            table.append((row.service, row.state, "", "", "", "", "", "", row.why))
+        else:
+            table.append((row.service, row.state, *_of(row.health, now_ns)))
+    return _table(table)
+
+
+def _of(health: Health, now_ns: int) -> tuple[str, str, str, str, str, str, str]:
+    gauges = health.gauges
+    memory = gauges.get("memory_bytes")
+    lag_s = gauges.get("loop_lag_s")
+    waiting = sum(use.waiting for use in health.channels) + sum(gauges.get(name, 0.0) for name in _WAITING)
+    return (
+        duration(health.uptime_s),
+        health.version,
+        "" if memory is None else f"{memory / 1e6:.0f} MB",
+        "" if lag_s is None else duration(lag_s),
+        f"{waiting:.0f}",
+        health.facts.get("map_release", ""),
+        _met(health, now_ns),
+    )
+
+
+def _met(health: Health, now_ns: int) -> str:
+    issue = last_issue(health)
+    if issue is None:
+        return ""
+    ago = duration(max(now_ns - (issue.last_time_ns or now_ns), 0) / 1e9)
+    text = f"{issue.code} ×{issue.count}, {ago} ago"
+    detail = " ".join(issue.text.split())[:_MOST_TEXT]
+    return f"{text}: {detail}" if detail else text
+
+
+def _channels(rows: Sequence[ChannelRow]) -> list[str]:
+    table = [("channel", "from", "to", "Hz", "of", "age", "waiting", "refused")]
+    for row in rows:
+        refused = ", ".join(f"{count} {reason}" for reason, count in sorted(row.refused.items()) if count)
+        age = "never" if row.age_s is None else duration(row.age_s)
+        table.append(
+            (
+                row.channel,
+                ", ".join(sorted(row.producers)),
+                ", ".join(sorted(row.heard_s)),
+                "" if row.rate_hz is None else f"{row.rate_hz:.1f}",
+                "" if row.table_rate_hz is None else f"{row.table_rate_hz:g}",
+                f"{age}, late" if row.late else age,
+                f"{row.waiting}",
+                refused,
+            )
+        )
+    return _table(table)
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]

@@ -1,0 +1,1 @@
+"""Command-line options and error reports that several tools share."""

@@ -1,0 +1,1 @@
+"""Recording the bus, playing a recording back, feeding a drive live."""

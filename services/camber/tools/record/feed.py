@@ -1,0 +1,341 @@
+"""`camber feed`: a recorded drive, live: at its own pace, dated now, onto the bus of services that are running.
+
+What the vehicle's sensors said goes out as they said it, with times moved to the present. The receiver's solutions
+are written anew as RTKLIB lines, because the times are in them. Raw observations have times that are tied to the
+satellites' orbits: they are fed only where the drive's own time is still to come, and then all of it at its own time
+(`camber simulate --live --starts-in`). With `--loop` the vehicle drives to the end, back in reverse gear, and so on: it
+never jumps from the end to the beginning, which no vehicle does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from camber.formats.errors import FormatError
+from camber.formats.nmea.epochs import NmeaDecoder
+from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.replay.drive_inputs import DriveInputs, prepare_drive
+from camber.replay.sweep_files import SweepFile, SweepReader
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.session import BusError, NobodyThereError, open_session
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.base import Message
+from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
+from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.lidar import Sweep
+from camber.schemas.motion import Motion
+from camber.tools.options.bus_options import bus_settings
+from camber.tools.options.stop_signals import stopped_by_signals
+
+_PROG = "camber feed"
+_NS = 1_000_000_000
+_ROUTER = "tcp/127.0.0.1:7447"
+_ASK_ROUTER_S = 0.5
+_LONGEST_WAIT_NS = 3600 * _NS
+_LATE_NS = _NS // 2  # what is later than this would only be refused as stale
+_AWAY_NS = 60 * _NS  # of a machine that slept; after longer without motion no localizer holds its pose
+
+
+@dataclass(frozen=True, slots=True)
+class FedSweep:
+    """A sweep to be read when it is due, fed `moved_ns` after the time of its file; backwards, after minus that."""
+
+    file: SweepFile
+    moved_ns: int = 0
+    backward: bool = False
+
+    def dated(self, sweep: Sweep) -> Sweep:
+        """The sweep at the time at which it is fed. Backwards its points come in reverse, and its begin is its end."""
+        if not self.backward:
+            return sweep.model_copy(update={"time_ns": sweep.time_ns + self.moved_ns})
+        begin_ns = int(sweep.offset_ns.min(initial=0))
+        return sweep.model_copy(
+            update={
+                "time_ns": self.moved_ns - sweep.time_ns - begin_ns,
+                "points_m": sweep.points_m[::-1].copy(),
+                "intensity": sweep.intensity[::-1].copy(),
+                "offset_ns": begin_ns - sweep.offset_ns[::-1],
+            }
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """What arrives at one time: solutions of the receiver, samples of other sensors by channel, sweeps."""
+
+    time_ns: int
+    solutions: tuple[ReceiverSolution, ...]
+    samples: tuple[tuple[str, Message], ...]
+    sweeps: tuple[FedSweep, ...] = ()
+    raw: tuple[ReceiverBytes, ...] = ()
+
+    def moved(self, offset_ns: int) -> Epoch:
+        """The same, `offset_ns` later; raw observations cannot be."""
+        if offset_ns == 0:
+            return self
+        return Epoch(
+            self.time_ns + offset_ns,
+            tuple(replace(solution, time_ns=solution.time_ns + offset_ns) for solution in self.solutions),
+            tuple((name, _dated(message, message.time_ns + offset_ns)) for name, message in self.samples),
+            tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
+        )
+
+    def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
+        """What goes onto the bus: channel and message; sweeps are read now."""
+        for raw in self.raw:
+            yield "receiver_bytes", raw
+        if self.solutions:
+            payload = np.frombuffer(b"".join(_pos_lines(solution) for solution in self.solutions), np.uint8)
+            yield "receiver_bytes", ReceiverBytes(time_ns=self.time_ns, protocol="pos", payload=payload)
+        yield from self.samples
+        for fed in self.sweeps:
+            for sweep in reader.read([fed.file]):
+                yield "sweep", fed.dated(sweep)
+
+
+def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
+    """The drive, with the receiver's bytes read; lines that say nothing are left out."""
+    receiver = inputs.manifest.receiver
+    date = None if receiver is None else receiver.utc_date
+    decoders: dict[str, PosDecoder | NmeaDecoder] = {
+        "pos": PosDecoder("receiver"),
+        "nmea": NmeaDecoder("receiver", utc_date=date),
+    }
+    epochs = []
+    for tick in inputs.ticks():
+        read = [
+            item
+            for part in tick.receiver
+            if part.protocol in decoders
+            for item in decoders[part.protocol].feed(part.payload.tobytes())
+        ]
+        samples = (
+            *(("motion", sample) for sample in tick.motion),
+            *(("suspension", sample) for sample in tick.suspension),
+            *(("ranging", sample) for sample in tick.ranging),
+        )
+        solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
+        sweeps = tuple(FedSweep(file) for file in tick.sweeps)
+        raw = tuple(part for part in tick.receiver if part.protocol not in decoders)
+        if solutions or samples or sweeps or raw:
+            epochs.append(Epoch(tick.time_ns, solutions, samples, sweeps, raw))
+    return tuple(epochs)
+
+
+def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
+    """The same way in reverse gear, from the end to the beginning, in the same period of time.
+
+    A sweep comes when the one before it ended, because that is when its own turn began. Of the first nobody knows that.
+    """
+    span_ns = epochs[0].time_ns + epochs[-1].time_ns
+    back, later = list[Epoch](), tuple[FedSweep, ...]()
+    for epoch in reversed(epochs):
+        due = later if epoch.sweeps else ()
+        later = epoch.sweeps or later
+        back.append(
+            Epoch(
+                span_ns - epoch.time_ns,
+                tuple(_backward_solution(solution, span_ns) for solution in reversed(epoch.solutions)),
+                tuple(
+                    (name, _backward_sample(message, span_ns)) for name, message in reversed(epoch.samples)
+                ),
+                tuple(_backward_sweep(sweep, span_ns) for sweep in reversed(due)),
+            )
+        )
+    return tuple(back)
+
+
+def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
+    """There; with `loop` also back, there, back, for ever."""
+    yield epochs
+    backward = reversed_drive(epochs) if loop else ()
+    while loop:
+        yield backward
+        yield epochs
+
+
+def main(argv: Sequence[str]) -> int:
+    """Feed one drive; 0 done or stopped, 2 the drive cannot be used, 3 the bus cannot be joined."""
+    args = _parser().parse_args(argv)
+    try:
+        manifest = load_manifest(args.drive, args.set)
+        # A map made for the drive goes where it is in nobody's way: it is not fed.
+        with stopped_by_signals() as stop, tempfile.TemporaryDirectory(prefix="camber-feed-") as work_folder:
+            feed(
+                manifest,
+                Path(work_folder),
+                stop,
+                connect=args.connect,
+                vehicle=args.vehicle,
+                loop=args.loop,
+                prog=_PROG,
+            )
+    except (ManifestError, FormatError) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{_PROG}: {error.filename or args.drive}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except BusError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 3
+    return 0
+
+
+def feed(
+    manifest: DriveManifest,
+    work_folder: Path,
+    stop: threading.Event,
+    *,
+    connect: Sequence[str] | None,
+    vehicle: str | None,
+    loop: bool = False,
+    prog: str,
+) -> None:
+    """Play a drive onto the bus of a vehicle (None: the manifest's) to its end, or until `stop` is set.
+
+    A router that is not there is waited for; where settings of the bus are wrong, the process ends. Raises
+    ManifestError, FormatError, BusError, OSError.
+    """
+    options = argparse.Namespace(config=None, connect=connect)
+    settings = bus_settings(options, prog=prog, vehicle=vehicle or manifest.vehicle)
+    inputs = prepare_drive(manifest, work_folder)
+    epochs = epochs_of(inputs)
+    if not any(epoch.solutions or epoch.samples or epoch.sweeps for epoch in epochs):
+        raise ManifestError(
+            f"{manifest.name}: only raw observations, expected something that can be fed live"
+        )
+    for note in inputs.notes:
+        print(f"{prog}: {note}", file=sys.stderr)
+    bus = _joined(settings, stop, prog)
+    if bus is None:
+        return
+    try:
+        _feed(passes(epochs, loop=loop), bus, stop, manifest.name, prog)
+    finally:
+        bus.close()
+
+
+def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
+    """The bus, as soon as its router is there; None where `stop` came first. It says once that it waits.
+
+    Raises BusError for what no waiting helps: an endpoint that is none, a certificate.
+    """
+    said = False
+    while not stop.is_set():
+        try:
+            session = open_session(settings.zenoh, timeout_s=_ASK_ROUTER_S)
+            return Bus(session, settings, "vehicle", SystemClock())
+        except NobodyThereError as error:
+            if not said:
+                print(f"{prog}: {error}; waiting", file=sys.stderr, flush=True)
+            said = True
+            stop.wait(_ASK_ROUTER_S)  # some failures come at once
+    return None
+
+
+def _feed(
+    ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str, prog: str = _PROG
+) -> None:
+    ways = iter(ways)
+    first = next(ways)
+    start_ns = bus.now_ns()
+    if 0 < first[0].time_ns - start_ns <= _LONGEST_WAIT_NS:
+        start_ns = first[0].time_ns
+        print(
+            f"{prog}: {drive} begins in {(start_ns - bus.now_ns()) / _NS:.0f} s", file=sys.stderr, flush=True
+        )
+    elif any(epoch.raw for epoch in first):
+        print(f"{prog}: {drive} is dated now, without its raw observations", file=sys.stderr, flush=True)
+    for number, way in enumerate(chain([first], ways), start=1):
+        duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
+        print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
+        reader = SweepReader()
+        start_ns, missed = _feed_pass(way, bus, stop, start_ns, reader)
+        late = f"this machine was late: {missed} of {len(way)} epochs were not said"
+        for note in (*reader.notes(), *([late] if missed else [])):
+            print(f"{prog}: {note}", file=sys.stderr, flush=True)
+        if stop.is_set():
+            return
+
+
+def _feed_pass(
+    way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int, reader: SweepReader
+) -> tuple[int, int]:
+    """Publish each epoch when its time has come; returns when the next pass may start, and how many were too late.
+
+    Those are left out: the vehicle drove on meanwhile, and to say them later would say that it stood still with its
+    wheels turning. After a long sleep the drive goes on from where it was.
+    """
+    # Whole milliseconds: more decimals of a time than that are not in an RTKLIB line.
+    offset_ns = (start_ns - way[0].time_ns) // 1_000_000 * 1_000_000
+    missed = 0
+    for epoch in way:
+        if stop.wait(max(epoch.time_ns + offset_ns - bus.now_ns(), 0) / _NS):
+            break
+        late_ns = bus.now_ns() - epoch.time_ns - offset_ns
+        if late_ns > _AWAY_NS:
+            offset_ns += late_ns // 1_000_000 * 1_000_000
+        elif late_ns > _LATE_NS:
+            missed += 1
+            continue
+        for name, message in epoch.moved(offset_ns).messages(reader):
+            bus.publish(name, message)
+    step_ns = (way[-1].time_ns - way[0].time_ns) // max(len(way) - 1, 1)
+    return way[-1].time_ns + offset_ns + step_ns, missed
+
+
+def _pos_lines(solution: ReceiverSolution) -> bytes:
+    """The solution with the header before it: a gnss that starts later must be able to read it too."""
+    velocity = solution.velocity_enu_m_s is not None
+    return format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
+
+
+def _dated(message: Message, time_ns: int) -> Message:
+    return message.model_copy(update={"time_ns": time_ns})
+
+
+def _backward_solution(solution: ReceiverSolution, span_ns: int) -> ReceiverSolution:
+    velocity = solution.velocity_enu_m_s
+    backward = None if velocity is None else (-velocity[0], -velocity[1], -velocity[2])
+    return replace(solution, time_ns=span_ns - solution.time_ns, velocity_enu_m_s=backward)
+
+
+def _backward_sweep(sweep: FedSweep, span_ns: int) -> FedSweep:
+    return replace(sweep, moved_ns=span_ns - sweep.moved_ns, backward=not sweep.backward)
+
+
+def _backward_sample(message: Message, span_ns: int) -> Message:
+    dated = _dated(message, span_ns - message.time_ns)
+    if not isinstance(dated, Motion):
+        return dated
+    readings = {"wheel_speed_m_s": dated.wheel_speed_m_s, "yaw_rate_rad_s": dated.yaw_rate_rad_s}
+    return dated.model_copy(update={name: -value for name, value in readings.items() if value is not None})
+
+
+def add_bus_arguments(parser: argparse._ActionsContainer) -> None:
+    """Where a drive is fed to: `--connect`, `--vehicle`."""
+    parser.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router; default {_ROUTER}")
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
+    add_bus_arguments(parser)
+    parser.add_argument("--loop", action="store_true", help="there and back again, until stopped")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
+    )
+    return parser

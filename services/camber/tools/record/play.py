@@ -1,0 +1,266 @@
+"""`camber play`: a recording back onto a bus, at the times of now or at those recorded.
+
+By default all times in the messages are moved to the present, and each message goes out when it was measured: live
+services and consumers, which refuse what is old, take them as they took them then. Bytes of a receiver have their own
+times inside, which cannot be moved: they are left out. With `--times recorded` nothing is changed, at any speed; only
+consumers that do not judge ages (`Listener(…, live=False)`, `camber record`) take that. To run services over a drive at
+another speed there is `camber replay`.
+
+It declares each producer that it plays, as that service would, and refuses where one of them is there already.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from camber.formats.drive.recording import Recorded, RecordingError, read_recording
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.query import Asker
+from camber.runtime.raw_subscription import Tap
+from camber.runtime.session import BusError, open_session
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.channels import BY_NAME, SENSORS, Channel
+from camber.tools.options.bus_options import add_bus_options, bus_settings
+from camber.tools.options.number_options import SECONDS, number_from
+from camber.tools.options.stop_signals import stopped_by_signals
+from camber.tools.record.time_shift import NS_PER_FIX_ID, moved
+
+_PROG = "camber play"
+_NS = 1_000_000_000
+_LISTEN_S = 1.0
+_LATE_S = 0.5
+_LONG_GAP_S = 10.0
+_RECORDED = tuple(c for c in BY_NAME.values() if c.delivery in ("small", "bulk"))
+PLAYABLE = tuple(c for c in _RECORDED if c.key.startswith("camber/v1/{vehicle}/"))
+_OF_OTHERS = tuple(c for c in _RECORDED if c not in PLAYABLE)
+"""What a vehicle hears and no part of it says."""
+_HELP = """\
+exit codes: 0 played, or stopped as asked; 1 a producer is on the bus already, or the recording is damaged (what stands
+before the damage was played); 2 wrong usage, no such file, or nothing to play; 3 no bus.
+"""
+
+
+class Refused(RuntimeError):  # noqa: N818 (the name says what is the matter)
+    """This recording cannot be played onto this bus; one line."""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Play files one after the other."""
+    args = _parser().parse_args(argv)
+    if args.speed != 1.0 and args.times == "now":
+        print(
+            f"{_PROG}: --speed {args.speed:g}: with times of now expected 1: a vehicle that moves faster than its "
+            "wheels say is no vehicle; --times recorded, or camber replay",
+            file=sys.stderr,
+        )
+        return 2
+    try:
+        channels = _chosen(args.channels, args.without)
+        names, vehicle = _producers(args.files, channels)
+    except (OSError, Refused) as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 2
+    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle or vehicle)
+    try:
+        refuse_where_they_are(settings, names, channels, timeout_s=args.timeout)
+        with stopped_by_signals() as stop:
+            player = Player(
+                settings, names, stop, speed=args.speed, now=args.times == "now", timeout_s=args.timeout
+            )
+            try:
+                heard = _OF_OTHERS if args.channels is None else ()
+                errors = player.play(_messages(args.files, (*channels, *heard)))
+            finally:
+                player.close()
+    except BusError as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 3
+    except Refused as error:
+        print(f"{_PROG}: {error}", file=sys.stderr)
+        return 1
+    print(player.summary(), flush=True)
+    for problem in errors:
+        print(f"{_PROG}: {problem}", file=sys.stderr)
+    return 1 if errors else 0
+
+
+def refuse_where_they_are(
+    settings: ServiceSettings, producers: Collection[str], channels: Sequence[Channel], *, timeout_s: float
+) -> None:
+    """Raises Refused where one of these producers has declared itself, or is heard within a second."""
+    with Asker(settings, timeout_s=timeout_s) as asker:
+        alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
+    there = {"vehicle" if name == SENSORS else name for name in alive} & set(producers)
+    if not there:  # what is no service declares nothing
+        played = [channel for channel in channels if set(channel.producers) & set(producers)]
+        with Tap(settings, played, timeout_s=timeout_s) as tap:
+            time.sleep(_LISTEN_S)
+            there = {BY_NAME[item.channel].producers[0] for item in tap.take()}
+    if there:
+        names = ", ".join(sorted(there))
+        own = ",".join(channel.name for channel in channels if set(channel.producers) & there)
+        raise Refused(
+            f"{names} of {settings.vehicle} is on this bus: expected nobody else who publishes the same; "
+            f"--without {own}, or another --vehicle"
+        )
+
+
+class Player:
+    """Publishes messages as their producers would. Raises BusError."""
+
+    def __init__(
+        self,
+        settings: ServiceSettings,
+        producers: Collection[str],
+        stop: threading.Event,
+        *,
+        speed: float = 1.0,
+        now: bool = True,
+        timeout_s: float | None = None,
+    ) -> None:
+        self.played: Counter[str] = Counter()
+        self.left_out: Counter[str] = Counter()
+        self.late = 0
+        self.latest_s = 0.0
+        self._stop, self._speed, self._now = stop, speed, now
+        self._clock = SystemClock()
+        session = open_session(settings.zenoh, timeout_s=timeout_s)
+        quiet = settings.model_copy(update={"log_level": "error"})
+        self._buses = {name: Bus(session, quiet, name, self._clock) for name in sorted(producers)}
+        for bus in self._buses.values():
+            if not now:
+                bus.lose_nothing()
+            bus.announce()
+
+    def play(self, messages: Iterator[Recorded[Any] | RecordingError]) -> list[RecordingError]:
+        """Each when it is due, in their order; returns what was wrong with the recording."""
+        errors: list[RecordingError] = []
+        first_ns: int | None = None
+        began_s, offset_ns = 0.0, 0
+        for item in messages:
+            if isinstance(item, RecordingError):
+                errors.append(item)
+                continue
+            if self._is_left_out(item.channel):
+                self.left_out[item.channel] += 1
+                continue
+            if first_ns is None:
+                first_ns, began_s = item.message.time_ns, time.monotonic()
+                if self._now:
+                    offset_ns = (self._clock.now_ns() - first_ns) // NS_PER_FIX_ID * NS_PER_FIX_ID
+            due_s = began_s + (item.message.time_ns - first_ns) / _NS / self._speed
+            wait_s = max(due_s - time.monotonic(), 0.0)
+            if wait_s > _LONG_GAP_S:
+                print(
+                    f"{_PROG}: a gap in the recording: nothing for {wait_s:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            if self._stop.wait(wait_s):
+                break
+            self._note_lateness(time.monotonic() - due_s)
+            self._publish(item, offset_ns)
+        return errors
+
+    def close(self) -> None:
+        """Leave the bus; all of them share one session."""
+        for bus in self._buses.values():
+            bus.close()
+
+    def summary(self) -> str:
+        """One line for people."""
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(self.played.items()))
+        left = ", ".join(f"{name} {count}" for name, count in sorted(self.left_out.items()))
+        late = (
+            f"; {self.late} were more than {_LATE_S} s late, {self.latest_s:.1f} s at most"
+            if self.late
+            else ""
+        )
+        return f"played {counts or 'nothing'}{f'; left out: {left}' if left else ''}{late}"
+
+    def _is_left_out(self, channel: str) -> bool:
+        return BY_NAME[channel] in _OF_OTHERS or (self._now and channel == "receiver_bytes")
+
+    def _publish(self, item: Recorded[Any], offset_ns: int) -> None:
+        message = moved(item.message, offset_ns) if offset_ns else item.message
+        self._buses[BY_NAME[item.channel].producers[0]].publish(item.channel, message)
+        self.played[item.channel] += 1
+
+    def _note_lateness(self, late_s: float) -> None:
+        if late_s > _LATE_S:
+            self.late += 1
+            self.latest_s = max(self.latest_s, late_s)
+
+
+def _messages(files: Sequence[Path], channels: Sequence[Channel]) -> Iterator[Recorded[Any] | RecordingError]:
+    for path in files:
+        yield from read_recording(path, {channel.name for channel in channels})
+
+
+def _chosen(names: str | None, without: str | None) -> tuple[Channel, ...]:
+    known = [channel.name for channel in PLAYABLE]
+    wanted = known if names is None else names.split(",")
+    left_out = [] if without is None else without.split(",")
+    for name in (*wanted, *left_out):
+        if name not in known:
+            raise Refused(f"channel {name!r}: expected some of {', '.join(known)}")
+    return tuple(c for c in PLAYABLE if c.name in wanted and c.name not in left_out)
+
+
+def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[str], str]:
+    """Who published what these files hold of these channels, and the vehicle that their keys name.
+
+    Raises Refused where they hold nothing, or what is not of one vehicle: two sources are never mixed.
+    """
+    names: set[str] = set()
+    vehicles: set[str] = set()
+    for path in files:
+        for item in _messages([path], channels):
+            if isinstance(item, Recorded):
+                channel = BY_NAME[item.channel]
+                names.add(channel.producers[0])
+                try:
+                    vehicles.add(channel.vehicle_in(item.key))
+                except ValueError as error:
+                    raise Refused(f"{path}: {item.channel}: {error}") from None
+    every = ", ".join(map(str, files))
+    if not names:
+        raise Refused(f"{every}: no message of these channels that this version can read")
+    if len(vehicles) > 1:
+        raise Refused(f"{every}: of {', '.join(sorted(vehicles))}, expected one vehicle")
+    return names, vehicles.pop()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MCAP files, in their order")
+    parser.add_argument(
+        "--times", choices=("now", "recorded"), default="now", help="times in messages (default now)"
+    )
+    parser.add_argument(
+        "--speed",
+        type=number_from(0.001, 1000.0),
+        default=1.0,
+        metavar="F",
+        help="with recorded times; 2 is twice as fast",
+    )
+    parser.add_argument("--channels", metavar="A,B", help="only these (default: all that were recorded)")
+    parser.add_argument("--without", metavar="A,B", help="not these")
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
+    add_bus_options(parser)
+    parser.add_argument("--timeout", type=SECONDS, default=5.0, metavar="S", help="for the bus (default 5)")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,167 @@
+"""Files of a recording that goes on: a new one by size or time, the oldest deleted, none on a disk nearly full."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import re
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from camber.formats.drive.recording import Recorder
+from camber.runtime.raw_subscription import Tapped
+
+SUFFIX = ".mcap"
+_FLUSH_AFTER_S = 10.0
+_PART_BYTES = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a file ends, how much of all is kept, and how much of the disk is left to others; None: no limit."""
+
+    file_bytes: int | None = 1 << 30
+    file_s: float | None = None
+    kept_bytes: int | None = None
+    free_bytes: int = 500 << 20
+
+
+class RecordFiles:
+    """Writes what was tapped. `problem` says why nothing is written any more; then `dropped` counts the rest.
+
+    Files are called by prefix, UTC of their begin, and number; none that is there is written over. Raises OSError
+    where the first one cannot be made.
+    """
+
+    def __init__(self, folder: Path, prefix: str, limits: Limits) -> None:
+        self.written = self.dropped = self.malformed = 0
+        self.problem: str | None = None
+        self.by_channel: Counter[str] = Counter()
+        self.files: list[Path] = []
+        self._folder, self._prefix, self._limits = folder, prefix, limits
+        self._recorder: Recorder | None = None
+        self._began_s = self._flushed_s = 0.0
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, items: list[Tapped], now_s: float, *, lost: int = 0) -> None:
+        """Write these to the file that is due now, and that `lost` were dropped before; `now_s` is monotonic."""
+        for part in _parts(items):
+            self._write(part, now_s, lost)
+            lost = 0
+
+    def close(self) -> None:
+        """End the file."""
+        self._end_file()
+
+    def _write(self, items: list[Tapped], now_s: float, lost: int) -> None:
+        if self._recorder is not None and self._is_full(now_s):
+            self._end_file()
+        if self.problem is None and items and self._recorder is None:
+            self._begin_file(items[0].arrival_ns, now_s)
+        if self._recorder is None or self.problem is not None:
+            self.dropped += len(items) + lost
+            return
+        self._recorder.dropped += lost
+        for item in items:
+            self._recorder.add(item.channel, item.data, key=item.key, arrival_ns=item.arrival_ns)
+            self.by_channel[item.channel] += 1
+        self._recorder.tick_done()
+        if now_s - self._flushed_s >= _FLUSH_AFTER_S:
+            self._recorder.flush()
+            self._flushed_s = now_s
+        if self._recorder.problem is not None:
+            self.problem = f"{self._folder}: {self._recorder.problem}"
+            self._end_file()
+        else:
+            self.problem = self._too_full()
+            if self.problem is not None:
+                self._end_file()
+
+    def _begin_file(self, arrival_ns: int, now_s: float) -> None:
+        self.problem = self._too_full()
+        if self.problem is not None:
+            return
+        try:
+            self._open_file(f"{self._prefix}-{datetime.fromtimestamp(arrival_ns / 1e9, UTC):%Y%m%dT%H%M%SZ}")
+        except OSError as error:
+            if not self.files:
+                raise
+            self.problem = f"{self._folder}: {error.strerror or error}"
+            return
+        self._began_s = self._flushed_s = now_s
+        self._delete_oldest()
+
+    def _open_file(self, name: str) -> None:
+        """With the next number that nobody has: another recorder may write into the same folder."""
+        for number in itertools.count(len(self.files)):
+            path = self._folder / f"{name}-{number:03d}{SUFFIX}"
+            try:
+                self._recorder = Recorder(path, anew=True)
+            except FileExistsError:
+                continue
+            self.files.append(path)
+            return
+
+    def _too_full(self) -> str | None:
+        free, least = shutil.disk_usage(self._folder).free, self._limits.free_bytes
+        if free >= least:
+            return None
+        return f"{self._folder}: {free >> 20} MB left on the disk, {least >> 20} MB are for others"
+
+    def _is_full(self, now_s: float) -> bool:
+        limits = self._limits
+        too_long = limits.file_s is not None and now_s - self._began_s >= limits.file_s
+        return too_long or (limits.file_bytes is not None and _size(self.files[-1]) >= limits.file_bytes)
+
+    def _end_file(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return
+        recorder.close()
+        self.written += recorder.written
+        self.dropped += recorder.dropped
+        self.malformed += recorder.malformed
+        if recorder.problem is not None and self.problem is None:
+            self.problem = f"{self._folder}: {recorder.problem}"
+
+    def _delete_oldest(self) -> None:
+        """Of this prefix, those of earlier runs among them; never the one that is being written."""
+        if self._limits.kept_bytes is None:
+            return
+        of_this = re.compile(rf"{re.escape(self._prefix)}-\d{{8}}T\d{{6}}Z-\d{{3,}}{re.escape(SUFFIX)}")
+        files = sorted(
+            (p for p in self._folder.iterdir() if of_this.fullmatch(p.name) and p != self.files[-1]),
+            key=lambda path: path.name,
+        )
+        total = sum(_size(path) for path in files)
+        while files and total > self._limits.kept_bytes:
+            oldest = files.pop(0)
+            total -= _size(oldest)
+            with contextlib.suppress(
+                OSError
+            ):  # somebody else's: it stays, and those after it need not go for it
+                oldest.unlink()
+
+
+def _parts(items: list[Tapped]) -> Iterator[list[Tapped]]:
+    """What a recorder takes within one tick, in the order of arrival; one part, empty, where nothing came."""
+    part: list[Tapped] = []
+    part_bytes = 0
+    for item in items:
+        if part and part_bytes + len(item.data) > _PART_BYTES:
+            yield part
+            part, part_bytes = [], 0
+        part.append(item)
+        part_bytes += len(item.data)
+    yield part
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0

@@ -1,0 +1,1 @@
+"""`camber access` and `camber certs`: access rules and certificates."""

@@ -1,0 +1,89 @@
+"""`camber evaluate DIR`: make summary.json and report.html of a run again from what it left behind."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from camber.formats.drive.recording import Recorded, load_recording
+from camber.formats.errors import FormatError
+from camber.replay.run_folder import RunFolder
+from camber.validation.evaluation import CHANNELS, Evaluation, evaluate
+from camber.validation.report.page import render
+
+
+def evaluate_folder(folder: RunFolder, *, partial: bool = False) -> Evaluation:
+    """Evaluate the run in `folder` and write summary.json and report.html into it.
+
+    Raises FormatError for anything missing or damaged; with `partial`, what can be read of a damaged
+    recording is evaluated, and summary and report say so.
+    """
+    drive, run = folder.read_drive(), folder.read_run()
+    truth = folder.read_truth() if drive.truth else None
+    recorded, damage = _load(folder, partial)
+    evaluation = evaluate(recorded, drive, run, truth, damage=damage)
+    folder.write_summary(evaluation.summary)
+    folder.write_report(render(evaluation))
+    return evaluation
+
+
+def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any]]], list[str]]:
+    path = folder.recording_path
+    try:
+        recorded, errors = load_recording(path, CHANNELS)
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise FormatError(path.name, "file", "a readable recording", found=found) from None
+    if errors and not partial:
+        raise errors[0]
+    return recorded, [str(error) for error in errors]
+
+
+def main(argv: Sequence[str]) -> int:
+    """The command; returns the exit code: 0, or 2 after one line on standard error."""
+    parser = argparse.ArgumentParser(prog="camber evaluate", description=__doc__)
+    parser.add_argument("directory", type=Path, help="folder that a replay or a recording has left")
+    parser.add_argument(
+        "--partial", action="store_true", help="evaluate what can be read of a damaged recording, and say so"
+    )
+    arguments = parser.parse_args(argv)
+    folder = RunFolder(arguments.directory)
+    try:
+        summary = evaluate_folder(folder, partial=arguments.partial).summary
+    except FormatError as error:
+        print(f"camber evaluate: {folder.path}: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"camber evaluate: {error.filename}: {error.strerror}", file=sys.stderr)
+        return 2
+    for line in summary["damage"]:
+        print(f"camber evaluate: only partly read: {line}", file=sys.stderr)
+    print(headline(summary))
+    print(folder.report_path)
+    return 0
+
+
+def headline(summary: dict[str, Any]) -> str:
+    """The figures in a few lines, for a terminal; what is not known is `not known`."""
+    confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
+    lines = [
+        f"{summary['drive']}: {summary['epochs']} epochs, {summary['tentative']['fixed']} fixes, "
+        f"{_text(summary['tentative']['wrong'])} of them wrong",
+        f"confirmed {confirmed['count']}, wrong among them {_text(confirmed['wrong'])}; "
+        f"right fixes kept {_text(right['kept'], percent=True)}; "
+        f"wrong episodes missed {_text(episodes['missed'])} of {_text(episodes['n'])}",
+    ]
+    lines += [f"surrogate: {text}" for text in summary["surrogates"]]
+    return "\n".join(lines)
+
+
+def _text(value: float | None, *, percent: bool = False) -> str:
+    if value is None:
+        return "not known"
+    return f"{100 * value:.1f} %" if percent else str(value)
+
+
+__all__ = ["evaluate_folder", "headline", "main"]

@@ -1,0 +1,1 @@
+"""`camber evidence`: the drives of the evidence page, and the page."""

@@ -1,0 +1,232 @@
+"""`camber evidence`: recorded and simulated drives through all services, and docs/evidence.md of what came out.
+
+Each drive is a job of its own, two processes at a time; its figures are kept as one file of JSON in the folder, and the
+page is made from the files that are there. `--keep` runs only what is not there yet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from camber.tools.options.number_options import PROCESSES, SEED, number_from, whole_from
+from camber.validation.evidence.faults import run_faults
+from camber.validation.evidence.nagoya import REQUIRED, run_seed
+from camber.validation.evidence.page import page
+from camber.validation.evidence.simulated_drives import WITHOUT, run_drive
+from camber.validation.lab.page import page as lab_page
+
+_PROG = "camber evidence"
+PARTS = ("faults", "drives", "nagoya")
+"""The longest job first."""
+NAGOYA = Path("tests/replay/nagoya.toml")
+DRIVE_SEEDS = (9301, 9302, 9303)
+CANYONS_S = 1800.0
+LIDAR_S = 60.0
+_NO_STREAMS = "satellites.streams=false"
+_SYSTEMS_OF_R = 'satellites.systems="GJC"'
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One drive: which part it is of, the name of its file, what runs it and with what."""
+
+    part: str
+    name: str
+    run: Callable[..., dict[str, Any]]
+    arguments: dict[str, Any]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run what is asked for and write the page; 0 done, 1 a drive could not be run, 130 interrupted."""
+    parser = _parser()
+    args = parser.parse_args(argv)
+    if args.page_only and args.page is None:
+        parser.error("--page-only needs --page")
+    notes: list[str] = []
+    try:
+        parts = () if args.page_only else args.only or PARTS
+        jobs = [job for part in parts for job in _jobs(part, args, notes)]
+        failed = (
+            []
+            if args.page_only
+            else _run(jobs, args.out, workers=args.processes, keep=args.keep, quiet=args.quiet)
+        )
+        notes += failed
+        if args.page is not None:
+            args.page.write_text(_page(args.out, args.lab, notes), "utf-8")
+    except OSError as error:
+        print(f"{_PROG}: {error.filename or args.out}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"{_PROG}: interrupted", file=sys.stderr)
+        return 130
+    for note in notes:
+        print(f"{_PROG}: {note}", file=sys.stderr)
+    if not args.quiet and args.page is not None:
+        print(args.page)
+    return 1 if failed else 0
+
+
+def _jobs(part: str, args: argparse.Namespace, notes: list[str]) -> Iterator[Job]:
+    if part == "nagoya":
+        if not os.environ.get("CAMBER_DATA"):
+            notes.append("Nagoya was skipped: CAMBER_DATA is not set, so there is no recording.")
+            return
+        for seed in range(args.first_seed, args.first_seed + args.seeds):
+            for required in REQUIRED:
+                sigma_m = required.map_sigma_m
+                name = f"sigma-{sigma_m:.2f}-seed-{seed:03d}"
+                yield Job(
+                    part, name, run_seed, {"manifest": args.nagoya, "seed": seed, "map_sigma_m": sigma_m}
+                )
+    elif part == "drives":
+        canyons = ("canyons", f"duration_s={args.duration_s or CANYONS_S}", _NO_STREAMS, _SYSTEMS_OF_R)
+        city = (
+            "city",
+            f"duration_s={min(args.duration_s or LIDAR_S, LIDAR_S)}",
+            _NO_STREAMS,
+            "lidar.beams=32",
+        )
+        for scenario, *overrides in (canyons, city):
+            for seed in args.drive_seeds:
+                arguments = {"scenario": scenario, "seed": seed, "overrides": overrides}
+                yield Job(part, f"{scenario}-seed-{seed}", run_drive, arguments)
+        scenario, *overrides = canyons
+        seed = args.drive_seeds[0]
+        arguments = {"scenario": scenario, "seed": seed, "overrides": overrides, "re_estimation": WITHOUT}
+        yield Job(part, f"{scenario}-seed-{seed}-without-re-estimation", run_drive, arguments)
+    else:
+        seed = args.drive_seeds[0]
+        arguments = {"seed": seed, "overrides": (_NO_STREAMS,), "lidar": not args.no_lidar}
+        yield Job(part, f"faults-seed-{seed}", run_faults, arguments)
+        if args.no_lidar:
+            notes.append("Faults were driven without a LiDAR, and those that concern it left out.")
+
+
+def _run(jobs: Sequence[Job], out: Path, *, workers: int, keep: bool, quiet: bool) -> list[str]:
+    """Run the jobs; returns a line for each that failed. Their files appear whole or not at all."""
+    if not keep:
+        for part in {job.part for job in jobs}:
+            shutil.rmtree(out / part, ignore_errors=True)
+    due = [job for job in jobs if not _file(out, job).exists()]
+    failed: list[str] = []
+    began = time.monotonic()
+    # Small matrices gain nothing from more threads; the children inherit this.
+    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_settings_of_nobody) as pool:
+        running = {pool.submit(_work, job, out / "work"): job for job in due}
+        for done, future in enumerate(as_completed(running), start=1):
+            job = running[future]
+            error = future.exception()
+            if error is not None:
+                failed.append(f"{job.part} {job.name} could not be run: {type(error).__name__}: {error}")
+            else:
+                _write(_file(out, job), future.result())
+            if not quiet:
+                spent_s = time.monotonic() - began
+                print(
+                    f"{done} of {len(due)}: {job.part} {job.name}, {spent_s:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
+    return failed
+
+
+def _work(job: Job, work: Path) -> dict[str, Any]:
+    folder = work / f"{job.part}-{job.name}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        return job.run(folder=folder, **job.arguments)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _settings_of_nobody() -> None:
+    """The drive's settings alone count: an operator's environment must not change the evidence."""
+    for name in [name for name in os.environ if name.startswith("CAMBER_") and name != "CAMBER_DATA"]:
+        del os.environ[name]
+
+
+def _file(out: Path, job: Job) -> Path:
+    return out / job.part / f"{job.name}.json"
+
+
+def _write(path: Path, result: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_suffix(".new")
+    fresh.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+    fresh.replace(path)
+
+
+def _page(out: Path, lab: Path, notes: Sequence[str]) -> str:
+    faults, drives, nagoya = (
+        [json.loads(path.read_text("utf-8")) for path in sorted((out / part).glob("*.json"))]
+        for part in PARTS
+    )
+    return page(nagoya, drives, faults, _lab(lab), notes)
+
+
+def _lab(path: Path) -> str | None:
+    """What the lab has to say, where it was run."""
+    if not path.exists():
+        return None
+    return lab_page(json.loads(path.read_text("utf-8")))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
+    parser.add_argument("--only", action="append", choices=PARTS, help="this part; may be repeated")
+    parser.add_argument(
+        "--seeds",
+        type=whole_from(1, 10_000),
+        default=50,
+        metavar="N",
+        help="drives of the recording for each σ",
+    )
+    parser.add_argument("--first-seed", type=SEED, default=1, help="the first of their seeds")
+    parser.add_argument(
+        "--drive-seeds",
+        type=SEED,
+        nargs="+",
+        default=list(DRIVE_SEEDS),
+        metavar="SEED",
+        help="simulated drives",
+    )
+    parser.add_argument(
+        "--duration-s",
+        type=number_from(1.0, 86_400.0, "s"),
+        help="of the simulated drives; 1800 where not given",
+    )
+    parser.add_argument(
+        "--nagoya", type=Path, default=NAGOYA, metavar="FILE", help="the recording's manifest"
+    )
+    parser.add_argument(
+        "--lab", type=Path, default=Path("out/lab/lab.json"), metavar="FILE", help="the lab's result"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/evidence"), metavar="DIR", help="where figures go"
+    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there, docs/evidence.md")
+    parser.add_argument("--page-only", action="store_true", help="drive nothing: the page of what is there")
+    parser.add_argument("--no-lidar", action="store_true", help="faults without a LiDAR, in minutes")
+    parser.add_argument("--keep", action="store_true", help="run only what has no figures yet")
+    parser.add_argument("--processes", type=PROCESSES, default=2, help="drives at a time")
+    parser.add_argument("--quiet", action="store_true", help="no line for each drive")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,126 @@
+"""Evidence from the Nagoya recording: the same fixes, and for each seed another map, other sensors, another start."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from camber.formats.drive.truth_csv import WRONG_M
+from camber.replay.command import facts_of
+from camber.replay.drive_inputs import prepare_drive
+from camber.replay.one_process import drive_through
+from camber.replay.run_folder import RunFacts
+from camber.schemas.drive import load_manifest
+from camber.validation.evaluation import Evaluation, evaluate
+from camber.validation.truth import truth_of
+
+CONTROLS = ("ratio_test_only", "height_only", "always_unknown")
+
+
+@dataclass(frozen=True, slots=True)
+class Required:
+    """What a judge must keep to with the map's σ at a value: wrong epochs confirmed over 50 seeds, right ones."""
+
+    map_sigma_m: float
+    wrong_confirmed: int
+    right_confirmed: float
+
+
+REQUIRED = (Required(0.05, 1, 0.985), Required(0.10, 10, 0.95))
+
+
+def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> dict[str, Any]:
+    """One drive through one process; the figures, and each wrong epoch that was confirmed."""
+    overrides = [f"surrogates.seed={seed}", f"surrogates.map_sigma_m={map_sigma_m}"]
+    drive = load_manifest(manifest, overrides)
+    inputs = prepare_drive(drive, folder / "work")
+    driven = drive_through(inputs, folder)
+    assert inputs.truth is not None  # the manifest has one
+    evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(inputs.truth))
+    summary = evaluation.summary
+    return {
+        "seed": seed,
+        "map_sigma_m": map_sigma_m,
+        "surrogates": summary["surrogates"],
+        "epochs": summary["epochs"],
+        "fixed": summary["tentative"]["fixed"],
+        "wrong": summary["tentative"]["wrong"],
+        "judges": {"camber": _figures(summary)}
+        | {name: _figures(summary["controls"][name]) for name in CONTROLS},
+        "held_back": held_back(evaluation),
+        "wrong_confirmed": wrong_confirmed(evaluation, inputs.tick_times_ns[0]),
+        "availability": summary["position"]["availability"],
+    }
+
+
+def _figures(table: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "confirmed": table["confirmed"]["count"],
+        "confirmed_wrong": table["confirmed"]["wrong"],
+        "right": table["right"]["count"],
+        "right_kept": table["right"]["kept"],
+        "right_erroneous": table["right"]["erroneous"],
+        "episodes": table["episodes"]["n"],
+        "missed": table["episodes"]["missed"],
+        "cautious": table["episodes"]["cautious"]["n"],
+        "cautious_missed": table["episodes"]["cautious"]["missed"],
+    }
+
+
+def held_back(evaluation: Evaluation) -> dict[str, int]:
+    """Right fixes that were not confirmed, by what was said of them."""
+    right = evaluation.fix_rows[evaluation.fixes.right]
+    said: Counter[str] = Counter()
+    for row in (evaluation.rows[i] for i in right.tolist()):
+        if not row.confirmed:
+            reason = "no verdict" if row.verdict is None else row.verdict.reason
+            said[f"{row.word}: {reason}"] += 1
+    return dict(said.most_common())
+
+
+def wrong_confirmed(evaluation: Evaluation, start_ns: int) -> list[dict[str, Any]]:
+    """Each wrong position that was confirmed: its error, and what the judge measured."""
+    found = []
+    for i in np.flatnonzero(evaluation.confirmed_error_m > WRONG_M).tolist():
+        verdict = evaluation.rows[i].verdict
+        assert verdict is not None
+        found.append(
+            {
+                "at_s": round((evaluation.rows[i].time_ns - start_ns) / 1e9, 3),
+                "error_m": round(float(evaluation.confirmed_error_m[i]), 3),
+                "fix_error_enu_m": evaluation.tentative_error_enu_m[i].round(3).tolist(),
+                "word": verdict.verdict,
+                "evidence": list(verdict.evidence),
+                "height_difference_m": verdict.height_difference_m,
+                "tolerance_m": verdict.tolerance_m,
+                "position_difference_m": verdict.position_difference_m,
+                "joint_distance2": verdict.joint_distance2,
+                "joint_limit": verdict.joint_limit,
+                "correction_m": verdict.correction_m,
+                "trials": verdict.trials,
+            }
+        )
+    return found
+
+
+def total(results: Sequence[dict[str, Any]], judge: str) -> dict[str, Any]:
+    """The figures of one judge over all seeds; the episodes are the recording's, the same for every seed."""
+    figures = [result["judges"][judge] for result in results]
+    right = sum(item["right"] for item in figures)
+    kept = sum(item["right"] * (item["right_kept"] or 0.0) for item in figures)
+    return {
+        "wrong": sum(result["wrong"] for result in results),
+        "confirmed_wrong": sum(item["confirmed_wrong"] or 0 for item in figures),
+        "right": right,
+        "right_kept": kept / right if right else None,
+        "right_erroneous": sum(item["right_erroneous"] for item in figures),
+        "episodes": max(item["episodes"] for item in figures),
+        "missed": sum(item["missed"] for item in figures),
+        "cautious": max(item["cautious"] for item in figures),
+        "seeds_with_a_miss": sum(item["missed"] > 0 for item in figures),
+    }

@@ -1,0 +1,375 @@
+"""`docs/evidence.md` from the results that are there: what was not run says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from camber.validation.block_bootstrap import share_interval, share_of
+from camber.validation.evidence.faults import AFTER_S
+from camber.validation.evidence.nagoya import CONTROLS, REQUIRED, Required, total
+from camber.validation.evidence.simulated_drives import (
+    BLOCK_S,
+    LIMITS_M,
+    MODES,
+    MORE_CONFIRMED,
+    REQUIRED_BELOW,
+    WITHOUT,
+    R,
+    stacked,
+)
+
+Results = Sequence[dict[str, Any]]
+NOT_RUN = "Not run."
+
+_JUDGES = {
+    "camber": "Camber",
+    "ratio_test_only": "ratio test only",
+    "height_only": "height only, fixed tolerance",
+    "always_unknown": "always *unknown*",
+}
+_HEAD = """\
+# Evidence
+
+Made by `make evidence`; every table names its command, its seeds and its n. What is missing was not run. Definitions
+are those of `camber replay`'s summary: *wrong* is more than 0.5 m off in 3D, *right* is within 0.2 m. Zero events in n
+trials bound a rate by 3/n (95 %), no better, and epochs of one episode are one trial.
+"""
+
+
+def page(nagoya: Results, drives: Results, faults: Results, lab: str | None, notes: Sequence[str]) -> str:
+    """The whole page; `lab` is the part that the lab makes itself, `notes` are lines on what was left out and why."""
+    parts = [_HEAD]
+    parts += [f"{note}\n" for note in notes]
+    parts += ["## A recorded drive\n", nagoya_part(nagoya)]
+    parts += ["## Simulated drives\n", drives_part(drives)]
+    parts += ["## Faults\n", faults_part(faults)]
+    parts += [lab or f"## The lab\n\n{NOT_RUN}"]
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """A share for people; *none* where there was nothing to count. 99.996 % is not 100 %."""
+    if share is None:
+        return "none"
+    if share < 1.0:
+        share = min(share, 1.0 - 0.01 * 10.0**-digits)
+    return f"{100.0 * share:.{digits}f} %"
+
+
+# -- Nagoya -----------------------------------------------------------------------------------------------------------
+
+
+def nagoya_part(results: Results) -> str:
+    """The recording: a table for each σ of the map, and each wrong epoch that was confirmed."""
+    if not results:
+        return NOT_RUN
+    text = [
+        "Nagoya, 11 July 2023, 20.5 min at 5 Hz: a receiver's own fixes and a reference of 2 cm. The recording has no "
+        "map and no vehicle sensors: they are made from the reference, for each seed anew, and so is nothing of the "
+        "satellites. The episodes of wrong fixes are therefore the same for all seeds, and n is theirs.\n"
+    ]
+    for required in REQUIRED:
+        chosen = [r for r in results if r["map_sigma_m"] == required.map_sigma_m]
+        text.append(
+            _nagoya_table(chosen, required) if chosen else f"σ {required.map_sigma_m:.2f} m: not run.\n"
+        )
+    return "\n".join(text)
+
+
+def _nagoya_table(results: Results, required: Required) -> str:
+    seeds = sorted(r["seed"] for r in results)
+    rows = []
+    for judge in ("camber", *CONTROLS):
+        t = total(results, judge)
+        bound = percent(3.0 / t["episodes"], 0) if t["episodes"] and not t["missed"] else "—"
+        rows.append(
+            (
+                _JUDGES[judge],
+                f"{t['confirmed_wrong']} of {t['wrong']}",
+                percent(t["right_kept"]),
+                t["right_erroneous"],
+                f"{t['missed']} of {t['episodes']} × {len(results)}",
+                bound,
+            )
+        )
+    ours = total(results, "camber")
+    met = ours["confirmed_wrong"] <= required.wrong_confirmed and (
+        (ours["right_kept"] or 0.0) >= required.right_confirmed
+    )
+    share = len(results) / 50.0
+    lines = [
+        f"### σ of the map {required.map_sigma_m:.2f} m\n",
+        f"`camber evidence --only nagoya`, seeds {seeds[0]} to {seeds[-1]} ({len(seeds)} drives). "
+        f"Asked for over 50 seeds: at most {required.wrong_confirmed} wrong epochs confirmed, at least "
+        f"{percent(required.right_confirmed, 1)} of the right ones: "
+        + ("**met**." if met and share >= 1.0 else "met so far, with fewer seeds." if met else "**not met**.")
+        + "\n",
+        table(
+            (
+                "judge",
+                "wrong epochs confirmed",
+                "right confirmed",
+                "right called erroneous",
+                "episodes missed",
+                "3/n",
+            ),
+            rows,
+        ),
+    ]
+    return "\n".join([*lines, _held_back(results), _wrong_confirmed(results)])
+
+
+def _held_back(results: Results) -> str:
+    said: dict[str, int] = {}
+    for result in results:
+        for reason, count in result["held_back"].items():
+            said[reason] = said.get(reason, 0) + count
+    ranked = sorted(said.items(), key=lambda item: -item[1])
+    listed = ", ".join(f"{reason} {count}" for reason, count in ranked) or "none"
+    return f"Right epochs that were not confirmed: {listed}.\n"
+
+
+def _wrong_confirmed(results: Results) -> str:
+    rows = [
+        (
+            r["seed"],
+            f"{w['at_s']:.1f}",
+            ", ".join(f"{e:+.2f}" for e in w["fix_error_enu_m"]),
+            _metres(w["height_difference_m"]),
+            ", ".join(f"{d:+.2f}" for d in w["position_difference_m"] or ()) or "—",
+            "—" if w["joint_distance2"] is None else f"{w['joint_distance2']:.1f}",
+            f"{w['correction_m']:+.3f}",
+            w["word"] + (f" ({', '.join(w['evidence'])})" if w["evidence"] else ""),
+        )
+        for r in results
+        for w in r["wrong_confirmed"]
+    ]
+    if not rows:
+        return "No wrong epoch was confirmed.\n"
+    head = (
+        "seed",
+        "s",
+        "error E, N, U [m]",
+        "height difference [m]",
+        "from the pose E, N [m]",
+        "d²",
+        "h_e [m]",
+        "word",
+    )
+    return "Wrong epochs that were confirmed:\n\n" + table(head, rows)
+
+
+def _metres(value: float | None) -> str:
+    return "—" if value is None else f"{value:+.2f}"
+
+
+# -- simulated drives -------------------------------------------------------------------------------------------------
+
+
+def drives_part(results: Results) -> str:
+    """R's table beside ours, then coverage by mode."""
+    if not results:
+        return NOT_RUN
+    text = []
+    without = [r for r in results if r.get("re_estimation") == WITHOUT]
+    usual = [r for r in results if r not in without]
+    for scenario in dict.fromkeys(_name(r) for r in usual):
+        chosen = [r for r in usual if _name(r) == scenario]
+        text += [
+            f"### {scenario}\n",
+            _drives_heading(chosen),
+            _errors(chosen),
+            _coverage(chosen),
+            _levels(chosen),
+        ]
+    return "\n".join([*text, "### Re-estimation\n", _re_estimation(usual, without)])
+
+
+def _re_estimation(usual: Results, without: Results) -> str:
+    """The same drives with and without: right fixes that are confirmed, and wrong ones."""
+    rows = []
+    for one in without:
+        same = [r for r in usual if (_name(r), r["seed"]) == (_name(one), one["seed"])]
+        for other in same:
+            right, before = (r["confirmed"] - (r["confirmed_wrong"] or 0) for r in (other, one))
+            wrong, wrong_before = other["confirmed_wrong"] or 0, one["confirmed_wrong"] or 0
+            met = right >= MORE_CONFIRMED * before > 0 and wrong <= wrong_before
+            more = percent(right / before - 1.0, 1) if before else "none"
+            rows.append(
+                (
+                    _name(one),
+                    one["seed"],
+                    before,
+                    right,
+                    more,
+                    wrong_before,
+                    wrong,
+                    "yes" if met else "**no**",
+                )
+            )
+    if not rows:
+        return NOT_RUN
+    head = ("drive", "seed", "confirmed without it", "with it", "more", "wrong without it", "with it", "met")
+    asked = f"{percent(MORE_CONFIRMED - 1.0, 0)} more confirmed within 0.5 m, and no more wrong ones"
+    return f"Asked for: {asked}.\n\n" + table(head, rows)
+
+
+def _name(result: dict[str, Any]) -> str:
+    more = " ".join(result["overrides"])
+    return f"{result['scenario']}, {more}" if more else str(result["scenario"])
+
+
+def _drives_heading(results: Results) -> str:
+    seeds = ", ".join(str(r["seed"]) for r in results)
+    kept = [r["right_kept"] for r in results if r["right_kept"] is not None]
+    return (
+        f"`camber evidence --only drives`: `camber simulate {results[0]['scenario']}` with seeds {seeds}, "
+        f"{sum(r['duration_s'] for r in results) / 60:.0f} min, positions of the {results[0]['positions']}. "
+        f"Fixes {sum(r['fixed'] for r in results)}, wrong {sum(r['wrong'] for r in results)}, "
+        f"wrong confirmed {sum(r['confirmed_wrong'] or 0 for r in results)}, right confirmed "
+        f"{percent(sum(kept) / len(kept)) if kept else 'none'}; usable at the alert limit in "
+        f"{percent(sum(r['usable'] * r['epochs'] for r in results) / sum(r['epochs'] for r in results))} of the "
+        "epochs. A simulation is no evidence of performance on a road.\n"
+    )
+
+
+def _levels(results: Results) -> str:
+    """By mode: how often the error was beyond the protection level, and how much wider the level is than the error."""
+    rows: list[tuple[object, ...]] = []
+    for mode in MODES:
+        there = [r["levels"][mode] for r in results if mode in r["levels"]]
+        for name, text in (("hpl", "horizontal"), ("vpl", "vertical")):
+            levels = [item[name] for item in there if item[name]["epochs"]]
+            if not levels:
+                continue
+            beyond = sum(item["misleading"] + item["unavailable_misleading"] for item in levels)
+            ratios = [item["ratio"] for item in levels if item["ratio"] is not None]
+            rows.append(
+                (
+                    f"{mode}, {text}",
+                    sum(item["epochs"] for item in levels),
+                    beyond,
+                    sum(item["hazardous"] for item in levels),
+                    f"{max(item['median_level_m'] for item in levels):.2f} m",
+                    f"{max(ratios):.1f}" if ratios else "none",
+                )
+            )
+    if not rows:
+        return "No protection levels were given.\n"
+    head = (
+        "level",
+        "epochs",
+        "error beyond it",
+        "and beyond the alert limit",
+        "median",
+        "by the median error",
+    )
+    return "Protection levels at the integrity risk; medians are the largest of any drive.\n\n" + table(
+        head, rows
+    )
+
+
+def _errors(results: Results) -> str:
+    blocks = stacked(results, None)
+    epochs, known = blocks[:, 0], blocks[:, 1]
+    rows = [("availability", percent(R.availability, 0), "100 %", percent(share_of(known, epochs)), "")]
+    for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, R.below, REQUIRED_BELOW, strict=True)):
+        below = blocks[:, 2 + k]
+        rows.append(
+            (
+                f"error < {limit_m:.1f} m",
+                percent(theirs, 1),
+                percent(asked, 1),
+                percent(share_of(below, known)),
+                _interval(share_interval(below, known, seed=0)),
+            )
+        )
+    return table(("", "R (Nagoya 2014)", "asked for", "Camber", "95 %, blocks redrawn"), rows)
+
+
+def _coverage(results: Results) -> str:
+    theirs = dict(R.inside_99)
+    rows = []
+    for mode in (*MODES, "all"):
+        blocks = (
+            np.sum([stacked(results, m) for m in MODES], axis=0) if mode == "all" else stacked(results, mode)
+        )
+        n, inside_99, inside_999 = blocks.T
+        if not n.sum():
+            rows.append((mode, 0, "—", "none", "", "none", ""))
+            continue
+        rows.append(
+            (
+                mode,
+                int(n.sum()),
+                percent(theirs[mode], 1) if mode in theirs else "—",
+                percent(share_of(inside_99, n)),
+                _interval(share_interval(inside_99, n, seed=0)),
+                percent(share_of(inside_999, n)),
+                _interval(share_interval(inside_999, n, seed=0)),
+            )
+        )
+    head = ("truth inside", "epochs", "R, 99 %", "99 % ellipse", "95 %", "99.9 % ellipse", "95 %")
+    return f"Intervals are of a bootstrap over blocks of {BLOCK_S:g} s.\n\n" + table(head, rows)
+
+
+def _interval(interval: tuple[float, float] | None) -> str:
+    return "—" if interval is None else f"{percent(interval[0])} – {percent(interval[1])}"
+
+
+# -- faults -----------------------------------------------------------------------------------------------------------
+
+
+def faults_part(results: Results) -> str:
+    """A row for each fault: named by what and when, what was confirmed, what learning made of it."""
+    if not results:
+        return NOT_RUN
+    return "\n".join(_faults_table(result) for result in results)
+
+
+def _faults_table(result: dict[str, Any]) -> str:
+    rows = [
+        (
+            f"{f['kind']} {f['begin_s']:.0f}–{f['end_s']:.0f} s",
+            "**not named**" if f["named_by"] is None else f"{f['named_by']} after {f['named_after_s']:.1f} s",
+            f"{f['wrong']} of {f['fixed']}",
+            f["wrong_confirmed"],
+            f["wrong_confirmed_after"],
+            " → ".join(_metres3(f[key]) for key in _CORRECTIONS),
+        )
+        for f in result["faults"]
+    ]
+    head = (
+        "fault",
+        f"named, up to {AFTER_S:g} s after it",
+        "wrong of fixes",
+        "confirmed",
+        "and after",
+        "h_e [m]",
+    )
+    sweeps = f"{result['sweeps']} sweeps" if result["sweeps"] else "without LiDAR"
+    judged = (
+        f"Wrong fixes {result['wrong']}, confirmed {result['confirmed_wrong']}; "
+        f"right fixes confirmed {percent(result['right_kept'])}."
+    )
+    return (
+        f"`camber evidence --only faults`: `camber simulate {_name(result)}`, seed {result['seed']}, {sweeps}, "
+        f"positions of the {result['positions']}. {judged} h_e before, at the end, before the next fault.\n\n"
+        + table(head, rows)
+    )
+
+
+_CORRECTIONS = ("correction_before_m", "correction_at_end_m", "correction_after_m")
+
+
+def _metres3(value: float | None) -> str:
+    return "—" if value is None else f"{value:+.3f}"

@@ -1,0 +1,1 @@
+"""`camber lab`: Monte Carlo simulation of wrong fixes, faults and right fixes."""

@@ -1,0 +1,77 @@
+"""`camber lab`: the judge against millions of simulated wrong fixes, faults and right fixes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from camber.formats.errors import FormatError
+from camber.tools.options.error_report import in_words
+from camber.tools.options.number_options import PROCESSES, SEED, whole_from
+from camber.validation.lab.charts import charts
+from camber.validation.lab.page import page
+from camber.validation.lab.run import Size, run
+
+_PROG = "camber lab"
+TRIALS, QUICK_TRIALS = 1_000_000, 4_000
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run it; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(argv)
+
+    def work() -> int:
+        if options.page is None:
+            _write(options)
+        else:
+            print(_page_of(options.page), end="")
+        return 0
+
+    return in_words(_PROG, options.out, work)
+
+
+def _page_of(path: Path) -> str:
+    try:
+        return page(json.loads(path.read_text("utf-8")))
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise FormatError(str(path), "figures", "the lab.json of a run", found=repr(error)) from error
+
+
+def _write(options: argparse.Namespace) -> None:
+    trials = QUICK_TRIALS if options.quick else options.trials
+    options.out.mkdir(parents=True, exist_ok=True)
+    print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)
+    figures = run(Size(trials, options.seed), options.processes, lambda text: print(text, file=sys.stderr))
+    (options.out / "lab.json").write_text(json.dumps(figures, indent=1), "utf-8")
+    text = page(figures)
+    (options.out / "lab.md").write_text(text, "utf-8")
+    for name, svg in charts(figures).items():
+        (options.out / name).write_text(svg, "utf-8")
+    print(text, end="")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__.split(":", 1)[1].strip())
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/lab"), help="folder of lab.json, lab.md and the charts"
+    )
+    parser.add_argument(
+        "--trials",
+        type=whole_from(1, 10**9),
+        default=TRIALS,
+        help=f"episodes of each kind in each headline scene ({TRIALS:,})",
+    )
+    parser.add_argument("--seed", type=SEED, default=1, help="of every draw (1)")
+    parser.add_argument("--processes", type=PROCESSES, default=2, help="the figures do not depend on it (2)")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_TRIALS:,} episodes: seconds, no proof")
+    parser.add_argument(
+        "--page", type=Path, metavar="LAB_JSON", help="print the page's section of a run and end"
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,129 @@
+"""Episodes of fixes and everything they are compared with, epoch by epoch: true errors and differences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camber.compiled.decorator import compiled
+from camber.simulator.satellites.wrong_fix_shapes import FixShapes
+from camber.validation.lab.error_model import ASSUMED, Assumptions, Scene
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faults:
+    """Added to episodes (n, …), unknown to all: to the pose east and north, the road's height, the antenna's, and to
+    the fix itself (a base station that is wrong); claims stay as they are."""
+
+    pose_m: Floats
+    road_m: Floats
+    antenna_m: Floats
+    fix_m: Floats
+
+    @classmethod
+    def none(cls, n: int) -> Faults:
+        """No fault at all."""
+        return cls(np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros((n, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episodes:
+    """n episodes one after the other in m rows. `first` (n,) the row of each, `length` (n,), `episode` (m,).
+
+    `difference_m` (m, 3): fix less pose, and fix less road and antenna at the fix's place. `error_m` (m, 3): of the
+    fix. `pose_error_m` (m, 2). `slope` (n, 2).
+    """
+
+    first: Integers
+    length: Integers
+    episode: Integers
+    difference_m: Floats
+    error_m: Floats
+    pose_error_m: Floats
+    slope: Floats
+
+
+def episodes(
+    shapes: FixShapes,
+    scene: Scene,
+    rng: np.random.Generator,
+    faults: Faults | None = None,
+    length: Integers | None = None,
+    assumed: Assumptions = ASSUMED,
+) -> Episodes:
+    """One of each shape. Durations are log-uniform unless lengths (n,) in epochs are given."""
+    n = len(shapes.sky)
+    faults = faults or Faults.none(n)
+    if length is None:
+        seconds = np.exp(rng.uniform(np.log(assumed.shortest_s), np.log(assumed.longest_s), n))
+        length = np.maximum(np.round(seconds * assumed.epochs_per_s), 1).astype(np.int64)
+    first = np.concatenate(([0], np.cumsum(length)[:-1]))
+    rows = int(length.sum())
+    speed = np.where(rng.random(n) < assumed.standing, 0.0, rng.uniform(2.0, 15.0, n))
+    time_s = rng.uniform(*assumed.reflection_time_s, n)
+    slope: Floats = assumed.slope_sigma * rng.normal(size=(n, 2))
+    constant = np.sqrt(assumed.constant_variance_m2) * rng.normal(size=(n, 3)) + faults.fix_m
+    spread = np.asarray(np.linalg.cholesky(shapes.reflected_m2 + 1e-12 * np.eye(3)), np.float64)
+    difference, error, pose = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 2))
+    _run(
+        first, length, shapes.shift_m, shapes.rate_m_s, constant, spread, time_s, speed, slope,
+        faults.pose_m, faults.road_m + faults.antenna_m,
+        scene.pose_sigma_m, scene.map_sigma_m, assumed.antenna_sigma_m,
+        assumed.pose_time_s, assumed.map_length_m, assumed.antenna_time_s, 1.0 / assumed.epochs_per_s, rng,
+        difference, error, pose,
+    )  # fmt: skip
+    return Episodes(first, length, np.repeat(np.arange(n), length), difference, error, pose, slope)
+
+
+@compiled
+def _run(
+    first: Integers, length: Integers, shift: Floats, rate: Floats, constant: Floats, spread: Floats,
+    time_s: Floats, speed: Floats, slope: Floats, pose_fault: Floats, height_fault: Floats,
+    pose_sigma: float, map_sigma: float, antenna_sigma: float,
+    pose_time_s: float, map_length_m: float, antenna_time_s: float, step_s: float, rng: np.random.Generator,
+    difference: Floats, error: Floats, pose_error: Floats,
+) -> None:  # fmt: skip
+    memory_pose, memory_antenna = np.exp(-step_s / pose_time_s), np.exp(-step_s / antenna_time_s)
+    gain_pose, gain_antenna = np.sqrt(1.0 - memory_pose**2), np.sqrt(1.0 - memory_antenna**2)
+    half = antenna_sigma * np.sqrt(0.5)
+    white, pose = np.zeros(3), np.zeros(2)
+    for k in range(first.size):
+        memory_fix, memory_map = np.exp(-step_s / time_s[k]), np.exp(-step_s * speed[k] / map_length_m)
+        gain_fix, gain_map = np.sqrt(1.0 - memory_fix**2), np.sqrt(1.0 - memory_map**2)
+        for a in range(3):
+            white[a] = rng.standard_normal()
+        for a in range(2):
+            pose[a] = rng.standard_normal()
+        road, antenna, fixed = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
+        for at in range(length[k]):
+            if at > 0:
+                for a in range(3):
+                    white[a] = memory_fix * white[a] + gain_fix * rng.standard_normal()
+                for a in range(2):
+                    pose[a] = memory_pose * pose[a] + gain_pose * rng.standard_normal()
+                if speed[k] > 0.0:
+                    road = memory_map * road + gain_map * rng.standard_normal()
+                antenna = memory_antenna * antenna + gain_antenna * rng.standard_normal()
+            row = first[k] + at
+            for a in range(3):
+                moved = shift[k, a] + rate[k, a] * at * step_s + constant[k, a]
+                for b in range(a + 1):
+                    moved += spread[k, a, b] * white[b]
+                error[row, a] = moved
+            for a in range(2):
+                pose_error[row, a] = pose_sigma * pose[a] + pose_fault[k, a]
+                difference[row, a] = error[row, a] - pose_error[row, a]
+            # The road below the fix's place is higher by slope · error than below the vehicle, and the map knows that.
+            difference[row, 2] = (
+                error[row, 2]
+                - slope[k, 0] * error[row, 0]
+                - slope[k, 1] * error[row, 1]
+                - map_sigma * road
+                - half * (antenna + fixed)
+                - height_fault[k]
+            )

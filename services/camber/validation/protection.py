@@ -1,0 +1,230 @@
+"""Does the position hold what it promises? Availability, errors, error ellipses, protection levels.
+
+Source: R. Kikuchi, reliability index (ellipse, HPL, Stanford chart).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from camber.formats.drive.recording import Recorded
+from camber.schemas.base import Float64, Int64
+from camber.schemas.integrity import Position
+from camber.validation.figures import Flags
+from camber.validation.truth import Truth
+
+# The published ellipse holds 99.9 %; C = −2 ln(1 − P) scales its axes' squares to 99 % (exactly 2/3).
+_SQUARE_AT_99 = math.log(0.01) / math.log(0.001)
+_SMALLEST_AXIS_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Positions:
+    """The last position published of each epoch, in the order of time: arrays (n,); NaN where it said
+    nothing.
+
+    `error_enu_m` (n, 3) is NaN too where the truth is not known.
+    """
+
+    time_ns: Int64
+    source: npt.NDArray[np.str_]
+    latitude_rad: Float64
+    longitude_rad: Float64
+    height_m: Float64
+    semi_major_999_m: Float64
+    semi_minor_999_m: Float64
+    orientation_rad: Float64
+    hpl_m: Float64
+    vpl_m: Float64
+    alert_limit_m: Float64
+    error_enu_m: Float64
+    vertical_alert_limit_m: Float64 | None = None
+    semi_major_99_m: Float64 | None = None
+    semi_minor_99_m: Float64 | None = None
+
+    @property
+    def horizontal_error_m(self) -> Float64:
+        """(n,)"""
+        return np.hypot(self.error_enu_m[:, 0], self.error_enu_m[:, 1])
+
+    def square_in_ellipse(self) -> Float64:
+        """(n,) squared distance of the truth in units of the 99.9 % ellipse: inside it up to 1."""
+        return self._square_in(self.semi_major_999_m, self.semi_minor_999_m)
+
+    def square_in_ellipse_99(self) -> Float64:
+        """(n,) the same of the 99 % ellipse: the published one, else the other made smaller."""
+        smaller = self.square_in_ellipse() / _SQUARE_AT_99
+        if self.semi_major_99_m is None or self.semi_minor_99_m is None:
+            return smaller
+        published = self._square_in(self.semi_major_99_m, self.semi_minor_99_m)
+        return np.where(np.isnan(self.semi_major_99_m), smaller, published)
+
+    def _square_in(self, major_m: Float64, minor_m: Float64) -> Float64:
+        c, s = np.cos(self.orientation_rad), np.sin(self.orientation_rad)
+        east, north = self.error_enu_m[:, 0], self.error_enu_m[:, 1]
+        along = (c * east + s * north) / np.maximum(major_m, _SMALLEST_AXIS_M)
+        across = (c * north - s * east) / np.maximum(minor_m, _SMALLEST_AXIS_M)
+        return along**2 + across**2
+
+
+def positions_by_epoch(
+    recorded: Sequence[Recorded[Position]],
+    truth: Truth | None,
+    offset_enu_m: tuple[float, float, float],
+    alert_limit_m: float | None,
+) -> Positions:
+    """Columns of the positions that count; `alert_limit_m` None takes each position's own."""
+    last = {item.message.time_ns: item.message for item in recorded}
+    messages = [last[time_ns] for time_ns in sorted(last)]
+
+    def column(name: str) -> Float64:
+        values = (getattr(message, name) for message in messages)
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+    time_ns = np.array([message.time_ns for message in messages], dtype=np.int64)
+    latitude, longitude, height = column("latitude_rad"), column("longitude_rad"), column("height_m")
+    error_m = np.full((len(messages), 3), np.nan)
+    if truth is not None:
+        error_m = truth.error_enu_m(time_ns, latitude, longitude, height, offset_enu_m)
+    limit = column("alert_limit_m") if alert_limit_m is None else np.full(len(messages), alert_limit_m)
+    return Positions(
+        time_ns=time_ns,
+        source=np.array([message.source for message in messages], dtype=np.str_),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height,
+        semi_major_999_m=column("semi_major_999_m"),
+        semi_minor_999_m=column("semi_minor_999_m"),
+        orientation_rad=column("orientation_rad"),
+        hpl_m=column("horizontal_protection_level_m"),
+        vpl_m=column("vertical_protection_level_m"),
+        alert_limit_m=limit,
+        error_enu_m=error_m,
+        vertical_alert_limit_m=column("vertical_alert_limit_m"),
+        semi_major_99_m=column("semi_major_99_m"),
+        semi_minor_99_m=column("semi_minor_99_m"),
+    )
+
+
+def percentiles(values: Float64, names: dict[str, float]) -> dict[str, float | None]:
+    """Values that occurred, such that at least this share of the finite ones is no larger; None where none
+    is."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return dict.fromkeys(names)
+    return {name: float(np.quantile(finite, q, method="inverted_cdf")) for name, q in names.items()}
+
+
+def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
+    """Share of the epochs whose 99.9 % horizontal radius is below the alert limit; None without epochs."""
+    if not len(epoch_time_ns):
+        return None
+    if not len(positions.time_ns):
+        return 0.0
+    row, found = last_of_epochs(positions.time_ns, epoch_time_ns)
+    small = positions.semi_major_999_m < positions.alert_limit_m
+    return float((small[row] & found).mean())
+
+
+def last_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
+    """The last row within half a step of each epoch (n,), and whether there is one. Both are in the order of time.
+
+    Sensors and receivers sample by clocks of their own, so an epoch's position is dated a little beside it; and what
+    was said of it before its fix came is no longer what holds.
+    """
+    if not len(time_ns) or not len(epoch_ns):
+        return np.zeros(len(epoch_ns), np.int64), np.zeros(len(epoch_ns), bool)
+    half_step_ns = int(np.median(np.diff(epoch_ns))) // 2 if len(epoch_ns) > 1 else 0
+    row = (np.searchsorted(time_ns, epoch_ns + half_step_ns, side="right") - 1).clip(0)
+    return row, np.abs(time_ns[row] - epoch_ns) <= half_step_ns
+
+
+def coverage(positions: Positions) -> dict[str, Any]:
+    """By source: how many epochs have ellipse and truth, and the share with the truth inside 99 % and 99.9
+    %."""
+    square, square_99 = positions.square_in_ellipse(), positions.square_in_ellipse_99()
+    known = np.isfinite(square)
+    sources = [*sorted(set(positions.source[known].tolist())), "all"]
+    result: dict[str, Any] = {}
+    for source in sources:
+        rows = known & ((positions.source == source) | (source == "all"))
+        chosen = square[rows]
+        share = len(chosen) > 0
+        result[source] = {
+            "epochs": len(chosen),
+            "inside_99": float((square_99[rows] <= 1.0).mean()) if share else None,
+            "inside_999": float((chosen <= 1.0).mean()) if share else None,
+        }
+    return result
+
+
+def stanford(positions: Positions) -> dict[str, dict[str, int]]:
+    """Counts of the regions of the Stanford chart, for the 99.9 % radius, HPL and VPL.
+
+    With level L, error e, alert limit A: nominal e ≤ L < A; misleading L < e, L < A; hazardous of those: e >
+    A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is held against the vertical alert
+    limit, where there is one.
+    """
+    return _charts(positions, np.ones(len(positions.time_ns), bool))
+
+
+def levels_by_source(positions: Positions) -> dict[str, Any]:
+    """By source, and of all: the Stanford charts of HPL and VPL, and how tight the levels are.
+
+    `ratio` is the median level by the median error; None where there is no level or no truth.
+    """
+    sources = sorted(set(positions.source.tolist()) - {"none"})
+    result: dict[str, Any] = {}
+    for source in [*sources, "all"]:
+        rows = (positions.source == source) if source != "all" else np.ones(len(positions.source), bool)
+        charts = _charts(positions, rows)
+        result[source] = {
+            "hpl": charts["hpl"] | _tightness(positions.hpl_m[rows], positions.horizontal_error_m[rows]),
+            "vpl": charts["vpl"] | _tightness(positions.vpl_m[rows], np.abs(positions.error_enu_m[rows, 2])),
+        }
+    return result
+
+
+def _tightness(level_m: Float64, error_m: Float64) -> dict[str, float | None]:
+    both = np.isfinite(level_m) & np.isfinite(error_m)
+    if not both.any():
+        return {"median_level_m": None, "median_error_m": None, "ratio": None}
+    level, error = float(np.median(level_m[both])), float(np.median(error_m[both]))
+    ratio = level / error if error > 0.0 else None
+    return {"median_level_m": level, "median_error_m": error, "ratio": ratio}
+
+
+def _charts(positions: Positions, rows: Flags) -> dict[str, dict[str, int]]:
+    horizontal, vertical = positions.horizontal_error_m, np.abs(positions.error_enu_m[:, 2])
+    limit = positions.alert_limit_m
+    upwards = positions.vertical_alert_limit_m
+    upwards = limit if upwards is None else np.where(np.isnan(upwards), limit, upwards)
+    levels = {
+        "radius_999": (positions.semi_major_999_m, horizontal, limit),
+        "hpl": (positions.hpl_m, horizontal, limit),
+        "vpl": (positions.vpl_m, vertical, upwards),
+    }
+    return {name: _regions(*(column[rows] for column in columns)) for name, columns in levels.items()}
+
+
+def _regions(level_m: Float64, error_m: Float64, limit_m: Float64) -> dict[str, int]:
+    known = np.isfinite(level_m) & np.isfinite(error_m) & np.isfinite(limit_m)
+    usable, held = level_m < limit_m, error_m <= level_m
+
+    def count(flags: Flags) -> int:
+        return int((known & flags).sum())
+
+    return {
+        "epochs": int(known.sum()),
+        "nominal": count(usable & held),
+        "misleading": count(usable & ~held),
+        "hazardous": count(usable & ~held & (error_m > limit_m)),
+        "unavailable": count(~usable & held),
+        "unavailable_misleading": count(~usable & ~held),
+    }

@@ -1,0 +1,1 @@
+"""The report of one drive: one HTML page with its data inside."""

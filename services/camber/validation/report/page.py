@@ -1,0 +1,393 @@
+"""report.html: one page that says how a drive went, with everything in it and nothing fetched.
+
+Tables are made here, charts by the page's own script from the data embedded as JSON. Every text that comes
+from outside passes through `html.escape` or `embedded_json`.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from camber.formats.drive.truth_csv import WRONG_M
+from camber.schemas.base import Float64
+from camber.validation.evaluation import Evaluation
+from camber.validation.figures import EPISODE_GAP_S, RIGHT_M
+from camber.validation.judged_fixes import Judged
+from camber.validation.report.chart_data import chart_data, embedded_json, start_ns_of
+
+_NBSP = "\u00a0"
+_NONE = '<span class="absent">–</span>'
+_NOT_KNOWN = '<span class="absent">not known</span>'
+_JUDGES = {
+    "ratio_test_only": "Ratio test only",
+    "height_only": "Height only",
+    "always_unknown": "Always <i>unknown</i>",
+}
+
+
+def render(evaluation: Evaluation) -> str:
+    """The page as text."""
+    summary = evaluation.summary
+    parts = {
+        "title": f"{_text(summary['drive'])} · Camber",
+        "drive": _text(summary["drive"]),
+        "subtitle": _subtitle(summary),
+        "banners": _banners(summary),
+        "tiles": _tiles(summary),
+        "controls": _controls(summary),
+        "controls_note": _controls_note(summary),
+        "error_note": _ERROR_NOTE if summary["truth"] else _NO_TRUTH,
+        "stanford_note": _STANFORD_NOTE if summary["truth"] else _NO_TRUTH,
+        "stanford": _stanford(summary),
+        "reasons": _reasons(summary),
+        "coverage": _coverage(summary),
+        "localizer": _localizer(summary),
+        "episodes_note": _episodes_note(summary),
+        "episodes": _episodes(evaluation),
+        "definitions": _DEFINITIONS,
+        "summary_json": _text(json.dumps(summary, indent=2, ensure_ascii=False)),
+        "data": embedded_json(chart_data(evaluation)),
+    }
+    template = files("camber.validation.report").joinpath("template.html").read_text("utf-8")
+    # In one pass, so that no text from outside is taken for a place in the template.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+
+
+_NO_TRUTH = "This drive has no truth: what rests on it is not known."
+_ERROR_NOTE = (
+    "Distance in 3D from the truth at the antenna, after the constant offset of the drive. "
+    "Rings: fixes that passed the ratio test. Dots: positions that were confirmed."
+)
+_STANFORD_NOTE = (
+    "Each epoch's position: its error against the radius it claimed. Above the diagonal the claim held; "
+    "below it the position was misleading, and hazardous where the error passed the alert limit."
+)
+_DEFINITIONS = f"""<dl>
+<dt>tentative</dt><dd>a fix that passed the ratio test; nobody may trust it yet</dd>
+<dt>wrong, right</dt><dd>more than {WRONG_M} m, up to {RIGHT_M} m from the truth in 3D at the antenna, after
+the constant offset; a fix between them is neither</dd>
+<dt>episode</dt><dd>wrong fixes with no right one between them and no more than {EPISODE_GAP_S:g} s apart;
+missed when a wrong position was confirmed in it</dd>
+<dt>3/n</dt><dd>with none of n episodes missed, the rate of missed episodes is below 3/n (95 %), and no
+better</dd> <dt>ratio test only</dt><dd>every fix that passed the ratio test is confirmed</dd>
+<dt>height only</dt><dd>fix height against recorded road elevation + antenna height, one fixed tolerance: no
+rule for the start, no uncertainties, no horizontal check, no verification, no learning</dd>
+<dt>always <i>unknown</i></dt><dd>nothing is ever confirmed: safe and of no use</dd>
+<dt>available</dt><dd>the epoch's 99.9 % horizontal radius is below the alert limit</dd>
+</dl>"""
+
+
+def _subtitle(summary: dict[str, Any]) -> str:
+    parts = [f"{summary['epochs']:,} epochs"]
+    if summary["duration_s"] is not None:
+        minutes, seconds = divmod(round(summary["duration_s"]), 60)
+        parts.append(f"{minutes} min {seconds} s")
+    if summary["speed_factor"] is not None:
+        parts.append(f"run {summary['speed_factor']:.3g} times as fast as driven")
+    parts.append("with truth" if summary["truth"] else "without truth")
+    return " · ".join(parts)
+
+
+def _banners(summary: dict[str, Any]) -> str:
+    found = [("bad", "Only a part of the recording could be read", summary["damage"])]
+    found.append(("", "Surrogates: not measured, but made for this run", summary["surrogates"]))
+    found.append(("", "Notes on this run", summary["notes"]))
+    return "".join(
+        f'<div class="banner {kind}"><strong>{title}</strong><ul>'
+        + "".join(f"<li>{_text(line)}</li>" for line in lines)
+        + "</ul></div>"
+        for kind, title, lines in found
+        if lines
+    )
+
+
+def _tiles(summary: dict[str, Any]) -> str:
+    confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
+    position, error_m, latency = summary["position"], summary["position"]["error_m"], summary["latency_ms"]
+    limit_m = position["alert_limit_m"]
+    fixes = f"{_count(summary['tentative']['wrong'])} of {summary['tentative']['fixed']:,} fixes were wrong"
+    untold = confirmed["truth_unknown"]
+    fixes += f"; {untold:,} confirmed where the truth is not known" if untold else ""
+    limit = f"{limit_m:g}{_NBSP}m" if limit_m else "its alert limit"
+    tiles = [
+        _tile("Wrong positions confirmed", confirmed["wrong"], confirmed["count"] - untold, fixes),
+        _tile("Wrong episodes missed", episodes["missed"], episodes["n"], _bound(episodes)),
+        _plain_tile("Right fixes kept", _percent(right["kept"]), f"of {_count(right['count'])} right fixes"),
+        _plain_tile(
+            "Position available",
+            _percent(position["availability"]),
+            f"of epochs: 99.9 % radius below {limit}",
+        ),
+        _plain_tile(
+            "Horizontal error, 95 %",
+            _metres(error_m["p95"]),
+            f"median {_metres(error_m['p50'])}, 99.9 % {_metres(error_m['p999'])}",
+        ),
+        _plain_tile("Fix to verdict", _milliseconds(latency["p50"]), f"99 % {_milliseconds(latency['p99'])}"),
+    ]
+    return "".join(tiles)
+
+
+def _tile(name: str, bad: int | None, of: int | None, more: str) -> str:
+    """A tile that is good at zero, bad above, and neither where nothing was there to fail."""
+    if bad is None:
+        return _plain_tile(name, _NOT_KNOWN, "no truth to say so")
+    kind = "bad" if bad else "good" if of else ""
+    return _plain_tile(name, f"{bad:,} <small>of {_count(of)}</small>", more, kind)
+
+
+def _plain_tile(name: str, value: str, more: str, kind: str = "") -> str:
+    if value == _NOT_KNOWN and _NOT_KNOWN in more:
+        more = ""
+    return (
+        f'<div class="tile {kind}"><div class="name">{name}</div><div class="value">{value}</div>'
+        f'<div class="more">{more}</div></div>'
+    )
+
+
+def _bound(episodes: dict[str, Any]) -> str:
+    if episodes["n"] is None or episodes["missed"]:
+        return "" if episodes["n"] is None else "no bound: some were missed"
+    if episodes["bound"] is None:
+        return "no wrong episode: nothing is shown"
+    cautious = episodes["cautious"]
+    return (
+        f"rate below {_upper(episodes['bound'])} (3/n); counted with gaps of {cautious['gap_s']:g} s, "
+        f"n = {cautious['n']}: below {_upper(cautious['bound'])}"
+    )
+
+
+def _controls_note(summary: dict[str, Any]) -> str:
+    tolerance_m = summary["controls"]["height_only"]["tolerance_m"]
+    return f"<i>Height only</i> uses a fixed tolerance of {tolerance_m:g} m and Camber's own elevations."
+
+
+def _controls(summary: dict[str, Any]) -> str:
+    head = [
+        "Judge", "Confirmed", "wrong among them", "Right fixes kept", "right fixes called erroneous",
+        "Fixes called erroneous", "Fixes left unknown", "Episodes missed", "3/n",
+    ]  # fmt: skip
+    judges = {"Camber": summary, **{_JUDGES[name]: value for name, value in summary["controls"].items()}}
+    rows = []
+    for name, f in judges.items():
+        wrong, missed, n = f["confirmed"]["wrong"], f["episodes"]["missed"], f["episodes"]["n"]
+        bound = f["episodes"]["bound"]
+        cells = [
+            f"<td>{name}</td>",
+            f"<td>{f['confirmed']['count']:,}</td>",
+            f"<td{_flag(wrong)}>{_count(wrong)}</td>",
+            f"<td>{_percent(f['right']['kept'])}</td>",
+            f"<td>{_count(f['right']['erroneous'])}</td>",
+            f"<td>{f['erroneous']['count']:,}</td>",
+            f"<td>{f['unknown']['of_fixed']:,}</td>",
+            f"<td{_flag(missed)}>{_NOT_KNOWN if n is None else f'{missed} of {n}'}</td>",
+            f"<td>{_NONE if bound is None else _upper(bound)}</td>",
+        ]
+        rows.append(f"<tr{' class=own' if name == 'Camber' else ''}>{''.join(cells)}</tr>")
+    return _table(head, rows)
+
+
+def _reasons(summary: dict[str, Any]) -> str:
+    by_reason = summary["verdicts"]["by_reason"]
+    if not by_reason:
+        return '<p class="absent">No verdict was recorded.</p>'
+    most = by_reason[0]["count"]
+    rows = [
+        f"<tr><td>{_dot(entry['verdict'])}{_words(entry['verdict'])}</td>"
+        f'<td class="left">{_words(entry["reason"])}</td><td>{entry["count"]:,}</td>'
+        f'<td class="left"><span class="bar" style="width:{max(1, round(80 * entry["count"] / most))}px;'
+        f'background:{_colour(entry["verdict"])}"></span></td></tr>'
+        for entry in by_reason
+    ]
+    silent = summary["verdicts"]["fixes_without_verdict"]
+    if silent:
+        rows.append(
+            f'<tr><td>{_dot("no_verdict")}no verdict</td><td class="left">nothing was said</td>'
+            f"<td>{silent:,}</td><td></td></tr>"
+        )
+    return _table(["Verdict", "<Reason", "Verdicts", "<"], rows)
+
+
+def _coverage(summary: dict[str, Any]) -> str:
+    if summary["coverage"] is None:
+        return f'<p class="absent">{_NO_TRUTH}</p>'
+    rows = [
+        f"<tr><td>{_words(source)}</td><td>{c['epochs']:,}</td>"
+        f"<td{_flag(c['inside_99'] is not None and c['inside_99'] < 0.99)}>{_percent(c['inside_99'])}</td>"
+        f"<td{_flag(c['inside_999'] is not None and c['inside_999'] < 0.999)}>"
+        f"{_percent(c['inside_999'], 2)}</td></tr>"
+        for source, c in summary["coverage"].items()
+    ]
+    return _table(["Source", "Epochs", "99 % ellipse", "99.9 % ellipse"], rows)
+
+
+def _stanford(summary: dict[str, Any]) -> str:
+    if summary["stanford"] is None:
+        return ""
+    names = {
+        "radius_999": "99.9 % radius",
+        "hpl": "Horizontal protection level",
+        "vpl": "Vertical protection level",
+    }
+    columns = ("epochs", "nominal", "misleading", "hazardous", "unavailable", "unavailable_misleading")
+    rows = []
+    for key, name in names.items():
+        counts = summary["stanford"][key]
+        cells = (
+            f"<td{_flag(counts[c] and c in ('misleading', 'hazardous'))}>{counts[c]:,}</td>" for c in columns
+        )
+        rows.append(f"<tr><td>{name}</td>{''.join(cells)}</tr>")
+    head = ["Level", "Epochs", "Nominal", "Misleading", "of these hazardous", "Unavailable"]
+    return _table([*head, "Unavailable, misleading"], rows) + _levels(summary)
+
+
+def _levels(summary: dict[str, Any]) -> str:
+    """By source: the regions of HPL and VPL, and how tight they are."""
+    rows = [
+        f"<tr><td>{_words(source)}, {name.upper()}</td><td>{c['epochs']:,}</td>"
+        f"<td{_flag(c['misleading'])}>{c['misleading']:,}</td><td{_flag(c['hazardous'])}>{c['hazardous']:,}</td>"
+        f"<td>{c['unavailable']:,}</td><td>{c['median_level_m']:.2f} m</td><td>{c['median_error_m']:.2f} m</td></tr>"
+        for source, levels in summary["levels"].items()
+        for name, c in levels.items()
+        if c["epochs"]
+    ]
+    head = ["Source", "Epochs", "Misleading", "of these hazardous", "Unavailable", "Median level"]
+    return _table([*head, "Median error"], rows) if rows else ""
+
+
+def _localizer(summary: dict[str, Any]) -> str:
+    said = summary["localizer"]
+    rows = [
+        f'<tr><td class="left">{what}</td><td class="left">{_words(word)}</td><td>{count:,}</td>'
+        f"<td>{_percent(count / sum(counts.values()))}</td></tr>"
+        for what, counts in (("pose", said["modes"]), ("scan match", said["matches"]))
+        for word, count in counts.items()
+    ]
+    if not rows:
+        return '<p class="note">The localizer said nothing.</p>'
+    heights = {
+        "sensor, by matches": said["sensor_height_m"],
+        "sensor, by its own ground": said["ground_height_m"],
+        **{f"antenna, by {way}": height for way, height in said["antenna_height_m"].items()},
+    }
+    known = [f"{_words(name)} {height:.3f}{_NBSP}m" for name, height in heights.items() if height is not None]
+    told = f'<p class="note">Median height above the road: {"; ".join(known)}.</p>' if known else ""
+    return _table(["<Of what", "<Mode or status", "Count", "Share"], rows) + told
+
+
+def _episodes_note(summary: dict[str, Any]) -> str:
+    if not summary["truth"]:
+        return _NO_TRUTH
+    cautious = summary["episodes"]["cautious"]
+    if cautious is None:
+        return "No fix has a truth beside it."
+    return (
+        f"{summary['episodes']['n']} episodes with gaps of up to {EPISODE_GAP_S:g} s, "
+        f"{cautious['n']} with gaps of up to {cautious['gap_s']:g} s: the more cautious count of independent "
+        "trials. Choose one to see it."
+    )
+
+
+def _episodes(evaluation: Evaluation) -> str:
+    if not evaluation.episodes:
+        return ""
+    start_ns = start_ns_of(evaluation)
+    rows = []
+    for number, episode in enumerate(evaluation.episodes, 1):
+        at = evaluation.fix_rows[list(episode.fixes)]
+        enu_m = evaluation.tentative_error_enu_m[at]
+        begin_s, end_s = (episode.start_ns - start_ns) / 1e9, (episode.end_ns - start_ns) / 1e9
+        size = [np.linalg.norm(enu_m, axis=1), np.hypot(enu_m[:, 0], enu_m[:, 1]), np.abs(enu_m[:, 2])]
+        cells = [
+            f"<td>{number}</td>",
+            f"<td>{_clock(begin_s)}</td>",
+            f"<td>{end_s - begin_s:.1f} s</td>",
+            f"<td>{len(at)}</td>",
+            *(f"<td>{_metres(_largest(values))}</td>" for values in size),
+            f'<td class="left">{_what_happened([evaluation.rows[i] for i in at.tolist()])}</td>',
+            '<td class="left bad">missed</td>' if episode.missed else '<td class="left">caught</td>',
+        ]
+        rows.append(
+            f'<tr class="go" tabindex="0" data-start="{begin_s:.3f}" data-end="{end_s:.3f}">'
+            f"{''.join(cells)}</tr>"
+        )
+    head = ["Episode", "Start", "Length", "Fixes", "Largest 3D", "horizontal", "vertical", "<What was said"]
+    return _table([*head, "<Outcome"], rows)
+
+
+def _what_happened(rows: list[Judged]) -> str:
+    counts: dict[str, int] = {}
+    for row in rows:
+        counts[row.word] = counts.get(row.word, 0) + 1
+    return ", ".join(f"{_dot(word)}{count} {_words(word)}" for word, count in counts.items()) or "–"
+
+
+# how things are written
+
+
+def _table(head: list[str], rows: list[str]) -> str:
+    """A table; a heading that begins with < stands to the left."""
+    cells = "".join(f'<th class="left">{h[1:]}</th>' if h.startswith("<") else f"<th>{h}</th>" for h in head)
+    return f"<table><thead><tr>{cells}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _text(value: str) -> str:
+    return html.escape(value, quote=True)
+
+
+def _words(name: str) -> str:
+    return _text(name.replace("_", " "))
+
+
+def _flag(bad: object) -> str:
+    return ' class="bad"' if bad else ""
+
+
+def _count(value: int | None) -> str:
+    return _NOT_KNOWN if value is None else f"{value:,}"
+
+
+def _percent(share: float | None, decimals: int = 1) -> str:
+    """A share in per cent; only all of it is written as 100."""
+    if share is None:
+        return _NOT_KNOWN
+    step = 10.0**-decimals
+    return f"{100 * share if share == 1.0 else min(100 * share, 100 - step):.{decimals}f}{_NBSP}%"
+
+
+def _upper(bound: float) -> str:
+    """A bound in whole per cent, rounded up: it must still hold as it is written."""
+    return f"{math.ceil(100 * bound - 1e-9)}{_NBSP}%"
+
+
+def _metres(value: float | None) -> str:
+    return _NOT_KNOWN if value is None else f"{value:.2f}{_NBSP}m"
+
+
+def _milliseconds(value: float | None) -> str:
+    return _NOT_KNOWN if value is None else f"{value:.3g}{_NBSP}ms"
+
+
+def _largest(values: Float64) -> float | None:
+    return float(values.max()) if len(values) else None
+
+
+def _clock(time_s: float) -> str:
+    minutes, seconds = divmod(time_s, 60)
+    return f"{int(minutes):02d}:{seconds:04.1f}"
+
+
+def _colour(word: str) -> str:
+    names = {"confirmed_after_verification": "verified", "no_verdict": "silent"}
+    return f"var(--{names.get(word, word)})"
+
+
+def _dot(word: str) -> str:
+    return f'<span class="dot" style="background:{_colour(word)}"></span>'

@@ -1,0 +1,145 @@
+"""What the ways differed by in earlier drives: a tyre that was changed in the garage is noticed, damage is named."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from camber.antenna_height.change_detection import BLOCK_NS, ChangeRules, ChangeWatch, Reference
+from camber.antenna_height.saved_state import references_as_text, references_from_text
+from camber.antenna_height.service import AntennaHeightService
+from camber.antenna_height.settings import AntennaHeightSettings
+from camber.runtime.bus import Bus
+from camber.schemas.antenna import AntennaHeight
+from camber.schemas.motion import Motion, Suspension
+
+START_NS = 1_450_000_000 * 1_000_000_000
+STEP_NS = 100_000_000
+EARLIER = Reference(30.0, 0.020, 30.0 * 0.002**2)
+BLOCK = BLOCK_NS // STEP_NS + 1
+
+
+def watched(difference_m: float, blocks: int, earlier: Reference | None = EARLIER) -> ChangeWatch:
+    watch = ChangeWatch(ChangeRules(), earlier, earlier_least_m=0.015)
+    for k in range(blocks * BLOCK):
+        watch.add(START_NS + k * STEP_NS, difference_m)
+    return watch
+
+
+def test_what_differs_from_earlier_drives_is_told_after_two_blocks() -> None:
+    assert watched(0.040, 1).change is None
+    change = watched(0.040, 2).change
+    assert change is not None
+    assert (change.by_m, change.since_ns) == (pytest.approx(0.020), START_NS)
+    assert watched(0.040, 200).change is not None
+
+
+def test_what_a_sensor_errs_by_another_time_is_no_change() -> None:
+    assert watched(0.030, 200).change is None
+    assert watched(0.040, 200, None).change is None
+
+
+def test_the_older_reference_stands_until_what_contradicts_it_is_gone() -> None:
+    watch = watched(0.040, 40)
+    assert watch.reference is EARLIER
+    for k in range(40 * BLOCK, 60 * BLOCK):
+        watch.add(START_NS + k * STEP_NS, 0.022)
+    assert watch.change is None
+
+
+def test_a_drive_that_agrees_is_remembered_with_the_earlier_ones() -> None:
+    reference = watched(0.026, 25).reference
+    assert reference.count == pytest.approx(30.0 + 20.0, abs=1.0)
+    assert 0.022 < reference.mean_m < 0.023
+    assert watched(0.026, 5000).reference.count <= 451.0
+
+
+def test_means_of_two_drives_are_those_of_all_blocks() -> None:
+    values = [0.01, 0.013, 0.008, 0.02, 0.017, 0.011]
+    parts = [Reference(), Reference(), Reference()]
+    for k, value in enumerate(values):
+        parts[k >= 2] = parts[k >= 2].and_then(value)
+        parts[2] = parts[2].and_then(value)
+    both = parts[0].and_all(parts[1])
+    assert (both.count, both.mean_m) == (6.0, pytest.approx(parts[2].mean_m))
+    assert both.squares_m2 == pytest.approx(parts[2].squares_m2)
+    assert Reference().and_all(Reference()) == Reference()
+
+
+SETTINGS = AntennaHeightSettings(
+    way="stroke", suspension_to_antenna_m=0.92, tyre_radius_m=0.31, fixed_height_m=1.58
+)
+
+
+def test_text_brings_back_what_it_was_made_from_and_only_for_the_same_vehicle() -> None:
+    vehicle = SETTINGS.options().vehicle
+    references = {("fixed", "stroke"): EARLIER}
+    text = references_as_text(vehicle, references)  # type: ignore[arg-type]
+    assert references_from_text(text, vehicle) == references
+    assert references_from_text(text, replace(vehicle, stored_sigma_m=0.02)) == {}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"vehicle": "", "pairs": [{"ways": ["fixed"], "blocks": 1}]}', "\x00" * 40]
+)
+def test_damaged_text_is_said_to_be(text: str) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        references_from_text(text, SETTINGS.options().vehicle)
+
+
+class FakeBus:
+    def __init__(self) -> None:
+        self.last: AntennaHeight | None = None
+        self.issues: Counter[str] = Counter()
+
+    def publish(self, name: str, message: AntennaHeight) -> None:
+        self.last = message
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues[code] += 1
+
+
+def driven(folder: Path, stroke_m: float, *, begin_s: int = 0, **more: object) -> FakeBus:
+    """Forty seconds of driving with the service, which is then ended."""
+    bus = FakeBus()
+    settings = SETTINGS.model_copy(update={"state_dir": folder, **more})
+    service = AntennaHeightService(settings, cast(Bus, bus))
+    hear = service.handlers()
+    for k in range(400):
+        now_ns = START_NS + begin_s * 1_000_000_000 + k * STEP_NS
+        hear["motion"](Motion(time_ns=now_ns, wheel_speed_m_s=10.0))
+        hear["suspension"](Suspension(time_ns=now_ns, stroke_height_m=stroke_m, stroke_sigma_m=0.005))
+        service.advance(now_ns)
+    service.close()
+    return bus
+
+
+def status(bus: FakeBus) -> str:
+    assert bus.last is not None
+    return bus.last.status
+
+
+def test_what_was_changed_between_two_drives_is_a_disagreement_until_it_is_measured(tmp_path: Path) -> None:
+    assert status(driven(tmp_path, 0.35)) == "known"
+    assert status(driven(tmp_path, 0.37, begin_s=1000)) == "disagreement"
+    assert status(driven(tmp_path, 0.37, begin_s=2000)) == "disagreement"
+    assert status(driven(tmp_path, 0.35, begin_s=3000)) == "known"
+    assert status(driven(tmp_path, 0.37, begin_s=4000, tyre_radius_m=0.305)) == "known"
+
+
+def test_a_damaged_file_is_one_issue_and_the_next_is_whole(tmp_path: Path) -> None:
+    (tmp_path / "differences.json").write_bytes(b"\xff\x00{")
+    assert driven(tmp_path, 0.35).issues == {"differences_unreadable": 1}
+    assert driven(tmp_path, 0.35, begin_s=1000).issues == {}
+    assert [path.name for path in tmp_path.iterdir()] == ["differences.json"]
+
+
+def test_where_nothing_can_be_written_the_height_is_known_all_the_same(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    bus = driven(tmp_path / "file", 0.35)
+    assert status(bus) == "known"
+    assert set(bus.issues) == {"differences_not_kept"}

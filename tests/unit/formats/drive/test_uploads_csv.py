@@ -1,0 +1,96 @@
+"""Observations of roads in a file are read as the batches they are, or refused with the line that is wrong."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from camber.formats.drive.uploads_csv import COLUMNS, MOST_RECORDS, read_uploads
+from camber.formats.errors import FormatError
+from support.tree import ROOT
+
+EXAMPLE = ROOT / "examples" / "uploads.csv"
+
+
+def write(path, rows, columns=("id", *COLUMNS)):
+    with path.open("w", newline="") as file:
+        out = csv.DictWriter(file, columns, extrasaction="ignore")
+        out.writeheader()
+        out.writerows(rows)
+    return path
+
+
+def row(**changes):
+    with EXAMPLE.open(newline="") as file:
+        return {**next(csv.DictReader(file)), **changes}
+
+
+def test_the_example_is_one_batch_a_vehicle():
+    batches = read_uploads(EXAMPLE)
+    assert [(batch.vehicle, batch.batch_id) for batch in batches] == [
+        (f"car-{n}", f"monday-{n}") for n in (1, 2, 3)
+    ]
+    first = batches[0]
+    assert (first.datum, first.map_version, first.epoch_year) == ("ITRF2014", 1, 2025.9)
+    assert first.road_height_m.tolist() == [41.2, 41.22, 41.24, 41.26]
+    assert first.time_ns == first.positioning_time_ns[-1] == 1447891221000000000
+    assert (first.verdict.tolist(), first.fix_quality.tolist()) == ([0] * 4, [0] * 4)
+
+
+def test_columns_come_in_any_order_and_others_are_passed_over(tmp_path):
+    columns = ("received_ns", *reversed(COLUMNS), "id", "kind")
+    (batch,) = read_uploads(write(tmp_path / "a.csv", [row(kind="batch", received_ns="5")], columns))
+    assert batch.surface_id.tolist() == [10]
+
+
+def test_without_ids_the_content_names_the_batch(tmp_path):
+    def id_of(name, **changes):
+        (batch,) = read_uploads(write(tmp_path / name, [row(**changes)], COLUMNS))
+        return batch.batch_id
+
+    assert id_of("a.csv") == id_of("b.csv")
+    assert id_of("a.csv") != id_of("c.csv", road_height_m="41.3")
+
+
+def test_a_large_batch_becomes_several_with_ids_of_their_own(tmp_path):
+    batches = read_uploads(
+        write(tmp_path / "a.csv", [row(fix_id=str(n)) for n in range(2 * MOST_RECORDS + 1)])
+    )
+    assert [len(batch.fix_id) for batch in batches] == [MOST_RECORDS, MOST_RECORDS, 1]
+    assert [batch.batch_id for batch in batches] == ["monday-1", "monday-1.1", "monday-1.2"]
+    assert np.concatenate([batch.fix_id for batch in batches]).tolist() == list(range(2 * MOST_RECORDS + 1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"fix_quality": "firm"}, "a.csv:3: fix_quality is 'firm', expected one of fixed, float"),
+        ({"road_height_m": "nan"}, "a.csv:3: road_height_m is 'nan', expected a number"),
+        ({"road_height_m": ""}, "a.csv:3: road_height_m is '', expected a number"),
+        ({"fix_id": "-1"}, "a.csv:3: fix_id is '-1', expected an integer"),
+        ({"vehicle": "a/b"}, "a.csv:3: vehicle is 'a/b', expected"),
+        ({"epoch_year": "20"}, "a.csv:3: epoch_year is '20.0', expected"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_line(tmp_path, changes, complaint):
+    path = write(tmp_path / "a.csv", [row(), row(id="next", **changes)])
+    with pytest.raises(FormatError) as caught:
+        read_uploads(path)
+    assert str(caught.value).startswith(complaint)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"a,b\n1,2\n", b'vehicle,"id\n', b"\x00\n\x00\n"])
+def test_what_is_no_such_file_is_refused(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with pytest.raises(FormatError):
+        read_uploads(path)
+
+
+def test_a_file_without_rows_and_a_row_cut_short_are_refused(tmp_path):
+    with pytest.raises(FormatError, match="at least one row"):
+        read_uploads(write(tmp_path / "a.csv", []))
+    path = write(tmp_path / "b.csv", [row()])
+    path.write_text(path.read_text().rsplit(",", 2)[0] + "\n")
+    with pytest.raises(FormatError, match=r"b\.csv:2: the row, expected"):
+        read_uploads(path)

@@ -1,0 +1,204 @@
+"""OpenDRIVE: a round trip gives the same map, geometries are those of the books, and bad input is one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import fresnel
+
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.opendrive import Geometry, LaneSection, opendrive_bytes, opendrive_map
+from camber.formats.map_exchange.opendrive_geometry import lane_points, reference_line, stations
+from support.opendrive_maps import NO_ROWS, RADIUS_M, cubics, lane, road, street_geometries, town
+
+Floats = NDArray[np.float64]
+
+
+def plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return [plain(getattr(value, field.name)) for field in dataclasses.fields(value)]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def test_a_map_comes_back_from_a_round_trip_to_the_last_digit() -> None:
+    made = town()
+    assert plain(opendrive_map(opendrive_bytes(made), "town.xodr")) == plain(made)
+
+
+def test_what_is_not_in_that_map_comes_back_as_well() -> None:
+    rng = np.random.default_rng(3)
+    poly = Geometry(0.0, 1.0, 2.0, 0.3, 10.0, "poly3", (0.0, 0.1, 0.01, -0.001))
+    arc_length = Geometry(10.0, 1.0, 2.0, 0.3, 10.0, "paramPoly3", tuple(rng.normal(size=8)))
+    with_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.5, 0.0, 0.0, 0.0)))
+    made = dataclasses.replace(
+        town(),
+        offset_m=(10.0, -20.0, 0.5),
+        roads=[
+            road(
+                "a&b",
+                [poly, arc_length],
+                [LaneSection(0.0, [with_border])],
+                crossfall_left=rng.normal(size=(1, 5)),
+                crossfall_right=rng.normal(size=(1, 5)),
+                shape=np.array(sorted(rng.normal(size=(4, 6)).tolist())),
+                lane_offset=rng.normal(size=(1, 5)),
+                left_hand_traffic=True,
+            )
+        ],
+    )
+    assert plain(opendrive_map(opendrive_bytes(made), "made.xodr")) == plain(made)
+
+
+def test_a_direct_junction_leads_to_the_road_behind_it() -> None:
+    made = opendrive_bytes(town())
+    direct = made.replace(b"connectingRoad", b"linkedRoad")
+    assert direct != made
+    assert plain(opendrive_map(direct, "town.xodr")) == plain(town())
+
+
+def test_a_spiral_is_the_clothoid_of_fresnel() -> None:
+    spiral = street_geometries()[1]
+    s = np.linspace(0.0, spiral.length_m, 50)
+    found = reference_line(road("1", [dataclasses.replace(spiral, s_m=0.0)], []), s)
+    scale = math.sqrt(math.pi * RADIUS_M * spiral.length_m)
+    v, u = fresnel(s / scale)
+    cos, sin = math.cos(spiral.heading_rad), math.sin(spiral.heading_rad)
+    expected = np.column_stack(
+        (spiral.x_m + scale * (cos * u - sin * v), spiral.y_m + scale * (sin * u + cos * v))
+    )
+    np.testing.assert_allclose(found[:, :2], expected, atol=1e-8)
+    np.testing.assert_allclose(
+        found[:, 2], spiral.heading_rad + s**2 / (2.0 * RADIUS_M * spiral.length_m), atol=1e-12
+    )
+
+
+def test_an_arc_is_a_circle() -> None:
+    arc = Geometry(0.0, 100.0, 50.0, 0.7, 150.0, "arc", (-0.02,))
+    s = np.linspace(0.0, 150.0, 40)
+    found = reference_line(road("1", [arc], []), s)
+    centre = np.array([100.0 + 50.0 * math.sin(0.7), 50.0 - 50.0 * math.cos(0.7)])
+    np.testing.assert_allclose(np.hypot(*(found[:, :2] - centre).T), 50.0, atol=1e-10)
+    np.testing.assert_allclose(found[:, 2], 0.7 - 0.02 * s, atol=1e-12)
+
+
+def test_a_cubic_is_walked_by_its_length() -> None:
+    poly = Geometry(0.0, 0.0, 0.0, 0.0, 30.0, "poly3", (0.0, 0.0, 0.02, 0.0))
+    s = np.linspace(0.0, 30.0, 200)
+    found = reference_line(road("1", [poly], []), s)
+    np.testing.assert_allclose(found[:, 1], 0.02 * found[:, 0] ** 2, atol=1e-9)
+    # The length of a parabola v = k u² from 0 to u.
+    q = 2.0 * 0.02 * found[:, 0]
+    np.testing.assert_allclose((q * np.sqrt(1.0 + q**2) + np.arcsinh(q)) / (4.0 * 0.02), s, atol=1e-5)
+
+
+@pytest.mark.parametrize("normalised", [True, False])
+def test_a_parametric_cubic_has_its_parameter_straight_along(normalised: bool) -> None:
+    scale = 1.0 if normalised else 1.0 / 20.0
+    numbers = (0.0, 20.0 * scale, 0.0, 0.0, 0.0, 0.0, 3.0 * scale**2, 0.0)
+    part = Geometry(0.0, 0.0, 0.0, 0.0, 20.0, "paramPoly3", numbers, normalised)
+    found = reference_line(road("1", [part], []), np.array([0.0, 10.0, 20.0]))
+    np.testing.assert_allclose(found[:, :2], [(0.0, 0.0), (10.0, 0.75), (20.0, 3.0)], atol=1e-12)
+    assert found[2, 2] == pytest.approx(math.atan2(6.0, 20.0))
+
+
+def borders(own: Any, lane_id: int, s: float) -> Floats:
+    """Right and left border point of a lane at the station that is nearest to s."""
+    at = stations(own, 0, "a.xodr")
+    return lane_points(own, 0, at, "a.xodr")[lane_id][np.argmin(np.abs(at - s))]
+
+
+STRAIGHT = [Geometry(0.0, 0.0, 0.0, 0.0, 100.0, "line")]
+BOTH = [LaneSection(0.0, [lane(1), lane(-1)])]
+
+
+def test_superelevation_lifts_the_left_side() -> None:
+    own = road("1", STRAIGHT, BOTH, superelevation=cubics((0.0, 0.05, 0.0, 0.0, 0.0)))
+    expected = [(50.0, 0.0, 0.0), (50.0, 3.5 * math.cos(0.05), 3.5 * math.sin(0.05))]
+    np.testing.assert_allclose(borders(own, 1, 50.0), expected, atol=1e-12)
+    assert borders(own, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.sin(0.05))
+
+
+def test_crossfall_lets_both_sides_fall() -> None:
+    both = cubics((0.0, 0.03, 0.0, 0.0, 0.0))
+    own = road("1", STRAIGHT, BOTH, crossfall_left=both, crossfall_right=both)
+    assert borders(own, 1, 50.0)[-1, 2] == pytest.approx(-3.5 * math.tan(0.03))
+    assert borders(own, -1, 50.0)[0, 2] == pytest.approx(-3.5 * math.tan(0.03))
+
+
+def test_a_lateral_shape_is_straight_between_its_stations() -> None:
+    rows = [
+        (0.0, -10.0, 0.0, 0.0, 0.0, 0.0),
+        (100.0, -10.0, 0.0, 0.0, 0.0, 0.0),
+        (100.0, 0.0, 0.0, 0.0, 0.01, 0.0),
+    ]
+    own = road("1", STRAIGHT, BOTH, shape=np.array(rows))
+    found = borders(own, 1, 50.0)
+    np.testing.assert_allclose(found[:, 2], 0.5 * 0.01 * found[:, 1] ** 2, atol=1e-12)
+
+
+def test_the_lane_offset_moves_all_lanes_and_borders_stand_for_widths() -> None:
+    by_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.0, 0.0, 0.0, 0.0)))
+    own = road(
+        "1", STRAIGHT, [LaneSection(0.0, [lane(1), by_border])], lane_offset=cubics((0.0, 1.0, 0.0, 0.0, 0.0))
+    )
+    np.testing.assert_allclose(borders(own, 1, 50.0)[:, 1], (1.0, 4.5))
+    np.testing.assert_allclose(borders(own, -1, 50.0)[:, 1], (-2.0, 1.0))
+
+
+SMALL = opendrive_bytes(dataclasses.replace(town(), roads=[road("7", STRAIGHT, BOTH)], connections=[]))
+
+
+def damaged(old: str, new: str) -> bytes:
+    assert old.encode() in SMALL
+    return SMALL.replace(old.encode(), new.encode(), 1)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (damaged('length="100.0" junction', 'length="1e9" junction'), "a.xodr: road 7, length is '1e9', expected more"),
+        (damaged('length="100.0" junction', 'length="x" junction'), "a.xodr: road 7, length is 'x', expected a number"),
+        (damaged('hdg="0.0"', 'hdg="nan"'), "a.xodr: road 7, geometry at s 0.0, hdg is 'nan'"),
+        (damaged("<line />", "<bezier/>"), "a.xodr: road 7, geometry at s 0.0 is 'bezier', expected one of line"),
+        (damaged("<line />", '<arc curvature="99"/>'), "a.xodr: road 7, geometry at s 0.0, arc is '99.0'"),
+        (damaged('<laneSection s="0.0">', '<laneSection>'), "a.xodr: road 7, laneSection, s, expected a number"),
+        (damaged('lane id="-1"', 'lane id="-3"'), "a.xodr: road 7, laneSection at s 0, lane id is '[-3, 1]'"),
+        (damaged('lane id="-1"', 'lane id="1.5"'), "a.xodr: road 7, laneSection at s 0, lane, id is '1.5'"),
+        (damaged("<planView>", "<plan>").replace(b"</planView>", b"</plan>"), "a.xodr: road 7, planView, expected"),
+        (damaged("<lanes>", "<l>").replace(b"</lanes>", b"</l>"), "a.xodr: road 7, lanes, expected laneSections"),
+        (SMALL[:-30], "a.xodr: XML, expected a whole document"),
+        (b"<osm/>", "a.xodr: XML is '<osm>', expected a document <OpenDRIVE>"),
+        (b"<OpenDRIVE/>", "a.xodr: road, expected at least one"),
+        (b"<!DOCTYPE x []><OpenDRIVE/>", "a.xodr: XML, expected a document without a DOCTYPE"),
+    ],
+)  # fmt: skip
+def test_a_map_that_is_not_as_it_must_be_is_one_line(data: bytes, said: str) -> None:
+    with pytest.raises(FormatError) as refused:
+        opendrive_map(data, "a.xodr")
+    assert str(refused.value).startswith(said)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("own", "said"),
+    [
+        (road("7", [*STRAIGHT, Geometry(100.0, 101.0, 9.0, 0.0, 9.0, "line")], BOTH), "road 7, planView, expected no"),
+        (road("7", STRAIGHT, [LaneSection(200.0, [lane(1)])]), "road 7, laneSection at s 200, s, expected less than"),
+        (road("7", STRAIGHT, [LaneSection(0.0, [lane(1, -2.0)])]), "road 7, laneSection at s 0, lane 1, width is '-2'"),
+        (
+            road("7", STRAIGHT, [LaneSection(0.0, [dataclasses.replace(lane(1), widths=NO_ROWS)])]),
+            "road 7, laneSection at s 0, lane 1, expected a width or a border",
+        ),
+    ],
+)  # fmt: skip
+def test_a_road_that_no_one_can_drive_is_one_line(own: Any, said: str) -> None:
+    with pytest.raises(FormatError) as refused:
+        lane_points(own, 0, stations(own, 0, "a.xodr"), "a.xodr")
+    assert str(refused.value).startswith(f"a.xodr: {said}")

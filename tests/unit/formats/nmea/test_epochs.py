@@ -1,0 +1,599 @@
+"""NMEA streams: epochs put together, dates, heights, what is refused, and that no bytes make the decoder raise."""
+
+import itertools
+import math
+import os
+import random
+import struct
+from datetime import date
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pynmeagps import NMEAReader
+
+from camber.formats.errors import FormatError
+from camber.formats.nmea.epochs import (
+    LastSentence,
+    NmeaDecoder,
+    NmeaResult,
+    format_gga,
+    format_gst,
+    format_rmc,
+    read_nmea,
+)
+from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_utc
+from camber.schemas.gnss import ReceiverIntegrity
+
+Results = list[NmeaResult]
+
+DAY = date(2023, 7, 11)
+GGA = "GNGGA,060432.20,3509.9216520,N,13652.8845720,E,4,16,0.7,3.9182,M,37.4900,M,1.2,0000"
+GST = "GNGST,060432.20,,0.012,0.008,30.0,0.0113,0.0092,0.021"
+RMC = "GNRMC,060432.20,A,3509.92,N,13652.88,E,0.1,12.0,110723,,,R,V"
+
+
+def sentence(content: str) -> bytes:
+    checksum = 0
+    for byte in content.encode():
+        checksum ^= byte
+    return f"${content}*{checksum:02X}\r\n".encode()
+
+
+def decode(data: bytes, *, utc_date: date | None = DAY, last_sentence: LastSentence | None = None) -> Results:
+    decoder = NmeaDecoder("port", utc_date=utc_date, last_sentence=last_sentence)
+    return decoder.feed(data) + decoder.finish()
+
+
+def solution_of(data: bytes) -> ReceiverSolution:
+    (result,) = decode(data)
+    assert isinstance(result, ReceiverSolution), str(result)
+    return result
+
+
+def error_of(data: bytes, **options: Any) -> str:
+    (result,) = decode(data, **options)
+    assert isinstance(result, FormatError)
+    assert "\n" not in str(result)
+    return str(result)
+
+
+def at(content: str, time: str) -> bytes:
+    return sentence(content.replace("060432.20", time))
+
+
+def comparable(results: Results) -> list[object]:
+    return [str(result) if isinstance(result, FormatError) else result for result in results]
+
+
+def test_an_epoch_of_position_deviations_and_date() -> None:
+    (solution,) = decode(sentence(GGA) + sentence(GST) + sentence(RMC), utc_date=None)
+    assert isinstance(solution, ReceiverSolution)
+    assert solution.time_ns == gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 32, 200_000_000))
+    assert math.degrees(solution.latitude_rad) == pytest.approx(35.165360867, abs=1e-9)
+    assert math.degrees(solution.longitude_rad) == pytest.approx(136.881409533, abs=1e-9)
+    assert solution.height_m == 41.4082
+    assert (solution.quality, solution.satellites, solution.age_s) == (SolutionQuality.FIX, 16, 1.2)
+    assert solution.ratio is None
+    assert solution.velocity_enu_m_s is None
+    assert solution.covariance_enu_m2 is not None
+    ee, en, eu, nn, nu, uu = solution.covariance_enu_m2
+    assert (ee, nn, uu) == pytest.approx((0.0092**2, 0.0113**2, 0.021**2))
+    # major axis 30° east of north: east and north errors go together
+    assert en == pytest.approx(
+        (0.012**2 - 0.008**2) * math.sin(math.radians(30.0)) * math.cos(math.radians(30.0))
+    )
+    assert (eu, nu) == (0.0, 0.0)
+
+
+def test_southern_and_western_hemispheres() -> None:
+    solution = solution_of(sentence(GGA.replace(",N,", ",S,").replace(",E,", ",W,")))
+    assert solution.latitude_rad < 0.0
+    assert solution.longitude_rad < 0.0
+
+
+@pytest.mark.parametrize(
+    ("number", "quality"),
+    [
+        (1, SolutionQuality.SINGLE),
+        (2, SolutionQuality.DGPS),
+        (3, SolutionQuality.PPP),
+        (4, SolutionQuality.FIX),
+        (5, SolutionQuality.FLOAT),
+        (6, SolutionQuality.DEAD_RECKONING),
+    ],
+)
+def test_qualities(number: int, quality: SolutionQuality) -> None:
+    assert solution_of(sentence(GGA.replace(",E,4,", f",E,{number},"))).quality is quality
+
+
+def test_geoid_separation_is_never_assumed() -> None:
+    message = error_of(sentence(GGA.replace("37.4900,M", ",M")))
+    assert "geoid separation missing: ellipsoidal height unknown" in message
+
+
+def test_no_position_is_counted_and_no_error() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    assert (
+        decoder.feed(sentence("GNGGA,060432.20,,,,,0,00,99.99,,,,,,") + sentence("GNGGA,,,,,,0,,,,,,,,"))
+        == []
+    )
+    assert decoder.finish() == []
+    assert decoder.epochs_without_position == 2
+
+
+def test_alphanumeric_station_does_not_cost_the_position() -> None:
+    solution = solution_of(sentence(GGA[:-4] + "VRS1"))
+    assert (solution.quality, solution.station) == (SolutionQuality.FIX, "VRS1")
+    assert solution_of(sentence(GGA[:-4])).station is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("3509.92", "9909.92", "latitude"),
+        ("3509.92", "3560.92", "minutes below 60"),
+        ("13652.88", "18152.88", "longitude"),
+        (",N,", ",,", "latitude hemisphere is '', expected N or S"),
+        (",N,", ",E,", "expected N or S"),
+        (",4,16,", ",7,16,", "simulated positions are not read"),
+        (",4,16,", ",8,16,", "quality is '8'"),
+        (",4,16,", ",,16,", "quality is ''"),
+        (",4,16,", ",4,-1,", "satellites"),
+        ("3.9182", "nan", "altitude is 'nan', expected a number"),
+        ("3.9182", "", "altitude"),
+        ("3.9182", "1e3", "altitude"),
+        ("3.9182,M", "3.9182,f", "altitude unit is 'f', expected M"),
+        ("060432.20", "250432.20", "expected hhmmss.ss"),
+        ("060432.20", "060460.20", "expected hhmmss.ss"),
+    ],
+)
+def test_a_bad_field_is_named_with_what_was_expected(old: str, new: str, expected: str) -> None:
+    message = error_of(sentence(GGA.replace(old, new, 1)))
+    assert message.startswith("port at byte 0: GGA ")
+    assert expected in message
+
+
+@pytest.mark.parametrize(
+    "gst",
+    [
+        None,
+        "GNGST,060432.20,,,,,,,",
+        "GNGST,060432.20,,,,,0.0,0.0,0.0",
+        GST.replace("060432.20", "060432.00"),
+    ],
+)
+def test_without_deviations_of_the_same_time_the_covariance_is_not_known(gst: str | None) -> None:
+    assert solution_of((sentence(gst) if gst else b"") + sentence(GGA)).covariance_enu_m2 is None
+
+
+def test_a_bad_gst_is_an_error_and_leaves_the_covariance_unknown() -> None:
+    error, solution = decode(sentence(GST.replace("0.0113", "-1")) + sentence(GGA))
+    assert isinstance(error, FormatError)
+    assert "σ of latitude" in str(error)
+    assert isinstance(solution, ReceiverSolution)
+    assert solution.covariance_enu_m2 is None
+
+
+# dates
+
+
+def test_without_a_date_there_is_no_time() -> None:
+    assert "GGA date, expected an RMC or ZDA sentence" in error_of(sentence(GGA), utc_date=None)
+    void = RMC.replace(",A,", ",V,")
+    assert "GGA date" in error_of(sentence(GGA) + sentence(void), utc_date=None)
+
+
+def test_zda_gives_the_date_and_overrules_the_given_one() -> None:
+    zda = sentence("GPZDA,060431.00,12,07,2023,00,00")
+    (solution,) = decode(zda + sentence(GGA), utc_date=date(2020, 1, 1))
+    assert isinstance(solution, ReceiverSolution)
+    assert solution.time_ns == gps_ns_from_utc(CalendarTime(2023, 7, 12, 6, 4, 32, 200_000_000))
+
+
+@pytest.mark.parametrize("content", ["GPZDA,060431.00,31,02,2023,00,00", RMC.replace("110723", "310223")])
+def test_a_date_that_does_not_exist_is_an_error(content: str) -> None:
+    assert "date" in error_of(sentence(content), utc_date=None)
+
+
+def test_midnight_moves_the_date_on() -> None:
+    stream = b"".join(at(GGA, time) for time in ("235959.80", "235959.90", "000000.00", "000000.10"))
+    times = [s.time_ns for s in decode(stream) if isinstance(s, ReceiverSolution)]
+    assert [(b - a) for a, b in itertools.pairwise(times)] == [NS_PER_SECOND // 10] * 3
+
+
+def test_a_late_sentence_from_before_midnight_moves_the_date_back() -> None:
+    stream = sentence("GPZDA,000000.00,12,07,2023,00,00") + at(GGA, "235959.90")
+    (solution,) = decode(stream)
+    assert isinstance(solution, ReceiverSolution)
+    assert solution.time_ns == gps_ns_from_utc(CalendarTime(2023, 7, 11, 23, 59, 59, 900_000_000))
+
+
+def test_the_leap_second_of_2016() -> None:
+    stream = b"".join(at(GGA, time) for time in ("235959.00", "235960.00", "000000.00"))
+    times = [
+        s.time_ns for s in decode(stream, utc_date=date(2016, 12, 31)) if isinstance(s, ReceiverSolution)
+    ]
+    assert [(b - a) for a, b in itertools.pairwise(times)] == [NS_PER_SECOND] * 2
+    assert "UTC time that exists" in error_of(at(GGA, "235960.00"))
+
+
+# when a solution comes out
+
+
+def epoch(time: str, *contents: str) -> bytes:
+    return b"".join(at(content, time) for content in contents)
+
+
+def delays(stream: list[bytes], decoder: NmeaDecoder) -> list[int]:
+    return [len(decoder.feed(part)) for part in stream]
+
+
+def test_the_last_sentence_is_learned_and_then_nothing_waits() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    stream = [at(content, f"0604{second}.00") for second in (30, 31, 32, 33) for content in (GGA, GST)]
+    # The first two epochs wait for the next one; when it begins, the second has shown that GST comes last.
+    assert delays(stream, decoder) == [0, 0, 1, 0, 1, 1, 0, 1]
+    assert decoder.finish() == []
+
+
+@pytest.mark.parametrize("last", ["GGA", "GST", "RMC"])
+def test_the_last_sentence_can_be_given(last: LastSentence) -> None:
+    order = [content for content in (RMC, GST, GGA) if last not in content]
+    contents = [*order, next(content for content in (RMC, GST, GGA) if last in content)]
+    decoder = NmeaDecoder("port", last_sentence=last, utc_date=DAY)
+    stream = [at(content, f"0604{second}.00") for second in (30, 31) for content in contents]
+    assert delays(stream, decoder) == [0, 0, 1, 0, 0, 1]
+
+
+def test_a_missing_last_sentence_delays_until_the_next_epoch_and_not_for_ever() -> None:
+    decoder = NmeaDecoder("port", last_sentence="GST", utc_date=DAY)
+    stream = [at(GGA, "060430.00"), at(GGA, "060431.00"), at(GST, "060431.00")]
+    assert delays(stream, decoder) == [0, 1, 1]
+
+
+def test_a_deviation_that_comes_too_late_is_counted_and_learned_from() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    results: Results = []
+    for second in (30, 31, 32):
+        results += decoder.feed(at(GGA, f"0604{second}.00"))
+    for second in (33, 34, 35, 36):
+        results += decoder.feed(epoch(f"0604{second}.00", GGA, GST))
+    results += decoder.finish()
+    known = [s.covariance_enu_m2 is not None for s in results if isinstance(s, ReceiverSolution)]
+    assert known == [False, False, False, False, True, True, True]
+    assert decoder.late_sentences == 1
+
+
+def test_each_time_comes_out_once() -> None:
+    results = decode(sentence(GGA) + sentence(GGA.replace("GNGGA", "GPGGA")))
+    assert [type(result) for result in results] == [FormatError, ReceiverSolution]
+    decoder = NmeaDecoder("port", utc_date=DAY, last_sentence="GGA")
+    assert len(decoder.feed(sentence(GGA) + sentence(GGA))) == 1
+    assert decoder.late_sentences == 1
+
+
+# framing
+
+UBX = struct.pack("<BBBBH", 0xB5, 0x62, 0x01, 0x07, 8) + b"$GNGG\x00\xffA" + b"\x12\x34"
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (sentence(GGA).replace(b"16", b"17", 1), "expected checksum"),
+        (sentence(GGA)[:40] + sentence(GGA), "cut short"),
+        (sentence(GGA)[:40] + b"\xb5\x62" + sentence(GGA), "cut short"),
+        (sentence(GGA)[:40] + b"\r\n" + sentence(GGA), "cut short"),
+        (b"$" + GGA.encode() + b"\r\n" + sentence(GGA), "cut short"),
+    ],
+)
+def test_broken_sentences_are_errors_and_the_next_is_read(data: bytes, expected: str) -> None:
+    error, *solutions = decode(data)
+    assert expected in str(error)
+    assert str(error).startswith("port at byte 0: sentence")
+    assert len(solutions) <= 1
+    assert solutions or "checksum" in expected
+
+
+def test_other_protocols_on_the_same_port_are_skipped_and_counted() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    assert decoder.feed(UBX.replace(b"GNGG", b"\x00\x01\x02\x03") + sentence(GGA)) == []
+    assert decoder.bytes_skipped == len(UBX)
+    assert len(decoder.finish()) == 1
+
+
+def test_a_sentence_that_never_ends_is_dropped_and_nothing_is_kept() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    results = decoder.feed(b"$GNGGA,")
+    for _ in range(100):
+        results += decoder.feed(b"1" * 1000)
+        assert len(decoder._frames._buffer) <= MOST_SENTENCE_BYTES
+    assert [f"at most {MOST_SENTENCE_BYTES}" in str(result) for result in results] == [True]
+    decoder.feed(b"\r\n" + sentence(GGA))
+    assert len(decoder.finish()) == 1
+
+
+def test_a_last_sentence_without_line_end_is_whole_by_its_checksum() -> None:
+    assert isinstance(decode(sentence(GGA)[:-2])[0], ReceiverSolution)
+    assert "cut short" in str(decode(sentence(GGA)[:-3])[0])
+
+
+SAMPLE = b"".join(epoch(f"0604{second}.00", GGA, GST, RMC) + UBX for second in range(30, 34))
+
+
+@given(st.binary(max_size=3000))
+def test_no_bytes_raise(data: bytes) -> None:
+    decode(data)
+    decode(SAMPLE + data + SAMPLE)
+
+
+@given(
+    st.sampled_from(["GNGGA", "GPGST", "GNRMC", "GPZDA"]),
+    st.lists(st.text(alphabet="0123456789.-+MNSEWAV ", max_size=12), max_size=16),
+)
+def test_no_fields_with_a_right_checksum_raise(name: str, fields: list[str]) -> None:
+    decode(SAMPLE + sentence(",".join((name, *fields))) + SAMPLE)
+
+
+@given(
+    st.sampled_from([GGA, GST, RMC]),
+    st.integers(0, 14),
+    st.text(alphabet=st.characters(codec="ascii"), max_size=9),
+)
+def test_no_replaced_field_with_a_right_checksum_raises(content: str, index: int, value: str) -> None:
+    fields = content.split(",")
+    fields[min(index, len(fields) - 1)] = value
+    for result in decode(sentence(",".join(fields)) + SAMPLE):
+        if isinstance(result, ReceiverSolution):
+            assert all(map(math.isfinite, (result.latitude_rad, result.longitude_rad, result.height_m)))
+
+
+@given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
+def test_a_flipped_bit_never_makes_another_solution(byte: int, bit: int) -> None:
+    damaged = bytearray(SAMPLE)
+    damaged[byte] ^= 1 << bit
+    good = {
+        (s.time_ns, s.latitude_rad, s.height_m) for s in decode(SAMPLE) if isinstance(s, ReceiverSolution)
+    }
+    found = {
+        (s.time_ns, s.latitude_rad, s.height_m)
+        for s in decode(bytes(damaged))
+        if isinstance(s, ReceiverSolution)
+    }
+    assert found <= good
+    assert len(found) >= len(good) - 1
+
+
+@given(st.integers(0, len(SAMPLE)))
+def test_truncation_gives_a_prefix_but_for_the_last_epoch(length: int) -> None:
+    whole = decode(SAMPLE)
+    part = [result for result in decode(SAMPLE[:length]) if isinstance(result, ReceiverSolution)]
+    assert part[:-1] == [r for r in whole if isinstance(r, ReceiverSolution)][: max(0, len(part) - 1)]
+
+
+@given(st.binary(max_size=2500), st.lists(st.integers(0, 5000), max_size=8))
+def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> None:
+    data = SAMPLE + noise + SAMPLE
+    assert pieces(data, sorted(min(cut, len(data)) for cut in cuts)) == pieces(data, [])
+
+
+@pytest.mark.parametrize(
+    "noise", [b"", b"$GNGGA," + b"1" * 1500, b"$" * 5, b"$GN" + b"\xff" * 20, b"\x00" * 3000]
+)
+def test_byte_by_byte(noise: bytes) -> None:
+    data = SAMPLE + noise + SAMPLE
+    assert pieces(data, list(range(len(data)))) == pieces(data, [])
+
+
+def pieces(data: bytes, cuts: list[int]) -> tuple[list[object], int, int]:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    results: Results = []
+    for start, end in zip([0, *cuts], [*cuts, len(data)], strict=True):
+        results += decoder.feed(data[start:end])
+    results += decoder.finish()
+    return comparable(results), decoder.bytes_skipped, decoder.late_sentences
+
+
+# writing
+
+sigmas = st.floats(0.001, 30.0)
+covariances = st.builds(
+    lambda e, n, u, r: (e * e, r * e * n, 0.0, n * n, 0.0, u * u),
+    sigmas,
+    sigmas,
+    sigmas,
+    st.floats(-0.95, 0.95),
+)
+solutions = st.builds(
+    ReceiverSolution,
+    time_ns=st.integers(2 * 10**17, 25 * 10**17),
+    latitude_rad=st.floats(-math.pi / 2, math.pi / 2),
+    longitude_rad=st.floats(-math.pi, math.pi),
+    height_m=st.floats(-400.0, 9000.0),
+    quality=st.sampled_from([q for q in SolutionQuality if q is not SolutionQuality.SBAS]),
+    satellites=st.none() | st.integers(0, 60),
+    covariance_enu_m2=st.none() | covariances,
+    age_s=st.none() | st.floats(0.0, 60.0),
+    velocity_enu_m_s=st.none() | st.tuples(*[st.floats(-60.0, 60.0)] * 3),
+)
+
+
+@given(solutions, st.floats(-100.0, 80.0))
+def test_written_solutions_read_back(solution: ReceiverSolution, separation: float) -> None:
+    stream = format_gga(solution, geoid_separation_m=separation) + format_gst(solution) + format_rmc(solution)
+    (again,) = decode(stream, utc_date=None)
+    assert isinstance(again, ReceiverSolution), str(again)
+    assert (again.time_ns, again.quality, again.satellites) == (
+        solution.time_ns,
+        solution.quality,
+        solution.satellites,
+    )
+    # 1e-7 minutes
+    assert again.latitude_rad == pytest.approx(solution.latitude_rad, abs=1.5e-11)
+    assert again.longitude_rad == pytest.approx(solution.longitude_rad, abs=1.5e-11)
+    assert again.height_m == pytest.approx(solution.height_m, abs=1.1e-4)
+    assert (again.age_s is None) == (solution.age_s is None)
+    if solution.age_s is not None:
+        assert again.age_s == pytest.approx(solution.age_s, abs=0.0051)
+    assert (again.covariance_enu_m2 is None) == (solution.covariance_enu_m2 is None)
+    if again.covariance_enu_m2 is not None and solution.covariance_enu_m2 is not None:
+        largest = math.sqrt(max(solution.covariance_enu_m2))
+        for a, b in zip(again.covariance_enu_m2, solution.covariance_enu_m2, strict=True):
+            # Also the orientation is printed: 1e-4 degrees of the larger axis.
+            assert a == pytest.approx(b, abs=1e-3 * largest + 1e-5 * largest**2)
+
+
+@given(solutions, st.floats(-100.0, 80.0))
+def test_written_sentences_mean_the_same_to_pynmeagps(solution: ReceiverSolution, separation: float) -> None:
+    gga: Any = NMEAReader.parse(format_gga(solution, geoid_separation_m=separation))
+    gst: Any = NMEAReader.parse(format_gst(solution))
+    rmc: Any = NMEAReader.parse(format_rmc(solution))
+    assert gga.identity == "GNGGA"
+    assert gga.lat == pytest.approx(math.degrees(solution.latitude_rad), abs=2e-9)
+    assert gga.lon == pytest.approx(math.degrees(solution.longitude_rad), abs=2e-9)
+    assert gga.alt + gga.sep == pytest.approx(solution.height_m, abs=1.1e-4)
+    assert rmc.lat == gga.lat
+    if solution.covariance_enu_m2 is not None:
+        assert gst.stdLat == pytest.approx(math.sqrt(solution.covariance_enu_m2[3]), abs=0.51e-4)
+        assert gst.stdLong == pytest.approx(math.sqrt(solution.covariance_enu_m2[0]), abs=0.51e-4)
+        assert gst.stdAlt == pytest.approx(math.sqrt(solution.covariance_enu_m2[5]), abs=0.51e-4)
+    if solution.velocity_enu_m_s is not None:
+        assert rmc.spd * 1852.0 / 3600.0 == pytest.approx(
+            math.hypot(*solution.velocity_enu_m_s[:2]), abs=1e-4
+        )
+
+
+def test_decoded_values_are_those_of_pynmeagps() -> None:
+    parsed: Any = NMEAReader.parse(sentence(GGA))
+    solution = solution_of(sentence(GGA))
+    assert math.degrees(solution.latitude_rad) == pytest.approx(parsed.lat, abs=1e-10)
+    assert math.degrees(solution.longitude_rad) == pytest.approx(parsed.lon, abs=1e-10)
+    assert solution.height_m == pytest.approx(parsed.alt + parsed.sep)
+
+
+def test_minutes_never_round_to_sixty() -> None:
+    solution = ReceiverSolution(
+        10**18, math.radians(35.0 - 1e-12), math.radians(-137.0 + 1e-12), 0.0, SolutionQuality.FIX
+    )
+    assert b",3500.0000000,N,13700.0000000,W," in format_gga(solution, geoid_separation_m=0.0)
+
+
+def test_writing_what_is_not_finite_is_an_error() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        format_gga(ReceiverSolution(0, 0.0, 0.0, math.nan, SolutionQuality.FIX), geoid_separation_m=0.0)
+    with pytest.raises(ValueError, match="finite"):
+        format_rmc(ReceiverSolution(0, math.nan, 0.0, 0.0, SolutionQuality.FIX))
+
+
+def test_a_real_console_of_ubx_and_nmea_has_no_error_and_no_position() -> None:
+    path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / "ubx-2023-4-17_82912_serial-COM3.ubx"
+    if "CAMBER_DATA" not in os.environ or not path.is_file():
+        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
+    data = path.read_bytes()
+    decoder = NmeaDecoder(path.name)
+    assert decoder.feed(data) + decoder.finish() == []
+    oracle = [
+        str(parsed.identity) for _, parsed in NMEAReader(BytesIO(data), nmeaonly=False) if parsed is not None
+    ]
+    assert decoder.epochs_without_position == sum(identity.endswith("GGA") for identity in oracle) > 50
+    assert list(read_nmea(path)) == []
+
+
+def gbs(content: str, talker: str = "GN") -> bytes:
+    return sentence(f"{talker}GBS,120000.00,{content}")
+
+
+def statement(data: bytes) -> ReceiverIntegrity:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    (found,) = decoder.feed(data)
+    assert isinstance(found, ReceiverIntegrity)
+    assert decoder.finish() == []
+    return found
+
+
+def test_gbs_says_what_raim_found() -> None:
+    passed = statement(gbs("1.6,1.4,3.2,,,,,,"))
+    assert (passed.raim, passed.suspect_satellite) == ("passed", None)
+    assert passed.expected_error_enu_m == (1.4, 1.6, 3.2)
+    assert passed.time_ns == gps_ns_from_utc(CalendarTime(DAY.year, DAY.month, DAY.day, 12, 0, 0))
+    # The example of u-blox' interface description, and one of Trimble's.
+    failed = statement(gbs("1.4,1.3,3.1,03,,-21.4,3.8,1,0", "GP"))
+    assert (failed.raim, failed.suspect_satellite) == ("failed", "G03")
+    assert (failed.suspect_bias_m, failed.suspect_bias_sigma_m) == (-21.4, 3.8)
+    assert failed.missed_detection_probability is None
+    other = statement(gbs("-0.031,-0.186,0.219,19,0.000,-0.354,6.972", "GP"))
+    assert other.expected_error_enu_m == (-0.186, -0.031, 0.219)
+    assert (other.suspect_satellite, other.missed_detection_probability) == ("G19", 0.0)
+    # With four satellites there is nothing to check.
+    assert statement(gbs(",,,,,,,,")).raim == "unknown"
+    assert statement(gbs(",,,07,,,,1,1")).raim == "failed"
+    for found in (passed, failed, other):
+        assert (found.jamming, found.spoofing, found.integrity_risk) == ("unknown", "unknown", None)
+
+
+@pytest.mark.parametrize(
+    ("number", "system_id", "talker", "name"),
+    [
+        ("03", "1", "GN", "G03"),
+        ("03", "", "GP", "G03"),
+        ("34", "1", "GN", "S21"),
+        ("68", "2", "GN", "R04"),
+        ("11", "3", "GN", "E11"),
+        ("311", "3", "GN", "E11"),
+        ("11", "", "GA", "E11"),
+        ("33", "4", "GN", "C33"),
+        ("433", "4", "GN", "C33"),
+        ("02", "5", "GN", "J02"),
+        ("194", "5", "GQ", "J02"),
+        ("05", "", "GN", "05"),
+        ("193", "1", "GN", "193"),
+    ],
+)
+def test_gbs_names_the_satellite(number: str, system_id: str, talker: str, name: str) -> None:
+    assert statement(gbs(f"1.4,1.3,3.1,{number},,-21.4,3.8,{system_id},0", talker)).suspect_satellite == name
+
+
+def test_gbs_is_read_as_pynmeagps_reads_it() -> None:
+    rng = random.Random(3)
+    for _ in range(200):
+        values = [f"{rng.uniform(-50.0, 50.0):.{rng.randrange(4)}f}" for _ in range(4)]
+        data = gbs(f"{values[0]},{values[1]},{values[2]},{rng.randrange(1, 33):02d},,{values[3]},3.5,1,0")
+        oracle = NMEAReader.parse(data)
+        found = statement(data)
+        assert found.expected_error_enu_m == (oracle.errLon, oracle.errLat, oracle.errAlt)
+        assert (found.suspect_bias_m, found.suspect_bias_sigma_m) == (oracle.bias, oracle.stddev)
+        assert found.suspect_satellite == f"G{oracle.svid:02d}"
+
+
+def test_gbs_does_not_delay_the_position_of_its_epoch() -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    for second in range(5):
+        time = f"1200{second:02d}.00"
+        found = decoder.feed(at(GGA, time))
+        found_after = decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
+        assert [type(result) for result in found_after] == [ReceiverIntegrity]
+    # Once it is learned that GGA is the last of its epoch, it does not wait for the next.
+    assert [type(result) for result in found] == [ReceiverSolution]
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["1.6,x,3.2,,,,,,", "1.6,1.4,3.2,1e9,,,,,", "1.6,1.4,3.2,03,1.5,,,1,0", "1.6,1.4,3.2,03,,,-1.0,1,0"],
+)
+def test_gbs_with_what_is_no_number_is_an_error(content: str) -> None:
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    (error,) = decoder.feed(gbs(content))
+    assert isinstance(error, FormatError)
+    assert "GBS" in str(error)
+
+
+def test_gbs_without_a_date_is_an_error() -> None:
+    (error,) = NmeaDecoder("port").feed(gbs("1.6,1.4,3.2,,,,,,"))
+    assert isinstance(error, FormatError)
+    assert "GBS date" in str(error)

@@ -1,0 +1,124 @@
+"""The search for frames beside a plain one: the same frames, skipped bytes and failed checks, whatever comes."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frames import FrameBuffer, FrameProtocol
+from camber.formats.rtcm.writer import rtcm_frame
+from camber.formats.ubx.writer import ubx_frame
+from support.plain_frames import PlainFrameBuffer
+
+PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
+    ("ubx", "nmea", "rtcm"),
+    ("ubx",),
+    ("nmea",),
+    ("rtcm",),
+    ("ubx", "rtcm"),
+)
+
+
+def liar(rng: random.Random) -> bytes:
+    """A beginning, with a length of any kind, and some bytes of what it announces."""
+    length = rng.choice([0, 1, 7, 100, 1023, MOST_UBX_PAYLOAD_BYTES, MOST_UBX_PAYLOAD_BYTES + 1, 0xFFFF])
+    ubx = b"\xb5\x62\x01\x07" + length.to_bytes(2, "little")
+    rtcm = b"\xd3" + min(length, 1023).to_bytes(2, "big")
+    whole = rng.choice([ubx, rtcm, b"$GNGGA,", b"$", b"$GN", b"$gn"])
+    return whole[: rng.randrange(1, len(whole) + 1)]
+
+
+def damaged_frame(rng: random.Random) -> bytes:
+    data = bytearray(frame(rng))
+    data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(data)
+
+
+def frame(rng: random.Random) -> bytes:
+    content = rng.randbytes(rng.choice([0, 1, 20, 300, 1023]))
+    return rng.choice([ubx_frame(content[0] if content else 0, 7, content), rtcm_frame(content)])
+
+
+def sentence(rng: random.Random) -> bytes:
+    text = bytes(rng.randrange(0x20, 0x7F) for _ in range(rng.choice([0, 5, 80, MOST_SENTENCE_BYTES])))
+    return b"$GNGGA" + text + rng.choice([b"\r\n", b"\n", b"", b"\x00"])
+
+
+def within(rng: random.Random) -> bytes:
+    """A right frame inside of a false one, and the other way round."""
+    inner = frame(rng)
+    return ubx_frame(1, 2, liar(rng) + inner)[: rng.choice([-1, 10_000])]
+
+
+PARTS: tuple[Callable[[random.Random], bytes], ...] = (
+    liar,
+    damaged_frame,
+    frame,
+    sentence,
+    within,
+    lambda rng: rng.randbytes(rng.choice([1, 10, 500])),
+    lambda rng: liar(rng) * rng.randrange(1, 200),
+)
+
+
+def stream(rng: random.Random) -> bytes:
+    return b"".join(rng.choice(PARTS)(rng) for _ in range(rng.randrange(30)))
+
+
+def played(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> object:
+    frames = [found for piece in pieces for found in buffer.feed(piece)]
+    return frames + buffer.finish(), buffer.bytes_skipped, buffer.failed_checks
+
+
+@given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
+@settings(derandomize=True, max_examples=400, deadline=None)
+def test_it_finds_what_a_plain_search_finds(seed: int, protocols: tuple[FrameProtocol, ...]) -> None:
+    rng = random.Random(seed)
+    data = stream(rng)
+    expected = played(PlainFrameBuffer(*protocols), [data])
+    assert played(FrameBuffer(*protocols), [data]) == expected
+    cuts = sorted(rng.sample(range(len(data) + 1), min(len(data), rng.choice([1, 5, 100]))))
+    pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+    assert played(FrameBuffer(*protocols), pieces) == expected
+
+
+@given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
+@settings(derandomize=True, max_examples=100, deadline=None)
+def test_frames_come_as_soon_as_a_plain_search_has_them(
+    seed: int, protocols: tuple[FrameProtocol, ...]
+) -> None:
+    rng = random.Random(seed)
+    data = stream(rng)[:20_000]
+    plain, buffer = PlainFrameBuffer(*protocols), FrameBuffer(*protocols)
+    size = rng.choice([1, 7, 64, 1000])
+    if size == 1:
+        data = data[:2000]
+    for place in range(0, len(data), size):
+        piece = data[place : place + size]
+        assert buffer.feed(piece) == plain.feed(piece)
+        assert (buffer.bytes_skipped, buffer.failed_checks) == (plain.bytes_skipped, plain.failed_checks)
+
+
+@pytest.mark.parametrize("size", [(1 << 16) - 1, 1 << 16, (1 << 16) + 1, 200_000])
+def test_long_pieces_are_as_short_ones(size: int) -> None:
+    rng = random.Random(size)
+    data = b""
+    while len(data) < size:
+        data += stream(rng)
+    data = data[:size]
+    expected = played(PlainFrameBuffer("ubx", "nmea", "rtcm"), [data])
+    assert played(FrameBuffer("ubx", "nmea", "rtcm"), [data]) == expected
+
+
+@pytest.mark.parametrize("size", range(MOST_SENTENCE_BYTES - 1, MOST_SENTENCE_BYTES + 3))
+@pytest.mark.parametrize("beginning", [b"$GN", b"$gn"])
+def test_sentences_are_cut_off_at_the_same_length(size: int, beginning: bytes) -> None:
+    plain, buffer = PlainFrameBuffer("nmea"), FrameBuffer("nmea")
+    for piece in (beginning + b"a" * (size - 3), b"a", b"\n"):
+        assert buffer.feed(piece) == plain.feed(piece)
+        assert buffer.bytes_skipped == plain.bytes_skipped

@@ -1,0 +1,458 @@
+"""`.pos` files: what is read, what is refused and why, and that no bytes make the reader raise."""
+
+import itertools
+import math
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camber.formats.errors import FormatError
+from camber.formats.line_buffer import MAXIMUM_LINE_BYTES
+from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line, read_pos
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
+from camber.schemas.base import LATEST_NS
+
+DATUM = (
+    "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)\n"
+)
+COLUMNS = (
+    "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)"
+    "  sdeu(m)  sdun(m) age(s)  ratio\n"
+)
+VELOCITY_COLUMNS = (
+    COLUMNS[:-1]
+    + "    vn(m/s)    ve(m/s)    vu(m/s)      sdvn     sdve     sdvu    sdvne    sdveu    sdvun\n"
+)
+ROW = (
+    "2270 194670.000   35.165360868  136.881409540    41.4082   1  16   0.0049   0.0046   0.0102   0.0028"
+    "   0.0018  -0.0033   0.03    6.4\n"
+)
+VELOCITY_ROW = (
+    "2023/07/11 06:04:32.000   35.165360854  136.881409534    41.4069   1  19   0.0045   0.0045   0.0097"
+    "   0.0027   0.0011  -0.0030   0.03    5.9    0.01946   -0.02313    0.01343   0.09822  0.10783  0.25018"
+    "  0.05434  0.05016  0.05029\n"
+)
+NAMES = COLUMNS[1:].split()
+
+
+def decode(text: str | bytes) -> list[ReceiverSolution | FormatError]:
+    decoder = PosDecoder("rover.pos")
+    data = text if isinstance(text, bytes) else text.encode()
+    return decoder.feed(data) + decoder.finish()
+
+
+def solution_of(text: str) -> ReceiverSolution:
+    (result,) = decode(text)
+    assert isinstance(result, ReceiverSolution), str(result)
+    return result
+
+
+def error_of(text: str) -> str:
+    (result,) = decode(text)
+    assert isinstance(result, FormatError)
+    message = str(result)
+    assert "\n" not in message
+    return message
+
+
+def with_value(name: str, value: str) -> str:
+    fields = ROW.split()
+    fields[NAMES.index(name) + 1] = value
+    return DATUM + COLUMNS + " ".join(fields) + "\n"
+
+
+def comparable(results: list[ReceiverSolution | FormatError]) -> list[object]:
+    return [str(result) if isinstance(result, FormatError) else result for result in results]
+
+
+def test_a_row_of_a_recording() -> None:
+    solution = solution_of(DATUM + COLUMNS + ROW)
+    assert solution.time_ns == gps_ns_from_week_tow(2270, 194670 * NS_PER_SECOND)
+    assert math.degrees(solution.latitude_rad) == pytest.approx(35.165360868, abs=1e-12)
+    assert math.degrees(solution.longitude_rad) == pytest.approx(136.881409540, abs=1e-12)
+    assert (solution.height_m, solution.satellites, solution.age_s, solution.ratio) == (
+        41.4082,
+        16,
+        0.03,
+        6.4,
+    )
+    assert solution.quality is SolutionQuality.FIX
+    # (ee, en, eu, nn, nu, uu) of sdn sde sdu and the signed roots sdne sdeu sdun
+    assert solution.covariance_enu_m2 == pytest.approx(
+        (0.0046**2, 0.0028**2, 0.0018**2, 0.0049**2, -(0.0033**2), 0.0102**2)
+    )
+    assert solution.velocity_enu_m_s is None
+    assert solution.velocity_covariance_enu_m2_s2 is None
+
+
+def test_velocity_is_turned_from_north_east_up_to_east_north_up() -> None:
+    solution = solution_of(DATUM + VELOCITY_COLUMNS + VELOCITY_ROW)
+    assert solution.time_ns == gps_ns_from_gpst(CalendarTime(2023, 7, 11, 6, 4, 32))
+    assert solution.velocity_enu_m_s == (-0.02313, 0.01946, 0.01343)
+    assert solution.velocity_covariance_enu_m2_s2 == pytest.approx(
+        (0.10783**2, 0.05434**2, 0.05016**2, 0.09822**2, 0.05029**2, 0.25018**2)
+    )
+
+
+def test_utc_is_converted_to_gps_time() -> None:
+    text = DATUM + COLUMNS.replace("GPST", "UTC") + ROW.replace("2270 194670.000", "2023/07/11 06:04:12.000")
+    assert solution_of(text).time_ns == gps_ns_from_gpst(CalendarTime(2023, 7, 11, 6, 4, 30))
+
+
+def test_week_and_seconds_under_utc_are_ambiguous_and_refused() -> None:
+    assert "header says UTC" in error_of(DATUM + COLUMNS.replace("GPST", "UTC") + ROW)
+
+
+def test_columns_are_found_by_name_and_separators_may_be_commas() -> None:
+    header = "%  GPST,height(m),longitude(deg),latitude(deg),ns,Q\n"
+    solution = solution_of(DATUM + header + "2023/07/11 06:04:32.0,41.5,136.5,35.5,9,2\r\n")
+    assert (solution.height_m, solution.quality, solution.satellites) == (41.5, SolutionQuality.FLOAT, 9)
+    assert math.degrees(solution.latitude_rad) == pytest.approx(35.5)
+    assert (solution.covariance_enu_m2, solution.age_s, solution.ratio) == (None, None, None)
+
+
+def test_zero_deviations_and_zero_ratio_mean_not_known() -> None:
+    fields = ROW.split()
+    fields[7:13] = ["0.0000"] * 6
+    fields[14] = "0.0"
+    solution = solution_of(DATUM + COLUMNS + " ".join(fields) + "\n")
+    assert solution.covariance_enu_m2 is None
+    assert solution.ratio is None
+    assert solution.age_s == 0.03
+
+
+def test_age_of_a_single_solution_is_not_known() -> None:
+    fields = ROW.split()
+    fields[5], fields[13] = "5", "0.00"
+    assert solution_of(DATUM + COLUMNS + " ".join(fields) + "\n").age_s is None
+    fields[5] = "1"
+    assert solution_of(DATUM + COLUMNS + " ".join(fields) + "\n").age_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        (
+            DATUM.replace("ellipsoidal", "geodetic") + COLUMNS,
+            "orthometric height without a named geoid model",
+        ),
+        (DATUM.replace("WGS84", "Tokyo") + COLUMNS, "datum is 'Tokyo', expected WGS84"),
+        ("% (x/y/z-ecef=WGS84,Q=1:fix)\n%  GPST  x-ecef(m) y-ecef(m) z-ecef(m) Q ns\n", "ECEF and baselines"),
+        (
+            "% (e/n/u-baseline=WGS84,Q=1:fix)\n%  GPST  e-baseline(m) n-baseline(m) u-baseline(m)\n",
+            "baselines",
+        ),
+        (DATUM + COLUMNS.replace("GPST", "JST"), "time system is 'JST', expected GPST or UTC"),
+        (DATUM + COLUMNS.replace("(deg)", "(d'\")"), "a column latitude(deg)"),
+        (DATUM + COLUMNS.replace("sdne(m)", ""), "a column sdne(m)"),
+        (DATUM + COLUMNS.replace("ratio", "Q"), "each name once"),
+    ],
+)
+def test_headers_that_cannot_be_read_are_refused_once(header: str, expected: str) -> None:
+    decoder = PosDecoder("rover.pos")
+    results = decoder.feed((header + ROW * 3).encode())
+    assert [type(result) for result in results] == [FormatError]
+    assert expected in str(results[0])
+    assert str(results[0]).startswith("rover.pos:")
+    assert decoder.rows_refused == 3
+
+
+def test_rows_without_a_header_are_refused_once() -> None:
+    assert "a header line naming them" in error_of(ROW * 3)
+    assert "WGS84/ellipsoidal" in error_of(COLUMNS + ROW * 3)
+
+
+def test_undeclared_heights_may_be_declared_but_not_overruled() -> None:
+    decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
+    assert isinstance(decoder.feed((COLUMNS + ROW).encode())[0], ReceiverSolution)
+    decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
+    results = decoder.feed((DATUM.replace("ellipsoidal", "geodetic") + COLUMNS + ROW).encode())
+    assert [type(result) for result in results] == [FormatError]
+
+
+def test_a_second_header_replaces_the_first() -> None:
+    results = decode(
+        DATUM.replace("ellipsoidal", "geodetic") + COLUMNS + ROW + DATUM + VELOCITY_COLUMNS + VELOCITY_ROW
+    )
+    assert [type(result) for result in results] == [FormatError, ReceiverSolution]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("latitude(deg)", "95.0"),
+        ("latitude(deg)", "nan"),
+        ("longitude(deg)", "inf"),
+        ("longitude(deg)", "180.1"),
+        ("height(m)", "1_0"),
+        ("height(m)", "1e9"),
+        ("height(m)", "-"),
+        ("Q", "0"),
+        ("Q", "8"),
+        ("Q", "1.0"),
+        ("ns", "-1"),
+        ("ns", "1000"),
+        ("sdn(m)", "-0.1"),
+        ("sde(m)", "nan"),
+        ("sdeu(m)", "x"),
+        ("age(s)", "nan"),
+        ("ratio", "inf"),
+        ("ratio", "-1"),
+    ],
+)
+def test_a_bad_value_names_line_field_and_expectation(name: str, value: str) -> None:
+    message = error_of(with_value(name, value))
+    assert message.startswith("rover.pos:3: ")
+    assert name in message
+    assert value in message
+    assert "expected" in message
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        "2270 604800.0",
+        "2270 -1",
+        "-1 5",
+        "9999 1",
+        "99999 1",
+        "2023/02/30 00:00:00",
+        "1979/01/01 00:00:00",
+        "2100/01/01 00:00:00",
+        "20230711000/01/01 00:00:00",
+        "a b",
+    ],
+)
+def test_bad_times(time: str) -> None:
+    assert "rover.pos:3: time" in error_of(DATUM + COLUMNS + ROW.replace("2270 194670.000", time))
+
+
+def test_missing_and_surplus_columns() -> None:
+    assert "15 fields" not in error_of(DATUM + COLUMNS + ROW.replace("41.4082", "")).split("expected")[0]
+    assert "expected 15 fields" in error_of(DATUM + COLUMNS + ROW.replace("41.4082", ""))
+    assert "expected 15 fields" in error_of(DATUM + COLUMNS + ROW.replace("41.4082", "41,4082"))
+
+
+def test_covariance_that_is_none_is_refused() -> None:
+    assert "positive semidefinite" in error_of(with_value("sdne(m)", "0.0200"))
+
+
+def test_one_bad_line_costs_one_line() -> None:
+    results = decode(DATUM + COLUMNS + ROW + ROW.replace("35.16", "95.16") + ROW)
+    assert [type(result) for result in results] == [ReceiverSolution, FormatError, ReceiverSolution]
+
+
+def test_a_line_that_is_too_long_is_dropped_and_nothing_is_kept() -> None:
+    decoder = PosDecoder("rover.pos")
+    decoder.feed((DATUM + COLUMNS).encode())
+    results = [result for _ in range(100) for result in decoder.feed(b"9" * 1000)]
+    assert len(results) == 1
+    assert f"at most {MAXIMUM_LINE_BYTES} bytes" in str(results[0])
+    assert decoder.feed(b"\n" + ROW.encode())[0] == solution_of(DATUM + COLUMNS + ROW)
+
+
+def test_a_last_line_without_newline_may_be_cut_short() -> None:
+    assert "a newline at its end" in error_of(DATUM + COLUMNS + ROW[:-1])
+
+
+coordinates = st.floats(-math.pi / 2, math.pi / 2)
+deviations = st.floats(1e-4, 50.0)
+# Correlations of a product of rotations are always those of a covariance.
+factors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
+
+
+def covariance_from(
+    scale: tuple[float, float, float], factor: list[float]
+) -> tuple[float, float, float, float, float, float]:
+    rows = [factor[0:3], factor[3:6], factor[6:9]]
+
+    def entry(i: int, j: int) -> float:
+        shared = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
+        return scale[i] * scale[j] * (shared + (0.5 if i == j else 0.0))
+
+    return entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2)
+
+
+covariances = st.builds(covariance_from, st.tuples(deviations, deviations, deviations), factors)
+velocities = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
+solutions = st.builds(
+    ReceiverSolution,
+    time_ns=st.integers(0, LATEST_NS),
+    latitude_rad=coordinates,
+    longitude_rad=st.floats(-math.pi, math.pi),
+    height_m=st.floats(-500.0, 9000.0),
+    quality=st.sampled_from(SolutionQuality),
+    satellites=st.integers(1, 60),
+    covariance_enu_m2=st.none() | covariances,
+    age_s=st.floats(0.01, 60.0),
+    ratio=st.none() | st.floats(1.0, 999.0),
+    velocity_enu_m_s=velocities,
+    velocity_covariance_enu_m2_s2=st.none() | covariances,
+)
+
+
+@given(solutions, st.booleans())
+def test_written_solutions_read_back(solution: ReceiverSolution, velocity: bool) -> None:
+    text = format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
+    (again,) = decode(text)
+    assert isinstance(again, ReceiverSolution), str(again)
+    assert (again.time_ns, again.quality, again.satellites) == (
+        solution.time_ns,
+        solution.quality,
+        solution.satellites,
+    )
+    assert again.latitude_rad == pytest.approx(solution.latitude_rad, abs=math.radians(0.51e-9))
+    assert again.longitude_rad == pytest.approx(solution.longitude_rad, abs=math.radians(0.51e-9))
+    assert again.height_m == pytest.approx(solution.height_m, abs=0.51e-4)
+    assert again.age_s == pytest.approx(solution.age_s, abs=0.0051)
+    assert (again.ratio is None) == (solution.ratio is None)
+    if solution.ratio is not None:
+        assert again.ratio == pytest.approx(solution.ratio, abs=0.051)
+    assert_close_covariance(again.covariance_enu_m2, solution.covariance_enu_m2, 1e-4)
+    if velocity:
+        assert again.velocity_enu_m_s == pytest.approx(solution.velocity_enu_m_s, abs=0.51e-5)
+        assert_close_covariance(
+            again.velocity_covariance_enu_m2_s2, solution.velocity_covariance_enu_m2_s2, 1e-5
+        )
+
+
+def assert_close_covariance(
+    again: tuple[float, ...] | None, original: tuple[float, ...] | None, last_digit: float
+) -> None:
+    assert (again is None) == (original is None)
+    if again is None or original is None:
+        return
+    largest = math.sqrt(max(original))
+    for a, b in zip(again, original, strict=True):
+        # d(s²) = 2 s ds; the correlations may in addition have been shrunk by as much.
+        assert a == pytest.approx(b, abs=20.0 * largest * last_digit)
+
+
+def test_writing_what_cannot_be_written_is_an_error() -> None:
+    solution = ReceiverSolution(0, 0.0, 0.0, math.nan, SolutionQuality.FIX)
+    with pytest.raises(ValueError, match="not finite"):
+        format_pos_line(solution)
+    with pytest.raises(ValueError, match="no velocity"):
+        format_pos_line(ReceiverSolution(0, 0.0, 0.0, 0.0, SolutionQuality.FIX), velocity=True)
+
+
+def test_columns_stand_under_their_names() -> None:
+    line = format_pos_line(ReceiverSolution(0, 0.6, 2.3, 41.0, SolutionQuality.FIX)).decode()
+    header = format_pos_header().decode().splitlines()[1]
+    assert len(line.rstrip("\n")) == len(header)
+
+
+SAMPLE = (
+    DATUM + COLUMNS + ROW + ROW.replace("41.4082", "nan") + VELOCITY_COLUMNS + VELOCITY_ROW + ROW
+).encode()
+
+
+@given(st.binary(max_size=3000))
+def test_no_bytes_raise(data: bytes) -> None:
+    decode(data)
+    decode(SAMPLE + data + SAMPLE)
+
+
+@given(st.text(alphabet="%0123456789.,-+eE/: \t\nnaifGPSTUC_(m)", max_size=400))
+def test_no_text_of_the_right_letters_raises(text: str) -> None:
+    decode(DATUM + COLUMNS + text + "\n" + ROW)
+
+
+@given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
+def test_no_flipped_bit_raises_or_gives_a_number_that_is_none(byte: int, bit: int) -> None:
+    damaged = bytearray(SAMPLE)
+    damaged[byte] ^= 1 << bit
+    for result in decode(bytes(damaged)):
+        if isinstance(result, ReceiverSolution):
+            assert all(map(math.isfinite, (result.latitude_rad, result.longitude_rad, result.height_m)))
+
+
+@given(st.integers(0, len(SAMPLE)))
+def test_truncation_gives_a_prefix_and_at_most_one_error_more(length: int) -> None:
+    whole, part = comparable(decode(SAMPLE)), comparable(decode(SAMPLE[:length]))
+    complete = [result for result in part if "newline at its end" not in str(result)]
+    assert complete == whole[: len(complete)]
+    assert len(part) - len(complete) <= 1
+
+
+@given(st.binary(max_size=2500), st.lists(st.integers(0, 4000), max_size=8))
+def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> None:
+    data = SAMPLE + noise + b"\n" + SAMPLE
+    decoder = PosDecoder("rover.pos")
+    results: list[ReceiverSolution | FormatError] = []
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    for start, end in itertools.pairwise(edges):
+        results += decoder.feed(data[start:end])
+    assert comparable(results + decoder.finish()) == comparable(decode(data))
+
+
+def test_byte_by_byte() -> None:
+    decoder = PosDecoder("rover.pos")
+    data = SAMPLE + b"8" * 1500 + b"\n" + ROW.encode()
+    results = [result for i in range(len(data)) for result in decoder.feed(data[i : i + 1])]
+    assert comparable(results + decoder.finish()) == comparable(decode(data))
+
+
+@pytest.fixture
+def nagoya() -> Path:
+    folder = Path(os.environ.get("CAMBER_DATA", "")) / "nagoya-2023-07-11"
+    if "CAMBER_DATA" not in os.environ or not folder.is_dir():
+        pytest.skip("the recording nagoya-2023-07-11 is not there (CAMBER_DATA)")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "qualities"),
+    [
+        ("rover_rtk.pos", {SolutionQuality.FIX: 1799, SolutionQuality.FLOAT: 3596}),
+        ("rover_1Hz_rtk.pos", {SolutionQuality.FIX: 142, SolutionQuality.FLOAT: 389}),
+        ("rover_1Hz_spp.pos", {SolutionQuality.SINGLE: 550}),
+    ],
+)
+def test_recordings_are_read_without_an_error(
+    nagoya: Path, name: str, qualities: dict[SolutionQuality, int]
+) -> None:
+    results = list(read_pos(nagoya / name))
+    solutions = [result for result in results if isinstance(result, ReceiverSolution)]
+    assert len(solutions) == len(results)
+    assert Counter(solution.quality for solution in solutions) == qualities
+    assert all(a.time_ns < b.time_ns for a, b in itertools.pairwise(solutions))
+    assert all(solution.covariance_enu_m2 is not None for solution in solutions)
+
+
+def test_both_spellings_of_time_in_the_recordings_mean_the_same(nagoya: Path) -> None:
+    # one file writes weeks, the other dates: the fixes of the same times must be the same places, also in motion
+    weeks, dates = (
+        {s.time_ns: s for s in read_pos(nagoya / name) if isinstance(s, ReceiverSolution) and s.quality == 1}
+        for name in ("rover_rtk.pos", "rover_1Hz_rtk.pos")
+    )
+    common = weeks.keys() & dates.keys()
+    differences_m = sorted(
+        6.4e6
+        * math.hypot(
+            weeks[t].latitude_rad - dates[t].latitude_rad, weeks[t].longitude_rad - dates[t].longitude_rad
+        )
+        for t in common
+    )
+    assert len(common) > 50
+    assert differences_m[len(differences_m) * 9 // 10] < 0.05
+
+
+def test_a_recording_written_again_reads_the_same(nagoya: Path) -> None:
+    original = [s for s in read_pos(nagoya / "rover_rtk.pos") if isinstance(s, ReceiverSolution)]
+    again = decode(format_pos_header() + b"".join(format_pos_line(solution) for solution in original))
+    for a, b in zip(again, original, strict=True):
+        assert isinstance(a, ReceiverSolution)
+        assert (a.time_ns, a.quality, a.satellites, a.age_s, a.ratio) == (
+            b.time_ns,
+            b.quality,
+            b.satellites,
+            b.age_s,
+            b.ratio,
+        )
+        assert (a.latitude_rad, a.longitude_rad, a.height_m) == (b.latitude_rad, b.longitude_rad, b.height_m)

@@ -1,0 +1,235 @@
+"""RINEX files read back by a small reader of the test's own, column by column as the standard's tables have them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_number, signal_number
+from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
+from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
+
+BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 23, 59, 59, 900_000_000))
+STATION = StationHeader("ROVER", (-3810975.7625, 3566658.9114, 3653334.735))
+
+
+def epoch(number: int, rng: np.random.Generator) -> ObservationEpoch:
+    pairs = [("C01", "2I"), ("C01", "7I"), ("E05", "1X"), ("G02", "1C"), ("G02", "2L"), ("J07", "2L")]
+    n = len(pairs)
+    phase = rng.uniform(-1e6, 2e8, n)
+    phase[2] = np.nan
+    return ObservationEpoch(
+        BEGIN_NS + number * NS_PER_SECOND // 10,
+        np.array([satellite_number(s) for s, _ in pairs]),
+        np.array([signal_number(s) for _, s in pairs]),
+        rng.uniform(2e7, 4e7, n),
+        phase,
+        rng.uniform(-5e3, 5e3, n),
+        np.array([20.0, 30.1, 45.0, 53.9, 60.0, 3.0]),
+        np.full(n, 2.0),
+        np.array([True, False, False, False, True, False]),
+        np.array([False, True, False, False, True, False]),
+    )
+
+
+def read_observations(text: str):
+    """Types by system, then (time ns, {(satellite, type): (value, lli, ssi)}) by the columns of tables A2, A3."""
+    lines = text.splitlines()
+    types: dict[str, list[str]] = {}
+    labels = []
+    system = ""
+    k = 0
+    while True:
+        line = lines[k]
+        label = line[60:].strip()
+        labels.append(label)
+        if label == "SYS / # / OBS TYPES":
+            system = line[0] if line[0] != " " else system
+            types.setdefault(system, []).extend(line[7:60].split())
+        k += 1
+        if label == "END OF HEADER":
+            break
+    epochs = []
+    while k < len(lines):
+        head = lines[k]
+        assert head[0] == ">"
+        assert head[31] == "0"
+        year, month, day, hour, minute = (
+            int(head[a:b]) for a, b in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18))
+        )
+        whole, fraction = head[18:29].split(".")
+        when = CalendarTime(year, month, day, hour, minute, int(whole), int(fraction) * 100)
+        values = {}
+        count = int(head[32:35])
+        for row in lines[k + 1 : k + 1 + count]:
+            for j, kind in enumerate(types[row[0]]):
+                cell = row[3 + 16 * j : 19 + 16 * j].ljust(16)
+                if cell[:14].strip():
+                    values[row[:3], kind] = (float(cell[:14]), cell[14], cell[15])
+        epochs.append((gps_ns_from_gpst(when), values))
+        k += 1 + count
+    return labels, types, epochs
+
+
+def test_observations_are_read_back_within_the_resolution_of_the_format():
+    rng = np.random.default_rng(5)
+    written = [epoch(k, rng) for k in range(4)]
+    _, types, epochs = read_observations(observation_text(written, STATION))
+    assert {s: len(t) for s, t in types.items()} == {"G": 8, "J": 4, "E": 4, "C": 8}
+    assert [time_ns for time_ns, _ in epochs] == [e.time_ns for e in written]
+    for e, (_, values) in zip(written, epochs, strict=True):
+        for k, (s, f) in enumerate(zip(e.satellite, e.signal, strict=True)):
+            name = f"{chr(s >> 8)}{s & 255:02d}"
+            code = f"{chr(f >> 8)}{chr(f & 255)}"
+            expected = {
+                "C": e.pseudorange_m[k],
+                "L": e.carrier_phase_cycles[k],
+                "D": e.doppler_hz[k],
+                "S": e.cn0_dbhz[k],
+            }
+            for kind, value in expected.items():
+                found = values.pop((name, kind + code), None)
+                if np.isnan(value):
+                    assert found is None
+                else:
+                    assert found is not None
+                    assert found[0] == pytest.approx(value, abs=0.5001e-3)
+        assert not values
+
+
+def test_loss_of_lock_half_cycles_and_strengths_stand_beside_the_values():
+    _, _, epochs = read_observations(observation_text([epoch(0, np.random.default_rng(1))], STATION))
+    values = epochs[0][1]
+    assert [values[k][1] for k in (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"))] == [
+        "1",
+        "2",
+        " ",
+        "3",
+    ]
+    assert [values[k][2] for k in (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"), ("J07", "L2L"))] == [
+        "3", "5", "8", "9", "1",
+    ]  # fmt: skip
+
+
+def test_the_header_has_all_records_that_the_standard_requires_and_no_line_is_too_long():
+    text = observation_text([epoch(k, np.random.default_rng(1)) for k in range(2)], STATION)
+    labels, _, _ = read_observations(text)
+    required = (
+        "RINEX VERSION / TYPE", "PGM / RUN BY / DATE", "MARKER NAME", "MARKER TYPE", "OBSERVER / AGENCY",
+        "REC # / TYPE / VERS", "ANT # / TYPE", "APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N", "SYS / # / OBS TYPES",
+        "TIME OF FIRST OBS", "SYS / PHASE SHIFT", "END OF HEADER",
+    )  # fmt: skip
+    assert set(required) <= set(labels)
+    head = text[: text.index("END OF HEADER")].splitlines()
+    assert max(map(len, head)) <= 80
+    assert text.isascii()
+
+
+def test_no_epochs_and_a_signal_given_twice_are_refused():
+    with pytest.raises(ValueError, match="needs an epoch"):
+        observation_text([], STATION)
+    twice = epoch(0, np.random.default_rng(1))
+    twice.signal[1] = twice.signal[0]
+    with pytest.raises(ValueError, match="C01 has 2I twice"):
+        observation_text([twice], STATION)
+
+
+def ephemeris(name: str, **other: float) -> Ephemeris:
+    rng = np.random.default_rng(satellite_number(name))
+    angles = rng.uniform(-3.0, 3.0, 4)
+    harmonics = rng.normal(size=4)
+    return Ephemeris(
+        satellite=satellite_number(name),
+        toe_ns=BEGIN_NS // (3600 * NS_PER_SECOND) * 3600 * NS_PER_SECOND,
+        toc_ns=BEGIN_NS // NS_PER_SECOND * NS_PER_SECOND,
+        transmission_ns=BEGIN_NS - 600 * NS_PER_SECOND,
+        iode=77,
+        clock=(1.234567890123e-4, -3e-12, 0.0),
+        sqrt_a=5153.7123456789,
+        eccentricity=0.0123,
+        inclination_rad=0.96,
+        inclination_rate_rad_s=1e-10,
+        ascending_node_rad=float(angles[0]),
+        ascending_node_rate_rad_s=-8e-9,
+        perigee_rad=float(angles[1]),
+        mean_anomaly_rad=float(angles[2]),
+        mean_motion_difference_rad_s=4e-9,
+        cuc=float(harmonics[0]) * 1e-6,
+        cus=float(harmonics[1]) * 1e-6,
+        crc_m=211.5,
+        crs_m=-40.25,
+        cic=float(harmonics[2]) * 1e-7,
+        cis=float(harmonics[3]) * 1e-7,
+        accuracy_m=2.0,
+        health=0,
+        other=other,
+    )
+
+
+SETS = [
+    ephemeris("G05", tgd_s=-1e-8, iodc=77.0, fit_interval_h=4.0),
+    ephemeris("J02", tgd_s=2e-9, iodc=77.0, fit_interval_h=2.0),
+    ephemeris("E11", bgd_e5a_s=1e-9, bgd_e5b_s=2e-9, data_sources=517.0),
+    ephemeris("C30", tgd1_s=3e-9, tgd2_s=-4e-9, aodc=1.0),
+]
+
+
+def read_navigation(text: str):
+    """Numbers of each record by its satellite, and its calendar time."""
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line[60:].startswith("END OF HEADER")) + 1
+    found = {}
+    for k in range(at, len(lines), 8):
+        calendar = tuple(int(v) for v in lines[k][3:23].split())
+        numbers = [float(lines[k][c : c + 19]) for c in (23, 42, 61)]
+        for line in lines[k + 1 : k + 8]:
+            numbers += [float(line[c : c + 19]) for c in range(4, len(line), 19)]
+        found[lines[k][:3]] = (calendar, numbers)
+    return found
+
+
+@pytest.mark.parametrize("e", SETS, ids=lambda e: chr(e.satellite >> 8))
+def test_ephemerides_are_read_back_to_twelve_digits_in_their_systems_own_time(e):
+    system = chr(e.satellite >> 8)
+    ((calendar, n),) = read_navigation(navigation_text([e])).values()
+    shift_ns = 14 * NS_PER_SECOND if system == "C" else 0
+    assert gps_ns_from_gpst(CalendarTime(*calendar)) + shift_ns == e.toc_ns
+    weeks = 1356 if system == "C" else 0
+    week_ns = 7 * 86400 * NS_PER_SECOND
+    assert round((n[21] + weeks) * week_ns + n[11] * 1e9) + shift_ns == e.toe_ns
+    assert round((n[21] + weeks) * week_ns + n[27] * 1e9) + shift_ns == e.transmission_ns
+    broadcast = [
+        *e.clock, float(e.iode), e.crs_m, e.mean_motion_difference_rad_s, e.mean_anomaly_rad, e.cuc, e.eccentricity,
+        e.cus, e.sqrt_a, n[11], e.cic, e.ascending_node_rad, e.cis, e.inclination_rad, e.crc_m, e.perigee_rad,
+        e.ascending_node_rate_rad_s, e.inclination_rate_rad_s,
+    ]  # fmt: skip
+    assert n[:20] == pytest.approx(broadcast, rel=1e-12, abs=1e-30)
+    assert n[23:25] == [e.accuracy_m, 0.0]
+    o = e.other
+    delays = {
+        "G": ("tgd_s", "iodc"),
+        "J": ("tgd_s", "iodc"),
+        "E": ("bgd_e5a_s", "bgd_e5b_s"),
+        "C": ("tgd1_s", "tgd2_s"),
+    }
+    assert n[25:27] == [o[name] for name in delays[system]]
+    if system == "E":
+        assert n[20] == 517.0
+    if system == "G":
+        assert n[28] == 4.0
+    if system == "J":
+        assert n[28] == 0.0  # a flag: not more than two hours
+
+
+def test_the_navigation_header_names_the_ionosphere_and_unknown_systems_are_refused():
+    gps = IonosphereCoefficients("G", (1e-8, 2e-8, -6e-8, -1.2e-7), (1e5, 1.8e5, -1.3e5, -4.6e5))
+    text = navigation_text(SETS, [gps])
+    assert "GPSA   1.0000E-08  2.0000E-08 -6.0000E-08 -1.2000E-07" in text
+    assert len(read_navigation(text)) == 4
+    with pytest.raises(ValueError, match="R01"):
+        navigation_text([replace(SETS[0], satellite=satellite_number("R01"))])
+    with pytest.raises(ValueError, match="ionosphere of system E"):
+        navigation_text(SETS, [replace(gps, system="E")])
+    with pytest.raises(ValueError, match="needs an ephemeris"):
+        navigation_text([])

@@ -1,0 +1,375 @@
+"""Reading RTCM: what was written comes back, pyrtcm agrees, and no bytes make the reader raise."""
+
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyrtcm import RTCMReader
+
+from camber.formats.broadcast.bit_fields import bytes_of, joined
+from camber.formats.broadcast.ephemeris_fields import broadcast_integers
+from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, signal_name
+from camber.formats.rtcm.msm_reader import minimum_lock_s
+from camber.formats.rtcm.msm_writer import lock_indicator
+from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder, StationEpoch
+from camber.formats.rtcm.writer import (
+    format_ephemeris,
+    format_observations,
+    format_reference_station,
+    rtcm_frame,
+)
+from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris, random_epoch
+
+SEEDS = st.integers(0, 2**32)
+NOW_NS = 2300 * WEEK_NS + 100_000 * SECOND_NS
+
+
+def read_all(data: bytes, near_ns: int = NOW_NS, cuts=()):
+    decoder = RtcmDecoder(near_ns)
+    results, begin = [], 0
+    for end in [*sorted(cuts), len(data)]:
+        results += decoder.feed(data[begin:end])
+        begin = end
+    return results + decoder.finish(), decoder
+
+
+def counters(decoder):
+    names = [name for name in vars(decoder) if not name.startswith("_")]
+    return {name: getattr(decoder, name) for name in (*names, "bytes_skipped", "failed_checks")}
+
+
+def by_signal(epoch: ObservationEpoch):
+    columns = [f.name for f in fields(epoch) if f.name not in ("time_ns", "satellite", "signal")]
+    return {
+        (int(epoch.satellite[k]), int(epoch.signal[k])): [getattr(epoch, name)[k] for name in columns]
+        for k in range(epoch.satellite.size)
+    }
+
+
+@given(
+    SEEDS,
+    st.integers(-3 * 86_400, 3 * 86_400),
+    st.sampled_from([0, 1, 13_999, 14_000, 604_799_999, 86_399_999]),
+)
+@settings(derandomize=True, max_examples=80, deadline=None)
+def test_observations_come_back_within_the_resolution(seed, away_s, of_week_ms):
+    time_ns = 2300 * WEEK_NS + of_week_ms * 1_000_000
+    epoch = random_epoch(np.random.default_rng(seed), time_ns, satellites=30)
+    data = b"".join(format_observations(epoch, station_id=77))
+    results, decoder = read_all(data, time_ns + away_s * SECOND_NS)
+    assert not any(counters(decoder).values())
+    if not epoch.satellite.size:
+        assert results == []
+        return
+    (found,) = results
+    assert isinstance(found, StationEpoch)
+    assert (found.station_id, found.complete, found.epoch.time_ns) == (77, True, time_ns)
+    theirs, ours = by_signal(epoch), by_signal(found.epoch)
+    assert ours.keys() == theirs.keys()
+    for (satellite, signal), (code, phase, doppler, cn0, lock_s, _, half) in theirs.items():
+        carrier = COMMON[chr(satellite >> 8)][signal_name(signal)]
+        per_ms = LIGHT_M_S * 1e-3
+        row = ours[satellite, signal]
+        steps = (
+            per_ms * 2.0**-29,
+            per_ms * 2.0**-31 * carrier / LIGHT_M_S,
+            1e-4 * carrier / LIGHT_M_S,
+            2.0**-4,
+        )
+        for got, given_, step in zip(row, (code, phase, doppler, cn0), steps, strict=False):
+            assert math.isnan(got) == math.isnan(given_)
+            assert math.isnan(got) or abs(got - given_) <= 0.5 * step + 1e-6
+        lock_s = 0.0 if math.isnan(lock_s) else lock_s
+        assert row[4] <= lock_s + 1e-8
+        assert lock_indicator(np.array([row[4]])) == lock_indicator(np.array([lock_s]))
+        assert row[5:] == [False, half]
+
+
+def msm4_frame(letter_number, station, time_ms, rows):
+    """An MSM4, field by field; rows of (satellite, id, code, phase, lock, half cycle, C/N0) as they are sent."""
+    satellites = sorted({row[0] for row in rows})
+    ids = sorted({row[1] for row in rows})
+    cells = {(row[0], row[1]): row[2:] for row in rows}
+    order = [(s, i) for s in satellites for i in ids]
+    chosen = [cells[key] for key in order if key in cells]
+    parts = [(letter_number, 12), (station, 12), (time_ms, 30), (0, 1), (0, 18)]
+    parts += [(int(n in satellites), 1) for n in range(1, 65)] + [(int(i in ids), 1) for i in range(1, 33)]
+    parts += [(int(key in cells), 1) for key in order]
+    parts += [(70 + s, 8) for s in satellites] + [(s * 3, 10) for s in satellites]
+    for place, width in enumerate((15, 22, 4, 1, 6)):
+        parts += [(cell[place], width) for cell in chosen]
+    return rtcm_frame(bytes_of(*joined(parts)))
+
+
+@pytest.mark.parametrize(("letter", "number"), [("G", 1074), ("E", 1094), ("J", 1114), ("C", 1124)])
+def test_pyrtcm_and_the_reader_agree_about_msm4(letter, number):
+    rng = np.random.default_rng(number)
+    ids = {"G": (2, 16, 23), "E": (2, 15), "J": (2, 16), "C": (2, 14)}[letter]
+    rows = [
+        (s, i, int(rng.integers(-16384, 16384)), int(rng.integers(-(2**21), 2**21)), int(rng.integers(0, 16)),
+         int(rng.integers(0, 2)), int(rng.integers(0, 64)))
+        for s in (1, 4, 9) for i in ids if rng.random() < 0.8
+    ]  # fmt: skip
+    rows += [(10, ids[0], -16384, -(2**21), 0, 0, 0)]
+    frame = msm4_frame(number, 9, 1000, rows)
+    message = RTCMReader.parse(frame)
+    ((found,), decoder) = read_all(frame, 2300 * WEEK_NS)
+    assert not any(counters(decoder).values())
+    epoch = found.epoch
+    assert message.NCell == epoch.satellite.size == len(rows)
+    rough = {
+        getattr(message, f"PRN_{k:02d}"): getattr(message, f"DF397_{k:02d}")
+        + getattr(message, f"DF398_{k:02d}")
+        for k in range(1, message.NSat + 1)
+    }
+    per_ms = LIGHT_M_S * 1e-3
+    for k in range(message.NCell):
+        at = f"_{k + 1:02d}"
+        prn, signal = getattr(message, "CELLPRN" + at), getattr(message, "CELLSIG" + at)
+        offset = 192 if letter == "J" else 0
+        assert satellite_name(int(epoch.satellite[k])) == f"{letter}{int(prn) - offset:02d}"
+        assert signal_name(int(epoch.signal[k])) == signal
+        code, phase = getattr(message, "DF400" + at), getattr(message, "DF401" + at)
+        wavelength = LIGHT_M_S / COMMON[letter][signal]
+        wanted = math.nan if code == -(2.0**-10) else (rough[prn] + code) * per_ms
+        assert epoch.pseudorange_m[k] == pytest.approx(wanted, abs=1e-6, nan_ok=True)
+        wanted = math.nan if phase == -(2.0**-8) else (rough[prn] + phase) * per_ms / wavelength
+        assert epoch.carrier_phase_cycles[k] == pytest.approx(wanted, abs=1e-5, nan_ok=True)
+        indicator = getattr(message, "DF402" + at)
+        # Table 3.5-74: 0, 32 ms, 64 ms, … 524288 ms.
+        assert epoch.lock_time_s[k] == (0.0 if indicator == 0 else 0.016 * 2**indicator)
+        assert epoch.half_cycle[k] == getattr(message, "DF420" + at)
+        wanted = getattr(message, "DF403" + at) or math.nan
+        assert epoch.cn0_dbhz[k] == pytest.approx(wanted, nan_ok=True)
+        assert math.isnan(epoch.doppler_hz[k])
+    assert math.isnan(epoch.pseudorange_m[-1])
+
+
+def test_the_least_lock_times_are_those_that_the_indicators_are_made_of():
+    least = minimum_lock_s()[10]
+    assert lock_indicator(least[:705]).tolist() == list(range(705))
+
+
+NAMES = st.sampled_from(["G01", "G63", "J01", "J10", "E01", "E50", "C01", "C30", "C63"])
+
+
+@given(SEEDS, NAMES, st.integers(-60, 60))
+@settings(derandomize=True, max_examples=100, deadline=None)
+def test_ephemerides_come_back_as_the_integers_that_were_sent(seed, name, hours):
+    toe_ns = 2300 * WEEK_NS + (14 if name[0] == "C" else 0) * SECOND_NS
+    ephemeris = random_ephemeris(np.random.default_rng(seed), name, toe_ns)
+    near_ns = toe_ns + hours * 3600 * SECOND_NS
+    results, decoder = read_all(b"".join(format_ephemeris(ephemeris)), near_ns)
+    assert not any(counters(decoder).values())
+    sent = broadcast_integers(ephemeris)
+    for found in results:
+        assert isinstance(found, Ephemeris)
+        assert (found.toe_ns, found.toc_ns, found.transmission_ns) == (toe_ns, ephemeris.toc_ns, near_ns)
+        if name[0] != "E":
+            assert broadcast_integers(found) == sent
+    if name[0] == "E":
+        fnav, inav = results
+        assert (fnav.other["data_sources"], inav.other["data_sources"]) == (258.0, 517.0)
+        assert broadcast_integers(inav) | {"e5a_health": 0, "e5a_invalid": 0} == sent | {
+            "e5a_health": 0,
+            "e5a_invalid": 0,
+        }
+        assert "bgd_e5b_s" not in fnav.other
+        assert fnav.health == ephemeris.health & 0b111000
+
+
+@given(st.floats(-1e7, 1e7), st.floats(-1e7, 1e7), st.floats(-1e7, 1e7), st.none() | st.floats(0.0, 6.0))
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_a_reference_station_comes_back(x, y, z, height):
+    frame = format_reference_station((x, y, z), station_id=4095, antenna_height_m=height)
+    ((station,), _) = read_all(frame)
+    assert isinstance(station, ReferenceStation)
+    assert station.station_id == 4095
+    assert station.position_ecef_m == pytest.approx((x, y, z), abs=0.5001e-4)
+    assert station.antenna_height_m == (None if height is None else pytest.approx(height, abs=0.5001e-4))
+
+
+def a_stream(rng, seconds=3):
+    """Station, ephemerides and observations of some seconds: frames and what of them must come back."""
+    frames = [format_reference_station((-3.8e6, 3.5e6, 3.6e6), station_id=5)]
+    for name in ("G05", "E12", "C30", "J02"):
+        toe_ns = 2300 * WEEK_NS + (14 if name[0] == "C" else 0) * SECOND_NS
+        frames += format_ephemeris(random_ephemeris(rng, name, toe_ns))
+    for k in range(seconds):
+        frames += format_observations(random_epoch(rng, NOW_NS + k * SECOND_NS, satellites=8), station_id=5)
+    return frames
+
+
+def described(results):
+    """Comparable, NaN included."""
+    told = []
+    for result in results:
+        if isinstance(result, StationEpoch):
+            columns = (getattr(result.epoch, f.name) for f in fields(result.epoch))
+            told.append((result.station_id, result.complete, *(np.asarray(c).tobytes() for c in columns)))
+        else:
+            told.append(repr(result))
+    return told
+
+
+@given(SEEDS, st.lists(st.integers(0, 6000), max_size=12))
+@settings(derandomize=True, max_examples=30, deadline=None)
+def test_the_results_do_not_depend_on_how_the_stream_is_cut(seed, cuts):
+    rng = np.random.default_rng(seed)
+    noise = [rng.bytes(int(rng.integers(0, 40))) for _ in range(60)]
+    data = b"".join(part for pair in zip(a_stream(rng), noise, strict=False) for part in pair)
+    whole, decoder = read_all(data)
+    pieces, again = read_all(data, cuts=[cut for cut in cuts if cut < len(data)])
+    assert described(pieces) == described(whole)
+    assert counters(again) == counters(decoder)
+
+
+@given(SEEDS)
+@settings(derandomize=True, max_examples=40, deadline=None)
+def test_frames_between_foreign_bytes_are_all_found_and_the_foreign_bytes_counted(seed):
+    rng = np.random.default_rng(seed)
+    frames = a_stream(rng)
+    noise = [rng.bytes(int(rng.integers(0, 60))).replace(b"\xd3", b"\x00") for _ in frames]
+    results, decoder = read_all(b"".join(n + f for n, f in zip(noise, frames, strict=True)))
+    clean, _ = read_all(b"".join(frames))
+    assert described(results) == described(clean)
+    assert decoder.bytes_skipped == sum(map(len, noise))
+
+
+@given(SEEDS, st.integers(1, 30))
+@settings(derandomize=True, max_examples=150, deadline=None)
+def test_flipped_lost_and_inserted_bytes_raise_nothing_and_each_byte_is_accounted_for(seed, damages):
+    rng = np.random.default_rng(seed)
+    frames = a_stream(rng)
+    data = bytearray(b"".join(frames))
+    for _ in range(damages):
+        place = int(rng.integers(0, len(data)))
+        kind = int(rng.integers(0, 3))
+        if kind == 0:
+            data[place] ^= 1 << int(rng.integers(0, 8))
+        elif kind == 1:
+            del data[place : place + int(rng.integers(1, 50))]
+        else:
+            data[place:place] = rng.bytes(int(rng.integers(1, 50)))
+    results, decoder = read_all(bytes(data))
+    # Every frame that is still whole is found, and nothing else is.
+    whole = [frame for frame in frames if frame in data]
+    assert len(data) - decoder.bytes_skipped == sum(map(len, whole))
+    assert decoder.malformed == decoder.not_read == 0
+    stations = [result for result in results if isinstance(result, ReferenceStation)]
+    assert len(stations) == (frames[0] in whole)
+    assert sum(isinstance(result, Ephemeris) for result in results) == sum(f in whole for f in frames[1:6])
+
+
+@given(SEEDS)
+@settings(derandomize=True, max_examples=150, deadline=None)
+def test_contents_without_meaning_in_right_frames_raise_nothing(seed):
+    """The CRC is right, the content damaged or cut short: counted or read, never raised."""
+    rng = np.random.default_rng(seed)
+    decoder = RtcmDecoder(NOW_NS)
+    sent = 0
+    for frame in a_stream(rng, seconds=1):
+        payload = bytearray(frame[3:-3])
+        for _ in range(4):
+            damaged = bytearray(payload)
+            for _ in range(int(rng.integers(1, 20))):
+                damaged[int(rng.integers(1 if rng.random() < 0.9 else 0, len(damaged)))] ^= int(
+                    rng.integers(1, 256)
+                )
+            decoder.feed(rtcm_frame(bytes(damaged[: int(rng.integers(0, len(damaged) + 1))])))
+            sent += 1
+    number = int(
+        rng.choice([1005, 1006, 1019, 1042, 1044, 1045, 1046, 1074, 1077, 1087, 1094, 1097, 1117, 1127])
+    )
+    for size in (2, 3, 10, 30, 100, 1000):
+        decoder.feed(rtcm_frame(bytes([number >> 4, number << 4 & 0xFF]) + rng.bytes(size)))
+        decoder.feed(rtcm_frame(bytes([number >> 4, number << 4 & 0xFF]) + b"\xff" * size))
+    decoder.finish()
+    assert decoder.bytes_skipped == decoder.failed_checks == 0
+    assert decoder.malformed > 0
+
+
+@given(st.binary(max_size=4000))
+@settings(derandomize=True, max_examples=200)
+def test_random_bytes_raise_nothing_and_are_all_skipped(data):
+    results, decoder = read_all(data)
+    assert results == []
+    assert decoder.bytes_skipped == len(data)
+
+
+def test_an_epoch_is_given_when_its_last_message_came_or_the_next_begins():
+    rng = np.random.default_rng(1)
+    one = random_epoch(rng, NOW_NS, satellites=10, missing=0.0)
+    frames = format_observations(one, station_id=1)
+    assert len(frames) > 2
+    decoder = RtcmDecoder(NOW_NS)
+    assert [len(decoder.feed(frame)) for frame in frames] == [0] * (len(frames) - 1) + [1]
+    # The last one lost: given, as not complete, when the next epoch begins.
+    decoder = RtcmDecoder(NOW_NS)
+    for frame in frames[:-1]:
+        assert decoder.feed(frame) == []
+    later = format_observations(random_epoch(rng, NOW_NS + SECOND_NS, satellites=10), station_id=1)
+    (first, *_) = decoder.feed(later[0])
+    assert not first.complete
+    assert first.epoch.time_ns == NOW_NS
+    assert decoder.incomplete == 1
+    # The last message of the epoch is of a system that is not read.
+    decoder = RtcmDecoder(NOW_NS)
+    for frame in format_observations(one, station_id=1, more_follow=True):
+        assert decoder.feed(frame) == []
+    glonass = rtcm_frame(bytes_of(*joined([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
+    (given_,) = decoder.feed(glonass)
+    assert given_.complete
+    assert decoder.not_read == 1
+
+
+def test_a_lock_that_is_shorter_than_the_time_since_the_last_epoch_is_a_loss():
+    decoder = RtcmDecoder(NOW_NS)
+    rng = np.random.default_rng(2)
+    base = random_epoch(rng, NOW_NS, satellites=6, missing=0.0)
+    n = base.satellite.size
+    for k, lock_s, lost in (
+        (0, 5.0, False),
+        (1, 6.0, False),
+        (2, 0.1, True),
+        (3, 1.1, False),
+        (10, 3.0, True),
+    ):
+        columns = {f.name: getattr(base, f.name) for f in fields(base)}
+        columns |= {"time_ns": NOW_NS + k * SECOND_NS, "lock_time_s": np.full(n, lock_s)}
+        (found,) = decoder.feed(b"".join(format_observations(ObservationEpoch(**columns), station_id=1)))
+        assert found.epoch.loss_of_lock.tolist() == [lost] * n
+
+
+def test_times_follow_the_stream_over_weeks():
+    decoder = RtcmDecoder(NOW_NS)
+    for k in range(12):
+        time_ns = NOW_NS + k * 3 * 86_400 * SECOND_NS
+        epoch = random_epoch(np.random.default_rng(k), time_ns, satellites=5, missing=0.0)
+        for found in decoder.feed(b"".join(format_observations(epoch, station_id=1))):
+            assert found.epoch.time_ns == time_ns
+
+
+def test_epochs_that_are_never_ended_are_given_in_parts_and_do_not_pile_up():
+    epoch = random_epoch(np.random.default_rng(4), NOW_NS, satellites=4, missing=0.0)
+    frame = format_observations(epoch, station_id=1, more_follow=True)[0]
+    decoder = RtcmDecoder(NOW_NS)
+    results = decoder.feed(frame * 100)
+    assert [result.complete for result in results] == [False] * 3
+    assert decoder.incomplete == 3
+
+
+def test_of_many_stations_only_some_are_remembered():
+    epoch = random_epoch(np.random.default_rng(5), NOW_NS, satellites=4, missing=0.0)
+    decoder, begun = RtcmDecoder(NOW_NS), 0
+    for station in range(100):
+        results = decoder.feed(format_observations(epoch, station_id=station, more_follow=True)[0])
+        begun += 1 - len(results)
+        # The one that began first is given when there is no more room.
+        assert [result.station_id for result in results] == ([station - 16] if station >= 16 else [])
+    assert begun == 16
+    assert len(decoder.finish()) == 16
+    assert len(decoder._locks) == 16

@@ -1,0 +1,259 @@
+"""RXM-RAWX: what was written is read, what a receiver sent is what pyubx2 makes of it, and nonsense is refused."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyubx2 import UBXReader
+
+from camber.formats.observations import satellite_name, satellite_number, signal_name, signal_number
+from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.ubx.rawx_reader import read_raw_measurements
+from camber.formats.ubx.reader import UbxDecoder
+from camber.formats.ubx.signals import GNSS_IDS, SIGNAL_IDS
+from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
+from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
+
+TIMES = st.integers(1044 * WEEK_NS, 4000 * WEEK_NS)
+# All that is read under the name it was written by: data and pilot together are read as the pilot.
+CARRIERS = {
+    system: {name: 1575.42e6 for name in names if not name.endswith("X")}
+    for system, names in SIGNAL_IDS.items()
+}
+
+
+def read(frame: bytes, *, locks: LockTimes | None = None, near_ns: int | None = None):
+    return read_raw_measurements(frame[6:-2], locks or LockTimes(), near_ns)
+
+
+def rawx(rows, *, tow_s=345_600.0, week=2300, status=1, version=1, count=None):
+    """Rows: (gnss, sv, sig, pseudorange, phase, Doppler, lock ms, C/N0, status)."""
+    payload = struct.pack(
+        "<dHbBBB2x", tow_s, week, 18, len(rows) if count is None else count, status, version
+    )
+    for gnss, sv, sig, pseudorange, phase, doppler, lock, cn0, track in rows:
+        payload += struct.pack(
+            "<ddfBBBBHBBBBBx", pseudorange, phase, doppler, gnss, sv, sig, 0, lock, cn0, 5, 2, 3, track
+        )
+    return ubx_frame(0x02, 0x15, payload)
+
+
+def row(gnss=0, sv=5, sig=0, pseudorange=2.1e7, phase=1.1e8, doppler=-900.5, lock=5000, cn0=45, track=7):
+    return gnss, sv, sig, pseudorange, phase, doppler, lock, cn0, track
+
+
+@given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6]), st.booleans())
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_what_is_written_is_read(seed, time_ns, missing, reset):
+    rng = np.random.default_rng(seed)
+    sent = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=6)
+    sent = replace(sent, pseudorange_m=sent.pseudorange_m * float(rng.choice([1.0, -1.0, 1e-6])))
+    found, left_out = read(format_raw_measurements(sent, clock_reset=reset))
+    epoch = found.epoch
+    assert (left_out.other_systems, left_out.unknown_signals, left_out.repeated) == (0, 0, 0)
+    assert found.clock_reset == reset
+    assert epoch.time_ns == time_ns
+    np.testing.assert_array_equal(epoch.satellite, sent.satellite)
+    np.testing.assert_array_equal(epoch.signal, sent.signal)
+    np.testing.assert_array_equal(epoch.pseudorange_m, sent.pseudorange_m)
+    # Half a cycle of geostationary satellites, taken off and added again.
+    np.testing.assert_allclose(epoch.carrier_phase_cycles, sent.carrier_phase_cycles, rtol=1e-15)
+    np.testing.assert_array_equal(epoch.doppler_hz, sent.doppler_hz.astype(np.float32))
+    cn0 = np.rint(sent.cn0_dbhz)
+    np.testing.assert_array_equal(epoch.cn0_dbhz, np.where(cn0 == 0.0, np.nan, cn0))
+    lock_s = np.nan_to_num(sent.lock_time_s)
+    assert (np.abs(epoch.lock_time_s - np.minimum(lock_s, 64.5)) < 1.001e-3).all()
+    has_phase = ~np.isnan(sent.carrier_phase_cycles)
+    np.testing.assert_array_equal(epoch.half_cycle, sent.half_cycle & has_phase)
+    assert not epoch.loss_of_lock.any()
+
+
+def test_every_signal_of_the_table_is_read_by_its_number():
+    for system, names in SIGNAL_IDS.items():
+        for name, signal_id in names.items():
+            found, _ = read(rawx([row(GNSS_IDS[system], 7, signal_id)]))
+            read_name = signal_name(int(found.epoch.signal[0]))
+            assert read_name == name or name.endswith("X"), (system, name)
+            assert SIGNAL_IDS[system][read_name] == signal_id
+            assert satellite_name(int(found.epoch.satellite[0])) == f"{system}07"
+
+
+def test_signals_of_geostationary_satellites_are_the_same_signals():
+    for d1, d2 in ((0, 1), (2, 3), (4, 10)):
+        names = [
+            signal_name(int(read(rawx([row(3, 3, signal_id)]))[0].epoch.signal[0])) for signal_id in (d1, d2)
+        ]
+        assert names[0] == names[1]
+
+
+def test_phases_of_geostationary_satellites_lack_half_a_cycle():
+    for number, half in ((1, 0.5), (5, 0.5), (6, 0.0), (58, 0.0), (59, 0.5), (63, 0.5)):
+        epoch = read(rawx([row(3, number, 0, phase=1000.25)]))[0].epoch
+        assert epoch.carrier_phase_cycles.tolist() == [1000.25 + half]
+
+
+def test_a_receiver_of_version_0_has_one_signal_of_each_system():
+    found, _ = read(rawx([row(0, 5, 200), row(3, 6, 77), row(2, 7, 9)], version=0))
+    assert [signal_name(number) for number in found.epoch.signal.tolist()] == ["1C", "2I", "1C"]
+
+
+def test_what_is_not_read_is_counted():
+    rows = [
+        *(row(6, 3), row(1, 130), row(7, 4), row(200, 1)),  # GLONASS, SBAS, NavIC, nobody
+        *(row(0, 3, 1), row(0, 0), row(5, 11), row(0, 255)),  # no such signal, no such satellites
+        *(row(0, 9, 0, 2.0e7), row(0, 9, 0, 2.5e7)),  # twice
+    ]
+    found, left_out = read(rawx(rows))
+    assert (left_out.other_systems, left_out.unknown_signals, left_out.repeated) == (4, 4, 1)
+    assert found.epoch.satellite.tolist() == [satellite_number("G09")]
+    assert found.epoch.pseudorange_m.tolist() == [2.0e7]
+
+
+@pytest.mark.parametrize(
+    ("track", "pseudorange", "phase", "half"),
+    [
+        (0b0000, False, False, False),
+        (0b0001, True, False, False),
+        (0b0011, True, True, True),
+        (0b0111, True, True, False),
+        (0b1111, True, True, False),
+        (0b0110, False, True, False),
+        (0b0101, True, False, False),
+    ],
+)
+def test_the_tracking_status_says_what_is_valid(track, pseudorange, phase, half):
+    epoch = read(rawx([row(track=track)]))[0].epoch
+    assert math.isnan(epoch.pseudorange_m[0]) != pseudorange
+    assert math.isnan(epoch.carrier_phase_cycles[0]) != phase
+    assert bool(epoch.half_cycle[0]) == half
+
+
+def test_values_that_are_no_numbers_are_not_known():
+    for bad in (math.nan, math.inf, -math.inf):
+        epoch = read(rawx([row(pseudorange=bad, phase=bad, doppler=bad)]))[0].epoch
+        assert np.isnan([epoch.pseudorange_m[0], epoch.carrier_phase_cycles[0], epoch.doppler_hz[0]]).all()
+
+
+def lost(*epochs) -> list[bool]:
+    """(s of week, lock ms, tracking status): whether each phase is broken."""
+    locks, found = LockTimes(), []
+    for tow_s, lock, track in epochs:
+        epoch = read(rawx([row(lock=lock, track=track)], tow_s=tow_s), locks=locks)[0].epoch
+        found.append(bool(epoch.loss_of_lock[0]))
+    return found
+
+
+def test_loss_of_lock_follows_the_lock_time_and_the_half_cycle():
+    assert lost((0, 500, 7), (1, 1500, 7), (2, 300, 7), (3, 1300, 7)) == [False, False, True, False]
+    assert lost((0, 500, 7), (1, 1500, 15), (2, 2500, 15)) == [False, True, False]
+    # The phase was away, and its lock began anew meanwhile.
+    assert lost((0, 5000, 7), (1, 0, 1), (2, 700, 3)) == [False, False, True]
+    # A lock time that does not grow any more says nothing of times before it.
+    assert lost((0, 64500, 7), (60, 64500, 7), (200, 64500, 7)) == [False, False, True]
+
+
+def test_a_week_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time():
+    sent = rawx([row()], week=2300 - 1024)
+    assert read(sent)[0].epoch.time_ns // WEEK_NS == 1276
+    assert read(sent, near_ns=2290 * WEEK_NS)[0].epoch.time_ns == 2300 * WEEK_NS + 345_600 * SECOND_NS
+    assert read(sent, near_ns=2310 * WEEK_NS)[0].epoch.time_ns // WEEK_NS == 2300
+
+
+def test_times_are_rounded_to_ns():
+    for of_week_ns in (0, 1, 604_799_999_999_999, 123_456_789_012_345, 99_999_999_999_999):
+        epoch = read(rawx([row()], tow_s=of_week_ns / 1e9))[0].epoch
+        assert epoch.time_ns == 2300 * WEEK_NS + of_week_ns
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        rawx([row()], count=2),
+        rawx([row()], count=0),
+        rawx([row()], version=2),
+        rawx([row()], tow_s=604_800.0),
+        rawx([row()], tow_s=-0.001),
+        rawx([row()], tow_s=math.nan),
+        rawx([row()], tow_s=math.inf),
+        rawx([row()], week=0),
+        rawx([row()], week=65535),
+        ubx_frame(0x02, 0x15, b""),
+        ubx_frame(0x02, 0x15, bytes(15)),
+    ],
+)
+def test_messages_that_contradict_themselves_are_counted_and_never_raise(frame):
+    decoder = UbxDecoder("port")
+    assert decoder.feed(frame + frame) == []
+    assert decoder.messages.malformed == 2
+
+
+def test_an_epoch_without_measurements_is_an_epoch():
+    found, _ = read(rawx([]))
+    assert found.epoch.satellite.shape == found.epoch.loss_of_lock.shape == (0,)
+
+
+# ------------------------------------------------------------------------------------------------------- recordings
+
+
+def test_a_recording_gives_pyubx2s_values_to_the_last_bit():
+    path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / "ubx-pygpsdata-RXMRAWX.log"
+    if "CAMBER_DATA" not in os.environ or not path.is_file():
+        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
+    data = path.read_bytes()
+    decoder = UbxDecoder(path.name)
+    found = [decoder.feed(data[place : place + 777]) for place in range(0, len(data), 777)]
+    epochs = [result for results in found for result in results]
+    names = {0: "G", 2: "E", 3: "C", 5: "J"}
+    told = [message for _, message in UBXReader(io.BytesIO(data))]
+    assert len(epochs) == len(told) == 14
+    others, halves = 0, 0
+    for (result, message), earlier in zip(zip(epochs, told, strict=True), [None, *told], strict=False):
+        epoch = result.epoch
+        assert epoch.time_ns == message.week * WEEK_NS + round(message.rcvTow * 1e9)
+        assert result.clock_reset == message.clkReset
+        place = 0
+        for k in range(1, message.numMeas + 1):
+            row = {name: getattr(message, f"{name}_{k:02d}") for name in FIELDS}
+            if row["gnssId"] not in names:
+                others += 1
+                continue
+            name = f"{names[row['gnssId']]}{row['svId']:02d}"
+            assert satellite_name(int(epoch.satellite[place])) == name
+            assert epoch.pseudorange_m[place] == row["prMes"] or not row["prValid"]
+            assert math.isnan(epoch.pseudorange_m[place]) == (not row["prValid"])
+            assert epoch.carrier_phase_cycles[place] == row["cpMes"] or not row["cpValid"]
+            assert math.isnan(epoch.carrier_phase_cycles[place]) == (not row["cpValid"])
+            assert epoch.doppler_hz[place] == row["doMes"]
+            assert epoch.cn0_dbhz[place] == row["cno"]
+            assert epoch.lock_time_s[place] == row["locktime"] / 1000
+            assert epoch.half_cycle[place] == (row["cpValid"] and not row["halfCyc"])
+            halves += row["subHalfCyc"]
+            place += 1
+        assert place == epoch.satellite.size
+        # Nothing breaks in these seconds, as the phases themselves show.
+        assert not epoch.loss_of_lock.any()
+        assert earlier is None or result.epoch.time_ns - SECOND_NS == earlier.rcvTow * 1e9 + 2327 * WEEK_NS
+    assert decoder.messages.other_systems == others > 50
+    assert halves > 50
+    assert decoder.bytes_skipped == decoder.messages.unknown_signals == 0
+
+
+FIELDS = (
+    *("prMes", "cpMes", "doMes", "gnssId", "svId", "sigId", "locktime", "cno", "prValid", "cpValid"),
+    *("halfCyc", "subHalfCyc"),
+)
+
+
+def test_signal_numbers_stand_for_the_names_of_the_interface_description():
+    # Two that are easily mixed up: L2 CL and CM have other numbers at QZSS than at GPS.
+    assert (SIGNAL_IDS["G"]["2L"], SIGNAL_IDS["J"]["2L"]) == (3, 5)
+    assert read(rawx([row(5, 2, 4)]))[0].epoch.signal[0] == signal_number("2S")

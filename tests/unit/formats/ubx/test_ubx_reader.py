@@ -1,0 +1,545 @@
+"""UBX streams: positions by epoch, what the receiver says of its integrity, and pyubx2's values of recordings."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyubx2 import UBXReader
+
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.formats.ubx.nav_reader import ReceiverBaseline
+from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
+from camber.formats.ubx.reader import UbxDecoder
+from camber.formats.ubx.writer import ubx_frame
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
+from camber.schemas.base import EARLIEST_NS, LATEST_NS
+from camber.schemas.gnss import ReceiverIntegrity
+from support.random_observations import SECOND_NS, WEEK_NS
+
+TOW_MS = 345_600_000
+START_NS = 2300 * WEEK_NS + TOW_MS * 1_000_000
+SOLUTION = ReceiverSolution(
+    START_NS,
+    0.6,
+    2.4,
+    50.0,
+    SolutionQuality.FIX,
+    20,
+    (0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
+    1.5,
+    None,
+    (1.0, 2.0, 0.5),
+)
+
+
+def at(seconds: float) -> ReceiverSolution:
+    return replace(SOLUTION, time_ns=START_NS + round(seconds * SECOND_NS))
+
+
+def pvt(solution: ReceiverSolution = SOLUTION, **changes: int) -> bytes:
+    """NAV-PVT; changes by byte offset: `b20=3`."""
+    return changed(format_position_velocity_time(solution, geoid_separation_m=30.0), **changes)
+
+
+def changed(frame: bytes, **changes: int) -> bytes:
+    payload = bytearray(frame[6:-2])
+    for place, value in changes.items():
+        payload[int(place[1:])] = value
+    return ubx_frame(frame[2], frame[3], bytes(payload))
+
+
+def hp(solution: ReceiverSolution = SOLUTION) -> bytes:
+    return format_high_precision_position(solution, geoid_separation_m=30.0)
+
+
+def eoe(of_week_ms: int = TOW_MS) -> bytes:
+    return ubx_frame(0x01, 0x61, struct.pack("<I", of_week_ms))
+
+
+NED = (4.0, 0.5, -0.25, 9.0, 0.75, 16.0)
+
+
+def cov(position=NED, velocity=NED, valid=(1, 1), of_week_ms=TOW_MS, version=0) -> bytes:
+    return ubx_frame(0x01, 0x36, struct.pack("<IBBB9x12f", of_week_ms, version, *valid, *position, *velocity))
+
+
+def pl(valid=1, frame=1, levels=(3000, 4000, 7000), coefficient=5, exponent=-3, of_week_ms=TOW_MS) -> bytes:
+    head = struct.pack("<BBbBBBBB4xI", 1, coefficient, exponent & -1, valid, frame, 0, 0, 0, of_week_ms)
+    return ubx_frame(0x01, 0x62, head + struct.pack("<3I", *levels) + bytes(24))
+
+
+def relposned(flags: int, version: int = 1, of_week_ms: int = TOW_MS) -> bytes:
+    if version == 0:
+        body = struct.pack(
+            "<BxHI3i3bx3II", 0, 7, of_week_ms, 100, -250, 30, 12, -34, 56, 101, 202, 303, flags
+        )
+    else:
+        body = struct.pack(
+            "<BxHI5i4x4b", 1, 7, of_week_ms, 100, -250, 30, 269, 29_180_141, 12, -34, 56, 1
+        ) + struct.pack("<5I4xI", 101, 202, 303, 40, 150_000, flags)
+    return ubx_frame(0x01, 0x3C, body)
+
+
+def security(jamming: int, spoofing: int, version: int = 1, *, enabled: int = 1) -> bytes:
+    if version == 1:
+        payload = bytes([1, 0, 0, 0, jamming << 1 | enabled, 0, 0, 0, spoofing << 1 | enabled, 0, 0, 0])
+    else:
+        payload = bytes([2, spoofing << 4 | enabled << 3 | jamming << 1 | enabled, 0, 1, 0, 0, 0, 0])
+    return ubx_frame(0x27, 0x09, payload)
+
+
+def front_ends(*states: int) -> bytes:
+    blocks = b"".join(bytes([k, state, *bytes(22)]) for k, state in enumerate(states))
+    return ubx_frame(0x0A, 0x38, bytes([0, len(states), 0, 0]) + blocks)
+
+
+def run(*frames: bytes, near_ns: int | None = None, finish: bool = True):
+    decoder = UbxDecoder("port", near_ns)
+    results = [result for frame in frames for result in decoder.feed(frame)]
+    return results + (decoder.finish() if finish else []), decoder.messages
+
+
+def only(results, kind):
+    found = [result for result in results if isinstance(result, kind)]
+    assert len(found) == 1
+    return found[0]
+
+
+# --------------------------------------------------------------------------------------------------------- positions
+
+
+WRITTEN = st.builds(
+    ReceiverSolution,
+    time_ns=st.integers(1100 * WEEK_NS, 3900 * WEEK_NS),
+    latitude_rad=st.floats(-math.pi / 2, math.pi / 2),
+    longitude_rad=st.floats(-math.pi, math.pi),
+    height_m=st.floats(-500.0, 9000.0),
+    quality=st.sampled_from(sorted({*SolutionQuality} - {SolutionQuality.SBAS, SolutionQuality.PPP})),
+    satellites=st.integers(0, 60),
+    covariance_enu_m2=st.none()
+    | st.tuples(*(st.floats(1e-4, 100.0) if k in (0, 3, 5) else st.just(0.0) for k in range(6))),
+    age_s=st.none() | st.floats(0.0, 200.0),
+    velocity_enu_m_s=st.tuples(*(st.floats(-60.0, 60.0) for _ in range(3))),
+)
+
+
+@given(WRITTEN, st.booleans())
+@settings(derandomize=True, max_examples=200, deadline=None)
+def test_what_is_written_is_read(solution, precise):
+    frames = [pvt(solution), hp(solution)] if precise else [pvt(solution)]
+    results, messages = run(*frames)
+    found = only(results, ReceiverSolution)
+    step_rad, step_m = (0.51e-9, 0.51e-4) if precise else (0.51e-7, 0.51e-3)
+    # To the nanosecond: iTOW says whole ms, NAV-PVT's fraction of the second the rest.
+    assert found.time_ns == solution.time_ns
+    assert (found.quality, found.satellites) == (solution.quality, solution.satellites)
+    assert abs(found.latitude_rad - solution.latitude_rad) <= math.radians(step_rad)
+    assert abs(found.longitude_rad - solution.longitude_rad) <= math.radians(step_rad)
+    assert abs(found.height_m - solution.height_m) <= step_m
+    assert found.velocity_enu_m_s == pytest.approx(solution.velocity_enu_m_s, abs=0.51e-3)
+    assert found.velocity_covariance_enu_m2_s2 is None
+    if solution.covariance_enu_m2 is None:
+        assert found.covariance_enu_m2 is None
+    else:
+        ee, _, _, nn, _, uu = solution.covariance_enu_m2
+        each, en, eu, again, nu, up = found.covariance_enu_m2
+        assert (en, eu, nu, each) == (0.0, 0.0, 0.0, again)
+        assert math.sqrt(2 * each) == pytest.approx(math.sqrt(ee + nn), abs=step_m)
+        assert math.sqrt(up) == pytest.approx(math.sqrt(uu), abs=step_m)
+    if solution.age_s is None:
+        assert found.age_s is None
+    else:
+        assert found.age_s == 120.0 if solution.age_s >= 90.0 else found.age_s >= solution.age_s
+    assert messages.malformed == 0
+
+
+def test_an_epoch_comes_out_with_its_end_or_with_the_next_one():
+    assert only(run(pvt(), eoe(), finish=False)[0], ReceiverSolution).time_ns == START_NS
+    assert run(pvt(), hp(), cov(), finish=False)[0] == []
+    results, messages = run(pvt(), pvt(at(0.1)), finish=False)
+    assert only(results, ReceiverSolution).time_ns == START_NS
+    # What comes after the end is lost, and counted.
+    results, messages = run(pvt(), eoe(), hp(), cov(), eoe(), pvt(at(1.0)), eoe(TOW_MS + 1000), finish=False)
+    assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)] == [START_NS, START_NS + SECOND_NS]
+    assert messages.late == 2
+
+
+def test_the_order_within_an_epoch_does_not_matter():
+    expected = run(pvt(), hp(), cov(), pl(), eoe())[0]
+    for frames in ((cov(), pl(), hp(), pvt()), (hp(), pvt(), pl(), cov())):
+        assert run(*frames, eoe())[0] == expected
+
+
+def test_an_end_without_an_epoch_is_nothing():
+    results, messages = run(eoe(), eoe(), near_ns=START_NS)
+    assert results == []
+    assert (messages.without_time, messages.epochs_without_position) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("fix_type", "flags", "quality"),
+    [
+        (3, 0b0000_0001, SolutionQuality.SINGLE),
+        (3, 0b0000_0011, SolutionQuality.DGPS),
+        (3, 0b0100_0011, SolutionQuality.FLOAT),
+        (3, 0b1000_0011, SolutionQuality.FIX),
+        (4, 0b1000_0011, SolutionQuality.FIX),
+        (1, 0b0000_0001, SolutionQuality.DEAD_RECKONING),
+        (1, 0b1000_0011, SolutionQuality.DEAD_RECKONING),
+        (3, 0b1000_0010, None),  # not within the receiver's limits
+        (2, 0b0000_0001, None),  # a height that was assumed
+        (0, 0b0000_0001, None),
+        (5, 0b0000_0001, None),
+        (6, 0b0000_0001, None),
+    ],
+)
+def test_the_quality_is_what_the_receiver_says(fix_type, flags, quality):
+    results, messages = run(pvt(b20=fix_type, b21=flags))
+    found = [result.quality for result in results if isinstance(result, ReceiverSolution)]
+    assert found == ([] if quality is None else [quality])
+    assert messages.epochs_without_position == (quality is None)
+
+
+def test_a_position_that_the_receiver_calls_invalid_is_none():
+    assert run(pvt(b78=1))[1].epochs_without_position == 1
+    results, _ = run(pvt(), changed(hp(at(0.0)), b3=1))
+    # Not the precise one: latitude to 1e-7 degrees.
+    assert math.degrees(only(results, ReceiverSolution).latitude_rad) * 1e7 == pytest.approx(
+        round(math.degrees(0.6) * 1e7), abs=1e-4
+    )
+
+
+def test_a_precise_position_without_its_quality_is_none():
+    results, messages = run(hp(), near_ns=START_NS)
+    assert results == []
+    assert messages.epochs_without_position == 1
+
+
+def test_the_covariance_is_turned_from_north_east_down():
+    found = only(run(pvt(), cov())[0], ReceiverSolution)
+    enu = (9.0, 0.5, -0.75, 4.0, 0.25, 16.0)
+    assert found.covariance_enu_m2 == enu
+    assert found.velocity_covariance_enu_m2_s2 == enu
+    found = only(run(pvt(), cov(valid=(0, 1)))[0], ReceiverSolution)
+    assert found.covariance_enu_m2 == pytest.approx((0.01, 0.0, 0.0, 0.01, 0.0, 0.02), rel=1e-2)
+    assert found.velocity_covariance_enu_m2_s2 == enu
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (1.0, 2.0, 0.0, 1.0, 0.0, 1.0),
+        (-1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
+        (math.nan, 0.0, 0.0, 1.0, 0.0, 1.0),
+        (1.0, 0.0, 0.0, 1.0, 0.0, math.inf),
+    ],
+)
+def test_what_is_no_covariance_is_not_taken_for_one(values):
+    results, messages = run(pvt(), cov(position=values))
+    assert only(results, ReceiverSolution).covariance_enu_m2[2:3] == (0.0,)
+    assert messages.malformed == 1
+
+
+def test_zeros_are_no_covariance():
+    results, messages = run(changed(pvt(), **{f"b{k}": 0 for k in range(40, 48)}), cov(position=(0.0,) * 6))
+    assert only(results, ReceiverSolution).covariance_enu_m2 is None
+    assert messages.malformed == 0
+
+
+# -------------------------------------------------------------------------------------------------------------- time
+
+
+def test_the_week_comes_from_the_date_and_else_from_what_is_known():
+    assert only(run(pvt())[0], ReceiverSolution).time_ns == START_NS
+    dateless = pvt(b11=0)
+    results, messages = run(dateless)
+    assert [r for r in results if isinstance(r, ReceiverSolution)] == []
+    assert messages.without_time == 1
+    for days in (-3, 0, 3):
+        near_ns = START_NS + days * 86_400 * SECOND_NS
+        assert only(run(dateless, near_ns=near_ns)[0], ReceiverSolution).time_ns == START_NS
+    # The epoch before settles it, also over the end of a week.
+    last = replace(SOLUTION, time_ns=2301 * WEEK_NS - SECOND_NS)
+    first = changed(pvt(replace(SOLUTION, time_ns=2301 * WEEK_NS)), b11=0)
+    found = [r.time_ns for r in run(pvt(last), first)[0] if isinstance(r, ReceiverSolution)]
+    assert found == [2301 * WEEK_NS - SECOND_NS, 2301 * WEEK_NS]
+
+
+def test_a_date_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time():
+    early = replace(SOLUTION, time_ns=START_NS - 1024 * WEEK_NS)
+    assert only(run(pvt(early), near_ns=START_NS)[0], ReceiverSolution).time_ns == START_NS
+
+
+def test_a_time_that_is_a_lie_does_not_last():
+    lies = [START_NS + week * WEEK_NS - k * SECOND_NS for k, week in enumerate((500, 1000, 1023, 1400), 1)]
+    for near_ns in (None, START_NS):
+        results, _ = run(*(pvt(replace(SOLUTION, time_ns=lie)) for lie in lies), pvt(), near_ns=near_ns)
+        assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)][-1] == START_NS
+        empty = [ubx_frame(0x02, 0x15, raw_header(time_ns)) for time_ns in (*lies, START_NS)]
+        results, _ = run(*empty, near_ns=near_ns)
+        assert results[-1].epoch.time_ns == START_NS
+
+
+def raw_header(time_ns: int) -> bytes:
+    return struct.pack("<dHbBBB2x", time_ns % WEEK_NS / 1e9, time_ns // WEEK_NS, 18, 0, 1, 1)
+
+
+def test_leap_seconds_are_in_the_date_and_not_in_the_time_of_week():
+    for utc in (CalendarTime(2016, 12, 31, 23, 59, 60), CalendarTime(2017, 1, 1, 0, 0, 0)):
+        time_ns = gps_ns_from_utc(utc)
+        assert only(run(pvt(replace(SOLUTION, time_ns=time_ns)))[0], ReceiverSolution).time_ns == time_ns
+    # A receiver that does not know of the last ones yet: its second is wrong, its time of week is not.
+    assert only(run(pvt(b10=30))[0], ReceiverSolution).time_ns == START_NS
+
+
+def test_times_of_receivers_without_a_fix_are_refused():
+    assert run(pvt(replace(SOLUTION, time_ns=EARLIEST_NS - WEEK_NS)))[1].malformed == 1
+    assert run(pvt(replace(SOLUTION, time_ns=LATEST_NS + WEEK_NS)))[1].malformed == 1
+    assert run(pvt(b6=13))[1].malformed == 1
+    assert run(cov(of_week_ms=604_800_000), near_ns=START_NS)[1].malformed == 1
+
+
+# ---------------------------------------------------------------------------------------------------------- baseline
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_the_baseline_is_in_metres_east_north_up(version):
+    flags = 0b1_0011_0111 if version else 0b1_0111
+    found = only(run(pvt(), relposned(flags, version), eoe())[0], ReceiverBaseline)
+    assert found.time_ns == START_NS
+    assert found.baseline_enu_m == (-2.5034, 1.0012, -0.3056)
+    assert found.sigma_enu_m == (0.0202, 0.0101, 0.0303)
+    assert found.quality is SolutionQuality.FIX
+    assert (found.station_id, found.moving_base) == (7, bool(version))
+    if version:
+        assert found.heading_rad == math.radians(291.80141)
+        assert found.heading_sigma_rad == math.radians(1.5)
+    else:
+        assert (found.heading_rad, found.heading_sigma_rad) == (None, None)
+
+
+def test_a_baseline_that_the_receiver_does_not_vouch_for_is_none():
+    for flags in (0b1_0000, 0b1_0001, 0b1_0100):
+        assert run(relposned(flags), near_ns=START_NS)[0] == []
+    found = only(run(relposned(0b10_0000_1101), near_ns=START_NS)[0], ReceiverBaseline)
+    assert (found.baseline_enu_m, found.sigma_enu_m) == (None, None)
+    assert found.quality is SolutionQuality.FLOAT
+
+
+# --------------------------------------------------------------------------------------------------------- integrity
+
+
+def last_statement(*frames: bytes) -> ReceiverIntegrity:
+    results, messages = run(*frames, near_ns=START_NS)
+    assert messages.malformed == 0
+    return [result for result in results if isinstance(result, ReceiverIntegrity)][-1]
+
+
+def test_protection_levels_are_carried_with_their_risk():
+    found = last_statement(pvt(), pl(), eoe())
+    assert found.horizontal_protection_level_m == 5.0
+    assert found.vertical_protection_level_m == 7.0
+    assert found.integrity_risk == pytest.approx(5e-5)
+    assert found.fix_within_masks == "yes"
+    assert last_statement(pl(frame=3), eoe()).horizontal_protection_level_m == 4.0
+    for invalid in (pl(valid=0), pl(frame=0), pl(frame=4)):
+        found = last_statement(pl(), eoe(), invalid_at(invalid, TOW_MS + 1000), eoe(TOW_MS + 1000))
+        assert found.time_ns == START_NS + SECOND_NS
+        assert found.horizontal_protection_level_m is found.vertical_protection_level_m is None
+        assert found.integrity_risk is None
+
+
+def invalid_at(frame: bytes, of_week_ms: int) -> bytes:
+    return changed(frame, **{f"b{12 + k}": of_week_ms >> 8 * k & 255 for k in range(4)})
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_jamming_and_spoofing_are_carried_as_they_are_told(version):
+    for number, jamming in enumerate(("unknown", "none", "warning", "critical")):
+        for other, spoofing in enumerate(("unknown", "none", "indicated", "affirmed", "unknown")):
+            found = last_statement(security(number, other, version))
+            assert (found.jamming, found.spoofing) == (jamming, spoofing)
+            found = last_statement(security(number, other, version, enabled=0))
+            assert (found.jamming, found.spoofing) == ("unknown", "unknown")
+
+
+@pytest.mark.parametrize(
+    ("states", "jamming"),
+    [
+        ((1, 1), "none"),
+        ((1, 0), "unknown"),
+        ((0, 2), "warning"),
+        ((1, 3), "critical"),
+        ((0, 0), "unknown"),
+        ((), "unknown"),
+    ],
+)
+def test_the_worst_front_end_counts_and_one_that_is_not_known_leaves_it_open(states, jamming):
+    assert last_statement(front_ends(*states)).jamming == jamming
+
+
+def test_of_two_statements_on_jamming_the_worse_one_counts():
+    assert last_statement(security(1, 1), front_ends(3, 1)).jamming == "critical"
+    assert last_statement(front_ends(0, 0), security(1, 1)).jamming == "none"
+
+
+def test_statements_are_held_for_two_seconds_and_then_not_known():
+    def jamming(seconds: float) -> str:
+        return last_statement(
+            pvt(), security(2, 1), eoe(), pvt(at(seconds)), eoe(TOW_MS + round(seconds * 1e3))
+        ).jamming
+
+    assert [jamming(1.0), jamming(2.0), jamming(2.1)] == ["warning", "warning", "unknown"]
+
+
+def test_within_an_epoch_there_is_one_statement():
+    results, _ = run(pvt(), pl(), security(1, 1), front_ends(1), eoe())
+    found = only(results, ReceiverIntegrity)
+    assert (found.time_ns, found.jamming, found.vertical_protection_level_m) == (START_NS, "none", 7.0)
+
+
+def test_what_the_receiver_says_of_its_fix_is_carried():
+    assert last_statement(pvt(b21=0)).fix_within_masks == "no"
+    assert last_statement(pvt()).authenticated == "unknown"
+    assert last_statement(pvt(b79=1 << 6)).authenticated == "yes"
+
+
+# ---------------------------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        *(
+            ubx_frame(0x01, kind, bytes(size))
+            for kind in (0x07, 0x14, 0x36, 0x3C, 0x62)
+            for size in (0, 3, 30)
+        ),
+        *(ubx_frame(0x27, 0x09, bytes([version, *bytes(20)])) for version in (0, 3)),
+        *(ubx_frame(0x27, 0x09, bytes([version])) for version in (1, 2)),
+        *(ubx_frame(0x0A, 0x38, payload) for payload in (b"", bytes([0, 2, 0, 0]), bytes([1, 0, 0, 0]))),
+        *(ubx_frame(0x02, 0x13, payload) for payload in (b"", bytes(7), bytes(9))),
+        cov(version=1),
+    ],
+)
+def test_messages_of_wrong_length_or_version_are_counted(frame):
+    results, messages = run(frame, near_ns=START_NS)
+    assert results == []
+    assert messages.malformed == 1
+
+
+def test_a_position_that_cannot_be_is_refused():
+    beyond = format_position_velocity_time(SOLUTION, geoid_separation_m=0.0)
+    for place, value in ((28, 910_000_000), (24, 1_810_000_000), (32, 200_000_000), (32, -30_000_000)):
+        bytes_of = value.to_bytes(4, "little", signed=True)
+        frame = changed(beyond, **{f"b{place + k}": byte for k, byte in enumerate(bytes_of)})
+        results, messages = run(frame, near_ns=START_NS)
+        assert [r for r in results if isinstance(r, ReceiverSolution)] == []
+        assert messages.malformed == 1
+
+
+@given(
+    st.sampled_from([(1, 0x07), (1, 0x14), (1, 0x36), (1, 0x3C), (1, 0x62), (1, 0x61), (2, 0x15), (2, 0x13)])
+    | st.sampled_from([(0x27, 0x09), (0x0A, 0x38)]),
+    st.sampled_from([4, 8, 12, 28, 36, 40, 48, 52, 64, 84, 92, 100]).flatmap(
+        lambda size: st.binary(min_size=size, max_size=size)
+    ),
+    st.integers(0, 3),
+)
+@settings(derandomize=True, max_examples=600, deadline=None)
+def test_any_content_of_any_message_never_raises(kind, payload, version):
+    decoder = UbxDecoder("port", START_NS)
+    results = decoder.feed(
+        pvt(at(-1.0)) + ubx_frame(*kind, payload) + ubx_frame(*kind, bytes([version]) + payload[1:])
+    )
+    results += decoder.feed(pvt()) + decoder.finish()
+    for result in results:
+        if isinstance(result, ReceiverSolution | ReceiverBaseline):
+            assert EARLIEST_NS <= result.time_ns <= LATEST_NS
+
+
+# ------------------------------------------------------------------------------------------------------- recordings
+
+
+def recorded(name: str) -> bytes:
+    path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / name
+    if "CAMBER_DATA" not in os.environ or not path.is_file():
+        pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
+    return path.read_bytes()
+
+
+RECORDINGS = (
+    *("ubx-pygpsdata-NAV.log", "ubx-pygpsdata-NAV-ZED-X20P.log", "ubx-pygpsdata-MIXED.log"),
+    *("ubx-pygpsdata-BADCK2.log", "rtcm-pygpsdata-RTCM3.log"),
+)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_a_recording_gives_pyubx2s_positions_to_the_last_bit(name):
+    data = recorded(name)
+    decoder = UbxDecoder(name, None)
+    results = [
+        r for k in range(0, len(data), 333) for r in decoder.feed(data[k : k + 333])
+    ] + decoder.finish()
+    solutions = [result for result in results if isinstance(result, ReceiverSolution)]
+    told: dict[int, dict[str, object]] = {}
+    for _, message in UBXReader(io.BytesIO(data), protfilter=2, quitonerror=0):
+        if message is not None and message.identity in ("NAV-PVT", "NAV-HPPOSLLH", "NAV-COV", "NAV-PL"):
+            of_week_ms = int.from_bytes(
+                message.payload[12:16]
+                if message.identity == "NAV-PL"
+                else message.payload[4 if message.identity == "NAV-HPPOSLLH" else 0 :][:4],
+                "little",
+            )
+            told.setdefault(of_week_ms, {})[message.identity] = message
+    told = {key: messages for key, messages in told.items() if "NAV-PVT" in messages}
+    good = [messages for messages in told.values() if messages["NAV-PVT"].fixType == 3]
+    assert len(solutions) == len(good)
+    assert decoder.messages.epochs_without_position == len(told) - len(good)
+    qualities = {(0, 0): SolutionQuality.SINGLE, (0, 1): SolutionQuality.DGPS, (2, 1): SolutionQuality.FIX}
+    for found, messages in zip(solutions, good, strict=True):
+        position = messages["NAV-PVT"]
+        time = CalendarTime(
+            *(position.year, position.month, position.day, position.hour, position.min, position.second)
+        )
+        assert found.time_ns == gps_ns_from_utc(time) + position.nano
+        assert found.quality == qualities[position.carrSoln, position.diffSoln]
+        assert found.satellites == position.numSV
+        assert found.velocity_enu_m_s == (position.velE / 1e3, position.velN / 1e3, -position.velD / 1e3)
+        place = messages.get("NAV-HPPOSLLH", position)
+        assert found.latitude_rad == math.radians(place.lat)
+        assert found.longitude_rad == math.radians(place.lon)
+        assert found.height_m == place.height / 1e3
+        if "NAV-COV" in messages:
+            cov = messages["NAV-COV"]
+            assert found.covariance_enu_m2 == (
+                *(cov.posCovEE, cov.posCovNE, -cov.posCovED),
+                *(cov.posCovNN, -cov.posCovND, cov.posCovDD),
+            )
+            assert found.velocity_covariance_enu_m2_s2 == (
+                *(cov.velCovEE, cov.velCovNE, -cov.velCovED),
+                *(cov.velCovNN, -cov.velCovND, cov.velCovDD),
+            )
+            # What is taken where there is no such message: hAcc is the root of the sum, vAcc that of the third.
+            assert math.sqrt(cov.posCovEE + cov.posCovNN) == pytest.approx(position.hAcc / 1e3, abs=0.51e-3)
+            assert math.sqrt(cov.posCovDD) == pytest.approx(position.vAcc / 1e3, abs=0.51e-3)
+        else:
+            each = 0.5 * (place.hAcc / 1e3) * (place.hAcc / 1e3)
+            expected = (each, 0.0, 0.0, each, 0.0, (place.vAcc / 1e3) * (place.vAcc / 1e3))
+            assert found.covariance_enu_m2 == pytest.approx(expected, rel=1e-15)
+    statements = [result for result in results if isinstance(result, ReceiverIntegrity)]
+    # The one receiver with NAV-PL says that its levels are not valid.
+    assert all(statement.horizontal_protection_level_m is None for statement in statements)
+    assert [s.fix_within_masks for s in statements] == [
+        "yes" if messages["NAV-PVT"].gnssFixOk else "no" for messages in told.values()
+    ]
+    assert not [result for result in results if isinstance(result, ReceiverBaseline)]
+    assert decoder.messages.malformed == 0

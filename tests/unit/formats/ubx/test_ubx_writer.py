@@ -1,0 +1,295 @@
+"""UBX: pyubx2 parses every message and gives raw measurements and positions back within the resolution."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyubx2 import UBXReader
+from pyubx2.exceptions import UBXParseError
+from pyubx2.ubxtypes_decodes import SIGID
+
+from camber.formats.observations import satellite_number, signal_name, signal_number
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
+from camber.formats.ubx.writer import checksum, format_raw_measurements, ubx_frame
+from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc, utc_from_gps_ns
+from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
+
+# What u-blox calls the signals of RINEX, written down from the interface description, 1.5.4.
+IDS = {
+    "G": (
+        0,
+        {"1C": ("L1_C/A", 0), "2L": ("L2_CL", 3), "2S": ("L2_CM", 4), "5Q": ("L5_Q", 7), "5I": ("L5_I", 6)},
+    ),
+    "E": (
+        2,
+        {"1C": ("E1_C", 0), "1B": ("E1_B", 1), "5Q": ("E5_aQ", 4), "7I": ("E5_bI", 5), "7Q": ("E5_bQ", 6)},
+    ),
+    "C": (
+        3,
+        {
+            "2I": ("B1_ID1", 0),
+            "7I": ("B2I_D1", 2),
+            "6I": ("B3I_D1", 4),
+            "5P": ("B2_ap", 7),
+            "1P": ("B1_Cp", 5),
+        },
+    ),
+    "J": (
+        5,
+        {"1C": ("L1_C/A", 0), "2S": ("L2_CM", 4), "2L": ("L2_CL", 5), "5Q": ("L5_Q", 9), "5I": ("L5_I", 8)},
+    ),
+}
+GEOSTATIONARY = {"2I": ("B1I_D2", 1), "7I": ("B2I_D2", 3), "6I": ("B3I_D2", 10)}
+# The carriers do not matter here; one that is common gives any phase.
+CARRIERS = {system: dict.fromkeys(signals, 1575.42e6) for system, (_, signals) in IDS.items()}
+TIMES = st.one_of(
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS),
+    st.integers(1500, 3900).map(lambda week: week * WEEK_NS - 1),
+    st.integers(1000 * WEEK_NS, 4000 * WEEK_NS),
+)
+
+
+def parsed(frame: bytes):
+    return UBXReader.parse(frame)
+
+
+def test_checksums_are_those_of_published_frames():
+    # Polls of MON-VER and NAV-PVT, as they stand in many manuals.
+    assert ubx_frame(0x0A, 0x04, b"") == bytes.fromhex("B5620A0400000E34")
+    assert ubx_frame(0x01, 0x07, b"") == bytes.fromhex("B5620107000008 19".replace(" ", ""))
+
+
+@given(st.binary(max_size=3000))
+@settings(derandomize=True, max_examples=60)
+def test_the_checksum_equals_the_loop_of_the_interface_description(body):
+    a = b = 0
+    for byte in body:
+        a = (a + byte) & 255
+        b = (b + a) & 255
+    assert checksum(body) == bytes((a, b))
+
+
+@given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6, 1.0]), st.booleans())
+@settings(derandomize=True, max_examples=40, deadline=None)
+def test_pyubx2_gives_the_measurements_back(seed, time_ns, missing, reset):
+    rng = np.random.default_rng(seed)
+    epoch = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=10)
+    epoch = replace(epoch, pseudorange_m=epoch.pseudorange_m * rng.choice([1.0, -1.0, 1e-6, 100.0]))
+    message = parsed(format_raw_measurements(epoch, clock_reset=reset))
+    assert message.identity == "RXM-RAWX"
+    assert message.numMeas == epoch.satellite.size
+    assert message.week == time_ns // WEEK_NS
+    assert round(message.rcvTow * 1e9) == time_ns % WEEK_NS
+    assert (message.leapSec, message.clkReset) == (1, reset)
+    utc = utc_from_gps_ns(time_ns)
+    assert utc.second == 60 or gps_ns_from_utc(utc) == time_ns
+    assert message.leapS == round((time_ns - gps_ns_without_leaps(utc)) / SECOND_NS)
+    assert message.payload[13] == 1
+    for row in range(epoch.satellite.size):
+        at = f"_{row + 1:02d}"
+        letter, number = chr(epoch.satellite[row] >> 8), int(epoch.satellite[row] & 255)
+        gnss, signals = IDS[letter]
+        name, signal_id = signals[signal_name(int(epoch.signal[row]))]
+        geostationary = letter == "C" and (number <= 5 or number >= 59)
+        if geostationary:
+            name, signal_id = GEOSTATIONARY.get(signal_name(int(epoch.signal[row])), (name, signal_id))
+        assert SIGID[gnss, signal_id] == name
+        found = tuple(getattr(message, field + at) for field in ("gnssId", "svId", "sigId", "freqId"))
+        assert found == (gnss, number, signal_id, 0)
+        for valid, field, value in (
+            ("prValid", "prMes", epoch.pseudorange_m[row]),
+            ("cpValid", "cpMes", epoch.carrier_phase_cycles[row] - 0.5 * geostationary),
+        ):
+            assert getattr(message, valid + at) == (not math.isnan(value))
+            assert getattr(message, field + at) == (0.0 if math.isnan(value) else value)
+        doppler = epoch.doppler_hz[row]
+        assert getattr(message, "doMes" + at) == (0.0 if math.isnan(doppler) else np.float32(doppler))
+        cn0, lock_s = np.nan_to_num(epoch.cn0_dbhz[row]), np.nan_to_num(epoch.lock_time_s[row])
+        assert abs(getattr(message, "cno" + at) - cn0) <= 0.5
+        lock_ms = getattr(message, "locktime" + at)
+        assert lock_ms == 64500 if lock_s >= 64.5 else 0 <= lock_s * 1e3 - lock_ms + 1e-5 < 1.0 + 1e-5
+        has_phase = not math.isnan(epoch.carrier_phase_cycles[row])
+        assert getattr(message, "halfCyc" + at) == (has_phase and not epoch.half_cycle[row])
+        assert getattr(message, "subHalfCyc" + at) == 0
+
+
+def gps_ns_without_leaps(utc: CalendarTime) -> int:
+    from datetime import datetime
+
+    since = datetime(utc.year, utc.month, utc.day) - datetime(1980, 1, 6)
+    seconds = since.days * 86_400 + utc.hour * 3600 + utc.minute * 60 + utc.second
+    return seconds * SECOND_NS + utc.nanosecond
+
+
+def one_signal(**changes):
+    epoch = random_epoch(
+        np.random.default_rng(1), 2300 * WEEK_NS, carriers={"G": {"1C": 1575.42e6}}, missing=0.0
+    )
+    first = {name: getattr(epoch, name)[:1] for name in type(epoch).__slots__ if name != "time_ns"} | {
+        name: np.array([value]) for name, value in changes.items()
+    }
+    return replace(epoch, **first)
+
+
+@pytest.mark.parametrize(
+    ("code_m", "phase_cycles", "doppler_hz", "told"),
+    [
+        (0.01, 0.004, 0.002, (0, 1, 0)),
+        (0.0101, 0.0041, 0.0021, (1, 2, 1)),
+        (0.32, 0.02, 0.128, (5, 5, 6)),
+        (1e5, 5.0, 1e5, (15, 15, 15)),
+        (0.0, 0.0, 0.0, (0, 1, 0)),
+    ],
+)
+def test_standard_deviations_are_the_next_step_above(code_m, phase_cycles, doppler_hz, told):
+    message = parsed(
+        format_raw_measurements(
+            one_signal(),
+            pseudorange_sigma_m=np.array([code_m]),
+            phase_sigma_cycles=np.array([phase_cycles]),
+            doppler_sigma_hz=np.array([doppler_hz]),
+        )
+    )
+    assert (message.prStd_01, message.cpStd_01, message.doStd_01) == told
+
+
+def test_without_deviations_a_weaker_signal_has_greater_ones():
+    told = []
+    for cn0 in (50.0, 40.0, 30.0, math.nan, 20.0):
+        message = parsed(format_raw_measurements(one_signal(cn0_dbhz=cn0)))
+        told.append((message.prStd_01, message.cpStd_01, message.doStd_01))
+    assert told == sorted(told)
+    assert told[0] < told[2] < told[4]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"signal": signal_number("2W")}, "2W: u-blox has no number for this signal"),
+        ({"satellite": satellite_number("R01")}, "R01 1C: u-blox has no number"),
+        ({"pseudorange_m": math.inf}, "1C: pseudorange is not finite"),
+        ({"carrier_phase_cycles": -math.inf}, "1C: carrier phase is not finite"),
+        ({"doppler_hz": math.inf}, "1C: Doppler is not finite"),
+        ({"cn0_dbhz": 256.0}, "1C: C/N0 is out of range, expected 0 to 255 dB-Hz"),
+        ({"cn0_dbhz": -1.0}, "1C: C/N0 is out of range"),
+        ({"lock_time_s": -0.1}, "1C: lock time is negative"),
+    ],
+)
+def test_what_the_message_cannot_hold_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        format_raw_measurements(one_signal(**changes))
+
+
+def test_data_and_pilot_together_are_told_as_the_pilot_and_a_signal_only_once():
+    epoch = one_signal(satellite=satellite_number("E07"), signal=signal_number("7X"))
+    message = parsed(format_raw_measurements(epoch))
+    assert (message.gnssId_01, message.svId_01, message.sigId_01) == (2, 7, 6)
+    columns = {name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"}
+    twice = replace(epoch, **columns | {"signal": np.array([signal_number("7X"), signal_number("7Q")])})
+    with pytest.raises(ValueError, match="E07 7Q: observed twice in one epoch"):
+        format_raw_measurements(twice)
+
+
+def test_more_than_255_measurements_are_refused():
+    epoch = random_epoch(np.random.default_rng(5), 2300 * WEEK_NS, carriers=CARRIERS, satellites=63)
+    while epoch.satellite.size <= 255:
+        columns = {
+            name: np.tile(getattr(epoch, name), 2) for name in type(epoch).__slots__ if name != "time_ns"
+        }
+        epoch = replace(epoch, **columns)
+    with pytest.raises(ValueError, match="measurements in one epoch, expected at most 255"):
+        format_raw_measurements(epoch)
+
+
+@given(st.integers(0, 2**32))
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_a_damaged_message_fails_its_checksum(seed):
+    rng = np.random.default_rng(seed)
+    frame = bytearray(format_raw_measurements(one_signal()))
+    # A single byte changed anywhere but in the synchronisation is always seen.
+    frame[int(rng.integers(2, len(frame)))] ^= int(rng.integers(1, 256))
+    body, told = bytes(frame[2:-2]), bytes(frame[-2:])
+    assert checksum(body) != told
+    with pytest.raises(UBXParseError):
+        parsed(bytes(frame))
+
+
+SOLUTION = st.builds(
+    ReceiverSolution,
+    time_ns=st.integers(1500 * WEEK_NS, 3900 * WEEK_NS),
+    latitude_rad=st.floats(-math.pi / 2, math.pi / 2),
+    longitude_rad=st.floats(-math.pi, math.pi),
+    height_m=st.floats(-500.0, 9000.0),
+    quality=st.sampled_from(SolutionQuality),
+    satellites=st.none() | st.integers(0, 60),
+    covariance_enu_m2=st.none()
+    | st.tuples(*(st.floats(1e-6, 100.0) if k in (0, 3, 5) else st.just(0.0) for k in range(6))),
+    age_s=st.none() | st.floats(0.0, 200.0),
+    velocity_enu_m_s=st.none() | st.tuples(*(st.floats(-60.0, 60.0) for _ in range(3))),
+    velocity_covariance_enu_m2_s2=st.none() | st.just((0.01, 0.0, 0.0, 0.01, 0.0, 0.04)),
+)
+
+
+@given(SOLUTION, st.floats(-100.0, 100.0))
+@settings(derandomize=True, max_examples=150, deadline=None)
+def test_pyubx2_gives_the_position_back(solution, separation_m):
+    message = parsed(format_position_velocity_time(solution, geoid_separation_m=separation_m))
+    assert message.identity == "NAV-PVT"
+    assert message.iTOW == solution.time_ns % WEEK_NS // 1_000_000
+    utc = utc_from_gps_ns(solution.time_ns)
+    told = (message.year, message.month, message.day, message.hour, message.min, message.second, message.nano)
+    assert told == tuple(utc)
+    assert (message.validDate, message.validTime, message.fullyResolved) == (1, 1, 1)
+    assert message.lat == pytest.approx(math.degrees(solution.latitude_rad), abs=0.51e-7)
+    assert message.lon == pytest.approx(math.degrees(solution.longitude_rad), abs=0.51e-7)
+    assert message.height == pytest.approx(solution.height_m * 1e3, abs=0.51)
+    assert message.hMSL == pytest.approx((solution.height_m - separation_m) * 1e3, abs=0.51)
+    assert message.carrSoln == {SolutionQuality.FIX: 2, SolutionQuality.FLOAT: 1}.get(solution.quality, 0)
+    assert message.diffSoln == (solution.quality.name in ("FIX", "FLOAT", "SBAS", "DGPS"))
+    assert message.fixType == (1 if solution.quality is SolutionQuality.DEAD_RECKONING else 3)
+    assert message.numSV == (solution.satellites or 0)
+    if solution.covariance_enu_m2 is None:
+        assert message.hAcc == message.vAcc == 0xFFFFFFFF
+    else:
+        ee, _, _, nn, _, uu = solution.covariance_enu_m2
+        assert message.hAcc == pytest.approx(max(math.sqrt(ee + nn) * 1e3, 1.0), abs=0.51)
+        assert message.vAcc == pytest.approx(max(math.sqrt(uu) * 1e3, 1.0), abs=0.51)
+    east, north, up = solution.velocity_enu_m_s or (0.0, 0.0, 0.0)
+    assert (message.velE, message.velN, message.velD) == pytest.approx(
+        (east * 1e3, north * 1e3, -up * 1e3), abs=0.51
+    )
+    if math.hypot(east, north) > 0.01:
+        heading = math.degrees(math.atan2(east, north))
+        assert abs(math.remainder(message.headMot - heading, 360.0)) < 1e-5
+    unknown = solution.velocity_enu_m_s is None or solution.velocity_covariance_enu_m2_s2 is None
+    assert (message.sAcc == 0xFFFFFFFF) == unknown
+    limits = (0, 1, 2, 5, 10, 15, 20, 30, 45, 60, 90, 120)
+    if solution.age_s is None:
+        assert message.lastCorrectionAge == 0
+    else:
+        assert limits[message.lastCorrectionAge - 1] <= solution.age_s
+        assert message.lastCorrectionAge == 12 or solution.age_s < limits[message.lastCorrectionAge]
+
+
+@given(SOLUTION, st.floats(-100.0, 100.0))
+@settings(derandomize=True, max_examples=150, deadline=None)
+def test_pyubx2_gives_the_precise_position_back(solution, separation_m):
+    message = parsed(format_high_precision_position(solution, geoid_separation_m=separation_m))
+    assert message.identity == "NAV-HPPOSLLH"
+    assert message.iTOW == solution.time_ns % WEEK_NS // 1_000_000
+    # pyubx2 adds the parts up: degrees to 1e-9, heights in mm to 0.1.
+    assert message.lat == pytest.approx(math.degrees(solution.latitude_rad), abs=0.6e-9)
+    assert message.lon == pytest.approx(math.degrees(solution.longitude_rad), abs=0.6e-9)
+    assert message.height == pytest.approx(solution.height_m * 1e3, abs=0.051)
+    assert message.hMSL == pytest.approx((solution.height_m - separation_m) * 1e3, abs=0.051)
+
+
+def test_a_position_that_is_no_number_is_refused():
+    solution = ReceiverSolution(2300 * WEEK_NS, math.nan, 0.0, 0.0, SolutionQuality.FIX)
+    for write in (format_position_velocity_time, format_high_precision_position):
+        with pytest.raises(ValueError, match="expected a finite number"):
+            write(solution, geoid_separation_m=0.0)

@@ -1,0 +1,278 @@
+"""Results of the engine become messages field by field; what is not known stays so; the last epochs are remembered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from camber.formats.observations import ObservationEpoch, satellite_number, signal_number
+from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
+from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY
+from camber.gnss.candidates import engine_candidates as engine_side
+from camber.gnss.candidates.engine_candidates import (
+    LastEpochs,
+    enu_covariance,
+    fix_from_solution,
+    observations_from,
+    velocity_from,
+)
+from camber.gnss.candidates.satellite_subsets import OtherEstimate
+from camber.gnss.position.rtk_engine import EngineOptions, Solution
+from camber.gnss.velocity.heading_filter import Heading
+from camber.gnss.warm_up import warm_up
+from camber.schemas.gnss import EstimatesRequest
+
+NS = 1_000_000_000
+TIME_NS = 1_400_000_001 * NS
+LATITUDE, LONGITUDE, HEIGHT_M = math.radians(35.17), math.radians(-58.4), 47.25
+PLACE = np.array(ecef_from_geodetic_scalar(LATITUDE, LONGITUDE, HEIGHT_M))
+SOLVED = warm_up()
+
+
+def estimate(**changed: Any) -> Any:
+    assert SOLVED.estimate is not None
+    return SOLVED.estimate._replace(**changed)
+
+
+def solution(**changed: Any) -> Solution:
+    return replace(
+        SOLVED,
+        position_ecef_m=PLACE,
+        covariance_ecef_m2=np.diag([1e-4, 4e-4, 9e-4]),
+        satellites=11,
+        ratio=7.5,
+        age_s=0.1,
+        continuity="continuous",
+        continuous_since_ns=TIME_NS - NS,
+        **changed,
+    )
+
+
+def rotated(covariance: np.ndarray) -> np.ndarray:
+    """By differences of places: how the local east, north and up axes lie in ECEF, without a rotation matrix."""
+    step = 1e-6
+
+    def at(dlat: float, dlon: float, dup: float) -> np.ndarray:
+        return np.array(ecef_from_geodetic_scalar(LATITUDE + dlat, LONGITUDE + dlon, HEIGHT_M + dup))
+
+    axes = np.array(
+        [
+            at(0, step, 0) - at(0, -step, 0),
+            at(step, 0, 0) - at(-step, 0, 0),
+            at(0, 0, 10.0) - at(0, 0, -10.0),
+        ]
+    )
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    return axes @ covariance @ axes.T
+
+
+def test_the_made_up_epoch_is_fixed() -> None:
+    assert SOLVED.quality == "fixed"
+
+
+def test_every_field_of_a_fixed_epoch_is_told() -> None:
+    fix = fix_from_solution(solution(), "JGD2011", "rtcm-7")
+    assert fix is not None
+    found = estimate()
+    assert (fix.time_ns, fix.fix_id, fix.origin, fix.quality) == (
+        SOLVED.time_ns,
+        SOLVED.time_ns // 1_000_000,
+        "engine",
+        "fixed",
+    )
+    assert fix.latitude_rad == pytest.approx(LATITUDE, abs=1e-12)
+    assert fix.longitude_rad == pytest.approx(LONGITUDE, abs=1e-12)
+    assert fix.height_m == pytest.approx(HEIGHT_M, abs=1e-6)
+    assert (fix.datum, fix.base_station, fix.satellites, fix.ratio) == ("JGD2011", "rtcm-7", 11, 7.5)
+    assert (fix.age_of_corrections_s, fix.ambiguities_fixed) == (0.1, found.fixed)
+    assert fix.success_rate == found.success_rate
+    assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("continuous", TIME_NS - NS)
+    assert (fix.phase_residuals, fix.subset_agreement) == ("consistent", "unknown")
+    assert fix.covariance_enu_m2 is not None
+
+
+@pytest.mark.parametrize("said", ["agree", "disagree", "unknown"])
+def test_what_its_subsets_say_is_told_with_the_fix(said: Any) -> None:
+    fix = fix_from_solution(solution(), "WGS84", None, said)
+    assert fix is not None
+    assert fix.subset_agreement == said
+
+
+def test_of_an_epoch_that_is_not_fixed_nothing_is_said_about_fixed_ambiguities() -> None:
+    fix = fix_from_solution(
+        solution(quality="float", estimate=estimate(status=1)),
+        "WGS84",
+    )
+    assert fix is not None
+    assert (fix.quality, fix.ambiguities_fixed, fix.success_rate, fix.phase_residuals) == (
+        "float",
+        None,
+        None,
+        "unknown",
+    )
+
+
+def test_a_position_of_the_rover_alone_has_no_ratio_and_no_age() -> None:
+    single = Solution(TIME_NS, "single", "no_base", PLACE, np.eye(3), 8)
+    fix = fix_from_solution(single, "WGS84")
+    assert fix is not None
+    unknown = (fix.ratio, fix.age_of_corrections_s, fix.ambiguities_fixed, fix.success_rate)
+    assert (fix.quality, *unknown) == ("single", None, None, None, None)
+    assert (fix.ambiguity_continuity, fix.continuous_since_ns) == ("no_evidence", None)
+
+
+def test_residuals_are_known_only_where_there_are_more_phases_than_unknowns() -> None:
+    untested = fix_from_solution(solution(estimate=estimate(phase_freedom=0)), "WGS84")
+    assert untested is not None
+    assert untested.phase_residuals == "unknown"
+    refuted = fix_from_solution(solution(quality="float", estimate=estimate(status=CONTRADICTORY)), "WGS84")
+    assert refuted is not None
+    assert (refuted.quality, refuted.phase_residuals) == ("float", "contradictory")
+
+
+def test_corrections_from_after_the_epoch_are_as_old_as_they_are_young() -> None:
+    fix = fix_from_solution(replace(solution(), age_s=-0.25), "WGS84")
+    assert fix is not None
+    assert fix.age_of_corrections_s == 0.25
+
+
+def test_an_epoch_without_a_position_is_no_fix() -> None:
+    assert fix_from_solution(Solution(TIME_NS, "none", "too_few_satellites", None, None, 0), "WGS84") is None
+
+
+def test_a_position_that_nobody_can_have_is_refused() -> None:
+    with pytest.raises(ValidationError):
+        fix_from_solution(replace(solution(), position_ecef_m=1e4 * PLACE), "WGS84")
+    with pytest.raises(ValidationError):
+        fix_from_solution(replace(solution(), covariance_ecef_m2=np.full((3, 3), np.nan)), "WGS84")
+
+
+def test_a_covariance_is_turned_as_the_axes_are() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        half = rng.normal(size=(3, 3))
+        covariance = half @ half.T
+        expected = rotated(covariance)
+        assert enu_covariance(PLACE, covariance) == pytest.approx(expected[np.triu_indices(3)], abs=1e-6)
+
+
+def test_velocity_and_heading_are_told_with_their_errors() -> None:
+    assert SOLVED.velocity is not None
+    moving = replace(
+        SOLVED.velocity,
+        velocity_enu_m_s=np.array([1.0, -2.0, 0.25]),
+        covariance_enu_m2_s2=np.array([[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]),
+        hdop=1.25,
+    )
+    told = velocity_from(moving, Heading(TIME_NS, 2.5, 0.0, 0.01, 0.1))
+    assert told is not None
+    assert told.time_ns == SOLVED.time_ns
+    assert told.velocity_enu_m_s == (1.0, -2.0, 0.25)
+    assert told.covariance_enu_m2_s2 == (4.0, 0.1, 0.2, 5.0, 0.3, 6.0)
+    assert (told.hdop, told.satellites) == (1.25, int(moving.used.sum()))
+    assert (told.heading_rad, told.heading_sigma_rad) == (2.5, 0.01)
+    still = velocity_from(moving, None)
+    assert still is not None
+    assert (still.heading_rad, still.heading_sigma_rad) == (None, None)
+    assert velocity_from(replace(moving, status="inconsistent"), None) is None
+
+
+def observed(rows: int = 6) -> ObservationEpoch:
+    return ObservationEpoch(
+        time_ns=TIME_NS,
+        satellite=np.array([satellite_number(f"G{n:02d}") for n in range(1, rows + 1)], np.int64),
+        signal=np.full(rows, signal_number("1C"), np.int64),
+        pseudorange_m=np.arange(rows) + 2e7,
+        carrier_phase_cycles=np.arange(rows) + 1e8,
+        doppler_hz=np.arange(rows) - 2.0,
+        cn0_dbhz=np.arange(rows) + 40.0,
+        lock_time_s=np.arange(rows) + 0.0005,
+        loss_of_lock=np.zeros(rows, np.bool_),
+        half_cycle=np.zeros(rows, np.bool_),
+    )
+
+
+def test_observations_say_by_a_bit_each_what_a_row_has() -> None:
+    epoch = observed()
+    columns = ("pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz", "lock_time_s")
+    for row, column in enumerate(columns):
+        getattr(epoch, column)[row] = np.nan
+    epoch.loss_of_lock[0], epoch.half_cycle[1] = True, True
+    epoch.loss_of_lock[2] = epoch.half_cycle[2] = True
+    told = observations_from(epoch, "rover")
+    assert told.present.tolist() == [0b11110, 0b11101, 0b11011, 0b10111, 0b01111, 0b11111]
+    assert told.slip.tolist() == [1, 2, 3, 0, 0, 0]
+    assert (told.time_ns, told.station) == (TIME_NS, "rover")
+    assert told.satellite.tolist() == epoch.satellite.tolist()
+    assert told.signal.tolist() == epoch.signal.tolist()
+    for row, column in enumerate(columns[:4]):
+        expected = getattr(epoch, column).tolist()
+        expected[row] = 0.0  # and the bit says that it is none
+        assert getattr(told, column).tolist() == expected
+    assert told.lock_time_ns.tolist() == [500_000 + n * NS for n in range(4)] + [0, 5 * NS + 500_000]
+
+
+def test_an_epoch_without_rows_is_told_too() -> None:
+    assert observations_from(observed(0), "rover").satellite.size == 0
+
+
+def ask(epochs: LastEpochs, fix_id: int, **request: Any) -> Any:
+    return epochs.estimates(EstimatesRequest(time_ns=TIME_NS, fix_id=fix_id, **request))
+
+
+def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
+    epochs = LastEpochs(EngineOptions())
+    epochs.keep(SOLVED)
+    answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=6)
+    assert (answer.status, answer.trials, answer.reason) == ("available", 6, "")
+    assert 1 <= len(answer.candidates) <= 6
+    assert SOLVED.position_ecef_m is not None
+    for candidate in answer.candidates:
+        place = ecef_from_geodetic_scalar(candidate.latitude_rad, candidate.longitude_rad, candidate.height_m)
+        assert np.linalg.norm(place - SOLVED.position_ecef_m) < 0.05
+        assert len(candidate.excluded_satellites) >= 1
+        assert candidate.ambiguities >= EngineOptions().least_fixed
+        assert candidate.ratio >= EngineOptions().least_ratio
+    named = answer.candidates[0].excluded_satellites
+    (one,) = ask(
+        epochs, SOLVED.time_ns // 1_000_000, strategy="explicit", excluded_satellites=named
+    ).candidates
+    assert one.excluded_satellites == named
+
+
+def test_an_epoch_is_remembered_for_twenty_more_and_then_forgotten() -> None:
+    epochs = LastEpochs(EngineOptions())
+    for n in range(21):
+        epochs.keep(replace(SOLVED, time_ns=TIME_NS + n * NS // 10))
+    first, second = TIME_NS // 1_000_000, TIME_NS // 1_000_000 + 100
+    assert ask(epochs, first).status == "forgotten"
+    assert ask(epochs, first).reason == "not among the last 20 epochs"
+    assert ask(epochs, second, maximum_trials=1).status == "available"
+
+
+def test_an_epoch_without_differences_says_why_there_are_no_estimates() -> None:
+    epochs = LastEpochs(EngineOptions())
+    epochs.keep(Solution(TIME_NS, "single", "base_too_old", PLACE, np.eye(3), 8))
+    answer = ask(epochs, TIME_NS // 1_000_000)
+    assert (answer.status, answer.reason, answer.candidates) == ("unavailable", "base_too_old", ())
+
+
+def test_no_more_candidates_are_told_than_an_answer_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    other = OtherEstimate(PLACE, np.eye(3), ("G01",), 9, 8, 1e12, 0.99, 3)
+
+    def many(*_: object) -> tuple[int, Sequence[OtherEstimate]]:
+        return 150, [other] * 150
+
+    monkeypatch.setattr(engine_side, "other_estimates", many)
+    epochs = LastEpochs(EngineOptions())
+    epochs.keep(SOLVED)
+    answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=150)
+    assert (answer.trials, len(answer.candidates)) == (150, 100)
+    first = answer.candidates[0]
+    assert (first.ambiguities, first.ratio, first.agreeing_subsets) == (8, 1e9, 3)

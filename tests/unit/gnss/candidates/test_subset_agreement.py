@@ -1,0 +1,127 @@
+"""A fix and those from its satellites less one system: when they agree, and what may speak against a fix."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camber.gnss.ambiguity.fixed_solution import estimate
+from camber.gnss.candidates import subset_agreement as module
+from camber.gnss.candidates.satellite_subsets import OtherEstimate
+from camber.gnss.candidates.subset_agreement import subset_agreement
+from camber.gnss.observations.single_differences import Rows
+from camber.gnss.position.rtk_engine import EngineOptions, Solution
+from support.engine_drives import open_sky_drive, solved
+from support.single_difference_rows import made_up_rows
+
+LIMITS = EngineOptions().limits()
+AT = np.array([1000.0, 2000.0, 3000.0])
+ASIDE = np.array([0.2, 0.0, 0.0])
+"""About one cycle."""
+
+
+def fixed(rows: Rows, **changed: Any) -> Solution:
+    """The fix of all rows, as the engine makes it."""
+    found = estimate(rows, np.ones(rows.group.size, np.bool_), np.zeros(3), np.zeros((3, 3)), LIMITS)
+    assert found.status == 0
+    solution = Solution(
+        0, "fixed", "resolved", AT + found.dx_m, found.covariance_m2, 16, approximate_ecef_m=AT, rows=rows
+    )
+    return replace(solution, **changed)
+
+
+def made_up(seed: int = 1, **arguments: Any) -> Rows:
+    return made_up_rows(np.random.default_rng(seed), **arguments).rows
+
+
+def moved(solution: Solution, by_m: np.ndarray = ASIDE) -> Solution:
+    assert solution.position_ecef_m is not None
+    return replace(solution, position_ecef_m=solution.position_ecef_m + by_m)
+
+
+def test_under_open_skies_every_epoch_agrees_with_its_subsets():
+    solutions = solved(open_sky_drive(seed=3, seconds=3))
+    assert [s.quality for s in solutions] == ["fixed"] * len(solutions)
+    assert {subset_agreement(s, LIMITS) for s in solutions} == {"agree"}
+
+
+def test_right_integers_with_the_noise_they_are_said_to_have_agree():
+    """150 draws: the rate of false alarms is one in ten thousand."""
+    said = [subset_agreement(fixed(made_up(seed, systems="GEC")), LIMITS) for seed in range(150)]
+    assert said == ["agree"] * 150
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_fix_that_stands_a_cycle_aside_of_its_subsets_disagrees(axis):
+    aside = moved(fixed(made_up()), 0.2 * np.eye(3)[axis])
+    assert subset_agreement(aside, LIMITS) == "disagree"
+
+
+def test_how_far_apart_they_may_be_follows_from_their_covariances():
+    solution = fixed(made_up())
+    vague = replace(solution, covariance_ecef_m2=0.1**2 * np.eye(3))
+    assert subset_agreement(moved(vague), LIMITS) == "agree"
+    assert subset_agreement(moved(vague, 5.0 * ASIDE), LIMITS) == "disagree"
+    assert subset_agreement(moved(solution), LIMITS._replace(normal_quantile=1e3)) == "agree"
+
+
+def test_the_air_that_they_have_in_common_excuses_no_difference():
+    rows = made_up()._replace(atmosphere_m2=0.3**2 * np.eye(3))
+    assert subset_agreement(fixed(rows), LIMITS) == "agree"
+    assert subset_agreement(moved(fixed(rows)), LIMITS) == "disagree"
+
+
+def test_only_a_subset_that_could_be_a_fix_itself_speaks_against_one():
+    unsure = LIMITS._replace(least_success=1.0 + 1e-9)
+    assert subset_agreement(moved(fixed(made_up())), unsure) == "unknown"
+    assert subset_agreement(fixed(made_up()), unsure) == "agree"
+
+
+@pytest.mark.parametrize("quality", ["float", "single", "none"])
+def test_what_is_no_fix_has_no_subsets(quality):
+    assert subset_agreement(fixed(made_up(), quality=quality), LIMITS) == "unknown"
+
+
+@pytest.mark.parametrize("lacking", ["position_ecef_m", "covariance_ecef_m2", "rows"])
+def test_a_fix_without_rows_has_none(lacking):
+    lacks: dict[str, Any] = {lacking: None}
+    assert subset_agreement(replace(fixed(made_up()), **lacks), LIMITS) == "unknown"
+
+
+def test_one_system_alone_has_no_second_opinion():
+    assert subset_agreement(fixed(made_up(systems="G")), LIMITS) == "unknown"
+
+
+def other(by_m: np.ndarray, covariance_m2: np.ndarray, success_rate: float = 0.99) -> OtherEstimate:
+    return OtherEstimate(AT + by_m, covariance_m2, ("G01",), 9, 9, 5.0, success_rate, 0)
+
+
+def said_by(monkeypatch: pytest.MonkeyPatch, *subsets: OtherEstimate) -> str:
+    monkeypatch.setattr(module, "other_estimates", lambda *_: (len(subsets), list(subsets)))
+    solution = fixed(made_up(), position_ecef_m=AT, covariance_ecef_m2=1e-4 * np.eye(3))
+    return subset_agreement(solution, LIMITS)
+
+
+def test_the_very_same_position_is_no_second_opinion(monkeypatch):
+    assert said_by(monkeypatch, other(0.0 * ASIDE, 1e-4 * np.eye(3))) == "unknown"
+
+
+def test_one_sure_subset_that_is_elsewhere_outweighs_those_that_agree(monkeypatch):
+    near, far = other(0.01 * ASIDE, 1e-4 * np.eye(3)), other(ASIDE, 1e-4 * np.eye(3))
+    assert said_by(monkeypatch, near, far) == said_by(monkeypatch, far, near) == "disagree"
+    assert said_by(monkeypatch, near, replace(far, success_rate=0.94)) == "agree"
+
+
+@pytest.mark.parametrize("covariance_m2", [-1e-4 * np.eye(3), np.full((3, 3), np.nan)])
+def test_with_a_covariance_that_is_none_nothing_agrees(covariance_m2, monkeypatch):
+    assert said_by(monkeypatch, other(0.01 * ASIDE, covariance_m2)) == "disagree"
+    assert said_by(monkeypatch, other(0.01 * ASIDE, covariance_m2, 0.9)) == "unknown"
+    assert said_by(monkeypatch, other(np.full(3, np.nan), 1e-4 * np.eye(3), 0.9)) == "unknown"
+
+
+def test_no_map_and_no_height_can_be_given():
+    assert list(inspect.signature(subset_agreement).parameters) == ["solution", "limits"]

@@ -1,0 +1,106 @@
+"""A base whose coordinate is not its own is found out by its own position."""
+
+import functools
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+
+from camber.geodesy.gps_time import NS_PER_SECOND
+from camber.gnss.observations.base_station import BaseStation, station_name
+from camber.gnss.observations.ephemeris_store import EphemerisStore
+from camber.gnss.position.single_point import NO_IONOSPHERE
+from camber.schemas.base import Name
+from support.canyon_statistics import FRAME
+from support.engine_drives import base_ecef_m, open_sky_drive, some_rows
+
+UP = FRAME.enu_from_ecef_rotation()[2]
+EAST = FRAME.enu_from_ecef_rotation()[0]
+
+
+@functools.cache
+def drive():
+    return open_sky_drive(seed=4, seconds=3)
+
+
+def said_of(position_m, epoch=None, store=None) -> str:
+    base = BaseStation(np.array(position_m))
+    base.add(epoch or drive().base[0])
+    return base.coordinate(drive().store if store is None else store, NO_IONOSPHERE)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_its_own_coordinate_is_plausible_at_any_time_of_day(seed):
+    d = open_sky_drive(
+        seed=seed, seconds=1, begin_ns=drive().base[0].time_ns + seed * 5 * 3600 * NS_PER_SECOND
+    )
+    assert said_of(base_ecef_m(), d.base[0], d.store) == "plausible"
+
+
+@pytest.mark.parametrize(
+    "offset_m",
+    [450.0 * EAST, 50.0 * EAST, -100.0 * UP, 5000.0 * EAST, 1.0e6 * UP],
+    ids=["datum", "near", "height", "next station", "absurd"],
+)
+def test_another_coordinate_is_not(offset_m):
+    assert said_of(base_ecef_m() + offset_m) == "implausible"
+
+
+@pytest.mark.parametrize("position_m", [(0.0, 0.0, 0.0), (np.nan,) * 3, (np.inf, 0.0, 0.0), (1.0, 2.0, 3.0)])
+def test_what_is_no_place_on_earth_is_not(position_m):
+    assert said_of(position_m) == "implausible"
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 3.0, 10.0])
+def test_what_a_single_point_cannot_tell_is_not_claimed(offset_m):
+    assert said_of(base_ecef_m() + offset_m * UP) == "plausible"
+
+
+def test_without_ephemerides_or_satellites_it_is_not_known():
+    assert said_of(base_ecef_m(), store=EphemerisStore()) == "unknown"
+    assert said_of(base_ecef_m(), some_rows(drive().base[0], np.arange(0))) == "unknown"
+    assert BaseStation(base_ecef_m()).coordinate(drive().store, NO_IONOSPHERE) == "unknown"
+
+
+def test_a_coordinate_that_is_put_right_is_looked_at_at_once():
+    base = BaseStation(base_ecef_m() + 450.0 * EAST)
+    base.add(drive().base[0])
+    assert base.coordinate(drive().store, NO_IONOSPHERE) == "implausible"
+    assert base.miss_m == pytest.approx(450.0, abs=30.0)
+    assert base.move_to(base_ecef_m())
+    assert not base.move_to(base_ecef_m())
+    assert base.coordinate(drive().store, NO_IONOSPHERE) == "plausible"
+
+
+def test_it_is_looked_at_every_ten_seconds_and_with_every_epoch_while_it_is_wrong():
+    d = open_sky_drive(seed=4, seconds=25)
+    checks = []
+    wrong = base_ecef_m() + 450.0 * EAST
+    for position in (base_ecef_m(), wrong):
+        base, checked = BaseStation(position), []
+        for second, epoch in enumerate(d.base):
+            base.miss_m = None
+            base.add(epoch)
+            base.coordinate(d.store, NO_IONOSPHERE)
+            if base.miss_m is not None:
+                checked.append(second)
+        checks.append(checked)
+    assert checks == [[0, 10, 20], list(range(25))]
+
+
+def test_late_epochs_are_not_taken():
+    first, second, third = drive().base
+    base = BaseStation(base_ecef_m())
+    assert [base.add(e) for e in (second, first, third)] == ["next", "late", "next"]
+    assert base.epoch is third
+    assert base.arcs.size == third.satellite.size
+
+
+def test_whatever_a_station_calls_itself_becomes_a_name_that_a_message_can_have() -> None:
+    longest = np.array([-13_743_895.347, -13_743_895.347, -13_743_895.347])
+    for told in ("rtcm-4095", "rinex-名古屋 1, roof*" + 60 * "x"):
+        for position in (None, longest, 1e30 * longest):
+            name = station_name(told, position)
+            assert TypeAdapter(Name).validate_python(name) == name
+    full = station_name("rinex-" + 60 * "x", longest)
+    assert full.endswith(":".join(3 * ["-13743895.347"]))

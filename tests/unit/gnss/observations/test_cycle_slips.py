@@ -1,0 +1,247 @@
+"""Where a phase is one unbroken count: each cause of a break breaks what it befalls, and nothing else does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camber.formats.observations import (
+    CARRIER_OF_BAND_HZ,
+    SPEED_OF_LIGHT_M_S,
+    ObservationEpoch,
+    satellite_number,
+    signal_number,
+)
+from camber.formats.receiver.lock_times import LockTimes
+from camber.gnss.observations.cycle_slips import REASONS, ArcTracker
+
+SIGNALS = [
+    *(f"G{n:02d}:{code}" for n in (1, 7, 12, 32) for code in ("1C", "2L", "5Q")),
+    *(f"E{n:02d}:{code}" for n in (3, 36) for code in ("1C", "7Q")),
+    "J02:1C", "J02:5Q", "C21:2I", "C63:7I",
+]  # fmt: skip
+NAMES = np.array([satellite_number(s.split(":")[0]) for s in SIGNALS], np.int64)
+CODES = np.array([signal_number(s.split(":")[1]) for s in SIGNALS], np.int64)
+HZ = np.array([CARRIER_OF_BAND_HZ[s[0]][s.split(":")[1][0]] for s in SIGNALS])
+WAVELENGTH_M = SPEED_OF_LIGHT_M_S / HZ
+START_NS = 1_400_000_000 * 10**9
+
+
+def drive(rate_hz: int, count: int, *, seed: int = 1, noisy: bool = True) -> list[ObservationEpoch]:
+    """A moving car: ranges with an acceleration of 3 m/s² and a clock that drifts by 300 m/s."""
+    rng = np.random.default_rng(seed)
+    _, of = np.unique(NAMES, return_inverse=True)
+    speed, phase = rng.uniform(-800, 800, of.max() + 1), rng.uniform(0, 6, of.max() + 1)
+    epochs = []
+    for k in range(count):
+        t = k / rate_hz
+        swing = 12.0 * np.sin(0.5 * t + phase)  # m: 3 m/s² at the most
+        range_m = (2.2e7 + speed * t + swing + 300.0 * t)[of]
+        rate_m_s = (speed + 6.0 * np.cos(0.5 * t + phase) + 300.0)[of]
+        noise = (0.003 * rng.normal(size=len(of)), 0.05 * rng.normal(size=len(of))) if noisy else (0.0, 0.0)
+        epochs.append(
+            ObservationEpoch(
+                START_NS + round(t * 1e9), NAMES, CODES, range_m, (range_m + noise[0]) / WAVELENGTH_M + 1234,
+                -(rate_m_s + noise[1]) / WAVELENGTH_M, np.full(len(of), 45.0), np.full(len(of), 30.0 + t),
+                np.zeros(len(of), np.bool_), np.zeros(len(of), np.bool_),
+            )
+        )  # fmt: skip
+    return epochs
+
+
+def changed(epoch: ObservationEpoch, name: str, rows, change) -> ObservationEpoch:
+    column = getattr(epoch, name).copy()
+    column[rows] = change(column[rows])
+    return replace(epoch, **{name: column})
+
+
+def broken_in(epochs: list[ObservationEpoch]) -> tuple[list[str], dict[str, int], list[np.ndarray]]:
+    """Signals whose arcs were broken after the first epoch, reasons (without new), arcs of each epoch."""
+    tracker = ArcTracker()
+    arcs = [tracker.update(epoch) for epoch in epochs]
+    broken = [SIGNALS[i] for i in range(len(SIGNALS)) if len({a[i] for a in arcs} - {0}) > 1]
+    reasons = {
+        r: int(n) for r, n in zip(REASONS, tracker.begun, strict=True) if n and r not in ("new", "continuous")
+    }
+    return broken, reasons, arcs
+
+
+@pytest.mark.parametrize("rate_hz", [1, 5, 10])
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_breaks_a_car_in_the_open(rate_hz, seed):
+    broken, reasons, arcs = broken_in(drive(rate_hz, 12 * rate_hz, seed=seed))
+    assert (broken, reasons) == ([], {})
+    assert len(set(arcs[0].tolist())) == len(SIGNALS)
+    assert arcs[0].min() > 0
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+@pytest.mark.parametrize("row", [0, 4, 13, 17])
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [
+        ("loss_of_lock", lambda v: True, "receiver_flag"),
+        ("lock_time_s", lambda v: v - 20.0, "lock_time"),
+        ("lock_time_s", lambda v: 0.0, "lock_time"),
+        ("half_cycle", lambda v: True, "half_cycle"),
+    ],
+)
+def test_what_the_receiver_says_of_one_signal_breaks_that_one(rate_hz, row, name, change, reason):
+    epochs = drive(rate_hz, 6)
+    epochs[4] = changed(epochs[4], name, [row], change)
+    if name == "half_cycle":
+        epochs[5] = changed(epochs[5], name, [row], change)
+    if name == "lock_time_s":
+        epochs[5] = changed(epochs[5], name, [row], lambda v: epochs[4].lock_time_s[row] + 1.0 / rate_hz)
+    broken, reasons, _ = broken_in(epochs)
+    assert (broken, reasons) == ([SIGNALS[row]], {reason: 1})
+
+
+def test_a_half_cycle_that_comes_and_goes_breaks_twice():
+    epochs = drive(1, 6)
+    epochs[3] = changed(epochs[3], "half_cycle", [2], lambda v: True)
+    assert broken_in(epochs)[1] == {"half_cycle": 2}
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+@pytest.mark.parametrize("cycles", [1, -1, 3])
+def test_a_slip_that_nobody_tells_breaks_the_bands_of_its_satellite(rate_hz, cycles):
+    """Which band slipped is not known from their difference; where the Doppler knows, only that one breaks."""
+    epochs = drive(rate_hz, 8)
+    for k in range(4, 8):
+        epochs[k] = changed(epochs[k], "carrier_phase_cycles", [4], lambda v: v + cycles)
+    broken, reasons, _ = broken_in(epochs)
+    if rate_hz == 10:
+        assert (broken, reasons) == (["G07:2L"], {"doppler": 1})
+    else:
+        assert set(broken) >= {"G07:2L"}
+        assert set(broken) <= {"G07:1C", "G07:2L", "G07:5Q"}
+        assert set(reasons) <= {"geometry_free", "doppler"}
+
+
+def test_a_slip_of_the_same_length_in_all_bands_is_seen_by_the_doppler():
+    epochs = drive(10, 8)
+    rows = [3, 4, 5]
+    for k in range(4, 8):
+        epochs[k] = changed(epochs[k], "carrier_phase_cycles", rows, lambda v: v + 5.0 / WAVELENGTH_M[rows])
+    assert broken_in(epochs)[:2] == (["G07:1C", "G07:2L", "G07:5Q"], {"doppler": 3})
+
+
+def test_the_order_of_a_satellites_bands_does_not_say_what_breaks():
+    epochs = drive(1, 6)
+    for k in range(3, 6):
+        epochs[k] = changed(epochs[k], "carrier_phase_cycles", [1], lambda v: v + 1)
+    without = [replace(e, doppler_hz=np.full(len(SIGNALS), np.nan)) for e in epochs]
+    assert broken_in(without)[0] == ["G01:1C", "G01:2L", "G01:5Q"]
+    for order in ([1, 0, 2], [2, 1, 0], [0, 2, 1]):
+        rows = np.array(order + list(range(3, len(SIGNALS))))
+        tracker, arcs = ArcTracker(), []
+        for e in without:
+            columns = {f: getattr(e, f)[rows] for f in e.__dataclass_fields__ if f != "time_ns"}
+            arcs.append(tracker.update(ObservationEpoch(e.time_ns, **columns)))
+        assert [len({a[i] for a in arcs}) for i in range(4)] == [2, 2, 2, 1]
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+@pytest.mark.parametrize("step_ms", [1.0, -1.0, 0.5, 100.0])
+def test_a_step_of_the_receivers_clock_breaks_nothing(rate_hz, step_ms):
+    epochs = drive(rate_hz, 8)
+    metres = step_ms * 1e-3 * SPEED_OF_LIGHT_M_S
+    for k in range(4, 8):
+        epochs[k] = replace(
+            epochs[k],
+            pseudorange_m=epochs[k].pseudorange_m + metres,
+            carrier_phase_cycles=epochs[k].carrier_phase_cycles + metres / WAVELENGTH_M,
+        )
+    assert broken_in(epochs)[:2] == ([], {})
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+def test_without_doppler_and_lock_times_a_car_in_the_open_is_unbroken_too(rate_hz):
+    nothing = np.full(len(SIGNALS), np.nan)
+    epochs = [replace(e, doppler_hz=nothing, lock_time_s=nothing) for e in drive(rate_hz, 20)]
+    assert broken_in(epochs)[:2] == ([], {})
+
+
+def test_a_gap_breaks_what_it_befalls_and_a_missed_epoch_does_not():
+    epochs = drive(1, 10)
+    for k in range(3, 6):
+        epochs[k] = changed(epochs[k], "carrier_phase_cycles", [2], lambda v: np.nan)
+    epochs[7] = changed(epochs[7], "carrier_phase_cycles", [9], lambda v: np.nan)
+    broken, reasons, arcs = broken_in(epochs)
+    assert (broken, reasons) == (["G01:5Q"], {"gap": 1})
+    assert (arcs[4][2], arcs[7][9]) == (0, 0)
+
+
+def test_a_time_that_does_not_go_on_breaks_everything():
+    epochs = drive(1, 4)
+    assert broken_in([*epochs, epochs[2]])[1] == {"gap": len(SIGNALS)}
+
+
+def test_another_code_of_the_band_is_another_signal():
+    epochs = drive(1, 4)
+    for k in (2, 3):
+        epochs[k] = changed(epochs[k], "signal", [1], lambda v: signal_number("2W"))
+    tracker = ArcTracker()
+    arcs = [tracker.update(e) for e in epochs]
+    assert arcs[1][1] != arcs[2][1] == arcs[3][1]
+    assert all((arcs[0][i] == arcs[3][i]) == (i != 1) for i in range(len(SIGNALS)))
+
+
+@pytest.mark.parametrize("rate_hz", [1, 10])
+def test_lock_times_in_classes_break_nothing_while_they_grow(rate_hz):
+    """MSM4 tells the class only (DF402): 0, 32, 64, … ms, of half the true time at worst."""
+    epochs = drive(rate_hz, 60, noisy=False)
+    for first_ms in (3.0, 40.0, 250.0, 700.0):
+        told = []
+        for k, e in enumerate(epochs):
+            true_ms = first_ms + 1000.0 * k / rate_hz
+            classes = np.array([0.0, *(32.0 * 2.0**n for n in range(15))])
+            told.append(replace(e, lock_time_s=np.full(len(SIGNALS), classes[classes <= true_ms][-1] * 1e-3)))
+        assert broken_in(told)[:2] == ([], {})
+
+
+def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_than_before():
+    """A signal lost and found between each two epochs, one second apart, says 0.3 s each time."""
+    epochs = [replace(e, lock_time_s=np.full(len(SIGNALS), 0.3)) for e in drive(1, 3)]
+    assert broken_in(epochs)[1] == {"lock_time": 2 * len(SIGNALS)}
+    locks = LockTimes()
+    keys = np.arange(len(SIGNALS))
+    all_here = np.ones(len(SIGNALS), np.bool_)
+    said = [locks.lost(e.time_ns, keys, all_here, e.lock_time_s, e.lock_time_s + 1e-3) for e in epochs]
+    assert [bool(s.all()) for s in said] == [False, True, True]  # the readers say the same
+
+
+def test_numbers_of_arcs_are_never_used_twice():
+    epochs = drive(1, 12)
+    seen: set[int] = set()
+    tracker = ArcTracker()
+    previous = np.zeros(len(SIGNALS), np.int64)
+    rng = np.random.default_rng(3)
+    for epoch in epochs:
+        flagged = rng.random(len(SIGNALS)) < 0.3
+        arcs = tracker.update(replace(epoch, loss_of_lock=flagged))
+        fresh = arcs[arcs != previous]
+        assert not seen & set(fresh.tolist())
+        assert len(set(fresh.tolist())) == fresh.size
+        seen |= set(fresh.tolist())
+        previous = arcs
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, 1e300])
+@pytest.mark.parametrize("name", ["carrier_phase_cycles", "doppler_hz", "lock_time_s"])
+def test_no_value_is_too_odd(name, value):
+    epochs = drive(1, 4)
+    epochs[2] = changed(epochs[2], name, slice(None), lambda v: value)
+    _, reasons, arcs = broken_in(epochs)
+    assert set(reasons) <= set(REASONS)
+    if name == "carrier_phase_cycles" and not np.isfinite(value):
+        assert not arcs[2].any()
+        np.testing.assert_array_equal(arcs[3], arcs[1])
+
+
+def test_satellites_that_are_none_have_no_arc():
+    epochs = drive(1, 2)
+    odd = [0, -1, ord("R") * 256 + 1, ord("G") * 256 + 200]
+    epochs = [changed(e, "satellite", [0, 1, 2, 3], lambda v: np.array(odd)) for e in epochs]
+    assert not broken_in(epochs)[2][1][:4].any()

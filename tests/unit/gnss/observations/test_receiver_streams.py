@@ -1,0 +1,225 @@
+"""One way to hear all protocols: the same epochs from every format, damage counted, RTCM between UBX is the base's."""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.errors import FormatError
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.gnss.observations.receiver_streams import StationPosition, StreamReader
+from support.raw_drive import RawDrive
+
+NS = 1_000_000_000
+
+
+def heard(stream: Any, protocol: Any, data: bytes, near_ns: int) -> list[tuple[str, Any]]:
+    reader = StreamReader(stream, protocol, "here", near_ns)
+    return [*reader.feed(data), *reader.fell_silent()]
+
+
+def epochs(stream: str, said: list[tuple[str, Any]]) -> list[ObservationEpoch]:
+    return [what for whose, what in said if whose == stream and isinstance(what, ObservationEpoch)]
+
+
+def table(epoch: ObservationEpoch) -> dict[tuple[int, int], list[float]]:
+    """By satellite and band: u-blox names one of the channels of which RINEX has both (`1C`, `1X`)."""
+    columns = (epoch.pseudorange_m, epoch.carrier_phase_cycles, epoch.doppler_hz, epoch.cn0_dbhz)
+    rows = zip(
+        epoch.satellite.tolist(), epoch.signal.tolist(), *(column.tolist() for column in columns), strict=True
+    )
+    return {(satellite, signal >> 8): values for satellite, signal, *values in rows}
+
+
+def largest_difference(
+    one: list[ObservationEpoch], other: list[ObservationEpoch], *, only_parts_of_cycles: bool = False
+) -> np.ndarray:
+    """Of pseudorange, phase, Doppler, C/N0, over all rows; both must have the same ones."""
+    worst = np.zeros(4)
+    for left, right in zip_longest(one, other):
+        assert left.time_ns == right.time_ns
+        ours, theirs = table(left), table(right)
+        assert ours.keys() == theirs.keys()
+        for key, values in ours.items():
+            difference = np.subtract(values, theirs[key])
+            if only_parts_of_cycles:
+                difference[1] -= np.rint(difference[1])
+            assert (np.isnan(values) == np.isnan(theirs[key])).all()
+            worst = np.fmax(worst, np.abs(difference))
+    return worst
+
+
+def test_ubx_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
+    near_ns = raw_drive.times_ns[0]
+    ubx = epochs("rover", heard("rover", "ubx", b"".join(raw_drive.ubx_parts), near_ns))
+    text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts)
+    rinex = epochs("rover", heard("rover", "rinex", text, near_ns))
+    assert len(ubx) == len(raw_drive.times_ns)
+    # RINEX has three decimals; UBX single precision of the Doppler, whole dB-Hz, and where it counts cycles from.
+    difference = largest_difference(ubx, rinex, only_parts_of_cycles=True)
+    assert (difference <= [0.00051, 0.00051, 0.0008, 0.51]).all()
+
+
+def test_rtcm_and_rinex_have_the_same_epochs_within_their_resolution(raw_drive: RawDrive) -> None:
+    near_ns = raw_drive.times_ns[0]
+    rtcm = epochs("base", heard("base", "rtcm", b"".join(raw_drive.rtcm_parts), near_ns + 3 * 86_400 * NS))
+    text = raw_drive.base_header + b"".join(raw_drive.base_rinex_parts)
+    rinex = epochs("base", heard("base", "rinex", text, near_ns))
+    assert len(rtcm) == len(raw_drive.times_ns)
+    # MSM7: 2^-29 ms (0.6 mm) of pseudorange, 2^-31 ms of phase, 0.0001 m/s of range rate, 2^-4 dB-Hz.
+    # Its phase counts whole cycles from where the pseudorange was.
+    difference = largest_difference(rtcm, rinex, only_parts_of_cycles=True)
+    assert (difference <= [0.0008, 0.0015, 0.0015, 0.04]).all()
+
+
+def test_how_a_stream_is_cut_makes_no_difference(raw_drive: RawDrive) -> None:
+    near_ns = raw_drive.times_ns[0]
+    text = raw_drive.rover_header + b"".join(raw_drive.rover_rinex_parts[:10])
+    for protocol, data in (
+        ("ubx", b"".join(raw_drive.ubx_parts[:10])),
+        (
+            "mixed",
+            b"".join(a + b for a, b in zip(raw_drive.ubx_parts, raw_drive.rtcm_parts[:5], strict=False)),
+        ),
+        ("rtcm", b"".join(raw_drive.rtcm_parts[:10])),
+        ("rinex", text),
+    ):
+        whole = [repr_of(each) for each in heard("rover", protocol, data, near_ns)]
+        assert whole
+        reader, pieces, random = StreamReader("rover", protocol, "here", near_ns), [], Random(3)  # type: ignore[arg-type]
+        while data:
+            size = random.randint(1, 700)
+            pieces += [repr_of(each) for each in reader.feed(data[:size])]
+            data = data[size:]
+        assert pieces == whole, protocol
+
+
+def repr_of(said: tuple[str, Any]) -> str:
+    whose, what = said
+    return (
+        f"{whose} {what.time_ns} {table(what)}" if isinstance(what, ObservationEpoch) else f"{whose} {what}"
+    )
+
+
+def test_rtcm_in_a_receivers_mixed_stream_is_the_bases(raw_drive: RawDrive) -> None:
+    data = b"".join(a + b for a, b in zip(raw_drive.rtcm_parts[:4], raw_drive.ubx_parts[:4], strict=True))
+    said = heard("rover", "mixed", data, raw_drive.times_ns[0])
+    assert [epoch.time_ns for epoch in epochs("rover", said)] == raw_drive.times_ns[:4]
+    assert [epoch.time_ns for epoch in epochs("base", said)] == raw_drive.times_ns[:4]
+    assert {(whose, what.told) for whose, what in said if isinstance(what, StationPosition)} == {
+        ("base", "rtcm-1")
+    }
+    # A receiver whose own observations come as RTCM says so with the protocol.
+    own = heard("rover", "rtcm", b"".join(raw_drive.rtcm_parts[:4]), raw_drive.times_ns[0])
+    assert len(epochs("rover", own)) == 4
+
+
+def test_navigation_files_come_one_after_another_with_the_last_record_and_the_ionosphere(
+    raw_drive: RawDrive,
+) -> None:
+    reader = StreamReader("ephemerides", "rinex", "here", raw_drive.times_ns[0])
+    first = reader.feed(raw_drive.navigation)
+    count = len([1 for _, what in first if isinstance(what, Ephemeris)])
+    second = reader.feed(raw_drive.navigation)
+    third = reader.fell_silent()
+    assert not [what for _, what in (*first, *second, *third) if isinstance(what, FormatError)]
+    # The last record is whole when another file begins, or nothing follows.
+    assert [len([1 for _, what in said if isinstance(what, Ephemeris)]) for said in (second, third)] == [
+        count + 1,
+        1,
+    ]
+    coefficients = [what for _, what in first if isinstance(what, IonosphereCoefficients)]
+    assert coefficients[-1].system == "G"
+    assert coefficients[-1].alpha != (0.0, 0.0, 0.0, 0.0)
+    assert reader.fell_silent() == []
+
+
+def test_a_navigation_file_that_goes_on_after_a_silence_is_named(raw_drive: RawDrive) -> None:
+    reader = StreamReader("ephemerides", "rinex", "here", raw_drive.times_ns[0])
+    half = raw_drive.navigation.rindex(b"\n", 0, 5000) + 1
+    reader.feed(raw_drive.navigation[:half])
+    reader.fell_silent()
+    ((_, error),) = reader.feed(raw_drive.navigation[half:])
+    assert isinstance(error, FormatError)
+
+
+def header(**changed: Any) -> bytes:
+    lines = {
+        "version": f"{'     3.04           OBSERVATION DATA    M':60}RINEX VERSION / TYPE",
+        "position": f"{'  1000000.0000  2000000.0000  6000000.0000':60}APPROX POSITION XYZ",
+        "delta": f"{'        1.5000        0.2000        0.1000':60}ANTENNA: DELTA H/E/N",
+        "types": f"{'G    1 C1C':60}SYS / # / OBS TYPES",
+        "time": f"{'  2026     3    20     1    30    0.0000000     GPS':60}TIME OF FIRST OBS",
+        "end": f"{'':60}END OF HEADER",
+    } | changed
+    return "".join(f"{line}\n" for line in lines.values() if line).encode()
+
+
+def test_the_antenna_of_a_rinex_file_stands_above_and_beside_its_marker() -> None:
+    ((whose, where),) = heard("base", "rinex", header(), 0)
+    assert whose == "base"
+    assert isinstance(where, StationPosition)
+    marker = np.array([1e6, 2e6, 6e6])
+    offset = np.array(where.position_ecef_m) - marker
+    latitude = np.arctan2(6e6, np.hypot(1e6, 2e6))  # geocentric: 0.2° off, and so 5 mm of 1.5 m
+    up, east = np.array([np.cos(latitude), 0.0, np.sin(latitude)]), np.array([-2.0, 1.0, 0.0]) / np.sqrt(5.0)
+    up[:2] = up[0] * np.array([1.0, 2.0]) / np.sqrt(5.0)
+    north = np.cross(up, east)
+    assert offset == pytest.approx(1.5 * up + 0.2 * east + 0.1 * north, abs=0.01)
+
+
+def test_a_rinex_file_calls_its_station_by_the_marker() -> None:
+    ((_, named),) = heard("base", "rinex", header(delta=f"{'NAGOYA 1':60}MARKER NAME"), 0)
+    ((_, unnamed),) = heard("base", "rinex", header(), 0)
+    assert (named.told, unnamed.told) == ("rinex-NAGOYA 1", "rinex-unnamed")
+
+
+def test_without_a_delta_the_antenna_is_the_marker_and_without_a_marker_nowhere() -> None:
+    ((_, where),) = heard("base", "rinex", header(delta=""), 0)
+    assert where.position_ecef_m == pytest.approx((1e6, 2e6, 6e6), abs=1e-6)
+    assert heard("base", "rinex", header(position=""), 0) == []
+    # The earth's centre is how files say that they do not know.
+    nowhere = f"{'        0.0000        0.0000        0.0000':60}APPROX POSITION XYZ"
+    assert heard("base", "rinex", header(position=nowhere), 0) == []
+
+
+def test_damage_is_counted_by_what_was_the_matter(raw_drive: RawDrive) -> None:
+    reader = StreamReader("rover", "ubx", "here", raw_drive.times_ns[0])
+    reader.feed(raw_drive.ubx_parts[0])
+    assert reader.damage() == {}
+    damaged = bytearray(raw_drive.ubx_parts[1])
+    damaged[100] ^= 1
+    reader.feed(b"noise" + bytes(damaged))
+    counted = reader.damage()
+    assert counted["failed_checks"] == 1
+    assert counted["bytes_skipped"] > 5
+    rtcm = StreamReader("base", "rtcm", "here", raw_drive.times_ns[0])
+    frames = raw_drive.frames(1)
+    rtcm.feed(b"".join([*frames[:-1], *raw_drive.frames(2)]))
+    assert rtcm.damage() == {"incomplete": 1}
+
+
+@pytest.mark.parametrize("protocol", ["pos", "nmea", "ubx", "rtcm", "mixed", "rinex"])
+@pytest.mark.parametrize("stream", ["rover", "base", "ephemerides"])
+def test_no_bytes_raise_anything(stream: Any, protocol: Any, raw_drive: RawDrive) -> None:
+    random = Random(17)
+    good = (
+        raw_drive.ubx_parts[0]
+        + raw_drive.rtcm_parts[0]
+        + raw_drive.rover_header
+        + raw_drive.navigation[:4000]
+    )
+    for _ in range(10):
+        data = bytearray(good)
+        for _ in range(40):
+            place = random.randrange(len(data))
+            data[place : place + random.randrange(4)] = random.randbytes(random.randrange(4))
+        reader = StreamReader(stream, protocol, "here", raw_drive.times_ns[0])
+        reader.feed(bytes(data))
+        reader.fell_silent()
+        assert all(count > 0 for count in reader.damage().values())

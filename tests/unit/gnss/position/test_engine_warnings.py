@@ -1,0 +1,47 @@
+"""A warning is told when it happens and when it happens again, with what an operator can do about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from camber.gnss.position.engine_warnings import EngineWarnings
+from camber.gnss.position.rtk_engine import Engine, EngineOptions
+from camber.gnss.warm_up import _constellation
+
+
+def test_a_warning_is_told_each_time_it_has_happened_again() -> None:
+    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    assert warnings.new(engine) == []
+    engine.warnings["base_silent"] += 3
+    engine.warnings["rover_clock_step"] += 1
+    assert warnings.new(engine) == [
+        ("base_silent", "3 epochs; no epoch of the base has come yet"),
+        ("rover_clock_step", "1 epochs; the receiver set its clock; nothing depends on it"),
+    ]
+    assert warnings.new(engine) == []
+    engine.warnings["base_silent"] += 1
+    assert warnings.new(engine) == [("base_silent", "4 epochs; no epoch of the base has come yet")]
+
+
+def test_ephemerides_that_are_refused_are_told_with_why() -> None:
+    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    first, second, third = _constellation()[:3]
+    for ephemeris in (
+        replace(first, sqrt_a=1.0),
+        replace(second, sqrt_a=np.inf),
+        replace(third, eccentricity=0.7),
+    ):
+        engine.add_ephemeris(ephemeris)
+    assert warnings.new(engine) == [("ephemeris_refused", "not_finite 1, orbit 2")]
+    assert warnings.new(engine) == []
+
+
+def test_a_base_far_from_its_coordinate_is_told_with_how_far() -> None:
+    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    engine.warnings["base_position_wrong"] += 1
+    assert warnings.new(engine) == [("base_position_wrong", "1 epochs; it is nowhere on earth")]
+    engine.warnings["base_position_wrong"] += 1
+    engine.base.miss_m = 117.4
+    assert warnings.new(engine) == [("base_position_wrong", "2 epochs; its own single point is 117 m away")]

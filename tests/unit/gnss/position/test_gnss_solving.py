@@ -1,0 +1,551 @@
+"""gnss with the engine: right fixes from all mixes of formats; bad input is counted, named, and makes no wrong fix."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from random import Random
+from typing import Any, cast, get_args
+
+import numpy as np
+import pytest
+
+from camber.formats.observations import (
+    SPEED_OF_LIGHT_M_S,
+    ObservationEpoch,
+    carrier_hz,
+    satellite_name,
+    signal_name,
+)
+from camber.formats.receiver.frames import FrameBuffer
+from camber.formats.rtcm.writer import format_reference_station
+from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
+from camber.gnss.observations.receiver_streams import StreamReader
+from camber.gnss.position.engine_warnings import HELP
+from camber.gnss.position.rtk_engine import Warning_
+from camber.gnss.service import GnssService
+from camber.gnss.settings import GnssSettings
+from camber.runtime.bus import Bus
+from camber.schemas.base import Message
+from camber.schemas.codec import encode
+from camber.schemas.gnss import (
+    EstimatesRequest,
+    Fix,
+    Observations,
+    ReceiverBytes,
+    ReceiverIntegrity,
+    SatelliteVelocity,
+)
+from camber.schemas.motion import Motion
+from support.raw_drive import RawDrive
+
+NS = 1_000_000_000
+RIGHT_M = 0.05
+EPOCHS = 12
+Said = tuple[str, str, bytes]
+Tick = Callable[[int], Iterable[Said]]
+
+
+class FakeBus:
+    def __init__(self) -> None:
+        self.time_ns = 0
+        self.said: list[Message] = []
+        self.issues: list[tuple[str, str]] = []
+        self.counters: Counter[str] = Counter()
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def publish(self, name: str, message: Message) -> None:
+        encode(message)
+        self.said.append(message)
+
+    def issue(self, code: str, text: str) -> None:
+        self.issues.append((code, text))
+
+    def count(self, name: str, n: int = 1) -> None:
+        self.counters[name] += n
+
+    def wake(self) -> None:
+        pass
+
+    @property
+    def fixes(self) -> list[Fix]:
+        return [message for message in self.said if isinstance(message, Fix)]
+
+    def named(self) -> dict[str, str]:
+        """Last text by code."""
+        return dict(self.issues)
+
+    def qualities(self) -> list[str]:
+        return [fix.quality for fix in self.fixes]
+
+
+class Run:
+    """The service over the first epochs of the drive; `tick` says what is heard in each."""
+
+    def __init__(
+        self,
+        drive: RawDrive,
+        tick: Tick,
+        *,
+        epochs: int = EPOCHS,
+        behind_ns: int = 50_000_000,
+        **settings: Any,
+    ) -> None:
+        self.bus = FakeBus()
+        self.bus.time_ns = drive.times_ns[0] - NS
+        self.service = GnssService(GnssSettings(positions="engine", **settings), cast(Bus, self.bus))
+        self.drive = drive
+        handlers = self.service.handlers()
+        for k in range(epochs):
+            self.bus.time_ns = drive.times_ns[k] + behind_ns
+            for stream, protocol, data in tick(k):
+                handlers["receiver_bytes"](
+                    ReceiverBytes(
+                        time_ns=self.bus.time_ns,
+                        stream=cast(Any, stream),
+                        protocol=cast(Any, protocol),
+                        payload=np.frombuffer(data, np.uint8),
+                    )
+                )
+            handlers["motion"](Motion(time_ns=self.bus.time_ns, wheel_speed_m_s=3.0, yaw_rate_rad_s=0.0))
+            self.service.advance(self.bus.time_ns)
+
+    def fixed(self) -> list[Fix]:
+        """All that calls itself fixed; every one of them must be right."""
+        fixed = [fix for fix in self.bus.fixes if fix.quality == "fixed"]
+        for fix in fixed:
+            nearest = min(self.drive.times_ns, key=lambda time_ns: abs(time_ns - fix.time_ns))
+            assert abs(nearest - fix.time_ns) < 2_000_000
+            assert self.drive.error_m(fix.model_copy(update={"time_ns": nearest})) < RIGHT_M
+        return fixed
+
+
+def streams(drive: RawDrive) -> Tick:
+    """UBX of the rover, RTCM of the base, which has the ephemerides."""
+    return lambda k: [("rover", "ubx", drive.ubx_parts[k]), ("base", "rtcm", drive.rtcm_parts[k])]
+
+
+def files(drive: RawDrive) -> Tick:
+    def tick(k: int) -> Iterable[Said]:
+        if k == 0:
+            for start in range(0, len(drive.navigation), 64_000):
+                yield "ephemerides", "rinex", drive.navigation[start : start + 64_000]
+        yield "base", "rinex", (drive.base_header if k == 0 else b"") + drive.base_rinex_parts[k]
+        yield "rover", "rinex", (drive.rover_header if k == 0 else b"") + drive.rover_rinex_parts[k]
+
+    return tick
+
+
+def measured(drive: RawDrive, k: int) -> ObservationEpoch:
+    (said,) = StreamReader("rover", "ubx", "here", drive.times_ns[0]).feed(drive.ubx_parts[k])[:1]
+    assert isinstance(said[1], ObservationEpoch)
+    return said[1]
+
+
+def with_rover(drive: RawDrive, change: Callable[[int, ObservationEpoch], ObservationEpoch]) -> Tick:
+    """As `streams`, and the receiver measures something else."""
+    return lambda k: [
+        ("base", "rtcm", drive.rtcm_parts[k]),
+        ("rover", "ubx", format_raw_measurements(change(k, measured(drive, k)))),
+    ]
+
+
+def rows_of(epoch: ObservationEpoch, rows: Any) -> ObservationEpoch:
+    columns = {name: getattr(epoch, name)[rows] for name in ObservationEpoch.__slots__ if name != "time_ns"}
+    return replace(epoch, **columns)
+
+
+# -- right input -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [streams, files])
+def test_raw_observations_become_right_fixes(kind: Callable[[RawDrive], Tick], raw_drive: RawDrive) -> None:
+    run = Run(raw_drive, kind(raw_drive))
+    assert [fix.time_ns for fix in run.bus.fixes] == raw_drive.times_ns[:EPOCHS]
+    assert len(run.fixed()) == EPOCHS
+    assert run.bus.counters["epochs.fixed"] == EPOCHS
+    assert run.bus.issues == []
+    assert {fix.origin for fix in run.bus.fixes} == {"engine"}
+    assert run.bus.fixes[-1].age_of_corrections_s == 0.0
+    assert run.bus.fixes[-1].ambiguity_continuity == "continuous"
+    assert run.service.healthy()
+
+
+def test_one_port_with_ubx_rtcm_and_nmea_gives_the_same(raw_drive: RawDrive) -> None:
+    nmea = b"$GPGGA,013000.00,3510.0000,N,13652.0000,E,4,12,0.8,30.0,M,38.0,M,1.0,0001*5E\r\n"
+    mixed = Run(
+        raw_drive,
+        lambda k: [("rover", "mixed", raw_drive.rtcm_parts[k] + nmea + raw_drive.ubx_parts[k])],
+    )
+    assert len(mixed.fixed()) == EPOCHS
+
+
+def test_the_base_is_heard_before_the_rover_in_whatever_order_they_come(raw_drive: RawDrive) -> None:
+    first = Run(raw_drive, lambda k: reversed(list(streams(raw_drive)(k))))
+    second = Run(raw_drive, streams(raw_drive))
+    assert first.bus.fixes == second.bus.fixes
+    assert [fix.age_of_corrections_s for fix in first.bus.fixes] == [0.0] * EPOCHS
+
+
+def test_velocities_come_with_a_heading_where_the_wheels_turn_and_observations_where_asked_for(
+    raw_drive: RawDrive,
+) -> None:
+    quiet = Run(raw_drive, streams(raw_drive), epochs=4)
+    assert not [message for message in quiet.bus.said if isinstance(message, Observations)]
+    run = Run(raw_drive, streams(raw_drive), epochs=4, publish_observations=True)
+    told = [message for message in run.bus.said if isinstance(message, Observations)]
+    assert [message.time_ns for message in told] == raw_drive.times_ns[:4]
+    assert len(told[0].satellite) == measured(raw_drive, 0).satellite.size
+    velocities = [message for message in run.bus.said if isinstance(message, SatelliteVelocity)]
+    assert [message.time_ns for message in velocities] == raw_drive.times_ns[:4]
+    assert np.abs([message.velocity_enu_m_s for message in velocities]).max() < 1.0  # it begins from rest
+
+
+def test_the_judge_gets_other_estimates_of_an_epoch(raw_drive: RawDrive) -> None:
+    run = Run(raw_drive, streams(raw_drive))
+    ids = [fix.fix_id for fix in run.bus.fixes]
+    requests = [EstimatesRequest(time_ns=run.bus.time_ns, fix_id=n) for n in (ids[-1], ids[-1] + 1)]
+    known, unknown = run.service.answers()["estimates"](requests)
+    assert known is not None
+    assert unknown is not None
+    assert (known.status, unknown.status) == ("available", "forgotten")  # type: ignore[attr-defined]
+    assert len(known.candidates) > 5  # type: ignore[attr-defined]
+
+
+def test_a_fix_says_whether_its_subsets_agree_where_that_is_asked_for(raw_drive: RawDrive) -> None:
+    asked = Run(raw_drive, streams(raw_drive), epochs=3).fixed()
+    assert {fix.subset_agreement for fix in asked} == {"agree"}
+    spared = Run(raw_drive, streams(raw_drive), epochs=3, engine={"subset_agreement": False}).fixed()
+    assert {fix.subset_agreement for fix in spared} == {"unknown"}
+    assert [(f.fix_id, f.height_m) for f in spared] == [(f.fix_id, f.height_m) for f in asked]
+
+
+def test_a_base_position_that_is_configured_counts_whatever_the_stream_says(raw_drive: RawDrive) -> None:
+    true = station(raw_drive)
+    lies = format_reference_station((true[0] + 500.0, true[1], true[2]), station_id=1)
+    tick: Tick = lambda k: [  # noqa: E731
+        ("rover", "ubx", raw_drive.ubx_parts[k]),
+        ("base", "rtcm", lies + without(raw_drive, k, {1005}) + lies),
+    ]
+    assert len(Run(raw_drive, tick, base_ecef_m=true).fixed()) == EPOCHS
+    assert Run(raw_drive, tick).fixed() == []
+
+
+def station(drive: RawDrive) -> tuple[float, float, float]:
+    said = StreamReader("base", "rtcm", "here", drive.times_ns[0]).feed(drive.rtcm_parts[0])
+    (place,) = [what.position_ecef_m for _, what in said if hasattr(what, "position_ecef_m")]
+    return cast(tuple[float, float, float], place)
+
+
+def without(drive: RawDrive, k: int, numbers: set[int]) -> bytes:
+    """The base's bytes of one epoch without some messages."""
+    return b"".join(
+        frame.data
+        for frame in FrameBuffer("rtcm").feed(drive.rtcm_parts[k])
+        if frame.data[3] << 4 | frame.data[4] >> 4 not in numbers
+    )
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------
+
+
+def damaged(data: bytes, random: Random) -> bytes:
+    changed = bytearray(data)
+    for _ in range(random.randrange(3)):
+        place = random.randrange(len(changed))
+        changed[place : place + random.randrange(1, 30)] = random.randbytes(random.randrange(30))
+    return bytes(changed[: random.randrange(len(changed))] if random.random() < 0.1 else changed)
+
+
+@pytest.mark.parametrize("kind", [streams, files])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_damaged_and_truncated_streams_cost_epochs_and_make_no_fix_wrong(
+    kind: Callable[[RawDrive], Tick], seed: int, raw_drive: RawDrive
+) -> None:
+    random = Random(seed)
+    sound = kind(raw_drive)
+    run = Run(
+        raw_drive,
+        lambda k: (
+            (stream, protocol, data if k == 0 or stream == "ephemerides" else damaged(data, random))
+            for stream, protocol, data in sound(k)
+        ),
+        epochs=40,
+    )
+    assert 5 < len(run.fixed()) <= 40
+    assert run.bus.named().keys() & {"damaged_input", "unreadable_input"}
+
+
+def test_wrong_checksums_are_counted_and_leave_the_base_silent(raw_drive: RawDrive) -> None:
+    def tick(k: int) -> Iterable[Said]:
+        frames = [bytes([*frame[:-1], frame[-1] ^ 1]) for frame in raw_drive.frames(k)]
+        return [("base", "rtcm", b"".join(frames)), ("rover", "ubx", raw_drive.ubx_parts[k])]
+
+    run = Run(raw_drive, tick)
+    assert run.fixed() == []
+    sent = sum(len(raw_drive.frames(k)) for k in range(EPOCHS))
+    assert run.bus.counters["base.failed_checks"] >= sent
+    assert run.bus.named()["damaged_input"].startswith("base: bytes_skipped ")
+    assert f"failed_checks {run.bus.counters['base.failed_checks']}" in run.bus.named()["damaged_input"]
+    assert "base_silent" in run.bus.named()
+
+
+def test_several_protocols_on_one_port_that_is_said_to_have_one_are_named(raw_drive: RawDrive) -> None:
+    run = Run(raw_drive, lambda k: [("rover", "ubx", raw_drive.rtcm_parts[k] + raw_drive.ubx_parts[k])])
+    assert run.fixed() == []
+    assert run.bus.named()["damaged_input"].endswith("expected ubx alone (several on one port: mixed)")
+
+
+def test_positions_on_a_stream_are_not_used_and_that_is_said(raw_drive: RawDrive) -> None:
+    run = Run(raw_drive, lambda k: [("rover", "nmea", b"$GPGGA\r\n"), *streams(raw_drive)(k)])
+    assert len(run.fixed()) == EPOCHS
+    assert run.bus.issues == [
+        ("stream_not_used", "rover.nmea: expected observations or ephemerides: ubx, rtcm, mixed or rinex")
+    ]
+    assert run.bus.counters["not_used.rover.nmea"] == EPOCHS
+
+
+def test_a_receiver_whose_week_rolled_over_is_dated_right(raw_drive: RawDrive) -> None:
+    def rolled(k: int) -> bytes:
+        raw = bytearray(format_raw_measurements(measured(raw_drive, k))[6:-2])
+        (week,) = struct.unpack_from("<H", raw, 8)
+        struct.pack_into("<H", raw, 8, week - 1024)
+        return ubx_frame(0x02, 0x15, bytes(raw))
+
+    run = Run(raw_drive, lambda k: [("base", "rtcm", raw_drive.rtcm_parts[k]), ("rover", "ubx", rolled(k))])
+    assert [fix.time_ns for fix in run.fixed()] == raw_drive.times_ns[:EPOCHS]
+
+
+def test_a_clock_that_lacks_the_leap_seconds_makes_all_epochs_come_from_the_future(
+    raw_drive: RawDrive,
+) -> None:
+    run = Run(raw_drive, streams(raw_drive), behind_ns=-18 * NS)
+    assert run.bus.fixes == []
+    assert {code for code, _ in run.bus.issues} == {"epoch_from_the_future"}
+    assert not run.service.healthy()
+
+
+def test_a_clock_that_was_set_by_years_has_the_streams_read_anew(raw_drive: RawDrive) -> None:
+    run = Run(raw_drive, streams(raw_drive), epochs=3, behind_ns=-(10 * 365 + 3) * 86_400 * NS)
+    assert run.bus.fixes == []
+    run.bus.time_ns = raw_drive.times_ns[0]
+    for k in range(3, 3 + EPOCHS):
+        run.bus.time_ns = raw_drive.times_ns[k]
+        for stream, protocol, data in streams(raw_drive)(k):
+            whole = data if k > 3 or stream == "rover" else raw_drive.rtcm_parts[0] + data
+            run.service.handlers()["receiver_bytes"](
+                ReceiverBytes(
+                    time_ns=run.bus.time_ns,
+                    stream=cast(Any, stream),
+                    protocol=cast(Any, protocol),
+                    payload=np.frombuffer(whole, np.uint8),
+                )
+            )
+        run.service.advance(run.bus.time_ns)
+    assert len(run.fixed()) >= EPOCHS - 3
+
+
+def test_without_ephemerides_the_satellites_are_named(raw_drive: RawDrive) -> None:
+    numbers = {1019, 1042, 1044, 1045, 1046}
+    run = Run(
+        raw_drive,
+        lambda k: [
+            ("base", "rtcm", without(raw_drive, k, numbers)),
+            ("rover", "ubx", raw_drive.ubx_parts[k]),
+        ],
+    )
+    assert run.bus.fixes == []
+    lacking = run.bus.named()["ephemeris_missing"].removeprefix(f"{EPOCHS} epochs; ")
+    satellites = sorted({satellite_name(int(n)) for n in measured(raw_drive, EPOCHS - 1).satellite})
+    assert lacking.split(", ")[:3] == [f"{name} none" for name in satellites[:3]]
+    assert run.service.healthy()  # epochs come; that none has a position is in the counters
+    assert run.bus.counters["epochs.none"] == EPOCHS
+
+
+def test_with_some_ephemerides_the_fix_is_of_those_satellites(raw_drive: RawDrive) -> None:
+    run = Run(
+        raw_drive,
+        lambda k: [
+            ("base", "rtcm", without(raw_drive, k, {1042, 1045, 1046})),
+            ("rover", "ubx", raw_drive.ubx_parts[k]),
+        ],
+    )
+    assert len(run.fixed()) > EPOCHS // 2
+    assert run.bus.fixes[0].satellites is not None
+    assert run.bus.fixes[0].satellites < len(set(measured(raw_drive, 0).satellite.tolist()))
+    assert run.bus.named()["ephemeris_missing"].startswith(f"{EPOCHS} epochs; C")
+
+
+def test_a_base_that_falls_silent_makes_its_corrections_old_and_then_none(raw_drive: RawDrive) -> None:
+    run = Run(
+        raw_drive,
+        lambda k: list(streams(raw_drive)(k))[: 2 if k < 5 else 1],
+        epochs=30,
+        engine={"longest_base_age_s": 1.0},
+    )
+    fixed = run.fixed()
+    assert [fix.age_of_corrections_s for fix in fixed][-1] == pytest.approx(1.0)
+    assert run.bus.qualities()[-10:] == ["single"] * 10
+    assert run.bus.counters["not_fixed.base_too_old"] == 15
+    assert "base_stale" in run.bus.named()
+
+
+def test_a_base_that_never_speaks_leaves_single_points(raw_drive: RawDrive) -> None:
+    run = Run(
+        raw_drive,
+        lambda k: [
+            ("ephemerides", "rtcm", raw_drive.rtcm_parts[k]),
+            ("rover", "ubx", raw_drive.ubx_parts[k]),
+        ],
+    )
+    assert run.bus.qualities() == ["single"] * EPOCHS
+    assert run.bus.counters["not_fixed.no_base"] == EPOCHS
+    assert run.bus.named().keys() == {"base_silent"}
+
+
+def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> None:
+    run = Run(
+        raw_drive,
+        lambda k: [
+            ("base", "rtcm", without(raw_drive, k, {1005})),
+            ("rover", "ubx", raw_drive.ubx_parts[k]),
+        ],
+    )
+    assert run.bus.qualities() == ["single"] * EPOCHS
+    text = run.bus.named()["base_position_missing"]
+    assert text == f"{EPOCHS} epochs; expected 1005, 1006 or a RINEX header in its stream, or base_ecef_m"
+
+
+def test_every_warning_of_the_engine_has_a_text_that_helps() -> None:
+    assert set(get_args(Warning_)) == {*HELP, "ephemeris_missing"}
+    assert all(len(text) > 10 for text in HELP.values())
+
+
+def test_a_base_with_another_stations_coordinate_is_named_with_how_far_it_is_off(raw_drive: RawDrive) -> None:
+    x, y, z = station(raw_drive)
+    run = Run(raw_drive, streams(raw_drive), base_ecef_m=(x + 120.0, y, z))
+    assert run.fixed() == []
+    _, _, text = run.bus.named()["base_position_wrong"].partition("; its own single point is ")
+    assert 110.0 < float(text.removesuffix(" m away")) < 130.0
+
+
+def test_a_receivers_clock_that_jumps_by_milliseconds_moves_no_fix(raw_drive: RawDrive) -> None:
+    def jumped(k: int, epoch: ObservationEpoch) -> ObservationEpoch:
+        if k < 6:
+            return epoch
+        later_m = 1e-3 * SPEED_OF_LIGHT_M_S
+        hz = np.array(
+            [
+                carrier_hz(satellite_name(s)[0], signal_name(g))
+                for s, g in zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
+            ]
+        )
+        return replace(
+            epoch,
+            time_ns=epoch.time_ns + 1_000_000,
+            pseudorange_m=epoch.pseudorange_m + later_m,
+            carrier_phase_cycles=epoch.carrier_phase_cycles + later_m * hz / SPEED_OF_LIGHT_M_S,
+        )
+
+    run = Run(raw_drive, with_rover(raw_drive, jumped))
+    assert len(run.fixed()) == EPOCHS
+    assert run.bus.named().keys() == {"rover_clock_step"}
+
+
+def test_a_satellite_that_is_there_twice_counts_once(raw_drive: RawDrive) -> None:
+    def doubled(k: int) -> bytes:
+        raw = bytearray(format_raw_measurements(measured(raw_drive, k))[6:-2])
+        raw[11] *= 2
+        return ubx_frame(0x02, 0x15, bytes(raw + raw[16:]))
+
+    twice = Run(
+        raw_drive, lambda k: [("base", "rtcm", raw_drive.rtcm_parts[k]), ("rover", "ubx", doubled(k))]
+    )
+    once = Run(raw_drive, with_rover(raw_drive, lambda k, epoch: epoch))
+    assert len(twice.fixed()) == EPOCHS
+    assert [fix.height_m for fix in twice.bus.fixes] == [fix.height_m for fix in once.bus.fixes]
+    assert twice.bus.counters["rover.repeated_signals"] > 0
+    assert "repeated_signals" in twice.bus.named()["damaged_input"]
+
+
+def test_an_epoch_without_satellites_has_no_position_and_the_next_one_has(raw_drive: RawDrive) -> None:
+    run = Run(
+        raw_drive,
+        with_rover(raw_drive, lambda k, epoch: rows_of(epoch, []) if k in (3, 4) else epoch),
+    )
+    assert len(run.fixed()) == EPOCHS - 2
+    assert run.bus.counters["epochs.none"] == 2
+    assert run.service.healthy()
+
+
+def test_sixty_satellites_of_which_most_are_made_up_move_no_fix(raw_drive: RawDrive) -> None:
+    rng = np.random.default_rng(8)
+
+    def crowded(k: int, epoch: ObservationEpoch) -> ObservationEpoch:
+        seen = set(epoch.satellite.tolist())
+        more = [n for system in "GEC" for n in range(ord(system) * 256 + 1, ord(system) * 256 + 33)]
+        more = [n for n in more if n not in seen][: 60 - len(seen)]
+        count = len(more)
+        made_up = {
+            "satellite": np.array(more, np.int64),
+            "signal": np.full(count, ord("1") * 256 + ord("C"), np.int64),
+            "pseudorange_m": rng.uniform(2e7, 2.6e7, count),
+            "carrier_phase_cycles": rng.uniform(1e8, 1.4e8, count),
+            "doppler_hz": rng.uniform(-4e3, 4e3, count),
+            "cn0_dbhz": np.full(count, 45.0),
+            "lock_time_s": np.full(count, 10.0),
+            "loss_of_lock": np.zeros(count, np.bool_),
+            "half_cycle": np.zeros(count, np.bool_),
+        }
+        made_up["signal"][made_up["satellite"] >> 8 == ord("C")] = ord("2") * 256 + ord("I")
+        return replace(
+            epoch, **{name: np.concatenate([getattr(epoch, name), new]) for name, new in made_up.items()}
+        )
+
+    run = Run(raw_drive, with_rover(raw_drive, crowded))
+    assert len(set(crowded(0, measured(raw_drive, 0)).satellite.tolist())) == 60
+    assert len(run.fixed()) > EPOCHS // 2
+
+
+def test_epochs_that_come_late_or_twice_are_not_solved_again(raw_drive: RawDrive) -> None:
+    order = [0, 1, 1, 3, 2, 4]
+    run = Run(
+        raw_drive,
+        lambda k: [
+            ("base", "rtcm", raw_drive.rtcm_parts[order[k]]),
+            ("rover", "ubx", raw_drive.ubx_parts[order[k]]),
+        ],
+        epochs=6,
+        behind_ns=NS // 5,
+    )
+    assert [fix.time_ns for fix in run.fixed()] == [raw_drive.times_ns[k] for k in (0, 1, 3, 4)]
+    assert {"repeated_epoch", "out_of_order_epoch"} <= run.bus.named().keys()
+
+
+# -- the receiver's own positions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", ["ubx", "mixed"])
+def test_a_receivers_own_positions_come_from_the_same_stream_and_nothing_is_solved(
+    protocol: Any, raw_drive: RawDrive
+) -> None:
+    bus = FakeBus()
+    service = GnssService(GnssSettings(), cast(Bus, bus))
+    assert service.handlers().keys() == {"receiver_bytes"}
+    for k in range(EPOCHS):
+        bus.time_ns = raw_drive.times_ns[k] + NS // 20
+        payload = np.frombuffer(raw_drive.ubx_parts[k], np.uint8)
+        message = ReceiverBytes(time_ns=bus.time_ns, protocol=protocol, payload=payload)
+        service.handlers()["receiver_bytes"](message)
+        service.advance(bus.time_ns)
+    # Without NAV-EOE an epoch is whole when the next one begins.
+    assert [fix.time_ns for fix in bus.fixes] == raw_drive.times_ns[: EPOCHS - 1]
+    assert {fix.origin for fix in bus.fixes} == {"receiver"}
+    assert bus.issues == []
+    words = [message for message in bus.said if isinstance(message, ReceiverIntegrity)]
+    assert [message.time_ns for message in words] == raw_drive.times_ns[: EPOCHS - 1]
+    assert {type(message) for message in bus.said} == {Fix, ReceiverIntegrity}

@@ -1,0 +1,429 @@
+"""The engine on simulated receivers: right in the open, never wrong-looking right where something is amiss."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch, carrier_hz, signal_name
+from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from support.canyon_statistics import FIRST_NS
+from support.engine_drives import (
+    Drive,
+    base_ecef_m,
+    engine_of,
+    open_sky_drive,
+    seconds_later,
+    solved,
+    some_rows,
+)
+
+ALONE = EngineOptions(doppler_aided=False)
+
+
+@functools.cache
+def drive(rate_hz: int = 1) -> Drive:
+    return open_sky_drive(seed=1, seconds=8, rate_hz=rate_hz)
+
+
+def errors_m(d: Drive, solutions: list[Solution]) -> np.ndarray:
+    nan = np.full(3, np.nan)
+    at = [s.position_ecef_m if s.position_ecef_m is not None else nan for s in solutions]
+    return np.linalg.norm(np.array(at) - d.true_ecef_m, axis=1)
+
+
+def one(rover: ObservationEpoch, base: ObservationEpoch, engine: Engine | None = None) -> Solution:
+    engine = engine or engine_of(drive(), ALONE)
+    engine.add_base(base)
+    return engine.solve(rover)
+
+
+def wavelengths_m(epoch: ObservationEpoch) -> np.ndarray:
+    rows = zip(epoch.satellite.tolist(), epoch.signal.tolist(), strict=True)
+    return np.array([SPEED_OF_LIGHT_M_S / carrier_hz(chr(s >> 8), signal_name(g)) for s, g in rows])
+
+
+def is_honest(solution: Solution, truth_m: np.ndarray) -> bool:
+    """Not fixed, or right; and a reason either way."""
+    assert solution.reason
+    if solution.quality != "fixed":
+        return solution.reason != "resolved"
+    return bool(np.linalg.norm(solution.position_ecef_m - truth_m) < 0.3)
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize("aided", [False, True])
+def test_in_the_open_every_epoch_is_fixed_to_centimetres_and_goes_on(seed, aided):
+    d = open_sky_drive(seed=seed, seconds=6)
+    engine = engine_of(d, EngineOptions(doppler_aided=aided))
+    solutions = solved(d, engine)
+    assert [s.quality for s in solutions] == ["fixed"] * len(solutions)
+    assert errors_m(d, solutions).max() < 0.05
+    assert [s.continuity for s in solutions][1:] == ["continuous"] * (len(solutions) - 1)
+    assert {s.continuous_since_ns for s in solutions} == {solutions[0].time_ns}
+    assert dict(engine.reasons) == {"resolved": len(solutions)}
+
+
+def test_covariances_of_fixes_are_those_of_their_errors():
+    nees = []
+    for seed in range(1, 13):
+        d = open_sky_drive(seed=seed, seconds=3, begin_ns=FIRST_NS + seed * 6000 * NS_PER_SECOND)
+        for s, truth in zip(solved(d), d.true_ecef_m, strict=True):
+            if s.quality == "fixed":
+                error = s.position_ecef_m - truth
+                nees.append(error @ np.linalg.solve(s.covariance_ecef_m2, error))
+    assert len(nees) > 30
+    assert np.mean(nees) < 4.5
+
+
+@pytest.mark.parametrize(
+    "bands", [{"G": "12"}, {"E": "17"}, {"C": "27"}, {"G": "1", "E": "1"}, {"G": "12", "C": "2"}]
+)
+def test_any_systems_and_bands_do(bands):
+    d = drive()
+    solutions = solved(d, engine_of(d, EngineOptions(bands=bands)))
+    for s, truth in zip(solutions, d.true_ecef_m, strict=True):
+        assert is_honest(s, truth)
+        assert s.quality in ("fixed", "float")
+    assert sum(s.quality == "fixed" for s in solutions) >= 1
+
+
+def test_an_epoch_across_the_turn_of_the_week_is_as_any_other():
+    turn_ns = -(-FIRST_NS // NS_PER_WEEK) * NS_PER_WEEK
+    d = open_sky_drive(seed=5, seconds=6, begin_ns=turn_ns - 3 * NS_PER_SECOND)
+    solutions = solved(d)
+    assert [s.quality for s in solutions] == ["fixed"] * 6
+    assert [s.continuity for s in solutions][1:] == ["continuous"] * 5
+    assert errors_m(d, solutions).max() < 0.05
+
+
+@given(st.randoms(use_true_random=False))
+@settings(derandomize=True, max_examples=10, deadline=None)
+def test_the_order_of_signals_changes_nothing(random):
+    rover, base = drive().rover[2], drive().base[2]
+    shuffled = [
+        some_rows(e, np.array(random.sample(range(e.satellite.size), e.satellite.size)))
+        for e in (rover, base)
+    ]
+    before, after = one(rover, base), one(*shuffled)
+    assert (before.quality, before.satellites) == (after.quality, after.satellites)
+    np.testing.assert_allclose(after.position_ecef_m, before.position_ecef_m, atol=1e-4)
+
+
+@given(st.lists(st.integers(-(10**7), 10**7), min_size=300, max_size=300))
+@settings(derandomize=True, max_examples=10, deadline=None)
+def test_whole_cycles_on_any_phase_change_nothing(cycles):
+    rover, base = drive().rover[2], drive().base[2]
+    more = np.array(cycles[: rover.satellite.size], np.float64)
+    before = one(rover, base)
+    after = one(replace(rover, carrier_phase_cycles=rover.carrier_phase_cycles + more), base)
+    np.testing.assert_allclose(after.position_ecef_m, before.position_ecef_m, atol=1e-5)
+
+
+@pytest.mark.parametrize("clock_ms", [0.4, -1.0, 17.0, -40.0])
+def test_a_receivers_clock_error_moves_its_time_and_nothing_else(clock_ms):
+    """A clock that is ahead tags the epoch later and measures longer ranges, codes and phases alike."""
+    rover, base = drive().rover[2], drive().base[2]
+    ahead_m = clock_ms * 1e-3 * SPEED_OF_LIGHT_M_S
+    late = replace(
+        seconds_later(rover, clock_ms * 1e-3),
+        pseudorange_m=rover.pseudorange_m + ahead_m,
+        carrier_phase_cycles=rover.carrier_phase_cycles + ahead_m / wavelengths_m(rover),
+    )
+    before, after = one(rover, base), one(late, base)
+    assert (before.quality, after.quality) == ("fixed", "fixed")
+    np.testing.assert_allclose(after.position_ecef_m, before.position_ecef_m, atol=2e-3)
+
+
+def test_a_step_of_the_receivers_clock_is_told_and_breaks_nothing():
+    d = drive()
+    step_m = 1e-3 * SPEED_OF_LIGHT_M_S
+    engine = engine_of(d)
+    said = []
+    for k, (rover, base) in enumerate(zip(d.rover, d.base, strict=True)):
+        if k >= 4:
+            cycles = step_m / wavelengths_m(rover)
+            rover = replace(
+                rover,
+                pseudorange_m=rover.pseudorange_m + step_m,
+                carrier_phase_cycles=rover.carrier_phase_cycles + cycles,
+                time_ns=rover.time_ns + 1_000_000,
+            )
+        engine.add_base(base)
+        said.append(engine.solve(rover))
+    assert [s.quality for s in said] == ["fixed"] * len(said)
+    assert [s.continuity for s in said][1:] == ["continuous"] * (len(said) - 1)
+    assert engine.warnings == {"rover_clock_step": 1}
+
+
+def test_a_satellite_below_the_mask_changes_nothing():
+    rover, base = drive().rover[2], drive().base[2]
+    options = replace(ALONE, lowest_elevation_rad=np.deg2rad(25.0))
+    full = one(rover, base, engine_of(drive(), options))
+    above = np.isin(rover.satellite, np.unique(full.rows.satellite))
+    assert not above.all()
+    only = one(some_rows(rover, above), base, engine_of(drive(), options))
+    np.testing.assert_allclose(only.position_ecef_m, full.position_ecef_m, atol=1e-4)
+    assert (only.satellites, only.ratio) == (full.satellites, pytest.approx(full.ratio, rel=0.01))
+
+
+def test_without_a_base_the_receiver_stands_alone():
+    d = drive()
+    engine = engine_of(d)
+    solution = engine.solve(d.rover[0])
+    assert (solution.quality, solution.reason) == ("single", "no_base")
+    assert engine.warnings["base_silent"] == 1
+    without = Engine(EngineOptions())
+    for e in d.ephemerides:
+        without.add_ephemeris(e)
+    without.add_base(d.base[0])
+    assert without.solve(d.rover[0]).reason == "no_base_position"
+    without.set_base_position(base_ecef_m())
+    assert without.solve(d.rover[1]).quality == "fixed"
+    assert without.warnings == {"base_position_missing": 1}
+
+
+@pytest.mark.parametrize(
+    ("age_s", "quality"), [(-5.0, "fixed"), (4.0, "fixed"), (10.5, "single"), (-11.0, "single")]
+)
+def test_a_base_is_used_within_the_age_limit_before_and_after(age_s, quality):
+    """The base of another time, told as it is: of the drive's own seconds, or too far away."""
+    d = drive()
+    k = 6 if age_s > 0 else 1
+    at = k - round(age_s)
+    base = d.base[at] if 0 <= at < len(d.base) else seconds_later(d.base[k], -age_s)
+    engine = engine_of(d)
+    solution = one(d.rover[k], base, engine)
+    assert solution.quality == quality
+    if quality == "fixed":
+        assert solution.age_s == pytest.approx(age_s)
+        assert np.linalg.norm(solution.position_ecef_m - d.true_ecef_m[k]) < 0.06
+    else:
+        assert (solution.reason, engine.warnings["base_stale"]) == ("base_too_old", 1)
+
+
+@pytest.mark.parametrize("offset_m", [60.0, 450.0, 5000.0, 3.0e6])
+def test_a_wrong_coordinate_of_the_base_makes_no_fix(offset_m):
+    d = drive()
+    engine = engine_of(d, base_m=base_ecef_m() + np.array([offset_m, 0.0, 0.0]))
+    for s, truth in zip(solved(d, engine), d.true_ecef_m, strict=True):
+        assert (s.quality, s.reason) == ("single", "base_position_wrong")
+        assert np.linalg.norm(s.position_ecef_m - truth) < 20.0
+    assert engine.warnings["base_position_wrong"] == len(d.rover)
+
+
+@pytest.mark.parametrize("position_m", [(0.0, 0.0, 0.0), (np.nan, 1.0, 2.0), (1e30, 0.0, 0.0)])
+def test_a_base_that_is_nowhere_makes_no_fix(position_m):
+    d = drive()
+    assert {s.reason for s in solved(d, engine_of(d, base_m=np.array(position_m)))} == {"base_position_wrong"}
+
+
+def test_without_ephemerides_there_is_nothing_and_it_says_which():
+    d = drive()
+    engine = Engine(EngineOptions(), base_ecef_m())
+    solution = one(d.rover[0], d.base[0], engine)
+    assert (solution.quality, solution.position_ecef_m, solution.reason) == (
+        "none",
+        None,
+        "too_few_satellites",
+    )
+    assert engine.warnings == {"ephemeris_missing": 1}
+    assert set(engine.lacks().values()) == {"none"}
+    assert len(engine.lacks()) == len(np.unique(d.rover[0].satellite))
+
+
+def test_epochs_that_come_late_or_twice_are_refused_and_disturb_nothing():
+    d = drive()
+    engine = engine_of(d)
+    order = [0, 1, 2, 1, 3, 3, 4]
+    said = []
+    for k in order:
+        engine.add_base(d.base[k])
+        said.append(engine.solve(d.rover[k]))
+    assert [s.reason for s in said] == ["resolved"] * 3 + [
+        "out_of_order",
+        "resolved",
+        "out_of_order",
+        "resolved",
+    ]
+    assert [s.continuity for s in said if s.quality == "fixed"][1:] == ["continuous"] * 4
+    assert engine.warnings == {"rover_out_of_order": 2, "base_out_of_order": 2}
+    assert said[3].position_ecef_m is None
+
+
+def test_a_receiver_whose_time_went_back_is_followed_after_three_epochs():
+    d = drive()
+    engine = engine_of(d)
+    engine.add_base(d.base[0])
+    assert engine.solve(seconds_later(d.rover[0], 604_800.0)).quality in ("single", "none")
+    said = []
+    for k in range(1, 6):
+        engine.add_base(d.base[k])
+        said.append(engine.solve(d.rover[k]))
+    assert [s.reason for s in said] == ["out_of_order"] * 2 + ["resolved"] * 3
+    assert engine.warnings["rover_time_went_back"] == 1
+
+
+def test_a_signal_that_is_there_twice_and_differs_is_not_used():
+    rover, base = drive().rover[2], drive().base[2]
+    plain = one(rover, base)
+    n = rover.satellite.size
+    twice = some_rows(rover, np.concatenate((np.arange(n), [3, 9])))
+    assert one(twice, base).satellites == plain.satellites
+    np.testing.assert_allclose(one(twice, base).position_ecef_m, plain.position_ecef_m, atol=1e-6)
+    code = twice.pseudorange_m.copy()
+    code[-2:] += 12.0
+    differing = one(replace(twice, pseudorange_m=code), base)
+    used = {
+        (int(s), int(g))
+        for s, g in zip(differing.rows.satellite, rover.signal[differing.rows.rover], strict=True)
+    }
+    assert (int(rover.satellite[3]), int(rover.signal[3])) not in used
+    assert is_honest(differing, drive().true_ecef_m[2])
+
+
+def test_every_satellite_twice_makes_no_exception_and_no_wrong_fix():
+    rover, base = drive().rover[2], drive().base[2]
+    n = rover.satellite.size
+    twice = some_rows(rover, np.tile(np.arange(n), 2))
+    shifted = replace(twice, carrier_phase_cycles=twice.carrier_phase_cycles + np.repeat([0.0, 0.4], n))
+    solution = one(shifted, base)
+    assert solution.quality != "fixed"
+    assert solution.position_ecef_m is not None
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 4, 5])
+def test_few_satellites_are_never_sure_of_more_than_they_know(count):
+    d = drive()
+    for rover, base, truth in zip(d.rover, d.base, d.true_ecef_m, strict=True):
+        few = np.isin(rover.satellite, np.unique(rover.satellite)[:count])
+        assert is_honest(one(some_rows(rover, few), base), truth)
+
+
+def test_sixty_satellites_are_no_trouble():
+    """Satellites that no ephemeris knows, beside those of the sky."""
+    rover, base = drive().rover[2], drive().base[2]
+    names = np.concatenate([np.arange(1, 64) + (ord(letter) << 8) for letter in "GEC"])
+    extra = np.setdiff1d(names, np.unique(rover.satellite))
+    more = [some_rows(e, np.arange(extra.size) % e.satellite.size) for e in (rover, base)]
+    both = []
+    for e, m in zip((rover, base), more, strict=True):
+        m = replace(m, satellite=extra)
+        both.append(
+            ObservationEpoch(e.time_ns, *(np.concatenate((getattr(e, f), getattr(m, f)))
+                for f in e.__dataclass_fields__ if f != "time_ns"))
+        )  # fmt: skip
+    engine = engine_of(drive(), ALONE)
+    solution = one(*both, engine)
+    assert np.unique(both[0].satellite).size > 180
+    assert is_honest(solution, drive().true_ecef_m[2])
+    assert solution.position_ecef_m is not None
+    assert engine.warnings["ephemeris_missing"] == 1
+
+
+def test_a_base_without_phases_gives_a_float_position():
+    rover, base = drive().rover[2], drive().base[2]
+    nothing = np.full(base.satellite.size, np.nan)
+    solution = one(rover, replace(base, carrier_phase_cycles=nothing))
+    assert (solution.quality, solution.reason) == ("float", "success_rate_too_low")
+    assert np.linalg.norm(solution.position_ecef_m - drive().true_ecef_m[2]) < 3.0
+
+
+def test_half_cycles_that_are_told_are_no_phases():
+    rover, base = drive().rover[2], drive().base[2]
+    every = np.ones(rover.satellite.size, np.bool_)
+    assert one(replace(rover, half_cycle=every), base).quality == "float"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_half_cycles_that_nobody_tells_never_make_a_wrong_fix(seed):
+    d = drive()
+    rng = np.random.default_rng(seed)
+    for rover, base, truth in zip(d.rover, d.base, d.true_ecef_m, strict=True):
+        wrong = rng.random(rover.satellite.size) < 0.1
+        cycles = rover.carrier_phase_cycles + 0.5 * wrong
+        assert is_honest(one(replace(rover, carrier_phase_cycles=cycles), base), truth)
+
+
+ODD = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e-300, 1e9, 1e300, 2.0e7])
+FIELDS = ("pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz", "lock_time_s")
+
+
+@given(
+    st.integers(0, 7),
+    st.lists(st.tuples(st.sampled_from(FIELDS), st.integers(0, 400), ODD, st.booleans()), max_size=30),
+)
+@settings(derandomize=True, max_examples=60, deadline=None)
+def test_odd_values_here_and_there_are_no_exception_and_no_wrong_fix(k, changes):
+    d = drive()
+    epochs = {False: d.rover[k], True: d.base[k]}
+    for name, row, value, at_base in changes:
+        epoch = epochs[at_base]
+        column = getattr(epoch, name).copy()
+        column[row % column.size] = value
+        epochs[at_base] = replace(epoch, **{name: column})
+    assert is_honest(one(epochs[False], epochs[True]), d.true_ecef_m[k])
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 2.2e7])
+@pytest.mark.parametrize("at_base", [False, True])
+def test_a_column_of_one_odd_value_is_no_exception_and_no_wrong_fix(field, value, at_base):
+    rover, base = drive().rover[2], drive().base[2]
+    if at_base:
+        base = replace(base, **{field: np.full(base.satellite.size, value)})
+    else:
+        rover = replace(rover, **{field: np.full(rover.satellite.size, value)})
+    assert is_honest(one(rover, base), drive().true_ecef_m[2])
+
+
+@pytest.mark.parametrize("metres", [15.0, 300.0, 5.0e4, 3.0e6])
+@pytest.mark.parametrize("at_base", [False, True])
+def test_wrong_codes_of_two_satellites_make_no_wrong_fix(metres, at_base):
+    d = drive()
+    for rover, base, truth in zip(d.rover, d.base, d.true_ecef_m, strict=True):
+        epoch = base if at_base else rover
+        wrong = np.isin(epoch.satellite, np.unique(rover.satellite)[2:4])
+        changed = replace(epoch, pseudorange_m=epoch.pseudorange_m + metres * wrong)
+        assert is_honest(one(*((rover, changed) if at_base else (changed, base))), truth)
+
+
+def test_an_observation_of_another_time_makes_no_fix():
+    """The base's epoch with a time tag that is a second wrong."""
+    d = drive()
+    solution = one(d.rover[4], seconds_later(d.base[3], 1.0))
+    assert solution.quality != "fixed" or np.linalg.norm(solution.position_ecef_m - d.true_ecef_m[4]) < 0.3
+
+
+def test_a_wrong_fix_pulls_no_later_one():
+    """What goes on is the float position: that of an epoch whose phases are all of another place is as before."""
+    d = drive()
+    plain, disturbed = engine_of(d), engine_of(d)
+    rng = np.random.default_rng(1)
+    for k, (rover, base) in enumerate(zip(d.rover, d.base, strict=True)):
+        plain.add_base(base)
+        disturbed.add_base(base)
+        before = plain.solve(rover)
+        if k == 3:
+            wrong = rover.carrier_phase_cycles + rng.uniform(-3, 3, rover.satellite.size)
+            disturbed.solve(replace(rover, carrier_phase_cycles=wrong))
+        else:
+            after = disturbed.solve(rover)
+            np.testing.assert_array_equal(after.position_ecef_m, before.position_ecef_m)
+
+
+def test_ten_epochs_a_second_go_on_as_one_does():
+    solutions = solved(drive(10))
+    assert len(solutions) == 80
+    assert all(s.quality == "fixed" for s in solutions)
+    assert all(s.continuity == "continuous" for s in solutions[1:])
+    assert errors_m(drive(10), solutions).max() < 0.05
+
+
+def test_a_failure_rate_in_place_of_the_ratio_fixes_in_the_open():
+    solutions = solved(drive(), engine_of(drive(), EngineOptions(failure_rate=0.001, least_ratio=1e9)))
+    assert [s.quality for s in solutions] == ["fixed"] * 8

@@ -1,0 +1,143 @@
+"""What right fixes leave for those to come: where they were, how the road rose, which integers they had."""
+
+import pytest
+
+from camber.integrity.checks.fix_history import FixesBefore, is_sharp
+from camber.integrity.checks.height_check import RoadPoint
+from camber.integrity.checks.verification import VerificationRules
+from camber.integrity.judgement import Judgement
+from camber.integrity.protection.covariance_inflation import TrueSigma
+from camber.integrity.rules import Rules
+from support.judging import ROAD_M, at, fix, place, pose, provisional
+
+SPEED_M_S = 10.0
+CHAIN = {"ambiguity_continuity": "continuous", "continuous_since_ns": at(0)}
+
+
+def right(epoch=0, word="confirmed", reason="height_agrees", **changes):
+    fields = {"fix": fix(epoch, **CHAIN), "road": RoadPoint(ROAD_M, 0.03), "pose": pose(epoch)}
+    return Judgement(word=word, reason=reason, **fields | changes)
+
+
+def after(*judgements):
+    before = FixesBefore(Rules())
+    for judgement in judgements:
+        before.settle(judgement, SPEED_M_S)
+    return before
+
+
+def aside(epoch, east_m=0.0, north_m=0.0):
+    """A pose that far from where the vehicle is."""
+    latitude_rad, longitude_rad = place(epoch, east_m, north_m)
+    return pose(epoch, latitude_rad=latitude_rad, longitude_rad=longitude_rad)
+
+
+# --- the chain of right ones --------------------------------------------------------------------------------------
+
+
+def test_a_fix_that_moved_as_the_pose_did_continues_wherever_the_pose_is():
+    assert after(right()).are_continued_by(fix(1), aside(0, 3.0, -2.0), aside(1, 3.0, -2.0))
+
+
+@pytest.mark.parametrize("drift_m", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
+def test_one_that_moved_against_the_pose_does_not(drift_m):
+    now = aside(1, 3.0 + drift_m[0], -2.0 + drift_m[1])
+    assert not after(right()).are_continued_by(fix(1), aside(0, 3.0, -2.0), now)
+
+
+@pytest.mark.parametrize(("up_m", "does"), [(0.1, True), (0.21, True), (0.23, False), (-0.03, False)])
+def test_where_the_road_climbs_to_the_east_the_fix_has_to(up_m, does):
+    before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.05, 0.0)))  # and the vehicle went 2 m there
+    assert before.are_continued_by(fix(1, up_m=up_m), pose(0), pose(1)) is does
+
+
+@pytest.mark.parametrize(("up_m", "does"), [(-0.2, True), (0.0, False)])
+def test_where_it_falls_to_the_north_too(up_m, does):
+    before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.0, -0.1)))
+    assert before.are_continued_by(fix(1, north_m=2.0, up_m=up_m), pose(0), aside(1, 0.0, 2.0)) is does
+
+
+def test_nothing_is_continued_without_a_right_fix_and_the_poses_of_both_times():
+    assert not after().are_continued_by(fix(1), pose(0), pose(1))
+    assert not after(right()).are_continued_by(fix(1), None, pose(1))
+    assert not after(right()).are_continued_by(fix(1), pose(0), None)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"word": "erroneous"},
+        {"word": "unknown"},
+        {"road": None},
+        {"fix": fix(0, covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))},
+    ],
+    ids=["erroneous", "unknown", "no road", "wide"],
+)
+def test_only_a_right_and_sharp_one_over_a_road_is_continued(changes):
+    assert after(right(**changes)).chain is None
+
+
+def test_a_confirmed_one_begins_the_chain_and_a_verified_one_is_a_link_of_it():
+    words = ["confirmed", "confirmed_after_verification", "confirmed_after_verification", "confirmed"]
+    links = [after(*(right(k, word) for k, word in enumerate(words[:n]))).chain.links for n in (1, 2, 3, 4)]
+    assert links == [0, 1, 2, 0]
+
+
+def test_what_is_dated_ahead_is_forgotten_and_what_is_of_now_is_not():
+    before = after(right())
+    before.forget_after(at(0))
+    assert (before.chain.time_ns, before.integers.last_ns) == (at(0), at(0))
+    before.forget_after(at(0) - 1)
+    assert (before.chain, before.integers.confirmed) == (None, 0)
+
+
+def test_sharp_is_what_is_so_with_its_true_sigma():
+    rules = Rules(
+        true_sigma=TrueSigma(scale=2.0, horizontal_m=0.0, vertical_m=0.0),
+        verification=VerificationRules(fix_sigma_m=0.5),
+    )
+    assert is_sharp(fix(covariance_enu_m2=(0.0625, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
+    assert not is_sharp(fix(covariance_enu_m2=(0.063, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
+    assert not is_sharp(fix(covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.063)), rules)
+
+
+# --- integers and start -------------------------------------------------------------------------------------------
+
+
+def test_integers_are_vouched_for_by_what_the_height_confirmed_of_the_engines_own_fix():
+    assert after(right(0), right(1)).integers.confirmed == 2
+    assert after(right(0), right(1, trials=21)).integers.confirmed == 1
+    assert after(right(0), right(1, "confirmed_after_verification")).integers.confirmed == 1
+
+
+def test_integers_that_contradict_them_are_remembered_as_such():
+    other = fix(1, ambiguity_continuity="broken", continuous_since_ns=at(1))
+    before = after(right(0), right(1, "unknown", "continuity_disagrees", fix=other))
+    assert before.integers.disputed_ns == at(1)
+    assert after(right(0), right(1, "unknown", "height_unverified", fix=other)).integers.disputed_ns is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "fixes"),
+    [
+        ({}, 4),
+        ({"word": "unknown", "reason": "starting"}, 4),
+        ({"word": "unknown", "reason": "height_unverified"}, 1),
+        ({"word": "confirmed_after_verification"}, 1),
+        ({"pose": pose(2)}, 1),
+        ({"pose": None}, 1),
+    ],
+    ids=str,
+)
+def test_only_agreeing_ones_above_a_provisional_pose_count_at_the_start(changes, fixes):
+    starting = {"word": "unknown", "reason": "starting"}
+    drive = [right(k, pose=provisional(k), **starting) for k in (0, 1)]
+    before = after(*drive, right(2, **{"pose": provisional(2)} | changes))
+    assert before.start_after(fix(3), SPEED_M_S).fixes == fixes
+
+
+def test_the_start_counts_what_went_as_far_as_the_wheels_did():
+    before = after(right(0, pose=provisional(0)))
+    assert before.start_after(fix(1), SPEED_M_S).fixes == 2
+    assert before.start_after(fix(1), 2.0 * SPEED_M_S).fixes == 1
+    assert before.start_after(fix(1), None).fixes == 1

@@ -1,0 +1,140 @@
+"""What a pose alone gives consumers, that there is nothing without one, and the position within a verdict."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.integrity.epoch_inputs import Situation
+from camber.integrity.judgement import Judgement, verdict_of
+from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.protection.position_bounds import LevelRules
+from camber.integrity.protection.position_output import Positions, _distance2, no_position
+from camber.integrity.rules import Rules
+from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose, provisional, road
+
+RULES = Rules()
+
+
+def right(the_fix=None, **changes):
+    return Judgement(the_fix or fix(), "confirmed", "height_agrees", pose=pose(), **changes)
+
+
+def from_pose(the_pose, the_antenna=None, *, correction_m=0.0, alive=ALL):
+    situation = Situation(the_pose, the_antenna, alive)
+    return Positions(RULES, LevelRules()).at(the_pose.time_ns, situation, correction_m)
+
+
+# --- poses -------------------------------------------------------------------------------------------------------
+
+
+def test_a_pose_stands_on_the_road_with_its_antenna():
+    position = from_pose(pose(), antenna(), correction_m=0.05)
+    assert position.source == "sensors"
+    assert position.height_m == pytest.approx(ROAD_M + ANTENNA_M + 0.05)
+    assert position.fix_id is None
+    assert position.covariance_enu_m2 is not None
+    assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2)
+
+
+def test_on_a_slope_the_height_shares_the_error_of_the_place():
+    position = from_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2)), antenna())
+    assert position.covariance_enu_m2 is not None
+    assert position.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
+
+
+def test_a_pose_from_scan_matching_says_so():
+    assert from_pose(pose(mode="scan_match", provenance="scan_match")).source == "scan_match"
+
+
+@pytest.mark.parametrize(
+    ("the_pose", "the_antenna"),
+    [
+        (pose(), None),
+        (pose(), antenna(-11)),
+        (pose(), antenna(status="disagreement")),
+        (pose(road=road(status="unknown", reason="no_surface")), antenna()),
+        (pose(road=road(datum=None)), antenna()),
+        (pose(road=road(slope_east=None)), antenna()),
+        (pose(road=road(slope_north=None)), antenna()),
+    ],
+)
+def test_where_road_or_antenna_is_not_known_the_height_is_not(the_pose, the_antenna):
+    position = from_pose(the_pose, the_antenna)
+    assert position.height_m is None
+    assert not position.usable
+    assert position.covariance_enu_m2 is not None
+    assert position.covariance_enu_m2[5] == 1e6
+
+
+@pytest.mark.parametrize(
+    ("the_pose", "reason"),
+    [
+        (provisional(), "pose_provisional"),
+        (provisional(mode="anchored"), "pose_provisional"),
+        (provisional(provenance="confirmed"), "pose_provisional"),
+        (pose(mode="none"), "pose_missing"),
+        (pose(provenance="none"), "pose_missing"),
+        (pose(latitude_rad=None), "pose_missing"),
+        (pose(covariance_east_north_yaw=None), "pose_missing"),
+        (pose(covariance_east_north_yaw=(1.0, 2.0, 0.0, 1.0, 0.0, 0.0)), "pose_too_uncertain"),
+    ],
+)
+def test_a_provisional_pose_or_one_of_no_use_gives_no_position(the_pose, reason):
+    position = from_pose(the_pose, antenna())
+    assert position.source == "none"
+    assert position.reason == reason
+    assert not position.usable
+    assert position.latitude_rad is None
+
+
+def test_the_word_that_there_is_none_has_no_place():
+    position = no_position(at(0), "localizer_absent", RULES)
+    assert not position.usable
+    assert position.reason == "localizer_absent"
+    assert position.latitude_rad is position.height_m is position.covariance_enu_m2 is None
+
+
+# --- verdicts ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("word", ["unknown", "erroneous"])
+def test_a_verdict_that_confirms_nothing_has_no_position(word):
+    verdict = verdict_of(Judgement(fix(), word, "none", pose=pose()), TrueSigma())
+    assert (
+        verdict.latitude_rad is verdict.longitude_rad is verdict.height_m is verdict.covariance_enu_m2 is None
+    )
+    assert verdict.surface_id == 7
+    assert verdict.map_version == 3
+
+
+def test_a_verdict_that_confirms_has_the_position_with_its_true_covariance():
+    verdict = verdict_of(right(), TrueSigma())
+    assert (verdict.latitude_rad, verdict.longitude_rad) == (fix().latitude_rad, fix().longitude_rad)
+    assert verdict.height_m == fix().height_m
+    assert verdict.covariance_enu_m2 == with_true_sigma(fix().covariance_enu_m2, TrueSigma())
+    assert verdict.fix_id == fix().fix_id
+
+
+def test_a_verdict_without_pose_or_covariance_says_so():
+    verdict = verdict_of(Judgement(fix(covariance_enu_m2=None), "confirmed", "none"), TrueSigma())
+    assert verdict.surface_id is verdict.map_version is verdict.latitude_rad is None
+    assert verdict.height_difference_m is verdict.tolerance_m is None
+
+
+# --- two positions ------------------------------------------------------------------------------------------------
+
+metres = st.floats(-5.0, 5.0)
+errors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
+
+
+@settings(derandomize=True, deadline=None)
+@given(metres, metres, errors, errors)
+def test_how_far_two_positions_are_apart_is_told_by_what_both_know_of_the_plane_and_a_decimetre(
+    east_m, north_m, one, other
+):
+    covariances = [np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T for root in (one, other)]
+    plane = sum(covariances)[:2, :2] + 0.1**2 * np.eye(2)
+    apart = np.array([east_m, north_m])
+    found = _distance2(east_m, north_m, *(tuple(c[np.triu_indices(3)].tolist()) for c in covariances))
+    assert found == pytest.approx(apart @ np.linalg.inv(plane) @ apart, rel=1e-6, abs=1e-9)

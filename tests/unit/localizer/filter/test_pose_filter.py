@@ -1,0 +1,619 @@
+"""The localizer's pose: anchors, gaps, links, and the law that unconfirmed fixes stay outside."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample
+from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
+from camber.localizer.filter.start import StartPose, lever_arm
+from camber.localizer.links.link_filter import LinkLine, line_through
+from camber.localizer.links.link_matching import Link, LinkMatch, LinkMatcher, LinkNetwork
+
+STEP_S = 0.2
+FIX = np.eye(2) * 0.02**2
+FAR_FROM_BENDS_M = 500.0
+
+
+class Vehicle:
+    """A true motion, sensors with errors, and the filter that sees them."""
+
+    def __init__(self, seed=1, model=None, yaw=0.0, both_sensors=False, quiet=False):
+        print("seed", seed)
+        self.rng = np.random.default_rng(seed)
+        self.filter = PoseFilter(model or PoseModel())
+        motion = (model or PoseModel()).motion
+        self.truth, self.time_ns, self.both = np.array([0.0, 0.0, yaw]), 10**15, both_sensors
+        self.noise = 0.0 if quiet else 1.0
+        self.bias = self.noise * self.rng.normal(0, motion.yaw_rate_bias_sigma_rad_s)
+        self.steering_bias = self.noise * self.rng.normal(0, motion.steering_bias_sigma_rad)
+        self.scale = self.noise * self.rng.normal(0, motion.speed_scale_sigma)
+        self.common = np.zeros(2)
+        self.motion, self.last = motion, (0.0, 0.0)
+        self.sense(0.0, 0.0)
+
+    def sense(self, speed, rate):
+        rng, m, n = self.rng, self.motion, self.noise
+        read = speed / (1.0 + self.scale) + n * rng.normal(0, m.speed_noise_m_s)
+        steering = math.atan(rate * m.wheelbase_m / speed) if speed > 0.5 else 0.0
+        steering += self.steering_bias + n * rng.normal(0, m.steering_noise_rad)
+        gyro = rate + self.bias + n * rng.normal(0, m.yaw_rate_noise_rad_s)
+        if m.a_rate_sensor == "steering" and not self.both:
+            sample = MotionSample(self.time_ns, read, None, steering)
+        else:
+            sample = MotionSample(self.time_ns, read, gyro, steering if self.both else None)
+        return self.filter.predict(sample)
+
+    def drive(self, seconds, speed, rate=0.0, anchored=False, network=None):
+        for _ in range(round(seconds / STEP_S)):
+            self.time_ns += round(STEP_S * 1e9)
+            along, turn = (0.5 * STEP_S * (a + b) for a, b in zip(self.last, (speed, rate), strict=True))
+            self.last = (speed, rate)
+            middle = self.truth[2] + 0.5 * turn
+            self.truth += (along * math.cos(middle), along * math.sin(middle), turn)
+            self.sense(speed, rate)
+            if anchored:
+                self.anchor()
+            if network is not None:
+                self.couple(network)
+
+    def antenna(self):
+        model = self.filter._model
+        return self.truth[:2] + lever_arm(self.truth[2], model.antenna_x_m, model.antenna_y_m)
+
+    def anchor(self, error=(0.0, 0.0), time_ns=None):
+        keep = math.exp(-STEP_S / 30.0)
+        self.common = keep * self.common + math.sqrt(1 - keep**2) * self.rng.normal(0, 0.03, 2) * self.noise
+        at = self.antenna() + self.common + self.noise * self.rng.normal(0, 0.02, 2) + error
+        return self.filter.anchor(self.time_ns if time_ns is None else time_ns, at[0], at[1], FIX)
+
+    def couple(self, matcher):
+        e = self.filter.estimate()
+        if e is None:
+            return None
+        match = matcher.step(e.east_m, e.north_m, e.yaw_rad, e.covariance, self.filter.travelled_m)
+        return self.filter.couple_link(match)
+
+    def error(self):
+        e = self.filter.estimate()
+        d = np.array([e.east_m, e.north_m, e.yaw_rad]) - self.truth
+        d[2] = math.remainder(d[2], math.tau)
+        return d
+
+    def nees(self):
+        d = self.error()
+        return float(d @ np.linalg.solve(self.filter.estimate().covariance, d))
+
+
+def anchored_vehicle(**more):
+    vehicle = Vehicle(**more)
+    vehicle.drive(10.0, 0.0, anchored=True)
+    vehicle.drive(10.0, 8.0, anchored=True)
+    return vehicle
+
+
+def given_pose(vehicle, sigma_m=0.1, yaw_deg=0.5, provenance="given", yaw=None):
+    e, n, truth_yaw = vehicle.truth
+    covariance = np.diag([sigma_m**2, sigma_m**2, math.radians(yaw_deg) ** 2])
+    return StartPose(vehicle.time_ns, e, n, truth_yaw if yaw is None else yaw, covariance, provenance)
+
+
+def a_match(line, sigma_m=1.0, link_id=1):
+    return LinkMatch("matched", link_id, True, 0, line, sigma_m, FAR_FROM_BENDS_M, (link_id,))
+
+
+# Anchors
+
+
+def test_without_a_start_there_is_no_pose():
+    vehicle = Vehicle()
+    vehicle.drive(5.0, 5.0)
+    assert vehicle.filter.mode == "none"
+    assert vehicle.filter.estimate() is None
+
+
+def test_the_heading_shows_by_anchors_and_motion():
+    vehicle = Vehicle(yaw=2.0)
+    vehicle.drive(2.0, 0.0, anchored=True)
+    e = vehicle.filter.estimate()
+    assert not e.yaw_known
+    assert e.covariance[2, 2] == pytest.approx(math.pi**2)
+    vehicle.drive(5.0, 5.0, anchored=True)
+    e = vehicle.filter.estimate()
+    assert (e.mode, e.provenance, e.yaw_known) == ("anchored", "confirmed", True)
+    assert abs(vehicle.error()[2]) < 4.0 * math.sqrt(e.covariance[2, 2]) < math.radians(5.0)
+
+
+def test_anchored_becomes_dead_reckoning_when_anchors_stop():
+    vehicle = anchored_vehicle()
+    assert vehicle.filter.mode == "anchored"
+    vehicle.drive(2.0, 8.0)
+    assert vehicle.filter.mode == "dead_reckoning"
+    assert vehicle.filter.estimate().anchor_age_s == pytest.approx(2.0)
+
+
+def test_the_antennas_lever_arm_is_taken_into_account():
+    model = PoseModel(antenna_x_m=1.5, antenna_y_m=-0.6)
+    vehicle = anchored_vehicle(model=model, yaw=-1.0)
+    vehicle.drive(5.0, 5.0, 0.3, anchored=True)
+    assert np.abs(vehicle.error()[:2]).max() < 0.2
+
+
+def test_a_thousand_anchors_at_a_standstill_do_not_make_a_millimetre():
+    vehicle = anchored_vehicle()
+    vehicle.drive(3.0, 0.0, anchored=True)
+    vehicle.drive(200.0, 0.0, anchored=True)
+    assert vehicle.filter.estimate().horizontal_sigma_m > 0.01
+    assert vehicle.nees() < 16.3
+
+
+def test_an_anchor_that_comes_late_is_worth_almost_the_same():
+    prompt, late = (anchored_vehicle(seed=7, quiet=True) for _ in range(2))
+    for vehicle in (prompt, late):
+        vehicle.drive(20.0, 8.0, 0.05)
+    then = late.time_ns
+    place = prompt.antenna()
+    assert prompt.filter.anchor(then, *place, FIX).accepted
+    for vehicle in (prompt, late):
+        vehicle.drive(1.0, 8.0, 0.2)
+    result = late.filter.anchor(then, *place, FIX)
+    assert result.accepted
+    a, b = prompt.filter.estimate(), late.filter.estimate()
+    assert math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) < 0.05
+    np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.5)
+
+
+def test_anchors_too_old_or_ahead_of_the_motion_are_refused():
+    vehicle = anchored_vehicle()
+    before = vehicle.filter.estimate()
+    assert vehicle.anchor(time_ns=vehicle.time_ns - 10 * 10**9).outcome == "too_old"
+    assert vehicle.anchor(time_ns=vehicle.time_ns + 10 * 10**9).outcome == "ahead"
+    assert vehicle.filter.estimate().east_m == before.east_m
+
+
+def test_one_anchor_outside_the_gate_is_refused_several_in_a_row_are_believed():
+    vehicle = anchored_vehicle()
+    before = vehicle.filter.estimate()
+    result = vehicle.anchor(error=(0.0, 5.0))
+    assert result.outcome == "outside_gate"
+    assert result.nis > 18.0
+    assert vehicle.filter.estimate().north_m == before.north_m
+    outcomes = []
+    for _ in range(6):
+        vehicle.drive(STEP_S, 8.0)
+        outcomes.append(vehicle.anchor(error=(0.0, 5.0)).outcome)
+    assert "recovered" in outcomes
+    assert abs(vehicle.error()[1] - 5.0) < 0.5
+
+
+@pytest.mark.parametrize("name", ["east_m", "north_m", "covariance"])
+def test_an_anchor_that_is_not_finite_is_refused_by_name(name):
+    vehicle = anchored_vehicle()
+    arguments = {"east_m": 0.0, "north_m": 0.0, "covariance": FIX}
+    arguments[name] = arguments[name] * math.nan
+    with pytest.raises(ValueError, match=f"^{name}:"):
+        vehicle.filter.anchor(vehicle.time_ns, **arguments)
+
+
+# Gaps
+
+
+def test_first_anchors_after_long_gaps_lie_where_the_covariance_says():
+    """25 drives: anchored, then 100 s and 800 m with turns and a stop, then a right fix."""
+    nis = []
+    for seed in range(25):
+        vehicle = anchored_vehicle(seed=seed)
+        for speed, rate, seconds in (
+            (8, 0, 30),
+            (5, 0.3, 5),
+            (8, 0.02, 30),
+            (0, 0, 20),
+            (5, -0.3, 5),
+            (8, 0, 30),
+        ):
+            vehicle.drive(seconds, speed, rate)
+        nis.append(vehicle.anchor().nis)
+    assert np.mean(nis) < stats.chi2.ppf(0.999, 50) / 25
+    assert np.mean(nis) > 0.4, "sigmas several times too large help nobody"
+    assert max(nis) < 13.82
+
+
+def test_a_standstill_teaches_the_bias_of_the_yaw_rate():
+    after, before = (Vehicle(seed=3) for _ in range(2))
+    for vehicle, wait_s in ((before, 0.0), (after, 60.0)):
+        vehicle.filter.start(given_pose(vehicle))
+        vehicle.drive(wait_s, 0.0)
+        vehicle.drive(60.0, 8.0)
+    assert after.filter.estimate().covariance[2, 2] < 0.5 * before.filter.estimate().covariance[2, 2]
+    assert abs(after.error()[2]) < 4.0 * math.sqrt(after.filter.estimate().covariance[2, 2])
+
+
+def test_a_standstill_keeps_the_pose_and_couples_nothing():
+    vehicle = anchored_vehicle()
+    vehicle.drive(2.0, 0.0)
+    e = vehicle.filter.estimate()
+    for _ in range(200):
+        vehicle.drive(STEP_S, 0.0)
+        assert vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0))).outcome == "standing"
+    later = vehicle.filter.estimate()
+    np.testing.assert_allclose(later.covariance[:2, :2], e.covariance[:2, :2], rtol=1e-2)
+    assert later.standing
+    assert later.speed_m_s is not None
+
+
+def test_a_silence_longer_than_can_be_bridged_loses_the_pose():
+    vehicle = anchored_vehicle()
+    vehicle.time_ns += 120 * 10**9
+    vehicle.sense(8.0, 0.0)
+    assert vehicle.filter.mode == "none"
+    assert vehicle.filter.accepts_fixes
+
+
+def test_samples_from_the_past_change_nothing():
+    vehicle = anchored_vehicle()
+    before = vehicle.filter.estimate()
+    assert vehicle.filter.predict(MotionSample(vehicle.time_ns, 9.0, 1.0)) == "repeated"
+    assert vehicle.filter.predict(MotionSample(vehicle.time_ns - 10**9, 9.0, 1.0)) == "backwards"
+    np.testing.assert_array_equal(vehicle.filter.estimate().covariance, before.covariance)
+
+
+def test_what_a_silent_sensor_would_say_is_not_known():
+    vehicle = anchored_vehicle()
+    vehicle.time_ns += 2 * 10**8
+    vehicle.filter.predict(MotionSample(vehicle.time_ns, None, None))
+    e = vehicle.filter.estimate()
+    assert e.speed_m_s is None
+    assert e.yaw_rate_rad_s is None
+    assert e.speed_age_s == pytest.approx(0.2)
+
+
+# Row 1: links
+
+
+def deviating_road(rng, sigma_m, length_m, heading=0.0):
+    """Offsets of a link from a straight road, a Gauss-Markov process along the way, every 5 m."""
+    keep = math.exp(-5.0 / length_m)
+    offsets = [rng.normal(0, sigma_m)]
+    while len(offsets) < 400:
+        offsets.append(keep * offsets[-1] + math.sqrt(1 - keep**2) * rng.normal(0, sigma_m))
+    return offsets
+
+
+def couple_along(vehicle, offsets, seconds, speed=8.0, sigma_m=1.0):
+    """Drive east along the x axis; the link is off by the offset of the place."""
+    for _ in range(round(seconds / STEP_S)):
+        vehicle.drive(STEP_S, speed)
+        offset = offsets[int(vehicle.truth[0] / 5.0)]
+        vehicle.filter.couple_link(a_match(LinkLine(0.0, -offset), sigma_m))
+
+
+def test_coupling_with_a_link_that_deviates_slowly_stays_honest_and_helps():
+    model = PoseModel()
+    nees, across = [], {True: [], False: []}
+    for seed in range(16):
+        for couple in (True, False):
+            vehicle = Vehicle(seed=seed, model=replace(model, couple_links=couple))
+            vehicle.filter.start(given_pose(vehicle))
+            offsets = deviating_road(vehicle.rng, 1.0, model.deviation_length_m)
+            couple_along(vehicle, offsets, 120.0)
+            across[couple].append(vehicle.error()[1])
+            if couple:
+                nees.append(vehicle.nees())
+    assert np.mean(nees) < stats.chi2.ppf(0.999, 48) / 16
+    assert np.std(across[True]) < 0.6 * np.std(across[False])
+
+
+def test_a_thousand_couplings_do_not_know_a_coarse_link_better_than_it_is():
+    vehicle = Vehicle()
+    vehicle.filter.start(given_pose(vehicle, sigma_m=10.0, yaw_deg=1.0))
+    couple_along(vehicle, [0.0] * 2000, 600.0, sigma_m=2.0)
+    sigma = math.sqrt(vehicle.filter.estimate().covariance[1, 1])
+    assert sigma > 2.0 / math.sqrt(4800.0 / 40.0), "not better than one look per correlation length"
+    assert sigma > 2.0, "the lane is not known either"
+
+
+def test_the_offset_from_the_link_is_measured_by_anchors_and_kept_when_they_stop():
+    vehicle = Vehicle()
+    vehicle.drive(5.0, 0.0, anchored=True)
+    for _ in range(100):
+        vehicle.drive(STEP_S, 8.0, anchored=True)
+        vehicle.filter.couple_link(a_match(LinkLine(0.0, 3.0), 0.5))
+    e = vehicle.filter.estimate()
+    assert e.link_offset_m == pytest.approx(3.0, abs=0.3)
+    for _ in range(500):
+        vehicle.drive(STEP_S, 8.0)
+        vehicle.filter.couple_link(a_match(LinkLine(0.0, 3.0), 0.5))
+    assert vehicle.filter.estimate().link_offset_m == pytest.approx(3.0, abs=1.5)
+    assert abs(vehicle.error()[1]) < 1.5
+
+
+def test_links_are_coupled_at_intervals_of_distance_only():
+    vehicle = anchored_vehicle()
+    vehicle.drive(0.4, 6.5)
+    outcomes = []
+    for _ in range(50):
+        vehicle.drive(STEP_S, 5.0)
+        outcomes.append(vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0))).outcome)
+    assert 9 <= outcomes.count("coupled") <= 11
+    assert set(outcomes) == {"coupled", "too_soon"}
+
+
+def test_links_that_say_nothing_about_the_heading_are_not_coupled():
+    vehicle = anchored_vehicle()
+    line = LinkLine(0.0, 0.0)
+    couple = vehicle.filter.couple_link
+    assert couple(LinkMatch("none")).outcome == "not_matched"
+    assert couple(replace(a_match(line), status="ambiguous")).outcome == "not_matched"
+    assert couple(a_match(LinkLine(0.6, 0.0))).outcome == "not_parallel"
+    assert couple(replace(a_match(line), to_sharp_m=5.0)).outcome == "near_bend"
+    assert couple(a_match(line)).outcome == "coupled"
+
+
+def test_a_link_far_off_is_refused_first_and_taken_for_a_change_of_lane_then():
+    vehicle = anchored_vehicle()
+    for _ in range(20):
+        vehicle.drive(1.0, 8.0)
+        vehicle.filter.couple_link(a_match(LinkLine(0.0, 0.0), 0.3))
+    before = vehicle.filter.estimate()
+    outcomes = []
+    for _ in range(5):
+        vehicle.drive(1.0, 8.0)
+        outcomes.append(vehicle.filter.couple_link(a_match(LinkLine(0.0, 30.0), 0.3)).outcome)
+    assert outcomes[:2] == ["rejected", "rejected"]
+    assert "coupled" in outcomes[2:]
+    assert abs(vehicle.filter.estimate().north_m - before.north_m) < 3.0
+
+
+def test_a_turn_onto_another_link_shows_the_way_along_the_first():
+    network = LinkNetwork(
+        [
+            Link(1, "a", "b", np.array([[-50.0, 0.0], [1030.0, 0.0]]), sigma_m=0.5),
+            Link(2, "b", "c", np.array([[1030.0, 0.0], [1030.0, 900.0]]), sigma_m=0.5),
+        ]
+    )
+    vehicle = Vehicle(seed=5)
+    vehicle.filter.start(given_pose(vehicle))
+    matcher = LinkMatcher(network)
+    vehicle.drive(125.0, 8.0, network=matcher)
+    along = vehicle.filter.estimate().covariance[0, 0]
+    vehicle.drive(math.pi / 2 / 0.2667, 8.0, 0.2667, network=matcher)
+    vehicle.drive(60.0, 8.0, network=matcher)
+    e = vehicle.filter.estimate()
+    assert (e.link_id, e.link_status) == (2, "matched")
+    assert e.covariance[0, 0] < along
+    assert vehicle.nees() < 16.3
+
+
+# Row 2: the other rotation sensor
+
+
+def test_a_common_error_of_the_heading_is_no_evidence():
+    vehicle = Vehicle(both_sensors=True)
+    vehicle.filter.start(given_pose(vehicle, yaw_deg=5.0))
+    vehicle.drive(60.0, 8.0)
+    vehicle.filter.couple_rotation()
+    assert math.sqrt(vehicle.filter.estimate().covariance[2, 2]) > math.radians(5.0)
+
+
+def test_two_rotation_sensors_together_are_better_than_one_and_honest():
+    nees, errors = [], {True: [], False: []}
+    motion = replace(PoseModel().motion, steering_noise_rad=2e-3, steering_scale_sigma=0.002)
+    motion = replace(motion, yaw_rate_bias_sigma_rad_s=math.radians(0.2), steering_bias_sigma_rad=1e-4)
+    for seed in range(30):
+        for both in (True, False):
+            vehicle = Vehicle(seed=seed, model=PoseModel(motion=motion), both_sensors=both)
+            vehicle.filter.start(given_pose(vehicle, yaw_deg=0.1))
+            for rate in (0.0, 0.1, -0.2, 0.0, 0.1):
+                vehicle.drive(12.0, 8.0, rate)
+                vehicle.filter.couple_link(LinkMatch("none"))
+            errors[both].append(vehicle.error()[2])
+            if both:
+                nees.append(vehicle.nees())
+    assert np.std(errors[True]) < 0.5 * np.std(errors[False])
+    assert np.mean(nees) < stats.chi2.ppf(0.999, 90) / 30
+
+
+def test_the_sensors_may_swap_systems():
+    """The same two sensors weighed the other way round: the same pose."""
+    estimates = []
+    for sensor in ("yaw_rate", "steering"):
+        model = PoseModel(motion=MotionModel(a_rate_sensor=sensor))
+        vehicle = Vehicle(seed=11, model=model, both_sensors=True)
+        vehicle.filter.start(given_pose(vehicle))
+        for rate in (0.0, 0.1, -0.1, 0.0):
+            vehicle.drive(1.0, 8.0, rate)
+            for _ in range(9):
+                vehicle.drive(1.0, 8.0, rate)
+                vehicle.filter.couple_rotation()
+        estimates.append(vehicle.filter.estimate())
+    a, b = estimates
+    assert math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) < 0.5
+    assert a.covariance[2, 2] == pytest.approx(b.covariance[2, 2], rel=0.2)
+
+
+# Start, and the independence of the pose from unconfirmed fixes
+
+
+def test_a_given_pose_starts_dead_reckoning():
+    vehicle = Vehicle()
+    assert vehicle.filter.start(given_pose(vehicle))
+    e = vehicle.filter.estimate()
+    assert (e.mode, e.provenance) == ("dead_reckoning", "given")
+
+
+@pytest.mark.parametrize("begin", ["anchored", "given"])
+def test_no_unconfirmed_fix_changes_a_pose_that_was_anchored_or_given(begin):
+    vehicle = anchored_vehicle() if begin == "anchored" else Vehicle()
+    if begin == "given":
+        vehicle.filter.start(given_pose(vehicle))
+    vehicle.drive(30.0, 8.0)
+    before = vehicle.filter.estimate()
+    assert not vehicle.filter.accepts_fixes
+    assert not vehicle.filter.start(given_pose(vehicle, provenance="fixes"))
+    after = vehicle.filter.estimate()
+    assert (after.east_m, after.north_m, after.provenance) == (
+        before.east_m,
+        before.north_m,
+        before.provenance,
+    )
+    np.testing.assert_array_equal(after.covariance, before.covariance)
+
+
+def test_fixes_may_restart_a_pose_that_owns_to_have_drifted():
+    vehicle = Vehicle(model=PoseModel(restart_sigma_m=5.0))
+    vehicle.filter.start(given_pose(vehicle, yaw_deg=3.0))
+    vehicle.drive(60.0, 8.0)
+    assert vehicle.filter.estimate().horizontal_sigma_m > 5.0
+    assert vehicle.filter.start(given_pose(vehicle, provenance="fixes"))
+    assert vehicle.filter.mode == "provisional"
+
+
+def test_a_provisional_pose_stays_provisional_until_a_confirmed_fix():
+    vehicle = Vehicle()
+    vehicle.filter.start(given_pose(vehicle, provenance="fixes"))
+    vehicle.drive(20.0, 8.0)
+    assert vehicle.filter.mode == "provisional"
+    assert vehicle.anchor().accepted
+    assert vehicle.filter.mode == "anchored"
+
+
+def test_a_confirmed_fix_overrules_a_provisional_pose():
+    vehicle = Vehicle()
+    vehicle.filter.start(replace(given_pose(vehicle, provenance="fixes"), north_m=8.0))
+    vehicle.drive(2.0, 8.0)
+    assert vehicle.anchor().outcome == "recovered"
+    assert np.abs(vehicle.error()[:2]).max() < 0.5
+
+
+def test_a_standing_start_by_fixes_learns_the_heading_from_a_later_one():
+    vehicle = Vehicle(yaw=1.0)
+    pose = given_pose(vehicle, provenance="fixes")
+    assert vehicle.filter.start(replace(pose, yaw_rad=None))
+    vehicle.drive(4.0, 5.0)
+    e = vehicle.filter.estimate()
+    assert not e.yaw_known
+    assert math.hypot(*vehicle.error()[:2]) < math.sqrt(13.82) * e.horizontal_sigma_m
+    assert vehicle.filter.start(given_pose(vehicle, provenance="fixes"))
+    assert vehicle.filter.estimate().yaw_known
+    standing = replace(given_pose(vehicle, provenance="fixes"), yaw_rad=None)
+    assert not vehicle.filter.start(standing), "the heading is not thrown away"
+
+
+def test_a_heading_that_is_lost_is_said_to_be_unknown():
+    vehicle = anchored_vehicle()
+    for _ in range(100):
+        vehicle.time_ns += 2 * 10**8
+        vehicle.filter.predict(MotionSample(vehicle.time_ns, 8.0, None))
+    e = vehicle.filter.estimate()
+    assert not e.yaw_known
+    assert vehicle.filter.mode == "dead_reckoning"
+    assert e.horizontal_sigma_m > 50.0
+
+
+# The plane
+
+
+def test_nothing_depends_on_the_origin():
+    seeds = {}
+    for shift in (0.0, 5000.0):
+        vehicle = anchored_vehicle(seed=9)
+        vehicle.filter.shifted(shift, -shift)
+        vehicle.truth[:2] -= (shift, -shift)
+        line = line_through(-shift, shift - 2.0, 100.0 - shift, shift - 2.0)
+        for _ in range(50):
+            vehicle.drive(1.0, 8.0)
+            vehicle.filter.couple_link(a_match(line))
+        vehicle.anchor()
+        e = vehicle.filter.estimate()
+        seeds[shift] = (e.east_m + shift, e.north_m - shift, e.covariance)
+    assert seeds[0.0][:2] == pytest.approx(seeds[5000.0][:2], abs=1e-6)
+    np.testing.assert_allclose(seeds[0.0][2], seeds[5000.0][2], rtol=1e-6, atol=1e-9)
+
+
+def test_the_estimate_does_not_change_afterwards():
+    vehicle = anchored_vehicle()
+    e = vehicle.filter.estimate()
+    kept = e.covariance.copy()
+    vehicle.drive(10.0, 8.0, anchored=True)
+    np.testing.assert_array_equal(e.covariance, kept)
+
+
+# Whatever happens
+
+
+EVENTS = st.lists(
+    st.one_of(
+        st.tuples(
+            st.just("motion"),
+            st.integers(-200, 5000),
+            st.none() | st.floats(-10, 30),
+            st.none() | st.floats(-2, 2),
+        ),
+        st.tuples(st.just("anchor"), st.integers(-3000, 500), st.floats(-20, 20), st.floats(-20, 20)),
+        st.tuples(st.just("match"), st.integers(-1500, 500), st.floats(-20, 20), st.floats(-4, 4)),
+        st.tuples(st.just("vague match"), st.integers(-400, 0), st.floats(-3, 3), st.floats(-0.1, 0.1)),
+        st.tuples(st.just("link"), st.floats(-3, 3), st.floats(-20, 20), st.floats(0.1, 10)),
+        st.tuples(st.just("given"), st.none() | st.floats(-3, 3), st.floats(0.01, 50), st.floats(0.001, 3)),
+        st.tuples(st.just("shift"), st.floats(-1000, 1000), st.floats(-1000, 1000), st.just(0)),
+    ),
+    max_size=60,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(EVENTS, st.sampled_from(["yaw_rate", "steering"]))
+def test_any_sequence_of_events_leaves_a_covariance(events, sensor):
+    pose_filter = PoseFilter(PoseModel(motion=MotionModel(a_rate_sensor=sensor), antenna_x_m=1.0))
+    now = 10**15
+    pose_filter.predict(MotionSample(now, 0.0, 0.0, 0.0))
+    for kind, a, b, c in events:
+        if kind == "motion":
+            now += a * 1_000_000
+            pose_filter.predict(MotionSample(now, b, c, c))
+        elif kind == "anchor":
+            pose_filter.anchor(now + a * 1_000_000, b, c, FIX)
+        elif kind == "match":
+            pose_filter.match(now + a * 1_000_000, b, c, 0.1 * c, np.eye(3) * 1e-4, unique=b > 0)
+        elif kind == "vague match":
+            covariance = np.diag([1e-4, 1e-4, 1e-5])
+            covariance[:2, :2] += 1e4 * np.outer([math.cos(b), math.sin(b)], [math.cos(b), math.sin(b)])
+            pose_filter.match(now + a * 1_000_000, b, c, c, covariance, unique=True)
+        elif kind == "link":
+            pose_filter.couple_link(a_match(LinkLine(a, b), c))
+        elif kind == "given":
+            provenance = "fixes" if b > 25.0 else "given"
+            pose_filter.start(StartPose(now, 0.0, 0.0, a, np.diag([b * b, b * b, c * c]), provenance))
+        else:
+            pose_filter.shifted(a, b)
+        e = pose_filter.estimate()
+        if e is None:
+            continue
+        np.testing.assert_allclose(e.covariance, e.covariance.T, rtol=1e-9, atol=1e-15)
+        scale = np.sqrt(np.diag(e.covariance))
+        assert np.linalg.eigvalsh(e.covariance / np.outer(scale, scale))[0] > 0.0
+        assert np.isfinite([e.east_m, e.north_m, e.yaw_rad, e.link_offset_m, e.link_offset_sigma_m]).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1.0, 4.0), st.integers(0, 1000))
+def test_noisier_sensors_never_give_a_smaller_ellipse(factor, seed):
+    motion = MotionModel()
+    worse = replace(
+        motion,
+        speed_noise_m_s=motion.speed_noise_m_s * factor,
+        yaw_rate_noise_rad_s=motion.yaw_rate_noise_rad_s * factor,
+    )
+    sigmas = []
+    for m in (motion, worse):
+        vehicle = Vehicle(seed=seed, model=PoseModel(motion=m), quiet=True)
+        vehicle.filter.start(given_pose(vehicle))
+        vehicle.drive(10.0, 8.0, 0.05)
+        vehicle.filter.anchor(vehicle.time_ns, *vehicle.antenna(), FIX)
+        vehicle.drive(10.0, 8.0, -0.05)
+        sigmas.append(vehicle.filter.estimate().covariance)
+    assert np.linalg.eigvalsh(sigmas[1] - sigmas[0])[0] > -1e-9

@@ -1,0 +1,250 @@
+"""The current link by topology and history: roads that cross, run alongside, fork and end."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.localizer.links.link_filter import line_through
+from camber.localizer.links.link_matching import Link, LinkMatcher, LinkNetwork
+
+
+def a_link(link_id, nodes, *vertices, **more):
+    return Link(link_id, nodes[0], nodes[1], np.array(vertices, dtype=float), **more)
+
+
+def covariance(sigma_m=1.0, yaw_deg=2.0):
+    return np.diag([sigma_m**2, sigma_m**2, math.radians(yaw_deg) ** 2])
+
+
+def drive(matcher, points, p=None, travelled=0.0, step=5.0):
+    """Drive along points; the matches at every step."""
+    p = covariance() if p is None else p
+    matches = []
+    for a, b in itertools.pairwise(points):
+        a, b = np.array(a, dtype=float), np.array(b, dtype=float)
+        length = float(np.hypot(*(b - a)))
+        yaw = math.atan2(b[1] - a[1], b[0] - a[0])
+        for k in range(1, round(length / step) + 1):
+            at = a + (b - a) * (k * step / length)
+            travelled += step
+            matches.append(matcher.step(float(at[0]), float(at[1]), yaw, p, travelled))
+    return matches
+
+
+CROSS = [
+    a_link("west", ("a", "b"), (-200, 0), (0, 0)),
+    a_link("east", ("b", "c"), (0, 0), (200, 0)),
+    a_link("over", ("s", "n"), (50, -200), (50, 200), level=1),
+    a_link("north", ("b", "d"), (0, 0), (0, 200)),
+]
+
+
+def test_an_overpass_that_crosses_is_never_the_link():
+    matches = drive(LinkMatcher(LinkNetwork(CROSS)), [(-150, 1), (150, 1)])
+    assert all(match.status == "matched" for match in matches)
+    assert [match.link_id for match in matches[:25]] == ["west"] * 25
+    assert {match.link_id for match in matches[32:]} == {"east"}
+    assert {match.level for match in matches} == {0}
+
+
+def test_a_vehicle_on_the_overpass_stays_on_its_level():
+    matches = drive(LinkMatcher(LinkNetwork(CROSS)), [(50, -150), (50, 150)], covariance(8.0))
+    assert {match.link_id for match in matches} == {"over"}
+    assert {match.level for match in matches} == {1}
+
+
+def test_a_turn_at_a_junction_is_followed():
+    matches = drive(LinkMatcher(LinkNetwork(CROSS)), [(-150, 0), (0, 0), (0, 150)])
+    assert matches[-1].status == "matched"
+    assert matches[-1].link_id == "north"
+    assert matches[-1].line is not None
+    assert matches[-1].line.alpha_rad == pytest.approx(math.pi / 2)
+
+
+STACKED = [
+    a_link("ground", ("g0", "g1"), (0, 0), (1000, 0)),
+    a_link("viaduct", ("v0", "v1"), (0, 3), (1000, 3), level=1),
+]
+
+
+def test_one_road_above_another_is_ambiguous_and_says_which():
+    for match in drive(LinkMatcher(LinkNetwork(STACKED)), [(100, 1.5), (600, 1.5)]):
+        assert match.status == "ambiguous"
+        assert set(match.candidates) == {"ground", "viaduct"}
+        assert match.level is None
+
+
+def test_whoever_came_up_the_ramp_is_known_to_be_above():
+    network = LinkNetwork(
+        [
+            a_link("approach", ("a", "f"), (-300, 0), (0, 0)),
+            a_link("ground", ("f", "g"), (0, 0), (60, 0), (1000, 0)),
+            a_link("ramp", ("f", "r"), (0, 0), (60, 25), (150, 40), level=0),
+            a_link("viaduct", ("r", "v"), (150, 40), (220, 2), (1000, 2), level=1),
+        ]
+    )
+    matches = drive(LinkMatcher(network), [(-200, 0), (0, 0), (60, 25), (150, 40), (220, 2), (900, 2)])
+    assert matches[-1].status == "matched"
+    assert matches[-1].link_id == "viaduct"
+    assert matches[-1].level == 1
+    below = drive(LinkMatcher(network), [(-200, 0), (0, 0), (900, 0)])
+    assert below[-1].status == "matched"
+    assert below[-1].link_id == "ground"
+    assert below[-1].level == 0
+
+
+def test_parallel_roads_beyond_the_uncertainty_are_told_apart():
+    network = LinkNetwork(
+        [
+            a_link("here", ("a", "b"), (0, 0), (500, 0), sigma_m=1.0),
+            a_link("there", ("c", "d"), (0, 40), (500, 40), sigma_m=1.0),
+        ]
+    )
+    assert drive(LinkMatcher(network), [(50, 1), (300, 1)])[-1].status == "matched"
+    lost = drive(LinkMatcher(network), [(50, 20), (300, 20)], covariance(15.0))
+    assert lost[0].status == "ambiguous"
+
+
+def test_a_fork_is_ambiguous_until_the_branches_part():
+    network = LinkNetwork(
+        [
+            a_link("stem", ("a", "f"), (-200, 0), (0, 0)),
+            a_link("left", ("f", "l"), (0, 0), (300, 60), level=1),
+            a_link("right", ("f", "r"), (0, 0), (300, -60)),
+        ]
+    )
+    matches = drive(LinkMatcher(network), [(-150, 0), (0, 0), (290, 58)])
+    shortly_after = matches[33]
+    assert shortly_after.status == "ambiguous"
+    assert {"left", "right"} <= set(shortly_after.candidates)
+    assert (matches[-1].status, matches[-1].link_id) == ("matched", "left")
+
+
+def test_a_u_turn_changes_the_direction_of_travel():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
+    matches = drive(LinkMatcher(network), [(50, -2), (200, -2), (205, 4), (50, 4)])
+    assert matches[10].forward
+    assert matches[-1].status == "matched"
+    assert not matches[-1].forward
+    assert abs(matches[-1].line.alpha_rad) == pytest.approx(math.pi)
+
+
+def test_a_one_way_link_is_not_followed_backwards():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0), one_way=True)])
+    assert {m.status for m in drive(LinkMatcher(network), [(300, 0), (100, 0)])} == {"none"}
+
+
+def test_a_car_park_has_no_link_and_the_road_is_found_again_by_following_it():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (600, 0))])
+    matcher = LinkMatcher(network)
+    matches = drive(matcher, [(0, 0), (200, 0), (200, 80), (260, 80), (260, 0)])
+    assert matches[30].status == "matched"
+    assert matches[52].status == "none"
+    back = drive(matcher, [(260, 0), (400, 0)], travelled=5.0 * len(matches))
+    assert back[0].status != "matched"
+    assert back[-1].status == "matched"
+
+
+def test_the_pose_with_an_unknown_heading_gets_no_line():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
+    match = LinkMatcher(network).step(100.0, 0.0, 1.0, np.diag([1.0, 1.0, math.pi**2]), 0.0)
+    assert match.link_id == "road"
+    assert match.line is None
+
+
+def test_a_pose_too_uncertain_to_search_around_has_no_link():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (400, 0))])
+    assert LinkMatcher(network).step(100.0, 0.0, 0.0, covariance(60.0), 0.0).status == "none"
+
+
+def test_standing_still_adds_no_evidence():
+    matcher = LinkMatcher(LinkNetwork(STACKED))
+    first = matcher.step(100.0, 1.2, 0.0, covariance(), 0.0)
+    for _ in range(1000):
+        assert matcher.step(100.0, 1.2, 0.0, covariance(), 0.0) == first
+
+
+def test_sharp_vertices_and_dead_ends_are_told_by_their_distance():
+    network = LinkNetwork(
+        [
+            a_link("bent", ("a", "b"), (0, 0), (100, 0), (100, 100)),
+            a_link("on", ("b", "c"), (100, 100), (100, 300)),
+        ]
+    )
+    assert network.to_sharp_m(0, 70.0) == pytest.approx(30.0)
+    assert network.to_sharp_m(0, 190.0) == pytest.approx(90.0)
+    assert network.to_sharp_m(1, 10.0) == pytest.approx(190.0)
+
+
+def test_the_line_is_that_of_the_nearest_piece():
+    network = LinkNetwork([a_link("road", ("a", "b"), (0, 0), (100, 0), (200, 20))])
+    match = drive(LinkMatcher(network), [(10, 1), (90, 1), (190, 19)])[-1]
+    expected = line_through(100.0, 0.0, 200.0, 20.0)
+    assert match.line.alpha_rad == pytest.approx(expected.alpha_rad)
+    assert match.line.c_m == pytest.approx(expected.c_m)
+
+
+def test_a_network_in_another_origin_gives_the_same_match():
+    network = LinkNetwork(CROSS)
+    here = drive(LinkMatcher(network), [(-150, 1), (150, 1)])[-1]
+    there = drive(LinkMatcher(network.shifted(1000.0, -500.0)), [(-1150, 501), (-850, 501)])[-1]
+    assert there.link_id == here.link_id
+    assert there.line.offset_m(-900.0, 501.0) == pytest.approx(here.line.offset_m(100.0, 1.0))
+
+
+def test_a_newer_part_of_the_map_keeps_the_history():
+    stacked = LinkNetwork(STACKED)
+    matcher = LinkMatcher(LinkNetwork(STACKED[1:]))
+    drive(matcher, [(100, 1.5), (200, 1.5)])
+    matcher.replace_network(stacked)
+    match = matcher.step(205.0, 1.5, 0.0, covariance(), 105.0)
+    assert (match.status, match.link_id) == ("matched", "viaduct")
+
+
+def test_cost_does_not_grow_with_the_map():
+    near = [a_link("road", ("a", "b"), (0, 0), (400, 0))]
+    far = [a_link(k, (k, k + 0.5), (k, 3000), (k + 50, 3050)) for k in range(2000)]
+    network = LinkNetwork(near + far)
+    assert set(network.feet(100.0, 0.0, 50.0)) == {0}
+
+
+@settings(max_examples=50)
+@given(
+    st.floats(-300, 300), st.floats(-300, 300), st.floats(-4, 4), st.floats(0.1, 60.0), st.floats(0.01, 3.0)
+)
+def test_whatever_the_pose_the_match_is_consistent(east, north, yaw, sigma, yaw_sigma):
+    matcher = LinkMatcher(LinkNetwork(CROSS))
+    match = matcher.step(east, north, yaw, np.diag([sigma**2, sigma**2, yaw_sigma**2]), 0.0)
+    if match.status == "none":
+        assert match.link_id is None
+        assert match.line is None
+    else:
+        assert match.link_id in match.candidates
+    if match.status == "matched" and match.level is not None:
+        assert match.level == next(k.level for k in CROSS if k.link_id == match.link_id)
+
+
+@pytest.mark.parametrize("name", ["east_m", "north_m", "yaw_rad", "travelled_m"])
+def test_what_is_not_finite_is_refused_by_name(name):
+    arguments = {"east_m": 0.0, "north_m": 0.0, "yaw_rad": 0.0, "travelled_m": 0.0, name: math.nan}
+    with pytest.raises(ValueError, match=f"^{name}:"):
+        LinkMatcher(LinkNetwork(CROSS)).step(covariance=covariance(), **arguments)
+
+
+def test_links_that_are_no_links_are_refused():
+    with pytest.raises(ValueError, match=r"^vertices_m: expected shape"):
+        a_link("one", ("a", "b"), (0, 0))
+    with pytest.raises(ValueError, match=r"^vertices_m: every element"):
+        a_link("nan", ("a", "b"), (0, 0), (math.nan, 1))
+    with pytest.raises(ValueError, match=r"^sigma_m:"):
+        a_link("sigma", ("a", "b"), (0, 0), (1, 1), sigma_m=0.0)
+    with pytest.raises(ValueError, match="has no length"):
+        LinkNetwork([a_link("point", ("a", "b"), (0, 0), (0, 0))])
+
+
+def test_an_empty_map_has_no_links():
+    assert LinkMatcher(LinkNetwork([])).step(0.0, 0.0, 0.0, covariance(), 0.0).status == "none"

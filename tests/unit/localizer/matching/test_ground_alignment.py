@@ -1,0 +1,125 @@
+"""What one matched sweep says of the sensor's height and attitude, on a slope of known plane."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camber.geodesy.local_frame import LocalFrame
+from camber.geodesy.se3 import map_from_vehicle, roll_pitch_yaw_from_rotation, transform_points
+from camber.localizer.map_clouds.map_blocks import Block
+from camber.localizer.matching.ground_alignment import RoadBy, SensorHeights, sensor_heights, set_down
+from camber.localizer.matching.sweep_preparation import SensorMount
+from camber.localizer.road.road_attitude import GroundPlane, ground_plane
+from camber.localizer.road.road_raster import RoadHeights
+
+Floats = NDArray[np.float64]
+
+GRADE, CROSSFALL = 0.10, -0.02
+MOUNT = SensorMount(1.2, 0.1, 1.9)
+NOSE_UP_RAD = math.radians(0.4)
+"""Of the body against the road, about the vehicle frame's origin."""
+
+
+def road(step_m: float, seed: int) -> Floats:
+    """Eight metres of a street (n, 3) with 5 mm of noise."""
+    rng = np.random.default_rng(seed)
+    east, north = np.meshgrid(np.arange(-40.0, 40.0, step_m), np.arange(-4.0, 4.0, step_m))
+    up = GRADE * east + CROSSFALL * north + rng.normal(0.0, 0.005, east.shape)
+    return np.column_stack((east.ravel(), north.ravel(), up.ravel()))
+
+
+MAP = road(0.25, 1)
+BLOCK = Block(LocalFrame(0.6, 2.4, 0.0), 0.0, np.zeros((0, 3)), MAP, RoadHeights.of(MAP), ())
+TRUTH = map_from_vehicle(
+    0.0,
+    0.0,
+    0.0,
+    math.atan(CROSSFALL * math.cos(math.atan(GRADE))),
+    -math.atan(GRADE) - NOSE_UP_RAD,
+    0.0,
+)
+SEEN = transform_points(np.linalg.inv(TRUTH), road(0.4, 2))
+SEEN = SEEN[np.hypot(SEEN[:, 0], SEEN[:, 1]) > 3.0]
+SENSOR_M = (TRUTH @ MOUNT.vehicle_from_sensor)[:3, 3]
+HEIGHT_M = float(SENSOR_M[2] - GRADE * SENSOR_M[0] - CROSSFALL * SENSOR_M[1])
+
+
+def heights(match: Floats, own: GroundPlane | None = None, sweep_m: Floats = SEEN) -> SensorHeights:
+    return sensor_heights(sweep_m, own, MOUNT, match, BLOCK)
+
+
+def off(east_m: float = 0.0, up_m: float = 0.0, pitch_deg: float = 0.0) -> Floats:
+    """The match, off by so much."""
+    shift = map_from_vehicle(east_m, 0.0, up_m, 0.0, 0.0, 0.0)
+    return shift @ TRUTH @ map_from_vehicle(0.0, 0.0, 0.0, 0.0, math.radians(pitch_deg), 0.0)
+
+
+@pytest.mark.parametrize(
+    "match", [off(), off(up_m=0.08), off(pitch_deg=0.3), off(up_m=-0.05, pitch_deg=-0.4)]
+)
+def test_height_and_attitude_are_those_of_the_sweep_and_not_of_the_overlay(match: Floats) -> None:
+    found = heights(match)
+    assert found.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
+    assert found.matched_sigma_m is not None
+    assert 0.01 < found.matched_sigma_m < 0.02
+    wanted = roll_pitch_yaw_from_rotation(TRUTH)
+    assert roll_pitch_yaw_from_rotation(found.map_from_vehicle) == pytest.approx(wanted, abs=5e-4)
+    assert found.slope_forward == pytest.approx(GRADE, abs=0.002)
+    assert found.slope_left == pytest.approx(CROSSFALL, abs=0.002)
+
+
+def test_a_match_that_moves_along_the_grade_takes_its_height_along() -> None:
+    found = heights(off(east_m=1.0))  # at the height of the place before
+    assert found.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
+    assert found.map_from_vehicle[2, 3] == pytest.approx(GRADE, abs=0.004)
+
+
+def test_a_sweep_that_shows_no_road_says_no_height_and_leaves_the_match() -> None:
+    walls = np.column_stack((np.full(500, 12.0), np.linspace(-9.0, 9.0, 500), np.linspace(0.5, 4.0, 500)))
+    match = off(up_m=0.05)
+    found = heights(match, sweep_m=walls)
+    assert found.matched_m is None
+    np.testing.assert_array_equal(found.map_from_vehicle, match)
+
+
+def test_beside_the_road_of_the_map_nothing_is_known() -> None:
+    found = heights(map_from_vehicle(0.0, 14.0, 0.0, 0.0, 0.0, 0.0))
+    assert (found.matched_m, found.ground_m, found.slope_forward) == (None, None, None)
+
+
+def test_the_bodys_tilt_against_the_road_is_that_of_its_own_returns() -> None:
+    own = ground_plane(SEEN, MOUNT)
+    assert own is not None
+    assert own.tilt == pytest.approx((0.0, -NOSE_UP_RAD), abs=1e-3)
+    assert heights(off(), own).ground_m == pytest.approx(HEIGHT_M, abs=0.004)
+    turned = ground_plane(SEEN @ TRUTH[:3, :3].T, MOUNT)  # as if it were level: six degrees
+    assert turned is not None
+    assert (turned.problem, turned.tilt) == ("mounting", (0.0, 0.0))
+    assert heights(off(), turned).misplaced
+
+
+@pytest.mark.parametrize("by", ["surface", "line"])
+def test_a_local_map_is_set_down_on_the_grade_by_its_own_ground_or_by_the_maps_line(by: RoadBy) -> None:
+    standing = set_down(SEEN, BLOCK, 0.0, 0.0, 0.0, 0.2, by=by)
+    assert standing is not None
+    _, pitch_rad, _ = roll_pitch_yaw_from_rotation(standing.map_from_local)
+    assert abs(standing.map_from_local[2, 3]) < 0.03
+    # The line is the road's; only its own ground shows how the body stands on it.
+    body_rad = NOSE_UP_RAD if by == "surface" else 0.0
+    assert pitch_rad == pytest.approx(-math.atan(GRADE) - body_rad, abs=math.radians(0.1))
+
+
+def test_without_ground_in_sight_the_maps_line_serves() -> None:
+    walls = SEEN + np.array([0.0, 0.0, 2.0])
+    standing = set_down(walls, BLOCK, 0.0, 0.0, 0.0, 0.2)
+    assert standing is not None
+    assert standing.road is None
+    assert abs(standing.map_from_local[2, 3]) < 0.03
+
+
+def test_where_the_map_has_no_road_nothing_is_set_down() -> None:
+    assert set_down(SEEN, BLOCK, 500.0, 500.0, 0.0, 0.0) is None

@@ -1,0 +1,73 @@
+"""The covariance of a match: what is seen, what is not, and that many points on one wall are not many witnesses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camber.localizer.matching.match_covariance import FLOOR_M, UNSEEN_M, axes, degenerate, planar_covariance
+from camber.localizer.matching.point_to_plane import fit_planes, nearest_pairs, plane_rows
+from camber.localizer.matching.registration import LayerTarget
+from support.plain_layers import CORRIDOR, MAP_DENSITY, YARD, pose, surfaces
+
+AT = pose(0.0, 0.0, 0.0)
+
+
+def covariance(
+    walls: list[tuple[tuple[float, float], tuple[float, float]]], density: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    target = LayerTarget.of(surfaces(walls, MAP_DENSITY, np.random.default_rng(1)))
+    source = surfaces(walls, density, np.random.default_rng(2))
+    return planar_covariance(
+        plane_rows(target, source, AT, "planar", nearest_pairs(target, source, AT)), source
+    )
+
+
+def test_in_a_yard_everything_is_seen_and_no_better_than_the_floor() -> None:
+    sigma = np.sqrt(np.diag(covariance(YARD, 10.0)))
+    assert (sigma[:2] >= FLOOR_M).all()
+    assert (sigma[:2] < 0.02).all()
+    assert not degenerate(covariance(YARD, 10.0))
+
+
+def test_in_a_corridor_the_way_along_is_not_known() -> None:
+    c = covariance([((-30.0, -4.0), (30.0, -4.0)), ((-30.0, 4.0), (30.0, 4.0))], 10.0)
+    assert degenerate(c)
+    assert c[0, 0] > 0.5 * UNSEEN_M**2
+    assert c[1, 1] < 0.03**2
+    sigmas, directions = axes(c)
+    assert sigmas[0] > 5.0 > 0.1 > sigmas[1]
+    assert abs(directions[0, 0]) > 0.99
+
+
+def test_twice_as_many_points_on_the_same_walls_tell_hardly_more() -> None:
+    few, many = covariance(YARD, 10.0), covariance(YARD, 40.0)
+    assert np.diag(many)[:2] == pytest.approx(np.diag(few)[:2], rel=0.2)
+
+
+def test_without_any_pair_nothing_is_known() -> None:
+    target = LayerTarget.of(surfaces(CORRIDOR, 5.0, np.random.default_rng(1)))
+    source = surfaces(YARD, 1.0, np.random.default_rng(2)) + 500.0
+    rows = plane_rows(target, source, AT, "planar", nearest_pairs(target, source, AT))
+    assert np.sqrt(np.diag(planar_covariance(rows, source)))[:2] == pytest.approx(UNSEEN_M, rel=1e-3)
+
+
+def test_errors_are_no_larger_than_the_covariance_says() -> None:
+    """Yards whose walls stand otherwise than the map says, each by 2 cm: what neighbouring points share."""
+    random = np.random.default_rng(5)
+    squares = []
+    for seed in range(25):
+        moved_walls = [
+            tuple(tuple(np.array(end) + shift) for end in wall)
+            for wall, shift in zip(YARD, random.normal(0.0, 0.02, (len(YARD), 2)), strict=True)
+        ]
+        target = LayerTarget.of(surfaces(YARD, 12.0, np.random.default_rng((seed, 1))))
+        source = surfaces(moved_walls, 4.0, np.random.default_rng((seed, 2)))  # type: ignore[arg-type]
+        fit = fit_planes([(target, source)], AT, "planar", 1.0, 0.15)
+        rows = plane_rows(
+            target, source, fit.transform, "planar", nearest_pairs(target, source, fit.transform)
+        )
+        t = fit.transform
+        error = np.array([t[0, 3], t[1, 3], np.arctan2(t[1, 0], t[0, 0])])
+        squares.append(float(error @ np.linalg.solve(planar_covariance(rows, source), error)))
+    assert np.mean(squares) < 3.0 * 1.5

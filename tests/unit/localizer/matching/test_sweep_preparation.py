@@ -1,0 +1,206 @@
+"""Sweeps made ready for matching, and what is said of those that cannot be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
+from camber.localizer.filter.dead_reckoning import MotionStep, RelativeTrack
+from camber.localizer.matching.sweep_preparation import (
+    PreparedSweep,
+    SensorMount,
+    SweepOptions,
+    prepare_sweep,
+)
+
+END_NS = 1_400_000_000 * 10**9
+TURN_NS = 100_000_000
+MOUNT = SensorMount(1.1, 0.2, 1.95, 0.02, -0.03, 0.4)
+FINE = SweepOptions(voxel_m=0.001)
+
+
+def driving(speed_m_s: float = 20.0, rate_rad_s: float = 0.4) -> RelativeTrack:
+    track = RelativeTrack()
+    for k in range(-200, 1):
+        step = MotionStep("applied", 0.01, False, speed_m_s, rate_rad_s, None, 0.0, 0.0, 0.0, 0.0, 0.0)
+        track.append(END_NS + k * 10_000_000, step, speed_m_s, rate_rad_s)
+    return track
+
+
+def walls(n: int = 3000, seed: int = 1) -> NDArray[np.float64]:
+    """Points that stand still, in the vehicle frame of the sweep's end, all around it."""
+    rng = np.random.default_rng(seed)
+    around, far = rng.uniform(-math.pi, math.pi, n), rng.uniform(12.0, 50.0, n)
+    return np.column_stack((far * np.cos(around), far * np.sin(around), rng.uniform(0.0, 8.0, n)))
+
+
+def measured(
+    points_m: NDArray[np.float64], track: RelativeTrack, seed: int = 2
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """As the sensor sees them on the way: each from where it was at the point's own time, by the track itself."""
+    offset_ns = -np.random.default_rng(seed).integers(0, TURN_NS, len(points_m)).astype(np.int32)
+    end = track.at(END_NS)
+    assert end is not None
+    track_from_end = map_from_vehicle(end.east_m, end.north_m, 0.0, 0.0, 0.0, end.yaw_rad)
+    seen = np.empty(points_m.shape, np.float32)
+    for i, (point, offset) in enumerate(zip(points_m, offset_ns.tolist(), strict=True)):
+        at = track.at(END_NS + offset)
+        assert at is not None
+        track_from_vehicle = map_from_vehicle(at.east_m, at.north_m, 0.0, 0.0, 0.0, at.yaw_rad)
+        sensor_from_end = invert(track_from_vehicle @ MOUNT.vehicle_from_sensor) @ track_from_end
+        seen[i] = transform_points(sensor_from_end, point[None])[0]
+    return seen, offset_ns
+
+
+def prepared(
+    points_m: NDArray[np.float32] | None = None,
+    offset_ns: NDArray[np.int32] | None = None,
+    *,
+    track: RelativeTrack | None = None,
+    **options: object,
+) -> PreparedSweep:
+    track = driving() if track is None else track
+    if points_m is None:
+        points_m, offset_ns = measured(walls(), track)
+    assert offset_ns is not None
+    return prepare_sweep(points_m, offset_ns, END_NS, MOUNT, track, **options)  # type: ignore[arg-type]
+
+
+def test_what_stands_still_is_where_it_is_seen_from_at_the_end() -> None:
+    truth, track = walls(), driving()
+    found = prepared(*measured(truth, track), track=track, options=FINE)
+    assert found.problem is None
+    assert found.skew_m == 0.0
+    assert found.at == track.at(END_NS)
+    np.testing.assert_allclose(found.points_m, truth, atol=2e-3)
+
+
+def test_without_the_motion_it_would_be_metres_off() -> None:
+    truth, track = walls(), driving()
+    points, _ = measured(truth, track)
+    frozen = prepared(points, np.zeros(len(points), np.int32), track=track, options=FINE)
+    assert frozen.problem == "no_offsets"
+    assert frozen.usable
+    assert frozen.skew_m == pytest.approx(2.0, abs=1e-6)
+    assert np.abs(frozen.points_m - truth).max() > 1.0
+
+
+def test_a_standing_vehicle_needs_no_de_skewing() -> None:
+    track = driving(0.0, 0.0)
+    truth = walls()
+    found = prepared(*measured(truth, track), track=track, options=FINE)
+    np.testing.assert_allclose(found.points_m, truth, atol=1e-4)
+
+
+def test_it_is_thinned_and_no_voxel_is_lost() -> None:
+    track = driving()
+    found = prepared(track=track)
+    fine = prepared(track=track, options=FINE)
+    cells = {tuple(cell) for cell in np.floor(fine.points_m / 0.3).astype(int).tolist()}
+    assert len(found.points_m) == len(cells)
+
+
+def test_the_same_sweep_gives_the_same_bytes() -> None:
+    assert prepared().points_m.tobytes() == prepared().points_m.tobytes()
+
+
+def test_points_that_are_no_numbers_are_left_out_and_counted() -> None:
+    points, offset = measured(walls(), driving())
+    points[::10] = np.nan
+    points[5] = np.inf
+    points[6, 1] = -np.inf
+    found = prepared(points, offset)
+    assert found.problem is None
+    assert found.dropped == 302
+    assert np.isfinite(found.points_m).all()
+
+
+def test_the_own_vehicle_and_what_is_too_near_or_too_far_is_left_out() -> None:
+    track = driving(0.0, 0.0)
+    truth = walls()
+    truth[:4] = [[2.0, 0.5, 1.0], [-1.0, -1.0, 0.3], [1.3, 0.3, 2.1], [80.0, 0.0, 1.0]]
+    found = prepared(*measured(truth, track), track=track, options=FINE)
+    assert len(found.points_m) == len(truth) - 4
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3), np.float32), np.full((500, 3), np.nan, np.float32)])
+def test_a_sweep_without_points_is_empty(points: NDArray[np.float32]) -> None:
+    found = prepared(points, np.zeros(len(points), np.int32))
+    assert found.problem == "empty"
+    assert not found.usable
+    assert found.points_m.shape == (0, 3)
+
+
+def test_a_handful_of_points_is_too_few() -> None:
+    points, offset = measured(walls(150), driving())
+    assert prepared(points, offset).problem == "too_few_points"
+
+
+def test_half_a_sweep_is_used_and_called_so() -> None:
+    points, offset = measured(walls(), driving())
+    ahead = points[:, 0] > 0.0
+    found = prepared(points[ahead], offset[ahead])
+    assert found.problem == "half_sweep"
+    assert found.usable
+    assert found.coverage == pytest.approx(0.5, abs=0.03)
+    assert prepared(points, offset).coverage > 0.98
+
+
+@pytest.mark.parametrize("part", [0.1, 0.3, 0.75])
+def test_coverage_is_the_share_of_all_directions(part: float) -> None:
+    points, offset = measured(walls(20_000), driving())
+    seen = (np.arctan2(points[:, 1], points[:, 0]) % (2.0 * math.pi)) < part * 2.0 * math.pi
+    assert prepared(points[seen], offset[seen]).coverage == pytest.approx(part, abs=0.015)
+
+
+def test_times_tell_repeated_future_and_old_sweeps() -> None:
+    assert prepared(last_time_ns=END_NS).problem == "repeated"
+    assert prepared(last_time_ns=END_NS + 1).problem == "repeated"
+    assert prepared(last_time_ns=END_NS - 1).problem is None
+    assert prepared(now_ns=END_NS - 60_000_000).problem == "from_the_future"
+    assert prepared(now_ns=END_NS - 40_000_000).problem is None
+    assert prepared(now_ns=END_NS + 1_100_000_000).problem == "too_old"
+    assert not prepared(now_ns=END_NS + 1_100_000_000).usable
+
+
+def test_without_a_track_over_the_whole_sweep_there_is_no_motion() -> None:
+    late = RelativeTrack()
+    step = MotionStep("first", 0.0, False, 0.0, None, None, 0.0, 0.0, 0.0, 0.0, 0.0)
+    late.append(END_NS - 50_000_000, step, 0.0, 0.0)
+    points, offset = measured(walls(), driving())
+    for track in (RelativeTrack(), late):
+        found = prepared(points, offset, track=track)
+        assert found.problem == "no_motion"
+        assert found.at is None
+        assert found.skew_m is None
+        assert not found.usable
+
+
+def test_points_of_another_time_are_left_out_and_said() -> None:
+    points, offset = measured(walls(), driving())
+    offset[:300] = -250_000_000
+    offset[300:400] = 1_000
+    found = prepared(points, offset, options=FINE)
+    assert found.problem == "bad_offsets"
+    assert found.dropped == 400
+    assert len(found.points_m) == len(points) - 400
+
+
+def test_the_order_of_points_does_not_matter() -> None:
+    points, offset = measured(walls(), driving())
+    order = np.random.default_rng(3).permutation(len(points))
+    one, other = prepared(points, offset), prepared(points[order], offset[order])
+    np.testing.assert_allclose(
+        one.points_m[np.lexsort(one.points_m.T)], other.points_m[np.lexsort(other.points_m.T)], atol=1e-9
+    )
+
+
+def test_arrays_of_other_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="shapes"):
+        prepared(np.zeros((5, 2), np.float32), np.zeros(5, np.int32))
+    with pytest.raises(ValueError, match="shapes"):
+        prepared(np.zeros((5, 3), np.float32), np.zeros(4, np.int32))

@@ -1,0 +1,70 @@
+"""A fleet's uploads become decisions: a small one of the simulator's, with changed roads, wrong drives and liars."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camber.map_update.fusion.pipeline import Fusion
+from camber.map_update.fusion.votes import VOTE
+from support.fleet_statistics import Run, attacked, changes_under_way, honest, run_of
+from support.fleet_votes import DAY_NS
+from support.small_map import surface, surfaces
+
+NOBODY = np.zeros(0, np.int64)
+SECRET = b"sixteen bytes at least"
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """Sixty vehicles, two drives of five minutes each."""
+    return run_of(4, "fleet.vehicles=60", "fleet.drives_each=2", "duration_s=300.0", "fleet.rate_hz=4.0")
+
+
+def test_changes_are_published_unchanged_roads_are_left_and_the_mean_of_records_does_neither(
+    run: Run,
+) -> None:
+    found = honest(run, 60)
+    assert found["surfaces"] > 150
+    assert found["ready"] > 20
+    assert found["missed"] <= 1
+    assert found["published"] > 20
+    assert found["false"] == found["published_off"] == found["alarms"] == 0
+    assert found["rmse_unchanged_mm"] < 8.0
+    assert found["mean_rmse_unchanged_mm"] > 2.0 * found["rmse_unchanged_mm"]
+    assert found["mean_false"] > 0
+
+
+def test_a_fifth_of_a_streets_vehicles_brings_nothing_of_theirs_about(run: Run) -> None:
+    for found in attacked(run, 1, shares=(0.2,)):
+        assert found["theirs"] == 0, found
+        assert found["moved_mm"] < 10.0, found
+
+
+def test_a_road_resurfaced_under_way_is_seen_within_the_week(run: Run) -> None:
+    found = changes_under_way(run)
+    assert found["seen"] >= 0.8 * found["surfaces"]
+    assert found["between"] <= 0.1 * found["surfaces"]
+
+
+def test_votes_of_unknown_surfaces_and_of_other_times_decide_nothing(run: Run) -> None:
+    votes = run.votes.copy()
+    votes["surface_id"] = -5 - np.arange(len(votes))[::-1]
+    assert len(run.decide(votes).surfaces) == 0
+    assert len(run.decide(run.votes, run.now_ns + 100 * DAY_NS).surfaces) == 0
+    assert len(run.decide(np.zeros(0, VOTE)).surfaces) == 0
+
+
+def test_a_correction_that_the_votes_bear_out_is_left_alone(run: Run) -> None:
+    first = run.decide(run.votes).of("publish")
+    again = run.fusion.decide(run.votes, first["surface_id"], first["correction_m"], run.now_ns)
+    rows = again.surfaces[np.isin(again.surfaces["surface_id"], first["surface_id"])]
+    assert (rows["decision"] == 0).all()
+    assert rows["correction_m"] == pytest.approx(first["correction_m"])
+
+
+def test_votes_that_are_not_in_order_are_refused() -> None:
+    fusion = Fusion(surfaces([surface(1)]), SECRET)
+    votes = np.zeros(2, VOTE)
+    with pytest.raises(ValueError, match="row 1 is not after the one before it"):
+        fusion.decide(votes, NOBODY, np.zeros(0), DAY_NS)

@@ -1,0 +1,171 @@
+"""Vehicle biases: found from other streets, shrunk to what is known, and no way to explain a changed road away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from camber.map_update.fusion.biweight import ChangeRule, heights_of
+from camber.map_update.fusion.vehicle_bias import Biases, BiasModel, Components, biases_of
+
+Floats = NDArray[np.float64]
+MODEL = BiasModel()
+
+
+@dataclass
+class District:
+    """Votes as a fleet casts them over streets of ten surfaces each, in the order of surfaces and voters."""
+
+    surface: NDArray[np.int64]
+    voter: NDArray[np.int64]
+    session: NDArray[np.int64]
+    value_m: Floats
+    sigma_m: Floats
+
+    def fused(self) -> tuple[Biases, Floats]:
+        """Biases in this order, and the heights of the surfaces."""
+        order = np.lexsort((self.session, self.voter, self.surface))
+        surfaces, begins = np.unique(self.surface[order], return_index=True)
+        begins = np.append(begins, len(order))
+        found = biases_of(
+            begins,
+            surfaces[np.repeat(np.arange(len(surfaces)), np.diff(begins))] // 10,
+            self.voter[order],
+            self.session[order],
+            self.value_m[order],
+            self.sigma_m[order],
+            np.zeros(len(surfaces)),
+            MODEL,
+        )
+        heights = heights_of(
+            begins,
+            self.voter[order],
+            self.session[order],
+            self.value_m[order] - found.bias_m,
+            found.weight,
+            found.known,
+            found.components.vote_m,
+            ChangeRule(),
+        )
+        back = np.argsort(order)
+        ordered = Biases(
+            found.bias_m[back],
+            found.variance_m2[back],
+            found.weight[back],
+            found.known[back],
+            found.components,
+            found.voters,
+        )
+        return ordered, heights.location_m
+
+
+def district(seed: int, vehicles: int = 60, streets: int = 6, sessions: int = 3) -> tuple[District, Floats]:
+    """Everyone drives everywhere; with the true bias (n,) of each vote."""
+    rng = np.random.default_rng(seed)
+    v, g, s = (x.ravel() for x in np.mgrid[:vehicles, :sessions, : 10 * streets])
+    bias_m = rng.normal(0.0, 0.02, vehicles)[v] + rng.normal(0.0, 0.015, (vehicles, sessions))[v, g]
+    value_m = bias_m + rng.normal(0.0, 0.014, len(v))
+    return District(s, v, g, value_m, np.full(len(v), 0.02)), bias_m
+
+
+def rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def test_biases_and_their_parts_are_found() -> None:
+    made, true_m = district(1)
+    found, heights_m = made.fused()
+    # All but what the vehicles have in common, which nobody can know: 2 cm over √60, 2.6 mm.
+    error_m = found.bias_m - true_m
+    assert rms(error_m - error_m.mean()) < 0.003
+    assert abs(error_m.mean()) < 0.008
+    assert rms(heights_m - heights_m.mean()) < 0.0025
+    assert found.components == pytest.approx(Components(0.014, 0.015, 0.02), rel=0.25)
+    assert found.known.all()
+
+
+def test_the_stated_variance_is_that_of_the_error() -> None:
+    squares = []
+    for seed in range(10):
+        made, true_m = district(seed, streets=2, sessions=2)
+        found, _ = made.fused()
+        error_m = found.bias_m - true_m
+        squares.append(np.mean((error_m - error_m.mean()) ** 2) / np.mean(found.variance_m2))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_vehicle_20_cm_off_contributes_nothing_wrong() -> None:
+    made, _ = district(2)
+    _, before_m = made.fused()
+    made.value_m[made.voter == 7] += 0.2
+    found, after_m = made.fused()
+    assert np.abs(after_m - before_m).max() < 0.001
+    assert found.weight[made.voter == 7].max() < 0.01
+
+
+def test_a_vehicle_6_cm_off_is_put_right() -> None:
+    made, _ = district(2)
+    _, before_m = made.fused()
+    made.value_m[made.voter == 7] += 0.06
+    found, after_m = made.fused()
+    assert np.abs(after_m - before_m).max() < 0.002
+    assert found.bias_m[made.voter == 7].mean() > 0.03
+
+
+def test_a_changed_street_is_not_taken_for_the_bias_of_those_who_drive_there() -> None:
+    """Forty vehicles drive on one street only, which is 10 cm higher; twenty drive everywhere."""
+    made, _ = district(3)
+    only = made.voter >= 20
+    keep = ~only | (made.surface < 10)
+    made = District(
+        made.surface[keep], made.voter[keep], made.session[keep], made.value_m[keep], made.sigma_m[keep]
+    )
+    made.value_m[made.surface < 10] += 0.1
+    found, heights_m = made.fused()
+    assert heights_m[:10] == pytest.approx(np.full(10, 0.1), abs=0.02)
+    only = made.voter >= 20
+    assert not found.known[only].any()
+    assert (found.bias_m[only] == 0.0).all()
+    assert found.variance_m2[only] == pytest.approx(0.02**2 + 0.015**2, rel=0.5)
+    assert found.known[~only].all()
+
+
+def test_who_lies_about_one_street_has_nothing_taken_off_there() -> None:
+    made, _ = district(4)
+    honest, _ = made.fused()
+    there = (made.voter < 12) & (made.surface < 10)
+    made.value_m[there] += 0.08
+    lied, heights_m = made.fused()
+    assert lied.bias_m[there] == pytest.approx(honest.bias_m[there], abs=0.005)
+    assert np.abs(heights_m[:10] - heights_m[10:].mean()).max() < 0.012
+
+
+def test_a_session_of_wrong_fixes_spoils_neither_its_vehicle_nor_the_street() -> None:
+    made, _ = district(5)
+    honest, before_m = made.fused()
+    wrong = (made.voter == 3) & (made.session == 1)
+    made.value_m[wrong] += 0.9
+    found, after_m = made.fused()
+    others = (made.voter == 3) & (made.session != 1)
+    assert found.bias_m[others] == pytest.approx(honest.bias_m[others], abs=0.004)
+    assert found.weight[wrong].max() == 0.0
+    assert np.abs(after_m - before_m).max() < 0.001
+
+
+def test_to_state_a_small_sigma_is_no_gain_and_to_state_a_large_one_a_loss() -> None:
+    made, _ = district(6)
+    plain, _ = made.fused()
+    made.sigma_m[made.voter == 1] = 0.001
+    made.sigma_m[made.voter == 2] = 0.3
+    found, _ = made.fused()
+    assert found.weight[made.voter == 1] == pytest.approx(plain.weight[made.voter == 1], rel=0.01)
+    assert found.weight[made.voter == 2].max() < 0.02
+
+
+def test_of_two_vehicles_little_is_believed() -> None:
+    made, _ = district(7, vehicles=2, streets=2, sessions=1)
+    found, _ = made.fused()
+    assert found.components == pytest.approx(MODEL.prior, rel=0.5)

@@ -1,0 +1,96 @@
+"""Slots: a bounded number of votes for each surface and period, that neither recency nor volume nor a name can fill."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camber.map_update.fusion.vote_slots import Slots, kept
+from camber.map_update.fusion.votes import VOTE, Votes, merged
+
+SECRET = b"sixteen bytes at least"
+SLOTS = Slots(period_days=7, periods=4, voters=20, sessions=2)
+TODAY = 7 * 1000 + 6
+
+
+def cast(voters: np.ndarray, sessions: np.ndarray, surface: int = 1) -> Votes:
+    found = np.zeros(len(voters), VOTE)
+    found["surface_id"], found["voter"], found["session"] = surface, voters, sessions
+    for k in range(5):
+        found[f"rank_{k}"] = 2**31 - 1
+    found["rank_0"] = 1
+    return merged(found)
+
+
+def crowd(seed: int, n: int, days: range = range(TODAY - 20, TODAY + 1)) -> Votes:
+    rng = np.random.default_rng(seed)
+    names = rng.integers(0, 2**62, n)
+    return cast(np.repeat(names, 3), rng.integers(days.start, days.stop, 3 * n))
+
+
+def keep(votes: Votes, secret: bytes = SECRET, slots: Slots = SLOTS) -> Votes:
+    return kept(votes, secret, slots, newest_session=TODAY)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_thinned_as_they_arrive_or_at_the_end_the_same_are_kept(seed: int) -> None:
+    parts = [crowd(10 * seed + k, 40) for k in range(5)]
+    at_the_end = keep(merged(*parts))
+    as_they_come = keep(parts[3])
+    for k in (0, 4, 1, 3, 2):
+        as_they_come = keep(merged(as_they_come, parts[k]))
+    assert as_they_come.tobytes() == at_the_end.tobytes()
+
+
+def test_each_period_has_its_own_slots_and_they_are_bounded() -> None:
+    found = keep(merged(*(crowd(k, 200) for k in range(3))))
+    period = found["session"] // 7
+    for one in np.unique(period):
+        names, each = np.unique(found["voter"][period == one], return_counts=True)
+        assert len(names) == 20
+        assert each.max() <= 2
+    assert len(np.unique(period)) == 3
+
+
+def test_old_periods_are_dropped_and_so_is_the_future() -> None:
+    found = keep(cast(np.array([1, 1, 1, 1]), np.array([TODAY - 28, TODAY - 27, TODAY, TODAY + 1])))
+    assert found["session"].tolist() == [TODAY - 27, TODAY]
+
+
+def test_who_drives_by_daily_has_no_better_chance_than_who_came_once() -> None:
+    """A tenth of the vehicles, with seven votes each, get a tenth of the slots: expected 200 of 2,000, σ 13."""
+    share = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        names = rng.integers(0, 2**62, 200)
+        once = cast(names[20:], rng.integers(TODAY - 6, TODAY + 1, 180))
+        daily = cast(np.repeat(names[:20], 7), np.tile(np.arange(TODAY - 6, TODAY + 1), 20))
+        share += len(np.intersect1d(keep(merged(once, daily))["voter"], names[:20]))
+    assert 150 <= share <= 250
+
+
+def test_who_comes_last_does_not_push_out_who_came_before() -> None:
+    early = crowd(1, 40, range(TODAY - 6, TODAY - 3))
+    late = crowd(2, 40, range(TODAY - 1, TODAY + 1))
+    names = keep(merged(early, late))["voter"]
+    assert 4 <= len(np.intersect1d(names, early["voter"])) <= 16
+
+
+def test_which_names_get_in_nobody_can_tell_without_the_secret_nor_from_another_street() -> None:
+    votes = crowd(3, 100, range(TODAY - 6, TODAY + 1))
+    elsewhere = votes.copy()
+    elsewhere["surface_id"] = 2
+    names = [
+        set(keep(one, secret)["voter"].tolist())
+        for one, secret in ((votes, SECRET), (votes, b"another secret of bytes"), (elsewhere, SECRET))
+    ]
+    for k in range(3):
+        assert len(names[k] & names[k - 1]) <= 12
+
+
+def test_where_there_is_room_everything_is_kept() -> None:
+    votes = crowd(4, 15)
+    assert keep(votes, slots=replace(SLOTS, sessions=7)).tobytes() == votes.tobytes()
+    assert len(keep(np.zeros(0, VOTE))) == 0

@@ -1,0 +1,66 @@
+"""What went into the queue comes out of it, and nothing else does."""
+
+import numpy as np
+import pytest
+
+from camber.map_update.admission import Refusal
+from camber.map_update.queue.queue_messages import (
+    Parcel,
+    QueueMessageError,
+    pack_outcomes,
+    pack_parcels,
+    unpack_outcomes,
+    unpack_parcels,
+)
+from camber.map_update.stores.store import Outcome
+from support.contributions import contribution, random_batch
+
+
+def parcels() -> list[Parcel]:
+    rng = np.random.default_rng(4)
+    refusal = Refusal("datum", "datum Tokyo, expected WGS84")
+    return [
+        Parcel(random_batch("b1", 20, rng), None),
+        Parcel(contribution("u1", datum="Tokyo"), refusal),
+        Parcel(random_batch("b2", 3, rng), None),
+    ]
+
+
+def test_parcels_come_out_as_they_went_in():
+    sent = parcels()
+    reply, found = unpack_parcels(pack_parcels("_INBOX.a1.7", sent))
+    assert reply == "_INBOX.a1.7"
+    assert [parcel.refusal for parcel in found] == [parcel.refusal for parcel in sent]
+    for got, was in zip(found, sent, strict=True):
+        assert got.contribution.name == was.contribution.name
+        assert got.contribution.digest() == was.contribution.digest()
+
+
+def test_outcomes_come_back_as_they_were():
+    outcomes = [Outcome("stored"), Outcome("duplicate"), Outcome("refused", Refusal("datum", "datum Tokyo"))]
+    assert unpack_outcomes(pack_outcomes(outcomes)) == outcomes
+
+
+def test_rows_that_are_not_finite_are_no_parcel():
+    sent = contribution("u1")
+    sent.observations["road_height_m"] = np.nan
+    with pytest.raises(QueueMessageError, match="finite"):
+        unpack_parcels(pack_parcels("_INBOX.a", [Parcel(sent, None)]))
+
+
+@pytest.mark.parametrize("vehicle", ["", "a b", "a\0b", "x" * 65])
+def test_a_name_that_is_none_is_no_parcel(vehicle):
+    with pytest.raises(QueueMessageError, match="vehicle"):
+        unpack_parcels(pack_parcels("_INBOX.a", [Parcel(contribution("u1", vehicle=vehicle), None)]))
+
+
+@pytest.mark.parametrize(
+    "damage", [b"", b"\0\0\0\0", b"\xff\xff\xff\xff", b"\1\0\0\0\x90", b"\x05\0\0\0\x93\x02\xa1a\x90"]
+)
+def test_what_is_no_message_is_an_error_that_says_so(damage):
+    with pytest.raises(QueueMessageError):
+        unpack_parcels(damage)
+    with pytest.raises(QueueMessageError):
+        unpack_outcomes(damage)
+    with pytest.raises(QueueMessageError):
+        unpack_parcels(pack_parcels("_INBOX.a", parcels())[:-1])

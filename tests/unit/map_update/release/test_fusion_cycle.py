@@ -1,0 +1,199 @@
+"""What comes of uploads in a store: votes taken in once, and a release of the road as the fleet finds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.map_update.contribution import OBSERVATION, QUALITIES, Contribution
+from camber.map_update.fusion.pipeline import Fusion
+from camber.map_update.release.fusion_cycle import Round, Rounds, Taken
+from camber.map_update.release.release_builder import ReleaseMaking
+from camber.map_update.release.review import Decided, Review
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import OvertakenError, Store
+from camber.road_map.release import open_release, read_release
+from support.contributions import committed
+from support.small_map import DAY_NS, MADE_NS, at, link, surface, write
+
+SURFACES = 60
+CHANGED = range(20, 24)
+"""Of a road of 1,200 m these four pieces are 8 cm higher than at the survey."""
+SECRET = bytes(range(32))
+NOW_NS = MADE_NS + 6 * DAY_NS
+
+
+def drive(vehicle: int, day: int, *, raised_m: float = 0.08, datum: str = "WGS84") -> Contribution:
+    """All pieces twice in one batch; each vehicle has its bias, each observation its noise."""
+    rng = np.random.default_rng([vehicle, day])
+    piece = np.repeat(np.arange(SURFACES), 2)
+    rows = np.zeros(len(piece), OBSERVATION)
+    rows["time_ns"] = MADE_NS + day * DAY_NS + vehicle * 10**9 + np.arange(len(rows)) * 10**8
+    rows["fix_id"] = rows["time_ns"] // 10**6
+    rows["fix_quality"] = QUALITIES.index("fixed")
+    rows["surface_id"] = piece
+    places = [at(20.0 * k, 0.3) for k in piece.tolist()]
+    rows["latitude_rad"], rows["longitude_rad"] = np.array(places).T
+    rows["horizontal_sigma_m"], rows["road_height_sigma_m"] = 0.02, 0.02
+    bias_m = 0.02 * np.random.default_rng(vehicle).standard_normal()
+    rows["road_height_m"] = 50.0 + bias_m + 0.005 * rng.standard_normal(len(rows))
+    rows["road_height_m"][np.isin(piece, CHANGED)] += raised_m
+    rows["antenna_height_m"] = 1.6
+    return Contribution(
+        vehicle=f"car{vehicle}",
+        kind="batch",
+        id=f"{day}",
+        datum=datum,
+        map_version=7,
+        epoch_year=2024.0,
+        position_covariance_enu_m2=None,
+        observations=rows,
+    )
+
+
+def fleet() -> list[Contribution]:
+    return [drive(vehicle, day) for day in (1, 3, 5) for vehicle in range(12)]
+
+
+def rounds(folder: Path, store: Store, **more: float) -> Rounds:
+    if not (folder / "in").exists():
+        rows = [surface(k, 20.0 * k, link_id=k // 10) for k in range(SURFACES)]
+        roads = [
+            link(k, (k, k + 1), [(200.0 * k - 10.0, 0.0), (200.0 * k + 190.0, 0.0)])
+            for k in range(SURFACES // 10)
+        ]
+        write(folder / "in", rows, roads)
+    reference = open_release(folder / "in")
+    fusion = Fusion(reference.road_surfaces(), SECRET)
+    making = ReleaseMaking(folder / "out", reference, signing_key=None)
+    return Rounds(store, fusion, making, **more)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return SqliteStore(tmp_path / "uploads.sqlite")
+
+
+def all_steps(fusing: Rounds, now_ns: int) -> Round:
+    while isinstance(done := fusing.step(now_ns), Taken):
+        pass
+    assert done is not None
+    return done
+
+
+def raised_m(folder: Path) -> np.ndarray:
+    return np.array([grid.mean() - 50.0 for grid in read_release(folder / "out").road_surfaces().heights_m])
+
+
+def test_a_changed_road_comes_out_and_what_did_not_change_stays(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    found = all_steps(rounds(tmp_path, store), NOW_NS)
+    offset_m = raised_m(tmp_path)
+    assert found.made
+    assert offset_m[CHANGED] == pytest.approx([0.08] * 4, abs=0.02)
+    assert np.abs(np.delete(offset_m, CHANGED)).max() == 0.0
+    assert set(found.decisions.of("publish")["surface_id"]) == set(CHANGED)
+
+
+def test_the_first_release_is_the_reference(tmp_path: Path, store: Store) -> None:
+    found = all_steps(rounds(tmp_path, store), NOW_NS)
+    assert found.made
+    assert np.abs(raised_m(tmp_path)).max() == 0.0
+
+
+def test_nothing_new_makes_nothing_new(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    fusing = rounds(tmp_path, store, every_s=60.0)
+    first = all_steps(fusing, NOW_NS)
+    assert fusing.step(NOW_NS + 59 * 10**9) is None  # not due
+    assert fusing.step(NOW_NS + 61 * 10**9) is None  # nothing has come
+    again = all_steps(rounds(tmp_path, store), NOW_NS + 10**9)  # as after a restart
+    assert (again.made, again.root) == (False, first.root)
+
+
+def test_however_the_steps_are_cut_the_release_is_the_same(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "cut").mkdir()
+    all_steps(rounds(tmp_path / "whole", store), NOW_NS)
+    other = SqliteStore(tmp_path / "cut" / "uploads.sqlite")
+    for contribution in reversed(fleet()):
+        committed(other, contribution)
+    # A process of its own for each step, as if each had been killed after it.
+    while isinstance(rounds(tmp_path / "cut", other, most=100).step(NOW_NS), Taken):
+        pass
+    assert raised_m(tmp_path / "cut").tolist() == raised_m(tmp_path / "whole").tolist()
+    assert other.progress().cursor == len(fleet())
+
+
+def test_a_step_that_is_overtaken_writes_nothing(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    slow, quick = rounds(tmp_path, store), rounds(tmp_path, store)
+
+    class Overtaking(SqliteStore):
+        def observations_after(self, cursor: int, limit: int):  # type: ignore[no-untyped-def]
+            found = super().observations_after(cursor, limit)
+            quick.step(NOW_NS)
+            return found
+
+    slow._store = Overtaking(tmp_path / "uploads.sqlite")
+    with pytest.raises(OvertakenError):
+        slow.step(NOW_NS)
+    votes = store.votes_of()
+    assert len(votes) == SURFACES * 36
+    assert store.progress().cursor == len(fleet())
+
+
+def test_observations_of_another_datum_are_kept_and_not_fused(tmp_path: Path, store: Store) -> None:
+    committed(store, drive(1, 1), drive(2, 1, datum="JGD2011"), drive(3, 1, datum="ITRF2020"))
+    taken = rounds(tmp_path, store).step(NOW_NS)
+    assert isinstance(taken, Taken)
+    assert (taken.contributions, taken.observations, taken.other_datum) == (3, 360, 120)
+    assert len(np.unique(store.votes_of()["voter"])) == 2
+
+
+def test_a_clock_that_is_set_back_does_not_stop_it(tmp_path: Path, store: Store) -> None:
+    fusing = rounds(tmp_path, store, every_s=60.0)
+    all_steps(fusing, NOW_NS)
+    committed(store, *fleet())
+    assert isinstance(fusing.step(NOW_NS - DAY_NS // 24), Taken)
+
+
+def test_a_road_that_is_lowered_again_is_the_reference_again(tmp_path: Path, store: Store) -> None:
+    committed(store, *fleet())
+    all_steps(rounds(tmp_path, store), NOW_NS)
+    later = [drive(vehicle, day, raised_m=0.0) for day in range(20, 40, 3) for vehicle in range(12)]
+    committed(store, *later)
+    found = all_steps(rounds(tmp_path, store), MADE_NS + 40 * DAY_NS)
+    assert found.made
+    assert np.abs(raised_m(tmp_path)).max() <= 0.01
+
+
+def test_what_a_person_accepts_or_rolls_back_is_taken_into_the_next_round(
+    tmp_path: Path, store: Store
+) -> None:
+    higher = [drive(vehicle, day, raised_m=0.7) for day in (1, 3, 5) for vehicle in range(12)]
+    committed(store, *higher)
+    fusing = rounds(tmp_path, store, every_s=1.0)
+    all_steps(fusing, NOW_NS)
+    review = Review(tmp_path / "out")
+    assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
+    accepted = [
+        Decided(h.surface_id, "accept", h.offset_m, "ann", "a new bridge", NOW_NS) for h in review.held()
+    ]
+    review.decide(accepted)
+    found = fusing.step(NOW_NS + 2 * 10**9)
+    assert isinstance(found, Round)
+    assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)
+    assert review.held() == []
+
+    making = ReleaseMaking(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
+    withdrawn = making.corrections()
+    making.roll_back(found.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
+    review.reject_again(withdrawn, who="ann", why="it was not", time_ns=NOW_NS + 3 * 10**9)
+    again = fusing.step(NOW_NS + 5 * 10**9)
+    assert isinstance(again, Round)
+    assert again.root.map_version == found.root.map_version + 1
+    assert np.abs(raised_m(tmp_path)).max() == 0.0

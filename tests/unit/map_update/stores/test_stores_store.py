@@ -1,0 +1,297 @@
+"""What a store has acknowledged it has, once; what it could not store it has not acknowledged. Of every database."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camber.map_update.contribution import Contribution
+from camber.map_update.fusion.votes import VOTE
+from camber.map_update.stores.postgres_store import PostgresStore
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import OvertakenError, Step, Store
+from support.contributions import (
+    NOW_NS,
+    committed,
+    contribution,
+    names_in,
+    random_batch,
+    refuse_all,
+    refuse_tokyo,
+    take_all,
+)
+from support.databases import PostgresServer, needs_postgres, running
+
+Open = Callable[[], Store]
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[PostgresServer]:
+    server = PostgresServer()
+    with running(server):
+        yield server
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgres", marks=needs_postgres)])
+def database(request, tmp_path) -> Iterator[Open]:
+    """Opens one database, empty at first, as often as it is called."""
+    path = tmp_path / "state" / "uploads.sqlite"
+    postgres = request.getfixturevalue("postgres") if request.param == "postgres" else None
+    address = postgres.new_database() if postgres else ""
+    with ExitStack() as ends:
+
+        def opened() -> Store:
+            # The limits are those of a machine with other things to do.
+            store = PostgresStore(address, limit_s=10.0) if address else SqliteStore(path, busy_s=10.0)
+            ends.callback(store.close)
+            return store
+
+        yield opened
+
+
+@pytest.fixture
+def store(database) -> Store:
+    return database()
+
+
+def test_an_upload_is_stored_once_and_then_a_duplicate_also_after_a_restart(database, store):
+    assert committed(store, contribution("u1")) == ["stored"]
+    assert committed(store, contribution("u1")) == ["duplicate"]
+    store.close()
+    again = database()
+    assert committed(again, contribution("u1")) == ["duplicate"]
+    assert again.counts() == (1, 1)
+
+
+def test_a_repetition_within_one_group_is_a_duplicate(store):
+    assert committed(store, contribution("u1"), contribution("u1")) == ["stored", "duplicate"]
+    assert store.counts() == (1, 1)
+
+
+def test_other_contents_under_a_stored_id_are_refused_and_what_is_stored_stays(store):
+    committed(store, contribution("u1", height_m=40.0))
+    (outcome,) = store.commit([contribution("u1", height_m=41.0)], NOW_NS, take_all)
+    assert outcome.status == "refused"
+    assert outcome.refusal is not None
+    assert outcome.refusal.code == "id_reused"
+    assert "u1" in outcome.refusal.text
+    assert store.observations_after(0, 10).rows["road_height_m"].tolist() == [40.0]
+
+
+def test_ids_of_two_vehicles_and_of_uploads_and_batches_are_apart(store):
+    same = [contribution("x"), contribution("x", vehicle="v2"), contribution("x", kind="batch")]
+    assert committed(store, *same) == ["stored"] * 3
+    assert names_in(store) == [("v1", "upload", "x"), ("v2", "upload", "x"), ("v1", "batch", "x")]
+
+
+def test_a_refused_upload_is_not_stored_and_the_others_of_its_group_are(store):
+    group = [contribution("u1"), contribution("bad", datum="Tokyo"), contribution("u2")]
+    assert committed(store, *group, judge=refuse_tokyo) == ["stored", "refused", "stored"]
+    assert store.counts() == (2, 2)
+    assert committed(store, contribution("bad")) == ["stored"]
+
+
+def test_what_is_stored_stays_a_duplicate_when_it_would_be_refused_today(store):
+    committed(store, contribution("u1"))
+    assert committed(store, contribution("u1"), judge=refuse_all) == ["duplicate"]
+
+
+def test_a_batch_is_one_ledger_row_and_all_its_observations_once(store):
+    batch = contribution("b1", kind="batch", records=1000)
+    assert committed(store, batch) == ["stored"]
+    assert committed(store, batch) == ["duplicate"]
+    assert store.counts() == (1, 1000)
+    found = store.observations_after(0, 10_000)
+    assert (len(found.headings), len(found.rows)) == (1, 1000)
+    heading = found.headings[0]
+    assert heading[1:] == ("v1", "batch", "b1", NOW_NS, "WGS84", 1, 2024.0)
+    assert found.cursor == heading.number
+
+
+def test_numbers_come_back_bit_for_bit(store):
+    rng = np.random.default_rng(3)
+    sent = [random_batch(f"b{n}", int(rng.integers(1, 200)), rng) for n in range(7)]
+    committed(store, *sent)
+    found = store.observations_after(0, 10_000)
+    assert found.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
+    assert found.heading_of.tolist() == [n for n, batch in enumerate(sent) for _ in batch.observations]
+
+
+def test_rows_of_a_contribution_come_in_the_order_of_time(store):
+    sent = contribution("b1", kind="batch", records=50)
+    sent.observations[:] = sent.observations[::-1].copy()
+    committed(store, sent, contribution("u1"))
+    times = store.observations_after(0, 100).rows["time_ns"]
+    assert times.tolist() == [*range(NOW_NS, NOW_NS + 50), NOW_NS]
+
+
+def test_reading_goes_on_at_the_cursor_in_whole_contributions_and_leaves_none_out(store):
+    committed(store, *(contribution(f"b{n}", kind="batch", records=n + 1) for n in range(12)))
+    cursor, seen, sizes = 0, [], []
+    while (found := store.observations_after(cursor, 10)).headings:
+        cursor = found.cursor
+        seen += [heading.id for heading in found.headings]
+        sizes.append(len(found.rows))
+    assert seen == [f"b{n}" for n in range(12)]
+    assert sizes == [1 + 2 + 3 + 4, 5, 6, 7, 8, 9, 10, 11, 12]
+    assert store.observations_after(cursor, 10).cursor == cursor
+    committed(store, contribution("later"))
+    assert [heading.id for heading in store.observations_after(cursor, 10).headings] == ["later"]
+
+
+def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicates(store):
+    for n in range(4):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    assert store.forget(NOW_NS + 10) == 0
+    third = store.observations_after(0, 100).headings[2].number
+    store.advance(store.progress(), Step(cursor=third))
+    assert store.forget(NOW_NS + 2) == 2
+    assert store.forget(NOW_NS + 2) == 0
+    found = store.observations_after(0, 100)
+    assert [found.headings[n].id for n in found.heading_of] == ["u2", "u3"]
+    assert store.forget(NOW_NS + 10, most=5) == 1
+    assert store.counts() == (4, 4)
+    assert committed(store, *(contribution(f"u{n}") for n in range(4))) == ["duplicate"] * 4
+
+
+def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_not_given_again(store):
+    for n in range(4):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    last = store.observations_after(0, 100).headings[3].number
+    assert store.prune(NOW_NS + 10) == 0
+    store.advance(store.progress(), Step(cursor=last))
+    assert store.prune(NOW_NS + 10) == 0
+    assert store.forget(NOW_NS + 3) == 3
+    assert [store.prune(NOW_NS + 10, most=2) for _ in range(3)] == [2, 1, 0]
+    assert store.counts() == (1, 1)
+    assert committed(store, contribution("u3")) == ["duplicate"]
+    assert store.forget(NOW_NS + 10) == store.prune(NOW_NS + 10) == 1
+    assert committed(store, contribution("u4")) == ["stored"]
+    assert store.observations_after(0, 100).headings[0].number == last + 1
+
+
+def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
+    for n in range(3):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    store.advance(store.progress(), Step(cursor=store.observations_after(0, 100).cursor))
+    store.forget(NOW_NS + 10)
+    assert store.prune(NOW_NS + 1) == 1
+    assert committed(store, *(contribution(f"u{n}") for n in (1, 2))) == ["duplicate"] * 2
+
+
+def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
+    for n in range(5):
+        store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
+    store.advance(store.progress(), Step(cursor=store.observations_after(0, 100).cursor))
+    assert [store.forget(NOW_NS + 5, most=2) for _ in range(4)] == [2, 2, 1, 0]
+
+
+def votes(*rows: tuple[int, int, int]) -> np.ndarray:
+    found = np.zeros(len(rows), VOTE)
+    for name, column in zip(("surface_id", "voter", "session"), np.transpose(rows), strict=True):
+        found[name] = column
+    return found
+
+
+def test_a_step_of_the_fusion_is_written_whole(database, store):
+    before = store.progress()
+    step = Step(
+        7, np.array([4, 2]), votes((4, 1, 1), (2, 9, 3), (4, 5, 1)), {"decisions": b"\0\xff", "x": b""}
+    )
+    after = store.advance(before, step)
+    assert (before, after) == ((0, 0), (7, 1))
+    for reader in (store, database()):
+        assert reader.progress() == after
+        assert reader.votes_of().tolist() == votes((2, 9, 3), (4, 1, 1), (4, 5, 1)).tolist()
+        assert reader.votes_of(np.array([4, 77])).tolist() == votes((4, 1, 1), (4, 5, 1)).tolist()
+        assert reader.votes_of(np.array([], np.int64)).tolist() == []
+        assert (reader.state_of("decisions"), reader.state_of("x"), reader.state_of("y")) == (
+            b"\0\xff",
+            b"",
+            None,
+        )
+
+
+def test_votes_of_a_surface_are_replaced_and_those_of_others_stay(store):
+    first = Step(
+        1, np.array([1, 2, 3]), votes((1, 1, 1), (2, 1, 1), (2, 2, 1), (3, 1, 1)), {"a": b"1", "b": b"2"}
+    )
+    seen = store.advance(store.progress(), first)
+    store.advance(seen, Step(2, np.array([2, 3]), votes((2, 3, 1)), {"a": None, "b": b"3"}))
+    assert store.votes_of().tolist() == votes((1, 1, 1), (2, 3, 1)).tolist()
+    assert (store.state_of("a"), store.state_of("b")) == (None, b"3")
+
+
+def test_a_step_made_from_what_others_have_changed_since_is_not_written(database, store):
+    other = database()
+    seen = store.progress()
+    other.advance(other.progress(), Step(0, state={"review": b"accepted"}))
+    with pytest.raises(OvertakenError):
+        store.advance(seen, Step(5, np.array([1]), votes((1, 1, 1)), {"review": b"held"}))
+    assert store.votes_of().tolist() == []
+    assert store.state_of("review") == b"accepted"
+    assert store.advance(store.progress(), Step(5)).cursor == 5
+
+
+def test_a_step_with_votes_of_a_surface_it_does_not_name_is_refused_whole(store):
+    with pytest.raises(ValueError, match="does not name"):
+        store.advance(store.progress(), Step(5, np.array([1]), votes((2, 1, 1))))
+    assert store.progress() == (0, 0)
+
+
+def test_a_fault_in_the_middle_of_a_group_stores_nothing_of_it(store):
+    def judge(candidate: Contribution) -> None:
+        if candidate.id == "u2":
+            raise KeyError("a fault")
+
+    with pytest.raises(KeyError):
+        committed(store, contribution("u1"), contribution("u2"), judge=judge)
+    assert store.counts() == (0, 0)
+    assert committed(store, contribution("u1")) == ["stored"]
+
+
+GROUPS = st.lists(
+    st.lists(
+        st.tuples(st.sampled_from("ab"), st.sampled_from("xyz"), st.sampled_from([1.0, 2.0]), st.booleans()),
+        max_size=5,
+    ),
+    max_size=8,
+)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(GROUPS)
+def test_any_sequence_of_groups_stores_the_first_accepted_content_of_each_id_once(tmp_path_factory, groups):
+    path = tmp_path_factory.mktemp("store") / "uploads.sqlite"
+    with closing(SqliteStore(path)) as store:
+        check_sequence(store, groups)
+
+
+@needs_postgres
+@settings(max_examples=10, deadline=None, derandomize=True)
+@given(groups=GROUPS)
+def test_so_does_any_sequence_in_postgres(postgres, groups):
+    with closing(PostgresStore(postgres.new_database(), limit_s=10.0)) as store:
+        check_sequence(store, groups)
+
+
+def check_sequence(store: Store, groups) -> None:
+    model: dict[tuple[str, str], float] = {}
+    for group in groups:
+        wanted = []
+        for vehicle, name, height_m, bad in group:
+            known = model.get((vehicle, name))
+            if known is None and not bad:
+                model[vehicle, name] = height_m
+                wanted.append("stored")
+            else:
+                wanted.append("duplicate" if known == height_m and not bad else "refused")
+        members = [
+            contribution(name, vehicle=vehicle, height_m=height_m, datum="Tokyo" if bad else "WGS84")
+            for vehicle, name, height_m, bad in group
+        ]
+        assert committed(store, *members, judge=refuse_tokyo) == wanted
+    assert store.counts() == (len(model), len(model))

@@ -1,0 +1,467 @@
+"""A drive comes as its files have it: in their order, late and repeated epochs too, byte for byte."""
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.formats.drive.truth_csv import TruthTable, read_truth
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.pcd import PointCloud, write_pcd
+from camber.formats.nmea.epochs import format_gga, format_gst, format_rmc
+from camber.formats.receiver.rtklib_pos import PosDecoder, read_pos
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.rinex.writer import StationHeader, observation_text
+from camber.replay.command import _Greeting
+from camber.replay.drive_inputs import Arrival, DriveInputs, prepare_drive
+from camber.replay.receiver_file import read_receiver_file, receive_times
+from camber.replay.short_drive import START_NS, write_short_drive
+from camber.replay.sweep_files import SweepReader
+from camber.replay.truth_interpolation import interpolate_truth, plane_of
+from camber.road_map.release import read_release
+from camber.schemas.drive import DriveManifest, ReceiverFile, load_manifest
+from camber.schemas.gnss import ReceiverBytes
+from support.random_observations import random_epoch
+
+NAGOYA = Path(__file__).parents[2] / "replay" / "nagoya.toml"
+STEP_NS = 200_000_000
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_short_drive(tmp_path_factory.mktemp("drive"))
+
+
+def changed(drive: Path, folder: Path, lines: list[bytes]) -> Path:
+    """The drive with other lines in its receiver's file."""
+    manifest = write_short_drive(folder)
+    (folder / "receiver.pos").write_bytes(b"".join(lines))
+    return manifest
+
+
+def lines_of(drive: Path) -> list[bytes]:
+    return (drive.parent / "receiver.pos").read_bytes().splitlines(keepends=True)
+
+
+def payload(inputs: DriveInputs) -> bytes:
+    return b"".join(arrival.message.payload.tobytes() for arrival in inputs.receiver)
+
+
+def test_all_bytes_of_the_receiver_arrive_in_the_order_of_the_file(drive: Path, tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(drive), tmp_path)
+    assert payload(inputs) == (drive.parent / "receiver.pos").read_bytes()
+    assert inputs.receiver[0].message.payload.tobytes().startswith(b"% (lat/lon/height=WGS84/ellipsoidal")
+
+
+def test_ticks_hold_everything_once_and_in_order(drive: Path, tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(drive), tmp_path)
+    ticks = list(inputs.ticks())
+    assert [tick.time_ns for tick in ticks] == sorted({tick.time_ns for tick in ticks})
+    assert sum(len(tick.receiver) for tick in ticks) == len(inputs.receiver)
+    assert sum(len(tick.motion) for tick in ticks) == len(inputs.motion)
+    for tick in ticks:
+        assert all(message.time_ns == tick.time_ns for message in (*tick.receiver, *tick.motion))
+
+
+def test_late_and_repeated_epochs_arrive_where_they_stand_in_the_file(drive: Path, tmp_path: Path) -> None:
+    lines = lines_of(drive)
+    mixed = [*lines[:12], lines[7], lines[11], *lines[12:15], b"no position at all\n", *lines[15:]]
+    inputs = prepare_drive(load_manifest(changed(drive, tmp_path / "d", mixed)), tmp_path)
+    assert payload(inputs) == b"".join(mixed)
+    times = [arrival.receive_time_ns for arrival in inputs.receiver]
+    assert times == sorted(set(times))
+    together = inputs.receiver[9].message.payload.tobytes()
+    assert together == lines[11] + lines[7] + lines[11]
+    assert inputs.receiver[9].receive_time_ns == START_NS + 9 * STEP_NS
+
+
+def test_a_fix_from_the_far_future_does_not_hold_up_the_rest(drive: Path, tmp_path: Path) -> None:
+    lines = lines_of(drive)
+    mixed = [*lines[:12], lines[12].replace(b"2024/", b"2089/"), *lines[13:]]
+    inputs = prepare_drive(load_manifest(changed(drive, tmp_path / "d", mixed)), tmp_path)
+    assert payload(inputs) == b"".join(mixed)
+    assert inputs.tick_times_ns[-1] == START_NS + 600 * STEP_NS
+
+
+def test_receive_times_never_fall() -> None:
+    day = 86_400 * 10**9
+    base = START_NS
+    assert receive_times([base, base + 5, base + 3, base + 5, base + 9]) == [
+        base,
+        base + 5,
+        base + 5,
+        base + 5,
+        base + 9,
+    ]
+    assert receive_times([base + 2 * day * 10, base, base + 1]) == [base, base, base + 1]
+    assert receive_times([]) == []
+
+
+def test_a_part_of_a_drive_begins_with_the_header(drive: Path, tmp_path: Path) -> None:
+    manifest = load_manifest(drive)
+    part = manifest.model_copy(update={"start_s": 10.0, "end_s": 12.0})
+    inputs = prepare_drive(part, tmp_path)
+    assert inputs.tick_times_ns == tuple(START_NS + k * STEP_NS for k in range(50, 61))
+    results = PosDecoder("receiver.pos").feed(payload(inputs))
+    assert [r.time_ns for r in results if isinstance(r, ReceiverSolution)] == list(inputs.tick_times_ns)
+    assert len(results) == 11
+
+
+def test_late_motion_arrives_late_and_keeps_its_own_time(drive: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    manifest = write_short_drive(folder)
+    rows = (folder / "motion.csv").read_bytes().splitlines(keepends=True)
+    (folder / "motion.csv").write_bytes(b"".join([*rows[:10], rows[5], *rows[10:]]))
+    inputs = prepare_drive(load_manifest(manifest), tmp_path)
+    late = inputs.motion[9]
+    assert late.message.time_ns == START_NS + 4 * STEP_NS
+    assert late.receive_time_ns == START_NS + 8 * STEP_NS
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "text", "expected"),
+    [
+        ("motion.csv", 1, b"t,v\n", "motion.csv:1: header is 't,v', expected time_ns,wheel_speed_m_s"),
+        (
+            "motion.csv",
+            3,
+            b"1400000000200000000,fast,,\n",
+            "motion.csv:3: wheel_speed_m_s is 'fast', expected a number",
+        ),
+        ("motion.csv", 3, b"1400000000200000000,nan,,\n", "motion.csv:3: wheel_speed_m_s is 'nan'"),
+        ("motion.csv", 3, b"12,1.0,,\n", "motion.csv:3: time_ns is '12'"),
+        ("motion.csv", 3, b"12\n", "motion.csv:3: columns is '1 fields', expected 4 fields"),
+        ("truth.csv", 1, b"time\n", "truth.csv:1: header is 'time'"),
+        (
+            "truth.csv",
+            3,
+            b"0,0,0,0,0,0,0,0,0,0,0\n",
+            "truth.csv:3: time, expected later than in the row before",
+        ),
+        ("truth.csv", 3, b"0,x,0,0,0,0,0,0,0,0,0\n", "truth.csv:3: latitude_deg is 'x', expected a number"),
+        (
+            "truth.csv",
+            3,
+            b"0,inf,0,0,0,0,0,0,0,0,0\n",
+            "truth.csv:3: latitude_deg is 'inf', expected a finite",
+        ),
+        (
+            "truth.csv",
+            2,
+            b"0,0,0,0,0,0,0,0,0,0,yes\n",
+            "truth.csv:2: fix_wrong is 'yes', expected 0, 1 or nothing",
+        ),
+    ],
+)
+def test_a_fault_in_a_file_is_one_line(
+    tmp_path: Path, file: str, line: int, text: bytes, expected: str
+) -> None:
+    manifest = write_short_drive(tmp_path / "d")
+    rows = (tmp_path / "d" / file).read_bytes().splitlines(keepends=True)
+    rows[line - 1] = text
+    (tmp_path / "d" / file).write_bytes(b"".join(rows))
+    with pytest.raises(FormatError) as caught:
+        prepare_drive(load_manifest(manifest), tmp_path)
+    assert str(caught.value).startswith(expected)
+
+
+def test_a_receiver_file_without_positions_is_refused(drive: Path, tmp_path: Path) -> None:
+    manifest = load_manifest(changed(drive, tmp_path / "d", [b"% nothing\n"]))
+    with pytest.raises(FormatError, match=r"receiver\.pos: epochs, expected at least one position"):
+        prepare_drive(manifest, tmp_path)
+
+
+def swept(folder: Path) -> Path:
+    """The short drive with sweeps of one point that end with its second, third and fourth epoch."""
+    manifest = write_short_drive(folder)
+    (folder / "sweeps").mkdir()
+    for k in (1, 2, 3):
+        cloud = PointCloud(np.full((1, 3), k, np.float32))
+        write_pcd(folder / "sweeps" / f"{START_NS + k * STEP_NS}.pcd", cloud)
+    manifest.write_text(manifest.read_text() + '\n[sweeps]\nfolder = "sweeps"\n')
+    return manifest
+
+
+def test_sweeps_come_at_the_time_of_their_end_and_are_not_read_before(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    assert "sweep" in inputs.channels
+    at = {tick.time_ns: tick.sweeps for tick in inputs.ticks() if tick.sweeps}
+    assert list(at) == [START_NS + k * STEP_NS for k in (1, 2, 3)]
+    (file,) = at[START_NS + 2 * STEP_NS]
+    write_pcd(file.path, PointCloud(np.full((1, 3), 9.0, np.float32)))
+    assert file.read().points_m.tolist() == [[9.0, 9.0, 9.0]]
+
+
+def test_sweeps_outside_of_the_part_of_a_drive_are_left_out(tmp_path: Path) -> None:
+    manifest = load_manifest(swept(tmp_path / "d")).model_copy(update={"end_s": 0.5})
+    inputs = prepare_drive(manifest, tmp_path)
+    assert [file.time_ns for file in inputs.sweeps] == [START_NS + k * STEP_NS for k in (1, 2)]
+
+
+def test_a_point_cloud_whose_name_is_no_time_is_left_out_and_named(tmp_path: Path) -> None:
+    manifest = swept(tmp_path / "d")
+    (tmp_path / "d" / "sweeps" / "first.pcd").write_bytes(b"")
+    inputs = prepare_drive(load_manifest(manifest), tmp_path)
+    assert len(inputs.sweeps) == 3
+    assert inputs.notes == (
+        "a sweep is left out: first.pcd: name, expected the GPS time of the sweep's end in ns, then .pcd",
+    )
+
+
+def test_sweeps_that_are_damaged_or_gone_cost_themselves_and_one_line(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(swept(tmp_path / "d")), tmp_path)
+    reader = SweepReader()
+    assert len(list(reader.read(inputs.sweeps))) == 3
+    assert reader.notes() == ()
+    first, second, third = inputs.sweeps
+    first.path.write_bytes(b"no cloud")
+    third.path.unlink()
+    assert [sweep.time_ns for sweep in reader.read(inputs.sweeps)] == [second.time_ns]
+    (line,) = reader.notes()
+    assert line.startswith(f"2 sweeps could not be read and left out, the first: {first.path.name}:1: header")
+
+
+def raw(folder: Path, *, receiver: bool = True) -> Path:
+    """The short drive with raw observations at its first ten epochs, and a base that began earlier."""
+    manifest = write_short_drive(folder)
+    rng = np.random.default_rng(3)
+    times = [START_NS + k * STEP_NS for k in range(10)]
+    for name, first in (("rover", times), ("base", [START_NS - 10**9, *times])):
+        station = StationHeader(name, (-3_850_000.0, 3_430_000.0, 3_740_000.0))
+        text = observation_text([random_epoch(rng, t, satellites=4) for t in first], station)
+        (folder / f"{name}.obs.gz").write_bytes(gzip.compress(text.encode("ascii")))
+    (folder / "brdc.nav").write_text(
+        "     3.04           N: GNSS NAV DATA".ljust(60) + "RINEX VERSION / TYPE\n" * 4000
+    )
+    table = (
+        '\n[observations]\nrover_obs = "rover.obs.gz"\nbase_obs = "base.obs.gz"\nephemerides = ["brdc.nav"]\n'
+    )
+    text = manifest.read_text() + table
+    if not receiver:
+        text = text.replace('[receiver]\nformat = "pos"\nfile = "receiver.pos"\n', "")
+    manifest.write_text(text)
+    return manifest
+
+
+def said(inputs: DriveInputs, stream: str, protocol: str = "rinex") -> list[Arrival[ReceiverBytes]]:
+    return [a for a in inputs.receiver if (a.message.stream, a.message.protocol) == (stream, protocol)]
+
+
+def joined(arrivals: list[Arrival[ReceiverBytes]]) -> bytes:
+    return b"".join(arrival.message.payload.tobytes() for arrival in arrivals)
+
+
+@pytest.mark.parametrize("receiver", [True, False])
+def test_raw_observations_come_epoch_by_epoch_beside_the_receivers_own_solutions(
+    tmp_path: Path, receiver: bool
+) -> None:
+    inputs = prepare_drive(load_manifest(raw(tmp_path / "d", receiver=receiver)), tmp_path)
+    rover, base = said(inputs, "rover"), said(inputs, "base")
+    assert joined(rover) == gzip.decompress((tmp_path / "d" / "rover.obs.gz").read_bytes())
+    assert [a.receive_time_ns for a in rover] == [START_NS + k * STEP_NS for k in range(10)]
+    # What the base said before the drive began is not heard, but for its header.
+    assert [a.receive_time_ns for a in base] == [a.receive_time_ns for a in rover]
+    assert joined(base).startswith(b"     3.04           OBSERVATION DATA")
+    assert bool(said(inputs, "rover", "pos")) == receiver
+    first = next(inputs.ticks())
+    order = [(m.stream, m.protocol) for m in first.receiver]
+    whole = [("ephemerides", "rinex")] * 2
+    assert order == [*whole, ("base", "rinex"), ("rover", "rinex"), *([("rover", "pos")] if receiver else [])]
+    assert all(len(m.payload) <= 64_000 for m in first.receiver[:2])
+    assert joined(said(inputs, "ephemerides")) == (tmp_path / "d" / "brdc.nav").read_bytes()
+
+
+def test_who_connects_later_is_told_headers_and_ephemerides(tmp_path: Path) -> None:
+    inputs = prepare_drive(load_manifest(raw(tmp_path / "d")), tmp_path)
+    told = {(m.stream, m.protocol): m.payload.tobytes() for m in inputs.greeting}
+    assert set(told) == {
+        ("ephemerides", "rinex"), ("base", "rinex"), ("rover", "rinex"), ("rover", "pos")
+    }  # fmt: skip
+    assert told["rover", "rinex"].splitlines()[-1].rstrip().endswith(b"END OF HEADER")
+    assert told["rover", "pos"].startswith(b"%")
+    greeting = _Greeting(inputs)
+    everybody, nobody = frozenset({"gnss"}), frozenset[str]()
+    assert list(greeting.now(START_NS, everybody)) == []
+    assert list(greeting.now(START_NS, nobody)) == []
+    again = list(greeting.now(START_NS + 7, everybody))
+    assert [m.payload.tobytes() for m in again] == [m.payload.tobytes() for m in inputs.greeting]
+    assert {m.time_ns for m in again} == {START_NS + 7}
+    assert list(greeting.now(START_NS + 8, everybody)) == []
+
+
+def noted(folder: Path, rows: list[str]) -> DriveManifest:
+    """The short drive, whose receiver's file has arrivals noted down."""
+    manifest = write_short_drive(folder)
+    (folder / "arrivals.csv").write_text("arrival_time_ns,end_byte\n" + "".join(f"{row}\n" for row in rows))
+    text = manifest.read_text()
+    manifest.write_text(
+        text.replace('file = "receiver.pos"\n', 'file = "receiver.pos"\narrivals = "arrivals.csv"\n')
+    )
+    return load_manifest(manifest)
+
+
+def test_bytes_arrive_when_their_recorder_noted_them_down(drive: Path, tmp_path: Path) -> None:
+    data = (drive.parent / "receiver.pos").read_bytes()
+    header = len(b"".join(line for line in lines_of(drive) if line.startswith(b"%")))
+    ends = [10, header + 5, header + 700, len(data)]
+    rows = [f"{START_NS + 40 * k},{end}" for k, end in enumerate(ends)]
+    inputs = prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+    arrived = [(a.receive_time_ns - START_NS, len(a.message.payload)) for a in inputs.receiver]
+    assert arrived == [(40, header + 5), (80, 695), (120, len(data) - ends[2])]
+    assert payload(inputs) == data
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (["x,5"], "arrivals.csv:2: row is 'x,5', expected two whole numbers"),
+        ([f"{START_NS},5,6"], "arrivals.csv:2: row is"),
+        ([f"{START_NS},50", f"{START_NS - 1},60"], "arrivals.csv:3: arrival_time_ns is"),
+        (["5,50"], "arrivals.csv:2: arrival_time_ns is '5,50', expected a GPS time in ns"),
+        ([f"{START_NS},50", f"{START_NS},50"], "arrivals.csv:3: end_byte is"),
+        ([f"{START_NS},5000000"], "arrivals.csv:2: end_byte is"),
+        ([f"{START_NS},50"], "arrivals.csv: end_byte is '50', expected the file's"),
+        ([], "arrivals.csv: end_byte is '0', expected the file's"),
+    ],
+)
+def test_arrivals_that_do_not_fit_the_file_are_one_line(
+    tmp_path: Path, rows: list[str], expected: str
+) -> None:
+    with pytest.raises(FormatError) as caught:
+        prepare_drive(noted(tmp_path / "d", rows), tmp_path)
+    assert str(caught.value).startswith(expected)
+
+
+def test_a_surrogate_map_is_written_and_says_how_it_was_made(drive: Path, tmp_path: Path) -> None:
+    manifest = load_manifest(drive)
+    made = manifest.model_copy(
+        update={
+            "map": None,
+            "initial_pose": None,
+            "surrogates": manifest.surrogates.model_copy(
+                update={"inputs": ("links", "road_surfaces", "initial_pose")}
+            ),
+        }
+    )
+    inputs = prepare_drive(made, tmp_path / "work")
+    assert inputs.map_release == tmp_path / "work" / "map"
+    assert "made from the drive's own truth, seed 1" in read_release(inputs.map_release).manifest.surrogate
+    assert inputs.initial_pose is not None
+
+
+def nmea_lines(folder: Path) -> tuple[Path, list[bytes], list[int]]:
+    """An NMEA file over midnight UTC: epochs of three sentences, one without a position, a damaged line."""
+    write_short_drive(folder / "d")
+    solutions = [s for s in read_pos(folder / "d" / "receiver.pos") if isinstance(s, ReceiverSolution)][:8]
+    midnight_ns = 1_400_025_618_000_000_000  # 2024-05-18T00:00:00 UTC
+    lines: list[bytes] = []
+    times: list[int] = []
+    for k, solution in enumerate(solutions):
+        time_ns = midnight_ns + (k - 4) * STEP_NS
+        moved = ReceiverSolution(
+            time_ns, solution.latitude_rad, solution.longitude_rad, solution.height_m, solution.quality,
+            satellites=9, covariance_enu_m2=solution.covariance_enu_m2,
+        )  # fmt: skip
+        lines += [format_rmc(moved), format_gga(moved, geoid_separation_m=37.0), format_gst(moved)]
+        times.append(time_ns)
+    lines.insert(7, b"$GNGGA,damaged\r\n")
+    path = folder / "receiver.nmea"
+    path.write_bytes(b"".join(lines))
+    return path, lines, times
+
+
+def test_nmea_is_cut_into_epochs_across_midnight(tmp_path: Path) -> None:
+    path, lines, times = nmea_lines(tmp_path)
+    receiver = ReceiverFile.model_construct(format="nmea", file=path, utc_date=None)
+    preamble, epochs = read_receiver_file(receiver)
+    assert preamble == b""
+    assert [epoch.time_ns for epoch in epochs] == times
+    assert b"".join(epoch.payload for epoch in epochs) == b"".join(lines)
+    assert epochs[0].payload == b"".join(lines[:3])
+
+
+# -- the recording from Nagoya ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def nagoya() -> DriveManifest:
+    if not os.environ.get("CAMBER_DATA"):
+        pytest.skip("CAMBER_DATA is not set: no recording")
+    return load_manifest(NAGOYA)
+
+
+@pytest.fixture(scope="module")
+def reference(nagoya: DriveManifest) -> TruthTable:
+    assert nagoya.truth is not None
+    return read_truth(nagoya.truth.file, nagoya.truth.format)
+
+
+def test_nagoya_has_the_fixes_that_were_counted_and_as_many_wrong_ones(
+    nagoya: DriveManifest, reference: TruthTable
+) -> None:
+    assert nagoya.receiver is not None
+    assert nagoya.truth is not None
+    fixes = [s for s in read_pos(nagoya.receiver.file) if isinstance(s, ReceiverSolution) and s.quality == 1]
+    assert len(fixes) == 1799
+    real, known = interpolate_truth(reference, np.array([s.time_ns for s in fixes]))
+    assert known.all()
+    frame = plane_of(reference)
+    there = frame.east_north_from_geodetic_array(
+        [s.latitude_rad for s in fixes], [s.longitude_rad for s in fixes], [s.height_m for s in fixes]
+    )
+    error = np.column_stack(
+        (
+            there
+            - frame.east_north_from_geodetic_array(real.latitude_rad, real.longitude_rad, real.height_m),
+            np.array([s.height_m for s in fixes]) - real.height_m,
+        )
+    )
+    offset = nagoya.truth
+    error -= (
+        offset.receiver_minus_truth_east_m,
+        offset.receiver_minus_truth_north_m,
+        offset.receiver_minus_truth_up_m,
+    )
+    wrong = np.linalg.norm(error, axis=1) > 0.5
+    assert wrong.sum() == 114
+    np.testing.assert_allclose(np.median(error[~wrong], axis=0), 0.0, atol=0.01)
+
+
+def test_nagoya_stands_still_quietly_and_reverses_once_at_the_end(reference: TruthTable) -> None:
+    from camber.replay.surrogates import true_motion
+
+    motion = true_motion(reference, 2.7)
+    speed = motion.wheel_speed_m_s
+    standing = np.abs(speed) < 0.02
+    assert standing.sum() > 2500
+    assert np.rad2deg(np.std(motion.yaw_rate_rad_s[standing])) < 0.03
+    backwards = np.flatnonzero(speed < -0.1)
+    assert (len(backwards) > 80, backwards[0] > 5900) == (True, True)
+    assert speed.min() > -1.0
+
+
+def test_nagoya_is_prepared_with_a_surrogate_map_under_every_epoch(
+    nagoya: DriveManifest, tmp_path: Path
+) -> None:
+    inputs = prepare_drive(nagoya, tmp_path)
+    assert inputs.truth is not None
+    assert (len(inputs.truth), len(inputs.motion), len(inputs.receiver)) == (6151, 6151, 5395)
+    # 185 epochs of the receiver lie a few milliseconds beside those of the reference.
+    assert len(inputs.tick_times_ns) == 6151 + 185
+    assert inputs.map_release is not None
+    surfaces = read_release(inputs.map_release).road_surfaces()
+    frame = plane_of(inputs.truth)
+    centre = frame.east_north_from_geodetic_array(
+        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
+    )
+    track = frame.east_north_from_geodetic_array(
+        inputs.truth.latitude_rad, inputs.truth.longitude_rad, inputs.truth.height_m
+    )
+    away = track[:, None, :] - centre
+    cos, sin = np.cos(surfaces.yaw_rad), np.sin(surfaces.yaw_rad)
+    on = np.abs(away[..., 0] * cos + away[..., 1] * sin) <= surfaces.half_length_m
+    on &= np.abs(-away[..., 0] * sin + away[..., 1] * cos) <= surfaces.half_width_m
+    assert on.any(axis=1).all()
+    assert (surfaces.level == 0).all()

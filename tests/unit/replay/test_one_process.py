@@ -1,0 +1,47 @@
+"""The services in one process: who is killed is missing for a while, and settings reach their service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from camber.replay.drive_inputs import DriveInputs, prepare_drive
+from camber.replay.one_process import RESTART_S, drive_through
+from camber.replay.short_drive import START_NS, write_short_drive
+from camber.schemas.drive import load_manifest
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    return write_short_drive(tmp_path_factory.mktemp("drive") / "short", 1)
+
+
+def inputs_of(drive: Path, *overrides: str) -> DriveInputs:
+    return prepare_drive(load_manifest(drive, ["end_s=20.0", *overrides]), drive.parent)
+
+
+def test_a_service_that_is_killed_is_missing_until_it_has_started_again(drive: Path) -> None:
+    inputs = inputs_of(drive, 'kills=[{service="localizer", at_s=15.0}]')
+    driven = drive_through(inputs, drive.parent)
+    poses_s = [(item.message.time_ns - START_NS) / 1e9 for item in driven.recorded["pose"]]
+    assert not [t for t in poses_s if 15.0 <= t < 15.0 + RESTART_S]
+    assert [t for t in poses_s if t >= 15.0 + RESTART_S]
+    silent = [
+        item.message for item in driven.recorded["verdict"] if item.message.reason == "localizer_absent"
+    ]
+    assert silent
+    killed = [issue for issue in driven.issues if issue.code == "killed"]
+    assert [(issue.service, (issue.time_ns - START_NS) / 1e9) for issue in killed] == [("localizer", 15.0)]
+
+
+def test_settings_of_a_service_are_added_to_those_of_the_drive(drive: Path) -> None:
+    fixed = drive_through(
+        inputs_of(drive), drive.parent, settings={"antenna_height": {"fixed_height_m": 9.0}}
+    )
+    words = {item.message.verdict for item in fixed.recorded["verdict"]}
+    assert not words & {"confirmed", "confirmed_after_verification"}
+
+
+def test_only_the_channels_asked_for_are_kept(drive: Path) -> None:
+    assert set(drive_through(inputs_of(drive), drive.parent, channels=("pose",)).recorded) == {"pose"}

@@ -1,0 +1,272 @@
+"""The replay tool: what it makes of a drive for the services, how it ends, and how it looks after processes."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from camber.antenna_height.settings import AntennaHeightSettings, Place
+from camber.replay import command as replay
+from camber.replay.drive_inputs import DriveInputs, Tick, prepare_drive
+from camber.replay.processes import Processes
+from camber.replay.short_drive import write_short_drive
+from camber.replay.sweep_files import SweepReader
+from camber.runtime.settings import load
+from camber.schemas.channels import SERVICES
+from camber.schemas.drive import (
+    AntennaHeightWay,
+    DriveManifest,
+    LeverArms,
+    OneFile,
+    Sweeps,
+    load_manifest,
+)
+from camber.schemas.gnss import ReceiverBytes
+from camber.schemas.motion import Motion, Ranging, Suspension
+from camber.tools import demo
+
+NS = 1_300_000_000 * 1_000_000_000
+PATIENCE_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[DriveManifest, DriveInputs]:
+    folder = tmp_path_factory.mktemp("drive")
+    manifest = load_manifest(write_short_drive(folder / "drive", 1))
+    return manifest, prepare_drive(manifest, folder / "work")
+
+
+# What the services are told
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_the_settings_of_a_drive_are_settings_of_the_service(
+    service: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / 'a folder "with" späces'
+    configs = replay.service_configs(*drive, out, "tcp/127.0.0.1:7999")
+    assert set(configs) == set(SERVICES)
+    monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
+    Processes(out, configs).start()
+    cls = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
+    settings, _ = load(cls, ["--config", str(out / "config" / f"{service}.toml")], prog="camber")
+    assert settings.clock == "replay"
+    assert settings.vehicle == drive[0].vehicle
+    assert settings.state_dir == out / "state" / service
+    assert settings.zenoh.connect == ["tcp/127.0.0.1:7999"]
+
+
+def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
+    drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+) -> None:
+    manifest, inputs = drive
+    configs = replay.service_configs(manifest, inputs, tmp_path, "tcp/127.0.0.1:7999")
+    assert configs["localizer"]["antenna_x_m"] == manifest.lever_arms.antenna.x_m
+    assert configs["antenna_height"]["way"] == manifest.antenna_height.way
+    assert configs["integrity"]["alert_limit_m"] == manifest.alert_limit_m
+    start = inputs.initial_pose
+    assert configs["localizer"].get("initial_pose") == (None if start is None else start.model_dump())
+
+
+@pytest.mark.parametrize("way", get_args(AntennaHeightWay.model_fields["way"].annotation))
+def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
+    way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+) -> None:
+    manifest, inputs = drive
+    arms = LeverArms.model_validate(
+        {name: {"x_m": 1.0, "z_m": 1.5} for name in ("antenna", "lidar", "ranging", "suspension")}
+    )
+    height = AntennaHeightWay.model_validate(
+        {
+            "way": way,
+            "height_m": 1.58,
+            "sigma_m": 0.02,
+            "suspension_to_antenna_m": 0.9,
+            "tyre_radius_m": 0.3,
+            "beam_azimuth_deg": 180.0,
+        }
+    )
+    (tmp_path / "samples.csv").write_text("")
+    table = OneFile.model_construct(file=tmp_path / "samples.csv")
+    there = {
+        "suspension": table,
+        "ranging": table,
+        "sweeps": Sweeps.model_construct(folder=tmp_path),
+        "lever_arms": arms,
+    }
+    told = replay.service_configs(
+        manifest.model_copy(update={"antenna_height": height, **there}), inputs, tmp_path, "tcp/x:1"
+    )["antenna_height"]
+    settings = AntennaHeightSettings(**told)
+    assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (way, 1.58, 0.02)
+    assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
+    assert settings.beam_azimuth_deg == 180.0
+    places = (settings.antenna, settings.lidar, settings.ranging, settings.suspension)
+    assert all(place == Place(x_m=1.0, y_m=0.0, z_m=1.5) for place in places)
+
+
+def test_a_sensor_that_a_drive_has_not_got_is_not_waited_for(
+    drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
+) -> None:
+    told = replay.service_configs(*drive, tmp_path, "tcp/x:1")["antenna_height"]
+    assert told.keys() & {"antenna", "lidar", "ranging", "suspension"} == {"antenna"}
+
+
+def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
+    payload = np.zeros(0, np.uint8)
+    tick = Tick(
+        NS,
+        (ReceiverBytes(time_ns=NS, protocol="pos", payload=payload),),
+        (Motion(time_ns=NS - 1), Motion(time_ns=NS)),
+        (Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
+        (Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
+    )
+    names = [name for name, _ in replay.messages_of(tick, SweepReader())]
+    assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
+
+
+# The command line
+
+
+def test_a_drive_that_is_not_there_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay.main([str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("camber replay: ")
+    assert "none.toml" in line
+
+
+def test_an_override_that_the_manifest_does_not_know_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_short_drive(tmp_path / "drive", 1)
+    assert replay.main([str(path), "--out", str(tmp_path / "out"), "--set", "nothing=1"]) == 2
+    assert "nothing" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert demo.main(["--out", str(tmp_path / "file" / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"camber demo: {tmp_path / 'file'}")
+
+
+@pytest.mark.parametrize(("text", "speed"), [("max", math.inf), ("1", 1.0), ("0.5", 0.5), ("1e3", 1000.0)])
+def test_a_speed_is_max_or_a_number_above_zero(text: str, speed: float) -> None:
+    assert replay._parser().parse_args(["drive.toml", "--speed", text]).speed == speed
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "fast", ""])
+@pytest.mark.parametrize("tool", [replay, demo])
+def test_any_other_speed_is_refused(tool: Any, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["drive.toml"] if tool is replay else []
+    with pytest.raises(SystemExit) as ended:
+        tool.main([*argv, f"--speed={text}"])
+    assert ended.value.code == 2
+    assert "--speed" in capsys.readouterr().err
+
+
+# Processes
+
+
+class Ended:
+    """A process that has ended at once, as it should not have."""
+
+    pid = 1
+
+    def poll(self) -> int:
+        return 3
+
+
+def sleeper(*, deaf: bool = False) -> subprocess.Popen[bytes]:
+    """A process that sleeps; a deaf one does not hear SIGTERM. It says when it is ready."""
+    code = "import signal, time; "
+    code += (
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN); " * deaf
+        + "print('ready', flush=True); time.sleep(600)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    process.stdout.close()
+    return process
+
+
+def test_a_process_that_ends_unasked_is_started_again_and_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spawned: list[subprocess.Popen[bytes]] = []
+
+    def spawn(self: Processes, name: str) -> subprocess.Popen[bytes]:
+        spawned.append(sleeper())
+        return spawned[-1]
+
+    monkeypatch.setattr(Processes, "_spawn", spawn)
+    processes = Processes(tmp_path, {"gnss": {}, "localizer": {}})
+    processes.start()
+    try:
+        processes.supervise()
+        assert processes.notes == []
+        spawned[0].send_signal(signal.SIGKILL)
+        spawned[0].wait(PATIENCE_S)
+        processes.supervise()
+        assert processes.notes == ["gnss ended (signal SIGKILL) and was started again"]
+        assert str(spawned[2].pid) in (tmp_path / "processes.json").read_text()
+        assert spawned[2].poll() is None
+    finally:
+        processes.stop()
+    assert all(process.poll() is not None for process in spawned)
+
+
+def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
+    processes = Processes(tmp_path, {"gnss": {}})
+    processes.start()
+    for _ in range(50):
+        processes.supervise()
+    assert processes.notes == ["gnss ended (exit code 3) and was started again"] * 20
+
+
+def test_a_process_that_does_not_hear_is_killed_and_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spawned: list[subprocess.Popen[bytes]] = []
+
+    def spawn(self: Processes, name: str) -> subprocess.Popen[bytes]:
+        spawned.append(sleeper(deaf=name == "deaf"))
+        return spawned[-1]
+
+    monkeypatch.setattr(Processes, "_spawn", spawn)
+    processes = Processes(tmp_path, {"deaf": {}, "good": {}})
+    processes.start()
+    processes.stop(timeout_s=1.0)
+    assert [process.returncode for process in spawned] == [-signal.SIGKILL, -signal.SIGTERM]
+    assert processes.notes == ["deaf did not end within 1 s and was killed"]
+
+
+def test_a_service_sees_its_settings_and_nothing_of_the_operators_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAMBER_ANTENNA_HEIGHT_NONSENSE", "1")
+    processes = Processes(tmp_path, {"antenna_height": {"check": True}})  # a setting that does not exist
+    processes.start()
+    log = tmp_path / "logs" / "antenna_height.log"
+    deadline = time.monotonic() + PATIENCE_S
+    while not log.read_text().endswith("\n"):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    processes.stop()
+    path = tmp_path / "config" / "antenna_height.toml"
+    assert log.read_text() == f"camber antenna_height: {path}: check: unknown setting\n"

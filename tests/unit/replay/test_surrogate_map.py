@@ -1,0 +1,255 @@
+"""Roads made from a track: one height a place and level, noise as stated, links that are coarse and joined."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from camber.formats.drive.truth_csv import TruthTable
+from camber.geodesy.local_frame import LocalFrame
+from camber.replay.coarse_links import thinned
+from camber.replay.road_lines import road_lines
+from camber.replay.short_drive import short_drive_truth
+from camber.replay.surrogate_map import make_map
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.schemas.drive import Surrogates
+
+Array = npt.NDArray[np.float64]
+FRAME = LocalFrame(math.radians(35.0), math.radians(137.0), 0.0)
+ANTENNA_M = 1.6
+
+
+def drive_along(
+    corners_m: list[tuple[float, float, float]], step_m: float = 1.0, stand: int = 0
+) -> TruthTable:
+    """A drive from corner to corner (east, north, road height), standing a while at each."""
+    points: list[Array] = []
+    for a, b in pairwise(corners_m):
+        n = max(1, round(math.dist(a[:2], b[:2]) / step_m))
+        points += (
+            [np.tile(a, (stand, 1)), np.linspace(a, b, n + 1)[:-1]]
+            if stand
+            else [np.linspace(a, b, n + 1)[:-1]]
+        )
+    track = np.vstack((*points, corners_m[-1]))
+    n = len(track)
+    latitude, longitude, height = FRAME.geodetic_from_east_north_array(track[:, :2], track[:, 2] + ANTENNA_M)
+    zero = np.zeros(n)
+    time_ns = 1_400_000_000 * 10**9 + np.arange(n) * 200_000_000
+    return TruthTable(time_ns, latitude, longitude, height, zero, zero, zero, np.zeros((n, 3)))
+
+
+def plane(truth: TruthTable) -> Array:
+    return FRAME.east_north_from_geodetic_array(truth.latitude_rad, truth.longitude_rad, truth.height_m)
+
+
+def heights_at(surfaces: RoadSurfaces, point_m: Array) -> list[tuple[int, float]]:
+    """Level and height of every surface that holds a point."""
+    centre = FRAME.east_north_from_geodetic_array(
+        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
+    )
+    found = []
+    away = point_m - centre
+    cos, sin = np.cos(surfaces.yaw_rad), np.sin(surfaces.yaw_rad)
+    along = (away[:, 0] * cos + away[:, 1] * sin) / surfaces.half_length_m
+    across = (-away[:, 0] * sin + away[:, 1] * cos) / surfaces.half_width_m
+    for i in np.flatnonzero((np.abs(along) <= 1.0) & (np.abs(across) <= 1.0)):
+        grid = surfaces.heights_m[i]
+        u, v = (along[i] + 1.0) / 2.0 * (grid.shape[0] - 1), (across[i] + 1.0) / 2.0 * (grid.shape[1] - 1)
+        r, c = min(int(u), grid.shape[0] - 2), min(int(v), grid.shape[1] - 2)
+        cell = grid[r : r + 2, c : c + 2]
+        height = np.array([1 - (u - r), u - r]) @ cell @ np.array([1 - (v - c), v - c])
+        found.append((int(surfaces.level[i]), float(height)))
+    return found
+
+
+def link_lines(links: RoadLinks) -> list[Array]:
+    return [FRAME.east_north_from_geodetic_array(v[:, 0], v[:, 1], np.zeros(len(v))) for v in links.vertices]
+
+
+def dense(line_m: Array, step_m: float = 0.25) -> Array:
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
+    at = np.arange(0.0, along[-1] + step_m, step_m)
+    return np.column_stack([np.interp(at, along, column) for column in line_m.T])
+
+
+def furthest(points_m: Array, line_m: Array) -> float:
+    """The largest distance of points from a dense line."""
+    return max(float(np.hypot(*(line_m - p).T).min()) for p in points_m)
+
+
+def errors(seed: int = 1, **values: float) -> Surrogates:
+    return Surrogates(seed=seed, inputs=("links", "road_surfaces"), **values)  # type: ignore[arg-type]
+
+
+SQUARE = [(0.0, 0.0, 10.0), (300.0, 0.0, 13.0), (300.0, 200.0, 16.0), (0.0, 200.0, 12.0), (0.0, 3.0, 10.0)]
+
+
+def test_every_epoch_of_a_drive_has_a_road_beneath_it() -> None:
+    for truth in (drive_along(SQUARE), short_drive_truth()):
+        surfaces, _ = make_map(truth, errors(), ANTENNA_M)
+        assert all(heights_at(surfaces, point) for point in plane(truth))
+
+
+def test_surfaces_say_their_sigma_and_have_ids_links_and_sizes() -> None:
+    surfaces, links = make_map(drive_along(SQUARE), errors(map_sigma_m=0.08), ANTENNA_M)
+    assert (surfaces.sigma_m == 0.08).all()
+    assert surfaces.surface_id.tolist() == list(range(1, len(surfaces) + 1))
+    assert set(surfaces.link_id.tolist()) <= set(links.link_id.tolist())
+    assert (surfaces.half_width_m == 4.0).all()
+    assert np.median(surfaces.half_length_m) == pytest.approx(6.5, abs=0.3)
+    assert (surfaces.level == 0).all()
+
+
+def test_height_errors_over_seeds_have_the_stated_sigma_and_correlation() -> None:
+    truth = drive_along([(0.0, 0.0, 10.0), (400.0, 0.0, 22.0)])
+    at_m = np.arange(0.0, 401.0, 10.0)
+    drawn = []
+    for seed in range(60):
+        surfaces, _ = make_map(truth, errors(seed), ANTENNA_M)
+        found = [heights_at(surfaces, np.array([x, 0.0]))[0][1] for x in at_m]
+        drawn.append(np.array(found) - (10.0 + 0.03 * at_m))
+    z = np.array(drawn)
+    assert np.std(z) == pytest.approx(0.05, rel=0.12)
+    for lag in (1, 2, 4):
+        assert np.mean(z[:, :-lag] * z[:, lag:]) / np.mean(z**2) == pytest.approx(
+            math.exp(-lag / 2.0), abs=0.12
+        )
+
+
+def test_the_road_has_no_crossfall() -> None:
+    surfaces, _ = make_map(drive_along([(0.0, 0.0, 10.0), (100.0, 0.0, 15.0)]), errors(), ANTENNA_M)
+    assert max(float(np.ptp(grid, axis=1).max()) for grid in surfaces.heights_m) < 1e-9
+
+
+@pytest.mark.parametrize("beside_m", [0.0, 2.0, 3.4])
+def test_a_second_pass_gets_the_surface_of_the_first(beside_m: float) -> None:
+    # There, round a block, and along the same street again; its heights say 5 cm more the second time.
+    block = [(100.0, 0.0, 10.0), (100.0, 60.0, 10.0), (0.0, 60.0, 10.0), (0.0, beside_m, 10.05)]
+    once = drive_along([(0.0, 0.0, 10.0), *block[:-1]])
+    twice = drive_along([(0.0, 0.0, 10.0), *block, (100.0, beside_m, 10.05)])
+    first, _ = make_map(once, errors(), ANTENNA_M)
+    both, links = make_map(twice, errors(), ANTENNA_M)
+    for x in np.arange(20.0, 90.0, 5.0):
+        place = np.array([x, beside_m])
+        before, after = heights_at(first, place), heights_at(both, place)
+        assert np.ptp([height for _, height in after]) < 0.01
+        assert after[0][1] == pytest.approx(before[0][1], abs=0.01)
+    assert sum(len(dense(line)) for line in link_lines(links)) * 0.25 < 345.0
+
+
+def test_a_street_that_crosses_at_grade_has_one_height_and_one_node_there() -> None:
+    loop = [
+        (0.0, 0.0, 10.0),
+        (100.0, 0.0, 10.0),
+        (100.0, 60.0, 10.0),
+        (50.0, 60.0, 10.0),
+        (50.0, -60.0, 10.0),
+    ]
+    surfaces, links = make_map(drive_along(loop), errors(), ANTENNA_M)
+    heights = [height for _, height in heights_at(surfaces, np.array([50.0, 0.0]))]
+    assert heights
+    assert np.ptp(heights) < 0.01
+    nodes = np.concatenate((links.start_node, links.end_node)).tolist()
+    assert sorted(nodes.count(node) for node in set(nodes))[-1] == 4
+
+
+def test_a_bridge_over_the_own_street_is_another_level() -> None:
+    truth = short_drive_truth()
+    surfaces, links = make_map(truth, errors(), ANTENNA_M)
+    there = sorted(heights_at(surfaces, np.array([100.0, 0.0])))
+    levels = [level for level, _ in there]
+    assert (min(levels), max(levels)) == (0, 1)
+    heights = {level: [h for at, h in there if at == level] for level in (0, 1)}
+    assert min(heights[1]) - max(heights[0]) > 4.0
+    assert all(np.ptp(of_level) < 0.01 for of_level in heights.values())
+    under, over = (
+        set(surfaces.link_id[(surfaces.level == level) & _near(surfaces, (100.0, 0.0), 12.0)].tolist())
+        for level in (0, 1)
+    )
+    assert under
+    assert over
+    assert not under & over
+    assert set(links.level[np.isin(links.link_id, list(over))].tolist()) == {1}
+
+
+def _near(surfaces: RoadSurfaces, place_m: tuple[float, float], radius_m: float) -> npt.NDArray[np.bool_]:
+    centre = FRAME.east_north_from_geodetic_array(
+        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
+    )
+    near: npt.NDArray[np.bool_] = np.hypot(*(centre - np.array(place_m)).T) <= radius_m
+    return near
+
+
+def test_a_link_and_all_its_surfaces_are_on_one_level() -> None:
+    for truth in (drive_along(SQUARE), short_drive_truth()):
+        surfaces, links = make_map(truth, errors(), ANTENNA_M)
+        level_of = dict(zip(links.link_id.tolist(), links.level.tolist(), strict=True))
+        assert [level_of[link] for link in surfaces.link_id.tolist()] == surfaces.level.tolist()
+
+
+def test_reversing_and_standing_add_no_roads() -> None:
+    forward = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0)])
+    back = drive_along([(0.0, 0.0, 10.0), (60.0, 0.0, 10.0), (30.0, 0.0, 10.0)], stand=100)
+    once, links_once = make_map(forward, errors(), ANTENNA_M)
+    again, links_again = make_map(back, errors(), ANTENNA_M)
+    assert len(again) <= len(once) + 1  # where it turns, samples of both ways may miss one another
+    assert len(links_once) == len(links_again) == 1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_links_are_within_the_deviation_of_the_track_everywhere_and_come_near_to_it(seed: int) -> None:
+    for truth in (drive_along(SQUARE), short_drive_truth()):
+        track = dense(plane(truth)[np.append(True, np.hypot(*np.diff(plane(truth), axis=0).T) > 1e-6)])
+        _, links = make_map(truth, errors(seed), ANTENNA_M)
+        lines = [dense(line) for line in link_lines(links)]
+        furthest_m = max(furthest(line[::4], track) for line in lines)
+        assert 1.2 < furthest_m <= 3.1  # 0.1 m for how densely the lines are sampled
+        assert furthest(track[::8], np.vstack(lines)) <= 3.6
+
+
+def test_links_meet_at_their_nodes_and_are_100_to_300_m_long() -> None:
+    _, links = make_map(drive_along(SQUARE), errors(), ANTENNA_M)
+    lines = link_lines(links)
+    nodes: dict[int, Array] = {}
+    for start, end, line in zip(links.start_node.tolist(), links.end_node.tolist(), lines, strict=True):
+        for node, place in ((start, line[0]), (end, line[-1])):
+            np.testing.assert_allclose(nodes.setdefault(node, place), place, atol=1e-6)
+    lengths = [np.hypot(*np.diff(line, axis=0).T).sum() for line in lines]
+    assert 100.0 < min(lengths) <= max(lengths) < 310.0
+    assert links.start_node[0] in links.end_node  # the square closes
+
+
+def test_ids_do_not_depend_on_the_seed_and_equal_seeds_give_equal_maps() -> None:
+    truth = short_drive_truth()
+    (s1, l1), (s2, l2), (s3, l3) = (make_map(truth, errors(seed), ANTENNA_M) for seed in (1, 1, 2))
+    assert all((a == b).all() for a, b in zip(s1.heights_m, s2.heights_m, strict=True))
+    assert all((a == b).all() for a, b in zip(l1.vertices, l2.vertices, strict=True))
+    assert (s1.link_id == s3.link_id).all()
+    assert (l1.start_node == l3.start_node).all()
+    assert any((a != b).any() for a, b in zip(s1.heights_m, s3.heights_m, strict=True))
+
+
+def test_map_sigma_does_not_shift_the_links() -> None:
+    truth = drive_along(SQUARE)
+    _, fine = make_map(truth, errors(), ANTENNA_M)
+    _, coarse = make_map(truth, errors(map_sigma_m=0.2), ANTENNA_M)
+    assert all((a == b).all() for a, b in zip(fine.vertices, coarse.vertices, strict=True))
+
+
+def test_a_track_that_does_not_move_is_refused() -> None:
+    still = np.zeros((50, 2))
+    with pytest.raises(ValueError, match=r"0\.0 m long"):
+        road_lines(still, np.zeros(50))
+
+
+def test_thinning_keeps_the_ends_and_leaves_nothing_further_off_than_the_tolerance() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        line = np.cumsum(rng.normal(size=(40, 2)), axis=0)
+        kept = thinned(line, 0.8)
+        assert kept[0] == 0
+        assert kept[-1] == 39
+        assert furthest(line, dense(line[kept], 0.01)) <= 0.81

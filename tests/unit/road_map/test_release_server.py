@@ -1,0 +1,103 @@
+"""Vehicles get the newest root, and blobs as few bytes: what they put together from it is the release."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from camber.map_update.fusion.corrections import CORRECTION
+from camber.map_update.release.release_builder import ReleaseMaking
+from camber.road_map.blob_delta import unpacked
+from camber.road_map.release import open_release
+from camber.road_map.release_server import ReleaseServing
+from camber.schemas.codec import decode, encode
+from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
+from camber.schemas.road import CloudTile, ReleaseRoot
+from support.small_map import MADE_NS, surface, write
+
+KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+
+
+def root_of(serving: ReleaseServing, region: str = "test", have: str | None = None) -> MapRootReply:
+    return serving.root(MapRootRequest(time_ns=MADE_NS, region=region, have_sha256=have), time_ns=MADE_NS)
+
+
+def fetched(serving: ReleaseServing, sha256: str, base: str | None = None) -> list[MapBlobReply]:
+    replies = list[MapBlobReply]()
+    while not replies or len(replies) < replies[0].parts:
+        request = MapBlobRequest(time_ns=MADE_NS, sha256=sha256, base_sha256=base, part=len(replies))
+        replies.append(serving.blob(request, time_ns=MADE_NS))
+    return replies
+
+
+def put_together(replies: list[MapBlobReply], base: bytes | None = None) -> bytes:
+    return unpacked(b"".join(reply.payload.tobytes() for reply in replies), base)
+
+
+def test_the_newest_root_is_given_once(tmp_path: Path) -> None:
+    serving = ReleaseServing(tmp_path)
+    assert root_of(serving).status == "unknown"
+    root = write(tmp_path, [surface(1)])
+    reply = root_of(serving)
+    assert decode(ReleaseRoot, reply.payload.tobytes()).message == root
+    assert root_of(serving, have=root.manifest_sha256).status == "unchanged"
+    assert root_of(serving, region="elsewhere").reason == "releases here are of test"
+    head = serving.head(time_ns=MADE_NS)
+    assert (head.map_version, head.manifest_sha256) == (root.map_version, root.manifest_sha256)
+
+
+def test_a_large_blob_comes_in_parts_that_fit_into_replies(tmp_path: Path) -> None:
+    quanta = np.random.default_rng(1).integers(-(2**20), 2**20, (80_000, 3)).astype(np.int32)
+    tile = CloudTile(
+        time_ns=MADE_NS, x=1, y=2, layer="road_cloud", base_height_m=0.0, resolution_m=0.01, quanta=quanta
+    )
+    write(tmp_path, [surface(1)], clouds=[tile])
+    digest = open_release(tmp_path).sha256("road_cloud", 1, 2)
+    assert digest is not None
+    replies = fetched(ReleaseServing(tmp_path), digest)
+    assert len(replies) > 2
+    assert max(len(encode(reply)) for reply in replies) <= 256_000
+    assert hashlib.sha256(put_together(replies)).hexdigest() == digest
+
+
+def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
+    rows = [surface(k, 20.0 * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(10)]
+    write(tmp_path / "in", rows)
+    making = ReleaseMaking(tmp_path / "out", open_release(tmp_path / "in"), signing_key=KEY)
+    making.make(np.zeros(0, CORRECTION), time_ns=MADE_NS)
+    old = open_release(tmp_path / "out")
+    making.make(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)
+    new = open_release(tmp_path / "out")
+    serving = ReleaseServing(tmp_path / "out")
+    for xy in new.tiles("surfaces"):
+        digest, base = new.sha256("surfaces", *xy), old.sha256("surfaces", *xy)
+        assert digest is not None
+        if digest != base:
+            assert len(fetched(serving, digest, base)[0].payload) < 60
+            assert put_together(fetched(serving, digest, base), old.blob("surfaces", *xy)) == new.blob(
+                "surfaces", *xy
+            )
+    no_longer_here = "0" * 64
+    whole = put_together(fetched(serving, new.root.manifest_sha256, no_longer_here))
+    assert hashlib.sha256(whole).hexdigest() == new.root.manifest_sha256
+
+
+def test_what_is_not_here_is_unknown(tmp_path: Path) -> None:
+    serving = ReleaseServing(tmp_path)
+    root = write(tmp_path, [surface(1)])
+    assert fetched(serving, "0" * 64)[0].status == "unknown"
+    request = MapBlobRequest(time_ns=MADE_NS, sha256=root.manifest_sha256, part=1)
+    assert serving.blob(request, time_ns=MADE_NS).reason == "part 1 of 1"
+
+
+def test_differences_are_kept_within_their_room(tmp_path: Path) -> None:
+    write(tmp_path, [surface(k, 400.0 * k) for k in range(8)])
+    release, serving = open_release(tmp_path), ReleaseServing(tmp_path, kept_bytes=1000)
+    for _ in range(2):
+        for xy in release.tiles("surfaces"):
+            digest = release.sha256("surfaces", *xy)
+            assert digest is not None
+            assert put_together(fetched(serving, digest)) == release.blob("surfaces", *xy)

@@ -1,0 +1,112 @@
+"""A new release is taken when all of it is there and right; until then, and if it never is, the old one stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from camber.road_map.release import ROOT_NAME, Release, ReleaseError
+from camber.road_map.release_watch import ReleaseWatch
+from support.small_map import surface, write
+
+
+def settle(watch: ReleaseWatch) -> None:
+    watch.look()
+    while watch.busy:
+        watch.verify(1)
+
+
+def version(watch: ReleaseWatch) -> int | None:
+    return None if watch.current is None else watch.current.manifest.map_version
+
+
+def blobs(folder: Path) -> dict[Path, bytes]:
+    return {p: p.read_bytes() for p in (folder / "blobs").rglob("*") if p.is_file()}
+
+
+def test_a_release_is_in_place_only_when_all_of_it_is_verified(tmp_path: Path) -> None:
+    write(tmp_path, [surface(i, 600.0 * i) for i in range(4)])
+    watch = ReleaseWatch(tmp_path)
+    watch.look()
+    rounds = 0
+    while watch.busy:
+        assert watch.current is None
+        watch.verify(1)
+        rounds += 1
+    assert rounds >= 4
+    assert version(watch) == 7
+    assert watch.problem is None
+
+
+def test_a_folder_that_is_filled_later_is_noticed(tmp_path: Path) -> None:
+    watch = ReleaseWatch(tmp_path / "later")
+    settle(watch)
+    assert watch.current is None
+    assert "readable file" in str(watch.problem)
+    write(tmp_path / "later", [surface(1)])
+    settle(watch)
+    assert version(watch) == 7
+
+
+def test_a_new_release_replaces_the_old_one(tmp_path: Path) -> None:
+    write(tmp_path, [surface(1)])
+    watch = ReleaseWatch(tmp_path)
+    settle(watch)
+    write(tmp_path, [surface(1), surface(2, 50.0)], map_version=8)
+    assert version(watch) == 7
+    settle(watch)
+    assert version(watch) == 8
+
+
+def test_a_bad_release_leaves_the_old_one_in_use(tmp_path: Path) -> None:
+    write(tmp_path, [surface(1)])
+    watch = ReleaseWatch(tmp_path)
+    settle(watch)
+    before = blobs(tmp_path)
+    write(tmp_path, [surface(1, heights_m=51.0)], map_version=8)
+    good = {path: data for path, data in blobs(tmp_path).items() if path not in before}
+    for path in good:
+        path.write_bytes(b"half")
+    settle(watch)
+    assert version(watch) == 7
+    assert watch.problem is not None
+    # The rest of it came: it is noticed when the root is looked at anew.
+    for path, data in good.items():
+        path.write_bytes(data)
+    settle(watch)
+    assert version(watch) == 7
+    watch.forget()
+    settle(watch)
+    assert version(watch) == 8
+    assert watch.problem is None
+
+
+def test_the_old_release_stays_when_the_root_vanishes(tmp_path: Path) -> None:
+    write(tmp_path, [surface(1)])
+    watch = ReleaseWatch(tmp_path)
+    settle(watch)
+    (tmp_path / ROOT_NAME).unlink()
+    settle(watch)
+    assert version(watch) == 7
+    assert watch.problem is not None
+
+
+def test_an_unchanged_root_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, [surface(1)])
+    watch = ReleaseWatch(tmp_path)
+    settle(watch)
+    monkeypatch.setattr("camber.road_map.release_watch.open_release", None)
+    settle(watch)
+    assert version(watch) == 7
+
+
+def test_what_is_not_acceptable_is_not_taken(tmp_path: Path) -> None:
+    def refuse(release: Release) -> None:
+        raise ReleaseError("here", "datum", "another", found=release.manifest.datum)
+
+    write(tmp_path, [surface(1)])
+    watch = ReleaseWatch(tmp_path, acceptable=refuse)
+    settle(watch)
+    assert watch.current is None
+    assert str(watch.problem) == "here: datum is 'WGS84', expected another"

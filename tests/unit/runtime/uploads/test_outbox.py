@@ -1,0 +1,362 @@
+"""The outbox keeps what it has taken: through kills, full disks and damage."""
+
+import os
+import random
+import re
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing, contextmanager
+
+import pytest
+
+from camber.runtime.uploads.outbox import DAMAGED_ON_DISK, Outbox, OutboxError, OutboxFull, Upload
+from camber.runtime.uploads.sqlite_recovery import replace_damaged
+
+LIMIT = 8 << 20
+
+
+def upload(number: int, size: int = 200) -> Upload:
+    return Upload(f"u{number}", "upload", random.Random(number).randbytes(size))
+
+
+def opened(path, limit_bytes=LIMIT):
+    return closing(Outbox(path, limit_bytes=limit_bytes))
+
+
+def held(outbox: Outbox) -> list[Upload]:
+    return [Upload(*pending[1:]) for pending in outbox.pending(1_000_000)]
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "outbox.sqlite"
+
+
+@contextmanager
+def no_file_larger_than(size_bytes):
+    """What a full disk does to a write, without needing one."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_uploads_wait_in_the_order_in_which_they_were_put(path):
+    with opened(path) as outbox:
+        outbox.put(*upload(3))
+        outbox.put_many([upload(1), upload(2)])
+        assert held(outbox) == [upload(3), upload(1), upload(2)]
+        assert [p.id for p in outbox.pending(2)] == ["u3", "u1"]
+        assert [p.id for p in outbox.pending(2, after=outbox.pending(1)[0].number)] == ["u1", "u2"]
+
+
+def test_what_was_put_is_there_when_the_outbox_is_opened_again(path):
+    with opened(path) as outbox:
+        outbox.put_many([upload(n) for n in range(10)])
+        outbox.acknowledge(["u0", "u9"])
+    with opened(path) as outbox:
+        assert held(outbox) == [upload(n) for n in range(1, 9)]
+        assert outbox.notice is None
+
+
+def test_the_same_upload_put_twice_waits_once(path):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+        outbox.put(*upload(1))
+        assert held(outbox) == [upload(1)]
+
+
+def test_another_upload_under_a_waiting_id_is_an_error_and_nothing_of_its_group_is_stored(path):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+        with pytest.raises(ValueError, match="u1"):
+            outbox.put_many([upload(2), Upload("u1", "upload", b"other")])
+        assert held(outbox) == [upload(1)]
+
+
+def test_numbers_are_not_used_again(path):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+        first = outbox.pending(1)[0].number
+        outbox.acknowledge(["u1"])
+        outbox.put(*upload(2))
+        assert outbox.pending(1)[0].number > first
+
+
+def test_acknowledging_what_is_not_there_changes_nothing(path):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+        outbox.acknowledge(["u2", "u3"])
+        outbox.refused("u4", "never heard of it")
+        assert outbox.counts() == (1, 0)
+
+
+def test_a_refused_upload_becomes_a_dead_letter_with_its_reason(path):
+    with opened(path) as outbox:
+        outbox.put_many([upload(1), upload(2)])
+        outbox.refused("u1", "datum unknown")
+        assert held(outbox) == [upload(2)]
+        assert outbox.dead_letters() == [("u1", "datum unknown")]
+
+
+def test_of_the_dead_letters_the_newest_are_kept(path):
+    limit_bytes = 64 * 4096  # dead letters: 32 kB
+    with opened(path, limit_bytes) as outbox:
+        for number in range(60):
+            outbox.put(*upload(number, 2000))
+            outbox.refused(f"u{number}", "no")
+        letters = [letter for letter, _ in outbox.dead_letters()]
+        assert letters == [f"u{n}" for n in range(60 - limit_bytes // 8 // 2000, 60)]
+
+
+def test_a_limit_too_small_for_its_tables_is_an_error(path):
+    with pytest.raises(ValueError, match="limit_bytes"):
+        Outbox(path, limit_bytes=4096)
+
+
+def test_a_full_outbox_says_so_names_its_file_and_keeps_what_it_has(path):
+    limit_bytes = 64 * 4096
+    with opened(path, limit_bytes) as outbox:
+        taken = fill(outbox, range(1000))
+        assert taken
+        with pytest.raises(OutboxFull, match="no room"):
+            outbox.put(*upload(1001, 1000))
+        assert held(outbox) == taken
+        outbox.acknowledge([u.id for u in taken[:10]])
+        outbox.put(*upload(2000, 1000))
+        assert held(outbox) == [*taken[10:], upload(2000, 1000)]
+    assert path.stat().st_size <= limit_bytes
+
+
+def test_a_full_outbox_can_still_file_away_every_refusal(path):
+    with opened(path, 64 * 4096) as outbox:
+        taken = fill(outbox, range(1000))
+        for u in taken:
+            outbox.refused(u.id, "r" * 512)
+        assert outbox.counts().pending == 0
+        assert outbox.dead_letters()[-1] == (taken[-1].id, "r" * 512)
+
+
+def fill(outbox: Outbox, numbers) -> list[Upload]:
+    """Put until the outbox takes no more; returns what it has taken."""
+    taken = []
+
+    def put_all():
+        for number in numbers:
+            outbox.put(*upload(number, 1000))
+            taken.append(upload(number, 1000))
+
+    with pytest.raises(OutboxError, match=re.escape(str(outbox.path))):
+        put_all()
+    return taken
+
+
+def test_a_disk_that_takes_no_more_loses_nothing_and_the_outbox_goes_on_when_there_is_room(path):
+    first = [upload(n) for n in range(100)]
+    with opened(path) as outbox:
+        outbox.put_many(first)
+        with no_file_larger_than(128 << 10):
+            taken = fill(outbox, range(100, 2000))
+            assert taken
+            assert held(outbox) == [*first, *taken]
+        outbox.put(*upload(2000))
+        assert held(outbox) == [*first, *taken, upload(2000)]
+    with opened(path) as outbox:
+        assert held(outbox) == [*first, *taken, upload(2000)]
+
+
+def test_an_outbox_that_cannot_be_opened_says_so_on_put_and_works_when_it_can(tmp_path):
+    folder = tmp_path / "state"
+    folder.write_text("a file where a folder should be")
+    outbox = Outbox(folder / "outbox.sqlite", limit_bytes=LIMIT)
+    with pytest.raises(OutboxError, match=r"outbox\.sqlite"):
+        outbox.put(*upload(1))
+    folder.unlink()
+    with closing(outbox):
+        outbox.put(*upload(1))
+        assert held(outbox) == [upload(1)]
+
+
+def test_a_locked_file_is_an_error_and_no_damage(path, monkeypatch):
+    monkeypatch.setattr("camber.runtime.uploads.outbox._WAIT_S", 0.01)
+    with opened(path) as outbox, closing(sqlite3.connect(path, isolation_level=None)) as other:
+        outbox.put(*upload(1))
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(OutboxError, match="locked"):
+            outbox.put(*upload(2))
+        other.execute("ROLLBACK")
+        outbox.put(*upload(2))
+        assert held(outbox) == [upload(1), upload(2)]
+        assert outbox.notice is None
+
+
+WRITER = """
+import os, random, sys
+from pathlib import Path
+from camber.runtime.uploads.outbox import Outbox, Upload
+path, first, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+rng, outbox, number = random.Random(seed), Outbox(path, limit_bytes=64 << 20), first
+while True:
+    numbers = range(number, number + rng.choice((1, 1, 5, 50)))
+    outbox.put_many([Upload(f"u{n}", "upload", random.Random(n).randbytes(200)) for n in numbers])
+    os.write(1, "".join(f"put {n}\\n" for n in numbers).encode())
+    number = numbers[-1] + 1
+    if rng.random() < 0.5:
+        gone = [p.id for p in outbox.pending(20)]
+        os.write(1, "".join(f"remove {i[1:]}\\n" for i in gone).encode())
+        outbox.acknowledge(gone)
+"""
+
+
+def test_a_writer_killed_at_any_moment_has_lost_nothing_that_was_put(path):
+    rng = random.Random(20)
+    promised: set[int] = set()
+    removed: set[int] = set()
+    for kill in range(12):
+        first = kill * 1_000_000
+        writer = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(path), str(first), str(kill)],
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+            text=True,
+        )
+        assert writer.stdout is not None
+        lines = [writer.stdout.readline() for _ in range(rng.randrange(1, 400))]
+        writer.send_signal(signal.SIGKILL)
+        lines += writer.stdout.read().splitlines()  # what it could still say before the end
+        writer.stdout.close()
+        assert writer.wait() == -signal.SIGKILL
+        for action, number in (line.split() for line in lines if line.strip()):
+            (promised if action == "put" else removed).add(int(number))
+        with opened(path, 64 << 20) as outbox:
+            assert outbox.notice is None
+            numbers = [int(u.id[1:]) for u in held(outbox)]
+            assert held(outbox) == [upload(n) for n in numbers]
+            assert len(numbers) == len(set(numbers))
+            assert promised - removed <= set(numbers)
+    assert len(promised) > 300
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_damage_is_noticed_set_aside_and_never_changes_an_upload(tmp_path, seed):
+    rng = random.Random(seed)
+    path = tmp_path / "outbox.sqlite"
+    put = [upload(n, rng.choice((50, 300, 9000))) for n in range(200)]
+    with opened(path) as outbox:
+        outbox.put_many(put)
+    data = bytearray(path.read_bytes())
+    for _ in range(rng.choice((1, 1, 3, 30))):
+        place = rng.randrange(100) if rng.random() < 0.2 else rng.randrange(len(data))
+        data[place] ^= 1 << rng.randrange(8)
+    path.write_bytes(data)
+    with opened(path) as outbox:
+        found = held(outbox)
+        dead = {letter for letter, reason in outbox.dead_letters() if reason == DAMAGED_ON_DISK}
+        assert set(found) <= set(put)
+        missing = {u.id for u in put} - {u.id for u in found}
+        if missing - dead:
+            assert outbox.notice is not None
+            assert "outbox.sqlite.corrupt" in outbox.notice
+            assert (tmp_path / "outbox.sqlite.corrupt").read_bytes()[4096:] == bytes(data)[4096:]
+        outbox.put_many([upload(n) for n in range(1000, 1100)])
+        assert len(held(outbox)) == len(found) + 100
+
+
+def test_one_damaged_page_costs_only_the_uploads_on_it(path):
+    put = [upload(n) for n in range(1000)]
+    with opened(path) as outbox:
+        outbox.put_many(put)
+    data = bytearray(path.read_bytes())
+    page = data.index(put[500].payload) // 4096
+    data[page * 4096 : page * 4096 + 64] = bytes(64)
+    path.write_bytes(data)
+    with opened(path) as outbox:
+        assert len(held(outbox)) >= 1000 - 4096 // 200
+        assert outbox.notice is not None
+
+
+@pytest.mark.parametrize("place", range(100))
+def test_a_flipped_bit_in_the_head_of_the_file_does_not_stop_the_outbox(path, place):
+    put = [upload(n) for n in range(5)]
+    with opened(path) as outbox:
+        outbox.put_many(put)
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1 << (place % 8)
+    path.write_bytes(data)
+    with opened(path) as outbox:
+        assert outbox.notice is not None or held(outbox) == put
+        outbox.put(*upload(10))
+        assert held(outbox)[-1] == upload(10)
+
+
+@pytest.mark.parametrize("table", [b"upload", b"dead_letter"])
+def test_a_table_that_has_lost_its_name_is_damage_and_not_an_empty_outbox(path, table):
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+    path.write_bytes(path.read_bytes().replace(table, table[:-1] + b"X"))
+    with opened(path) as outbox:
+        outbox.put(*upload(2))
+        assert outbox.notice is not None
+        assert upload(2) in held(outbox)
+
+
+def test_a_file_that_is_no_database_is_set_aside(path):
+    path.write_bytes(b"not a database" * 1000)
+    with opened(path) as outbox:
+        outbox.put(*upload(1))
+        assert held(outbox) == [upload(1)]
+        assert "outbox.sqlite.corrupt" in str(outbox.notice)
+
+
+def test_damage_while_it_runs_is_repaired_and_the_put_succeeds(path):
+    with opened(path) as outbox:
+        outbox.put_many([upload(n) for n in range(500)])
+        assert outbox.counts().pending == 500
+        with closing(sqlite3.connect(path)) as other:
+            other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        data = bytearray(path.read_bytes())
+        for page in range(2, len(data) // 4096, 7):
+            data[page * 4096] = 0xFF
+        path.write_bytes(data)
+        with closing(sqlite3.connect(path, isolation_level=None)) as other:
+            other.execute("PRAGMA user_version = 1")  # makes the outbox drop its cache
+        for number in range(500, 900):
+            outbox.put(*upload(number))
+        assert outbox.notice is not None
+        assert [u.id for u in held(outbox)][-400:] == [f"u{n}" for n in range(500, 900)]
+
+
+def test_a_swap_cut_off_half_way_is_finished_on_the_next_start(tmp_path, path):
+    fresh = tmp_path / "outbox.sqlite.fresh"
+    with opened(fresh) as outbox:
+        outbox.put(*upload(1))
+    path.write_bytes(b"damaged")
+    (tmp_path / "outbox.sqlite-wal").write_bytes(b"damaged log")
+    with opened(path) as outbox:
+        assert held(outbox) == [upload(1)]
+    assert (tmp_path / "outbox.sqlite.corrupt").read_bytes() == b"damaged"
+    assert (tmp_path / "outbox.sqlite.corrupt-wal").read_bytes() == b"damaged log"
+    assert not fresh.exists()
+
+
+def test_where_there_is_no_room_to_mend_a_damaged_file_it_stays_as_it_is(tmp_path):
+    """On a full disk SQLite leaves what it has written in its log, and does not say so."""
+    path = tmp_path / "outbox.sqlite"
+    path.write_bytes(b"damaged")
+    (tmp_path / "outbox.sqlite.corrupt").write_bytes(b"the last copy")
+
+    def on_a_full_disk(making):
+        making.write_bytes(b"little")
+        making.with_name(making.name + "-wal").write_bytes(b"much")
+
+    with pytest.raises(OSError, match="No space left"):
+        replace_damaged(path, on_a_full_disk)
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {
+        "outbox.sqlite": b"damaged",
+        "outbox.sqlite.corrupt": b"the last copy",
+    }

@@ -1,0 +1,105 @@
+"""An upload reaches its service with the vehicle that its key names, live and in a replay, at its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any
+
+import pytest
+
+from camber.runtime.bus import Bus
+from camber.runtime.clock import ReplayClock, SystemClock
+from camber.runtime.run import Loop
+from camber.runtime.service import Service
+from camber.runtime.session import open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.runtime.uploads.received import Uploaded
+from camber.schemas.channels import BY_NAME
+from camber.schemas.codec import decode, encode, encoding_of
+from camber.schemas.fleet import ElevationUpload, UploadReceipt
+from support.messages import build
+from support.running import free_port
+
+
+class Server(Service[ServiceSettings]):
+    """Says what it got."""
+
+    NAME = "map_update"
+    SETTINGS = ServiceSettings
+
+    def __init__(self, settings: ServiceSettings, bus: Bus) -> None:
+        super().__init__(settings, bus)
+        self.got: list[tuple[str, int]] = []
+
+    def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Any]]]:
+        return {"upload": self.take}
+
+    def take(self, uploads: Sequence[Uploaded]) -> list[UploadReceipt]:
+        self.got += [(upload.vehicle, self.bus.now_ns()) for upload in uploads]
+        return [
+            UploadReceipt(
+                time_ns=upload.time_ns,
+                vehicle=upload.message.vehicle,
+                upload_id=upload.message.upload_id,
+                status="stored",
+            )
+            for upload in uploads
+        ]
+
+
+@pytest.mark.parametrize("clock", [SystemClock(), ReplayClock()], ids=["live", "in a replay"])
+def test_an_upload_comes_with_the_vehicle_of_its_key(clock: SystemClock | ReplayClock) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    settings = ServiceSettings(
+        vehicle="fleet", zenoh=ZenohSettings(mode="router", connect=[], listen=[endpoint])
+    )
+    message = build(ElevationUpload, Random(7))
+    bus = Bus(open_session(settings.zenoh), settings, "map_update", clock)
+    client = open_session(ZenohSettings(mode="client", connect=[endpoint]))
+    try:
+        service = Server(settings, bus)
+        loop = Loop(service, bus, clock)
+        bus.answer(BY_NAME["upload"])
+        replies = client.get(
+            "camber/v1/fleet/car-7/upload",
+            payload=encode(message, source="test"),
+            encoding=encoding_of(ElevationUpload),
+            timeout=10.0,
+        )
+        assert bus.next_event(10.0) == ("query", "upload")
+        loop.answer("upload")
+        (receipt,) = [
+            decode(UploadReceipt, reply.ok.payload.to_bytes()).message for reply in replies if reply.ok
+        ]
+        assert receipt.upload_id == message.upload_id
+        ((vehicle, at_ns),) = service.got
+        assert vehicle == "car-7"
+        assert isinstance(clock, SystemClock) or at_ns == message.time_ns
+    finally:
+        client.close()
+        bus.close()
+
+
+@pytest.mark.parametrize("key", ["camber/v1/fleet/**", "camber/v1/**", "camber/v1/fleet/*/upload"])
+def test_an_upload_that_is_asked_of_many_vehicles_is_refused_and_the_service_goes_on(key: str) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    zenoh = ZenohSettings(mode="router", connect=[], listen=[endpoint])
+    settings = ServiceSettings(vehicle="fleet", zenoh=zenoh, log_level="error")
+    bus = Bus(open_session(settings.zenoh), settings, "map_update", SystemClock())
+    client = open_session(ZenohSettings(mode="client", connect=[endpoint]))
+    try:
+        service = Server(settings, bus)
+        loop = Loop(service, bus, SystemClock())
+        bus.answer(BY_NAME["upload"])
+        payload, encoding = encode(build(ElevationUpload, Random(7))), encoding_of(ElevationUpload)
+        replies = client.get(key, payload=payload, encoding=encoding, timeout=10.0)
+        assert bus.next_event(10.0) == ("query", "upload")
+        loop.answer("upload")
+        (error,) = [reply.err.payload.to_bytes().decode() for reply in replies if reply.err]
+        assert f"key '{key}': expected camber/v1/fleet/{{vehicle}}/upload of one vehicle" in error
+        assert service.got == []
+        assert [issue.code for issue in bus.issues()] == ["refused_question"]
+    finally:
+        client.close()
+        bus.close()

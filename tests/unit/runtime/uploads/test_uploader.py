@@ -1,0 +1,240 @@
+"""Uploads are handed over at once, made durable beside the work loop, and problems come back to it."""
+
+import threading
+import time
+from contextlib import closing
+
+import pytest
+
+from camber.runtime.uploads import uploader as module
+from camber.runtime.uploads.outbox import Outbox, OutboxError, OutboxFull
+from camber.runtime.uploads.uploader import Uploader
+from camber.schemas.codec import decode, encode, encoding_of
+from camber.schemas.fleet import ReleaseHead, UploadReceipt
+
+T = 1_300_000_000 * 10**9
+LIMIT = 4 << 20
+
+
+def message(version=1):
+    return ReleaseHead(time_ns=T, region="here", map_version=version, manifest_sha256="0" * 64)
+
+
+def silent(channel, data):
+    raise RuntimeError("nobody answers")
+
+
+def wait_for(condition, *, timeout_s=5.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "outbox.sqlite"
+
+
+def make(path, ask=silent):
+    return Uploader(path, source="integrity", limit_bytes=LIMIT, ask=ask)
+
+
+def waiting(path):
+    with closing(Outbox(path, limit_bytes=LIMIT)) as outbox:
+        return outbox.pending(1000)
+
+
+class Server:
+    """Says the same of every upload."""
+
+    def __init__(self, status="stored"):
+        self.status = status
+        self.asked = []
+
+    def __call__(self, channel, data):
+        version = decode(ReleaseHead, data, None).message.map_version
+        self.asked.append((channel, version))
+        receipt = UploadReceipt(time_ns=T, vehicle="v", upload_id=f"u{version}", status=self.status)
+        return encode(receipt), encoding_of(UploadReceipt)
+
+
+def test_what_was_handed_over_is_on_the_disk_after_close(path):
+    uploader = make(path)
+    for k in range(50):
+        uploader.put(f"u{k}", "upload", message(k))
+    uploader.close()
+    found = waiting(path)
+    assert [pending.id for pending in found] == [f"u{k}" for k in range(50)]
+    assert decode(ReleaseHead, found[7].payload, None).message == message(7)
+
+
+def test_it_is_sent_and_leaves_when_it_is_acknowledged(path):
+    server = Server()
+    uploader = make(path, server)
+    uploader.put("u1", "upload_batch", message(1))
+    wait_for(lambda: server.asked and uploader.outbox.counts().pending == 0)
+    uploader.close()
+    assert server.asked == [("upload_batch", 1)]
+    assert uploader.problems() == []
+
+
+def test_that_nobody_answers_is_a_problem_told_when_it_grows(path):
+    uploader = make(path)
+    uploader.put("u1", "upload", message(1))
+    wait_for(lambda: uploader.sender.sender.counts["failed"] > 0)
+    wait_for(lambda: uploader.sender.sender.last_failure)
+    uploader.sender.close()
+    assert uploader.problems() == [("upload_unanswered", "RuntimeError: nobody answers")]
+    assert uploader.problems() == []
+    uploader.close()
+
+
+def test_that_no_receipt_comes_for_long_is_told_with_what_to_look_at(path, monkeypatch):
+    monkeypatch.setattr(module, "_SILENT_S", 0.3)
+    server, answers = Server(), threading.Event()
+
+    def denied(channel, data):
+        return server(channel, data) if answers.is_set() else silent(channel, data)
+
+    uploader = make(path, denied)
+    uploader.put("u1", "upload", message())
+    wait_for(lambda: uploader.sender.sender.counts["failed"])
+    assert "upload_not_acknowledged" not in dict(uploader.problems())
+    time.sleep(0.4)
+    text = dict(uploader.problems())["upload_not_acknowledged"]
+    assert text.startswith("no receipt for ")
+    assert "certificate" in text
+    assert "nobody answers" in text
+    assert "upload_not_acknowledged" not in dict(uploader.problems()), "not in every round"
+    answers.set()
+    wait_for(lambda: uploader.sender.sender.counts["stored"], timeout_s=15.0)
+    time.sleep(0.4)
+    assert "upload_not_acknowledged" not in dict(uploader.problems())
+    uploader.close()
+
+
+def test_a_refusal_is_a_problem(path):
+    uploader = make(path, Server("refused"))
+    uploader.put("u1", "upload", message(1))
+    wait_for(lambda: uploader.sender.sender.counts["refused"] > 0)
+    assert ("upload_refused", "1 are dead letters") in uploader.problems()
+    uploader.close()
+
+
+def test_a_damaged_outbox_is_a_problem(path):
+    path.write_bytes(b"no database at all" * 1000)
+    uploader = make(path)
+    codes = [code for code, _ in uploader.problems()]
+    assert codes == ["outbox_damaged"]
+    uploader.close()
+
+
+def test_a_disk_that_fails_for_a_while_loses_nothing(path, monkeypatch):
+    monkeypatch.setattr(module, "_RETRY_S", 0.01)
+    uploader = make(path)
+    put_many, failing = uploader.outbox.put_many, threading.Event()
+    failing.set()
+
+    def hindered(uploads):
+        if failing.is_set():
+            raise OutboxError("no room left")
+        put_many(uploads)
+
+    monkeypatch.setattr(uploader.outbox, "put_many", hindered)
+    uploader.put("u1", "upload", message(1))
+    wait_for(lambda: ("upload_not_stored", "no room left") in uploader.problems())
+    uploader.put("u2", "upload", message(2))
+    failing.clear()
+    wait_for(lambda: uploader.outbox.counts().pending == 2)
+    uploader.close()
+    assert [pending.id for pending in waiting(path)] == ["u1", "u2"]
+
+
+def test_one_that_still_fails_at_the_end_is_told(path, monkeypatch):
+    def full(uploads):
+        raise OutboxError("no room left")
+
+    uploader = make(path)
+    monkeypatch.setattr(uploader.outbox, "put_many", full)
+    uploader.put("u1", "upload", message(1))
+    uploader.close()
+    assert ("upload_lost", "1 uploads: no room left") in uploader.problems()
+
+
+def test_an_id_that_is_taken_costs_only_that_upload(path, monkeypatch):
+    release = threading.Event()
+    uploader = make(path)
+    put_many = uploader.outbox.put_many
+
+    def slow(uploads):
+        release.wait(5.0)
+        put_many(uploads)
+
+    monkeypatch.setattr(uploader.outbox, "put_many", slow)
+    uploader.put("u1", "upload", message(1))
+    for upload_id, version in [("u2", 2), ("u1", 99), ("u3", 3)]:  # one group: the writer waits for the first
+        uploader.put(upload_id, "upload", message(version))
+    release.set()
+    uploader.close()
+    assert [pending.id for pending in waiting(path)] == ["u1", "u2", "u3"]
+    (text,) = [text for code, text in uploader.problems() if code == "upload_lost"]
+    assert "u1" in text
+
+
+def test_more_than_the_queue_holds_is_dropped_and_told_and_close_still_ends(path, monkeypatch):
+    monkeypatch.setattr(module, "_QUEUE_LIMIT", 2)
+    monkeypatch.setattr(module, "_STORE_LIMIT_S", 0.05)
+    release, entered = threading.Event(), threading.Event()
+    uploader = make(path)
+
+    def hangs(uploads):
+        entered.set()
+        release.wait(5.0)
+
+    monkeypatch.setattr(uploader.outbox, "put_many", hangs)
+    uploader.put("u0", "upload", message(0))
+    assert entered.wait(5.0)
+    for k in range(1, 5):
+        uploader.put(f"u{k}", "upload", message(k))
+    uploader.close()
+    codes = [code for code, _ in uploader.problems()]
+    assert codes.count("upload_dropped") == 2
+    assert "upload_lost" in codes
+    release.set()
+    uploader._writer.join(5.0)
+    assert not uploader._writer.is_alive()
+
+
+def test_how_many_uploads_wait_is_known_without_asking_the_disk(path):
+    uploader = make(path)
+    try:
+        for k in range(7):
+            uploader.put(f"u{k}", "upload", message(k))
+        wait_for(lambda: uploader.waiting() == {"uploads_not_stored": 0.0, "uploads_waiting": 7.0})
+    finally:
+        uploader.close()
+
+
+def test_of_a_group_for_which_there_is_no_room_so_much_is_kept_as_fits(path, monkeypatch):
+    begun, release = threading.Event(), threading.Event()
+    uploader = make(path)
+    put_many = uploader.outbox.put_many
+
+    def little_room(uploads):
+        begun.set()
+        release.wait(5.0)
+        if len(uploads) + uploader.outbox.counts().pending > 7:
+            raise OutboxFull("no room left")
+        put_many(uploads)
+
+    monkeypatch.setattr(uploader.outbox, "put_many", little_room)
+    uploader.put("u0", "upload", message())
+    assert begun.wait(5.0)
+    for n in range(1, 20):  # one group: the writer waits for the first
+        uploader.put(f"u{n}", "upload", message())
+    release.set()
+    uploader.close()
+    assert [pending.id for pending in waiting(path)] == [f"u{n}" for n in range(7)]
+    lost = [text for code, text in uploader.problems() if code == "upload_lost"]
+    assert lost == ["13 uploads: no room left"]

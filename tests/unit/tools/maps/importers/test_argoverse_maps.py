@@ -1,0 +1,129 @@
+"""Logs of Argoverse 2 as releases: what the map server then says of the road is what the log's raster says."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.cli import main
+from camber.formats.errors import FormatError
+from camber.formats.map_exchange.argoverse import Floats, Lane, read_log
+from camber.road_map.release import read_release
+from camber.schemas.road import ElevationRequest
+from camber.tools.localize.local_map_queries import MapAtHand
+from camber.tools.maps.importers.argoverse import CityFrame, _nodes, centre_line
+
+NAMES = ("7fab2350", "3bffdcff")
+BUILD = ("--region", "PIT", "--datum", "WGS84", "--epoch-year", "2020.5")
+WITHIN_M = 0.015
+POSES_APART = 20  # of 200 in a second; all of them give the same figures to 2 mm
+
+
+def log_folder(name: str) -> Path:
+    if not os.environ.get("CAMBER_DATA"):
+        pytest.skip("CAMBER_DATA is not set: no recordings")
+    return Path(os.environ["CAMBER_DATA"]) / "av2" / name
+
+
+def elevations(folder: Path, city: str, places_m: Floats) -> Floats:
+    """Of the road under places (n, 3), as map_server answers, surface after surface."""
+    asked = MapAtHand(read_release(folder))
+    latitude, longitude = CityFrame.of_city(city).to_geodetic(places_m[:, 0], places_m[:, 1])
+    found, last = np.full(len(places_m), np.nan), None
+    for k, (lat, lon) in enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True)):
+        road = asked.elevation(
+            ElevationRequest(time_ns=10**18, latitude_rad=lat, longitude_rad=lon, last_surface_id=last)
+        ).road
+        if road.elevation_m is not None:
+            found[k], last = road.elevation_m, road.surface_id
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_under_each_pose_the_map_says_what_the_raster_says(tmp_path: Path, name: str) -> None:
+    folder = log_folder(name)
+    assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(folder)]) == 0
+    log = read_log(folder)
+    places_m = log.city_from_egovehicle[::POSES_APART, :3, 3]
+    found_m = elevations(tmp_path / "map", log.city, places_m)
+    off_m = np.abs(found_m - log.ground.height_between(places_m))
+    cell_m = np.abs(found_m - log.ground.height(places_m))
+    own_m = np.abs(log.ground.height_between(places_m) - log.ground.height(places_m))
+    above_m = places_m[:, 2] - found_m
+    print(f"{name}: off the raster p95 {np.percentile(off_m, 95):.4f}, its cells {np.percentile(cell_m, 95):.4f} "
+          f"(raster itself {np.percentile(own_m, 95):.4f}), origin above {above_m.mean():.4f} ± {above_m.std():.4f} "
+          f"(median {np.median(above_m):.4f})")  # fmt: skip
+    assert np.isfinite(found_m).all()
+    assert np.percentile(off_m, 95) <= WITHIN_M
+    # The raster's own steps of up to 6 cm, which a bilinear surface goes over within a cell.
+    assert np.percentile(cell_m, 95) <= np.percentile(own_m, 95) + 0.5 * WITHIN_M
+    assert 0.30 <= above_m.mean() <= 0.32
+
+
+def test_a_city_s_metres_are_those_of_its_zone() -> None:
+    frame = CityFrame.of_city("PIT")
+    x, y = np.array([0.0, 1000.0, 0.0, 5000.0]), np.array([0.0, 0.0, 1000.0, 2400.0])
+    latitude, longitude = frame.to_geodetic(x, y)
+    assert np.degrees([latitude[0], longitude[0]]) == pytest.approx([40.44177902989321, -80.01294377242584])
+    back = np.column_stack(frame.from_geodetic(latitude, longitude))
+    assert np.abs(back - np.column_stack((x, y))).max() < 1e-6
+
+
+def test_with_an_origin_of_its_own_the_city_is_a_plane_there() -> None:
+    frame = CityFrame.at(35.0, 137.0)
+    latitude, longitude = frame.to_geodetic(np.array([0.0, 300.0]), np.array([0.0, -400.0]))
+    assert np.degrees([latitude[0], longitude[0]]) == pytest.approx([35.0, 137.0])
+    x, y = frame.from_geodetic(latitude, longitude)
+    assert np.abs(np.column_stack((x, y)) - [[0.0, 0.0], [300.0, -400.0]]).max() < 1e-6
+
+
+def test_a_city_whose_origin_is_not_published_is_refused() -> None:
+    with pytest.raises(FormatError, match="PIT"):
+        CityFrame.of_city("XYZ")
+
+
+def test_a_log_whose_files_are_damaged_is_one_clear_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = log_folder("3bffdcff")
+    copy = tmp_path / "log"
+    for name in (
+        "city_SE3_egovehicle.feather",
+        "*_ground_height_surface____PIT.npy",
+        "*Sim2_city.json",
+        "log_map_*.json",
+    ):
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(whole, copy, copy_function=shutil.copyfile)
+        (path,) = copy.rglob(name)
+        data = path.read_bytes()
+        for length in (5, len(data) // 2):
+            path.write_bytes(data[:length])
+            assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(copy)]) == 2
+            assert len(capsys.readouterr().err.splitlines()) == 1, (name, length)
+        path.unlink()
+        assert main(["map", "build", "argoverse", "--out", str(tmp_path / "map"), *BUILD, str(copy)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1, name
+
+
+def lane(lane_id: int, *successors: int) -> Lane:
+    left = np.array([[0.0, 2.0, 5.0], [10.0, 2.0, 6.0]])
+    right = np.array([[0.0, -2.0, 5.0], [4.0, -2.0, 5.0], [10.0, -2.0, 6.0]])
+    return Lane(lane_id, "VEHICLE", left, right, successors)
+
+
+def test_lanes_that_follow_one_another_meet_in_a_node() -> None:
+    start, end = _nodes([lane(10, 11, 12), lane(11, 99), lane(12), lane(20, 12)])
+    assert end[0] == start[1] == start[2] == end[3]
+    assert len({*start.tolist(), *end.tolist()}) == 5
+
+
+def test_the_middle_of_a_lane_is_halfway_between_its_sides() -> None:
+    line_m, half_m = centre_line(lane(1))
+    assert half_m == pytest.approx(2.0, abs=0.01)
+    assert np.abs(line_m[:, 1]).max() < 1e-9
+    assert line_m[[0, -1], 0].tolist() == [0.0, 10.0]

@@ -1,0 +1,207 @@
+"""Releases given away and taken in again: GeoTIFF, GeoJSON, PCD cells."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camber.cli import main
+from camber.formats.map_exchange.pcd import read_pcd
+from camber.geodesy.local_frame import LocalFrame
+from camber.road_map.cloud_tiles import cloud_tiles
+from camber.road_map.release import Release, read_release, write_release
+from camber.road_map.road_columns import RoadLinks, RoadSurfaces
+from camber.road_map.surface_heights import SurfaceHeights
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+
+FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
+NOW_NS = 1_400_000_000 * 10**9
+BUILD = ("--region", "test", "--datum", "WGS84", "--epoch-year", "2024.0")
+BRIDGE_M = 6.0
+
+
+def hill(east_m: Floats, north_m: Floats) -> Floats:
+    height: Floats = 50.0 + 0.05 * east_m - 0.02 * north_m + 0.0003 * east_m**2
+    return height
+
+
+def road_and_bridge() -> tuple[RoadSurfaces, RoadLinks]:
+    """A road to the east, another over it to the north."""
+    lines = (np.array([[-60.0, 0.0], [60.0, 8.0]]), np.array([[5.0, -40.0], [5.0, 40.0]]))
+    vertices = [np.column_stack(FRAME.geodetic_from_east_north_array(line, 0.0)[:2]) for line in lines]
+    links = RoadLinks(
+        link_id=np.array([3, 5]),
+        start_node=np.array([1, 3]),
+        end_node=np.array([2, 4]),
+        level=np.array([0, 1]),
+        sigma_m=np.array([0.5, 0.25]),
+        vertices=vertices,
+    )
+
+    def ground(latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:
+        plane = FRAME.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
+        return hill(*plane.T) + BRIDGE_M * row, np.full(len(row), 0.03)
+
+    roads = Roads(links, np.array([2.0, 2.0]))
+    return surfaces_along(roads, ground, spacing_m=1.0, seen_ns=NOW_NS - 10**9, vehicles=4), links
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("release")
+    surfaces, links = road_and_bridge()
+    rng = np.random.default_rng(5)
+    plane = rng.uniform((-60.0, -30.0), (60.0, 30.0), (3000, 2))
+    clouds = [
+        *cloud_tiles(np.column_stack((plane, hill(*plane.T))), FRAME, "road_cloud", NOW_NS),
+        *cloud_tiles(np.column_stack((plane, hill(*plane.T) + 9.0)), FRAME, "environment_cloud", NOW_NS),
+    ]
+    write_release(
+        folder, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
+        surfaces=surfaces, links=links, clouds=clouds,
+    )  # fmt: skip
+    return folder
+
+
+def exported(release: Path, to: str, out: Path, *more: str) -> Path:
+    assert main(["map", "export", str(release), "--to", to, "--out", str(out), *more]) == 0
+    return out
+
+
+def along(level: int) -> Floats:
+    """Places (n, 2) along the middle of a road, not at its very ends."""
+    share = np.linspace(0.02, 0.98, 200)[:, None]
+    a, b = ((-60.0, 0.0), (60.0, 8.0)) if level == 0 else ((5.0, -40.0), (5.0, 40.0))
+    return np.array(a) + share * (np.array(b) - np.array(a))
+
+
+def heights(map_release: Release, places_m: Floats, level: int) -> Floats:
+    surfaces = map_release.road_surfaces()
+    latitude, longitude, _ = FRAME.geodetic_from_east_north_array(places_m, 0.0)
+    found, nearest = np.full(len(places_m), np.nan), np.full(len(places_m), 0.01)
+    for row in np.flatnonzero(surfaces.level == level):
+        height_m, outside_m = SurfaceHeights(surfaces).heights_m(
+            np.full(len(places_m), row), latitude, longitude
+        )
+        nearer = outside_m < nearest
+        found[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
+    return found
+
+
+def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Path, tmp_path: Path) -> None:
+    path = exported(release, "geojson", tmp_path / "map.geojson")
+    assert main(["map", "build", "geojson", "--out", str(tmp_path / "again"), *BUILD, str(path)]) == 0
+    before, after = read_release(release), read_release(tmp_path / "again")
+    for layer in ("surfaces", "links"):
+        assert before.tiles(layer) == after.tiles(layer)
+        assert [before.sha256(layer, *xy) for xy in before.tiles(layer)] == [
+            after.sha256(layer, *xy) for xy in after.tiles(layer)
+        ]
+
+
+def test_geojson_says_where_surfaces_are_to_who_knows_nothing_of_camber(
+    release: Path, tmp_path: Path
+) -> None:
+    features = json.loads(exported(release, "geojson", tmp_path / "map.geojson").read_text())["features"]
+    polygons = [f for f in features if f["geometry"]["type"] == "Polygon"]
+    lines = [f for f in features if f["geometry"]["type"] == "LineString"]
+    assert len(lines) == 2
+    assert len(polygons) == len(read_release(release).road_surfaces())
+    for polygon in polygons:
+        (ring,) = polygon["geometry"]["coordinates"]
+        assert ring[0] == ring[-1]
+        corners = np.array(ring)
+        x, y = corners[:, 0], corners[:, 1]
+        assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0.0  # counter-clockwise
+        plane = FRAME.east_north_from_geodetic_array(np.radians(y), np.radians(x), 0.0 * x)
+        lift = BRIDGE_M * polygon["properties"]["level"]
+        assert np.abs(corners[:, 2] - hill(*plane.T) - lift).max() < 0.002
+
+
+def test_a_geotiff_of_each_level_comes_back_within_a_millimetre(release: Path, tmp_path: Path) -> None:
+    folder = exported(release, "geotiff", tmp_path / "tif", "--cell-m", "0.25")
+    assert sorted(path.name for path in folder.iterdir()) == ["level_0.tif", "level_1.tif"]
+    for level in (0, 1):
+        out = tmp_path / f"again{level}"
+        command = ["map", "build", "geotiff", "--out", str(out), *BUILD, str(folder / f"level_{level}.tif")]
+        options = ["--roads", str(release), "--width-m", "3", "--sigma-m", "0.03", "--spacing-m", "0.5"]
+        assert main([*command, *options, "--level", str(level)]) == 0
+        again = read_release(out)
+        assert set(again.road_surfaces().link_id.tolist()) == {3 if level == 0 else 5}
+        assert len(again.road_links()) == 2
+        places_m = along(level)
+        found_m = heights(again, places_m, level)
+        assert np.isfinite(found_m).all()
+        assert np.abs(found_m - heights(read_release(release), places_m, level)).max() < 0.001
+
+
+def test_autoware_s_cells_hold_each_point_once_where_the_projector_says(
+    release: Path, tmp_path: Path
+) -> None:
+    import pyproj
+
+    folder = exported(release, "pcd", tmp_path / "autoware", "--cell-m", "25")
+    metadata = (folder / "pointcloud_map_metadata.yaml").read_text().splitlines()
+    assert metadata[:2] == ["x_resolution: 25.0", "y_resolution: 25.0"]
+    projector = dict(
+        line.strip().split(": ")
+        for line in (folder / "map_projector_info.yaml").read_text().splitlines()
+        if ": " in line
+    )
+    assert projector["projector_type"] == "LocalCartesianUTM"
+    utm = pyproj.Proj(proj="utm", zone=53, ellps="WGS84")
+    east0, north0 = utm(float(projector["longitude"]), float(projector["latitude"]))
+    count = 0
+    for line in metadata[2:]:
+        name, corner = line.split(": ")
+        low = np.array(json.loads(corner), np.float64)
+        points = read_pcd(folder / "pointcloud_map" / name).points_m.astype(np.float64)
+        assert ((points[:, :2] >= low - 1e-3) & (points[:, :2] <= low + 25.0 + 1e-3)).all()
+        longitude, latitude = np.radians(utm(points[:, 0] + east0, points[:, 1] + north0, inverse=True))
+        plane = FRAME.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
+        off = points[:, 2] - hill(*plane.T)
+        assert (np.minimum(np.abs(off), np.abs(off - 9.0)) < 0.01).all()
+        count += len(points)
+    assert 5990 <= count <= 6000  # see _points: on a border some are in neither tile
+
+
+def test_what_cannot_be_exported_is_one_clear_line(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare"
+    surfaces, links = road_and_bridge()
+    write_release(
+        bare, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
+        surfaces=surfaces, links=links,
+    )  # fmt: skip
+    for folder, options in (
+        (bare, ("--to", "pcd")),
+        (tmp_path / "none", ("--to", "geojson")),
+    ):
+        assert main(["map", "export", str(folder), "--out", str(tmp_path / "x"), *options]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_cell_without_size_is_refused(
+    release: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "map",
+                "export",
+                str(release),
+                "--out",
+                str(tmp_path / "x"),
+                "--to",
+                "geotiff",
+                "--cell-m",
+                "0.001",
+            ]
+        )
+    assert "--cell-m: '0.001', expected a number from 0.01 to 10000 m" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,187 @@
+"""Rasters as maps: what has no datum is refused, what has no data has no surface, and σ says how rough it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camber.cli import main
+from camber.road_map.release import read_release
+from camber.road_map.surface_heights import SurfaceHeights
+from camber.tools.maps.importers.rasters import quiet_rasterio
+
+rasterio = pytest.importorskip("rasterio")
+
+ZONE = "EPSG:32653"  # UTM 53 north
+CORNER_M = (682_000.0, 3_886_200.0)
+CELL_M = 0.5
+SIZE = 500
+WIDTH_M = 3.0
+
+
+def surface(x: Any, y: Any) -> Any:
+    return 40.0 + 0.03 * (x - CORNER_M[0]) + 0.01 * (y - CORNER_M[1])
+
+
+def cells() -> Any:
+    at = (np.arange(SIZE) + 0.5) * CELL_M
+    return surface(CORNER_M[0] + at[None, :], CORNER_M[1] - at[:, None]).astype(np.float32)
+
+
+def geotiff(path: Path, heights: Any, crs: Any, *, scale: float = 1.0) -> Path:
+    import pyproj
+
+    with quiet_rasterio(), rasterio.open(
+        path, "w", driver="GTiff", width=SIZE, height=SIZE, count=1, dtype=heights.dtype, nodata=-32768,
+        crs=None if crs is None else pyproj.CRS(crs).to_wkt(), tiled=True, blockxsize=128, blockysize=128,
+        compress="deflate", transform=rasterio.Affine(CELL_M, 0.0, CORNER_M[0], 0.0, -CELL_M, CORNER_M[1]),
+    ) as file:  # fmt: skip
+        file.write(heights[None])
+        file.scales = (scale,)
+    return path
+
+
+def line(path: Path, *, level: int = 0) -> Path:
+    """A road 200 m to the east through the middle of the raster."""
+    import pyproj
+
+    utm = pyproj.Proj(32653)
+    x = np.linspace(CORNER_M[0] + 25.0, CORNER_M[0] + 225.0, 9)
+    longitude, latitude = utm(x, np.full(9, CORNER_M[1] - 125.0), inverse=True)
+    feature = {
+        "type": "Feature",
+        "geometry": {"type": "LineString", "coordinates": np.column_stack((longitude, latitude)).tolist()},
+        "properties": {"level": level, "width_m": WIDTH_M},
+    }
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
+
+
+def build(raster: Path, roads: Path, *more: str, datum: str = "WGS84") -> int:
+    out = raster.parent / "map"
+    common = ("--out", str(out), "--region", "t", "--datum", datum, "--epoch-year", "2024.0")
+    return main(
+        ["map", "build", "geotiff", *common, "--roads", str(roads), "--sigma-m", "0.02", *more, str(raster)]
+    )
+
+
+def errors(folder: Path) -> tuple[Any, Any, Any]:
+    """Height − truth and distance outside of the nearest surface along the middle of the road, every 0.1 m."""
+    import pyproj
+
+    utm = pyproj.Proj(32653)
+    x = np.arange(CORNER_M[0] + 26.0, CORNER_M[0] + 224.0, 0.1)
+    y = np.full(len(x), CORNER_M[1] - 125.0)
+    longitude, latitude = np.radians(utm(x, y, inverse=True))
+    surfaces = read_release(folder).road_surfaces()
+    heights, height_m, outside_m = SurfaceHeights(surfaces), np.full(len(x), np.nan), np.full(len(x), np.inf)
+    for row in range(len(surfaces)):
+        found_m, off_m = heights.heights_m(np.full(len(x), row), latitude, longitude)
+        nearer = off_m < outside_m
+        height_m[nearer], outside_m[nearer] = found_m[nearer], off_m[nearer]
+    return x - CORNER_M[0], height_m - surface(x, y), outside_m
+
+
+def test_a_raster_that_says_ellipsoidal_needs_no_more(tmp_path: Path) -> None:
+    import pyproj
+
+    known = pyproj.CRS(ZONE).to_3d()
+    raster = geotiff(tmp_path / "dem.tif", cells(), known)
+    assert build(raster, line(tmp_path / "road.geojson")) == 0
+    _, off_m, outside_m = errors(tmp_path / "map")
+    assert outside_m.max() < 0.01
+    assert np.abs(off_m).max() < 0.001
+    assert read_release(tmp_path / "map").road_surfaces().sigma_m == pytest.approx(0.02, abs=1e-3)
+
+
+def test_a_raster_without_a_vertical_datum_is_refused_and_told_how_to_name_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raster, roads = geotiff(tmp_path / "dem.tif", cells(), ZONE), line(tmp_path / "road.geojson")
+    assert build(raster, roads) == 2
+    said = capsys.readouterr().err
+    assert "--vertical-datum" in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "map").exists()
+    assert build(raster, roads, "--vertical-datum", "ellipsoidal") == 0
+    assert np.abs(errors(tmp_path / "map")[1]).max() < 0.001
+
+
+def test_a_geoid_whose_grid_is_missing_is_refused_by_its_file_s_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    raster = geotiff(tmp_path / "dem.tif", cells(), f"{ZONE}+3855")
+    assert build(raster, line(tmp_path / "road.geojson")) == 2
+    said = capsys.readouterr().err
+    assert "egm08_25" in said
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("crs", "word"), [(None, "CRS"), (f"{ZONE}+6360", "metre"), ("EPSG:6690", "datum"), ("EPSG:4978", "CRS")]
+)
+def test_without_a_system_in_feet_on_another_datum_or_geocentric_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], crs: str | None, word: str
+) -> None:
+    raster = geotiff(tmp_path / "dem.tif", cells(), crs)
+    assert build(raster, line(tmp_path / "road.geojson"), "--vertical-datum", "ellipsoidal") == 2
+    said = capsys.readouterr().err
+    assert word in said
+    assert len(said.splitlines()) == 1
+
+
+def test_where_a_raster_has_no_data_there_is_no_surface(tmp_path: Path) -> None:
+    import pyproj
+
+    heights = cells()
+    heights[235:265, 240:260] = -32768  # 10 m along the road, all of its width
+    raster = geotiff(tmp_path / "dem.tif", heights, pyproj.CRS(ZONE).to_3d())
+    assert build(raster, line(tmp_path / "road.geojson")) == 0
+    x, off_m, outside_m = errors(tmp_path / "map")
+    hole = (x > 120.5) & (x < 129.5)
+    assert outside_m[hole].min() > 0.0
+    assert outside_m[(x < 118.0) | (x > 132.0)].max() < 0.01
+    assert np.abs(off_m[outside_m == 0.0]).max() < 0.001
+
+
+def test_a_rough_raster_gives_a_larger_sigma_and_a_scaled_one_its_own_metres(tmp_path: Path) -> None:
+    import pyproj
+
+    rng = np.random.default_rng(9)
+    rough = cells() + rng.normal(0.0, 0.1, (SIZE, SIZE))
+    raster = geotiff(
+        tmp_path / "dem.tif", np.round(rough * 100.0).astype(np.int32), pyproj.CRS(ZONE).to_3d(), scale=0.01
+    )
+    assert build(raster, line(tmp_path / "road.geojson"), "--spacing-m", "1.5") == 0
+    surfaces = read_release(tmp_path / "map").road_surfaces()
+    assert 0.05 < np.median(surfaces.sigma_m) < 0.15
+    assert np.abs(errors(tmp_path / "map")[1]).max() < 0.5
+
+
+def test_roads_of_another_level_get_nothing_from_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pyproj
+
+    raster = geotiff(tmp_path / "dem.tif", cells(), pyproj.CRS(ZONE).to_3d())
+    roads = line(tmp_path / "road.geojson", level=1)
+    assert build(raster, roads) == 2
+    assert "level 0" in capsys.readouterr().err
+    assert build(raster, roads, "--level", "1") == 0
+
+
+def test_a_damaged_raster_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import pyproj
+
+    roads = line(tmp_path / "road.geojson")
+    whole = geotiff(tmp_path / "dem.tif", cells(), pyproj.CRS(ZONE).to_3d()).read_bytes()
+    broken = tmp_path / "broken.tif"
+    for length in (0, 3, 100, len(whole) // 3, len(whole) // 2):
+        broken.write_bytes(whole[:length])
+        assert build(broken, roads) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1, length
+    assert build(tmp_path / "none.tif", roads) == 2

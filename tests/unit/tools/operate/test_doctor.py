@@ -1,0 +1,533 @@
+"""`camber doctor`: each check with a deployment that is well, and with its fault."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+from cryptography.x509.oid import NameOID
+
+from camber.formats.nmea.writer import format_gga, format_rmc
+from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
+from camber.runtime.clock import SystemClock
+from camber.runtime.session import open_session
+from camber.runtime.settings import ZenohSettings
+from camber.tools.operate import doctor as tool
+from camber.tools.operate import doctor_machine_checks as checks
+from camber.tools.operate.doctor_connection_checks import check_bus, check_map, check_ports, check_receiver
+from camber.tools.operate.doctor_machine_checks import (
+    Discipline,
+    Finding,
+    check_certificates,
+    check_clock,
+    check_folder,
+)
+from support.running import free_port
+from support.small_map import surface, write
+
+NOW = datetime(2026, 6, 1, tzinfo=UTC)
+TODAY = NOW.timestamp()
+SYNCHRONISED = Discipline(True, 0.002, 37)
+
+
+def states(findings: Iterator[Finding] | list[Finding]) -> dict[str, str]:
+    return {finding.what: finding.state for finding in findings}
+
+
+def the_problem(findings: Iterator[Finding]) -> Finding:
+    (found,) = [finding for finding in findings if finding.state == "problem"]
+    assert found.todo, "it says what to do"
+    return found
+
+
+# -- clock ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_disciplined_clock_is_well() -> None:
+    assert states(check_clock(SYNCHRONISED, time.time())) == {"clock": "ok", "leap seconds": "ok"}
+
+
+@pytest.mark.parametrize(
+    ("discipline", "unix_s", "words"),
+    [
+        (Discipline(False, 16.0, 37), TODAY, "not synchronised"),
+        (Discipline(True, 0.2, 37), TODAY, "up to 0.200 s off"),
+        (Discipline(True, 0.002, 36), TODAY, "17 s for the kernel"),
+        (SYNCHRONISED, 100.0, "1970-01-01"),
+    ],
+)
+def test_a_clock_with_a_fault_is_a_problem(discipline: Discipline, unix_s: float, words: str) -> None:
+    assert words in the_problem(check_clock(discipline, unix_s)).text
+
+
+def test_what_the_kernel_does_not_tell_is_not_checked() -> None:
+    assert states(check_clock(None, time.time())) == {"clock": "not checked"}
+
+
+def test_the_kernel_tells() -> None:
+    discipline = checks.kernel_discipline()
+    assert discipline is not None
+    assert discipline.most_error_s >= 0.0
+    assert discipline.tai_minus_utc_s in range(100)
+
+
+# -- disk -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_takes_state_is_well_and_nothing_is_left_in_it(tmp_path: Path) -> None:
+    assert check_folder("disk", tmp_path, least_free_bytes=1).state == "ok"
+    found = check_folder("disk", tmp_path / "a" / "b", least_free_bytes=1)
+    assert (found.state, "will be made" in found.text) == ("ok", True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_below_one_that_is_others_is_a_problem(tmp_path: Path) -> None:
+    private = tmp_path / "private"
+    private.mkdir(mode=0o000)
+    us = os.geteuid()
+    if us == 0:
+        os.seteuid(65534)
+    try:
+        found = check_folder("disk", private / "state", least_free_bytes=1)
+    finally:
+        os.seteuid(us)
+    assert (found.state, "Permission denied" in found.text) == ("problem", True)
+
+
+def test_a_folder_without_room_is_a_problem(tmp_path: Path) -> None:
+    assert "make room" in check_folder("disk", tmp_path, least_free_bytes=1 << 60).todo
+
+
+def test_a_file_in_place_of_a_folder_is_a_problem(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("")
+    assert check_folder("disk", tmp_path / "state" / "integrity").state == "problem"
+
+
+def test_a_disk_that_cannot_flush_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", broken)
+    found = check_folder("disk", tmp_path, least_free_bytes=1)
+    assert (found.state, "Input/output error" in found.text) == ("problem", True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_slow_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter([0.0, 2.0])
+    monkeypatch.setattr(checks.time, "monotonic", lambda: next(times))
+    assert "a flush took 2.0 s" in check_folder("disk", tmp_path, least_free_bytes=1).text
+
+
+def test_a_read_only_folder_is_a_problem() -> None:
+    found = check_folder("disk", Path("/proc/camber"))
+    assert found.state == "problem"
+
+
+# -- certificates -----------------------------------------------------------------------------------------------------
+
+
+class Pki:
+    """An authority, and a certificate of it with its key, in files."""
+
+    def __init__(self, folder: Path, *, begins: datetime = NOW - timedelta(days=1), days: int = 365) -> None:
+        folder.mkdir(exist_ok=True)
+        self.authority, self.certificate, self.key = (
+            folder / name for name in ("ca.pem", "car.pem", "car.key")
+        )
+        self._ca_key = ec.generate_private_key(ec.SECP256R1())
+        key = ec.generate_private_key(ec.SECP256R1())
+        self._write(self.authority, "authority", self._ca_key, NOW - timedelta(days=9), 3650)
+        self._write(self.certificate, "car-1", key, begins, days)
+        self.key.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+        self.key.chmod(0o600)
+
+    def _write(self, path: Path, name: str, key: Any, begins: datetime, days: int) -> None:
+        issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "authority")])
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        builder = (
+            x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key.public_key())
+        )
+        builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begins)
+        builder = builder.not_valid_after(begins + timedelta(days=days))
+        builder = builder.add_extension(x509.BasicConstraints(ca=name == "authority", path_length=None), True)
+        path.write_bytes(builder.sign(self._ca_key, hashes.SHA256()).public_bytes(Encoding.PEM))
+
+    def check(self, **other: Path) -> list[Finding]:
+        files = {"authority": self.authority, "certificate": self.certificate, "key": self.key} | other
+        return list(check_certificates("TLS", **files, now=NOW))
+
+
+def test_a_pair_of_its_authority_is_well(tmp_path: Path) -> None:
+    found = Pki(tmp_path).check()
+    assert {finding.state for finding in found} == {"ok"}
+    assert any("until 2027" in finding.text for finding in found)
+    assert len(found) == 4
+
+
+@pytest.mark.parametrize(
+    ("begins", "days", "words"),
+    [
+        (NOW - timedelta(days=100), 50, "expired 2026-04-12"),
+        (NOW - timedelta(days=100), 105, "expires 2026-06-06"),
+        (NOW + timedelta(days=1), 50, "in force only from 2026-06-02"),
+    ],
+)
+def test_a_certificate_out_of_its_time_is_a_problem(
+    tmp_path: Path, begins: datetime, days: int, words: str
+) -> None:
+    assert words in the_problem(iter(Pki(tmp_path, begins=begins, days=days).check())).text
+
+
+def test_files_that_do_not_belong_together_are_a_problem(tmp_path: Path) -> None:
+    own, other = Pki(tmp_path / "a"), Pki(tmp_path / "b")
+    assert "not the key of the certificate" in the_problem(iter(own.check(key=other.key))).text
+    assert "not signed by this authority" in the_problem(iter(own.check(authority=other.authority))).text
+
+
+def test_a_key_that_others_may_read_is_a_problem(tmp_path: Path) -> None:
+    pki = Pki(tmp_path)
+    pki.key.chmod(0o644)
+    found = the_problem(iter(pki.check()))
+    assert "0644" in found.text
+    assert found.todo.startswith("chmod 600")
+
+
+def test_files_that_are_missing_or_none_are_a_problem(tmp_path: Path) -> None:
+    pki = Pki(tmp_path)
+    (tmp_path / "junk").write_text("junk")
+    (tmp_path / "junk").chmod(0o600)
+    for name, other in (("junk", "expected"), ("nosuch", "No such file")):
+        for which in ("certificate", "key", "authority"):
+            found = [f for f in pki.check(**{which: tmp_path / name}) if f.state == "problem"]
+            assert other in found[0].text
+
+
+@pytest.mark.parametrize(("days", "words"), [(-10, "expired"), (7, "expires"), (300, None)])
+def test_a_router_s_certificate_is_looked_at_in_the_router_s_own_file(
+    tmp_path: Path, days: int, words: str | None
+) -> None:
+    begins = datetime.now(UTC) - timedelta(days=20)
+    pki = Pki(tmp_path / "tls", begins=begins, days=days + 20)
+    tls = {"root_ca_certificate": str(pki.authority)}
+    tls |= {"connect_certificate": str(pki.certificate), "connect_private_key": str(pki.key)}
+    router = {"mode": "client", "connect": {"endpoints": ["tls/127.0.0.1:1"]}}
+    router["transport"] = {"link": {"tls": tls}}
+    (tmp_path / "vehicle_router.json5").write_text(json.dumps(router))
+    found = [each for each in tool.examine(tmp_path, offline=True) if each.what.startswith("router ")]
+    wrong = [each.text for each in found if each.state == "problem"]
+    assert found
+    assert (len(wrong) == 1 and words in wrong[0]) if words else not wrong
+
+
+# -- map --------------------------------------------------------------------------------------------------------------
+
+
+def map_settings(folder: Path, **more: Any) -> Any:
+    fields = {"release": folder, "store": None, "public_key": None, "datum": "WGS84", "max_age_days": None}
+    fields |= {"unsigned": False}
+    return SimpleNamespace(**(fields | more))
+
+
+def test_a_whole_map_of_the_same_datum_is_well(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    assert set(states(check_map(map_settings(tmp_path), "WGS84")).values()) == {"ok"}
+
+
+def test_a_map_of_another_datum_is_a_problem(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)], datum="JGD2011")
+    assert (
+        "map JGD2011, map_server.toml WGS84" in the_problem(check_map(map_settings(tmp_path), "JGD2011")).text
+    )
+    same = map_settings(tmp_path, datum="JGD2011")
+    assert "gnss.toml WGS84" in the_problem(check_map(same, "WGS84")).text
+
+
+def test_a_map_that_is_not_there_or_damaged_is_a_problem(tmp_path: Path) -> None:
+    assert the_problem(check_map(map_settings(tmp_path / "no"), None)).what == "map"
+    write(tmp_path, [surface(5)])
+    for blob in tmp_path.rglob("*"):
+        if (blob.is_file() and len(blob.name) == 64) or ("blob" in str(blob.parent) and blob.is_file()):
+            data = bytearray(blob.read_bytes())
+            data[-1] ^= 1
+            blob.chmod(0o600)
+            blob.write_bytes(bytes(data))
+    assert the_problem(check_map(map_settings(tmp_path), None)).what.startswith("map")
+
+
+def test_a_map_without_the_trusted_signature_is_a_problem(tmp_path: Path) -> None:
+    key = Ed25519PrivateKey.generate()
+    pem = tmp_path / "map.pem"
+    pem.write_bytes(key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
+    write(tmp_path / "map", [surface(5)])
+    assert "sign" in the_problem(check_map(map_settings(tmp_path / "map", public_key=pem), None)).text
+    write(tmp_path / "signed", [surface(5)], signing_key=key)
+    signed = map_settings(tmp_path / "signed", public_key=pem)
+    assert set(states(check_map(signed, None)).values()) == {"ok"}
+
+
+def test_a_vehicle_that_fetches_maps_and_names_no_key_is_a_problem(tmp_path: Path) -> None:
+    write(tmp_path / "map", [surface(5)])
+    fetching = {"store": tmp_path / "map.sqlite"}
+    found = the_problem(check_map(map_settings(tmp_path / "map", **fetching), None))
+    assert (found.what, "without public_key nothing is fetched" in found.text) == ("map, signature", True)
+    own = map_settings(tmp_path / "map", **fetching, unsigned=True)
+    assert set(states(check_map(own, None)).values()) == {"ok"}
+
+
+def test_a_map_that_is_too_old_is_a_problem(tmp_path: Path) -> None:
+    write(tmp_path, [surface(5)])
+    assert "days ago" in the_problem(check_map(map_settings(tmp_path, max_age_days=0.001), None)).text
+
+
+# -- bus and ports ----------------------------------------------------------------------------------------------------
+
+
+def service(endpoint: str = "tcp/127.0.0.1:1", **more: Any) -> Any:
+    from camber.runtime.settings import ServiceSettings
+
+    return ServiceSettings(vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint]), **more)
+
+
+def test_a_router_that_lets_us_in_is_well_and_none_is_a_problem() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(ZenohSettings(mode="router", listen=[endpoint], connect=[])):
+        assert set(states(check_bus(service(endpoint))).values()) == {"ok"}
+    assert set(states(check_bus(service(endpoint))).values()) == {"problem"}
+
+
+def test_a_port_that_is_taken_or_wanted_twice_is_a_problem() -> None:
+    port = free_port()
+    both = [("gnss", service(metrics_port=port)), ("integrity", service(metrics_port=port))]
+    assert states(check_ports(both[:1])) == {f"port 127.0.0.1:{port} of gnss": "ok"}
+    assert "also that of gnss" in the_problem(check_ports(both)).text
+    with socket.create_server(("127.0.0.1", port)):
+        assert "in use" in the_problem(check_ports(both[:1])).text
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "meet"),
+    [
+        ("0.0.0.0", "127.0.0.1", True),
+        ("127.0.0.1", "0.0.0.0", True),
+        ("[::]", "127.0.0.1", True),
+        ("[::]", "0.0.0.0", True),
+        ("127.0.0.1", "127.0.0.2", False),
+        ("0.0.0.0", "[::1]", False),
+    ],
+)
+def test_a_port_on_all_addresses_is_one_on_each_of_them(one: str, other: str, meet: bool) -> None:
+    port = free_port()
+    both = [
+        (name, service(metrics_port=port, metrics_host=host.strip("[]")))
+        for name, host in (("gnss", one), ("integrity", other))
+    ]
+    found = list(check_ports(both))
+    assert ["also that of gnss" in finding.text for finding in found] == [False, meet]
+
+
+def test_ports_and_hosts_that_there_cannot_be_are_problems() -> None:
+    listening = ZenohSettings(mode="peer", connect=[], listen=["tcp/127.0.0.1:99999", "tcp/a..b:7447"])
+    settings = service().model_copy(update={"zenoh": listening})
+    found = list(check_ports([("gnss", settings)]))
+    assert [(finding.what, finding.state) for finding in found] == [
+        ("port 127.0.0.1:99999 of gnss", "problem"),
+        ("port a..b:7447 of gnss", "problem"),
+    ]
+    for endpoint in ("tcp/router..example:7447", "tcp/127.0.0.1:99999"):
+        tried = next(check_bus(service(endpoint)))
+        assert (tried.what, tried.state) == (f"bus {endpoint}", "problem")
+        assert tried.text
+
+
+def test_a_port_that_a_running_service_of_ours_has_is_well() -> None:
+    from camber.runtime.health.metrics import MetricsServer, Spoken
+
+    server = MetricsServer("127.0.0.1", 0, Spoken("gnss", "car"))
+    try:
+        found = list(check_ports([("gnss", service(metrics_port=server.port))]))
+    finally:
+        server.close()
+    assert [(finding.state, "running service" in finding.text) for finding in found] == [("ok", True)]
+
+
+# -- receiver ---------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def receiver(*, late_s: float = 0.05, bytes_of: Any = None) -> Iterator[str]:
+    """Says, five times a second, a position of `late_s` ago; or what is given."""
+    server = socket.create_server(("127.0.0.1", 0))
+    ended = threading.Event()
+
+    def say(connection: socket.socket) -> None:
+        with connection:
+            while not ended.wait(0.2):
+                time_ns = SystemClock().now_ns() - round(late_s * 1e9)
+                solution = ReceiverSolution(
+                    time_ns // 10_000_000 * 10_000_000, 0.6, 2.4, 50.0, SolutionQuality.FIX, 14,
+                    covariance_enu_m2=None,
+                )  # fmt: skip
+                data = format_rmc(solution) + format_gga(solution, geoid_separation_m=37.0)
+                try:
+                    connection.sendall(data if bytes_of is None else bytes_of)
+                except OSError:
+                    return
+
+    def serve() -> None:
+        while True:
+            try:
+                connection, _ = server.accept()
+            except OSError:
+                return
+            threading.Thread(target=say, args=(connection,), daemon=True).start()
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield f"tcp:127.0.0.1:{server.getsockname()[1]}"
+    finally:
+        ended.set()
+        server.shutdown(socket.SHUT_RDWR)
+        server.close()
+
+
+def gnss_settings(source: str, **more: Any) -> Any:
+    fields = {
+        "source": source,
+        "protocol": "nmea",
+        "base_source": None,
+        "base_protocol": "rtcm",
+        "ntrip_user": None,
+        "ntrip_password": None,
+        "ntrip_version": 2,
+        "ntrip_ca_file": None,
+    }
+    return SimpleNamespace(**(fields | more))
+
+
+def received(settings: Any, seconds: float = 2.0) -> dict[str, Finding]:
+    return {finding.what: finding for finding in check_receiver(settings, seconds, gnss_runs=False)}
+
+
+def test_a_receiver_that_speaks_as_set_and_of_now_is_well() -> None:
+    with receiver() as url:
+        found = received(gnss_settings(url))
+    assert found["receiver"].state == found["clock against the receiver"].state == "ok"
+    assert "nmea" in found["receiver"].text
+    assert found["corrections"].state == "not checked"
+
+
+def test_a_receiver_whose_time_is_not_that_of_the_machine_is_a_problem() -> None:
+    with receiver(late_s=18.02) as url:
+        found = received(gnss_settings(url))["clock against the receiver"]
+    assert found.state == "problem"
+    assert "leap seconds" in found.todo
+
+
+def test_a_receiver_that_speaks_otherwise_is_silent_or_away_is_a_problem() -> None:
+    with receiver() as url:
+        found = received(gnss_settings(url, protocol="ubx"))["receiver"]
+        assert (found.state, "of ubx nothing" in found.text) == ("problem", True)
+    with receiver(bytes_of=b"\x00\x01garbage" * 20) as url:
+        assert "no frame of any protocol" in received(gnss_settings(url, protocol="mixed"))["receiver"].text
+    with receiver(bytes_of=b"") as url:
+        assert "nothing came" in received(gnss_settings(url), 1.0)["receiver"].text
+    away = received(gnss_settings(f"tcp:127.0.0.1:{free_port()}"), 1.0)["receiver"]
+    assert (away.state, "refused" in away.text.lower()) == ("problem", True)
+
+
+def test_corrections_that_do_not_come_are_a_problem() -> None:
+    with receiver() as url:
+        found = received(gnss_settings(url, base_source=url))["corrections"]
+    assert (found.state, "of rtcm nothing" in found.text) == ("problem", True)
+
+
+def test_a_serial_port_that_gnss_has_is_left_to_it() -> None:
+    found = list(check_receiver(gnss_settings("serial:/dev/ttyACM0"), 1.0, gnss_runs=True))
+    assert {finding.state for finding in found} == {"not checked"}
+
+
+# -- the whole --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def deployment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Settings of a vehicle that is well, on a machine that is."""
+    monkeypatch.setattr(tool, "kernel_discipline", lambda: SYNCHRONISED)
+    write(tmp_path / "map", [surface(5)])
+    folder = tmp_path / "config"
+    folder.mkdir()
+    for name, own in (
+        ("gnss", 'source = "bus"\n'),
+        ("map_server", f'release = "{tmp_path / "map"}"\n'),
+        ("integrity", f'state_dir = "{tmp_path / "state"}"\n'),
+    ):
+        (folder / f"{name}.toml").write_text(f'vehicle = "car"\n{own}')
+    return folder
+
+
+def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tool.main([str(deployment), "--offline"]) == 0
+    said = capsys.readouterr().out
+    assert said.endswith("no problem was found\n")
+    assert "ok          settings gnss.toml" in said
+    assert "ok          disk of integrity" in said
+    assert "no settings here of localizer, antenna_height; a vehicle needs them all" in said
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("gnss.toml", 'vehicle = "car"\nsorce = "bus"\n', "sorce: unknown setting"),
+        ("gnss.toml", 'vehicle = "van"\nsource = "bus"\n', "not the same in all files"),
+        ("gnss.toml", 'vehicle = "car"\ndatum = "JGD2011"\n', "gnss.toml JGD2011"),
+        ("gnss.toml", "vehicle = ", "not TOML"),
+        ("nosuch.toml", "", "no service has this name"),
+        ("runtime.toml", "", "settings runtime.toml: no service has this name"),
+        ("antenna_height.toml", 'vehicle = "car"\n', "fixed_height_m is not set"),
+        ("map_update.toml", 'state_dir = "/tmp"\nreference = "/nosuch"\n', "reference: /nosuch"),
+        (
+            "router.json5",
+            '{access_control: {rules: [{id: "1", permission: "allow", messages: ["put"], key_exprs: '
+            '["camber/v1/van/echo"]}]}}',
+            "router.json5 van",
+        ),
+        ("integrity.toml", 'vehicle = "car"\nstate_dir = "/proc/state"\n', "disk of integrity"),
+    ],
+)
+def test_a_deployment_with_a_fault_is_code_1_and_says_what_to_do(
+    deployment: Path, capsys: pytest.CaptureFixture[str], file: str, text: str, words: str
+) -> None:
+    (deployment / file).write_text(text)
+    assert tool.main([str(deployment), "--offline", "--json"]) == 1
+    problems = [found for found in json.loads(capsys.readouterr().out) if found["state"] == "problem"]
+    assert any(words in f"{found['what']}: {found['text']}" for found in problems)
+    assert all(found["todo"] for found in problems)
+
+
+def test_no_folder_is_wrong_usage_and_an_empty_one_a_problem(tmp_path: Path) -> None:
+    assert tool.main([str(tmp_path / "nosuch")]) == 2
+    assert tool.main([str(tmp_path / ("x" * 300))]) == 2, "as where we may not look: an OSError"
+    assert tool.main([str(tmp_path), "--offline"]) == 1
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1", "0"])
+def test_a_receiver_is_listened_to_for_so_long_and_no_longer(tmp_path: Path, number: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        tool.main([str(tmp_path), f"--seconds={number}"])
+    assert ended.value.code == 2

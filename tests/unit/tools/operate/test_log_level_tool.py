@@ -1,0 +1,96 @@
+"""`camber log-level` against a real work loop on a real router."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from camber.runtime.bus import Bus
+from camber.runtime.clock import SystemClock
+from camber.runtime.run import Loop
+from camber.runtime.service import Service
+from camber.runtime.session import open_session
+from camber.runtime.settings import ServiceSettings, ZenohSettings
+from camber.tools.operate import log_level as tool
+from support.running import free_port, wait_until
+
+
+class Plain(Service[ServiceSettings]):
+    """A service that does nothing."""
+
+    NAME = "gnss"
+    SETTINGS = ServiceSettings
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    with open_session(ZenohSettings(mode="router", listen=[where], connect=[])):
+        yield where
+
+
+@pytest.fixture
+def bus(endpoint: str) -> Iterator[Bus]:
+    settings = ServiceSettings(
+        vehicle="v7", log_level="error", zenoh=ZenohSettings(mode="client", connect=[endpoint])
+    )
+    bus = Bus(open_session(settings.zenoh), settings, "gnss", SystemClock())
+    loop = Loop(Plain(settings, bus), bus, SystemClock())
+    loop.declare()
+    thread = threading.Thread(target=loop.live)
+    thread.start()
+    yield bus
+    loop.stopping = True
+    bus.wake()
+    thread.join(20.0)
+    bus.close()
+
+
+def tell(endpoint: str, *words: str) -> int:
+    return tool.main([*words, "--vehicle", "v7", "--connect", endpoint])
+
+
+def test_it_logs_at_that_level_and_falls_back_by_itself(
+    endpoint: str, bus: Bus, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tell(endpoint, "gnss", "debug", "--for", "2s") == 0
+    assert "gnss: debug for 2 s, was error" in capsys.readouterr().out
+    assert bus.log_level == "debug"
+    wait_until(lambda: bus.log_level == "error", timeout_s=20.0, why="it falls back")
+
+
+def test_the_last_word_holds(endpoint: str, bus: Bus) -> None:
+    assert tell(endpoint, "gnss", "debug", "--for", "1h") == 0
+    assert tell(endpoint, "gnss", "warning", "--for", "1h") == 0
+    assert bus.log_level == "warning"
+
+
+def test_a_service_that_is_not_there_is_said(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tell(endpoint, "integrity", "debug") == 1
+    assert "integrity: no answer: absent" in capsys.readouterr().err
+    assert tell(endpoint, "sensors", "debug") == 1
+    assert "sensors: no answer: absent" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("10m", 600.0), ("1.5h", 5400.0)])
+def test_durations(text: str, seconds: float) -> None:
+    assert tool.duration_s(text) == seconds
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["gnss", "loud"],
+        ["gnss", "debug", "--for", "10"],
+        ["gnss", "debug", "--for", "25h"],
+        ["gnss", "debug", "--timeout", "nan"],
+        ["gnss", "debug", "--timeout", "inf"],
+        ["gnss", "debug", "--timeout", "-1"],
+    ],
+)
+def test_wrong_usage_is_code_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        tool.main(words)
+    assert ended.value.code == 2

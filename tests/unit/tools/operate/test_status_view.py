@@ -1,0 +1,214 @@
+"""What `camber status` shows of what services said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from camber.runtime.query import BusError, QueryFailed
+from camber.runtime.settings import ServiceSettings
+from camber.schemas.base import EARLIEST_NS
+from camber.schemas.health import ChannelUse, Health, Issue
+from camber.tools.operate import status
+from camber.tools.operate.status_table import as_text, duration, fleet_text
+from camber.tools.operate.status_view import view_of
+
+NOW_NS = EARLIEST_NS + 10**18
+
+
+def health(service: str = "gnss", **more: Any) -> Health:
+    fields: dict[str, Any] = {"version": "0.1.0", "status": "ok", "uptime_s": 100.0, "loop_age_s": 0.0}
+    return Health(time_ns=NOW_NS, service=service, **(fields | more))
+
+
+def use(
+    channel: str, direction: str, messages: int, age_s: float | None = 0.1, waiting: int = 0
+) -> ChannelUse:
+    return ChannelUse(channel=channel, direction=direction, messages=messages, age_s=age_s, waiting=waiting)
+
+
+def test_a_rate_is_what_was_counted_between_two_answers() -> None:
+    before = health("gnss", channels=(use("fix", "out", 100),), uptime_s=100.0)
+    now = health("gnss", channels=(use("fix", "out", 120),), uptime_s=104.0)
+    (row,) = view_of("v", {"gnss": [now]}, {"gnss": [before]}, frozenset()).channels
+    assert (row.channel, row.rate_hz, row.table_rate_hz) == ("fix", 5.0, 10.0)
+
+
+def test_a_service_that_began_anew_has_no_rate_below_zero() -> None:
+    before = health("gnss", channels=(use("fix", "out", 100),), uptime_s=100.0)
+    now = health("gnss", channels=(use("fix", "out", 5),), uptime_s=1.0)
+    (row,) = view_of("v", {"gnss": [now]}, {"gnss": [before]}, frozenset()).channels
+    assert row.rate_hz is None
+
+
+def test_a_channel_is_seen_by_all_who_use_it_together() -> None:
+    answers = {
+        "gnss": [health("gnss", channels=(use("fix", "out", 9, age_s=4.0),))],
+        "localizer": [
+            health(
+                "localizer",
+                channels=(use("fix", "in", 8, 4.1, waiting=1),),
+                counters={"fix.stale": 2, "anchor.a": 7},
+            )
+        ],
+        "integrity": [
+            health(
+                "integrity",
+                channels=(use("fix", "in", 8, 4.2, waiting=3),),
+                counters={"fix.stale": 1, "fix.other": 5},
+            )
+        ],
+    }
+    (row,) = view_of("v", answers, {}, frozenset()).channels
+    assert set(row.heard_s) == {"localizer", "integrity"}
+    assert row.refused == {"stale": 3}
+    assert (row.age_s, row.waiting) == (4.2, 3)
+    assert row.late, "ten times a second are promised"
+
+
+@pytest.mark.parametrize("age_s", [300.0, None], ids=["for long", "always"])
+def test_who_is_deaf_to_what_others_hear_is_named_and_not_well(age_s: float | None) -> None:
+    answers = {
+        "gnss": [health("gnss", channels=(use("fix", "out", 9, age_s=0.05),))],
+        "localizer": [health("localizer", channels=(use("fix", "in", 8, 0.05),))],
+        "integrity": [health("integrity", channels=(use("fix", "in", 0, age_s),))],
+    }
+    view = view_of("v", answers, {}, frozenset())
+    (row,) = view.channels
+    assert row.late
+    assert row.deaf == ["integrity"]
+    assert (row.age_s or 0.0) >= 100.0
+    assert view.exit_code == 4
+    assert "integrity has had no fix for" in " ".join(view.notes)
+
+
+def test_nobody_is_deaf_to_what_nobody_says() -> None:
+    answers = {
+        "gnss": [health("gnss", channels=(use("motion", "in", 0, None),))],
+        "integrity": [health("integrity", channels=(use("motion", "in", 0, None),))],
+    }
+    view = view_of("v", answers, {}, frozenset())
+    assert (view.channels[0].late, view.channels[0].deaf, view.exit_code) == (False, [], 0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "alive", "words"),
+    [
+        ("timeout", True, "on the bus, but its work loop does not answer"),
+        ("absent", True, "on the bus, but its work loop does not answer"),
+        ("absent", False, "not on the bus"),
+        ("timeout", False, "not on the bus any more"),
+        ("refused", False, "refused"),
+        ("invalid", True, "another version"),
+    ],
+)
+def test_whoever_gave_no_answer_is_not_answering_whatever_it_declared(
+    reason: Any, alive: bool, words: str
+) -> None:
+    view = view_of("v", {"gnss": [QueryFailed(reason, reason)]}, {}, frozenset({"gnss"} if alive else ()))
+    (row,) = view.services
+    assert row.state == "not answering"
+    assert words in row.why
+    assert view.exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("states", "code"),
+    [
+        (["ok", "ok"], 0),
+        (["ok", "degraded"], 4),
+        (["starting", "ok"], 4),
+        (["degraded", "failing"], 1),
+    ],
+)
+def test_the_exit_code_is_that_of_the_worst(states: list[str], code: int) -> None:
+    answers = {f"s{n}": [health(f"s{n}", status=state)] for n, state in enumerate(states)}
+    assert view_of("v", answers, {}, frozenset()).exit_code == code
+
+
+def test_one_hanging_worker_among_several_is_seen() -> None:
+    answers = {"map_update": [health("map_update"), QueryFailed("timeout")]}
+    view = view_of("fleet", answers, {}, frozenset({"map_update"}))
+    assert [row.state for row in view.services] == ["ok", "not answering"]
+    assert view.exit_code == 1
+
+
+def test_services_of_different_versions_are_noted() -> None:
+    answers = {
+        "gnss": [health("gnss", facts={"messages": "aaaa"})],
+        "integrity": [health("integrity", version="0.2.0", facts={"messages": "bbbb"}, log_level="debug")],
+    }
+    notes = " ".join(view_of("v", answers, {}, frozenset()).notes)
+    assert "0.1.0, 0.2.0" in notes
+    assert "aaaa, bbbb" in notes
+    assert "integrity logs at debug" in notes
+
+
+def test_the_table_says_what_was_met_last_and_when() -> None:
+    issues = (
+        Issue(code="source_lost", text="tcp:receiver:\n refused", count=3, last_time_ns=NOW_NS - 12 * 10**9),
+        Issue(code="damaged_input", text="", count=9, last_time_ns=NOW_NS - 90 * 10**9),
+    )
+    said = health(
+        "gnss",
+        issues=issues,
+        gauges={"memory_bytes": 85e6, "loop_lag_s": 0.012, "uploads_waiting": 3.0},
+        facts={"map_release": "here 7"},
+        channels=(use("fix", "out", 7, age_s=None), use("motion", "in", 7, waiting=2)),
+    )
+    text = as_text(view_of("v", {"gnss": [said]}, {}, frozenset()), NOW_NS)
+    assert "source_lost ×3, 12 s ago: tcp:receiver: refused" in text
+    line = next(line for line in text.splitlines() if line.startswith("gnss"))
+    assert line.split()[1:8] == ["ok", "100", "s", "0.1.0", "85", "MB", "12"]
+    assert "  5  " in line, "uploads, and messages in its queue"
+    assert "here 7" in line
+    assert "never" in text
+
+
+def test_a_fleet_is_a_list_of_vehicles() -> None:
+    assert fleet_text({}) == "no vehicle is on this bus"
+    assert fleet_text({"v2": frozenset({"gnss"}), "v1": frozenset({"integrity", "gnss"})}).splitlines()[
+        1:
+    ] == [
+        "v1       gnss, integrity",
+        "v2       gnss",
+    ]
+
+
+def test_durations_are_short() -> None:
+    shown = [duration(s) for s in (0.0004, 0.02, 5.0, 90.0, 600.0, 10_000.0, 1e6)]
+    assert shown == ["0.4 ms", "20 ms", "5 s", "90 s", "10 min", "2.8 h", "12 d"]
+
+
+@pytest.mark.parametrize(
+    ("words", "vehicle"), [([], "car-7"), (["--vehicle", "car-8"], "car-8"), (["--fleet"], "fleet")]
+)
+def test_the_vehicle_is_the_one_that_is_named_or_that_of_the_settings(
+    tmp_path: Path, words: list[str], vehicle: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def nobody(settings: ServiceSettings, **_: Any) -> None:
+        asked.append(settings.vehicle)
+        raise BusError("away")
+
+    monkeypatch.setattr(status, "Asker", nobody)
+    config = tmp_path / "car.toml"
+    config.write_text('vehicle = "car-7"\n')
+    assert status.main(["--config", str(config), *words]) == 3
+    assert status.main([]) == 3
+    assert asked == [vehicle, "vehicle"]
+
+
+@pytest.mark.parametrize("option", ["--service", "--expect"])
+@pytest.mark.parametrize("name", ["a//b", "", "gnss/", "*", "a b"])
+def test_what_is_no_name_of_a_service_is_not_asked(
+    option: str, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        status.main([option, name])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said == f"camber status: error: argument {option}: {name!r}: expected the name of a service"

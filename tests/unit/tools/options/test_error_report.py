@@ -1,0 +1,53 @@
+"""Every way in which a command over one drive fails has a line and a code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from camber.formats.errors import FormatError
+from camber.replay.command import _Stopped
+from camber.runtime.feeder import ReplayStuck
+from camber.runtime.session import BusError
+from camber.runtime.settings import ConfigError
+from camber.schemas.drive import ManifestError
+from camber.tools.options.error_report import in_words
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        (ManifestError("drive.toml: bad"), 2),
+        (FormatError("rover.pos", "datum", "WGS84"), 2),
+        (ConfigError("way: unknown"), 2),
+        (OSError(28, "No space left on device"), 2),
+        (OSError("no number"), 2),
+        (ReplayStuck("tick 7 not done"), 1),
+        (BusError("cannot join"), 1),
+        (_Stopped(), 130),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_every_way_to_fail_has_a_line_and_a_code(
+    fault: BaseException, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def work() -> int:
+        raise fault
+
+    assert in_words("camber replay", tmp_path, work) == code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("camber replay: ")
+    assert not line.endswith("None")
+
+
+def test_a_mistake_of_ours_is_not_put_into_words(tmp_path: Path) -> None:
+    def work() -> int:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        in_words("camber replay", tmp_path, work)
+
+
+def test_what_goes_well_keeps_its_own_code(tmp_path: Path) -> None:
+    assert in_words("camber replay", tmp_path, lambda: 7) == 7

@@ -1,0 +1,236 @@
+"""Files of a recording that goes on."""
+
+from __future__ import annotations
+
+import shutil
+from collections import namedtuple
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from camber.formats.drive.recording import Recorded, read_recording
+from camber.runtime.raw_subscription import Tapped
+from camber.schemas.codec import encode
+from camber.schemas.lidar import Sweep
+from camber.schemas.motion import Motion
+from camber.tools.record.record import chosen, main
+from camber.tools.record.record_files import Limits, RecordFiles
+from support.messages import build
+
+T = 1_300_000_000 * 10**9
+UNIX = 1_700_000_000 * 10**9
+OPEN = Limits(free_bytes=0)
+
+
+def motions(first: int, count: int) -> list[Tapped]:
+    motion = build(Motion, Random(1), filled=True)
+    return [
+        Tapped(
+            "motion",
+            "camber/v1/car/vehicle/motion",
+            encode(motion.model_copy(update={"time_ns": T + n * 10**8}), source="vehicle", sequence=n),
+            UNIX + n * 10**8,
+        )
+        for n in range(first, first + count)
+    ]
+
+
+def sequences(path: Path) -> list[int]:
+    items = list(read_recording(path))
+    assert all(isinstance(item, Recorded) for item in items), items
+    return [item.sequence for item in items]  # type: ignore[union-attr]
+
+
+def test_a_file_ends_when_it_is_long_enough_and_nothing_is_lost_between(tmp_path: Path) -> None:
+    files = RecordFiles(tmp_path, "car", Limits(file_s=10.0, free_bytes=0))
+    for n in range(5):
+        files.write(motions(10 * n, 10), now_s=100.0 + 4.0 * n)
+    files.close()
+    assert [sequences(path) for path in files.files] == [list(range(30)), list(range(30, 50))]
+    assert files.written == 50
+    assert files.files[0].name == "car-20231114T221320Z-000.mcap"
+
+
+def test_a_file_ends_when_it_is_large_enough(tmp_path: Path) -> None:
+    files = RecordFiles(tmp_path, "car", Limits(file_bytes=100_000, free_bytes=0))
+    for n in range(40):
+        files.write(motions(1000 * n, 1000), now_s=float(n))
+    files.close()
+    assert len(files.files) > 2
+    assert [n for path in files.files for n in sequences(path)] == list(range(40_000))
+    assert all(path.stat().st_size < 1_500_000 for path in files.files)
+
+
+def test_the_oldest_go_also_those_of_earlier_runs_and_never_of_others(tmp_path: Path) -> None:
+    (tmp_path / "car-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
+    (tmp_path / "bus-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
+    files = RecordFiles(tmp_path, "car", Limits(file_s=1.0, kept_bytes=20_000, free_bytes=0))
+    for n in range(30):
+        files.write(motions(100 * n, 100), now_s=2.0 * n)
+    files.close()
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert "bus-20200101T000000Z-000.mcap" in left
+    assert "car-20200101T000000Z-000.mcap" not in left
+    assert files.files[-1].name in left
+    assert files.files[0].name not in left
+
+
+def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Path) -> None:
+    others = {"car-2-20200101T000000Z-000.mcap", "car-notes.mcap"}
+    for name in others:
+        (tmp_path / name).write_bytes(b"x" * 500_000)
+    files = RecordFiles(tmp_path, "car", Limits(kept_bytes=20_000, free_bytes=0))
+    files.write(motions(0, 10), now_s=0.0)
+    files.close()
+    assert {path.name for path in tmp_path.iterdir()} == {files.files[0].name, *others}
+
+
+def test_an_old_file_that_cannot_be_deleted_hinders_nothing(tmp_path: Path) -> None:
+    stuck = tmp_path / "car-20200101T000000Z-000.mcap"
+    stuck.mkdir()  # unlink says no, also to root
+    files = RecordFiles(tmp_path, "car", Limits(file_s=1.0, kept_bytes=1, free_bytes=0))
+    for n in range(3):
+        files.write(motions(10 * n, 10), now_s=2.0 * n)
+    files.close()
+    assert (files.written, files.problem) == (30, None)
+    assert sorted(tmp_path.iterdir()) == [stuck, files.files[-1]]
+
+
+def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_path: Path) -> None:
+    first, second = (RecordFiles(tmp_path, "car", OPEN) for _ in range(2))
+    for n in range(3):
+        first.write(motions(10 * n, 10), now_s=float(n))
+        second.write(motions(5 + 10 * n, 10), now_s=float(n))
+    first.close()
+    second.close()
+    later = RecordFiles(tmp_path, "car", OPEN)
+    later.write(motions(0, 5), now_s=9.0)
+    later.close()
+    assert [path.name[-8:] for files in (first, second, later) for path in files.files] == [
+        "000.mcap",
+        "001.mcap",
+        "002.mcap",
+    ]
+    assert sequences(first.files[0]) == list(range(30))
+    assert sequences(second.files[0]) == list(range(5, 35))
+    assert sequences(later.files[0]) == list(range(5))
+
+
+def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path: Path) -> None:
+    n = 100_000
+    sweep = Sweep(
+        time_ns=T,
+        sensor="top",
+        points_m=np.zeros((n, 3), np.float32),
+        intensity=np.zeros(n, np.float32),
+        offset_ns=np.zeros(n, np.int32),
+    )
+    one = Tapped("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
+    files = RecordFiles(tmp_path, "car", OPEN)
+    files.write([one] * 50, now_s=0.0)
+    files.close()
+    assert 50 * len(one.data) > 64 << 20
+    assert (files.written, files.dropped) == (50, 0)
+
+
+def test_a_kill_costs_seconds_whatever_times_stand_in_the_messages(tmp_path: Path) -> None:
+    files = RecordFiles(tmp_path, "car", OPEN)
+    files.write(
+        motions(10**9, 1), now_s=0.0
+    )  # three years ahead: a clock that is set back, or somebody's mistake
+    for n in range(1, 61):
+        files.write(motions(10 * n, 10), now_s=float(n))
+    (path,) = files.files  # as a kill leaves it
+    assert sum(isinstance(item, Recorded) for item in read_recording(path)) > 490
+    files.close()
+
+
+def test_where_the_disk_is_nearly_full_the_file_is_ended_properly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = namedtuple("usage", "total used free")
+    free = [10 << 20]
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(0, 0, free[0]))
+    files = RecordFiles(tmp_path, "car", Limits(free_bytes=5 << 20))
+    files.write(motions(0, 10), now_s=0.0)
+    free[0] = 1 << 20
+    files.write(motions(10, 10), now_s=1.0)
+    files.write(motions(20, 10), now_s=2.0)
+    files.close()
+    assert files.problem is not None
+    assert "1 MB left on the disk" in files.problem
+    assert sequences(files.files[0]) == list(range(20))
+    assert (files.written, files.dropped) == (20, 10)
+
+
+def test_what_was_dropped_before_stands_in_the_file(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    files = RecordFiles(tmp_path, "car", OPEN)
+    files.write(motions(0, 10), now_s=0.0)
+    files.write(motions(10, 10), now_s=1.0, lost=7)
+    files.close()
+    assert files.dropped == 7
+    with files.files[0].open("rb") as stream:
+        (metadata,) = [item.metadata for item in make_reader(stream).iter_metadata()]
+    assert metadata["dropped"] == "7"
+
+
+def test_a_folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError):  # noqa: PT011 (which one depends on the system)
+        RecordFiles(tmp_path / "file", "car", OPEN)
+
+
+def test_all_channels_but_sweeps_unless_they_are_wanted() -> None:
+    names = {channel.name for channel in chosen(None, None, sweeps=False)}
+    assert {"fix", "pose", "verdict", "motion", "release"} <= names
+    assert not names & {"sweep", "health", "elevation", "tick", "upload"}
+    assert "sweep" in {channel.name for channel in chosen(None, None, sweeps=True)}
+    assert [channel.name for channel in chosen("sweep,fix", "fix", sweeps=False)] == ["sweep"]
+
+
+@pytest.mark.parametrize(
+    ("names", "without"), [("nosuch", None), ("health", None), (None, "nosuch"), ("fix", "fix")]
+)
+def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: str | None) -> None:
+    with pytest.raises(ValueError, match=r"channel"):
+        chosen(names, without, sweeps=False)
+
+
+def said_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Of wrong usage: the last line, after argparse's own."""
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(main(words))
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "option", ["--duration", "--max-mb", "--max-minutes", "--keep-mb", "--leave-mb", "--timeout"]
+)
+@pytest.mark.parametrize("number", ["nan", "inf", "-1", "x"])
+def test_a_number_that_is_none_is_refused(
+    tmp_path: Path, option: str, number: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"argument {option}: " in said_of(["--out", str(tmp_path), f"{option}={number}"], capsys)
+
+
+def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
+    said = said_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
+    assert said == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
+    assert "argument --max-mb" in said_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_in_place_of_the_folder_is_wrong_usage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    said = said_of(["--out", str(tmp_path / "file")], capsys)
+    assert said == f"camber record: --out {tmp_path / 'file'}: File exists"

@@ -1,0 +1,232 @@
+"""Access rules follow the table of channels: default deny, own names only, and what is in deploy/ is what is made."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import stat
+from fnmatch import fnmatchcase
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from camber.runtime.session import OUTSIDE
+from camber.schemas.channels import BY_NAME, CHANNELS
+from camber.tools.security import access
+from camber.tools.security.access_rules import (
+    Allowed,
+    Party,
+    allowed,
+    cloud_access_control,
+    open_channels,
+    vehicle_access_control,
+)
+from camber.tools.security.access_table import table_text
+from support.tree import ROOT
+
+ALL = ("vehicle", "map_update", "consumer", "judge", "operator")
+SAYS = {"put", "query", "declare_queryable", "reply"}
+FILES = sorted((ROOT / "deploy/zenoh").glob("*.json5"))
+
+
+def keys(rules: list[Allowed], flow: str, *messages: str) -> set[str]:
+    return {rule.key for rule in rules if rule.flow == flow and rule.message in messages}
+
+
+def text_without_comments(path: Path) -> str:
+    return "\n".join(line for line in path.read_text().splitlines() if not line.startswith("//"))
+
+
+def test_nothing_is_allowed_that_is_not_listed() -> None:
+    for control in (cloud_access_control([], ["cloud"]), vehicle_access_control("v", ["map_update"])):
+        assert control["enabled"] is True
+        assert control["default_permission"] == "deny"
+        assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+
+
+def test_every_rule_is_someones_and_every_subject_has_a_certificate_or_a_link() -> None:
+    control = cloud_access_control([Party(kind, f"my-{kind}") for kind in ALL], ["cloud"])
+    ids = [rule["id"] for rule in control["rules"]]
+    assert len(ids) == len(set(ids))
+    assert sorted(i for policy in control["policies"] for i in policy["rules"]) == sorted(ids)
+    assert all(subject["cert_common_names"] for subject in control["subjects"])
+    # A subject without any condition would be everybody.
+    inside, outside = vehicle_access_control("v", ["map_update"])["subjects"]
+    assert set(outside["link_protocols"]) == set(OUTSIDE)
+    assert not set(inside["link_protocols"]) & set(OUTSIDE)
+
+
+def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
+    parties = [Party("consumer", "routers"), Party("vehicle", "c", "routers 1"), Party("judge", "vehicle")]
+    parties += [Party("vehicle", "a"), Party("operator", "b", "vehicle a"), Party("consumer", "d", "a 1")]
+    control = cloud_access_control(parties, ["cloud"])
+    for table in ("rules", "subjects"):
+        ids = [row["id"] for row in control[table]]
+        assert len(ids) == len(set(ids)), table
+
+
+@pytest.mark.parametrize("others", [("map_update", "consumer"), ALL])
+def test_a_vehicle_says_nothing_but_in_its_own_name(others: tuple[str, ...]) -> None:
+    for rule in allowed(Party("vehicle", "car-1"), others):
+        if rule.flow == "ingress" and rule.message in {*SAYS, "liveliness_token"}:
+            own = rule.key.startswith(("camber/v1/car-1/", "camber/v1/fleet/car-1/"))
+            asks_for_the_map = rule.message == "query" and rule.key.startswith("camber/v1/fleet/map/")
+            assert own or asks_for_the_map, rule
+        assert rule.message != "delete"
+
+
+def test_nothing_of_one_vehicle_goes_to_another() -> None:
+    first, second = (allowed(Party("vehicle", name), ALL) for name in ("car-1", "car-2"))
+    out = keys(first, "ingress", "put", "reply", "liveliness_token")
+    into = keys(second, "egress", "put", "reply", "liveliness_token")
+    assert out
+    assert into
+    assert not [(a, b) for a, b in product(out, into) if fnmatchcase(a, b) or fnmatchcase(b, a)]
+
+
+def test_only_map_update_publishes_releases_and_answers_for_the_fleet() -> None:
+    of_fleet = {"release", "map_root", "map_blob", "upload", "upload_batch"}
+    for kind in ALL:
+        rules = allowed(Party(kind, "car-1"), ALL)
+        said = keys(rules, "ingress", "put", "reply", "declare_queryable")
+        wanted = {BY_NAME[name].answered_at("car-1") for name in of_fleet}
+        assert bool(said & wanted) == (kind == "map_update"), kind
+
+
+def test_consumers_only_hear_verdicts_and_positions() -> None:
+    rules = allowed(Party("consumer", "dashboard"), ALL)
+    assert keys(rules, "ingress", *SAYS) == {"camber/v1/dashboard/echo"}
+    assert keys(rules, "ingress", "declare_subscriber") == {
+        "camber/v1/*/integrity/verdict",
+        "camber/v1/*/integrity/position",
+        "camber/v1/dashboard/echo",
+    }
+
+
+def test_sweeps_tiles_and_replays_cross_for_nobody() -> None:
+    crossing = {channel.name for channel, _, _ in open_channels(ALL)}
+    assert not crossing & {"sweep", "tile", "elevation", "links", "tick", "done", "receiver_bytes"}
+
+
+def test_without_a_judge_in_the_cloud_its_inputs_stay_in_the_vehicle() -> None:
+    crossing = {channel.name for channel, _, _ in open_channels(("vehicle", "map_update", "consumer"))}
+    of_vehicle = {channel.name for channel in CHANNELS if channel.key.startswith("camber/v1/{vehicle}/")}
+    # Health and log level are those of map_update itself.
+    assert crossing & of_vehicle == {"verdict", "position", "health", "log_level"}
+    rules = allowed(Party("vehicle", "car-1"), ("map_update", "consumer"))
+    assert keys(rules, "ingress", "put") == {
+        "camber/v1/car-1/integrity/verdict",
+        "camber/v1/car-1/integrity/position",
+        "camber/v1/car-1/echo",
+    }
+    assert keys(rules, "ingress", "reply") == set()
+
+
+def test_a_vehicles_own_router_lets_out_what_the_clouds_lets_in_and_no_more() -> None:
+    control = vehicle_access_control("car-1", ["map_update", "consumer"])
+    (ids,) = [policy["rules"] for policy in control["policies"] if policy["subjects"] == ["cloud"]]
+    own = {
+        (flow, message, key)
+        for rule in control["rules"]
+        if rule["id"] in ids
+        for flow, message, key in product(rule["flows"], rule["messages"], rule["key_exprs"])
+    }
+    turned = {"ingress": "egress", "egress": "ingress"}
+    clouds = allowed(Party("vehicle", "car-1"), ["map_update", "consumer"])
+    assert own == {(turned[rule.flow], rule.message, rule.key) for rule in clouds}
+
+
+@pytest.mark.parametrize(
+    "parties",
+    [
+        [Party("vehicle", "car-1"), Party("consumer", "car-1")],
+        [Party("vehicle", "car-1", "x"), Party("vehicle", "car-2", "x")],
+        [Party("consumer", "cloud")],
+    ],
+    ids=["one name", "one certificate", "the router's"],
+)
+def test_two_parties_never_share_a_name(parties: list[Party]) -> None:
+    with pytest.raises(ValueError, match="stands for more than one party"):
+        cloud_access_control(parties, ["cloud"])
+
+
+def test_the_files_of_deploy_are_there() -> None:
+    assert {path.name for path in FILES} == {"cloud.json5", "vehicle.json5"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_file_of_deploy_is_what_its_command_makes(path: Path, tmp_path: Path) -> None:
+    (command,) = re.findall(r"^// Made by `camber access (.*)`", path.read_text(), re.MULTILINE)
+    assert access.main([*shlex.split(command), "--out", str(tmp_path / path.name)]) == 0
+    assert (tmp_path / path.name).read_text() == path.read_text(), f"make it anew: camber access {command}"
+    assert json.loads(text_without_comments(path))["access_control"]["default_permission"] == "deny"
+
+
+def test_the_table_of_the_page_is_that_of_the_rules() -> None:
+    page = (ROOT / "docs/security.md").read_text()
+    assert table_text() in page, "put the output of `camber access table` into docs/security.md"
+
+
+@pytest.mark.parametrize("name", ["fleet", "car/1", "*", "car-1+2", ""])
+def test_a_name_that_would_be_something_else_in_a_key_is_refused(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert access.main(["vehicle", name, "--connect", "tls/c:1"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/c:1", "unixsock-stream//c", "ws/c:1"])
+def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    # Over anything else the cloud would be a service within.
+    assert access.main(["vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"--connect {endpoint}: expected tls/" in said.err
+
+
+@pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/0.0.0.0:7447"])
+def test_within_a_vehicle_nobody_is_taken_for_the_cloud(
+    endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
+    assert access.main(words) == 0
+    capsys.readouterr()
+    assert access.main([*words, "--listen", endpoint]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…\n"
+
+
+def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: Path) -> None:
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "link.json5")]
+    (tmp_path / "there").mkdir()
+    target = tmp_path / "there" / "vehicle.json5"
+    target.write_text("before")
+    target.chmod(0o640)
+    (tmp_path / "link.json5").symlink_to(target)
+    assert access.main(words) == 0
+    assert (tmp_path / "link.json5").is_symlink()
+    assert "access_control" in target.read_text()
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+    assert list((tmp_path / "there").iterdir()) == [target]
+
+
+def test_where_a_file_cannot_be_written_nothing_is_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "folder")]
+    assert access.main(words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1"])
+def test_an_echo_is_waited_for_so_long_and_no_longer(number: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        access.main(["check", "vehicle.json5", f"--timeout-s={number}"])
+    assert ended.value.code == 2

@@ -1,0 +1,375 @@
+"""`camber certs`: an authority, what it issues, what it refuses; keys are for their owner alone."""
+
+from __future__ import annotations
+
+import json
+import stat
+import threading
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID
+from cryptography.x509.verification import PolicyBuilder, Store
+
+from camber.runtime.session import router_endpoints
+from camber.runtime.tls import check_table
+from camber.tools.security import access, certs
+from camber.tools.security.certificates import Authority, Issued, common_name, read_certificate
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "pki"
+    words = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
+    assert certs.main([*words, "--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]) == 0
+    return made
+
+
+def vehicles_in(folder: Path, out: Path) -> dict[str, str]:
+    """Common name → vehicle, as `camber access cloud` lists them."""
+    assert access.main(["cloud", "--certs", str(folder), "--out", str(out)]) == 0
+    text = out.read_text()
+    names = [row.common_name for row in Authority(folder).issued() if row.kind == "vehicle"]
+    return {name: name for name in names if f'"cert_common_names": ["{name}"]' in text}
+
+
+def test_a_certificate_says_who_it_is_and_is_signed_by_the_authority(folder: Path) -> None:
+    authority = read_certificate(folder / "ca.pem")
+    for name in ("cloud", "map_update", "car-1", "car-2", "dashboard"):
+        certificate = read_certificate(folder / f"{name}.pem")
+        assert common_name(certificate.subject) == name
+        certificate.verify_directly_issued_by(authority)
+        constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
+        assert not constraints.ca, "nobody but the authority signs"
+
+
+def test_strict_verifiers_take_them(folder: Path) -> None:
+    store = Store([read_certificate(folder / "ca.pem")])
+    for name in ("cloud", "car-1"):
+        verified = PolicyBuilder().store(store).build_client_verifier()
+        chain = verified.verify(read_certificate(folder / f"{name}.pem"), [])
+        assert len(chain.chain) == 2
+    server = PolicyBuilder().store(store).build_server_verifier(x509.DNSName("cloud.example"))
+    assert server.verify(read_certificate(folder / "cloud.pem"), [])
+
+
+def test_only_a_router_can_be_joined(folder: Path) -> None:
+    for name, joined in (("cloud", True), ("car-1", False), ("map_update", False)):
+        usage = read_certificate(folder / f"{name}.pem").extensions.get_extension_for_class(
+            x509.ExtendedKeyUsage
+        )
+        assert (ExtendedKeyUsageOID.SERVER_AUTH in usage.value) == joined
+
+
+def test_keys_are_for_their_owner_alone(folder: Path) -> None:
+    keys = sorted(folder.glob("*.key"))
+    assert len(keys) == 6
+    assert {stat.S_IMODE(key.stat().st_mode) for key in keys} == {0o600}
+
+
+def test_nothing_is_overwritten(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert certs.main(["make", str(folder), "--host", "x"]) == 2
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 2
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert "ca.key: there is one already" in said[0]
+    assert "--renew" in said[1]
+
+
+def test_a_renewed_certificate_has_the_same_name_and_a_new_key(folder: Path) -> None:
+    before = (folder / "car-1.key").read_bytes(), read_certificate(folder / "car-1.pem")
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"]) == 0
+    after = read_certificate(folder / "car-1.pem")
+    assert (folder / "car-1.key").read_bytes() != before[0]
+    assert after.subject == before[1].subject
+    assert after.not_valid_after_utc > before[1].not_valid_after_utc
+
+
+def test_a_renewed_router_is_reached_at_the_same_places_or_at_those_that_are_named(folder: Path) -> None:
+    def hosts() -> tuple[list[str], list[str]]:
+        names = read_certificate(folder / "cloud.pem").extensions
+        places = names.get_extension_for_class(x509.SubjectAlternativeName).value
+        return places.get_values_for_type(x509.DNSName), list(
+            map(str, places.get_values_for_type(x509.IPAddress))
+        )
+
+    renew = ["issue", str(folder), "cloud", "--kind", "router", "--renew"]
+    assert certs.main(renew) == 0
+    assert hosts() == (["cloud.example"], ["10.0.0.1"])
+    assert certs.main([*renew, "--host", "elsewhere.example"]) == 0
+    assert hosts() == (["elsewhere.example"], [])
+
+
+def test_what_is_revoked_is_in_no_access_list_and_its_common_name_never_comes_back(
+    folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "cloud.json5"
+    assert set(vehicles_in(folder, out)) == {"car-1", "car-2"}
+    assert certs.main(["revoke", str(folder), "car-1"]) == 0
+    assert set(vehicles_in(folder, out)) == {"car-2"}
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 0
+    assert common_name(read_certificate(folder / "car-1.pem").subject) == "car-1+2"
+    assert set(vehicles_in(folder, out)) == {"car-1+2", "car-2"}
+    # The vehicle keeps its name, and so its keys.
+    assert "camber/v1/car-1/integrity/verdict" in out.read_text()
+    assert certs.main(["revoke", str(folder), "car-1"]) == 0
+    assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 0
+    assert common_name(read_certificate(folder / "car-1.pem").subject) == "car-1+3"
+
+
+def subjects_in(out: Path) -> list[str]:
+    text = "\n".join(line for line in out.read_text().splitlines() if not line.startswith("//"))
+    return [subject["cert_common_names"] for subject in json.loads(text)["access_control"]["subjects"]]
+
+
+def test_map_update_is_revoked_like_all_others(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cloud.json5"
+    words = ["cloud", "--certs", str(folder), "--out", str(out)]
+    assert certs.main(["revoke", str(folder), "map_update"]) == 0
+    assert access.main(words) == 0
+    assert ["map_update"] not in subjects_in(out)
+    assert certs.main(["issue", str(folder), "map_update", "--kind", "map_update"]) == 0
+    assert access.main(words) == 0
+    assert ["map_update"] not in subjects_in(out)
+    assert ["map_update+2"] in subjects_in(out)
+
+
+@pytest.mark.parametrize("more", [[], ["--router", "cloud"]], ids=["of the folder", "by name"])
+def test_a_router_that_was_revoked_and_issued_anew_is_given_its_file(
+    folder: Path, tmp_path: Path, more: list[str]
+) -> None:
+    out = tmp_path / "cloud.json5"
+    assert certs.main(["revoke", str(folder), "cloud"]) == 0
+    assert certs.main(["issue", str(folder), "cloud", "--kind", "router", "--host", "cloud.example"]) == 0
+    words = ["cloud", "--certs", str(folder), "--tls", str(folder), "--out", str(out), *more]
+    assert access.main(words) == 0
+    assert subjects_in(out)[0] == ["cloud+2"]
+    _, _, table = router_endpoints(out)
+    assert Path(table["listen_certificate"]) == folder / "cloud.pem"
+    check_table(table)
+
+
+@pytest.mark.parametrize("more", [[], ["--router", "cloud"], ["--router", "x", "--vehicle", "car-1"]])
+def test_what_is_revoked_is_not_listed_by_hand_either(
+    folder: Path, tmp_path: Path, more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("cloud", "car-1"):
+        assert certs.main(["revoke", str(folder), name]) == 0
+    out = tmp_path / "cloud.json5"
+    assert access.main(["cloud", "--certs", str(folder), "--out", str(out), *more]) == 2
+    assert "is revoked in" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
+    said = capsys.readouterr().out
+    assert "who    cloud (joins and is joined)" in said
+    assert "by     Camber development" in said
+    assert "19 days left" in said
+    assert "hosts  cloud.example, 10.0.0.1" in said
+    assert "(an authority)" in said
+
+
+def test_show_and_list_say_what_has_expired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    past = datetime.now(UTC) - timedelta(days=3)
+    Authority(folder).issue("late", "vehicle", days=1, now=past)
+    assert certs.main(["show", str(folder / "late.pem")]) == 1
+    assert "EXPIRED" in capsys.readouterr().out
+    assert certs.main(["list", str(folder)]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert listed[1].split()[:4] == ["ca", "authority", "Camber", "development"]
+    assert "EXPIRED" not in listed[1]
+    assert "EXPIRED" in listed[-1]
+
+
+def test_a_certificate_does_not_outlive_its_authority(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    authority = Authority.make(tmp_path, name="brief", days=2, now=now)
+    authority.issue("car-1", "vehicle", days=30, now=now)
+    end = read_certificate(tmp_path / "ca.pem").not_valid_after_utc
+    assert read_certificate(tmp_path / "car-1.pem").not_valid_after_utc <= end
+
+
+def test_an_authority_that_has_expired_signs_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Authority.make(tmp_path, name="over", days=1, now=datetime.now(UTC) - timedelta(days=2))
+    assert certs.main(["issue", str(tmp_path), "car-1", "--kind", "vehicle"]) == 2
+    assert "ca.pem: expired" in capsys.readouterr().err
+    assert Authority(tmp_path).issued() == []
+
+
+@pytest.mark.parametrize("end", ["key", "pem"])
+def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
+    (folder / f"car-3.{end}").write_text("somebody else's")
+    assert certs.main(["issue", str(folder), "car-3", "--kind", "vehicle"]) == 2
+    assert "car-3" not in {row.name for row in Authority(folder).issued()}
+    assert (folder / f"car-3.{end}").read_text() == "somebody else's"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["issue", "car 3", "--kind", "vehicle"], "not a name"),
+        (["issue", "fleet", "--kind", "vehicle"], "a meaning of its own"),
+        (["issue", "car-1+2", "--kind", "vehicle"], "a meaning of its own"),
+        (["issue", "edge", "--kind", "router"], "needs the host names"),
+        (["issue", "car-1", "--kind", "consumer"], "was issued as vehicle"),
+        (["issue", "c" * 61, "--kind", "vehicle"], "61 characters, expected at most 60"),
+        (
+            ["issue", "edge", "--kind", "router", "--host", "wölkchen.example"],
+            "host 'wölkchen.example': expected",
+        ),
+        (["issue", "edge", "--kind", "router", "--host", ""], "host '': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "10.0.0.1/24"], "host '10.0.0.1/24': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "10.0.0.256"], "host '10.0.0.256': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "[::1]"], "host '[::1]': expected"),
+        (["issue", "edge", "--kind", "router", "--host", "a..b"], "host 'a..b': expected"),
+        (["revoke", "car-9"], "bears this name"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_done_is_one_line(
+    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert certs.main([words[0], str(folder), *words[1:]]) == 2
+    said = capsys.readouterr().err
+    assert why in said
+    assert said.count("\n") == 1
+
+
+def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = [path.read_text().splitlines()[1] for path in folder.glob("*.key")]
+    certs.main(["show", str(folder / "car-1.key")])
+    certs.main(["show", *map(str, folder.glob("*.pem"))])
+    certs.main(["list", str(folder)])
+    said = capsys.readouterr()
+    assert "car-1.key: not a certificate in PEM" in said.err
+    assert not [line for line in lines if line in said.out + said.err]
+
+
+def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
+    hosts = [
+        "localhost",
+        "map_update",
+        "cloud.example",
+        "*.cloud.example",
+        "xn--wlkchen-b1a.example",
+        "::1",
+        "7.b",
+    ]
+    words = [word for host in hosts for word in ("--host", host)]
+    assert certs.main(["make", str(tmp_path / "pki"), *words]) == 0
+    names = read_certificate(tmp_path / "pki" / "cloud.pem").extensions
+    places = names.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert [str(place.value) for place in places] == hosts
+
+
+def test_a_name_of_the_greatest_length_can_be_revoked_and_issued_anew(folder: Path) -> None:
+    words = ["issue", str(folder), "c" * 60, "--kind", "vehicle"]
+    for generation in range(1, 4):
+        assert certs.main(words) == 0, generation
+        assert certs.main(["revoke", *words[1:3]]) == 0
+
+
+def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, until = "c" * 64, "2030-01-01T00:00:00+00:00"
+    Authority(folder)._save([*Authority(folder).issued(), Issued(name, "vehicle", name, "1", until)])
+    words = ["issue", str(folder), name, "--kind", "vehicle"]
+    assert certs.main([*words, "--renew"]) == 0
+    assert certs.main(["revoke", str(folder), name]) == 0
+    capsys.readouterr()
+    assert certs.main(words) == 2
+    assert capsys.readouterr().err == f"camber certs: {name}: 64 characters, expected at most 60\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--vehicle", "car 1"], "not a name"),
+        (["--vehicle", "c" * 61], "61 characters"),
+        (["--consumer", "cloud"], "cloud: named twice"),
+        (["--vehicle", "a", "--judge", "a"], "a: named twice"),
+        (["--host", "10.0.0.1/24"], "host '10.0.0.1/24'"),
+        (["--name", ""], "expected a name of 1 to 60 characters"),
+        (["--name", "n" * 65], "expected a name of 1 to 60 characters"),
+    ],
+    ids=lambda value: " ".join(value)[:20] if isinstance(value, list) else "",
+)
+def test_no_half_of_an_authority_is_made(
+    tmp_path: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert certs.main(["make", str(tmp_path / "pki"), "--host", "cloud.example", *words]) == 2
+    said = capsys.readouterr()
+    assert why in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert not (tmp_path / "pki").exists()
+
+
+def test_a_revocation_meanwhile_is_not_undone_and_no_certificate_is_lost(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that issues has read the list and is held up, while others revoke and issue."""
+    signer, reading, go_on = Authority._signer, threading.Event(), threading.Event()
+
+    def held_up(self: Authority) -> object:
+        if not reading.is_set():
+            reading.set()
+            go_on.wait(30.0)
+        return signer(self)
+
+    monkeypatch.setattr(Authority, "_signer", held_up)
+    issue = ["issue", str(folder), "car-3", "--kind", "vehicle"]
+    first = threading.Thread(target=certs.main, args=(issue,))
+    first.start()
+    assert reading.wait(30.0)
+    others = [["revoke", str(folder), "car-1"], ["issue", str(folder), "car-4", "--kind", "vehicle"]]
+    threads = [threading.Thread(target=certs.main, args=(words,)) for words in others]
+    for thread in threads:
+        thread.start()
+        thread.join(0.5)  # time enough for whoever does not wait
+    go_on.set()
+    for thread in (first, *threads):
+        thread.join(30.0)
+    rows = {row.name: row for row in Authority(folder).issued()}
+    assert rows["car-1"].revoked is not None
+    assert {"car-3", "car-4"} <= set(rows)
+
+
+@pytest.mark.parametrize("at", ["issued.json.new", "car-1.key.new", "car-1.pem.new"])
+def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next_run(
+    folder: Path, at: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (folder / "car-1.pem").read_bytes()
+    replace = Path.replace
+
+    def cut(self: Path, target: Path) -> Path:
+        if self.name == at:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", cut)
+        with pytest.raises(KeyboardInterrupt):
+            certs.main(["issue", str(folder), "car-1", "--kind", "vehicle", "--renew", "--days", "29"])
+    assert certs.main(["issue", str(folder), "car-5", "--kind", "vehicle"]) == 0
+    key = load_pem_private_key((folder / "car-1.key").read_bytes(), password=None)
+    assert key.public_key() == read_certificate(folder / "car-1.pem").public_key()
+    assert ((folder / "car-1.pem").read_bytes() == before) == (at != "car-1.pem.new")
+    assert not list(folder.glob("*.pem.new")) + list(folder.glob("*.key.new"))
+
+
+def test_no_lock_is_left_in_a_folder_that_is_no_authority_s(tmp_path: Path) -> None:
+    for words in (["revoke", str(tmp_path), "car-1"], ["issue", str(tmp_path), "car-1", "--kind", "vehicle"]):
+        assert certs.main(words) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,383 @@
+"""Bytes of a receiver: a file that grows, a server that comes back, a serial port; bounded, and never given up."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from camber.transport import byte_streams
+from camber.transport.byte_streams import ByteStream, Pauses, open_stream, source_of
+from camber.transport.ntrip_client import NtripAccess
+from support.streams import PATIENCE_S, Reader, wait_for
+
+
+@pytest.fixture
+def reader() -> Reader:
+    return Reader()
+
+
+@pytest.fixture
+def server() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(PATIENCE_S)
+        yield listening
+
+
+def test_a_file_is_read_from_its_beginning_and_while_it_grows(tmp_path: Path, reader: Reader) -> None:
+    path = tmp_path / "rover: night.pos"
+    path.write_bytes(b"first\n")
+    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+        assert reader.until(stream, lambda data: data.endswith(b"\n")) == b"first\n"
+        with path.open("ab") as file:
+            file.write(b"second\n")
+        assert reader.until(stream, lambda data: len(data) > 6) == b"first\nsecond\n"
+        assert stream.problem is None
+        assert stream.failures == 0
+
+
+def test_a_file_that_is_not_there_yet_is_said_and_tried_again(tmp_path: Path, reader: Reader) -> None:
+    path = tmp_path / "later.pos"
+    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.failures > 0)
+        assert stream.problem is not None
+        assert "No such file" in stream.problem
+        path.write_bytes(b"here")
+        assert reader.until(stream, bool) == b"here"
+        assert stream.problem is None
+
+
+def test_a_file_larger_than_the_memory_comes_whole(
+    tmp_path: Path, reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(byte_streams, "LIMIT_BYTES", 20_000)
+    content = bytes(range(256)) * 400
+    path = tmp_path / "long.pos"
+    path.write_bytes(content)
+    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+        wait_for(lambda: len(stream._bytes) > 15_000)
+        time.sleep(0.05)  # were it to run away, it would by now
+        assert len(stream._bytes) <= 20_000
+        assert reader.until(stream, lambda data: len(data) >= len(content)) == content
+        assert stream.lost_bytes == 0
+
+
+def test_a_server_that_goes_away_is_said_and_found_again(server: socket.socket, reader: Reader) -> None:
+    port = server.getsockname()[1]
+    with closing(open_stream(f"tcp:127.0.0.1:{port}", arrived=reader.arrived.set)) as stream:
+        with server.accept()[0] as peer:
+            peer.sendall(b"one ")
+            assert reader.until(stream, lambda data: len(data) == 4) == b"one "
+            assert stream.problem is None
+        wait_for(lambda: stream.failures > 0)
+        with server.accept()[0] as peer:
+            peer.sendall(b"two")
+            assert reader.until(stream, lambda data: len(data) == 7) == b"one two"
+            assert stream.problem is None
+
+
+def test_where_nobody_listens_the_reason_is_said(reader: Reader) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    with closing(open_stream(f"tcp:127.0.0.1:{port}", arrived=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.failures > 0)
+        assert stream.problem is not None
+        assert "refused" in stream.problem
+        assert stream.take() == b""
+
+
+def test_of_a_server_that_nobody_takes_from_the_newest_bytes_stay(
+    server: socket.socket, reader: Reader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(byte_streams, "LIMIT_BYTES", 10_000)
+    content = b"".join(b"%09d\n" % n for n in range(20_000))
+    with closing(
+        open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)
+    ) as stream:
+        with server.accept()[0] as peer:
+            peer.sendall(content)
+            wait_for(lambda: stream.lost_bytes + len(stream._bytes) == len(content))
+        assert stream.take() == content[-10_000:]
+        assert stream.lost_bytes == len(content) - 10_000
+
+
+def test_a_serial_port_is_read_byte_for_byte(reader: Reader) -> None:
+    ours, theirs = pty.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    sent = bytes(range(256)) * 8
+    with closing(open_stream(f"serial:{os.ttyname(theirs)}:115200", arrived=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.problem is None)
+        os.write(ours, sent)
+        assert reader.until(stream, lambda data: len(data) >= len(sent)) == sent
+        os.close(ours)
+        os.close(theirs)
+        wait_for(lambda: stream.failures > 0)  # unplugged
+        assert stream.problem
+
+
+def test_whatever_a_port_raises_it_is_tried_again(reader: Reader) -> None:
+    faults = iter([ValueError("no such baud rate"), OSError(5, "Input/output error"), RuntimeError()])
+
+    class Port:
+        waits = False
+        silent_because = ""
+
+        def read(self) -> bytes:
+            return b"x"
+
+        def close(self) -> None:
+            pass
+
+    def connect(stop: threading.Event) -> Port:
+        for fault in faults:
+            raise fault
+        return Port()
+
+    with closing(ByteStream(connect, arrived=reader.arrived.set)) as stream:
+        assert reader.until(stream, bool)[:1] == b"x"
+        assert stream.failures == 3
+
+
+def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, reader: Reader) -> None:
+    stream = open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)
+    with server.accept()[0] as peer:
+        peer.settimeout(PATIENCE_S)
+        stream.close()
+        assert peer.recv(1) == b""
+    wait_for(lambda: not stream._thread.is_alive())
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "bus",
+        "file:",
+        "tcp:",
+        "tcp:host",
+        "tcp::2101",
+        "tcp:host:port",
+        "tcp:host:0",
+        "tcp:host:70000",
+        "tcp:host:²",
+        "serial:",
+        "serial::9600",
+        "serial:/dev/ttyS0:0",
+        "udp:host:1",
+        "http://host:1/BASE",
+    ],
+)
+def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
+    with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT or serial:DEVICE") as raised:
+        source_of(url)
+    assert repr(url) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "ntrip:",
+        "ntrip://",
+        "ntrip:host:2101/BASE",
+        "ntrip://host/BASE",
+        "ntrip://host:2101",
+        "ntrip://host:2101/",
+        "ntrip://host:70000/BASE",
+        "ntrip://host:2101/BA SE",
+        "ntrip://host:2101/BASE\r\nX: y",
+        "ntrip://höst:2101/BASE",
+    ],
+)
+def test_a_mountpoint_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
+    with pytest.raises(ValueError, match="expected ntrip://HOST:PORT/MOUNT"):
+        source_of(url)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "ntrip://driver:geheim@host:2101/BASE",
+        "ntrips://driver:ge/heim@host:2101/BASE",
+        "driver:geheim@host:2101",
+        "geheim@host",
+        "tcp:driver:geheim@host:2101",
+        "ntrip://driver:ge@heim@host:2101/BASE",
+    ],
+)
+def test_a_password_in_an_address_is_refused_and_not_repeated(url: str) -> None:
+    with pytest.raises(ValueError, match=r"\*\*\*\*@host") as raised:
+        source_of(url)
+    assert "heim" not in str(raised.value)
+    assert "driver" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        ({"user": "a:b"}, "no colon"),
+        ({"password": "geheim"}, "needs a user"),
+        ({"version": 3}, "expected 1 or 2"),
+        ({"position_interval_s": 0.99}, "expected 1 s or more"),
+        ({"position_interval_s": float("nan")}, "expected 1 s or more"),
+    ],
+)
+def test_a_wrong_way_to_ask_a_caster_is_refused(wrong: dict[str, object], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected) as raised:
+        NtripAccess(**wrong)  # type: ignore[arg-type]
+    assert "geheim" not in str(raised.value)
+    assert "geheim" not in repr(NtripAccess("driver", "geheim"))
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "file:relative.pos",
+        "file:/a:b",
+        "tcp:caster.example:2101",
+        "tcp:[::1]:2101",
+        "serial:/dev/ttyACM0",
+        "serial:/dev/ttyACM0:9600",
+        "serial:/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0",
+        "ntrip://caster.example:2101/BASE",
+        "ntrips://[::1]:443/VRS_3_4G",
+    ],
+)
+def test_a_source_is_understood_without_being_opened(url: str) -> None:
+    assert callable(source_of(url))
+
+
+def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[tuple[str, int]] = []
+
+    def port(device: str, baud_rate: int) -> object:
+        opened.append((device, baud_rate))
+        return object()
+
+    monkeypatch.setattr(byte_streams, "Serial", port)
+    source_of("serial:/dev/serial/by-path/usb-0:1.0-port0:38400")(threading.Event())
+    source_of("serial:/dev/serial/by-path/usb-0:1.0-port0")(threading.Event())
+    assert opened == [
+        ("/dev/serial/by-path/usb-0:1.0-port0", 38_400),
+        ("/dev/serial/by-path/usb-0:1.0-port0", 115_200),
+    ]
+
+
+def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
+    pauses = Pauses(chance=lambda: 1.0)
+    grown = [pauses.after(flowed_s, refused=False) for flowed_s in (0.0, 9.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0)]
+    assert grown == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
+    assert pauses.after(10.0, refused=False) == 0.2
+    assert pauses.after(0.0, refused=False) == 0.4
+
+
+def test_who_has_refused_is_asked_less_often() -> None:
+    pauses = Pauses(chance=lambda: 1.0)
+    assert [pauses.after(0.0, refused=True) for _ in range(11)][-2:] == [60.0, 60.0]
+    assert pauses.after(0.0, refused=False) == 10.0
+
+
+def test_a_pause_is_never_shorter_than_half_of_what_it_may_be() -> None:
+    assert Pauses(chance=lambda: 0.0).after(0.0, refused=False) == 0.1
+
+
+def test_a_server_that_says_nothing_is_left_and_found_again(server: socket.socket, reader: Reader) -> None:
+    url = f"tcp:127.0.0.1:{server.getsockname()[1]}"
+    with closing(open_stream(url, arrived=reader.arrived.set, silence_s=0.3)) as stream:
+        with server.accept()[0]:
+            wait_for(lambda: stream.failures > 0)
+            assert stream.last_failure == "silent for 0.3 s"
+        with server.accept()[0] as peer:
+            peer.sendall(b"again")
+            assert reader.until(stream, bool) == b"again"
+            assert stream.problem is None
+            assert stream.last_failure == "silent for 0.3 s"
+
+
+def test_a_file_may_be_silent_for_ever(tmp_path: Path, reader: Reader) -> None:
+    path = tmp_path / "rover.pos"
+    path.write_bytes(b"first")
+    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set, silence_s=0.01)) as stream:
+        reader.until(stream, bool)
+        time.sleep(0.3)
+        with path.open("ab") as file:
+            file.write(b", second")
+        assert reader.until(stream, lambda data: len(data) > 5) == b"first, second"
+        assert stream.failures == 0
+
+
+def raw_terminal() -> tuple[int, str]:
+    """A pair of terminals: where we write, and the name of the port that is read."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    name = os.ttyname(theirs)
+    os.close(theirs)
+    return ours, name
+
+
+def test_a_port_that_is_plugged_in_again_under_another_device_is_found_by_its_name(
+    tmp_path: Path, reader: Reader
+) -> None:
+    port = tmp_path / "usb-receiver"
+    first, device = raw_terminal()
+    port.symlink_to(device)
+    with closing(open_stream(f"serial:{port}", arrived=reader.arrived.set)) as stream:
+        wait_for(lambda: stream.problem is None)
+        os.write(first, b"one ")
+        assert reader.until(stream, lambda data: len(data) == 4) == b"one "
+        port.unlink()
+        os.close(first)
+        wait_for(lambda: stream.failures > 1)
+        assert "No such file" in str(stream.last_failure)
+        second, device = raw_terminal()
+        port.symlink_to(device)
+        wait_for(lambda: stream.problem is None)
+        os.write(second, b"two")
+        assert reader.until(stream, lambda data: len(data) == 7) == b"one two"
+        os.close(second)
+
+
+def test_a_port_is_read_by_one_reader_only(reader: Reader) -> None:
+    ours, device = raw_terminal()
+    with closing(open_stream(f"serial:{device}", arrived=reader.arrived.set)) as first:
+        wait_for(lambda: first.problem is None)
+        with closing(open_stream(f"serial:{device}", arrived=reader.arrived.set)) as second:
+            wait_for(lambda: second.failures > 0)
+            assert "lock" in str(second.last_failure)
+        os.write(ours, b"whole")
+        assert reader.until(first, lambda data: len(data) == 5) == b"whole"
+    os.close(ours)
+
+
+def unanswering() -> tuple[socket.socket, list[socket.socket]]:
+    """A server whose queue is full: whoever connects hears nothing."""
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    listening.listen(0)
+    waiting = []
+    for _ in range(3):
+        waiting.append(socket.socket())
+        waiting[-1].setblocking(False)
+        waiting[-1].connect_ex(listening.getsockname())
+    return listening, waiting
+
+
+def test_closing_while_connecting_ends_the_thread(reader: Reader) -> None:
+    listening, waiting = unanswering()
+    stream = open_stream(f"tcp:127.0.0.1:{listening.getsockname()[1]}", arrived=reader.arrived.set)
+    time.sleep(0.2)
+    assert stream.failures == 0
+    assert stream.problem == "not connected yet"
+    stream.close()
+    wait_for(lambda: not stream._thread.is_alive(), within_s=2.0)  # a connection is given up after 5 s
+    assert stream.failures == 0
+    for each in [listening, *waiting]:
+        each.close()

@@ -1,0 +1,56 @@
+"""Serial ports, in words that tell which of them is the receiver and how to name it for good."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from serial.tools.list_ports_common import ListPortInfo
+
+from camber.transport.byte_streams import source_of
+from camber.transport.serial_ports import described
+
+
+def port(
+    device: Path | str, description: str = "n/a", usb: tuple[int, int, str] | None = None
+) -> ListPortInfo:
+    found = ListPortInfo(str(device), skip_link_detection=True)
+    found.description = description
+    if usb is not None:
+        found.vid, found.pid, found.serial_number = usb
+    return found
+
+
+def test_where_there_is_none_that_is_said(tmp_path: Path) -> None:
+    assert described([], by_id=tmp_path / "missing") == "no serial port is there"
+
+
+def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: Path) -> None:
+    device = tmp_path / "ttyACM0"
+    device.touch()
+    by_id = tmp_path / "by-id"
+    by_id.mkdir()
+    (by_id / "usb-u-blox_GNSS_receiver-if00").symlink_to("../ttyACM0")
+    (by_id / "usb-gone").symlink_to("../ttyACM7")
+    ports = [
+        port("/dev/ttyS0"),
+        port(device, "u-blox GNSS receiver", (0x1546, 0x01A9, "ABC")),
+        port("/dev/ttyUSB0", "CP2102", (0x10C4, 0xEA60, "")),
+    ]
+    assert described(ports, by_id=by_id).splitlines() == [
+        "/dev/ttyS0",
+        "  --source serial:/dev/ttyS0",
+        "/dev/ttyUSB0",
+        "  CP2102",
+        "  USB 10c4:ea60",
+        "  --source serial:/dev/ttyUSB0",
+        str(device),
+        "  u-blox GNSS receiver",
+        "  USB 1546:01a9, serial number ABC",
+        f"  --source serial:{by_id}/usb-u-blox_GNSS_receiver-if00",
+    ]
+
+
+def test_what_is_given_as_a_source_is_one() -> None:
+    for line in described([port("/dev/ttyS0"), port("/dev/ttyUSB0")], by_id=Path("/missing")).splitlines():
+        if "--source" in line:
+            assert callable(source_of(line.split()[1]))

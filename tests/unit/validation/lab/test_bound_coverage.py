@@ -1,0 +1,119 @@
+"""The lab's bounds are the product's, and hold as often as closed forms say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from camber.integrity.rules import Rules
+from camber.validation.lab.bound_coverage import (
+    ALERT_LIMITS_M,
+    LEVELS,
+    MODES,
+    VELOCITY_SIGMA_M_S,
+    Claimed,
+    bounds,
+    claimed_growth,
+    levels_block,
+    levels_figures,
+    of_fixes,
+    prior_shares,
+)
+from camber.validation.lab.false_alarms import right_fixes
+from camber.validation.lab.misleading_information import hazard_block, hazard_figures
+
+SEED = 13
+
+
+def _normal(n: int, sigma_m: float, times: float = 1.0) -> Claimed:
+    rng = np.random.default_rng(SEED)
+    covariance = np.tile(np.eye(2) * sigma_m**2, (n, 1, 1, 1))
+    error = times * sigma_m * rng.normal(size=(n, 2))
+    return Claimed(error, np.ones((n, 1)), np.zeros((n, 1, 2)), covariance, np.zeros(n))
+
+
+def test_the_ellipse_of_a_normal_error_holds_what_its_margin_makes_of_it() -> None:
+    found = bounds(_normal(10_000, 0.08))
+    expected = 1.0 - 0.01 ** (LEVELS.horizontal_margin**2)
+    inside = np.mean(np.hypot(*found.in_99.T) <= 1.0)
+    assert inside == pytest.approx(expected, abs=4.0 * math.sqrt(0.0075 / 10_000))
+    assert found.level_m[0] == pytest.approx(
+        0.08 * LEVELS.horizontal_margin * math.sqrt(-2.0 * math.log(LEVELS.integrity_risk)), rel=1e-3
+    )
+
+
+def test_an_error_that_is_larger_than_claimed_is_found_out() -> None:
+    assert np.mean(np.hypot(*bounds(_normal(2_000, 0.08, 1.3)).in_99.T) <= 1.0) < 0.97
+
+
+def test_ellipses_turn_with_their_covariance() -> None:
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    covariance = turn @ np.diag([0.3**2, 0.05**2]) @ turn.T
+    error = np.array([turn @ (0.9, 0.0), turn @ (0.0, 0.9)])
+    claimed = Claimed(
+        error, np.ones((2, 1)), np.zeros((2, 1, 2)), np.tile(covariance, (2, 1, 1, 1)), np.zeros(2)
+    )
+    length = np.hypot(*bounds(claimed).in_99.T)
+    assert length[1] / length[0] == pytest.approx(6.0, rel=1e-3)
+
+
+def test_the_sum_of_velocities_grows_as_an_integrated_gauss_markov_process() -> None:
+    variances, sigma_m_s = claimed_growth()
+    rules = LEVELS.doppler
+    assert sigma_m_s == pytest.approx(
+        math.hypot(rules.sigma_scale * VELOCITY_SIGMA_M_S, rules.sigma_floor_m_s)
+    )
+    at = 200  # 20 s
+    t = 20.0 / rules.correlation_s
+    closed = 2.0 * (sigma_m_s * rules.correlation_s) ** 2 * (t - 1.0 + math.exp(-t))
+    assert variances[at] == pytest.approx(closed, rel=0.02)
+    assert variances[0] == 0.0
+
+
+def test_a_fix_that_is_far_from_its_pose_is_bounded_where_the_pose_is() -> None:
+    difference = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    s, fix = np.tile(np.eye(3) * 0.01, (2, 1, 1)), np.tile(np.eye(3) * 0.0025, (2, 1, 1))
+    claimed = of_fixes(np.zeros((2, 2)), difference, s, fix, 0.05, np.full(2, 0.1))
+    assert claimed.weight.sum(axis=1) == pytest.approx([1.0, 1.0])
+    assert claimed.weight[0, 1] < 1e-3
+    assert claimed.weight[1, 1] > 0.999
+    near, far = bounds(claimed).level_m
+    assert near < 0.4
+    assert far > 2.0
+
+
+def test_the_lab_draws_as_many_wrong_fixes_as_the_prior_of_their_satellites_says() -> None:
+    shapes = right_fixes(SEED, 0, 100, "levels")
+    shares = prior_shares(shapes)
+    assert set(shares[shapes.satellites <= 7]) == {0.95}
+    assert set(shares[(shapes.satellites > 7) & (shapes.satellites <= 12)]) == {0.3}
+    assert set(shares[shapes.satellites > 12]) == {0.1}
+    hazard = hazard_figures([hazard_block(SEED, 0, Rules())])
+    assert 0.1 < hazard["wrong_fix_prior"] < 0.95
+
+
+def test_a_block_counts_every_mode_and_its_figures_are_shares_of_its_draws() -> None:
+    block = levels_block(SEED, 0, Rules(), 2_000)
+    figures = levels_figures([block])
+    assert set(figures["modes"]) == set(MODES)
+    for counts in figures["modes"].values():
+        assert counts["inside_99"]["share"] <= counts["inside_999"]["share"]
+        assert counts["inside_99"]["share"] > 0.985
+        assert counts["available"] == sorted(counts["available"])
+        assert len(counts["available"]) == len(ALERT_LIMITS_M)
+        assert np.sum(counts["chart"]) == counts["draws"]
+        assert counts["beyond_level"]["count"] == 0
+
+
+def test_hazard_is_the_sum_of_its_parts_by_their_shares() -> None:
+    figures = hazard_figures([hazard_block(SEED, 0, Rules())])
+    parts = figures["parts"]
+    assert figures["upper_95"] == pytest.approx(sum(part["share"] * part["upper_95"] for part in parts))
+    assert sum(part["share"] for part in parts) == pytest.approx(1.0)
+    for part in parts:
+        assert part["rate"] < part["upper_95"] < 3.0 * part["rate"]
+        assert 1.0 <= part["effective"] <= part["draws"]
+    coincidence = parts[3]
+    assert 0.0 < coincidence["rate"] < coincidence["upper_95"] < 1e-2

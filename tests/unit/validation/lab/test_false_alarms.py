@@ -1,0 +1,65 @@
+"""Importance sampling against closed forms and against plain sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from camber.integrity.checks.chi2_test import chi2_limit, distances, upper
+from camber.integrity.rules import Rules
+from camber.validation.lab.error_model import Scene
+from camber.validation.lab.false_alarms import WeightedRate, alarms_block, drawn, rate_of
+
+SEED = 7
+
+
+def _covariances(n: int, rng: np.random.Generator) -> np.ndarray:
+    a = rng.normal(size=(n, 3, 3))
+    return np.asarray(a @ a.transpose(0, 2, 1) + 0.1 * np.eye(3))
+
+
+@pytest.mark.parametrize("probability", [1e-3, 1e-5, 1e-7])
+def test_the_tail_of_a_normal_difference_is_that_of_chi_squared(probability: float) -> None:
+    rng = np.random.default_rng(SEED)
+    s = _covariances(400_000, rng)
+    d, weights = drawn(s, rng)
+    rate = rate_of(weights, distances(tuple(d.T), upper(s)).joint > chi2_limit(probability, 3))
+    assert rate.effective > 100.0
+    sigma = np.sqrt(rate.squares) / rate.draws
+    assert abs(rate.rate - probability) < 4.0 * sigma
+    assert rate.rate < rate.upper < 1.3 * probability
+
+
+def test_importance_sampling_and_plain_sampling_find_the_same_rate_of_a_thousandth() -> None:
+    rng = np.random.default_rng(SEED)
+    s = _covariances(500_000, rng)
+    limit = chi2_limit(1e-3, 2)
+    d, weights = drawn(s, rng)
+    by_weights = rate_of(weights, distances(tuple(d.T), upper(s)).position > limit)
+    plain, ones = drawn(s, rng, 1.0)
+    assert (ones == 1.0).all()
+    counted = rate_of(ones, distances(tuple(plain.T), upper(s)).position > limit)
+    sigma = np.hypot(np.sqrt(by_weights.squares) / by_weights.draws, np.sqrt(counted.squares) / counted.draws)
+    assert abs(by_weights.rate - counted.rate) < 4.0 * sigma
+    assert by_weights.effective > 3.0 * counted.effective
+
+
+def test_weights_are_one_in_the_mean_and_two_at_most() -> None:
+    rng = np.random.default_rng(SEED)
+    _, weights = drawn(_covariances(200_000, rng), rng)
+    assert weights.mean() == pytest.approx(1.0, abs=0.01)
+    assert weights.max() <= 2.0
+
+
+def test_a_rate_of_nothing_is_bounded_by_the_draws() -> None:
+    assert WeightedRate(0.0, 0.0, 600).upper == pytest.approx(0.01)
+    assert WeightedRate(0.0, 0.0, 600).effective == 0.0
+
+
+def test_blocks_of_right_fixes_are_the_same_for_the_same_seed_and_differ_for_another() -> None:
+    scenes, rules = (Scene(0.05, 0.05),), Rules()
+    one, again, other = (alarms_block(scenes, seed, 0, 20, 3, rules)[0] for seed in (1, 1, 2))
+    assert one == again
+    assert one != other
+    assert one["all"].rate == pytest.approx(1.0, abs=0.5)
+    assert one["false_alarm"].rate <= one["held_back"].rate

@@ -1,0 +1,160 @@
+"""Episodes: errors have the spread they are said to have, and misses follow the closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.rules import Rules
+from camber.simulator.satellites.wrong_fix_shapes import FixShapes
+from camber.validation.lab.baselines import ALL, CONTROLS, JUDGE, Controls
+from camber.validation.lab.error_episodes import Faults, episodes
+from camber.validation.lab.error_model import Assumptions, Scene, judged_covariance
+from camber.validation.lab.false_alarms import right_covariance
+from camber.validation.lab.missed_detection import THRESHOLDS_M, missed_block, stretches
+from camber.validation.lab.reference_faults import FAULTS
+
+SEED = 11
+SCENE = Scene(0.08, 0.06)
+
+
+def _shapes(n: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FixShapes:
+    cube = np.broadcast_to(np.eye(3), (n, 3, 3))
+    return FixShapes(
+        np.arange(n),
+        np.tile(shift_m, (n, 1)),
+        np.zeros((n, 3)),
+        cube * 0.005**2,
+        cube * 0.01**2,
+        np.ones(n, np.bool_),
+        np.full(n, 9),
+        np.ones(n, np.bool_),
+        np.tile((1.0, 0.0), (n, 1)),
+        np.full(n, 9),
+    )
+
+
+def _phi(z: float) -> float:
+    return 0.5 * math.erfc(-z / math.sqrt(2.0))
+
+
+def test_differences_have_the_variances_of_their_parts() -> None:
+    assumed = Assumptions(reference_m=0.08, slope_sigma=0.0)
+    rng = np.random.default_rng(SEED)
+    run = episodes(_shapes(60_000), SCENE, rng, length=np.ones(60_000, np.int64), assumed=assumed)
+    fix = 0.01**2 + 0.08**2 / 2.0 + assumed.frame_sigma_m**2
+    plane = fix + SCENE.pose_sigma_m**2
+    up = fix + SCENE.map_sigma_m**2 + assumed.antenna_sigma_m**2
+    assert np.var(run.difference_m, axis=0) == pytest.approx([plane, plane, up], rel=0.03)
+    assert np.var(run.error_m, axis=0) == pytest.approx([fix] * 3, rel=0.03)
+
+
+def test_right_fixes_of_the_lab_of_alarms_and_of_episodes_have_the_same_spread() -> None:
+    rng = np.random.default_rng(SEED)
+    shapes, slope = _shapes(200_000), np.zeros((200_000, 2))
+    run = episodes(
+        shapes, SCENE, rng, length=np.ones(200_000, np.int64), assumed=Assumptions(slope_sigma=0.0)
+    )
+    assert np.cov(run.difference_m.T) == pytest.approx(
+        right_covariance(shapes, slope, SCENE)[0], rel=0.02, abs=1e-4
+    )
+
+
+def test_the_poses_error_is_alike_for_its_correlation_time() -> None:
+    assumed = Assumptions(pose_time_s=10.0)
+    rng = np.random.default_rng(SEED)
+    run = episodes(_shapes(20_000), SCENE, rng, length=np.full(20_000, 101), assumed=assumed)
+    pose = run.pose_error_m[:, 0].reshape(20_000, 101)
+    alike = np.mean(pose[:, 0] * pose[:, 100]) / SCENE.pose_sigma_m**2
+    assert alike == pytest.approx(math.exp(-1.0), abs=0.03)
+    assert np.var(pose[:, 100]) == pytest.approx(SCENE.pose_sigma_m**2, rel=0.05)
+
+
+def test_a_wrong_fix_moves_with_its_rate_and_faults_move_what_they_concern() -> None:
+    assumed = Assumptions(reference_m=0.0, frame_sigma_m=0.0, slope_sigma=0.0, antenna_sigma_m=0.0)
+    still = Scene(0.0, 0.0)
+    shapes = _shapes(1, (1.0, 2.0, 3.0))
+    shapes.rate_m_s[:] = (0.1, 0.0, -0.1)
+    shapes = FixShapes(
+        *(
+            np.zeros((1, 3, 3)) if name == "reflected_m2" else getattr(shapes, name)
+            for name in shapes.__slots__
+        )
+    )
+    faults = Faults(np.array([[0.5, 0.0]]), np.array([0.2]), np.array([0.1]), np.array([[0.0, 0.0, 1.0]]))
+    run = episodes(shapes, still, np.random.default_rng(SEED), faults, np.array([11]), assumed)
+    assert run.error_m[10] == pytest.approx([1.1, 2.0, 3.9], abs=1e-4)
+    assert run.difference_m[10] == pytest.approx([0.6, 2.0, 3.6], abs=1e-4)
+
+
+def test_height_alone_misses_as_often_as_the_normal_distribution_says() -> None:
+    rules = Rules(determination=DeterminationRules(tolerance="fixed", tolerance_m=0.2))
+    assumed = Assumptions(reference_m=0.0, slope_sigma=0.0)
+    n = 200_000
+    shapes = _shapes(n, (0.0, 5.0, 0.35))
+    rng = np.random.default_rng(SEED)
+    run = episodes(shapes, SCENE, rng, length=np.ones(n, np.int64), assumed=assumed)
+    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    said = Controls(rules.determination, SCENE.pose_sigma_m).confirmed(
+        run.difference_m, s, run.episode, shapes.residuals_agree
+    )
+    sigma = math.sqrt(0.01**2 + assumed.frame_sigma_m**2 + SCENE.map_sigma_m**2 + assumed.antenna_sigma_m**2)
+    expected = _phi((0.2 - 0.35) / sigma) - _phi((-0.2 - 0.35) / sigma)
+    assert said["height only"].mean() == pytest.approx(expected, abs=4.0 * math.sqrt(expected / n))
+    assert not said[JUDGE].any()
+    assert said["ratio only"].all()
+    assert not said["always no"].any()
+    assert list(said) == list(CONTROLS)
+
+
+def test_what_the_shortcut_leaves_out_could_agree_with_nothing() -> None:
+    rng = np.random.default_rng(SEED)
+    n, rules = 20_000, Rules()
+    d = rng.normal(size=(n, 3)) * (0.3, 0.3, 0.2)
+    s = judged_covariance(np.tile(np.eye(3) * 1e-4, (n, 1, 1)), np.zeros((n, 2)), SCENE, rules)
+    controls = Controls(rules.determination, SCENE.pose_sigma_m)
+    said = controls.confirmed(d, s, np.arange(n), np.ones(n, np.bool_))
+    assert (said[JUDGE] == controls.agreed(d, s)).all()
+    assert 0 < said[JUDGE].sum() < said["LiDAR only"].sum()
+
+
+def test_the_longest_stretch_is_of_one_episode_and_an_alert_is_a_harmful_epoch_that_is_not_confirmed() -> (
+    None
+):
+    harmful = np.array([1, 1, 1, 1, 0, 1, 1, 1], np.bool_)
+    confirmed = np.array([1, 1, 0, 1, 1, 1, 1, 1], np.bool_)
+    longest, alerted = stretches(harmful, confirmed, np.array([0, 5]), np.array([5, 3]))
+    assert longest.tolist() == [2, 3]
+    assert alerted.tolist() == [True, False]
+
+
+def test_controls_that_ask_for_more_miss_less_and_counts_add_up() -> None:
+    found = missed_block("cycles", (Scene(0.05, 0.05), Scene(0.2, 0.05)), 3, 0, 12, 1, Rules())
+    for m in found:
+        missed = dict(zip(CONTROLS, m.missed, strict=True))
+        assert (missed["ratio only"] == m.harmful).all()
+        assert (missed["always no"] == 0).all()
+        assert (missed[ALL] <= missed[JUDGE]).all()
+        assert (missed[ALL] <= missed["residuals only"]).all()
+        assert (m.late <= m.missed).all()
+        assert (m.confirmed_in_bin <= m.in_bin).all()
+        assert m.harmful[0] >= m.harmful[1] > 0
+        assert m.stretch.sum(axis=1).tolist() <= m.harmful.tolist()
+    both = [dict(zip(CONTROLS, m.missed[:, 0], strict=True))[JUDGE] for m in found]
+    assert both[0] < both[1]
+    assert THRESHOLDS_M == (0.5, 1.0)
+
+
+def test_a_level_of_five_metres_and_a_base_that_is_metres_off_contradict_every_time() -> None:
+    rules, n = Rules(), 500
+    for name in ("level, 5 m", "base, vector of 17.7 m", "LiDAR slides along, 0.5 to 3 m"):
+        rng = np.random.default_rng(SEED)
+        shapes = _shapes(n)
+        run = episodes(shapes, Scene(0.05, 0.05), rng, FAULTS[name](shapes, rng), np.ones(n, np.int64))
+        s = judged_covariance(shapes.claimed_m2, run.slope, Scene(0.05, 0.05), rules)
+        controls = Controls(rules.determination, 0.05)
+        assert not controls.agreed(run.difference_m, s).any()
+        assert controls.contradicted(run.difference_m, s).mean() > 0.8

@@ -1,0 +1,88 @@
+"""`camber lab` from the command line."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from camber.integrity.rules import Rules
+from camber.validation.lab import command as lab
+from camber.validation.lab.error_model import Scene
+from camber.validation.lab.false_alarms import alarms_block
+from camber.validation.lab.missed_detection import Missed, missed_block
+from camber.validation.lab.page import page
+from camber.validation.lab.work_blocks import Task, workers
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("lab")
+    assert lab.main(["--trials", "60", "--seed", "3", "--processes", "1", "--out", str(out)]) == 0
+    return out
+
+
+def test_a_run_leaves_figures_tables_and_charts(folder: Path) -> None:
+    assert {path.name for path in folder.iterdir()} == {
+        "lab.json", "lab.md", "missed.svg", "stanford-rtk.svg", "stanford-doppler.svg", "stanford-sensors.svg",
+        "stanford-scan_match.svg",
+    }  # fmt: skip
+    for path in folder.glob("*.svg"):
+        assert ElementTree.parse(path).getroot().tag.endswith("svg")
+    figures = json.loads((folder / "lab.json").read_text("utf-8"))
+    assert figures["seed"] == 3
+    assert {row["kind"] for row in figures["missed"]} == {"search", "cycles"}
+
+
+def test_how_many_processes_there_are_changes_no_figure() -> None:
+    scenes = (Scene(0.05, 0.05),)
+    tasks = [Task(missed_block, ("cycles", scenes, 3, block, 4, 1, Rules())) for block in range(3)]
+    tasks += [Task(alarms_block, (scenes, 3, 0, 20, 2, Rules()))]
+    with workers(1) as alone, workers(2) as beside:
+        one, two = list(alone(tasks)), list(beside(tasks))
+    assert pickle.dumps(one[3]) == pickle.dumps(two[3])
+    for by_one, by_two in zip(one[:3], two[:3], strict=True):
+        for name in Missed.__slots__:
+            assert np.array_equal(getattr(by_one[0], name), getattr(by_two[0], name))
+    assert not np.array_equal(one[0][0].in_bin, one[1][0].in_bin)
+
+
+def test_the_page_comes_from_the_figures_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert lab.main(["--page", str(folder / "lab.json")]) == 0
+    said = capsys.readouterr().out
+    assert said == (folder / "lab.md").read_text("utf-8")
+    assert "camber lab --seed 3 --trials 60" in said
+    for word in ("always no", "hazardously misleading", "false_alarm_rate", "effective events"):
+        assert word in said
+
+
+def test_a_figure_that_is_missed_is_said_to_be_missed(folder: Path) -> None:
+    figures = json.loads((folder / "lab.json").read_text("utf-8"))
+    figures["hazard"]["upper_95"] = 2e-7
+    figures["alarms"][0]["false_alarm"]["upper_95"] = 0.9e-5
+    rows = [row for row in page(figures).splitlines() if "hazardously" in row or "false alarms" in row]
+    assert any("hazardously" in row and "**no**" in row for row in rows)
+    assert any("LiDAR σ 0.05 m" in row and row.endswith("yes |") for row in rows)
+
+
+@pytest.mark.parametrize("content", ["{", "{}", '{"missed": 3}'])
+def test_a_file_that_is_no_run_of_the_lab_is_one_line(
+    content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "lab.json"
+    path.write_text(content, "utf-8")
+    assert lab.main(["--page", str(path)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"camber lab: {path}")
+    assert said.err.count("\n") == 1
+
+
+def test_no_trials_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        lab.main(["--trials", "0"])
+    assert "--trials: '0', expected a whole number from 1 to" in capsys.readouterr().err

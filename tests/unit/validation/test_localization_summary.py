@@ -1,0 +1,110 @@
+"""What summary and report say of the localizer and of the antenna's height."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from camber.formats.drive.recording import Recorded
+from camber.replay.run_folder import DriveFacts, RunFacts
+from camber.schemas.antenna import AntennaHeight, HeightByWay
+from camber.schemas.pose import Pose, PoseMode, Road, ScanMatch
+from camber.validation.evaluation import Evaluation, evaluate
+from camber.validation.report.page import render
+
+START_NS = 1_373_000_000_000_000_000
+STEP_NS = 100_000_000
+
+
+def wrap(*messages: Any) -> list[Recorded[Any]]:
+    return [Recorded("", "", message, "", 0, 0) for message in messages]
+
+
+def pose(step: int, mode: PoseMode) -> Pose:
+    road = Road(status="unknown", reason="no_pose")
+    return Pose(time_ns=START_NS + step * STEP_NS, mode=mode, provenance="none", road=road)
+
+
+def match(step: int, status: Any, layers_m: list[float] | None, height_m: float | None = None) -> ScanMatch:
+    distances = None if layers_m is None else np.array(layers_m)
+    return ScanMatch(
+        time_ns=START_NS + step * STEP_NS,
+        status=status,
+        layer_mean_distance_m=distances,
+        sensor_height_m=height_m,
+    )
+
+
+def height(step: int, way: Any, height_m: float, **others: float) -> AntennaHeight:
+    further = tuple(HeightByWay(way=other, height_m=h, sigma_m=0.02) for other, h in others.items())  # type: ignore[arg-type]
+    return AntennaHeight(
+        time_ns=START_NS + step * STEP_NS,
+        status="known",
+        way=way,
+        height_m=height_m,
+        sigma_m=0.02,
+        others=further,
+    )
+
+
+def evaluated(recorded: dict[str, list[Recorded[Any]]]) -> Evaluation:
+    return evaluate(recorded, DriveFacts(drive="by hand", truth=False), RunFacts(), None)
+
+
+def drive() -> Evaluation:
+    return evaluated(
+        {
+            "pose": wrap(pose(0, "none"), pose(1, "scan_match"), pose(2, "scan_match")),
+            "scan_match": wrap(
+                match(0, "lost", None),
+                match(1, "converged", [0.1, 0.2], 1.90),
+                match(2, "converged", [0.12, 0.4], 1.94),
+            ),
+            "antenna_height": wrap(
+                AntennaHeight(time_ns=START_NS, status="unknown"),
+                height(1, "stroke", 1.58, ranging=1.60),
+                height(2, "ranging", 1.62, scan_matching=1.55),
+            ),
+        }
+    )
+
+
+def test_the_summary_counts_by_word_and_has_medians() -> None:
+    assert drive().summary["localizer"] == {
+        "modes": {"scan_match": 2, "none": 1},
+        "matches": {"converged": 2, "lost": 1},
+        "layer_mean_distance_m": pytest.approx([0.11, 0.3]),
+        "sensor_height_m": pytest.approx(1.92),
+        "ground_height_m": None,
+        "antenna_height_m": pytest.approx({"ranging": 1.61, "scan_matching": 1.55, "stroke": 1.58}),
+    }
+
+
+def test_the_page_has_a_row_for_each_word_and_the_heights() -> None:
+    page = render(drive())
+    row = r'<td class="left">{}</td><td class="left">{}</td><td>{}</td><td>{}'
+    assert re.search(row.format("pose", "scan match", 2, "66.7"), page)
+    assert re.search(row.format("scan match", "lost", 1, "33.3"), page)
+    assert "sensor, by matches 1.920\u00a0m; antenna, by ranging 1.610\u00a0m" in page
+    data = json.loads(
+        page.partition('<script type="application/json" id="data">')[2].partition("</script>")[0]
+    )
+    assert data["localizer"] == {
+        "t": [0.0, 0.1, 0.2],
+        "layers": [[None, 0.1, 0.12], [None, 0.2, 0.4]],
+        "heights": {
+            "ranging": {"t": [0.1, 0.2], "h": [1.6, 1.62]},
+            "scan_matching": {"t": [0.2], "h": [1.55]},
+            "stroke": {"t": [0.1], "h": [1.58]},
+        },
+    }
+
+
+def test_a_run_without_a_localizer_says_so() -> None:
+    page = render(evaluated({}))
+    assert "The localizer said nothing." in page
+    assert json.dumps(evaluated({}).summary["localizer"]["layer_mean_distance_m"]) == "[]"
