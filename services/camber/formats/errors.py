@@ -17,14 +17,14 @@ class FormatError(ValueError):
         field: str,
         expected: str,
         *,
-        found: str | bytes | None = None,
+        actual: str | bytes | None = None,
         line_number: int | None = None,
         byte_offset: int | None = None,
     ) -> None:
         self.source_name = source_name
         self.field = field
         self.expected = expected
-        self.found = None if found is None else _shown(found)
+        self.actual = None if actual is None else _shown(actual)
         self.line_number = line_number
         self.byte_offset = byte_offset
         place = source_name
@@ -32,12 +32,12 @@ class FormatError(ValueError):
             place += f":{line_number}"
         if byte_offset is not None:
             place += f" at byte {byte_offset}"
-        found_text = "" if self.found is None else f" is '{self.found}'"
-        super().__init__(f"{place}: {field}{found_text}, expected {expected}")
+        actual_text = "" if self.actual is None else f" is '{self.actual}'"
+        super().__init__(f"{place}: {field}{actual_text}, expected {expected}")
 
 
-def _shown(found: str | bytes) -> str:
-    """At most forty printable characters, whatever was found."""
-    text = found.decode("latin-1") if isinstance(found, bytes) else found
+def _shown(actual: str | bytes) -> str:
+    """At most forty printable characters, whatever the input was."""
+    text = actual.decode("latin-1") if isinstance(actual, bytes) else actual
     visible = text[:_SHOWN_CHARACTERS].encode("unicode_escape").decode("ascii")
     return visible + ("…" if len(text) > _SHOWN_CHARACTERS else "")

@@ -282,7 +282,7 @@ class Fetching:
                 raise NoAnswer(f"{supplier.name}: blob {digest}: {reply.reason}")
             if not 0 < reply.parts <= most:
                 raise ReleaseError(
-                    supplier.name, f"parts of blob {digest}", f"1 to {most}", found=str(reply.parts)
+                    supplier.name, f"parts of blob {digest}", f"1 to {most}", actual=str(reply.parts)
                 )
             count = reply.parts
             parts.append(reply.payload.tobytes())
@@ -298,7 +298,7 @@ class Fetching:
         names = list(zip(request.more_sha256, request.more_base_sha256, strict=True))
         if len(sizes) > len(names) or any(size <= 0 for size in sizes) or sum(sizes) != len(data):
             expected = f"at most {len(names)} that fill {len(data)} bytes"
-            raise ReleaseError(supplier.name, "sizes of more blobs", expected, found=str(sizes)[:100])
+            raise ReleaseError(supplier.name, "sizes of more blobs", expected, actual=str(sizes)[:100])
         ends = np.cumsum(sizes, dtype=np.int64).tolist()
         self._ahead = {
             name: data[end - size : end] for name, size, end in zip(names, sizes, ends, strict=False)

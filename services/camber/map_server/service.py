@@ -256,7 +256,7 @@ class MapServerService(Service[MapServerSettings]):
     def _check_datum(self, release: Release) -> None:
         if release.manifest.datum != self.settings.datum:
             file = release.source.name(None)
-            raise _DatumMismatchError(file, "datum", self.settings.datum, found=release.manifest.datum)
+            raise _DatumMismatchError(file, "datum", self.settings.datum, actual=release.manifest.datum)
 
     def _report_problem(self, before: ReleaseError | None) -> None:
         problem = self._watch.problem
@@ -295,7 +295,7 @@ class _Cloud:
 
     def _ask(self, name: str, request: Message, reply: type[MessageT]) -> MessageT:
         if not self._trusted:
-            raise ReleaseError(self.name, "public_key", "a key of what is taken over the bus", found="none")
+            raise ReleaseError(self.name, "public_key", "a key of what is taken over the bus", actual="none")
         try:
             return decode(reply, *self._bus.ask_bytes(name, encode(request, source="map_server"))).message
         except QueryFailed as error:

@@ -40,23 +40,23 @@ def read_arrivals(path: Path, header_bytes: int, data: bytes) -> list[TimedBytes
     """
     lines = path.read_bytes().splitlines()
     if lines[:1] != [_HEADER]:
-        raise FormatError(path.name, "header", _HEADER.decode(), found=b"".join(lines[:1]), line_number=1)
+        raise FormatError(path.name, "header", _HEADER.decode(), actual=b"".join(lines[:1]), line_number=1)
     parts: list[TimedBytes] = []
     time_ns, end = EARLIEST_NS, 0
     for number, line in enumerate(lines[1:], start=2):
         arrival_ns, end_byte = _row(path.name, number, line)
         if not time_ns <= arrival_ns <= LATEST_NS:
             expected = "a GPS time in ns, not before the row above"
-            raise FormatError(path.name, "arrival_time_ns", expected, found=line, line_number=number)
+            raise FormatError(path.name, "arrival_time_ns", expected, actual=line, line_number=number)
         if not end < end_byte <= len(data):
             expected = f"more than the row above and at most the file's {len(data)} bytes"
-            raise FormatError(path.name, "end_byte", expected, found=line, line_number=number)
+            raise FormatError(path.name, "end_byte", expected, actual=line, line_number=number)
         if end_byte > header_bytes:
             parts.append(TimedBytes(arrival_ns, data[max(end, header_bytes) : end_byte]))
         time_ns, end = arrival_ns, end_byte
     if end != len(data):
         raise FormatError(
-            path.name, "end_byte", f"the file's {len(data)} bytes in the last row", found=str(end)
+            path.name, "end_byte", f"the file's {len(data)} bytes in the last row", actual=str(end)
         )
     return parts
 
@@ -64,5 +64,5 @@ def read_arrivals(path: Path, header_bytes: int, data: bytes) -> list[TimedBytes
 def _row(name: str, number: int, line: bytes) -> Sequence[int]:
     fields = line.split(b",")
     if len(fields) != 2 or not all(field.isdigit() and len(field) < 20 for field in fields):
-        raise FormatError(name, "row", "two whole numbers", found=line, line_number=number)
+        raise FormatError(name, "row", "two whole numbers", actual=line, line_number=number)
     return [int(field) for field in fields]

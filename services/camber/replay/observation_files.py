@@ -84,7 +84,7 @@ def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
         return "rinex", data
     for start, _ in _frames(data):
         return ("ubx" if data[start] == 0xB5 else "rtcm"), data
-    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX or RTCM 3", found=data[:20])
+    raise FormatError(path.name, "format", "RINEX 3 or 4, UBX or RTCM 3", actual=data[:20])
 
 
 def _cut(data: bytes, begin: int, marks: _Marks) -> list[TimedBytes]:
@@ -104,7 +104,7 @@ def _rinex_header(name: str, data: bytes) -> bytes:
     found = _END_OF_HEADER.search(data)
     version = data[:9].strip()
     if not version.startswith((b"3", b"4")) or data[20:21] != b"O":
-        raise FormatError(name, "version", "observations in RINEX 3 or 4", found=data[:21])
+        raise FormatError(name, "version", "observations in RINEX 3 or 4", actual=data[:21])
     if found is None:
         raise FormatError(name, "header", "a line END OF HEADER")
     return data[: found.end()]
@@ -116,7 +116,7 @@ def _rinex_begins(name: str, data: bytes, header: bytes) -> Iterator[tuple[int, 
     system = b"   " if first is None else first[1]
     offset_ns = _OFFSET_NS.get(system)
     if offset_ns is None:
-        raise FormatError(name, "time system", "GPS, GAL, QZS, IRN or BDT", found=system)
+        raise FormatError(name, "time system", "GPS, GAL, QZS, IRN or BDT", actual=system)
     for line in _EPOCH.finditer(data, len(header)):
         year, month, day, hour, minute, second, fraction = (int(text) for text in line.groups())
         try:

@@ -128,7 +128,7 @@ class RunFolder:
                 return Truth(**{array: arrays[array] for array in _ARRAYS})
         except OSError as error:
             expected = "a readable file, as drive.json says that there is truth"
-            raise FormatError(name, "file", expected, found=error.strerror or str(error)) from None
+            raise FormatError(name, "file", expected, actual=error.strerror or str(error)) from None
         except KeyError:
             raise FormatError(name, "arrays", ", ".join(_ARRAYS)) from None
         except _NO_ARRAYS as error:
@@ -145,7 +145,7 @@ def _read_json(path: Path, cls: type[F]) -> F:
     try:
         return cls.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise FormatError(path.name, "file", "a readable file", found=error.strerror or str(error)) from None
+        raise FormatError(path.name, "file", "a readable file", actual=error.strerror or str(error)) from None
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "file"

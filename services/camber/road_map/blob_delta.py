@@ -82,7 +82,7 @@ def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) ->
     """
     way = data[:1]
     if way in (b"p", b"s") and base is None:
-        raise ReleaseError("packed blob", "way", "one without another blob", found=way.decode())
+        raise ReleaseError("packed blob", "way", "one without another blob", actual=way.decode())
     if way == b"r" and len(data) - 1 <= limit:
         return data[1:]
     if way == b"z":
@@ -97,7 +97,7 @@ def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) ->
             raise ReleaseError(
                 "packed blob", "surfaces", f"changes of surfaces of the tile ({error})"
             ) from None
-    raise ReleaseError("packed blob", "way", "r, z, p or s", found=repr(way))
+    raise ReleaseError("packed blob", "way", "r, z, p or s", actual=repr(way))
 
 
 # -- zstd ------------------------------------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ def _decompressed(data: bytes, base: bytes | None, limit: int) -> bytes:
     try:
         size = zstandard.frame_content_size(data)
         if not 0 <= size <= limit:
-            raise ReleaseError("packed blob", "size", f"at most {limit} bytes", found=str(size))
+            raise ReleaseError("packed blob", "size", f"at most {limit} bytes", actual=str(size))
         decompressor = zstandard.ZstdDecompressor(
             dict_data=_dictionary(base), max_window_size=1 << _MAX_WINDOW_LOG
         )

@@ -126,9 +126,9 @@ def checked_tile(cls: type[TileT], data: bytes, file: str, layer: Layer, x: int,
     """The tile in these bytes, which must be the one of the manifest and possible as a map; else ReleaseError."""
     tile = decoded(cls, data, file)
     if (tile.x, tile.y) != (x, y):
-        raise ReleaseError(file, "x, y", f"tile {x}, {y} as in the manifest", found=f"{tile.x}, {tile.y}")
+        raise ReleaseError(file, "x, y", f"tile {x}, {y} as in the manifest", actual=f"{tile.x}, {tile.y}")
     if isinstance(tile, CloudTile) and tile.layer != layer:
-        raise ReleaseError(file, "layer", f"{layer} as in the manifest", found=tile.layer)
+        raise ReleaseError(file, "layer", f"{layer} as in the manifest", actual=tile.layer)
     wrong = wrong_in_tile(tile)
     if wrong is not None:
         raise ReleaseError(file, *wrong)
@@ -155,7 +155,7 @@ def release_of(source: BlobSource, root: ReleaseRoot, file: str) -> Release:
     for name in ("region", "map_version", "time_ns"):
         if getattr(root, name) != getattr(manifest, name):
             found = str(getattr(root, name))
-            raise ReleaseError(file, name, f"{getattr(manifest, name)} as in the manifest", found=found)
+            raise ReleaseError(file, name, f"{getattr(manifest, name)} as in the manifest", actual=found)
     return Release(source, root, manifest, _rows_of(manifest, manifest_file))
 
 

@@ -91,7 +91,7 @@ def read_blob(folder: Path, digest: str, size: int | None) -> bytes:
     path = blob_path(folder, digest)
     data = read_file(path, MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES))
     if size is not None and len(data) != size:
-        raise ReleaseError(str(path), "size", f"{size} bytes", found=str(len(data)))
+        raise ReleaseError(str(path), "size", f"{size} bytes", actual=str(len(data)))
     if hashlib.sha256(data).hexdigest() != digest:
         raise ReleaseError(str(path), "SHA-256 of the bytes", "the file's name")
     return data
@@ -104,7 +104,7 @@ def read_file(path: Path, limit: int) -> bytes:
         if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for ever
             raise ReleaseError(str(path), "file", "a plain file")
         if status.st_size > limit:
-            raise ReleaseError(str(path), "size", f"at most {limit} bytes", found=str(status.st_size))
+            raise ReleaseError(str(path), "size", f"at most {limit} bytes", actual=str(status.st_size))
         with path.open("rb") as stream:
             return stream.read(limit + 1)
     except (OSError, ValueError) as error:

@@ -66,7 +66,7 @@ def write_release(
     pairs = sorted(set(lineage))
     missing = {child for child, _ in pairs} - known
     if missing:
-        raise ReleaseError("lineage", "surface", "a surface of this release", found=str(min(missing)))
+        raise ReleaseError("lineage", "surface", "a surface of this release", actual=str(min(missing)))
     heading = Heading(region, map_version, datum, epoch_year, time_ns, surrogate, pairs)
     return seal_release(folder, heading, blobs, previous=previous, signing_key=signing_key)
 
@@ -101,7 +101,7 @@ def seal_release(
     region, map_version, time_ns = heading.region, heading.map_version, heading.time_ns
     if previous is not None and (previous.region != region or previous.map_version >= map_version):
         expected = f"region {previous.region} and more than {previous.map_version}"
-        raise ReleaseError("release", "region and map_version", expected, found=f"{region}, {map_version}")
+        raise ReleaseError("release", "region and map_version", expected, actual=f"{region}, {map_version}")
     places = sorted(blobs)
     entries = [_entry(blobs[place]) for place in places]
     try:
@@ -149,7 +149,7 @@ def _entry(blob: bytes | Known) -> Known:
 def _place_of(layer: Layer, tile: AnyTile, blobs: Collection[Place]) -> Place:
     name, place = f"{layer} of tile {tile.x}, {tile.y}", (LAYERS.index(layer), tile.x, tile.y)
     if isinstance(tile, CloudTile) and layer not in _CLOUD_LAYERS:
-        raise ReleaseError(name, "layer", " or ".join(_CLOUD_LAYERS), found=layer)
+        raise ReleaseError(name, "layer", " or ".join(_CLOUD_LAYERS), actual=layer)
     if place in blobs:
         raise ReleaseError(name, "tile", "each tile of a layer once")
     wrong = wrong_in_tile(tile)

@@ -58,9 +58,9 @@ def signed(root: ReleaseRoot, key: Ed25519PrivateKey) -> ReleaseRoot:
 def check_signature(root: ReleaseRoot, key: Ed25519PublicKey, file: str) -> None:
     """Raise ReleaseError unless `key` signed this root."""
     if root.signature is None:
-        raise ReleaseError(file, "signature", f"one by key {key_id(key)}", found="none")
+        raise ReleaseError(file, "signature", f"one by key {key_id(key)}", actual="none")
     if root.key_id != key_id(key):
-        raise ReleaseError(file, "key_id", f"key {key_id(key)}", found=str(root.key_id))
+        raise ReleaseError(file, "key_id", f"key {key_id(key)}", actual=str(root.key_id))
     try:
         key.verify(root.signature.tobytes(), signed_bytes(root))
     except InvalidSignature:

@@ -106,7 +106,7 @@ class MapStore:
             raise BlobMissing(self.name(digest), "blob", "one that has been fetched")
         data = bytes(row[0])
         if size is not None and len(data) != size:
-            raise ReleaseError(self.name(digest), "size", f"{size} bytes", found=str(len(data)))
+            raise ReleaseError(self.name(digest), "size", f"{size} bytes", actual=str(len(data)))
         if hashlib.sha256(data).hexdigest() != digest:
             raise ReleaseError(self.name(digest), "SHA-256 of the bytes", "the blob's name")
         return data
@@ -163,15 +163,15 @@ class MapStore:
         here, highest = self.current(), self.highest()
         expected = region or (None if here is None else here.region)
         if expected is not None and root.region != expected:
-            raise ReleaseError(file, "region", expected, found=root.region)
+            raise ReleaseError(file, "region", expected, actual=root.region)
         if highest is not None and root.map_version < highest:
             newest = f"{highest} or more, which has been here already"
-            raise ReleaseError(file, "map_version", newest, found=str(root.map_version))
+            raise ReleaseError(file, "map_version", newest, actual=str(root.map_version))
         known = self._kept(root.map_version)
         if known is not None:
             if known.manifest_sha256 != root.manifest_sha256:
                 expected = f"the manifest of version {root.map_version} that was accepted before"
-                raise ReleaseError(file, "manifest_sha256", expected, found=root.manifest_sha256)
+                raise ReleaseError(file, "manifest_sha256", expected, actual=root.manifest_sha256)
             return False
 
         def work(db: sqlite3.Connection) -> None:
@@ -341,7 +341,7 @@ class MapStore:
             (found,) = db.execute("PRAGMA user_version").fetchone()
             if found > FORMAT:
                 expected = f"at most {FORMAT}: made by a later version of this program"
-                raise ReleaseError(str(self.path), "format", expected, found=str(found))
+                raise ReleaseError(str(self.path), "format", expected, actual=str(found))
             if found < FORMAT:
                 db.executescript(_SCHEMA)
         except BaseException:
@@ -388,7 +388,9 @@ class MapStore:
             lambda db: db.execute("SELECT root FROM release WHERE map_version = ?", (map_version,)).fetchone()
         )
         if row is None:
-            raise ReleaseError(str(self.path), "release", "one that has been fetched", found=str(map_version))
+            raise ReleaseError(
+                str(self.path), "release", "one that has been fetched", actual=str(map_version)
+            )
         return bytes(row[0])
 
 

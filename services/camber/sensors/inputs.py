@@ -137,7 +137,7 @@ class Played(Generic[T]):
         skipped = Counter({f"skipped_{reason}": n for reason, n in self._file.skipped.items()})
         if nothing_came or any(skipped[name] > self.counts[name] for name in _LOST):
             words = ", ".join(f"{n} {reason}" for reason, n in self._file.skipped.items()) or "nothing"
-            error = FormatError(self._file.name, "skipped", "whole datagrams or data frames", found=words)
+            error = FormatError(self._file.name, "skipped", "whole datagrams or data frames", actual=words)
             self.issues.append((f"{self._name}_recording", str(error)))
         self.counts |= skipped
 

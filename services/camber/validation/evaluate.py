@@ -36,7 +36,7 @@ def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any
         recorded, errors = load_recording(path, CHANNELS)
     except OSError as error:
         found = error.strerror or str(error)
-        raise FormatError(path.name, "file", "a readable recording", found=found) from None
+        raise FormatError(path.name, "file", "a readable recording", actual=found) from None
     if errors and not partial:
         raise errors[0]
     return recorded, [str(error) for error in errors]

@@ -8,7 +8,7 @@ from camber.formats.errors import FormatError
 
 def test_message_names_place_field_found_and_expected() -> None:
     error = FormatError(
-        "rover.pos", "latitude(deg)", "a number from -90 to 90", found=b"95.0", line_number=23
+        "rover.pos", "latitude(deg)", "a number from -90 to 90", actual=b"95.0", line_number=23
     )
     assert str(error) == "rover.pos:23: latitude(deg) is '95.0', expected a number from -90 to 90"
     error = FormatError("ttyACM0", "sentence", "checksum 4F", byte_offset=120)
@@ -17,7 +17,7 @@ def test_message_names_place_field_found_and_expected() -> None:
 
 @given(st.binary(max_size=200) | st.text(max_size=200))
 def test_whatever_is_found_stays_on_one_short_line(found: bytes | str) -> None:
-    message = str(FormatError("f", "field", "something", found=found))
+    message = str(FormatError("f", "field", "something", actual=found))
     assert len(message.splitlines()) == 1
     assert message.isprintable()
     assert len(message) < 500

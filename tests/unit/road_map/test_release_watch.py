@@ -103,7 +103,7 @@ def test_an_unchanged_root_is_not_read_again(tmp_path: Path, monkeypatch: pytest
 
 def test_what_is_not_acceptable_is_not_taken(tmp_path: Path) -> None:
     def refuse(release: Release) -> None:
-        raise ReleaseError("here", "datum", "another", found=release.manifest.datum)
+        raise ReleaseError("here", "datum", "another", actual=release.manifest.datum)
 
     write(tmp_path, [surface(1)])
     watch = ReleaseWatch(tmp_path, acceptable=refuse)

@@ -81,7 +81,7 @@ def _read(path: Path, cls: type[M], columns: tuple[str, ...], more: tuple[str, .
         header = tuple(name.strip() for name in next(rows, []))
         if header not in (columns, columns + more):
             expected = ",".join(columns) + (f", or that and {','.join(more)}" if more else "")
-            raise FormatError(path.name, "header", expected, found=",".join(header), line_number=1)
+            raise FormatError(path.name, "header", expected, actual=",".join(header), line_number=1)
         return [
             _sample(path.name, number, cls, header, row) for number, row in enumerate(rows, start=2) if row
         ]
@@ -91,7 +91,7 @@ def _sample(source_name: str, line_number: int, cls: type[M], columns: tuple[str
     if len(row) != len(columns):
         expected = f"{len(columns)} fields, as the header names"
         raise FormatError(
-            source_name, "columns", expected, found=f"{len(row)} fields", line_number=line_number
+            source_name, "columns", expected, actual=f"{len(row)} fields", line_number=line_number
         )
     values: dict[str, Any] = {}
     for name, text in zip(columns, row, strict=True):
@@ -100,11 +100,11 @@ def _sample(source_name: str, line_number: int, cls: type[M], columns: tuple[str
         try:
             values[name] = int(text) if name == "time_ns" else float(text)
         except ValueError:
-            raise FormatError(source_name, name, "a number", found=text, line_number=line_number) from None
+            raise FormatError(source_name, name, "a number", actual=text, line_number=line_number) from None
     try:
         return cls(**values)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         name = str(first["loc"][0])
         found = row[columns.index(name)]
-        raise FormatError(source_name, name, first["msg"], found=found, line_number=line_number) from None
+        raise FormatError(source_name, name, first["msg"], actual=found, line_number=line_number) from None

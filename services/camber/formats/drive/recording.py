@@ -364,12 +364,12 @@ class _Reading:
     def damage(self, error: BaseException, offset: int) -> RecordingError:
         kind = str(error).splitlines()[0] if str(error) else type(error).__name__
         expected = f"a whole MCAP recording; {self._read} messages before the damage were read"
-        return RecordingError(self._name, "data", expected, found=kind, byte_offset=offset)
+        return RecordingError(self._name, "data", expected, actual=kind, byte_offset=offset)
 
     def undecoded(self) -> Iterator[RecordingError]:
         for schema, count in sorted(self._failed.items()):
             expected = f"messages of this version, but {count} are not: {self._first_failure[schema][:200]}"
-            yield RecordingError(self._name, "schema", expected, found=schema)
+            yield RecordingError(self._name, "schema", expected, actual=schema)
 
 
 __all__ = ["Recorded", "Recorder", "RecordingError", "json_schema", "load_recording", "read_recording"]

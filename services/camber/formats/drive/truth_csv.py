@@ -95,12 +95,16 @@ def read_truth(path: Path, layout: Literal["camber", "nagoya"]) -> TruthTable:
         if layout == "camber" and header[: len(columns)] == columns and _are_more(header[len(columns) :]):
             columns = header
         if header != columns:
-            raise FormatError(path.name, "header", ",".join(columns), found=",".join(header), line_number=1)
+            raise FormatError(path.name, "header", ",".join(columns), actual=",".join(header), line_number=1)
         numbered = [(number, row) for number, row in enumerate(rows, start=2) if row]
     for number, row in numbered:
         if len(row) != len(columns):
             raise FormatError(
-                path.name, "columns", f"{len(columns)} fields", found=f"{len(row)} fields", line_number=number
+                path.name,
+                "columns",
+                f"{len(columns)} fields",
+                actual=f"{len(row)} fields",
+                line_number=number,
             )
     values = _floats(path.name, numbered, columns, _CAMBER_FLOATS if layout == "camber" else _NAGOYA_FLOATS)
     more = range(len(_CAMBER), len(columns)) if layout == "camber" else range(0)
@@ -180,7 +184,7 @@ def _floats(
                 values[row_index, column_index] = float(row[column])
             except ValueError:
                 raise FormatError(
-                    source_name, columns[column], "a number", found=row[column], line_number=number
+                    source_name, columns[column], "a number", actual=row[column], line_number=number
                 ) from None
     values[left_out] = math.nan
     bad = np.argwhere(~np.isfinite(values) & ~left_out)
@@ -188,7 +192,7 @@ def _floats(
         number, row = numbered[bad[0, 0]]
         column = wanted[bad[0, 1]]
         raise FormatError(
-            source_name, columns[column], "a finite number", found=row[column], line_number=number
+            source_name, columns[column], "a finite number", actual=row[column], line_number=number
         )
     return values
 
@@ -200,11 +204,11 @@ def _time(source_name: str, line_number: int, row: list[str], layout: str) -> in
         return gps_ns_from_week_tow(int(row[1]), nanoseconds_from_decimal(row[0].strip()))
     except ValueError:
         expected = "nanoseconds of GPS time" if layout == "camber" else "seconds of week and GPS week"
-        raise FormatError(source_name, "time", expected, found=row[0], line_number=line_number) from None
+        raise FormatError(source_name, "time", expected, actual=row[0], line_number=line_number) from None
 
 
 def _state(source_name: str, line_number: int, text: str) -> int:
     state = _STATE_OF_TEXT.get(text.strip())
     if state is None:
-        raise FormatError(source_name, "fix_wrong", "0, 1 or nothing", found=text, line_number=line_number)
+        raise FormatError(source_name, "fix_wrong", "0, 1 or nothing", actual=text, line_number=line_number)
     return state

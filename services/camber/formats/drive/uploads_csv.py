@@ -86,7 +86,7 @@ def _rows(source: str, rows: csv.DictReader[str]) -> Iterable[_Row]:
                 try:
                     return of(row[name])
                 except ValueError:
-                    raise FormatError(source, name, expected, found=row[name], line_number=line) from None
+                    raise FormatError(source, name, expected, actual=row[name], line_number=line) from None
 
             heading = (
                 row["vehicle"],

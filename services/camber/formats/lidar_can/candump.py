@@ -62,7 +62,7 @@ class CandumpDecoder:
         match = _LINE.fullmatch(text)
         if match is None:
             expected = "(seconds) bus identifier#bytes, as candump -l writes"
-            return FormatError(self._name, "line", expected, found=text, line_number=number)
+            return FormatError(self._name, "line", expected, actual=text, line_number=number)
         seconds, fraction, bus, identifier, flag, digits = match.groups()
         value, extended = int(identifier, 16), len(identifier) == 8
         if flag is not None and flag.startswith("R"):
@@ -75,7 +75,7 @@ class CandumpDecoder:
             _EXTENDED if extended else _STANDARD
         ):
             expected = "an identifier of 11 or 29 bits and 8 bytes at most (64 of CAN FD)"
-            return FormatError(self._name, "frame", expected, found=text, line_number=number)
+            return FormatError(self._name, "frame", expected, actual=text, line_number=number)
         time_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
         return CanFrame(time_ns, bus, value, extended, bytes.fromhex(digits))
 

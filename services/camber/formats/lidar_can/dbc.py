@@ -110,7 +110,9 @@ def read_dbc(text: str, source_name: str) -> dict[str, DbcMessage]:
             if message.identifier | (_EXTENDED if message.extended else 0) == _NO_MESSAGE:
                 continue
             if message.name in messages or (message.identifier, message.extended) in identifiers:
-                raise FormatError(source_name, "message", "each once", found=message.name, line_number=number)
+                raise FormatError(
+                    source_name, "message", "each once", actual=message.name, line_number=number
+                )
             signals = {}
             messages[message.name] = replace(message, signals=signals)
             identifiers.add((message.identifier, message.extended))
@@ -118,7 +120,7 @@ def read_dbc(text: str, source_name: str) -> dict[str, DbcMessage]:
         elif words.startswith(("SG_ ", "SG_\t")) and signals is not None:
             signal = _signal(words, current, source_name, number)
             if signal.name in signals:
-                raise FormatError(source_name, "signal", "each once", found=signal.name, line_number=number)
+                raise FormatError(source_name, "signal", "each once", actual=signal.name, line_number=number)
             signals[signal.name] = replace(signal, real=(current.identifier, signal.name) in real)
     if not messages:
         raise FormatError(source_name, "content", "messages, BO_ … of a DBC file")
@@ -129,16 +131,16 @@ def _message(words: str, source_name: str, number: int) -> DbcMessage:
     match = _MESSAGE.match(words)
     if match is None:
         expected = "BO_ identifier name: length sender"
-        raise FormatError(source_name, "message", expected, found=words, line_number=number)
+        raise FormatError(source_name, "message", expected, actual=words, line_number=number)
     identifier, length = int(match[1]), int(match[3])
     extended = bool(identifier & _EXTENDED)
     no_message = identifier == _NO_MESSAGE
     if identifier >> 32 or (
         not no_message and identifier & ~_EXTENDED > (0x1FFF_FFFF if extended else 0x7FF)
     ):
-        raise FormatError(source_name, "identifier", "11 or 29 bits", found=match[1], line_number=number)
+        raise FormatError(source_name, "identifier", "11 or 29 bits", actual=match[1], line_number=number)
     if length > 64:
-        raise FormatError(source_name, "length", "64 bytes at most", found=match[3], line_number=number)
+        raise FormatError(source_name, "length", "64 bytes at most", actual=match[3], line_number=number)
     return DbcMessage(match[2], identifier & ~_EXTENDED, extended, length, {})
 
 
@@ -146,7 +148,7 @@ def _signal(words: str, message: DbcMessage, source_name: str, number: int) -> D
     match = _SIGNAL.match(words)
     if match is None:
         expected = 'SG_ name : start|length@order sign (factor,offset) [least|most] "unit" receivers'
-        raise FormatError(source_name, "signal", expected, found=words, line_number=number)
+        raise FormatError(source_name, "signal", expected, actual=words, line_number=number)
     name, multiplexed, start, bits, order, sign, *numbers, unit = match.groups()
     factor, offset, least, most = map(float, numbers)
     signal = DbcSignal(
@@ -156,7 +158,7 @@ def _signal(words: str, message: DbcMessage, source_name: str, number: int) -> D
     if not 1 <= signal.bits <= 64 or signal.last_byte >= message.length_bytes:
         expected = f"1 to 64 bits within the {message.length_bytes} bytes of {message.name}"
         raise FormatError(
-            source_name, f"signal {name}", expected, found=f"{start}|{bits}", line_number=number
+            source_name, f"signal {name}", expected, actual=f"{start}|{bits}", line_number=number
         )
     if factor == 0.0 or not all(map(math.isfinite, (factor, offset, least, most))):
         raise FormatError(source_name, f"signal {name}", "a factor, finite and not zero", line_number=number)

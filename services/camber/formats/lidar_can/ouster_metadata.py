@@ -43,7 +43,7 @@ class OusterMetadata:
 def read_ouster_metadata(text: str, source_name: str) -> OusterMetadata:
     """Raises FormatError that names what is missing or cannot be."""
     if len(text) > _MOST_BYTES:
-        raise FormatError(source_name, "size", f"{_MOST_BYTES} characters at most", found=str(len(text)))
+        raise FormatError(source_name, "size", f"{_MOST_BYTES} characters at most", actual=str(len(text)))
     try:
         whole = json.loads(text)
     except (ValueError, RecursionError):
@@ -56,19 +56,19 @@ def read_ouster_metadata(text: str, source_name: str) -> OusterMetadata:
     said = fields.get("columns_per_frame", "lidar_data_format", "data_format")
     if said is not None and said != columns:
         raise FormatError(
-            source_name, "columns_per_frame", f"{columns}, as of lidar_mode {mode}", found=str(said)
+            source_name, "columns_per_frame", f"{columns}, as of lidar_mode {mode}", actual=str(said)
         )
     profile = fields.get("udp_profile_lidar", "lidar_data_format", "data_format", "config_params") or "LEGACY"
     if profile not in PROFILES:
         raise FormatError(
-            source_name, "udp_profile_lidar", f"one of {', '.join(PROFILES)}", found=str(profile)
+            source_name, "udp_profile_lidar", f"one of {', '.join(PROFILES)}", actual=str(profile)
         )
     header = fields.get("header_type", "lidar_data_format")
     if header not in (None, "STANDARD"):
-        raise FormatError(source_name, "header_type", "STANDARD", found=str(header))
+        raise FormatError(source_name, "header_type", "STANDARD", actual=str(header))
     per_packet = fields.get("columns_per_packet", "lidar_data_format", "data_format")
     if per_packet not in (None, COLUMNS_OF_PACKET):
-        raise FormatError(source_name, "columns_per_packet", str(COLUMNS_OF_PACKET), found=str(per_packet))
+        raise FormatError(source_name, "columns_per_packet", str(COLUMNS_OF_PACKET), actual=str(per_packet))
     elevation = fields.numbers("beam_altitude_angles", "beam_intrinsics")
     azimuth = fields.numbers("beam_azimuth_angles", "beam_intrinsics")
     if len(elevation) not in (16, 32, 64, 128) or len(azimuth) != len(elevation):
@@ -106,7 +106,7 @@ class _Fields:
     def text(self, name: str, *tables: str) -> str:
         value = self.get(name, *tables)
         if not isinstance(value, str):
-            raise FormatError(self.source_name, name, "a text", found=_shown(value))
+            raise FormatError(self.source_name, name, "a text", actual=_shown(value))
         return value
 
     def numbers(self, name: str, *tables: str) -> Float64:
@@ -116,14 +116,14 @@ class _Fields:
         except (TypeError, ValueError, OverflowError):
             found = np.array(np.nan)
         if found.ndim != 1 or not np.isfinite(found).all() or (np.abs(found) > 1e6).any():
-            raise FormatError(self.source_name, name, "a list of numbers", found=_shown(value))
+            raise FormatError(self.source_name, name, "a list of numbers", actual=_shown(value))
         return found
 
     def matrix(self, name: str, *tables: str) -> Float64:
         numbers = self.numbers(name, *tables)
         if len(numbers) != 16:
             raise FormatError(
-                self.source_name, name, "16 numbers, row by row", found=f"{len(numbers)} numbers"
+                self.source_name, name, "16 numbers, row by row", actual=f"{len(numbers)} numbers"
             )
         found: Float64 = numbers.reshape(4, 4).copy()
         found[:3, 3] /= 1000.0
@@ -137,7 +137,7 @@ def _shown(value: Any) -> str:
 def _mode(mode: str, source_name: str) -> tuple[int, int]:
     columns, _, turns = mode.partition("x")
     if columns not in ("512", "1024", "2048", "4096") or turns not in ("5", "10", "20"):
-        raise FormatError(source_name, "lidar_mode", "COLUMNSxHZ, such as 1024x10", found=mode)
+        raise FormatError(source_name, "lidar_mode", "COLUMNSxHZ, such as 1024x10", actual=mode)
     return int(columns), int(turns)
 
 
@@ -148,7 +148,7 @@ def _beam_to_lidar(fields: _Fields) -> Float64:
     off_mm = fields.get("lidar_origin_to_beam_origin_mm", "beam_intrinsics")
     if not isinstance(off_mm, int | float) or not abs(off_mm) <= 1000.0:
         raise FormatError(
-            fields.source_name, "lidar_origin_to_beam_origin_mm", "a number", found=_shown(off_mm)
+            fields.source_name, "lidar_origin_to_beam_origin_mm", "a number", actual=_shown(off_mm)
         )
     found[0, 3] = off_mm / 1000.0
     return found

@@ -101,7 +101,7 @@ class PcapDecoder:
         tick_ns = _CLASSIC.get(magic if order == ">" else magic[::-1])
         if tick_ns is None:
             raise FormatError(
-                self._name, "magic number", "that of pcap or pcapng", found=magic.hex(), byte_offset=0
+                self._name, "magic number", "that of pcap or pcapng", actual=magic.hex(), byte_offset=0
             )
         if len(self._bytes) < 24:
             return False
@@ -113,7 +113,7 @@ class PcapDecoder:
     def _add_link(self, link: int, ticks: int, offset_s: int) -> None:
         if link not in _LINKS:
             expected = "Ethernet (1), raw IP (101) or Linux cooked (113, 276)"
-            raise FormatError(self._name, "link type", expected, found=str(link), byte_offset=self._at)
+            raise FormatError(self._name, "link type", expected, actual=str(link), byte_offset=self._at)
         self._links.append((link, ticks, offset_s))
 
     def _block(self, found: list[Datagram | FormatError]) -> bool:
@@ -131,7 +131,7 @@ class PcapDecoder:
                 self._name,
                 "block length",
                 "a multiple of 4, 12 or more",
-                found=str(length),
+                actual=str(length),
                 byte_offset=self._at,
             )
         if len(self._bytes) < length:
@@ -152,7 +152,7 @@ class PcapDecoder:
                 power = value[0] & 0x7F
                 if power > 30:
                     raise FormatError(
-                        self._name, "if_tsresol", "at most 30", found=str(power), byte_offset=self._at
+                        self._name, "if_tsresol", "at most 30", actual=str(power), byte_offset=self._at
                     )
                 ticks = 2**power if value[0] & 0x80 else 10**power
             elif code == 14 and len(value) == 8:
@@ -173,7 +173,7 @@ class PcapDecoder:
     def _check(self, length: int) -> None:
         if length > MOST_BYTES:
             expected = f"{MOST_BYTES} bytes at most"
-            raise FormatError(self._name, "frame length", expected, found=str(length), byte_offset=self._at)
+            raise FormatError(self._name, "frame length", expected, actual=str(length), byte_offset=self._at)
 
     def _taken(self, length: int) -> bytes:
         taken = bytes(self._bytes[:length])

@@ -50,7 +50,7 @@ def read_feather(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             raise FormatError(path.name, "Arrow", f"a whole file ({why})") from None
     missing = [name for name in names if name not in columns]
     if missing:
-        raise FormatError(path.name, "columns", ", ".join(names), found=", ".join(columns))
+        raise FormatError(path.name, "columns", ", ".join(names), actual=", ".join(columns))
     return columns
 
 
@@ -190,7 +190,7 @@ def _ground(path: Path) -> GroundRaster:
         raise FormatError(path.name, "raster", f"heights, and R, t, s beside them ({error})") from None
     if turn != [1.0, 0.0, 0.0, 1.0] or shift.shape != (2,) or not scale > 0.0 or heights.ndim != 2:
         expected = "R the identity, t of two numbers, s above 0 and a raster of two axes"
-        raise FormatError(similarity.name, "R, t, s", expected, found=str(said))
+        raise FormatError(similarity.name, "R, t, s", expected, actual=str(said))
     return GroundRaster(heights, -shift, 1.0 / scale)
 
 
@@ -223,7 +223,7 @@ def _line(points: Any) -> Floats:
 def _only(folder: Path, pattern: str) -> Path:
     found = sorted(folder.glob(pattern))
     if len(found) != 1:
-        raise FormatError(str(folder), "files", f"one {pattern}", found=f"{len(found)} of them")
+        raise FormatError(str(folder), "files", f"one {pattern}", actual=f"{len(found)} of them")
     return found[0]
 
 

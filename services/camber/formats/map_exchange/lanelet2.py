@@ -93,7 +93,7 @@ def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> Lan
         for way in sides:
             for ref in way.refs:
                 if ref not in nodes:
-                    raise FormatError(file, f"{way.name}, nd", "a node of this file", found=str(ref))
+                    raise FormatError(file, f"{way.name}, nd", "a node of this file", actual=str(ref))
                 row_of.setdefault(ref, len(row_of))
         borders.append(sides)
     places = np.array([_place(nodes[ref], file) for ref in row_of]).reshape(-1, 3)
@@ -158,7 +158,7 @@ def _elements(data: bytes, file: str) -> Iterator[_Element]:
             if root is None:
                 root = element
                 if element.tag != "osm":
-                    raise FormatError(file, "XML", "a document <osm>", found=f"<{element.tag}>")
+                    raise FormatError(file, "XML", "a document <osm>", actual=f"<{element.tag}>")
             if event == "end" and element.tag in ("node", "way", "relation"):
                 if element.get("action") != "delete":
                     yield _element(element, file)
@@ -187,7 +187,7 @@ def _id(text: str | None, file: str, field_name: str) -> int:
     except ValueError:
         identity = 1 << 63
     if not -(1 << 63) < identity < 1 << 63:
-        raise FormatError(file, field_name, "a whole number of 64 bits", found=text or "")
+        raise FormatError(file, field_name, "a whole number of 64 bits", actual=text or "")
     return identity
 
 
@@ -215,19 +215,19 @@ def _number(node: _Element, name: str, text: str | None, low: float, high: float
         number = math.nan
     if not low <= number <= high:
         expected = f"a number from {low:.0f} to {high:.0f}".replace("-", "−")
-        raise FormatError(file, f"{node.name}, {name}", expected, found=None if text is None else text)
+        raise FormatError(file, f"{node.name}, {name}", expected, actual=None if text is None else text)
     return number
 
 
 def _way_of(relation: _Element, role: str, ways: Mapping[int, _Element], file: str) -> _Element:
     refs = [ref for own, kind, ref in relation.members if own == role and kind == "way"]
     if len(refs) != 1:
-        raise FormatError(file, f"{relation.name}, {role}", "one way", found=str(len(refs)))
+        raise FormatError(file, f"{relation.name}, {role}", "one way", actual=str(len(refs)))
     if refs[0] not in ways:
-        raise FormatError(file, f"{relation.name}, {role}", "a way of this file", found=str(refs[0]))
+        raise FormatError(file, f"{relation.name}, {role}", "a way of this file", actual=str(refs[0]))
     way = ways[refs[0]]
     if len(way.refs) < 2:
-        raise FormatError(file, f"{way.name}, nd", "two nodes or more", found=str(len(way.refs)))
+        raise FormatError(file, f"{way.name}, nd", "two nodes or more", actual=str(len(way.refs)))
     return way
 
 

@@ -57,7 +57,7 @@ def cloud_from_las(data: bytes, source_name: str) -> LasCloud:
         raise FormatError(source_name, "LAS", f"a whole file ({why})") from None
     if len(points) != expected_points:
         expected = f"{expected_points} points, as the header says"
-        raise FormatError(source_name, "LAS", expected, found=f"{len(points)} points")
+        raise FormatError(source_name, "LAS", expected, actual=f"{len(points)} points")
     if not np.isfinite(points).all():
         raise FormatError(source_name, "x y z", "finite numbers")
     return LasCloud(points[~dropped], None if crs is None else crs.to_wkt())
@@ -66,9 +66,9 @@ def cloud_from_las(data: bytes, source_name: str) -> LasCloud:
 def _points_said(data: bytes, source_name: str) -> int:
     """The number of points by the public header block; what laspy would allocate for is checked before it does."""
     if data[:4] != b"LASF":
-        raise FormatError(source_name, "signature", "LASF", found=data[:4], byte_offset=0)
+        raise FormatError(source_name, "signature", "LASF", actual=data[:4], byte_offset=0)
     if len(data) < 227:
-        raise FormatError(source_name, "header", "at least 227 bytes", found=f"{len(data)} bytes")
+        raise FormatError(source_name, "header", "at least 227 bytes", actual=f"{len(data)} bytes")
     minor = data[25]
     (legacy,) = struct.unpack_from("<I", data, 107)
     count, further = legacy, 0
@@ -77,20 +77,20 @@ def _points_said(data: bytes, source_name: str) -> int:
     header_size, begin, records = struct.unpack_from("<HII", data, 94)
     point_format, point_size = struct.unpack_from("<BH", data, 104)
     if not 227 <= header_size <= begin <= len(data):
-        raise FormatError(source_name, "header", "points that begin within the file", found=str(begin))
+        raise FormatError(source_name, "header", "points that begin within the file", actual=str(begin))
     # A record's header has 54 bytes, an extended one's 60; laspy would go on reading beyond the end.
     if records > len(data) // 54 or further > len(data) // 60:
         found = f"{records} and {further}"
-        raise FormatError(source_name, "header", "as many records as fit into the file", found=found)
+        raise FormatError(source_name, "header", "as many records as fit into the file", actual=found)
     if count > _MOST_POINTS or point_size < 20:
-        raise FormatError(source_name, "header", f"at most {_MOST_POINTS} points", found=str(count))
+        raise FormatError(source_name, "header", f"at most {_MOST_POINTS} points", actual=str(count))
     compressed = bool(point_format & 0x80)
     if not compressed and begin + count * point_size > len(data):
         expected = f"{count} points of {point_size} bytes, as the header says"
         found = f"{len(data) - begin} bytes"
-        raise FormatError(source_name, "data", expected, found=found, byte_offset=begin)
+        raise FormatError(source_name, "data", expected, actual=found, byte_offset=begin)
     if compressed and count > 1_000 * (
         len(data) - begin
     ):  # LAZ does not pack a point into less than some bits
-        raise FormatError(source_name, "data", f"{count} points", found=f"{len(data) - begin} bytes")
+        raise FormatError(source_name, "data", f"{count} points", actual=f"{len(data) - begin} bytes")
     return int(count)

@@ -28,11 +28,11 @@ def geodetic_from_mgrs(code: str, x_m: float, y_m: float, file: str, field: str)
     expected = "a code of the Military Grid Reference System, as 54SUE815501"
     match = _CODE.match(code.strip().upper())
     if match is None:
-        raise FormatError(file, field, expected, found=code)
+        raise FormatError(file, field, expected, actual=code)
     zone, band = int(match[1]), _BANDS.index(match[2])
     column = _COLUMNS.index(match[3]) - 8 * ((zone - 1) % 3)
     if not (1 <= zone <= 60 and 0 <= column < 8):
-        raise FormatError(file, field, expected, found=code)
+        raise FormatError(file, field, expected, actual=code)
     row = (_ROWS.index(match[4]) - 5 * (zone % 2 == 0)) % 20
     easting_m, northing_m = (column + 1) * _SQUARE_M + x_m, row * _SQUARE_M + y_m
     inverse = _inverse(zone)
@@ -43,7 +43,7 @@ def geodetic_from_mgrs(code: str, x_m: float, y_m: float, file: str, field: str)
         longitude, latitude = inverse(easting_m, northing_m + cycle * _CYCLE_M)
         if lowest_deg - 1.0 <= latitude <= lowest_deg + height_deg + 1.0:
             return math.radians(latitude), math.radians(longitude)
-    raise FormatError(file, field, expected, found=code)
+    raise FormatError(file, field, expected, actual=code)
 
 
 @lru_cache(maxsize=60)

@@ -143,7 +143,7 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
             2
         ]  # editions differ in their namespaces, not in their names
     if root.tag != "OpenDRIVE":
-        raise FormatError(file, "XML", "a document <OpenDRIVE>", found=f"<{root.tag}>")
+        raise FormatError(file, "XML", "a document <OpenDRIVE>", actual=f"<{root.tag}>")
     roads = [_road(element, file) for element in root.findall("road")]
     if not roads:
         raise FormatError(file, "road", "at least one")
@@ -160,7 +160,7 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
     georeference = None if header is None else (header.findtext("geoReference") or "").strip() or None
     offset = None if header is None else header.find("offset")
     if offset is not None and abs(_number(offset, "hdg", file, "header, offset", 0.0)) > 0.0:
-        raise FormatError(file, "header, offset, hdg", "0", found=offset.get("hdg"))
+        raise FormatError(file, "header, offset, hdg", "0", actual=offset.get("hdg"))
     x, y, z = (
         0.0 if offset is None else _number(offset, name, file, "header, offset", 0.0)
         for name in ("x", "y", "z")
@@ -177,7 +177,7 @@ def _road(element: Element, file: str) -> Road:
     length_m = _number(element, "length", file, name)
     if not 0.0 < length_m <= MOST_ROAD_M:
         raise FormatError(
-            file, f"{name}, length", f"more than 0, at most {MOST_ROAD_M:.0f}", found=element.get("length")
+            file, f"{name}, length", f"more than 0, at most {MOST_ROAD_M:.0f}", actual=element.get("length")
         )
     geometries = [_geometry(part, file, name) for part in element.findall("planView/geometry")]
     if not geometries or any(a.s_m >= b.s_m for a, b in pairwise(geometries)):
@@ -218,7 +218,7 @@ def _geometry(element: Element, file: str, road: str) -> Geometry:
     name = f"{road}, geometry at s {element.get('s', '')[:20]}"
     s, x, y, heading, length = (_number(element, key, file, name) for key in ("s", "x", "y", "hdg", "length"))
     if not 0.0 <= length <= MOST_ROAD_M or s < 0.0:
-        raise FormatError(file, f"{name}, length", f"0 to {MOST_ROAD_M:.0f}", found=element.get("length"))
+        raise FormatError(file, f"{name}, length", f"0 to {MOST_ROAD_M:.0f}", actual=element.get("length"))
     keys = {
         "line": (),
         "arc": ("curvature",),
@@ -229,13 +229,13 @@ def _geometry(element: Element, file: str, road: str) -> Geometry:
     shapes = [child for child in element if child.tag in keys]
     if len(shapes) != 1:
         raise FormatError(
-            file, name, f"one of {', '.join(keys)}", found=",".join(child.tag for child in element)
+            file, name, f"one of {', '.join(keys)}", actual=",".join(child.tag for child in element)
         )
     tag = shapes[0].tag
     numbers = tuple(_number(shapes[0], key, file, f"{name}, {tag}") for key in keys[tag])
     if tag in ("arc", "spiral") and max(map(abs, numbers)) > 10.0:
         raise FormatError(
-            file, f"{name}, {tag}", "curvatures of at most 10 per metre", found=str(max(numbers, key=abs))
+            file, f"{name}, {tag}", "curvatures of at most 10 per metre", actual=str(max(numbers, key=abs))
         )
     normalised = tag == "paramPoly3" and shapes[0].get("pRange", "normalized") == "normalized"
     return Geometry(s, x, y, heading, length, tag, numbers, normalised)
@@ -251,7 +251,7 @@ def _section(element: Element, file: str, road: str) -> LaneSection:
     right, left = sum(i < 0 for i in ids), sum(i > 0 for i in ids)
     if ids != [*range(-right, 0), *range(1, left + 1)]:
         raise FormatError(
-            file, f"{name}, lane id", "1, 2, … on the left, −1, −2, … on the right", found=str(ids)
+            file, f"{name}, lane id", "1, 2, … on the left, −1, −2, … on the right", actual=str(ids)
         )
     return LaneSection(s_m, lanes)
 
@@ -283,7 +283,7 @@ def _connection(junction: str, element: Element, file: str) -> Connection:
     name = f"junction {junction}, connection {element.get('id', '')}"
     contact = element.get("contactPoint", "")
     if contact not in ("start", "end"):
-        raise FormatError(file, f"{name}, contactPoint", "start or end", found=contact)
+        raise FormatError(file, f"{name}, contactPoint", "start or end", actual=contact)
     lanes = [
         (_whole(link, "from", file, f"{name}, laneLink"), _whole(link, "to", file, f"{name}, laneLink"))
         for link in element.findall("laneLink")
@@ -313,7 +313,7 @@ def _number(element: Element, key: str, file: str, name: str, default: float | N
     except ValueError:
         number = math.nan
     if not abs(number) <= _MOST:
-        raise FormatError(file, f"{name}, {key}", "a number of at most a milliard", found=text)
+        raise FormatError(file, f"{name}, {key}", "a number of at most a milliard", actual=text)
     return number
 
 
@@ -324,7 +324,7 @@ def _whole(element: Element, key: str, file: str, name: str) -> int:
     except ValueError:
         number = 1 << 32
     if abs(number) > 1000:
-        raise FormatError(file, f"{name}, {key}", "a whole number of at most 1000", found=text)
+        raise FormatError(file, f"{name}, {key}", "a whole number of at most 1000", actual=text)
     return number
 
 

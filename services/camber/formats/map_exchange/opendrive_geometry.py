@@ -126,7 +126,7 @@ def _outer(
         raise FormatError(file, name, "a width or a border")
     if not ((width_m > -0.05) & (width_m < 500.0)).all():
         raise FormatError(
-            file, f"{name}, width", "0 to 500", found=f"{width_m[np.argmax(np.abs(width_m))]:.3g}"
+            file, f"{name}, width", "0 to 500", actual=f"{width_m[np.argmax(np.abs(width_m))]:.3g}"
         )
     return inner + side * np.maximum(width_m, 0.0)
 

@@ -102,7 +102,7 @@ def read_sweep(path: Path, sensor: str) -> Sweep:
     intensity = np.zeros(n, np.float32) if cloud.intensity is None else cloud.intensity
     offset_ns = np.zeros(n, np.int32) if cloud.offset_ns is None else cloud.offset_ns
     if n and offset_ns.max() > 0:
-        raise FormatError(path.name, "t", "nanoseconds before the sweep's end", found=str(offset_ns.max()))
+        raise FormatError(path.name, "t", "nanoseconds before the sweep's end", actual=str(offset_ns.max()))
     if not np.isfinite(intensity).all():
         raise FormatError(path.name, "intensity", "finite numbers")
     return Sweep(
@@ -147,7 +147,7 @@ def _column(
             raise FormatError(source_name, name, "a type of integers, I or U")
         limits = np.iinfo(np.int32)
         if len(values) and not (values.min() >= limits.min and values.max() <= limits.max):
-            raise FormatError(source_name, name, "values within 32 bits", found=str(values.max()))
+            raise FormatError(source_name, name, "values within 32 bits", actual=str(values.max()))
         return values.astype(np.int32)
     return _narrowed(values, dtype)
 
@@ -172,7 +172,7 @@ def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> lis
     _check_length(len(data) - header.begin - 8, packed, header, source_name)
     if plain != header.row().itemsize * header.points:
         expected = f"{header.row().itemsize * header.points} bytes, as the header says"
-        raise FormatError(source_name, "data", expected, found=str(plain), byte_offset=header.begin + 4)
+        raise FormatError(source_name, "data", expected, actual=str(plain), byte_offset=header.begin + 4)
     try:
         unpacked = lzf_decompressed(data[header.begin + 8 :], plain)
     except LzfError as error:
@@ -187,7 +187,7 @@ def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> lis
 def _check_length(have: int, want: int, header: PcdHeader, source_name: str) -> None:
     if have != want:
         expected = f"{want} bytes of it, as the header says"
-        raise FormatError(source_name, "data", expected, found=f"{have} bytes", byte_offset=header.begin)
+        raise FormatError(source_name, "data", expected, actual=f"{have} bytes", byte_offset=header.begin)
 
 
 def _nothing(rows: _Array) -> _Array:
@@ -202,7 +202,7 @@ def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Ar
     if len(lines) != header.points:
         expected = f"{header.points} lines, as POINTS says"
         raise FormatError(
-            source_name, "data", expected, found=f"{len(lines)} lines", line_number=header.lines + 1
+            source_name, "data", expected, actual=f"{len(lines)} lines", line_number=header.lines + 1
         )
     starts = np.append(0, np.cumsum(header.counts))[:-1].tolist()
     texts: list[list[str]] = [[] for _ in header.names]
@@ -210,7 +210,7 @@ def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Ar
         words = line.split()
         if len(words) != width:
             expected = f"{width} numbers, one a field"
-            raise FormatError(source_name, "data", expected, found=line, line_number=number)
+            raise FormatError(source_name, "data", expected, actual=line, line_number=number)
         for text, start in zip(texts, starts, strict=True):
             text.append(words[start] if start < width else "0")
     columns: list[_Array] = []
@@ -238,6 +238,6 @@ def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_na
                 values.append(whole)
         except ValueError:
             expected = "a number" if dtype.kind == "f" else f"a whole number of {dtype.itemsize} bytes"
-            raise FormatError(source_name, name, expected, found=text, line_number=number) from None
+            raise FormatError(source_name, name, expected, actual=text, line_number=number) from None
     with np.errstate(over="ignore"):
         return np.array(values, dtype)

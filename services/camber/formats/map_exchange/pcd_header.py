@@ -57,7 +57,7 @@ def read_header(data: bytes, source_name: str) -> PcdHeader:
         if end < 0:
             expected = f"the header to go on with {_KEYS[len(entries)]}"
             raise FormatError(
-                source_name, "header", expected, found=data[begin : begin + 40], line_number=line_number
+                source_name, "header", expected, actual=data[begin : begin + 40], line_number=line_number
             )
         line, begin = data[begin:end], end + 1
         words = line.decode("latin-1").split()
@@ -67,7 +67,7 @@ def read_header(data: bytes, source_name: str) -> PcdHeader:
         if key == "VIEWPOINT" and words[0] == "POINTS":
             entries[key], key = [], "POINTS"  # files before 0.7 have none
         if words[0] != key:
-            raise FormatError(source_name, "header", key, found=words[0], line_number=line_number)
+            raise FormatError(source_name, "header", key, actual=words[0], line_number=line_number)
         entries[key] = words[1:]
         _check(entries, key, line_number, source_name)
     counts = tuple(int(word) for word in entries["COUNT"])
@@ -119,7 +119,7 @@ def _check(entries: dict[str, list[str]], key: str, line_number: int, source_nam
     elif key == "DATA" and words not in (["ascii"], ["binary"], ["binary_compressed"]):
         expected = "ascii, binary or binary_compressed"
     if expected:
-        raise FormatError(source_name, key, expected, found=" ".join(words), line_number=line_number)
+        raise FormatError(source_name, key, expected, actual=" ".join(words), line_number=line_number)
 
 
 def _whole(word: str, most: int) -> bool:

@@ -77,12 +77,12 @@ def _read_header(data: bytes, source_name: str) -> _Header:
         end = data.find(b"\n", begin, begin + 4_096)
         if end < 0 or end > _LONGEST_HEADER_BYTES:
             found = data[begin : begin + 40]
-            raise FormatError(source_name, "header", "end_header", found=found, line_number=number)
+            raise FormatError(source_name, "header", "end_header", actual=found, line_number=number)
         words = data[begin:end].decode("latin-1").split()
         begin = end + 1
         if number == 1:
             if words != ["ply"]:
-                raise FormatError(source_name, "header", "ply", found=" ".join(words), line_number=1)
+                raise FormatError(source_name, "header", "ply", actual=" ".join(words), line_number=1)
         elif words[:1] == ["end_header"]:
             break
         elif words[:1] in (["comment"], ["obj_info"], []):
@@ -95,7 +95,7 @@ def _read_header(data: bytes, source_name: str) -> _Header:
             _add_property(elements[-1], words, source_name, number)
         else:
             expected = "a format of version 1.0, an element with its count, or a property"
-            raise FormatError(source_name, "header", expected, found=" ".join(words), line_number=number)
+            raise FormatError(source_name, "header", expected, actual=" ".join(words), line_number=number)
     if order is None:
         raise FormatError(source_name, "header", "a format")
     return _Header(order, elements, begin, number)
@@ -109,7 +109,7 @@ def _add_property(element: _Element, words: list[str], source_name: str, number:
     is_list = len(words) == 5 and words[1] == "list" and words[2] in _KINDS and words[3] in _KINDS
     if not is_list and not (len(words) == 3 and words[1] in _KINDS):
         expected = "property TYPE NAME or property list TYPE TYPE NAME"
-        raise FormatError(source_name, "header", expected, found=" ".join(words), line_number=number)
+        raise FormatError(source_name, "header", expected, actual=" ".join(words), line_number=number)
     element.names.append(words[-1])
     element.kinds.append(None if is_list else _KINDS[words[1]])
 
@@ -135,7 +135,7 @@ def _binary_points(
     want = row.itemsize * vertex.count
     if len(data) - begin < want:
         found = f"{max(len(data) - begin, 0)} bytes"
-        raise FormatError(source_name, "data", f"{want} bytes of vertices", found=found, byte_offset=begin)
+        raise FormatError(source_name, "data", f"{want} bytes of vertices", actual=found, byte_offset=begin)
     rows = np.frombuffer(data, row, vertex.count, begin)
     columns = [rows[f"{vertex.names.index(axis)}"].astype(np.float64) for axis in "xyz"]
     return np.column_stack(columns)
@@ -153,7 +153,7 @@ def _ascii_points(
     rows = lines[first : first + vertex.count]
     if len(rows) < vertex.count or (rows and not rows[-1].strip()):
         found = f"{sum(bool(row.strip()) for row in rows)} lines"
-        raise FormatError(source_name, "data", f"{vertex.count} lines of vertices", found=found)
+        raise FormatError(source_name, "data", f"{vertex.count} lines of vertices", actual=found)
     columns = [vertex.names.index(axis) for axis in "xyz"]
     points = np.empty((vertex.count, 3))
     for number, line in enumerate(rows):
@@ -165,5 +165,5 @@ def _ascii_points(
         except ValueError:
             expected = f"{len(vertex.names)} numbers, one a property"
             at = header.lines + first + number + 1
-            raise FormatError(source_name, "data", expected, found=line, line_number=at) from None
+            raise FormatError(source_name, "data", expected, actual=line, line_number=at) from None
     return points

@@ -51,14 +51,14 @@ def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
         vertical = ELLIPSOIDAL
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
     if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
-        raise FormatError(file, field, "a projection in metres", found=text)
+        raise FormatError(file, field, "a projection in metres", actual=text)
     own = flat.geodetic_crs
     of_map = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
     said = own.name if own.name != "unknown" else own.datum.name
     said = "WGS 84" if said == "World Geodetic System 1984" else said
     same = said == of_map.name or (aligned_to_wgs84(said) and aligned_to_wgs84(of_map.name))
     if not same and not said.lower().startswith("unknown"):
-        raise FormatError(file, f"{field}, datum", f"{datum}, the map's (--datum)", found=said)
+        raise FormatError(file, f"{field}, datum", f"{datum}, the map's (--datum)", actual=said)
     inverse = pyproj.Transformer.from_crs(flat, own, always_xy=True)
 
     def geodetic(x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:

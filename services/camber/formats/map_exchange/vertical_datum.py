@@ -55,13 +55,13 @@ class VerticalDatum:
         )
         if extent_m > self.reach_m:
             expected = f"a map of at most {self.reach_m / 1e3:.0f} km for one undulation"
-            raise FormatError(file, "extent", expected, found=f"{extent_m / 1e3:.1f} km")
+            raise FormatError(file, "extent", expected, actual=f"{extent_m / 1e3:.1f} km")
         converted = self._convert(latitude_rad, longitude_rad, height_m)
         wrong = ~np.isfinite(converted)
         if wrong.any():
             k = int(np.argmax(wrong))
             place = f"{math.degrees(latitude_rad[k]):.5f}, {math.degrees(longitude_rad[k]):.5f}"
-            raise FormatError(file, FIELD, f"a place within the grid of {self.how}", found=place)
+            raise FormatError(file, FIELD, f"a place within the grid of {self.how}", actual=place)
         return converted
 
 
@@ -76,7 +76,7 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
         return VerticalDatum("ellipsoidal heights", lambda latitude, longitude, height: height)
     vertical = crs_of(name, file, FIELD, "ellipsoidal or a vertical CRS (EPSG:7837, EGM2008 height, …)")
     if not vertical.is_vertical:
-        raise FormatError(file, FIELD, "a vertical CRS", found=f"{name} ({vertical.type_name})")
+        raise FormatError(file, FIELD, "a vertical CRS", actual=f"{name} ({vertical.type_name})")
     horizontal = _horizontal(datum, file)
 
     def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
@@ -120,14 +120,14 @@ def crs_of(text: str, file: str, field: str, expected: str) -> Any:
             warnings.simplefilter("ignore")
             return pyproj.CRS.from_user_input(text)
     except (pyproj.exceptions.CRSError, UnicodeError) as error:
-        raise FormatError(file, field, expected, found=text) from error
+        raise FormatError(file, field, expected, actual=text) from error
 
 
 def _horizontal(datum: str, file: str) -> Any:
     """Two-dimensional geographic system of a datum; WGS 84 where it is aligned to that, as grids are tied to that."""
     own = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
     if own is None:
-        raise FormatError(file, "datum", "one of positions (WGS84, ITRF2014, ETRS89, …)", found=datum)
+        raise FormatError(file, "datum", "one of positions (WGS84, ITRF2014, ETRS89, …)", actual=datum)
     return crs_of("WGS84", file, "datum", "WGS84") if aligned_to_wgs84(own.name) else own.to_2d()
 
 
@@ -163,10 +163,12 @@ def _step(
     missing = [grid.short_name for step in unavailable for grid in step.grids if not grid.available]
     if not missing:
         expected = f"one that PROJ ties to {datum} by a grid at this place"
-        raise FormatError(file, FIELD, expected, found=vertical.name)
+        raise FormatError(file, FIELD, expected, actual=vertical.name)
     folders = (pyproj.datadir.get_data_dir(), pyproj.datadir.get_user_data_dir())  # type: ignore[attr-defined]
     where, files = " or ".join(map(str, folders)), " or ".join(dict.fromkeys(missing))
-    raise FormatError(file, FIELD, f"the grid {files} in {where} (https://cdn.proj.org)", found=vertical.name)
+    raise FormatError(
+        file, FIELD, f"the grid {files} in {where} (https://cdn.proj.org)", actual=vertical.name
+    )
 
 
 def _is_one_step(description: str) -> bool:

@@ -38,4 +38,4 @@ def sentence_of(source_name: str, text: bytes, byte_offset: int) -> Sentence | F
         expected = f"checksum {calc_checksum(content)}"
     # The end is shown too when it is the checksum that is wrong.
     found = text if "checksum" not in expected else text[:6] + b"..." + text[-6:]
-    return FormatError(source_name, "sentence", expected, found=found, byte_offset=byte_offset)
+    return FormatError(source_name, "sentence", expected, actual=found, byte_offset=byte_offset)

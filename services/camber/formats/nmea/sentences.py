@@ -115,7 +115,11 @@ class SentenceFields:
         """An error about this field, with its text and the place of the sentence."""
         field = f"{self._sentence.kind} {name}"
         return FormatError(
-            self._source_name, field, expected, found=self.text(index), byte_offset=self._sentence.byte_offset
+            self._source_name,
+            field,
+            expected,
+            actual=self.text(index),
+            byte_offset=self._sentence.byte_offset,
         )
 
     def time_of_day_ns(self, index: int) -> int:

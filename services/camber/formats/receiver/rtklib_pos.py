@@ -101,7 +101,7 @@ class PosDecoder:
         line_number = self._lines.line_number
         return [
             FormatError(
-                self.source_name, "last line", "a newline at its end", found=rest, line_number=line_number
+                self.source_name, "last line", "a newline at its end", actual=rest, line_number=line_number
             )
         ]
 
@@ -130,7 +130,7 @@ class PosDecoder:
                 return
             expected = "latitude(deg) longitude(deg) height(m); ECEF and baselines are not read"
             raise FormatError(
-                self.source_name, "columns", expected, found=text.strip("% "), line_number=line_number
+                self.source_name, "columns", expected, actual=text.strip("% "), line_number=line_number
             )
         elif any(name.startswith("latitude(") for name in names):
             self._reported, self._layout = True, None
@@ -140,17 +140,17 @@ class PosDecoder:
     def _check_datum(self, datum: str, height: str, line_number: int) -> None:
         self._reported = True
         if datum != "WGS84":
-            raise FormatError(self.source_name, "datum", "WGS84", found=datum, line_number=line_number)
+            raise FormatError(self.source_name, "datum", "WGS84", actual=datum, line_number=line_number)
         if height != "ellipsoidal":
             expected = "ellipsoidal: orthometric height without a named geoid model"
-            raise FormatError(self.source_name, "height(m)", expected, found=height, line_number=line_number)
+            raise FormatError(self.source_name, "height(m)", expected, actual=height, line_number=line_number)
         self._reported = False
 
     def _read_columns(self, names: list[str], line_number: int) -> _Layout:
         time_system, *columns = names
         if time_system not in ("GPST", "UTC"):
             raise FormatError(
-                self.source_name, "time system", "GPST or UTC", found=time_system, line_number=line_number
+                self.source_name, "time system", "GPST or UTC", actual=time_system, line_number=line_number
             )
         if len(set(columns)) != len(columns):
             raise FormatError(self.source_name, "columns", "each name once", line_number=line_number)
@@ -159,7 +159,7 @@ class PosDecoder:
             if missing and (group is _REQUIRED or len(missing) < len(group)):
                 expected = f"a column {missing[0]}"
                 raise FormatError(
-                    self.source_name, "columns", expected, found=" ".join(columns), line_number=line_number
+                    self.source_name, "columns", expected, actual=" ".join(columns), line_number=line_number
                 )
         # The time takes two fields: date and time of day, or week and seconds.
         indices = {name: 2 + i for i, name in enumerate(columns)}
@@ -217,7 +217,7 @@ class _Row:
         )
 
     def error(self, field: str, expected: str, found: str | bytes) -> FormatError:
-        return FormatError(self.source_name, field, expected, found=found, line_number=self.line_number)
+        return FormatError(self.source_name, field, expected, actual=found, line_number=self.line_number)
 
     def time_ns(self) -> int:
         first, second = (field.decode("latin-1") for field in self.fields[:2])

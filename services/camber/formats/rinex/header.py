@@ -147,7 +147,7 @@ class HeaderReader:
 
     def _error(self, what: str, expected: str, found: str | None = None) -> FormatError:
         return FormatError(
-            self._source_name, what, expected, found=found, line_number=self._line_number or None
+            self._source_name, what, expected, actual=found, line_number=self._line_number or None
         )
 
     def _first(self, text: str, label: str) -> None:

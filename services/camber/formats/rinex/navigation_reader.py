@@ -73,7 +73,7 @@ class NavigationDecoder:
         return results
 
     def _error(self, what: str, expected: str, line_number: int, found: str | None = None) -> FormatError:
-        return FormatError(self._source_name, what, expected, found=found, line_number=line_number)
+        return FormatError(self._source_name, what, expected, actual=found, line_number=line_number)
 
     def _problem(self, error: FormatError, results: list[NavigationResult]) -> None:
         self.problems += 1

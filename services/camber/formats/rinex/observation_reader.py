@@ -177,7 +177,9 @@ class RinexDecoder:
             if column >= 0:
                 what = f"{lines[place : place + 3].decode('latin-1')} {layout.names[column]}"
             text = lines[place : place + 60].split(b"\n")[0]
-            errors.append(FormatError(self._source_name, what, expected, found=text, line_number=line_number))
+            errors.append(
+                FormatError(self._source_name, what, expected, actual=text, line_number=line_number)
+            )
         return errors
 
 

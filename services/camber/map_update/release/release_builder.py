@@ -73,7 +73,7 @@ class ReleaseMaking:
             made = next((m for m in history(self.folder) if m.manifest.map_version == map_version), None)
             if made is None:
                 versions = ", ".join(str(m.manifest.map_version) for m in history(self.folder))
-                raise ReleaseError(str(self.folder), "version", f"one of {versions}", found=str(map_version))
+                raise ReleaseError(str(self.folder), "version", f"one of {versions}", actual=str(map_version))
             return self._make(corrections_of(ReleaseFolder(self.folder), made.manifest), time_ns)
 
     def _make(self, corrections: Corrections, time_ns: int) -> ReleaseRoot:
@@ -140,7 +140,7 @@ class ReleaseMaking:
         first, last = (np.searchsorted(every, rows["surface_id"], side) for side in ("left", "right"))
         if (first == last).any():
             unknown = int(rows["surface_id"][np.argmax(first == last)])
-            raise ReleaseError("corrections", "surface_id", "a surface of the reference", found=str(unknown))
+            raise ReleaseError("corrections", "surface_id", "a surface of the reference", actual=str(unknown))
         at = np.concatenate([np.arange(i, j) for i, j in zip(first, last, strict=True)] or [np.zeros(0, int)])
         return [tiles[n] for n in np.unique(number[at]).tolist()]
 
@@ -183,7 +183,7 @@ class ReleaseMaking:
                 self.reference.source.name(None),
                 "surface_id",
                 "no id of a surface that was given up",
-                found=found,
+                actual=found,
             )
 
     @contextmanager

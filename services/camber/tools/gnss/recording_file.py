@@ -102,7 +102,7 @@ class RecordingFile:
         if not first:
             raise FormatError(name, "empty file", _EXPECTED)
         if not frames:
-            raise FormatError(name, "content", _EXPECTED, found=first[:20])
+            raise FormatError(name, "content", _EXPECTED, actual=first[:20])
         if near_ns is None:
             near_ns = self._week(first, frames)
         return "receiver stream", MixedDecoder(name, near_ns)

@@ -44,5 +44,5 @@ def release_for(folder: Path, datum: str) -> Release:
     release = read_release(folder)
     if release.manifest.datum != datum:
         found = release.manifest.datum
-        raise ReleaseError(str(folder / ROOT_NAME), "datum", f"{datum} as of the drive", found=found)
+        raise ReleaseError(str(folder / ROOT_NAME), "datum", f"{datum} as of the drive", actual=found)
     return release

@@ -112,7 +112,7 @@ def _write_level(path: Path, surfaces: RoadSurfaces, rows: Integers, crs: Any, c
     size = np.ceil(high.max(axis=0)).astype(np.int64) - corner.astype(np.int64)
     if size[0] * size[1] > _MOST_CELLS:
         expected = f"at most {_MOST_CELLS} cells: a larger --cell-m"
-        raise FormatError(str(path), "size", expected, found=f"{size[0]} × {size[1]}")
+        raise FormatError(str(path), "size", expected, actual=f"{size[0]} × {size[1]}")
     weight, height, variance = (np.zeros(size[::-1]) for _ in range(3))
     heights = SurfaceHeights(surfaces)
     for row, box_low, box_high in zip(rows.tolist(), low - corner, high - corner, strict=True):

@@ -53,7 +53,7 @@ def read_geojson(path: Path) -> tuple[RoadSurfaces, RoadLinks, list[float | None
     """
     name = str(path)
     if path.stat().st_size > _MOST_BYTES:
-        raise FormatError(name, "size", f"at most {_MOST_BYTES} bytes", found=str(path.stat().st_size))
+        raise FormatError(name, "size", f"at most {_MOST_BYTES} bytes", actual=str(path.stat().st_size))
     try:
         features = json.loads(path.read_bytes())["features"]
         surfaces = [f for f in features if f["geometry"]["type"] == "Polygon"]

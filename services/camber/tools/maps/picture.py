@@ -65,7 +65,9 @@ def picture(release: Release, name: str, tile: Tile | None, pixels: int) -> tupl
     """The PNG of a release, or of one of its tiles, and a line about it. FormatError where there is nothing to draw."""
     tiles = sorted({xy for layer in LAYERS for xy in release.tiles(layer)})
     if not tiles or (tile is not None and tile not in tiles):
-        raise FormatError(name, "tiles", "one of the release's" if tiles else "at least one", found=str(tile))
+        raise FormatError(
+            name, "tiles", "one of the release's" if tiles else "at least one", actual=str(tile)
+        )
     surfaces = release.road_surfaces()
     frame, panel = _panel(surfaces, tiles if tile is None else [tile], tile is None, pixels)
     raster = cloud_raster(release, frame, panel)

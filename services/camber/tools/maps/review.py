@@ -72,7 +72,7 @@ def _carry_out(review: Review, args: argparse.Namespace) -> int:
     held = {each.surface_id: each for each in review.held()}
     unknown = sorted(set(chosen) - held.keys())
     if unknown:
-        raise ReleaseError("decision", "surface", "one that is held", found=str(unknown[0]))
+        raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     now_ns = SystemClock().now_ns()
     review.decide(
         [Decided(surface, word, held[surface].offset_m, args.who, args.why, now_ns) for surface in chosen]

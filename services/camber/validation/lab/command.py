@@ -37,7 +37,7 @@ def _page_of(path: Path) -> str:
     try:
         return page(json.loads(path.read_text("utf-8")))
     except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise FormatError(str(path), "figures", "the lab.json of a run", found=repr(error)) from error
+        raise FormatError(str(path), "figures", "the lab.json of a run", actual=repr(error)) from error
 
 
 def _write(options: argparse.Namespace) -> None:

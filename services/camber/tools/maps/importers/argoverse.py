@@ -56,7 +56,7 @@ class CityFrame:
     def of_city(cls, city: str) -> CityFrame:
         """Raises FormatError for a city whose origin is not published."""
         if city not in CITIES:
-            raise FormatError("log", "city", ", ".join(CITIES), found=city)
+            raise FormatError("log", "city", ", ".join(CITIES), actual=city)
         import pyproj
 
         zone, latitude_deg, longitude_deg = CITIES[city]

@@ -193,7 +193,7 @@ class Poses:
                 file, "poses", f"rows of 12 numbers ({' '.join(str(error).split())[:80]})"
             ) from None
         if rows.shape[1:] != (12,) or len(rows) < 2 or not np.isfinite(rows).all():
-            raise FormatError(file, "poses", "two rows of 12 numbers or more", found=f"{rows.shape}")
+            raise FormatError(file, "poses", "two rows of 12 numbers or more", actual=f"{rows.shape}")
         poses = np.tile(np.eye(4), (len(rows), 1, 1))
         poses[:, :3] = rows.reshape(-1, 3, 4)
         return cls(file, frame, poses, None)
@@ -215,7 +215,7 @@ class Poses:
             return pose
         if count != len(self.frame_from_pose):
             expected = f"as many poses as sweeps, {count}"
-            raise FormatError(self.file, "poses", expected, found=str(len(self.frame_from_pose)))
+            raise FormatError(self.file, "poses", expected, actual=str(len(self.frame_from_pose)))
         own: Floats = self.frame_from_pose[number]
         return own
 

@@ -24,5 +24,5 @@ def build(args: argparse.Namespace) -> BuiltMap:
     surfaces, links, _ = read_geojson(args.file)
     stray = set(surfaces.link_id.tolist()) - set(links.link_id.tolist())
     if stray:
-        raise FormatError(str(args.file), "link_id", "a link of the file", found=str(min(stray)))
+        raise FormatError(str(args.file), "link_id", "a link of the file", actual=str(min(stray)))
     return BuiltMap(surfaces, links, lineage=lineage(surfaces, args.previous_release))

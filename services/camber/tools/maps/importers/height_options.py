@@ -56,11 +56,11 @@ def vertical_of(args: argparse.Namespace, file: str, stated: str | None = None) 
             raise FormatError(file, FIELD, str(error)) from None
     named = args.vertical_datum
     if named is not None and stated is not None and named != stated:
-        raise FormatError(file, FIELD, f"{stated}, as the file says", found=named)
+        raise FormatError(file, FIELD, f"{stated}, as the file says", actual=named)
     name = named or stated
     if name is None:
         raise FormatError(
-            file, FIELD, "--vertical-datum with its name (ellipsoidal, EPSG:7837, …)", found="not stated"
+            file, FIELD, "--vertical-datum with its name (ellipsoidal, EPSG:7837, …)", actual="not stated"
         )
     return vertical_datum(name, args.datum, file)
 

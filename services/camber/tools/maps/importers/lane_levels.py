@@ -138,8 +138,8 @@ def _levels(
                 level[low] = level[high] - 1
             else:
                 found = f"{name[low]} at {level[low]}, {name[high]} over it at {level[high]}"
-                raise FormatError(file, "levels", "a higher one for what is above", found=found)
+                raise FormatError(file, "levels", "a higher one for what is above", actual=found)
         if not changed and all(abs(value) <= MAX_LEVEL for value in level.values()):
             return [level[g] if own is None else own for g, own in zip(group, said, strict=True)]
     low, _ = edges[0]
-    raise FormatError(file, "heights", f"at most {MAX_LEVEL} levels, none above itself", found=name[low])
+    raise FormatError(file, "heights", f"at most {MAX_LEVEL} levels, none above itself", actual=name[low])

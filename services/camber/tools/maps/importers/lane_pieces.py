@@ -64,7 +64,7 @@ def _dense(lane: Lane, file: str) -> Floats:
     if not (step_m.sum() <= MOST_LENGTH_M and width_m.max() <= MOST_WIDTH_M):
         expected = f"a lane of at most {MOST_LENGTH_M / 1e3:.0f} km, at most {MOST_WIDTH_M:.0f} m wide"
         found = f"{step_m.sum() / 1e3:.1f} km, {width_m.max():.0f} m"
-        raise FormatError(file, lane.name, expected, found=found)
+        raise FormatError(file, lane.name, expected, actual=found)
     at = np.concatenate([i + np.arange(n) / n for i, n in enumerate(parts.astype(int))] + [[len(step_m)]])
     flat = sections.reshape(len(sections), -1)
     numbers = np.arange(len(flat))
@@ -113,7 +113,7 @@ def _piece(lane: Lane, sections: Floats, first: int, last: int, file: str) -> Pi
     ]
     if math.hypot(*slope) > MAX_SLOPE:
         place = f"{lane.name}, {sum(slope):.1f} steep"
-        raise FormatError(file, "heights", f"a road of slopes up to {MAX_SLOPE:.0f}", found=place)
+        raise FormatError(file, "heights", f"a road of slopes up to {MAX_SLOPE:.0f}", actual=place)
     return Piece(axes @ centre_uv, yaw_rad, float(half[0]), float(half[1]), heights_m, off_m)
 
 

@@ -68,7 +68,7 @@ def build(args: argparse.Namespace) -> BuiltMap:
     text = args.georeference or drive.georeference
     if text is None:
         raise FormatError(
-            file, "header, geoReference", "a projection, or --georeference with one", found="none"
+            file, "header, geoReference", "a projection, or --georeference with one", actual="none"
         )
     projection = projection_of(text, args.datum, file, "header, geoReference")
     vertical = vertical_of(args, file, projection.vertical)

@@ -124,7 +124,7 @@ class HeightRaster:
             except (rasterio.errors.RasterioError, ValueError) as error:
                 raise FormatError(file, "raster", f"a GeoTIFF ({_line(error)})") from None
             if not 1 <= band <= dataset.count:
-                raise FormatError(file, "band", f"1 to {dataset.count}", found=str(band))
+                raise FormatError(file, "band", f"1 to {dataset.count}", actual=str(band))
             if dataset.crs is None:
                 raise FormatError(file, "CRS", "a coordinate reference system")
             crs = crs_of(dataset.crs.to_wkt(version="WKT2_2019"), file, "CRS", "one that PROJ knows")
@@ -203,9 +203,9 @@ def horizontal_and_vertical(crs: Any, file: str) -> tuple[Any, str | None]:
             horizontal, vertical = crs.to_2d(), ELLIPSOIDAL
     for axis in axes:
         if axis.unit_conversion_factor != 1.0 or axis.direction != "up":
-            raise FormatError(file, FIELD, "metres upwards", found=f"{axis.unit_name} {axis.direction}")
+            raise FormatError(file, FIELD, "metres upwards", actual=f"{axis.unit_name} {axis.direction}")
     if not (horizontal.is_geographic or horizontal.is_projected):
-        raise FormatError(file, "CRS", "a geographic or projected one", found=crs.name)
+        raise FormatError(file, "CRS", "a geographic or projected one", actual=crs.name)
     return horizontal, vertical
 
 
@@ -218,7 +218,7 @@ def to_horizontal(horizontal: Any, datum: str, file: str) -> Any:
     both = own.name, wanted.name
     if own.datum != wanted.datum and both[0] != both[1] and not all(map(aligned_to_wgs84, both)):
         expected = f"{wanted.name}, the release's --datum; warp the raster, or name its own"
-        raise FormatError(file, "datum", expected, found=own.name)
+        raise FormatError(file, "datum", expected, actual=own.name)
     return pyproj.Transformer.from_crs(own.to_2d(), horizontal, always_xy=True)
 
 

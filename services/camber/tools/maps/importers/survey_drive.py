@@ -186,7 +186,7 @@ def _csv_track(args: argparse.Namespace) -> Track:
     if args.antenna_height_m is None:
         raise FormatError(str(args.drive), "antenna", "--antenna-height-m: a truth.csv does not say it")
     if len(truth) < 2:
-        raise FormatError(str(args.drive), "track", "at least two positions", found=str(len(truth)))
+        raise FormatError(str(args.drive), "track", "at least two positions", actual=str(len(truth)))
     sigma = math.hypot(args.position_sigma_m, args.antenna_sigma_m)
     return Track(
         truth.latitude_rad,
@@ -230,7 +230,7 @@ def _replay_track(args: argparse.Namespace) -> Track:
             )
     if len(rows) < 2:
         expected = "at least two confirmed positions with an antenna height that does not rest on the map"
-        raise FormatError(str(path), "verdicts", expected, found=str(len(rows)))
+        raise FormatError(str(path), "verdicts", expected, actual=str(len(rows)))
     columns = np.array(rows)
     latitude, longitude, height_m, sigma_m = columns[:, 1:].T
     return Track(latitude, longitude, height_m, sigma_m, int(rows[-1][0]))
