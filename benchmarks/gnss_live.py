@@ -17,7 +17,7 @@ from figure import Figure, lower
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from support.live_satellites import LiveDrive, caster, live_gnss, serving
 from support.running import free_port
 
@@ -36,7 +36,7 @@ def latencies_ms(folder: Path) -> tuple[list[float], int]:
         serving(drive.base) as base,
         caster(base, port),
         live_gnss(folder, rover, port) as gnss,
-        Listener("fix", vehicle="car", connect=[gnss.endpoint]) as listener,
+        Subscription("fix", vehicle="car", connect=[gnss.endpoint]) as listener,
     ):
         found: list[float] = []
         fixed = 0

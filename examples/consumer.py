@@ -14,7 +14,7 @@ import math
 
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.integrity import Position
 
 PROG = "consumer.py"
@@ -45,7 +45,9 @@ def main() -> None:
     settings = load_or_exit(ServiceSettings, ["--vehicle", args.vehicle, *words], prog=PROG)
     print("unknown (no position yet)", flush=True)
     try:
-        listener = Listener("position", vehicle=settings.vehicle, zenoh=settings.zenoh, live=not args.replay)
+        listener = Subscription(
+            "position", vehicle=settings.vehicle, zenoh=settings.zenoh, live=not args.replay
+        )
     except BusError as error:
         raise SystemExit(f"{PROG}: {error}") from None
     with listener:

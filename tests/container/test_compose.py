@@ -32,7 +32,7 @@ CONFIRMED = ("confirmed", "confirmed_after_verification")
 RIGHT_WITHIN_M = 0.2  # the wrong fixes of the drive are off by 0.35 m of height and more
 
 
-class Listener:
+class Subscription:
     """Hears the verdicts as a consumer on this machine would, from before the router is killed until after."""
 
     def __init__(self, port: int) -> None:
@@ -63,8 +63,8 @@ def stack() -> Iterator[Stack]:
 
 
 @pytest.fixture(scope="module")
-def listener(stack: Stack) -> Iterator[Listener]:
-    listener = Listener(stack.port)
+def listener(stack: Stack) -> Iterator[Subscription]:
+    listener = Subscription(stack.port)
     yield listener
     listener.close()
 
@@ -116,7 +116,7 @@ def test_the_cloud_and_the_vehicle_meet_at_their_routers_alone(stack: Stack) -> 
         assert "gaierror" in said, service
 
 
-def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Listener) -> None:
+def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Subscription) -> None:
     wait_until(
         lambda: len(listener.confirmed_since(0.0)) > 20, timeout_s=90.0, why="no positions were confirmed"
     )
@@ -127,7 +127,7 @@ def test_live_inputs_become_verdicts_and_uploads(stack: Stack, listener: Listene
     )
 
 
-def test_verdicts_are_back_after_the_router_was_killed(stack: Stack, listener: Listener) -> None:
+def test_verdicts_are_back_after_the_router_was_killed(stack: Stack, listener: Subscription) -> None:
     wait_until(
         lambda: listener.confirmed_since(0.0), timeout_s=90.0, why="no positions were confirmed before"
     )
@@ -155,7 +155,7 @@ def test_a_service_that_was_killed_is_started_again(stack: Stack) -> None:
     )
 
 
-def test_no_confirmed_position_was_wrong(listener: Listener) -> None:
+def test_no_confirmed_position_was_wrong(listener: Subscription) -> None:
     """Last: over everything heard before, start, outage and restart included."""
     confirmed = [verdict for _, verdict in listener.heard if verdict.verdict in CONFIRMED]
     assert len(confirmed) > 20

@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives.serialization import (
 from camber.replay.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from camber.road_map.release import Release, load_signing_key, read_release, write_release
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.road import ElevationRequest
 from support.containers import Stack, docker, skip_without_engine
@@ -78,7 +78,7 @@ class World:
         )
         bus = ZenohSettings(mode="client", connect=[f"tcp/127.0.0.1:{self.vehicle.port}"])
         settings = ServiceSettings(vehicle=CAR, zenoh=bus)
-        reply = ask_once(settings, "elevation", request, service="map_server", timeout_s=5.0)
+        reply = query_once(settings, "elevation", request, service="map_server", timeout_s=5.0)
         road = reply.road
         assert road.elevation_m is not None, road.reason
         return road.map_version or 0, road.elevation_m

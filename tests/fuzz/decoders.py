@@ -52,7 +52,7 @@ from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
 from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
-    Parcel,
+    QueuedContribution,
     QueueMessageError,
     pack_outcomes,
     pack_parcels,
@@ -420,7 +420,10 @@ def _read_drive(data: bytes) -> None:
 def _queue(random: Random) -> list[list[bytes]]:
     rng = np.random.default_rng(random.getrandbits(32))
     refusal = Refusal("datum", "datum Tokyo, expected WGS84")
-    parcels = [Parcel(random_batch("b1", 5, rng), None), Parcel(contribution("u1"), refusal)]
+    parcels = [
+        QueuedContribution(random_batch("b1", 5, rng), None),
+        QueuedContribution(contribution("u1"), refusal),
+    ]
     return [[pack_parcels("_INBOX.a.1", parcels)], [pack_parcels("_INBOX.a.2", parcels[:1])]]
 
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.gnss import Fix, SatelliteVelocity
 from support.live_satellites import LiveDrive, LiveGnss, Port, caster, live_gnss, serving
 from support.running import free_port, wait_until
@@ -36,7 +36,7 @@ class Chain:
 
     def until(self, wanted: Callable[[Fix], bool], why: str) -> Fix:
         """The first fix that is wanted; every one before that calls itself fixed must be right as well."""
-        with Listener("fix", vehicle="car", connect=[self.gnss.endpoint]) as listener:
+        with Subscription("fix", vehicle="car", connect=[self.gnss.endpoint]) as listener:
 
             def heard() -> Fix | None:
                 fix = listener.next(0.5)
@@ -83,7 +83,7 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
 def test_fixes_and_velocities_come_and_are_right(chain: Chain) -> None:
     chain.until_fixed()
     fixed, velocities = 0, 0
-    with Listener("fix", "velocity", vehicle="car", connect=[chain.gnss.endpoint]) as listener:
+    with Subscription("fix", "velocity", vehicle="car", connect=[chain.gnss.endpoint]) as listener:
         for _ in range(60):
             message = listener.next(10.0)
             if isinstance(message, SatelliteVelocity):

@@ -12,7 +12,7 @@ from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode
 from camber.schemas.gnss import Estimates, EstimatesRequest
@@ -79,7 +79,7 @@ class Verdicts(threading.Thread):
 
     def __init__(self, vehicle: str, endpoint: str) -> None:
         super().__init__(daemon=True)
-        self.listener = Listener("verdict", vehicle=vehicle, connect=[endpoint])
+        self.listener = Subscription("verdict", vehicle=vehicle, connect=[endpoint])
         self.of_fix: dict = {}
         self.after_s: list[float] = []
         self.ended = threading.Event()

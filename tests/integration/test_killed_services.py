@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from camber.replay.short_drive import RATE_HZ, SCHEDULE, write_short_drive
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from support.running import (
     drive_s,
@@ -70,7 +70,7 @@ class Kill:
 class Saboteur:
     """Kills one service after the other, each as soon as positions are confirmed again."""
 
-    def __init__(self, out: Path, listener: Listener) -> None:
+    def __init__(self, out: Path, listener: Subscription) -> None:
         self.out = out
         self.listener = listener
         self.kills: list[Kill] = []
@@ -128,7 +128,7 @@ def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_whe
             f"end_s={END_S}",
             "--quiet",
         ) as replay,
-        Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
+        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
         saboteur = Saboteur(out, listener)
         for service in ("localizer", "gnss", "map_update", "antenna_height", "map_server", "integrity"):
@@ -197,7 +197,7 @@ def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
             f"end_s={END_S}",
             "--quiet",
         ) as replay,
-        Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
+        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
         saboteur = Saboteur(out, listener)
         frozen_s = saboteur.wait_for_good_time(8.0, 3.5)
@@ -224,7 +224,7 @@ def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_
         started(
             "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 3, "--set", "end_s=63", "--quiet"
         ) as replay,
-        Listener("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
+        Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):
         Saboteur(out, listener).sabotage("localizer", from_s=35.8)
         output, _ = replay.communicate(timeout=180.0)

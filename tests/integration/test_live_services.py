@@ -21,10 +21,10 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.replay.short_drive import ANTENNA_HEIGHT_M, short_drive_truth, write_short_drive
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME, SERVICES
 from camber.schemas.health import HealthRequest
 from camber.schemas.motion import Motion
@@ -143,8 +143,8 @@ class Vehicle:
                 stderr=log,
             )
 
-    def listen(self, *names: str) -> Listener:
-        return Listener(*names, vehicle="car", connect=[self.endpoint])
+    def listen(self, *names: str) -> Subscription:
+        return Subscription(*names, vehicle="car", connect=[self.endpoint])
 
     def end(self) -> None:
         self.receiver.ended.set()
@@ -172,7 +172,7 @@ def vehicle(tmp_path_factory):
         yield car
 
 
-def wait_for(listener: Listener, word: str, *, timeout_s: float):
+def wait_for(listener: Subscription, word: str, *, timeout_s: float):
     def heard():
         verdict = listener.next(0.5)
         return verdict if verdict is not None and verdict.verdict == word else None
@@ -201,7 +201,7 @@ def test_a_right_position_is_confirmed_and_a_wrong_one_is_not(vehicle):
 class OnlyVerdicts:
     """Of a listener to several channels."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: Subscription) -> None:
         self.listener = listener
 
     def next(self, timeout_s: float):
@@ -216,7 +216,7 @@ class OnlyVerdicts:
 @pytest.mark.parametrize("service", SERVICES)
 def test_every_service_says_how_it_is(vehicle, service):
     settings = ServiceSettings(vehicle="car", zenoh=ZenohSettings(connect=[vehicle.endpoint]))
-    health = ask_once(
+    health = query_once(
         settings, "health", HealthRequest(time_ns=CLOCK.now_ns()), service=service, timeout_s=5.0
     )
     assert health.service == service
@@ -283,7 +283,7 @@ def test_a_receiver_on_a_serial_line_is_read(vehicle, tmp_path):
     try:
         with (
             started("-m", "camber.cli", "gnss", "--config", config, stdout=subprocess.DEVNULL),
-            Listener("fix", vehicle="tram", connect=[vehicle.endpoint]) as listener,
+            Subscription("fix", vehicle="tram", connect=[vehicle.endpoint]) as listener,
         ):
 
             def heard():

@@ -16,7 +16,7 @@ import pytest
 
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.gnss import ReceiverBytes
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
@@ -46,7 +46,7 @@ def endpoint() -> Iterator[str]:
         yield where
 
 
-def heard_while(process: subprocess.Popen[str], listener: Listener) -> list[Any]:
+def heard_while(process: subprocess.Popen[str], listener: Subscription) -> list[Any]:
     """Everything until the process has ended."""
     heard: list[Any] = []
     while process.poll() is None:
@@ -60,7 +60,7 @@ def test_everything_of_the_drive_is_said_in_order_and_dated_now(endpoint: str, t
     began_ns = time.time_ns()
     log = tmp_path / "log"
     with (
-        Listener("sweep", "motion", "receiver_bytes", vehicle="car", connect=[endpoint]) as listener,
+        Subscription("sweep", "motion", "receiver_bytes", vehicle="car", connect=[endpoint]) as listener,
         log.open("w") as file,
         started(
             "-m", "camber.cli", "simulate", *SCENARIO, "--live", "--out", tmp_path / "drive",
@@ -99,7 +99,7 @@ def test_a_drive_that_is_still_to_come_is_fed_at_its_own_time_with_its_raw_obser
 ) -> None:
     log = tmp_path / "log"
     with (
-        Listener("receiver_bytes", vehicle="raw", connect=[endpoint]) as listener,
+        Subscription("receiver_bytes", vehicle="raw", connect=[endpoint]) as listener,
         log.open("w") as file,
         started(
             "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=4", "--set", "satellites.rate_hz=2",
@@ -125,7 +125,7 @@ def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind(
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with (
-        Listener("motion", vehicle="other", connect=[endpoint]) as listener,
+        Subscription("motion", vehicle="other", connect=[endpoint]) as listener,
         started(
             "-m", "camber.cli", "simulate", "open-sky", "--set", "duration_s=600",
             "--set", "satellites.rate_hz=1", "--set", "satellites.streams=false", "--live",

@@ -21,12 +21,12 @@ import zenoh
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber.map_update.fusion.corrections import CORRECTION, Corrections
-from camber.map_update.release.release_builder import ReleaseMaking
+from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
 from camber.road_map.release_files import blob_path
 from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import QueryFailed, ask_once
+from camber.runtime.query import QueryFailed, query_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.channels import BY_NAME
@@ -99,7 +99,7 @@ class World:
     def __init__(self, folder: Path, ends: ExitStack) -> None:
         self.folder = folder
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
-        self.making: ReleaseMaking = making(folder, SURFACES)
+        self.making: ReleaseBuilder = making(folder, SURFACES)
         self.store = folder / "vehicle" / "map.sqlite"
         self.ends = ends
         self.settings = ServiceSettings(
@@ -140,7 +140,7 @@ class World:
     def health(self) -> Health | None:
         try:
             request = HealthRequest(time_ns=MADE_NS)
-            return ask_once(self.settings, "health", request, service="map_server", timeout_s=2.0)
+            return query_once(self.settings, "health", request, service="map_server", timeout_s=2.0)
         except (QueryFailed, RuntimeError):
             return None
 
@@ -169,7 +169,7 @@ def world(folder: Path) -> Iterator[World]:
         yield World(folder, ends)
 
 
-class Asker:
+class QueryClient:
     """Asks for elevations over the bus, `rate_hz` of them, a hundred at a time at the most; keeps what came of each."""
 
     def __init__(self, settings: ServiceSettings, rate_hz: float) -> None:
@@ -231,7 +231,7 @@ def swaps(folder: Path, *, releases: int, rate_hz: float, every_s: float) -> dic
         wait_until(
             lambda: (h := here.health()) is not None and h.status == "ok", timeout_s=90.0, why="a map in use"
         )
-        asker = Asker(here.settings, rate_hz)
+        asker = QueryClient(here.settings, rate_hz)
 
         def enough(passed_s: float) -> bool:
             assert passed_s < every_s * releases + 60.0, f"{releases} releases were not in use by then"

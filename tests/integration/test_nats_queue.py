@@ -9,8 +9,8 @@ import pytest
 
 from camber.map_update.admission import Refusal
 from camber.map_update.queue import nats_queue
-from camber.map_update.queue.nats_queue import Sending, Taking
-from camber.map_update.queue.queue_messages import Parcel, QueueError, pack_parcels
+from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
+from camber.map_update.queue.queue_messages import QueuedContribution, QueueError, pack_parcels
 from camber.map_update.stores.shards import Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import Outcome
@@ -31,7 +31,7 @@ def server():
 
 
 def sender(server, shards=WHOLE, limit_s=5.0):
-    return closing(Sending(server.address, shards, limit_s=limit_s))
+    return closing(QueueSender(server.address, shards, limit_s=limit_s))
 
 
 class Worker(threading.Thread):
@@ -46,7 +46,7 @@ class Worker(threading.Thread):
 
     def run(self):
         with (
-            closing(Taking(self.server.address, self.shard, limit_s=5.0)) as taking,
+            closing(QueueReceiver(self.server.address, self.shard, limit_s=5.0)) as taking,
             closing(SqliteStore(self.path)) as store,
         ):
             while not self.over.is_set():
@@ -84,7 +84,7 @@ def storing(server, folder, *shards):
 
 def sent(sending, *contributions, refused=None):
     """What became of each; the queue is asked again while it is not there."""
-    parcels = [Parcel(c, refused) for c in contributions]
+    parcels = [QueuedContribution(c, refused) for c in contributions]
 
     def heard():
         try:
@@ -123,7 +123,7 @@ def test_a_batch_across_shards_is_stored_in_each_and_acknowledged_once_all_have_
     with sender(server, QUARTERS, limit_s=1.5) as sending:
         with storing(server, tmp_path, "1"):
             assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
-            assert sending.send([Parcel(batch, None)]) == [None]
+            assert sending.send([QueuedContribution(batch, None)]) == [None]
         with storing(server, tmp_path, "1", "3"):
             assert sent(sending, batch)[0] in ("stored", "duplicate")
             assert sent(sending, batch) == ["duplicate"]
@@ -136,14 +136,14 @@ def test_a_batch_across_shards_is_stored_in_each_and_acknowledged_once_all_have_
 
 def test_nobody_who_stores_means_no_acknowledgement(server):
     with sender(server, limit_s=0.3) as sending:
-        assert sending.send([Parcel(contribution("u1"), None)]) == [None]
+        assert sending.send([QueuedContribution(contribution("u1"), None)]) == [None]
 
 
 def test_what_could_not_be_stored_comes_again_without_its_sender(server, tmp_path):
     with sender(server, limit_s=5.0) as sending, storing(server, tmp_path, "world") as workers:
         assert sent(sending, contribution("u0"))[0] in ("stored", "duplicate")
         workers["world"].fails = 1
-        (outcome,) = sending.send([Parcel(contribution("u1"), None)])
+        (outcome,) = sending.send([QueuedContribution(contribution("u1"), None)])
         assert outcome is not None
         assert outcome.status == "stored"
 
@@ -155,7 +155,7 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(server, tmp_path, em
         sent(sending, *uploads[:20])
         server.end()
         with pytest.raises(QueueError, match=r"nats://127\.0\.0\.1:\d+: "):
-            sending.send([Parcel(uploads[20], None)])
+            sending.send([QueuedContribution(uploads[20], None)])
         if emptied:
             shutil.rmtree(server.folder / "data")
         server.start()
@@ -174,7 +174,7 @@ def test_what_is_no_message_is_dropped_and_does_not_stop_the_others(server, tmp_
     with sender(server) as sending, storing(server, tmp_path, "world") as workers:
         assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
         in_a_loop(publish(b"no message"))
-        in_a_loop(publish(pack_parcels("x", [Parcel(contribution("u2"), None)])[:-7]))
+        in_a_loop(publish(pack_parcels("x", [QueuedContribution(contribution("u2"), None)])[:-7]))
         assert sent(sending, contribution("u3"))[0] in ("stored", "duplicate")
         assert workers["world"].rounds >= 2
 
@@ -183,7 +183,9 @@ def test_a_contribution_beyond_the_servers_limit_is_not_acknowledged_and_the_oth
     with sender(server) as sending, storing(server, tmp_path, "world"):
         assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
         huge = contribution("b1", kind="batch", records=120_000)
-        outcomes = sending.send([Parcel(contribution("u2"), None), Parcel(huge, None)])
+        outcomes = sending.send(
+            [QueuedContribution(contribution("u2"), None), QueuedContribution(huge, None)]
+        )
         assert [outcome and outcome.status for outcome in outcomes] == ["stored", None]
         assert sending.too_large == 1
 
@@ -196,8 +198,8 @@ def test_how_many_wait_in_the_server_is_known_where_they_are_taken(server):
     with sender(server, limit_s=3.0) as sending:
         wait_until(lambda: not raises(lambda: sending.send([])), timeout_s=30.0, why="it is connected")
         batches = [contribution(f"u{n}", kind="batch", records=records) for n in range(messages)]
-        assert set(sending.send([Parcel(batch, None) for batch in batches])) == {None}
-    with closing(Taking(server.address, "world", limit_s=5.0)) as taking:
+        assert set(sending.send([QueuedContribution(batch, None) for batch in batches])) == {None}
+    with closing(QueueReceiver(server.address, "world", limit_s=5.0)) as taking:
         assert taking.waiting is None
         deliveries = wait_until(lambda: taken(taking), timeout_s=30.0, why="something waits")
         assert taking.waiting is not None

@@ -14,10 +14,10 @@ import pytest
 import zenoh
 
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.channels import BY_NAME
 from camber.schemas.fleet import UploadBatch
 from camber.tools.security import access
@@ -211,7 +211,7 @@ def test_an_upload_is_stored_in_its_own_name_and_refused_in_anothers(world: Worl
 
     def receipt(vehicle: str) -> object:
         try:
-            return ask_once(
+            return query_once(
                 world.vehicle.settings(), "upload_batch", batch(vehicle), service="map_update", timeout_s=5.0
             )
         except Exception:
@@ -235,7 +235,7 @@ def test_an_upload_is_stored_in_its_own_name_and_refused_in_anothers(world: Worl
 def test_a_consumer_in_the_cloud_listens_with_its_certificate(world: World) -> None:
     settings = world.certificates.settings("consumer", world.cloud)
     with (
-        Listener("verdict", vehicle="car-1", zenoh=settings) as listener,
+        Subscription("verdict", vehicle="car-1", zenoh=settings) as listener,
         world.vehicle.session() as judge,
     ):
         key = BY_NAME["verdict"].key_for("car-1")

@@ -12,7 +12,7 @@ import pytest
 from camber.map_update.contribution import OBSERVATION
 from camber.map_update.stores import postgres_store
 from camber.map_update.stores.postgres_store import PostgresStore
-from camber.map_update.stores.store import Step, StoreError
+from camber.map_update.stores.store import FusionStep, StoreError
 from support.contributions import NOW_NS, committed, contribution, names_in, random_batch, take_all
 from support.databases import PostgresServer, needs_postgres, running
 from support.running import free_port, wait_until
@@ -92,7 +92,7 @@ def test_groups_across_partitions_are_read_whole_and_a_forgotten_partition_is_go
         assert committed(store, *sent[3:]) == ["stored"] * 8
         found = store.observations_after(0, 1000)
         assert found.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
-        store.advance(store.progress(), Step(cursor=9))
+        store.advance(store.progress(), FusionStep(cursor=9))
         assert store.forget(NOW_NS + 1) == 9
         assert [h.id for h in names(store)] == ["b9", "b10"]
         schema = address.rpartition("=")[2]

@@ -25,7 +25,7 @@ from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
@@ -264,7 +264,7 @@ def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, r
     before = [item for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
     heard: list[Fix] = []
     with (
-        Listener("fix", vehicle="other", connect=[endpoint]) as listener,
+        Subscription("fix", vehicle="other", connect=[endpoint]) as listener,
         started(*play(recording, "--connect", endpoint, "--vehicle", "other")) as process,
     ):
         while process.poll() is None:
@@ -282,7 +282,7 @@ def test_played_now_live_consumers_take_it_as_they_took_it_then(endpoint: str, r
 
 def test_played_as_recorded_every_message_is_what_it_was(endpoint: str, recording: Path) -> None:
     before = [item.message for item in read_recording(recording, ["fix"]) if isinstance(item, Recorded)]
-    with Listener("fix", vehicle="car", connect=[endpoint], live=False) as listener:
+    with Subscription("fix", vehicle="car", connect=[endpoint], live=False) as listener:
         with started(
             *play(recording, "--connect", endpoint, "--times", "recorded", "--speed", "20")
         ) as process:

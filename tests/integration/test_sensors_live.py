@@ -19,9 +19,9 @@ from camber.formats.lidar_can.pcap import PcapDecoder
 from camber.formats.map_exchange.pcd import read_sweep
 from camber.geodesy.gps_time import unix_ns_from_gps_ns
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.health import HealthRequest
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
@@ -60,7 +60,7 @@ def router() -> Iterator[str]:
 def health(endpoint: str, service: str = "sensors"):
     settings = ServiceSettings(vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint]))
     request = HealthRequest(time_ns=CLOCK.now_ns())
-    return ask_once(settings, "health", request, service=service, timeout_s=20.0)
+    return query_once(settings, "health", request, service=service, timeout_s=20.0)
 
 
 def bus(endpoint: str) -> str:
@@ -88,7 +88,7 @@ def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path:
         config = tmp_path / "sensors.toml"
         config.write_text('recordings = "now"\n' + bus(endpoint) + own)
         # Whatever its age: a machine may be busy with other things.
-        listener = Listener("sweep", "motion", vehicle="car", connect=[endpoint], live=False)
+        listener = Subscription("sweep", "motion", vehicle="car", connect=[endpoint], live=False)
         with listener, started("-m", "camber.cli", "sensors", "--config", str(config)) as process:
             wait_until(lambda: answers(endpoint, "sensors"), timeout_s=60.0, why="no sensors")
             while (message := listener.next(10.0)) is not None:
@@ -178,7 +178,7 @@ def test_a_live_lidar_beside_a_localizer_that_hears_it(drive: Path, tmp_path: Pa
         lidar += "most_clock_error_s = 1.0\n"
         for name, own in (("sensors", lidar), ("localizer", "")):
             (tmp_path / f"{name}.toml").write_text(bus(endpoint) + own)
-        listener = stack.enter_context(Listener("sweep", vehicle="car", connect=[endpoint], live=False))
+        listener = stack.enter_context(Subscription("sweep", vehicle="car", connect=[endpoint], live=False))
         for name in ("localizer", "sensors"):
             config = str(tmp_path / f"{name}.toml")
             stack.enter_context(started("-m", "camber.cli", name, "--config", config))
@@ -232,7 +232,7 @@ def test_sensors_that_were_away_go_on_and_say_nothing_old_as_if_it_were_new(
         lidar = f'[lidar]\nsource = "udp:127.0.0.1:{sensor.port}"\nmodel = "HDL-32E"\nstamps = "{stamps}"\n'
         # Less than the service is away: a packet's arrival is when the kernel had it, not when it was read.
         config.write_text(bus(endpoint) + lidar + f"most_clock_error_s = {AWAY_S / 2}\n")
-        listener = stack.enter_context(Listener("sweep", vehicle="car", connect=[endpoint], live=False))
+        listener = stack.enter_context(Subscription("sweep", vehicle="car", connect=[endpoint], live=False))
         stack.callback(sensor.ended.set)
         process = stack.enter_context(started("-m", "camber.cli", "sensors", "--config", str(config)))
         wait_until(lambda: answers(endpoint, "sensors"), timeout_s=90.0, why="no sensors")

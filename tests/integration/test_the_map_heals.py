@@ -25,7 +25,7 @@ from camber.replay.short_drive import RATE_HZ, short_drive_truth, write_short_dr
 from camber.road_map.release import Release, RoadSurfaces, load_signing_key, read_release, write_release
 from camber.road_map.store import MapStore
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.fleet import UploadBatch
 from support.running import camber, free_port, recorded, started, wait_until
@@ -128,7 +128,7 @@ def batches_in(out: Path) -> Iterator[UploadBatch]:
 def upload(endpoint: str, batch: UploadBatch) -> None:
     """Over the bus, until it is acknowledged."""
     settings = ServiceSettings(vehicle=batch.vehicle, zenoh=ZenohSettings(connect=[endpoint]))
-    receipt = ask_once(settings, "upload_batch", batch, service="map_update", timeout_s=10.0)
+    receipt = query_once(settings, "upload_batch", batch, service="map_update", timeout_s=10.0)
     assert receipt.status == "stored"
 
 

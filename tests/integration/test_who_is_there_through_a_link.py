@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from camber.runtime.query import Asker
+from camber.runtime.query import QueryClient
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from support.fleet_routers import (
@@ -69,10 +69,10 @@ def test_who_is_there_is_told_every_time_and_who_has_left_is_not(fleet: Fleet) -
         leaver, _stayer = token(service, "gnss"), token(service, "integrity")
         time.sleep(0.5)
         for _ in range(12):
-            with Asker(fleet.settings, timeout_s=3.0) as asker:
+            with QueryClient(fleet.settings, timeout_s=3.0) as asker:
                 assert asker.alive("car-1") == BOTH
                 assert asker.alive("car-2") == {}
-        with Asker(fleet.settings, timeout_s=3.0) as asker:
+        with QueryClient(fleet.settings, timeout_s=3.0) as asker:
             assert [asker.alive() for _ in range(12)] == [BOTH] * 12
             leaver.undeclare()
             wait_until(lambda: asker.alive() == ONE, timeout_s=20.0, why="who has left is still there")
@@ -87,7 +87,7 @@ def test_who_leaves_in_the_moment_of_the_question_is_not_told_of_ever_after(flee
     with (
         linked(fleet),
         open_session(fleet.bus) as service,
-        Asker(fleet.settings, timeout_s=3.0) as asker,
+        QueryClient(fleet.settings, timeout_s=3.0) as asker,
     ):
         _stayer = token(service, "integrity")
         for _ in range(60):
@@ -106,7 +106,7 @@ def test_nobody_is_there_without_a_router_and_all_are_again_with_a_new_one(fleet
     with ExitStack() as stays:
         with linked(fleet):
             service = stays.enter_context(open_session(fleet.bus))
-            asker = stays.enter_context(Asker(fleet.settings, timeout_s=3.0))
+            asker = stays.enter_context(QueryClient(fleet.settings, timeout_s=3.0))
             _tokens = token(service, "gnss"), token(service, "integrity")
             wait_until(lambda: asker.alive() == BOTH, timeout_s=10.0, why="not told of")
         wait_until(lambda: asker.alive() == {}, timeout_s=20.0, why="told of without a router")

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import pytest
 import zenoh
 
-from camber.runtime.access_probe import HeardWatch, are_we_heard
+from camber.runtime.access_probe import AccessProbe, can_publish
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.clock import SystemClock
 from camber.runtime.session import BusError, open_session
@@ -135,7 +135,7 @@ class Fleet(NamedTuple):
     def heard(self, who: str, name: str) -> str:
         if (who, name) not in self.echoes:
             settings = self.certificates.settings(who, self.endpoint)
-            self.echoes[who, name] = are_we_heard(settings, name, timeout_s=20.0)
+            self.echoes[who, name] = can_publish(settings, name, timeout_s=20.0)
         return self.echoes[who, name]
 
 
@@ -239,11 +239,11 @@ def test_whoever_speaks_in_its_own_name_is_heard(fleet: Fleet, who: str, name: s
 
 
 def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
-    watch = HeardWatch(fleet.certificates.settings("car-1", fleet.endpoint), "car-2", again_s=600.0)
+    watch = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-2", again_s=600.0)
     found: list[str] = []
     wait_until(lambda: found.extend(watch.problems()) or found, timeout_s=30.0, why="nothing was said")
     assert "car-1 says as car-2: not in its access list" in found[0]
-    right = HeardWatch(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
+    right = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
     time.sleep(2.0)
     assert right.problems() == []
 

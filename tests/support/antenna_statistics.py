@@ -35,7 +35,7 @@ from camber.localizer.settings import LocalizerSettings
 from camber.replay.command import antenna_height_config
 from camber.replay.drive_inputs import Arrival, prepare_drive
 from camber.replay.run_folder import RunFolder
-from camber.schemas.antenna import AntennaHeight, HeightByWay
+from camber.schemas.antenna import AntennaHeight, HeightByMethod
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
 from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, Fault
@@ -79,10 +79,10 @@ def run_over(messages: Sequence[tuple[str, Message]], settings: AntennaHeightSet
     return said
 
 
-def by_way(height: AntennaHeight) -> Iterable[HeightByWay]:
+def by_way(height: AntennaHeight) -> Iterable[HeightByMethod]:
     """What every way said, the chosen one included."""
     if height.way is not None and height.height_m is not None and height.sigma_m is not None:
-        yield HeightByWay(way=height.way, height_m=height.height_m, sigma_m=height.sigma_m)
+        yield HeightByMethod(way=height.way, height_m=height.height_m, sigma_m=height.sigma_m)
     yield from height.others
 
 

@@ -25,7 +25,7 @@ from camber.gnss.warm_up import warm_up
 from camber.replay.arrivals import TimedBytes
 from camber.replay.observation_files import read_observation_file
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import ask_once
+from camber.runtime.query import query_once
 from camber.runtime.settings import ServiceSettings, ZenohSettings
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
@@ -171,7 +171,7 @@ class LiveGnss:
     def health(self) -> Health:
         """As it says itself."""
         request = HealthRequest(time_ns=CLOCK.now_ns())
-        health: Health = ask_once(self._settings, "health", request, service="gnss", timeout_s=5.0)
+        health: Health = query_once(self._settings, "health", request, service="gnss", timeout_s=5.0)
         return health
 
     def issues(self) -> dict[str, str]:

@@ -21,10 +21,10 @@ from typing import Any
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.replay.short_drive import ANTENNA_HEIGHT_M
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import QueryFailed, ask_once
+from camber.runtime.query import QueryFailed, query_once
 from camber.runtime.session import BusError
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.subscription import Listener
+from camber.runtime.subscription import Subscription
 from camber.schemas.channels import VEHICLE_SERVICES
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
@@ -65,7 +65,7 @@ class Witness(threading.Thread):
         self.known = known
         self.heard: deque[Heard] = deque(maxlen=_KEPT)
         self._ended = threading.Event()
-        self._listener = Listener(
+        self._listener = Subscription(
             "fix", "verdict", "position", *more, vehicle=vehicle, connect=[endpoint], live=live
         )
 
@@ -260,7 +260,7 @@ class LiveVehicle(Processes):
             vehicle=VEHICLE, zenoh=ZenohSettings(mode="client", connect=[self.endpoint])
         )
         try:
-            health: Health = ask_once(
+            health: Health = query_once(
                 settings,
                 "health",
                 HealthRequest(time_ns=_CLOCK.now_ns()),

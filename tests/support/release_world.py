@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.map_server.release_download import NoAnswer
 from camber.map_update.fusion.corrections import CORRECTION, Corrections
-from camber.map_update.release.release_builder import ReleaseMaking
+from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServing
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
@@ -30,11 +30,11 @@ def offsets(**by_surface: float) -> Corrections:
     return np.array(rows, CORRECTION)
 
 
-def making(folder: Path, count: int = 8, *, key: Any = KEY, **changed: Any) -> ReleaseMaking:
+def making(folder: Path, count: int = 8, *, key: Any = KEY, **changed: Any) -> ReleaseBuilder:
     """Makes releases in `folder/out` from a reference in `folder/in`: `count` surfaces to the east of the origin."""
     rows = [surface(k, STEP_M * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(count)]
     write(folder / "in", rows, [LINK], **changed)
-    return ReleaseMaking(folder / "out", open_release(folder / "in"), signing_key=key)
+    return ReleaseBuilder(folder / "out", open_release(folder / "in"), signing_key=key)
 
 
 class Cloud:

@@ -8,13 +8,13 @@ from pydantic import Field
 
 from camber.schemas.base import Message, Model, Sigma, Text
 
-Way = Literal["fixed", "stroke", "ranging", "scan_matching"]
+HeightMethod = Literal["fixed", "stroke", "ranging", "scan_matching"]
 
 
-class HeightByWay(Model):
+class HeightByMethod(Model):
     """What one way says."""
 
-    way: Way
+    way: HeightMethod
     height_m: Annotated[float, Field(ge=-1.0, le=100.0)]
     sigma_m: Sigma
 
@@ -24,7 +24,7 @@ class AntennaHeight(Message):
 
     status: Literal["known", "unknown", "disagreement"]
     reason: Text = ""
-    way: Way | None = None
+    way: HeightMethod | None = None
     height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = None
     sigma_m: Sigma | None = None
-    others: tuple[HeightByWay, ...] = Field(default=(), max_length=8)
+    others: tuple[HeightByMethod, ...] = Field(default=(), max_length=8)

@@ -124,7 +124,7 @@ class RawObservations(Model):
     )
 
 
-class OneFile(Model):
+class SampleFile(Model):
     """A table of samples in Camber's CSV layout (`camber.formats.drive.motion_csv`)."""
 
     file: File = Field(description="CSV file, its columns as in docs/drive.md")
@@ -173,7 +173,7 @@ class LeverArms(Model):
         return {name: arm for name, arm in arms.items() if arm is not None and "z_m" in arm.model_fields_set}
 
 
-class AntennaHeightWay(Model):
+class AntennaHeightMethod(Model):
     """Road surface to antenna, and how it is known (H, third embodiment)."""
 
     way: Literal["fixed", "stroke", "ranging", "scan_matching", "automatic"] = Field(
@@ -345,14 +345,18 @@ class DriveManifest(Model):
         default=None,
         description="whose positions are judged, receiver or engine; unset: the receiver's where there are some",
     )
-    motion: OneFile | None = Field(default=None, description="table with wheel speed, yaw rate and steering")
-    suspension: OneFile | None = Field(default=None, description="table with stroke heights")
-    ranging: OneFile | None = Field(default=None, description="table with distances to the road")
+    motion: SampleFile | None = Field(
+        default=None, description="table with wheel speed, yaw rate and steering"
+    )
+    suspension: SampleFile | None = Field(default=None, description="table with stroke heights")
+    ranging: SampleFile | None = Field(default=None, description="table with distances to the road")
     sweeps: Sweeps | None = Field(default=None, description="table with the sweeps' folder")
     map: MapRelease | None = Field(default=None, description="table with the map release")
     truth: Truth | None = Field(default=None, description="table with the truth")
     lever_arms: LeverArms = Field(default=LeverArms(), description="table of places on the vehicle")
-    antenna_height: AntennaHeightWay = Field(description="table that says how the antenna's height is known")
+    antenna_height: AntennaHeightMethod = Field(
+        description="table that says how the antenna's height is known"
+    )
     initial_pose: InitialPose | None = Field(default=None, description="table with a given pose at the start")
     kills: Annotated[tuple[Kill, ...], Field(strict=False)] = Field(
         default=(), max_length=64, description="list of services that are killed during a replay, and when"

@@ -23,7 +23,7 @@ from camber.schemas.base import (
     UInt8,
 )
 from camber.schemas.gnss import Quality
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
@@ -40,7 +40,7 @@ class ElevationUpload(Message):
     upload_id: Name = Field(description="unique per vehicle; the server keeps each once")
     fix_id: Count
     fix_quality: Quality
-    verdict: VerdictWord
+    verdict: VerdictValue
     latitude_rad: Latitude
     longitude_rad: Longitude
     road_height_m: Height = Field(description="h_r − h_a, ellipsoidal")

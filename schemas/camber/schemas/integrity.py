@@ -20,7 +20,7 @@ from camber.schemas.base import (
     Vector2,
 )
 
-VerdictWord = Literal["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
+VerdictValue = Literal["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
 Reason = Literal[
     "none",
     "height_agrees",
@@ -81,7 +81,7 @@ class Verdict(Message):
     """
 
     fix_id: Count | None
-    verdict: VerdictWord
+    verdict: VerdictValue
     reason: Reason
     detail: Text = ""
     evidence: tuple[Evidence, ...] = Field(default=(), max_length=8)

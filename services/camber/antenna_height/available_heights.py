@@ -15,7 +15,7 @@ from camber.antenna_height.height_methods import (
     stroke_height,
 )
 from camber.antenna_height.latest_inputs import Newest
-from camber.schemas.antenna import HeightByWay, Way
+from camber.schemas.antenna import HeightByMethod, HeightMethod
 from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.schemas.pose import Pose, ScanMatch
 
@@ -70,11 +70,11 @@ class Vehicle:
 class Heights:
     """What the ways say at one time: a height each, or why not. `problems`: what an operator should know."""
 
-    known: dict[Way, HeightByWay] = field(default_factory=dict)
-    missing: dict[Way, str] = field(default_factory=dict)
+    known: dict[HeightMethod, HeightByMethod] = field(default_factory=dict)
+    missing: dict[HeightMethod, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
-    def all(self) -> tuple[HeightByWay, ...]:
+    def all(self) -> tuple[HeightByMethod, ...]:
         """The heights, in the order of H."""
         return tuple(self.known.values())
 
@@ -234,7 +234,7 @@ def _scan_matching(heights: Heights, vehicle: Vehicle, stance: Stance, match: Sc
 def _from_lidar(
     heights: Heights,
     vehicle: Vehicle,
-    way: Way,
+    way: HeightMethod,
     stance: Stance,
     height_m: float | None,
     sigma_m: float | None,
@@ -260,7 +260,7 @@ def _from_lidar(
         )
 
 
-def _try(heights: Heights, vehicle: Vehicle, way: Way, work: Callable[[], HeightByWay]) -> None:
+def _try(heights: Heights, vehicle: Vehicle, way: HeightMethod, work: Callable[[], HeightByMethod]) -> None:
     """What cannot be of this vehicle is no height, and somebody should look."""
     try:
         height = work()

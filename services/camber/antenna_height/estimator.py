@@ -10,7 +10,7 @@ from camber.antenna_height.available_heights import Sensors, Vehicle, heights_at
 from camber.antenna_height.flatness import Flatness, FlatRules
 from camber.antenna_height.method_comparison import Comparison, ComparisonRules, References
 from camber.antenna_height.method_selection import antenna_height, chosen_way
-from camber.schemas.antenna import AntennaHeight, Way
+from camber.schemas.antenna import AntennaHeight, HeightMethod
 from camber.schemas.motion import Motion, Ranging, Suspension
 from camber.schemas.pose import Pose, ScanMatch
 
@@ -22,7 +22,7 @@ class AntennaOptions:
     """`way`: whose height is passed on."""
 
     vehicle: Vehicle
-    way: Way | Literal["automatic"] = "fixed"
+    way: HeightMethod | Literal["automatic"] = "fixed"
     comparison: ComparisonRules = field(default_factory=ComparisonRules)
     flat: FlatRules = field(default_factory=FlatRules)
 
@@ -42,7 +42,7 @@ class Antenna:
         self._sensors = Sensors()
         self._comparison = Comparison(options.comparison, earlier)
         self._flatness = Flatness(options.flat, _reach_m(options.vehicle))
-        self._way: Way | None = None
+        self._way: HeightMethod | None = None
 
     def hear_motion(self, motion: Motion) -> None:
         """Attitude and speed."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from camber.antenna_height.body_attitude import Arm, Stance
-from camber.schemas.antenna import HeightByWay, Way
+from camber.schemas.antenna import HeightByMethod, HeightMethod
 
 LEAST_BEAM = math.sin(math.radians(15.0))
 """A beam that meets the road flatter than this says nothing of a height."""
@@ -22,10 +22,10 @@ class ImplausibleError(ValueError):
     """A measurement that cannot be of this vehicle on a road; the words say what was expected."""
 
 
-def fixed_height(height_m: float, sigma_m: float, stance: Stance | None = None) -> HeightByWay:
+def fixed_height(height_m: float, sigma_m: float, stance: Stance | None = None) -> HeightByMethod:
     """A stored value, measured once on level ground: antennas below the suspension, robots."""
     upright = 1.0 if stance is None else stance.upright
-    return HeightByWay(way="fixed", height_m=height_m * upright, sigma_m=sigma_m)
+    return HeightByMethod(way="fixed", height_m=height_m * upright, sigma_m=sigma_m)
 
 
 def stroke_height(
@@ -37,7 +37,7 @@ def stroke_height(
     tyre_radius_m: float,
     arm: Arm | None,
     stored_sigma_m: float,
-) -> HeightByWay:
+) -> HeightByMethod:
     """`h_a = h_ba + h_s + h_t`, H (1), all metres.
 
     Stroke and tyre are square to the road. `arm` goes from the suspension to the antenna, level (its z is `h_ba`): what
@@ -64,7 +64,7 @@ def ranging_height(
     beam_azimuth_rad: float,
     beam_sigma_rad: float,
     stored_sigma_m: float,
-) -> HeightByWay:
+) -> HeightByMethod:
     """`h_gs = d sin θ`, `h_a = h_gs + h_sa`, H (6) (7), for a body that is tilted on a road that slopes.
 
     The beam leaves at `beam_azimuth_rad` (counter-clockwise from the vehicle's x), θ below the vehicle's horizontal.
@@ -93,14 +93,14 @@ def ranging_height(
 
 
 def height_from_sensor(
-    way: Way,
+    way: HeightMethod,
     sensor_height_m: float,
     sensor_sigma_m: float,
     stance: Stance,
     *,
     sensor_to_antenna: Arm,
     stored_sigma_m: float,
-) -> HeightByWay:
+) -> HeightByMethod:
     """From a surround sensor's own height, vertically above the road below it: by matching, or by its ground returns
     (a ranging sensor of many beams)."""
     return _height(
@@ -112,7 +112,7 @@ def height_from_sensor(
     )
 
 
-def _height(way: Way, height_m: float, *sigmas_m: float) -> HeightByWay:
+def _height(way: HeightMethod, height_m: float, *sigmas_m: float) -> HeightByMethod:
     if not -1.0 <= height_m <= 100.0:
         raise ImplausibleError(f"the antenna {height_m:.3f} m above the road, expected -1 m to 100 m")
-    return HeightByWay(way=way, height_m=height_m, sigma_m=math.hypot(*sigmas_m))
+    return HeightByMethod(way=way, height_m=height_m, sigma_m=math.hypot(*sigmas_m))

@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import TypeAlias
 
 from camber.antenna_height.change_detection import ChangeRules, ChangeWatch, Expected, Reference
-from camber.schemas.antenna import HeightByWay, Way
+from camber.schemas.antenna import HeightByMethod, HeightMethod
 
 _NS = 1_000_000_000
 _AT_ONCE = 2.0  # times the limit: nobody waits
@@ -35,7 +35,7 @@ _EARLIER_SIGMAS = 1.0
 no change since earlier drives."""
 
 
-References: TypeAlias = Mapping[tuple[Way, Way], Reference]
+References: TypeAlias = Mapping[tuple[HeightMethod, HeightMethod], Reference]
 """Of the first less the second."""
 
 
@@ -56,11 +56,11 @@ class ComparisonRules:
 class Disagreement:
     """Of two ways; `text` says by how much and for how long."""
 
-    ways: tuple[Way, Way]
+    ways: tuple[HeightMethod, HeightMethod]
     text: str
 
 
-def disagree(a: HeightByWay, b: HeightByWay, sigmas: float = 4.0) -> bool:
+def disagree(a: HeightByMethod, b: HeightByMethod, sigmas: float = 4.0) -> bool:
     """Do two ways contradict each other beyond `sigmas` of their difference?"""
     return not abs(a.height_m - b.height_m) <= sigmas * math.hypot(a.sigma_m, b.sigma_m)
 
@@ -71,15 +71,15 @@ class _Pair:
 
     rules: ComparisonRules
     watch: ChangeWatch
-    first: HeightByWay
-    second: HeightByWay
+    first: HeightByMethod
+    second: HeightByMethod
     tested_ns: int = 0
     apart_ns: int | None = None
     together_ns: int | None = None
     told: bool = False
     agreed: bool = False
 
-    def test(self, now_ns: int, first: HeightByWay, second: HeightByWay, *, driving: bool) -> None:
+    def test(self, now_ns: int, first: HeightByMethod, second: HeightByMethod, *, driving: bool) -> None:
         if now_ns < self.tested_ns:  # the clock was set back
             self.apart_ns = self.together_ns = None
         self.tested_ns, self.first, self.second = now_ns, first, second
@@ -122,7 +122,7 @@ class _Pair:
         return Disagreement((a.way, b.way), text)
 
 
-def _expected(*heights: HeightByWay) -> Expected:
+def _expected(*heights: HeightByMethod) -> Expected:
     """Of the difference of two."""
     for one in heights:
         if one.way == "scan_matching":
@@ -136,9 +136,9 @@ class Comparison:
     def __init__(self, rules: ComparisonRules, earlier: References | None = None) -> None:
         self._rules = rules
         self._earlier = earlier or {}
-        self._pairs: dict[tuple[Way, Way], _Pair] = {}
+        self._pairs: dict[tuple[HeightMethod, HeightMethod], _Pair] = {}
 
-    def test(self, now_ns: int, heights: Sequence[HeightByWay], *, driving: bool) -> None:
+    def test(self, now_ns: int, heights: Sequence[HeightByMethod], *, driving: bool) -> None:
         """What the ways say now; each at most once, in the same order every time."""
         for first, second in combinations(heights, 2):
             pair = self._pairs.get((first.way, second.way))

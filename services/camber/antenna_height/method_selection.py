@@ -6,9 +6,9 @@ from typing import Literal
 
 from camber.antenna_height.available_heights import Heights
 from camber.antenna_height.flatness import Flatness
-from camber.schemas.antenna import AntennaHeight, Way
+from camber.schemas.antenna import AntennaHeight, HeightMethod
 
-_AUTOMATIC: dict[bool, tuple[Way, ...]] = {
+_AUTOMATIC: dict[bool, tuple[HeightMethod, ...]] = {
     True: ("ranging", "scan_matching", "stroke", "fixed"),
     False: ("scan_matching", "ranging", "stroke", "fixed"),
 }
@@ -16,8 +16,8 @@ _AUTOMATIC: dict[bool, tuple[Way, ...]] = {
 
 
 def chosen_way(
-    asked: Way | Literal["automatic"], heights: Heights, flatness: Flatness
-) -> tuple[Way | None, str]:
+    asked: HeightMethod | Literal["automatic"], heights: Heights, flatness: Flatness
+) -> tuple[HeightMethod | None, str]:
     """The way whose height is passed on and, where that is not the one asked for, why. A way that was named is taken,
     or none: whoever names one has a vehicle for which no other stands in."""
     if asked != "automatic":
@@ -32,7 +32,7 @@ def chosen_way(
 
 
 def antenna_height(
-    time_ns: int, way: Way | None, reason: str, heights: Heights, disagreement: str
+    time_ns: int, way: HeightMethod | None, reason: str, heights: Heights, disagreement: str
 ) -> AntennaHeight:
     """The message. A disagreement is no height, whichever way was chosen."""
     chosen = None if way is None else heights.known[way]

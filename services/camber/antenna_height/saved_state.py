@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from camber.antenna_height.available_heights import Vehicle
 from camber.antenna_height.change_detection import Reference
 from camber.antenna_height.method_comparison import References
-from camber.schemas.antenna import Way
+from camber.schemas.antenna import HeightMethod
 
 
 class _Pair(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    ways: tuple[Way, Way]
+    ways: tuple[HeightMethod, HeightMethod]
     blocks: float = Field(ge=0.0)
     mean_m: float
     squares_m2: float = Field(ge=0.0)

@@ -10,7 +10,7 @@ from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictWord
+from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictValue
 from camber.schemas.pose import Pose
 
 
@@ -22,7 +22,7 @@ class Judgement:
     """
 
     fix: Fix
-    word: VerdictWord
+    word: VerdictValue
     reason: Reason
     detail: str = ""
     evidence: tuple[Evidence, ...] = ()

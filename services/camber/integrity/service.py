@@ -38,7 +38,7 @@ class IntegrityService(Service[IntegritySettings]):
     def __init__(self, settings: IntegritySettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         if settings.link_delay_s:
-            bus.live_behind(settings.link_delay_s)
+            bus.set_link_delay(settings.link_delay_s)
         self._rules = settings.rules()
         self._state = settings.state_dir / "correction.json" if settings.state_dir else None
         self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))

@@ -24,9 +24,9 @@ from camber.integrity.protection.covariance_inflation import TrueSigma, with_tru
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from camber.schemas.gnss import Quality
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 
-_VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+_VERDICTS: tuple[VerdictValue, ...] = get_args(VerdictValue)
 _QUALITIES: tuple[Quality, ...] = get_args(Quality)
 LARGEST_SIGMA_M = 10.0
 MOST_ROWS = 64

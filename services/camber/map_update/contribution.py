@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from camber.schemas.gnss import Quality
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 
-VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+VERDICTS: tuple[VerdictValue, ...] = get_args(VerdictValue)
 """`verdict` of a row, and of UploadBatch, is an index into these."""
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 """`fix_quality` likewise."""

@@ -16,9 +16,9 @@ from camber.map_update.contribution import Contribution, from_batch, from_upload
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import DECISIONS, REASONS
 from camber.map_update.fusion.votes import checked_secret
-from camber.map_update.queue.queue_messages import Parcel, QueueError
-from camber.map_update.release.fusion_cycle import Round, Rounds, Taken
-from camber.map_update.release.release_builder import ReleaseMaking
+from camber.map_update.queue.queue_messages import QueuedContribution, QueueError
+from camber.map_update.release.fusion_cycle import FusionCycle, FusionDecision, IngestResult
+from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.shards import WORLD, Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
@@ -29,12 +29,12 @@ from camber.road_map.release_server import ReleaseServing
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.uploads.received import Uploaded
+from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.base import EARLIEST_NS, Message
 from camber.schemas.fleet import UploadReceipt
 
 if TYPE_CHECKING:
-    from camber.map_update.queue.nats_queue import Sending, Taking
+    from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
 
 T = TypeVar("T")
 
@@ -77,7 +77,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._sending = _sending(settings) if settings.role == "receive" else None
         self._taking = _taking(settings) if settings.role == "store" else None
         self._store = _store(settings) if settings.role != "receive" else None
-        self._rounds: Rounds | None = None
+        self._rounds: FusionCycle | None = None
         self._serving = None
         if settings.reference is not None and self._store is not None:
             self._serving = ReleaseServing(_releases(settings))
@@ -135,7 +135,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
                 part.close()
 
     def _from(
-        self, uploads: Sequence[Uploaded], contribution_of: Callable[[Any], Contribution]
+        self, uploads: Sequence[ReceivedUpload], contribution_of: Callable[[Any], Contribution]
     ) -> list[Message | None]:
         """One in another vehicle's name is refused before store and ledger see it: it could take that one's ids."""
         contributions = [contribution_of(upload.message) for upload in uploads]
@@ -181,11 +181,11 @@ class MapUpdateService(Service[MapUpdateSettings]):
         return self._reached("commit", lambda: store.commit(contributions, now_ns, lambda c: of[id(c)]))
 
     def _handed_over(
-        self, sending: Sending, contributions: Sequence[Contribution], now_ns: int
+        self, sending: QueueSender, contributions: Sequence[Contribution], now_ns: int
     ) -> list[Outcome | None] | None:
         """Judged here as a whole, before its parts go to different shards."""
         judged = refusals(contributions, now_ns, self._rules)
-        parcels = [Parcel(*pair) for pair in zip(contributions, judged, strict=True)]
+        parcels = [QueuedContribution(*pair) for pair in zip(contributions, judged, strict=True)]
         before = sending.too_large
         outcomes = self._reached("queue", lambda: sending.send(parcels))
         if sending.too_large > before:
@@ -194,7 +194,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
             )
         return outcomes
 
-    def _store_from(self, taking: Taking, store: Store, now_ns: int) -> None:
+    def _store_from(self, taking: QueueReceiver, store: Store, now_ns: int) -> None:
         """One round: what has come is one commit. Asks for the next round at once."""
         self.bus.wake()
         deliveries = self._reached("queue", lambda: taking.take(self.settings.period_s))
@@ -218,22 +218,22 @@ class MapUpdateService(Service[MapUpdateSettings]):
         for outcome in outcomes:
             self.bus.count(outcome.status)
 
-    def _fuse(self, rounds: Rounds, now_ns: int) -> None:
+    def _fuse(self, rounds: FusionCycle, now_ns: int) -> None:
         """One step of the fusion, if one is due; more of it in the next round of the work loop."""
         try:
             done = self._reached("fusion", lambda: rounds.step(now_ns))
         except OvertakenError:  # by another worker of this database; what it has written is the new beginning
             self.bus.count("overtaken")
             return
-        if isinstance(done, Taken):
+        if isinstance(done, IngestResult):
             self.bus.count("fused", done.observations)
             if done.other_datum:
                 self.bus.count("not_fused.datum", done.other_datum)
             self.bus.wake()
-        elif isinstance(done, Round):
+        elif isinstance(done, FusionDecision):
             self._tell(done, now_ns)
 
-    def _tell(self, found: Round, now_ns: int) -> None:
+    def _tell(self, found: FusionDecision, now_ns: int) -> None:
         """Health of what was decided, and the notice of a release that is new, or that nobody was told of yet."""
         surfaces = found.decisions.surfaces
         for word, name in enumerate(DECISIONS):
@@ -315,14 +315,14 @@ def _releases(settings: MapUpdateSettings) -> Path:
     return settings.releases or settings.state_dir / "releases"
 
 
-def _rounds_of(settings: MapUpdateSettings, folder: Path, store: Store) -> Rounds:
+def _rounds_of(settings: MapUpdateSettings, folder: Path, store: Store) -> FusionCycle:
     """Raises ReleaseError or OSError for a reference or a key that cannot be used."""
     key = None if settings.signing_key is None else load_signing_key(settings.signing_key)
     secret = _voters_key(settings.voters_key, settings.state_dir / "voters.key")
     reference = read_release(folder)
     fusion = Fusion(reference.road_surfaces(), secret, settings.fusion_rules())
-    making = ReleaseMaking(_releases(settings), reference, signing_key=key)
-    return Rounds(store, fusion, making, every_s=settings.fuse_every_s, most=settings.fuse_records)
+    making = ReleaseBuilder(_releases(settings), reference, signing_key=key)
+    return FusionCycle(store, fusion, making, every_s=settings.fuse_every_s, most=settings.fuse_records)
 
 
 def _voters_key(path: Path | None, own: Path) -> bytes:
@@ -345,20 +345,22 @@ def _voters_key(path: Path | None, own: Path) -> bytes:
         raise ReleaseError(str(path or own), "voters' key", f"a file of 16 to 64 bytes ({error})") from None
 
 
-def _sending(settings: MapUpdateSettings) -> Sending:
-    from camber.map_update.queue.nats_queue import Sending
+def _sending(settings: MapUpdateSettings) -> QueueSender:
+    from camber.map_update.queue.nats_queue import QueueSender
 
     assert settings.queue is not None
     password = _secret(settings.queue_password)
-    return Sending(settings.queue, Shards(settings.shards), password=password, limit_s=settings.answer_s)
+    return QueueSender(settings.queue, Shards(settings.shards), password=password, limit_s=settings.answer_s)
 
 
-def _taking(settings: MapUpdateSettings) -> Taking:
-    from camber.map_update.queue.nats_queue import Taking
+def _taking(settings: MapUpdateSettings) -> QueueReceiver:
+    from camber.map_update.queue.nats_queue import QueueReceiver
 
     assert settings.queue is not None
     password = _secret(settings.queue_password)
-    return Taking(settings.queue, settings.shard or WORLD, password=password, limit_s=settings.answer_s)
+    return QueueReceiver(
+        settings.queue, settings.shard or WORLD, password=password, limit_s=settings.answer_s
+    )
 
 
 def _secret(value: SecretStr | None) -> str | None:

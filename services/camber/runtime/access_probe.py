@@ -37,7 +37,7 @@ def name_in(rules: Iterable[Mapping[str, Any]]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
-def are_we_heard(
+def can_publish(
     settings: ZenohSettings, name: str, *, timeout_s: float, at: Collection[object] = ()
 ) -> Heard:
     """Does the router let pass what we say in the name of a vehicle? Joins, asks, leaves.
@@ -66,7 +66,7 @@ def are_we_heard(
     return "heard" if came.is_set() else "denied"
 
 
-def denial(settings: ZenohSettings, name: str) -> str:
+def denial_message(settings: ZenohSettings, name: str) -> str:
     """What `denied` means, in one line."""
     certificate = certificate_name(settings.tls_certificate or Path())
     at = ", ".join(settings.connect)
@@ -75,7 +75,7 @@ def denial(settings: ZenohSettings, name: str) -> str:
     )
 
 
-class HeardWatch:
+class AccessProbe:
     """Asks beside the work loop for ever, for a list may change, and tells each time that we are not heard."""
 
     def __init__(self, settings: ZenohSettings, name: str, *, again_s: float = 60.0) -> None:
@@ -90,11 +90,11 @@ class HeardWatch:
     def _ask(self) -> None:
         while True:
             try:
-                if are_we_heard(self._settings, self._name, timeout_s=_LIMIT_S) == "denied":
-                    self._told.put(denial(self._settings, self._name))
+                if can_publish(self._settings, self._name, timeout_s=_LIMIT_S) == "denied":
+                    self._told.put(denial_message(self._settings, self._name))
             except (BusError, TlsError) as error:
                 self._told.put(str(error))
             time.sleep(self._again_s)
 
 
-__all__ = ["BusError", "HeardWatch", "are_we_heard", "denial", "echo_key", "name_in"]
+__all__ = ["AccessProbe", "BusError", "can_publish", "denial_message", "echo_key", "name_in"]

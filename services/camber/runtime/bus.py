@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import zenoh
 
 from camber.runtime.clock import Clock, ReplayClock, SystemClock
-from camber.runtime.health.issue_log import Ledger
-from camber.runtime.log import Leveller, make_logger
+from camber.runtime.health.issue_log import IssueLog
+from camber.runtime.log import TemporaryLogLevel, make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, FEEDER, Channel, outputs_of
@@ -26,7 +26,7 @@ from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 from camber.schemas.health import ChannelUse, Issue, LogLevel
 
 if TYPE_CHECKING:
-    from camber.runtime.access_probe import HeardWatch
+    from camber.runtime.access_probe import AccessProbe
 
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
@@ -107,8 +107,8 @@ class Bus:
         self.service = service
         self.settings = settings
         self.log = make_logger(service, level=settings.log_level, form=settings.log_format)
-        self._level = Leveller(settings.log_level)
-        self._ledger = Ledger()
+        self._level = TemporaryLogLevel(settings.log_level)
+        self._ledger = IssueLog()
         self.published: dict[str, int] = {channel.name: 0 for channel in outputs_of(service)}
         self.participants: frozenset[str] = frozenset()
         self.feeder_gone = False
@@ -125,7 +125,7 @@ class Bus:
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._logged: dict[str, float] = {}
         self._alive: set[str] = set()
-        self._heard: HeardWatch | None = None
+        self._heard: AccessProbe | None = None
         self._alive_lock = threading.Lock()
 
     # -- what a service uses --------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ class Bus:
         """GPS time now; in a replay the time of the tick."""
         return self._clock.now_ns()
 
-    def live_behind(self, delay_s: float) -> None:
+    def set_link_delay(self, delay_s: float) -> None:
         """Live by a time that is so much behind, for what comes over a link that takes that long; not in a replay.
 
         Ages are judged by that time, and answers may take twice as much longer. Before anything is asked.
@@ -143,7 +143,7 @@ class Bus:
         if isinstance(self._clock, SystemClock):
             self._clock.behind_ns = round(delay_s * 1e9)
 
-    def lose_nothing(self) -> None:
+    def set_blocking(self) -> None:
         """Wait where the bus is congested, in place of dropping. Before anything is published."""
         self._blocking = True
 
@@ -261,12 +261,12 @@ class Bus:
         """Least level that is logged now."""
         return self._level.level
 
-    def log_for(self, level: LogLevel, for_s: float) -> None:
+    def set_log_level(self, level: LogLevel, for_s: float) -> None:
         """Log at another level for so long."""
         self._level.change(level, for_s, time.monotonic())
         self._make_logger()
 
-    def look_at_log_level(self) -> None:
+    def restore_log_level(self) -> None:
         """Fall back to the level of the settings, where the time of another one is over."""
         if self._level.fall_back(time.monotonic()):
             self._make_logger()
@@ -341,11 +341,11 @@ class Bus:
         self._entities.append(liveliness.declare_subscriber(f"{prefix}/*/alive", changed, history=True))
         self._entities.append(liveliness.declare_token(f"{prefix}/{self.service}/alive"))
         if self.settings.zenoh.over_tls:  # elsewhere nobody has a name that could be denied
-            from camber.runtime.access_probe import HeardWatch
+            from camber.runtime.access_probe import AccessProbe
 
-            self._heard = HeardWatch(self.settings.zenoh, self.settings.vehicle)
+            self._heard = AccessProbe(self.settings.zenoh, self.settings.vehicle)
 
-    def look_whether_heard(self) -> None:
+    def check_access(self) -> None:
         """Report what the router denies: Zenoh itself never says so."""
         for text in () if self._heard is None else self._heard.problems():
             self.issue("not_heard", text)

@@ -28,7 +28,7 @@ class _Stream:
             return
 
 
-class Leveller:
+class TemporaryLogLevel:
     """The level that the settings name, and another one for a while. Times are monotonic, in seconds."""
 
     def __init__(self, level: LogLevel) -> None:

@@ -39,7 +39,7 @@ class _Present:
                 change(str(sample.key_expr))
 
 
-class Asker:
+class QueryClient:
     """On the bus as a client, to ask again and again; use as a context. Raises BusError within about `timeout_s`."""
 
     def __init__(self, settings: ServiceSettings, *, timeout_s: float, source: str = "tools") -> None:
@@ -128,7 +128,7 @@ def _replies(channel: Channel, replies: Any, service: str, vehicle: str) -> list
     return found or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus, or denied to us")]
 
 
-def ask_once(
+def query_once(
     settings: ServiceSettings,
     name: str,
     request: Message,
@@ -142,17 +142,17 @@ def ask_once(
     Raises BusError where the bus cannot be joined, QueryFailed where there is no usable answer, each within about
     `timeout_s`.
     """
-    with Asker(settings, timeout_s=timeout_s, source=source) as asker:
+    with QueryClient(settings, timeout_s=timeout_s, source=source) as asker:
         (replies,) = asker.ask(name, request, settings.vehicle, [service]).values()
     if isinstance(replies[0], QueryFailed):
         raise replies[0]
     return replies[0]
 
 
-def reach_router(settings: ServiceSettings, *, timeout_s: float) -> None:
+def check_router(settings: ServiceSettings, *, timeout_s: float) -> None:
     """Join the bus and leave it; raises BusError within about `timeout_s`."""
-    with Asker(settings, timeout_s=timeout_s):
+    with QueryClient(settings, timeout_s=timeout_s):
         pass
 
 
-__all__ = ["Asker", "BusError", "QueryFailed", "ask_once", "reach_router"]
+__all__ = ["BusError", "QueryClient", "QueryFailed", "check_router", "query_once"]

@@ -15,7 +15,7 @@ from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import Channel
 
 
-class Tapped(NamedTuple):
+class RawSample(NamedTuple):
     """One message as it came; `arrival_ns` is this machine's clock, Unix nanoseconds."""
 
     channel: str
@@ -24,7 +24,7 @@ class Tapped(NamedTuple):
     arrival_ns: int
 
 
-class Tap:
+class RawSubscription:
     """Queues what comes on some channels, up to `limit_bytes`; use as a context. Raises BusError.
 
     Beyond that the newest is dropped, and `dropped` counts it by channel.
@@ -41,7 +41,7 @@ class Tap:
         self.dropped: Counter[str] = Counter()
         self._limit_bytes = limit_bytes
         self._bytes = 0
-        self._items: deque[Tapped] = deque()
+        self._items: deque[RawSample] = deque()
         self._lock = threading.Lock()
         self._session = open_session(settings.zenoh, timeout_s=timeout_s)
         self._subscribers = [self._subscribe(channel, settings.vehicle) for channel in channels]
@@ -56,7 +56,7 @@ class Tap:
         """Hear no more; what is queued can still be taken."""
         self._session.close()  # type: ignore[no-untyped-call]
 
-    def take(self) -> list[Tapped]:
+    def take(self) -> list[RawSample]:
         """What has come since this was last called."""
         with self._lock:
             items, self._items, self._bytes = list(self._items), deque(), 0
@@ -72,7 +72,7 @@ class Tap:
                     self.dropped[name] += 1
                     return
                 self._bytes += len(data)
-                self._items.append(Tapped(name, str(sample.key_expr), data, time.time_ns()))
+                self._items.append(RawSample(name, str(sample.key_expr), data, time.time_ns()))
 
         # In the thread that receives: it only queues.
         callback = zenoh.handlers.Callback(arrived, indirect=False)

@@ -176,7 +176,7 @@ def _whether_heard(
     settings: ZenohSettings, name: str | None, linked: frozenset[str]
 ) -> tuple[str, str | None]:
     """In words, and who hears us or would, of the router that we are linked to: another may have another list."""
-    from camber.runtime.access_probe import are_we_heard, denial
+    from camber.runtime.access_probe import can_publish, denial_message
     from camber.runtime.tls import TlsError, certificate_name, name_of
 
     several, words = len(settings.connect) > 1, []
@@ -184,9 +184,9 @@ def _whether_heard(
         there = settings.model_copy(update={"connect": [endpoint]})
         try:
             name = name or name_of(certificate_name(settings.tls_certificate or Path()))
-            answer = are_we_heard(there, name, timeout_s=_CHECK_LIMIT_S, at=linked if several else ())
+            answer = can_publish(there, name, timeout_s=_CHECK_LIMIT_S, at=linked if several else ())
             if answer == "denied":
-                return denial(there, name), None
+                return denial_message(there, name), None
             if linked:
                 return f"heard as {name} at {endpoint}", endpoint
             return f"no link, though {endpoint} would hear {name}", endpoint

@@ -24,19 +24,19 @@ import zenoh
 from camber.runtime.barrier import Barrier
 from camber.runtime.bus import Arrived, Bus
 from camber.runtime.clock import ReplayClock, SystemClock
-from camber.runtime.health.report import SelfReport
+from camber.runtime.health.report import HealthReporter
 from camber.runtime.inbox import Inbox
 from camber.runtime.log import make_logger
 from camber.runtime.service import Service
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings, load_or_exit
-from camber.runtime.uploads.received import Uploaded
+from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.health import Done, Health, LogLevelReply, LogLevelRequest, Tick
 
 if TYPE_CHECKING:
-    from camber.runtime.health.metrics import MetricsServer, Spoken
+    from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
 STOP_LIMIT_S = 2.0
 _STUCK_S = 5.0
@@ -54,7 +54,7 @@ class Loop:
         service: Service[Any],
         bus: Bus,
         clock: SystemClock | ReplayClock,
-        spoken: Spoken | None = None,
+        spoken: HealthCollector | None = None,
     ) -> None:
         self.service = service
         self.bus = bus
@@ -68,7 +68,7 @@ class Loop:
         self._inboxes = {
             c.name: Inbox(c) for c in inputs_of(service.NAME) if hears_all or c.name in self._handlers
         }
-        self._report = SelfReport(service, bus)
+        self._report = HealthReporter(service, bus)
         self._of_itself = {"health": self._healths, "log_level": self._log_levels}
         self._spoken = spoken
         self._say_at_s = 0.0
@@ -112,8 +112,8 @@ class Loop:
 
     def _round_ended(self) -> None:
         self._report.round_ended()
-        self.bus.look_at_log_level()
-        self.bus.look_whether_heard()
+        self.bus.restore_log_level()
+        self.bus.check_access()
         now = time.monotonic()
         if self._spoken is not None and now >= self._say_at_s:
             self._say_at_s = now + _SAY_EVERY_S
@@ -171,7 +171,7 @@ class Loop:
         if not isinstance(self._clock, ReplayClock):
             return self._guard(self._answers[name], requests)
         tick_ns = self._clock.now_ns()
-        asked = [request.message if isinstance(request, Uploaded) else request for request in requests]
+        asked = [request.message if isinstance(request, ReceivedUpload) else request for request in requests]
         self._clock.set(max(request.time_ns for request in asked))
         replies = self._guard(self._answers[name], requests)
         self._clock.set(tick_ns)
@@ -185,7 +185,7 @@ class Loop:
                 raise DecodeError("a question without a payload")
             message = decode(channel.message, payload.to_bytes(), str(query.encoding)).message
             # What a vehicle's certificate vouches for is the key; the service compares it with the payload.
-            return Uploaded(channel.vehicle_in(str(query.key_expr)), message) if uploads else message
+            return ReceivedUpload(channel.vehicle_in(str(query.key_expr)), message) if uploads else message
         except ValueError as error:  # a DecodeError, or a key that names no vehicle
             self.bus.issue("refused_question", f"{channel.name}: {error}")
             with query:
@@ -205,7 +205,7 @@ class Loop:
     def _log_levels(self, requests: list[LogLevelRequest]) -> list[LogLevelReply]:
         before = self.bus.log_level
         last = requests[-1]
-        self.bus.log_for(last.level, last.for_s)
+        self.bus.set_log_level(last.level, last.for_s)
         self.bus.log.warning("log_level", level=last.level, for_s=last.for_s, before=before)
         return [
             LogLevelReply(
@@ -405,13 +405,15 @@ def _saying_that_it_waits(settings: ServiceSettings, service: str) -> Iterator[N
         joined.set()
 
 
-def _metrics(settings: ServiceSettings, service: str) -> tuple[Spoken | None, MetricsServer | None, str]:
+def _metrics(
+    settings: ServiceSettings, service: str
+) -> tuple[HealthCollector | None, MetricsServer | None, str]:
     """What the loop speaks to, who serves it, and what hinders that: nothing a service should not start for."""
     if settings.metrics_port is None:
         return None, None, ""
-    from camber.runtime.health.metrics import MetricsServer, Spoken
+    from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
-    spoken = Spoken(service, settings.vehicle)
+    spoken = HealthCollector(service, settings.vehicle)
     try:
         return spoken, MetricsServer(settings.metrics_host, settings.metrics_port, spoken), ""
     except OSError as error:

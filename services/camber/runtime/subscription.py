@@ -1,7 +1,7 @@
 """Hear what Camber publishes: all that a consumer needs of the bus, in one class.
 
-with Listener("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as listener:
-    position = listener.next(timeout_s=1.0)  # None: nothing that may be used came in that time
+with Subscription("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as subscription:
+    position = subscription.next(timeout_s=1.0)  # None: nothing that may be used came in that time
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LIMIT = 4096  # messages waiting for a consumer; then the oldest goes
 Sample = tuple[str, bytes, str]
 
 
-class Listener:
+class Subscription:
     """Hands out fresh, valid messages of some channels in order of arrival; use as a context, in one thread.
 
     `connect` names the router, or any process of the vehicle; None: the default of all services. `live=False` is for
@@ -50,7 +50,7 @@ class Listener:
         self._session = open_session(zenoh)
         self._subscribers = [self._subscribe(BY_NAME[name], vehicle) for name in names]
 
-    def __enter__(self) -> Listener:
+    def __enter__(self) -> Subscription:
         return self
 
     def __exit__(self, *exc: object) -> None:

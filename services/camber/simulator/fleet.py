@@ -22,7 +22,7 @@ from camber.integrity.uploads import decimal_year
 from camber.map_server.elevation import ElevationMap
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Quality
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 from camber.simulator.random_processes import gauss_markov, memory_of
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers, Path
@@ -30,7 +30,7 @@ from camber.simulator.scene import Floats, Integers, Path
 TOLERANCE_M = 0.2
 ROWS = 64
 """Records of one batch, as a vehicle sends them."""
-_WORDS: tuple[VerdictWord, ...] = get_args(VerdictWord)
+_WORDS: tuple[VerdictValue, ...] = get_args(VerdictValue)
 _FIXED = get_args(Quality).index("fixed")
 _CONFIRMED, _ERRONEOUS = _WORDS.index("confirmed"), _WORDS.index("erroneous")
 

@@ -9,14 +9,14 @@ from scipy import signal
 from camber.antenna_height.change_detection import BLOCK_NS, ChangeRules, ChangeWatch
 from camber.antenna_height.height_methods import fixed_height
 from camber.antenna_height.method_comparison import Comparison, ComparisonRules, disagree
-from camber.schemas.antenna import HeightByWay, Way
+from camber.schemas.antenna import HeightByMethod, HeightMethod
 
 START_NS = 1_450_000_000 * 1_000_000_000
 STEP_NS = 100_000_000
 
 
-def height(way: Way, height_m: float, sigma_m: float = 0.01) -> HeightByWay:
-    return HeightByWay(way=way, height_m=height_m, sigma_m=sigma_m)
+def height(way: HeightMethod, height_m: float, sigma_m: float = 0.01) -> HeightByMethod:
+    return HeightByMethod(way=way, height_m=height_m, sigma_m=sigma_m)
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ class Compared:
         self.comparison = Comparison(ComparisonRules())
         self.now_ns = START_NS
 
-    def say(self, seconds: float, *heights: HeightByWay, driving: bool = False) -> str:
+    def say(self, seconds: float, *heights: HeightByMethod, driving: bool = False) -> str:
         for _ in range(round(seconds * 10)):
             self.now_ns += STEP_NS
             self.comparison.test(self.now_ns, heights, driving=driving)
@@ -198,7 +198,7 @@ def matched_differences(seed: int, seconds: float, scatter_m: float = SCATTER_M)
     return slow + 0.004 * rng.standard_normal(count)
 
 
-def told_of_change(differences_m: np.ndarray, first: Way = "ranging") -> np.ndarray:
+def told_of_change(differences_m: np.ndarray, first: HeightMethod = "ranging") -> np.ndarray:
     """Whether a change stands, after each difference of a driving vehicle."""
     comparison = Comparison(ComparisonRules())
     matched = height("scan_matching", 1.58, MATCHED_SIGMA_M)
@@ -245,7 +245,7 @@ def test_two_centimetres_are_within_what_a_map_errs_by_and_seldom_told() -> None
 
 
 @pytest.mark.parametrize("first", ["fixed", "stroke", "ranging"])
-def test_what_a_map_errs_by_at_one_crossing_is_no_change_of_the_vehicle(first: Way) -> None:
+def test_what_a_map_errs_by_at_one_crossing_is_no_change_of_the_vehicle(first: HeightMethod) -> None:
     """As measured at a junction of a simulated city, on an otherwise even road."""
     at_crossing = np.repeat([0.02, 0.046, 0.026, -0.033, -0.014], 2 * RATE_HZ)
     quiet = 0.1 * matched_differences(7, 120.0)

@@ -9,7 +9,7 @@ from camber.integrity.judgement import Judgement
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, decimal_year, upload_for
 from camber.map_update.contribution import QUALITIES, VERDICTS
-from camber.schemas.antenna import HeightByWay
+from camber.schemas.antenna import HeightByMethod
 from support.judging import ROAD_M, antenna, at, fix, pose, road
 
 SIGMA = TrueSigma(scale=4.0, horizontal_m=0.05, vertical_m=0.05)
@@ -70,7 +70,7 @@ def test_the_height_is_free_of_what_was_learnt_against_the_map():
 
 def test_the_antenna_height_of_scan_matching_is_that_above_the_maps_road_so_the_surest_other_way_is_sent():
     ways = (("ranging", 1.83, 0.03), ("scan_matching", 1.7, 0.01), ("stroke", 1.81, 0.015))
-    others = tuple(HeightByWay(way=way, height_m=height, sigma_m=sigma) for way, height, sigma in ways)
+    others = tuple(HeightByMethod(way=way, height_m=height, sigma_m=sigma) for way, height, sigma in ways)
     found = upload(antenna=antenna(way="scan_matching", height_m=1.7, others=others))
     assert found.antenna_height_m == 1.81
     assert found.road_height_m == pytest.approx(ROAD_M + 1.8 - 1.81)

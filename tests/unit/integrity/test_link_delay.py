@@ -30,7 +30,7 @@ class LateBus:
         self.verdicts: dict[int, Any] = {}
         self.asked = 0
 
-    def live_behind(self, delay_s: float) -> None:
+    def set_link_delay(self, delay_s: float) -> None:
         self.link_ns = round(delay_s * 1e9)
 
     def now_ns(self) -> int:

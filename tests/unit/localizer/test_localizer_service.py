@@ -19,7 +19,7 @@ from camber.localizer.settings import LocalizerSettings
 from camber.runtime.bus import Bus, QueryFailed
 from camber.schemas.codec import encode
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Verdict, VerdictWord
+from camber.schemas.integrity import Verdict, VerdictValue
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
 from camber.schemas.road import ElevationReply, ElevationRequest, LinksReply, LinksRequest, Places, RoadsAhead
@@ -37,7 +37,7 @@ GIVEN = {
     "horizontal_sigma_m": 0.5,
     "yaw_sigma_deg": 1.0,
 }
-WORDS_THAT_ARE_NO_TRUST = set(get_args(VerdictWord)) - {"confirmed", "confirmed_after_verification"}
+WORDS_THAT_ARE_NO_TRUST = set(get_args(VerdictValue)) - {"confirmed", "confirmed_after_verification"}
 
 
 def flat(places: Places) -> RoadsAhead:

@@ -11,8 +11,8 @@ from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.service import MapUpdateService
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import Step
-from camber.runtime.uploads.received import Uploaded
+from camber.map_update.stores.store import FusionStep
+from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from support.small_map import surface, write
 
@@ -93,7 +93,7 @@ def batch(batch_id="b1", records=3):
 
 
 def asked(service, channel, *questions):
-    return service.answers()[channel]([Uploaded(question.vehicle, question) for question in questions])
+    return service.answers()[channel]([ReceivedUpload(question.vehicle, question) for question in questions])
 
 
 def test_each_upload_gets_the_receipt_of_what_became_of_it_in_the_order_asked(service, bus):
@@ -125,7 +125,7 @@ def test_what_the_ledger_has_lost_to_age_is_refused_when_it_comes_again(tmp_path
         for day in (0.0, 39.9, 41.9, 42.1):
             bus.time_ns = NOW_NS + round(day * NS_PER_DAY)
             statuses += [(day, r.status) for r in asked(service, "upload", upload("u1"), upload("u2"))]
-            fusion.advance(fusion.progress(), Step(cursor=2))
+            fusion.advance(fusion.progress(), FusionStep(cursor=2))
             service.advance(bus.time_ns)
             statuses.append((day, bus.counters["pruned"]))
     assert statuses == [
@@ -151,8 +151,8 @@ def _file(folder):
 
 @pytest.mark.parametrize("key", ["v2", "*"])
 def test_what_comes_under_the_key_of_another_is_refused_and_leaves_the_true_one_its_id(service, bus, key):
-    forged = Uploaded(key, upload("u1", road_height_m=99.0))
-    (refused, stored) = service.answers()["upload"]([forged, Uploaded("v1", upload("u2"))])
+    forged = ReceivedUpload(key, upload("u1", road_height_m=99.0))
+    (refused, stored) = service.answers()["upload"]([forged, ReceivedUpload("v1", upload("u2"))])
     assert (refused.status, stored.status) == ("refused", "stored")
     assert refused.reason == f"vehicle v1 was uploaded under the key of {key}, expected its own"
     assert bus.counters["refused.vehicle"] == 1
@@ -162,7 +162,7 @@ def test_what_comes_under_the_key_of_another_is_refused_and_leaves_the_true_one_
 def test_a_forged_upload_alone_needs_no_store(service, tmp_path):
     with closing(sqlite3.connect(tmp_path / "uploads.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
-        (refused,) = service.answers()["upload_batch"]([Uploaded("v2", batch())])
+        (refused,) = service.answers()["upload_batch"]([ReceivedUpload("v2", batch())])
         other.execute("ROLLBACK")
     assert refused.status == "refused"
 

@@ -23,10 +23,10 @@ from camber.replay.sweep_files import SweepReader
 from camber.runtime.settings import load
 from camber.schemas.channels import SERVICES
 from camber.schemas.drive import (
-    AntennaHeightWay,
+    AntennaHeightMethod,
     DriveManifest,
     LeverArms,
-    OneFile,
+    SampleFile,
     Sweeps,
     load_manifest,
 )
@@ -77,7 +77,7 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
     assert configs["localizer"].get("initial_pose") == (None if start is None else start.model_dump())
 
 
-@pytest.mark.parametrize("way", get_args(AntennaHeightWay.model_fields["way"].annotation))
+@pytest.mark.parametrize("way", get_args(AntennaHeightMethod.model_fields["way"].annotation))
 def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
     way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
@@ -85,7 +85,7 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
     arms = LeverArms.model_validate(
         {name: {"x_m": 1.0, "z_m": 1.5} for name in ("antenna", "lidar", "ranging", "suspension")}
     )
-    height = AntennaHeightWay.model_validate(
+    height = AntennaHeightMethod.model_validate(
         {
             "way": way,
             "height_m": 1.58,
@@ -96,7 +96,7 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
         }
     )
     (tmp_path / "samples.csv").write_text("")
-    table = OneFile.model_construct(file=tmp_path / "samples.csv")
+    table = SampleFile.model_construct(file=tmp_path / "samples.csv")
     there = {
         "suspension": table,
         "ranging": table,

@@ -9,7 +9,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.map_update.fusion.corrections import CORRECTION
-from camber.map_update.release.release_builder import ReleaseMaking
+from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.blob_delta import unpacked
 from camber.road_map.release import open_release
 from camber.road_map.release_server import ReleaseServing
@@ -66,7 +66,7 @@ def test_a_large_blob_comes_in_parts_that_fit_into_replies(tmp_path: Path) -> No
 def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
     rows = [surface(k, 20.0 * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(10)]
     write(tmp_path / "in", rows)
-    making = ReleaseMaking(tmp_path / "out", open_release(tmp_path / "in"), signing_key=KEY)
+    making = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=KEY)
     making.make(np.zeros(0, CORRECTION), time_ns=MADE_NS)
     old = open_release(tmp_path / "out")
     making.make(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)

@@ -228,21 +228,21 @@ def test_a_service_that_met_all_there_can_be_still_fits_into_one_message() -> No
 
 def test_another_log_level_falls_back_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = make_bus()
-    bus.log_for("debug", 600.0)
-    bus.look_at_log_level()
+    bus.set_log_level("debug", 600.0)
+    bus.restore_log_level()
     assert health_of(bus).log_level == "debug"
     monkeypatch.setattr(time, "monotonic", lambda real=time.monotonic: real() + 601.0)
-    bus.look_at_log_level()
+    bus.restore_log_level()
     assert health_of(bus).log_level == "error"
 
 
 def test_at_debug_an_issue_is_logged_each_time(capsys: pytest.CaptureFixture[str]) -> None:
     bus = make_bus()
-    bus.log_for("info", 600.0)
+    bus.set_log_level("info", 600.0)
     for _ in range(3):
         bus.issue("source_lost", "text")
     assert capsys.readouterr().err.count("source_lost") == 1
-    bus.log_for("debug", 600.0)
+    bus.set_log_level("debug", 600.0)
     for _ in range(3):
         bus.issue("source_lost", "text")
     assert capsys.readouterr().err.count("source_lost") == 3

@@ -12,7 +12,7 @@ from camber.runtime.clock import ReplayClock
 from camber.runtime.run import Loop
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
-from camber.runtime.uploads.received import Uploaded
+from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.health import HealthRequest
 
 NOW_NS, ASKED_NS = 1_400_000_000_000_000_000, 1_400_000_000_200_000_000
@@ -35,6 +35,6 @@ def test_it_is_answered_at_the_time_of_the_one_who_asks(wrapped: bool) -> None:
     bus = Bus(cast(zenoh.Session, None), settings, "map_update", clock)
     loop = Loop(Answering(settings, bus), bus, clock)
     asked: Any = HealthRequest(time_ns=ASKED_NS)
-    request = Uploaded("car", asked) if wrapped else asked
+    request = ReceivedUpload("car", asked) if wrapped else asked
     assert loop._replies("upload_batch", [request]) == [ASKED_NS]
     assert clock.now_ns() == NOW_NS

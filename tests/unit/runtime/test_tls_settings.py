@@ -175,10 +175,10 @@ def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.Monk
         threading.Event().wait()  # it asks for ever, and this is enough
         return ""
 
-    monkeypatch.setattr(heard, "are_we_heard", ask)
-    monkeypatch.setattr(heard, "denial", lambda *_: "denied")
+    monkeypatch.setattr(heard, "can_publish", ask)
+    monkeypatch.setattr(heard, "denial_message", lambda *_: "denied")
     told: list[str] = []
-    watch = heard.HeardWatch(ZenohSettings(), "fleet", again_s=0.01)
+    watch = heard.AccessProbe(ZenohSettings(), "fleet", again_s=0.01)
     deadline = time.monotonic() + 5.0
     while len(told) < 2 and time.monotonic() < deadline:
         told += watch.problems()
@@ -198,7 +198,7 @@ def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
             raise BusError(f"{endpoint}: another")
         return answer
 
-    monkeypatch.setattr(heard, "are_we_heard", ask)
+    monkeypatch.setattr(heard, "can_publish", ask)
     settings = ZenohSettings(
         mode="client",
         connect=list(lists),

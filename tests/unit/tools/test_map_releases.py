@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from camber.map_server.release_download import Fetching, Where, Wishes
 from camber.map_update.fusion.publication import DECISION, DECISIONS, Decisions
-from camber.map_update.release.review import Review
+from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import open_release, read_release
 from camber.road_map.store import MapStore
 from camber.tools.maps.command import main
@@ -73,7 +73,7 @@ def test_a_roll_back_is_a_release_and_what_was_withdrawn_does_not_come_again(
     assert rolled.road_surfaces().heights_m[3][0, 0] == pytest.approx(50.05)
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
-    assert Review(folder).judged(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
+    assert ReviewFolder(folder).judged(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
         "nothing"
     )
     assert "ann: rolled back to version 9: a ferry was mapped" in said(capsys, "releases", folder, "--why", 5)
@@ -86,13 +86,13 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
     assert said(capsys, "review", folder) == "nothing is held\n"
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
-    Review(folder).judged(Decisions(rows), MADE_NS)
+    ReviewFolder(folder).judged(Decisions(rows), MADE_NS)
     assert "+0.310 m" in said(capsys, "review", folder)
     assert "--why" in said(capsys, "review", folder, "--accept", 4, code=2)
     assert "one that is held" in said(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
     said(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
     assert "ben: new surface laid" in said(capsys, "review", folder, "--log")
-    judged = Review(folder).judged(Decisions(rows), MADE_NS)
+    judged = ReviewFolder(folder).judged(Decisions(rows), MADE_NS)
     assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
 
 

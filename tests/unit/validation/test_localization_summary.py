@@ -11,7 +11,7 @@ import pytest
 
 from camber.formats.drive.recording import Recorded
 from camber.replay.run_folder import DriveFacts, RunFacts
-from camber.schemas.antenna import AntennaHeight, HeightByWay
+from camber.schemas.antenna import AntennaHeight, HeightByMethod
 from camber.schemas.pose import Pose, PoseMode, Road, ScanMatch
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.report.page import render
@@ -40,7 +40,7 @@ def match(step: int, status: Any, layers_m: list[float] | None, height_m: float 
 
 
 def height(step: int, way: Any, height_m: float, **others: float) -> AntennaHeight:
-    further = tuple(HeightByWay(way=other, height_m=h, sigma_m=0.02) for other, h in others.items())  # type: ignore[arg-type]
+    further = tuple(HeightByMethod(way=other, height_m=h, sigma_m=0.02) for other, h in others.items())  # type: ignore[arg-type]
     return AntennaHeight(
         time_ns=START_NS + step * STEP_NS,
         status="known",

@@ -22,14 +22,14 @@ from pydantic import ValidationError
 from camber.formats.errors import FormatError
 from camber.schemas.fleet import UploadBatch
 from camber.schemas.gnss import Quality
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 
 MOST_RECORDS = 2_000
 """In one batch: within the 256 kB that a question may have."""
 
 T = TypeVar("T")
 _HEADING = ("vehicle", "datum", "map_version", "epoch_year")
-_WORDS: dict[str, tuple[str, ...]] = {"fix_quality": get_args(Quality), "verdict": get_args(VerdictWord)}
+_WORDS: dict[str, tuple[str, ...]] = {"fix_quality": get_args(Quality), "verdict": get_args(VerdictValue)}
 _INTEGERS = ("time_ns", "fix_id", "surface_id")
 _NUMBERS = (
     "latitude_rad",

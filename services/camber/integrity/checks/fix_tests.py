@@ -31,7 +31,7 @@ from camber.integrity.protection.position_output import is_provisional
 from camber.integrity.re_estimation.requests import limits_after
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
-from camber.schemas.integrity import Evidence, Reason, VerdictWord
+from camber.schemas.integrity import Evidence, Reason, VerdictValue
 
 
 class Examination:
@@ -178,7 +178,7 @@ class Examination:
         wrong = outcome >= HEIGHT_CONTRADICTS and not (starting and outcome == POSITION_CONTRADICTS)
         # A fix that is not where the vehicle is says nothing of the road there.
         road = None if found.position == CONTRADICTS else draft.road
-        word: VerdictWord = "erroneous" if wrong else "unknown"
+        word: VerdictValue = "erroneous" if wrong else "unknown"
         held = replace(draft, word=word, reason=reason, detail=detail, road=road)
         if not self._may_be_verified(draft):
             return held

@@ -11,7 +11,7 @@ import statistics
 from dataclasses import dataclass
 
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.schemas.integrity import VerdictWord
+from camber.schemas.integrity import VerdictValue
 
 MOST_FIXES = 256
 """In one cell: whoever stands still learns nothing new of the road."""
@@ -37,7 +37,7 @@ class Residual:
     """
 
     time_ns: int
-    verdict: VerdictWord
+    verdict: VerdictValue
     latitude_rad: float
     longitude_rad: float
     up_m: float | None = None

@@ -57,7 +57,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fused:
+class FusionEstimates:
     """What the decisions rest on: of the votes that were kept, and of surfaces (n,) by `row` of the surroundings."""
 
     votes: Votes
@@ -123,7 +123,7 @@ class Fusion:
             self.rules.publication,
         )
 
-    def fuse(self, votes: Votes, now_ns: int) -> Fused:
+    def fuse(self, votes: Votes, now_ns: int) -> FusionEstimates:
         """Biases and heights of votes as `decide` takes them."""
         _check_order(votes)
         votes = self.kept(votes, now_ns)
@@ -154,7 +154,9 @@ class Fusion:
             biases.components.vote_m,
             self.rules.change,
         )
-        return Fused(votes, biases, surface, heights, _common_errors(begins, voter, biases), shape_m)
+        return FusionEstimates(
+            votes, biases, surface, heights, _common_errors(begins, voter, biases), shape_m
+        )
 
     def _today(self, now_ns: int) -> int:
         return int(session_of(np.array([now_ns]), np.array([self._east_rad]))[0])

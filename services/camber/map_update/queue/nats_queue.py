@@ -32,7 +32,7 @@ from nats.aio.msg import Msg
 from nats.js.api import AckPolicy, ConsumerConfig, DiscardPolicy, RetentionPolicy, StorageType, StreamConfig
 
 from camber.map_update.queue.queue_messages import (
-    Parcel,
+    QueuedContribution,
     QueueError,
     QueueMessageError,
     pack_outcomes,
@@ -40,7 +40,7 @@ from camber.map_update.queue.queue_messages import (
     unpack_outcomes,
     unpack_parcels,
 )
-from camber.map_update.stores.reconnecting_client import Link, LinkError
+from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
 from camber.map_update.stores.shards import Shards
 from camber.map_update.stores.store import Outcome
 
@@ -72,7 +72,9 @@ class _Queue:
         parts = urlsplit(address)
         self._host = f"nats://{parts.hostname}:{parts.port or 4222}"
         self._user, self._password, self._limit_s = parts.username, password, limit_s
-        self._link: Link[_Connected] = Link(self._host, self._connected, _ended, (nats.errors.Error,))
+        self._link: ReconnectingClient[_Connected] = ReconnectingClient(
+            self._host, self._connected, _ended, (nats.errors.Error,)
+        )
 
     def check(self) -> None:
         """Answer the server's pings; connect again where the connection was lost. Raises QueueError."""
@@ -85,7 +87,7 @@ class _Queue:
     def _run(self, work: Callable[[_Connected], Awaitable[T]]) -> T:
         try:
             return self._link.run(work)
-        except LinkError as error:
+        except ConnectionFailedError as error:
             raise QueueError(str(error)) from error
 
     async def _checked(self, connected: _Connected) -> None:
@@ -136,7 +138,7 @@ class _Queue:
             )
 
 
-class Sending(_Queue):
+class QueueSender(_Queue):
     """The receiving worker's end."""
 
     def __init__(
@@ -147,16 +149,16 @@ class Sending(_Queue):
         self.too_large = 0
         """Messages that were more than the server's `max_payload`, and were not sent."""
 
-    def send(self, parcels: Sequence[Parcel]) -> list[Outcome | None]:
+    def send(self, parcels: Sequence[QueuedContribution]) -> list[Outcome | None]:
         """Hand over to the shards; returns what became of each, None where nothing was heard in time.
 
         Raises QueueError where the queue is not there.
         """
-        by_shard: dict[int, list[tuple[int, Parcel]]] = {}
+        by_shard: dict[int, list[tuple[int, QueuedContribution]]] = {}
         divided = self._shards.split([parcel.contribution for parcel in parcels])
         for n, (parcel, parts_of) in enumerate(zip(parcels, divided, strict=True)):
             for shard, part in parts_of:
-                by_shard.setdefault(shard, []).append((n, Parcel(part, parcel.refusal)))
+                by_shard.setdefault(shard, []).append((n, QueuedContribution(part, parcel.refusal)))
         parts: list[list[Outcome | None]] = [[] for _ in parcels]
         messages = [(shard, chunk) for shard, items in by_shard.items() for chunk in _chunks(items)]
         answers = self._run(
@@ -182,7 +184,7 @@ class Sending(_Queue):
         await connected.client.flush(timeout=math.ceil(self._limit_s))
 
     async def _asked(
-        self, connected: _Connected, messages: Sequence[tuple[int, Sequence[Parcel]]]
+        self, connected: _Connected, messages: Sequence[tuple[int, Sequence[QueuedContribution]]]
     ) -> list[list[Outcome] | None]:
         await self._checked(connected)
         streams = connected.client.jetstream(timeout=self._limit_s)
@@ -216,7 +218,7 @@ class Sending(_Queue):
         return found
 
 
-class Delivery:
+class QueueDelivery:
     """A message of the queue: its parcels, where to report, and the message to be settled."""
 
     def __init__(self, message: Msg) -> None:
@@ -224,7 +226,7 @@ class Delivery:
         self.reply, self.parcels = unpack_parcels(message.data)
 
 
-class Taking(_Queue):
+class QueueReceiver(_Queue):
     """The storing worker's end, of one shard; any number of workers may share it."""
 
     def __init__(
@@ -237,15 +239,15 @@ class Taking(_Queue):
         self.waiting: int | None = None
         """Messages of this shard that the server had not yet given out when last something was taken."""
 
-    def take(self, wait_s: float) -> list[Delivery]:
+    def take(self, wait_s: float) -> list[QueueDelivery]:
         """What has arrived, after at most `wait_s`. Raises QueueError where the queue is not there."""
         return self._run(lambda connected: self._taken(connected, wait_s))
 
-    def stored(self, deliveries: Sequence[Delivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
+    def stored(self, deliveries: Sequence[QueueDelivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
         """Report what became of each after its commit; they will not come again."""
         self._run(lambda connected: self._settled(connected, deliveries, outcomes))
 
-    def again(self, deliveries: Sequence[Delivery]) -> None:
+    def again(self, deliveries: Sequence[QueueDelivery]) -> None:
         """They could not be stored: let them come again in a second, here or elsewhere."""
         self._run(lambda _: self._refused(deliveries))
 
@@ -273,7 +275,7 @@ class Taking(_Queue):
             ),
         )
 
-    async def _taken(self, connected: _Connected, wait_s: float) -> list[Delivery]:
+    async def _taken(self, connected: _Connected, wait_s: float) -> list[QueueDelivery]:
         await self._checked(connected)
         if not connected.arrived:
             connected.some.clear()
@@ -287,29 +289,32 @@ class Taking(_Queue):
             message = connected.arrived.popleft()
             self.waiting = message.metadata.num_pending
             try:
-                deliveries.append(Delivery(message))
+                deliveries.append(QueueDelivery(message))
             except QueueMessageError:
                 self.damaged += 1
                 await message.term()
         return deliveries
 
     async def _settled(
-        self, connected: _Connected, deliveries: Sequence[Delivery], outcomes: Sequence[Sequence[Outcome]]
+        self,
+        connected: _Connected,
+        deliveries: Sequence[QueueDelivery],
+        outcomes: Sequence[Sequence[Outcome]],
     ) -> None:
         for delivery, found in zip(deliveries, outcomes, strict=True):
             await connected.client.publish(delivery.reply, pack_outcomes(found))
             await delivery.message.ack()
         await asyncio.sleep(0)
 
-    async def _refused(self, deliveries: Sequence[Delivery]) -> None:
+    async def _refused(self, deliveries: Sequence[QueueDelivery]) -> None:
         for delivery in deliveries:
             await delivery.message.nak(delay=_AGAIN_S)
         await asyncio.sleep(0)
 
 
-def _chunks(items: Sequence[tuple[int, Parcel]]) -> list[list[tuple[int, Parcel]]]:
+def _chunks(items: Sequence[tuple[int, QueuedContribution]]) -> list[list[tuple[int, QueuedContribution]]]:
     """In messages of some hundred kB: few enough for a server's limit, many enough to be cheap."""
-    chunks: list[list[tuple[int, Parcel]]] = [[]]
+    chunks: list[list[tuple[int, QueuedContribution]]] = [[]]
     size = 0
     for item in items:
         size += item[1].contribution.observations.nbytes + 512

@@ -41,7 +41,7 @@ class QueueMessageError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Parcel:
+class QueuedContribution:
     """A contribution, and why who received it would refuse it if it is not known already."""
 
     contribution: Contribution
@@ -71,7 +71,7 @@ _HEADING, _RESULT = list(_Heading.model_fields), list(_Result.model_fields)
 _REPLY: TypeAdapter[str] = TypeAdapter(Annotated[str, Field(pattern=r"^[A-Za-z0-9_.$-]{1,128}$")])
 
 
-def pack_parcels(reply: str, parcels: Sequence[Parcel]) -> bytes:
+def pack_parcels(reply: str, parcels: Sequence[QueuedContribution]) -> bytes:
     """Contributions, and the subject on which their sender waits."""
     headings = []
     for parcel in parcels:
@@ -89,7 +89,7 @@ def pack_parcels(reply: str, parcels: Sequence[Parcel]) -> bytes:
     return b"".join([_LENGTH.pack(len(header)), header, *rows])
 
 
-def unpack_parcels(data: bytes) -> tuple[str, list[Parcel]]:
+def unpack_parcels(data: bytes) -> tuple[str, list[QueuedContribution]]:
     """Raises QueueMessageError, and nothing else, for whatever is no message."""
     try:
         (length,) = _LENGTH.unpack_from(data)
@@ -141,7 +141,7 @@ def _heading(values: object) -> _Heading:
     return _Heading.model_validate(dict(zip(_HEADING, _of_length(values, len(_HEADING)), strict=True)))
 
 
-def _parcel(heading: _Heading, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> Parcel:
+def _parcel(heading: _Heading, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> QueuedContribution:
     if not all(
         np.isfinite(rows[name]).all() for name in OBSERVATION.names or () if OBSERVATION[name].kind == "f"
     ):
@@ -156,7 +156,7 @@ def _parcel(heading: _Heading, rows: np.ndarray[tuple[int], np.dtype[np.void]]) 
         position_covariance_enu_m2=heading.covariance,
         observations=rows,
     )
-    return Parcel(contribution, None if heading.refusal is None else Refusal(*heading.refusal))
+    return QueuedContribution(contribution, None if heading.refusal is None else Refusal(*heading.refusal))
 
 
 def _unpacked(data: bytes, length: int) -> tuple[Any, ...]:

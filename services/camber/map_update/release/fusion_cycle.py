@@ -19,9 +19,9 @@ from camber.map_update.fusion.corrections import CORRECTION, Corrections, rows_o
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
 from camber.map_update.fusion.votes import DAY_NS
-from camber.map_update.release.release_builder import ReleaseMaking
-from camber.map_update.release.review import Review
-from camber.map_update.stores.store import Observed, Rows, Step, Store
+from camber.map_update.release.release_builder import ReleaseBuilder
+from camber.map_update.release.review import ReviewFolder
+from camber.map_update.stores.store import FusionStep, ObservationPage, Rows, Store
 from camber.road_map.release_files import ReleaseFolder
 from camber.schemas.road import ReleaseRoot
 
@@ -32,7 +32,7 @@ _NEWS = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class IngestResult:
     """What one step took in: contributions and observations, and of the latter those of another datum."""
 
     contributions: int = 0
@@ -41,7 +41,7 @@ class Taken:
 
 
 @dataclass(frozen=True, slots=True)
-class Round:
+class FusionDecision:
     """What came of one round: the release in force after it, and whether it is a new one."""
 
     decisions: Decisions
@@ -49,14 +49,14 @@ class Round:
     made: bool
 
 
-class Rounds:
+class FusionCycle:
     """The fusion of one store into the releases of one region; raises what its store and its making raise."""
 
     def __init__(
         self,
         store: Store,
         fusion: Fusion,
-        making: ReleaseMaking,
+        making: ReleaseBuilder,
         *,
         every_s: float = 60.0,
         most: int = 200_000,
@@ -64,11 +64,11 @@ class Rounds:
         self._store, self._fusion, self._making = store, fusion, making
         self._datum = making.reference.manifest.datum
         self._every_ns, self._most = round(every_s * 1e9), most
-        self._review = Review(making.folder)
+        self._review = ReviewFolder(making.folder)
         self._due_ns: int | None = None
         self._decided_by: object = None  # what the last round rested on, besides votes; None: there was none
 
-    def step(self, now_ns: int) -> Taken | Round | None:
+    def step(self, now_ns: int) -> IngestResult | FusionDecision | None:
         """One step where one is due: every `every_s` all that has come is taken in, then decided, if there was any.
 
         After a step that took something in the next is due at once. None: nothing is due, or nothing is new.
@@ -76,7 +76,7 @@ class Rounds:
         # A clock that was set back must not stop the fusion.
         if self._due_ns is not None and self._due_ns - self._every_ns <= now_ns < self._due_ns:
             return None
-        taken = self.take_in(now_ns, self._most)
+        taken = self.ingest_votes(now_ns, self._most)
         if taken.contributions:
             self._decided_by = None
             return taken
@@ -87,12 +87,12 @@ class Rounds:
         self._decided_by = self._given()
         return found
 
-    def take_in(self, now_ns: int, most: int) -> Taken:
+    def ingest_votes(self, now_ns: int, most: int) -> IngestResult:
         """Make votes of at most some `most` observations; nothing taken: there are none left."""
         seen = self._store.progress()
         found = self._store.observations_after(seen.cursor, most)
         if found.cursor == seen.cursor:
-            return Taken()
+            return IngestResult()
         of_datum = self._of_our_datum(found)
         rows, heading_of = found.rows[of_datum], found.heading_of[of_datum]
         voters = np.array([self._fusion.voter_of(heading.vehicle) for heading in found.headings], np.int64)
@@ -101,10 +101,10 @@ class Rounds:
         votes = new
         if len(surfaces):
             votes = self._fusion.kept(self._fusion.merge(self._store.votes_of(surfaces), new), now_ns)
-        self._store.advance(seen, Step(found.cursor, surfaces, votes))
-        return Taken(len(found.headings), len(found.rows), int(len(found.rows) - of_datum.sum()))
+        self._store.advance(seen, FusionStep(found.cursor, surfaces, votes))
+        return IngestResult(len(found.headings), len(found.rows), int(len(found.rows) - of_datum.sum()))
 
-    def decide(self, now_ns: int) -> Round:
+    def decide(self, now_ns: int) -> FusionDecision:
         """Decide of all surfaces with votes, and make the release that follows, if there is anything new.
 
         The first is made whatever is decided: the reference itself, for vehicles to take.
@@ -115,13 +115,13 @@ class Rounds:
         decisions = self._review.judged(found, now_ns)
         current = self._making.current()
         root = self._making.make(corrections_after(before, decisions), time_ns=now_ns)
-        return Round(decisions, root, made=current is None or root != current.root)
+        return FusionDecision(decisions, root, made=current is None or root != current.root)
 
     def _given(self) -> tuple[object, object]:
         """What others may change: the release in force, by a roll-back, and what people have decided."""
         return ReleaseFolder(self._making.folder).stamp(), len(self._review.decisions())
 
-    def _of_our_datum(self, found: Observed) -> NDArray[np.bool_]:
+    def _of_our_datum(self, found: ObservationPage) -> NDArray[np.bool_]:
         """Which observations (n,) are in a datum that the reference's heights can be compared with."""
         alike = _GLOBAL if self._datum in _GLOBAL else frozenset({self._datum})
         ours = np.array([heading.datum in alike for heading in found.headings], bool)

@@ -29,14 +29,14 @@ from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
 _HEIGHT_DECIMALS = 4  # as in tiles made from columns
 
 
-class Made(NamedTuple):
+class ReleaseRecord(NamedTuple):
     """A release of the past, by its manifest."""
 
     manifest_sha256: str
     manifest: Manifest
 
 
-class ReleaseMaking:
+class ReleaseBuilder:
     """Makes the releases of one region in one folder, from one reference.
 
     Another process that makes releases in the same folder waits or is waited for. All methods raise ReleaseError for
@@ -235,7 +235,7 @@ def reference_in(folder: Path) -> Release:
     return release_of(source, root, source.name(digest))
 
 
-def history(folder: Path) -> Iterator[Made]:
+def history(folder: Path) -> Iterator[ReleaseRecord]:
     """The releases in a folder from the newest back to the reference, as far as manifests are there."""
     if not (folder / ROOT_NAME).exists():
         return
@@ -249,7 +249,7 @@ def history(folder: Path) -> Iterator[Made]:
             if digest == root.manifest_sha256:
                 raise
             return
-        yield Made(digest, manifest)
+        yield ReleaseRecord(digest, manifest)
         digest = manifest.previous_sha256
 
 

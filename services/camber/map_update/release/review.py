@@ -26,7 +26,7 @@ from camber.map_update.fusion.publication import DECISIONS, REASONS, Decisions
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import ReleaseError
 
-Word = Literal["accept", "reject"]
+ReviewAction = Literal["accept", "reject"]
 
 SAME_M = 0.01
 """Heights that differ by less, or by three standard errors, are the one that was decided of."""
@@ -45,7 +45,7 @@ _COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldChange:
     """A change that waits: what the map has, what the votes say, and why it was not published."""
 
     surface_id: int
@@ -62,45 +62,45 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Decided:
+class ReviewDecision:
     """What a person decided of a surface whose votes said `offset_m`."""
 
     surface_id: int
-    word: Word
+    word: ReviewAction
     offset_m: float
     who: str
     why: str
     time_ns: int
 
 
-class Review:
+class ReviewFolder:
     """The folder `review` of a folder of releases. Raises ReleaseError for files that are none, OSError of the disk."""
 
     def __init__(self, releases: Path) -> None:
         self._held = releases / "review" / "held.json"
         self._decisions = releases / "review" / "decisions.jsonl"
 
-    def held(self) -> list[Held]:
+    def held(self) -> list[HeldChange]:
         """What waits now, by surface."""
         try:
-            return [Held(**row) for row in json.loads(self._held.read_text("utf-8"))]
+            return [HeldChange(**row) for row in json.loads(self._held.read_text("utf-8"))]
         except FileNotFoundError:
             return []
         except (ValueError, TypeError, UnicodeDecodeError) as error:
             raise ReleaseError(str(self._held), "file", f"held changes ({error})") from None
 
-    def decisions(self) -> list[Decided]:
+    def decisions(self) -> list[ReviewDecision]:
         """All that was decided, in its order. A last line that was cut short was never decided."""
         try:
             lines = self._decisions.read_bytes().split(b"\n")
         except FileNotFoundError:
             return []
         try:
-            return [Decided(**json.loads(line)) for line in lines[:-1]]
+            return [ReviewDecision(**json.loads(line)) for line in lines[:-1]]
         except (ValueError, TypeError) as error:
             raise ReleaseError(str(self._decisions), "line", f"a decision ({error})") from None
 
-    def decide(self, decided: list[Decided]) -> None:
+    def decide(self, decided: list[ReviewDecision]) -> None:
         """Add decisions; they are on the disk when this returns."""
         for each in decided:
             if not each.who.strip() or not each.why.strip():
@@ -141,15 +141,15 @@ class Review:
         """After a roll-back: what was withdrawn is not published again from the same votes."""
         self.decide(
             [
-                Decided(int(row["surface_id"]), "reject", float(row["offset_m"]), who, why, time_ns)
+                ReviewDecision(int(row["surface_id"]), "reject", float(row["offset_m"]), who, why, time_ns)
                 for row in withdrawn
             ]
         )
 
-    def _words(self, rows: NDArray[np.void]) -> dict[int, Word]:
+    def _words(self, rows: NDArray[np.void]) -> dict[int, ReviewAction]:
         """Row → the last decision of its surface, where that is still about what the votes say."""
         newest = {decided.surface_id: decided for decided in self.decisions()}
-        found: dict[int, Word] = {}
+        found: dict[int, ReviewAction] = {}
         for at, surface_id in enumerate(rows["surface_id"].tolist()):
             decided = newest.get(surface_id)
             if decided is None:
@@ -162,7 +162,7 @@ class Review:
     def _keep(self, rows: NDArray[np.void], now_ns: int) -> None:
         since = {held.surface_id: held.since_ns for held in self.held()}
         held = [
-            Held(
+            HeldChange(
                 surface_id=int(row["surface_id"]),
                 reason=REASONS[int(row["reason"])],
                 since_ns=since.get(int(row["surface_id"]), now_ns),

@@ -28,18 +28,18 @@ import numpy as np
 from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.fusion.votes import VOTE
 from camber.map_update.stores.postgres_tables import FORMAT, LAYOUT, MAKE
-from camber.map_update.stores.reconnecting_client import Link, LinkError
+from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
 from camber.map_update.stores.store import (
     Counts,
-    Heading,
+    FusionProgress,
+    FusionStep,
     Ids,
     Judge,
-    Observed,
+    LedgerEntry,
+    ObservationPage,
     Outcome,
     OvertakenError,
-    Progress,
     Rows,
-    Step,
     Store,
     StoreError,
     empty_rows,
@@ -76,7 +76,9 @@ class PostgresStore(Store):
         self._name = f"{parts.scheme}://{parts.hostname or ''}:{parts.port or 5432}{parts.path}"
         self._address, self._password, self._limit_s = address, password, limit_s
         broken = (asyncpg.PostgresError, asyncpg.InterfaceError)
-        self._link: Link[asyncpg.Connection] = Link(self._name, self._connected, _terminate, broken)
+        self._link: ReconnectingClient[asyncpg.Connection] = ReconnectingClient(
+            self._name, self._connected, _terminate, broken
+        )
         try:
             self.check()
         except _WrongDatabaseError:
@@ -100,7 +102,7 @@ class PostgresStore(Store):
         )
         return Counts(*map(int, row))
 
-    def observations_after(self, cursor: int, limit: int) -> Observed:
+    def observations_after(self, cursor: int, limit: int) -> ObservationPage:
         """See `Store.observations_after`."""
         return self._run(lambda db: self._observations_after(db, cursor, limit))
 
@@ -112,9 +114,9 @@ class PostgresStore(Store):
         """See `Store.prune`."""
         return self._run(lambda db: self._prune(db, before_ns, most))
 
-    def progress(self) -> Progress:
+    def progress(self) -> FusionProgress:
         """See `Store.progress`."""
-        return Progress(*self._run(lambda db: db.fetchrow('SELECT "cursor", revision FROM progress')))
+        return FusionProgress(*self._run(lambda db: db.fetchrow('SELECT "cursor", revision FROM progress')))
 
     def votes_of(self, surfaces: Ids | None = None) -> Rows:
         """See `Store.votes_of`."""
@@ -131,7 +133,7 @@ class PostgresStore(Store):
         value = self._run(lambda db: db.fetchval("SELECT value FROM state WHERE name = $1", name))
         return None if value is None else bytes(value)
 
-    def advance(self, seen: Progress, step: Step) -> Progress:
+    def advance(self, seen: FusionProgress, step: FusionStep) -> FusionProgress:
         """See `Store.advance`."""
         surfaces, votes = votes_by_surface(step, VOTE)
         return self._run(lambda db: self._advance(db, seen, step, surfaces, votes))
@@ -143,7 +145,7 @@ class PostgresStore(Store):
     def _run(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
         try:
             return self._link.run(work)
-        except LinkError as error:
+        except ConnectionFailedError as error:
             raise StoreError(str(error)) from error
 
     async def _connected(self) -> asyncpg.Connection:
@@ -222,8 +224,8 @@ class PostgresStore(Store):
         for k, part in groupby(rows, lambda row: (row[0] - 1) // PARTITION):
             await db.copy_records_to_table(f"observation_{k}", records=list(part))
 
-    async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> Observed:
-        headings: list[Heading] = []
+    async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> ObservationPage:
+        headings: list[LedgerEntry] = []
         total, last, full = 0, cursor, False
         while not full:
             page = await db.fetch(_HEADINGS, last)
@@ -232,7 +234,7 @@ class PostgresStore(Store):
                 full = bool(headings) and (total > limit or len(headings) >= limit)
                 if full:
                     break
-                headings.append(Heading(*heading))
+                headings.append(LedgerEntry(*heading))
                 last = headings[-1].number
             full |= len(page) < _PAGE
         if not headings:
@@ -282,8 +284,13 @@ class PostgresStore(Store):
         return len(numbers)
 
     async def _advance(
-        self, db: asyncpg.Connection, seen: Progress, step: Step, surfaces: list[int], votes: list[bytes]
-    ) -> Progress:
+        self,
+        db: asyncpg.Connection,
+        seen: FusionProgress,
+        step: FusionStep,
+        surfaces: list[int],
+        votes: list[bytes],
+    ) -> FusionProgress:
         async with db.transaction():
             moved = await db.execute(
                 'UPDATE progress SET "cursor" = $1, revision = revision + 1 WHERE "cursor" = $2 AND revision = $3',
@@ -305,7 +312,7 @@ class PostgresStore(Store):
                 await db.execute("DELETE FROM state WHERE name = $1", name)
                 if value is not None:
                     await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
-        return Progress(step.cursor, seen.revision + 1)
+        return FusionProgress(step.cursor, seen.revision + 1)
 
 
 async def _terminate(connection: asyncpg.Connection) -> None:

@@ -16,11 +16,11 @@ T = TypeVar("T")
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
 
 
-class LinkError(RuntimeError):
+class ConnectionFailedError(RuntimeError):
     """It did not come about; the text names the server, without credentials, and what hinders it."""
 
 
-class Link(Generic[C]):
+class ReconnectingClient(Generic[C]):
     """Connects with `connect`, ends a connection with `end`; `broken` are the errors after which it is made anew.
 
     `name` stands before every complaint. After a failure everything fails at once for 0.2 s to 2 s, so that who asks
@@ -44,7 +44,7 @@ class Link(Generic[C]):
     def run(self, work: Callable[[C], Awaitable[T]]) -> T:
         """What `work` returns of a live connection. Raises LinkError, and then there is no connection."""
         if self._loop.time() < self._closed_until_s:
-            raise LinkError(self._why)
+            raise ConnectionFailedError(self._why)
         try:
             return self._loop.run_until_complete(self._work(work))
         except self._broken as error:
@@ -52,7 +52,7 @@ class Link(Generic[C]):
             self._why = f"{self.name}: {str(error) or type(error).__name__}"
             self._closed_until_s = self._loop.time() + self._pause_s
             self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-            raise LinkError(self._why) from error
+            raise ConnectionFailedError(self._why) from error
 
     def close(self) -> None:
         """End the connection."""

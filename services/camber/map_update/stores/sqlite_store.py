@@ -27,15 +27,15 @@ from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.fusion.votes import VOTE
 from camber.map_update.stores.store import (
     Counts,
-    Heading,
+    FusionProgress,
+    FusionStep,
     Ids,
     Judge,
-    Observed,
+    LedgerEntry,
+    ObservationPage,
     Outcome,
     OvertakenError,
-    Progress,
     Rows,
-    Step,
     Store,
     StoreError,
     empty_rows,
@@ -141,9 +141,9 @@ class SqliteStore(Store):
             row = self._db.execute("SELECT count(*), coalesce(sum(records), 0) FROM contribution").fetchone()
         return Counts(*row)
 
-    def observations_after(self, cursor: int, limit: int) -> Observed:
+    def observations_after(self, cursor: int, limit: int) -> ObservationPage:
         """See `Store.observations_after`."""
-        headings: list[Heading] = []
+        headings: list[LedgerEntry] = []
         parts: list[Rows] = [empty_rows()]
         total = 0
         with self._named():
@@ -157,7 +157,7 @@ class SqliteStore(Store):
                 total += len(part)
                 if headings and (total > limit or len(headings) >= limit):
                     break
-                headings.append(Heading(*heading))
+                headings.append(LedgerEntry(*heading))
                 parts.append(part)
             found.close()
         heading_of = np.repeat(np.arange(len(headings)), [len(part) for part in parts[1:]])
@@ -190,10 +190,10 @@ class SqliteStore(Store):
             db.execute("DELETE FROM contribution WHERE number <= ?", (numbers[-1] if numbers else 0,))
         return len(numbers)
 
-    def progress(self) -> Progress:
+    def progress(self) -> FusionProgress:
         """See `Store.progress`."""
         with self._named():
-            return Progress(*self._db.execute("SELECT cursor, revision FROM progress").fetchone())
+            return FusionProgress(*self._db.execute("SELECT cursor, revision FROM progress").fetchone())
 
     def votes_of(self, surfaces: Ids | None = None) -> Rows:
         """See `Store.votes_of`."""
@@ -214,7 +214,7 @@ class SqliteStore(Store):
             row = self._db.execute("SELECT value FROM state WHERE name = ?", (name,)).fetchone()
         return None if row is None else bytes(row[0])
 
-    def advance(self, seen: Progress, step: Step) -> Progress:
+    def advance(self, seen: FusionProgress, step: FusionStep) -> FusionProgress:
         """See `Store.advance`."""
         surfaces, votes = votes_by_surface(step, VOTE)
         with self._writing() as db:
@@ -232,7 +232,7 @@ class SqliteStore(Store):
                     db.execute("DELETE FROM state WHERE name = ?", (name,))
                 else:
                     db.execute("REPLACE INTO state VALUES (?, ?)", (name, value))
-        return Progress(step.cursor, seen.revision + 1)
+        return FusionProgress(step.cursor, seen.revision + 1)
 
     def close(self) -> None:
         """Close the file."""

@@ -55,7 +55,7 @@ class Counts(NamedTuple):
     observations: int
 
 
-class Heading(NamedTuple):
+class LedgerEntry(NamedTuple):
     """The ledger's row of a contribution; `number` rises in the order of commits."""
 
     number: int
@@ -69,19 +69,19 @@ class Heading(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
+class ObservationPage:
     """Whole contributions in the order of commits, within each by time.
 
     `rows` (n,) of OBSERVATION; `heading_of` (n,) is the index into `headings` of each; `cursor` is where to go on.
     """
 
     cursor: int
-    headings: tuple[Heading, ...]
+    headings: tuple[LedgerEntry, ...]
     rows: Rows
     heading_of: npt.NDArray[np.intp]
 
 
-class Progress(NamedTuple):
+class FusionProgress(NamedTuple):
     """How far the fusion has come: the last contribution taken in, and a count of its writes."""
 
     cursor: int
@@ -89,7 +89,7 @@ class Progress(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FusionStep:
     """What the fusion writes at once. `votes` replace all votes of `surfaces`; a state of None is removed."""
 
     cursor: int
@@ -119,10 +119,10 @@ class Store(abc.ABC):
         """How much there is."""
 
     @abc.abstractmethod
-    def observations_after(self, cursor: int, limit: int) -> Observed:
+    def observations_after(self, cursor: int, limit: int) -> ObservationPage:
         """Contributions after `cursor`, at most `limit` observations but at least one contribution if there is one.
 
-        No contribution with a smaller number is ever committed later, so going on at `Observed.cursor` leaves none out.
+        No contribution with a smaller number is ever committed later, so continuing at `cursor` skips none.
         """
 
     @abc.abstractmethod
@@ -141,7 +141,7 @@ class Store(abc.ABC):
         """
 
     @abc.abstractmethod
-    def progress(self) -> Progress:
+    def progress(self) -> FusionProgress:
         """How far the fusion has come."""
 
     @abc.abstractmethod
@@ -153,7 +153,7 @@ class Store(abc.ABC):
         """What the fusion keeps under a name; None: nothing."""
 
     @abc.abstractmethod
-    def advance(self, seen: Progress, step: Step) -> Progress:
+    def advance(self, seen: FusionProgress, step: FusionStep) -> FusionProgress:
         """Write a step of the fusion in one transaction; returns the progress after it.
 
         Raises OvertakenError unless the progress is still `seen`, that of before everything was read that the step was
@@ -211,14 +211,14 @@ def ledger_row(number: int, contribution: Contribution, digest: bytes, now_ns: i
 
 
 def observed(
-    cursor: int, headings: Sequence[Heading], rows: Rows, heading_of: npt.NDArray[np.intp]
-) -> Observed:
-    """`Observed` with its rows in order, however the database gave them."""
+    cursor: int, headings: Sequence[LedgerEntry], rows: Rows, heading_of: npt.NDArray[np.intp]
+) -> ObservationPage:
+    """`ObservationPage` with its rows in order, however the database gave them."""
     order = np.lexsort((rows["fix_id"], rows["time_ns"], heading_of))
-    return Observed(cursor, tuple(headings), rows[order], heading_of[order])
+    return ObservationPage(cursor, tuple(headings), rows[order], heading_of[order])
 
 
-def votes_by_surface(step: Step, vote: np.dtype[np.void]) -> tuple[list[int], list[bytes]]:
+def votes_by_surface(step: FusionStep, vote: np.dtype[np.void]) -> tuple[list[int], list[bytes]]:
     """The surfaces of a step, and the bytes of each one's votes (empty: none are left).
 
     Raises ValueError for votes of another layout, or of a surface that the step does not name.

@@ -36,7 +36,7 @@ class _Met:
     last_ns: int
 
 
-class Ledger:
+class IssueLog:
     """Used from the work loop only."""
 
     def __init__(self) -> None:

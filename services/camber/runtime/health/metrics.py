@@ -32,7 +32,7 @@ _BETWEEN_CONNECTIONS_S = 0.005
 _MOST_HEAD_BYTES = 8192
 
 
-class Spoken(Collector):
+class HealthCollector(Collector):
     """What the work loop last said; said in the loop, read by the thread that serves it."""
 
     def __init__(self, service: str, vehicle: str) -> None:
@@ -120,7 +120,7 @@ class Spoken(Collector):
 class MetricsServer:
     """Serves `/metrics` until it is closed. Raises OSError where the port cannot be had."""
 
-    def __init__(self, host: str, port: int, spoken: Spoken) -> None:
+    def __init__(self, host: str, port: int, spoken: HealthCollector) -> None:
         registry = CollectorRegistry(auto_describe=False)
         registry.register(spoken)
         ProcessCollector(registry=registry)
@@ -217,4 +217,4 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> bytes:
     return head.encode("ascii") + body
 
 
-__all__ = ["REFUSALS", "MetricsServer", "Spoken"]
+__all__ = ["REFUSALS", "HealthCollector", "MetricsServer"]

@@ -24,7 +24,7 @@ _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _MOST_GAUGES, _MOST_FACTS, _MOST_TEXT = 48, 16, 512
 
 
-class SelfReport:
+class HealthReporter:
     """Keeps what the loop tells it, and makes `Health` of it."""
 
     def __init__(self, service: Service[Any], bus: Bus) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 
-class Uploaded(NamedTuple):
+class ReceivedUpload(NamedTuple):
     """`vehicle` is that of the key, which access rules bind to a certificate; the message may name another one."""
 
     vehicle: str

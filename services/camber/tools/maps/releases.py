@@ -16,8 +16,8 @@ import numpy as np
 from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
 from camber.map_update.fusion.corrections import NONE, Corrections
 from camber.map_update.fusion.votes import values_of
-from camber.map_update.release.release_builder import ReleaseMaking, corrections_of, history, reference_in
-from camber.map_update.release.review import Review
+from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history, reference_in
+from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import load_signing_key
 from camber.road_map.release_files import ReleaseFolder
 from camber.road_map.road_columns import ReleaseError
@@ -109,12 +109,14 @@ def _roll_back(args: argparse.Namespace) -> int:
     if args.signing_key is None or not args.reason:
         raise ReleaseError("roll-back", "--signing-key and --reason", "both")
     now_ns = SystemClock().now_ns()
-    making = ReleaseMaking(args.path, reference_in(args.path), signing_key=load_signing_key(args.signing_key))
+    making = ReleaseBuilder(
+        args.path, reference_in(args.path), signing_key=load_signing_key(args.signing_key)
+    )
     before = making.corrections()
     root = making.roll_back(args.roll_back, time_ns=now_ns)
     withdrawn = other_offsets(before, making.corrections())
     why = f"rolled back to version {args.roll_back}: {args.reason}"
-    Review(args.path).reject_again(withdrawn, who=args.who, why=why, time_ns=now_ns)
+    ReviewFolder(args.path).reject_again(withdrawn, who=args.who, why=why, time_ns=now_ns)
     print(
         f"version {root.map_version} has the corrections of {args.roll_back}; {len(withdrawn)} were withdrawn"
     )
@@ -140,7 +142,7 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
             )
         else:
             lines.append(f"{made.manifest.map_version:>8}  as the reference")
-    decided = [each for each in Review(folder).decisions() if each.surface_id == surface_id]
+    decided = [each for each in ReviewFolder(folder).decisions() if each.surface_id == surface_id]
     lines += [f"{each.word} at {each.offset_m:+.3f} m by {each.who}: {each.why}" for each in decided]
     return lines if uploads is None else lines + _votes(uploads, surface_id)
 

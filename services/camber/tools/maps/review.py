@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from camber.map_update.release.review import Decided, Held, Review, Word
+from camber.map_update.release.review import HeldChange, ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
 from camber.tools.options.number_options import NUMBER
@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> int:
     try:
         if not args.releases.is_dir():
             raise ReleaseError(str(args.releases), "folder", "map_update's folder of releases")
-        return _carry_out(Review(args.releases), args)
+        return _carry_out(ReviewFolder(args.releases), args)
     except (ReleaseError, OSError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
@@ -57,7 +57,7 @@ def user_name() -> str:
         return f"uid {os.getuid()}"
 
 
-def _carry_out(review: Review, args: argparse.Namespace) -> int:
+def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
     if args.log:
         for each in review.decisions():
             print(f"{each.surface_id:>12}  {each.word:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
@@ -68,20 +68,23 @@ def _carry_out(review: Review, args: argparse.Namespace) -> int:
         return 0
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
-    word: Word = "accept" if args.accept else "reject"
+    word: ReviewAction = "accept" if args.accept else "reject"
     held = {each.surface_id: each for each in review.held()}
     unknown = sorted(set(chosen) - held.keys())
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     now_ns = SystemClock().now_ns()
     review.decide(
-        [Decided(surface, word, held[surface].offset_m, args.who, args.why, now_ns) for surface in chosen]
+        [
+            ReviewDecision(surface, word, held[surface].offset_m, args.who, args.why, now_ns)
+            for surface in chosen
+        ]
     )
     print(f"{len(chosen)} changes: {word}; map_update takes it into its next round")
     return 0
 
 
-def _lines(held: Sequence[Held]) -> list[str]:
+def _lines(held: Sequence[HeldChange]) -> list[str]:
     if not held:
         return ["nothing is held"]
     lines = [f"{'surface':>12}  {'map has':>9}  {'votes say':>9}  {'error':>7}  agree  vehicles  days  why"]

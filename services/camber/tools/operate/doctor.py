@@ -225,13 +225,13 @@ def _map(known: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _receiver(known: dict[str, Any], seconds: float) -> Iterator[Finding]:
-    from camber.runtime.query import Asker, BusError
+    from camber.runtime.query import BusError, QueryClient
     from camber.tools.operate.doctor_connection_checks import check_receiver
 
     if "gnss" not in known:
         return
     settings, runs = known["gnss"], False
-    with contextlib.suppress(BusError), Asker(settings, timeout_s=1.0) as asker:
+    with contextlib.suppress(BusError), QueryClient(settings, timeout_s=1.0) as asker:
         runs = "gnss" in asker.alive(settings.vehicle).get(settings.vehicle, ())
     yield from check_receiver(settings, seconds, gnss_runs=runs)
 

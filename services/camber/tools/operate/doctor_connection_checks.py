@@ -14,9 +14,9 @@ from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.road_map.release import ReleaseError, load_public_key, load_signing_key, open_release
-from camber.runtime.access_probe import are_we_heard, denial
+from camber.runtime.access_probe import can_publish, denial_message
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import Asker, BusError
+from camber.runtime.query import BusError, QueryClient
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.tls import TlsError
 from camber.tools.operate.doctor_machine_checks import Finding, not_checked, ok, problem
@@ -51,11 +51,13 @@ def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
             continue
         yield ok(f"bus {endpoint}", "somebody listens there")
     try:
-        with Asker(settings, timeout_s=_REACH_S) as asker:
+        with QueryClient(settings, timeout_s=_REACH_S) as asker:
             alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
         yield ok("bus", f"joined; of {settings.vehicle} is there: {', '.join(sorted(alive)) or 'nobody yet'}")
-        if zenoh.over_tls and are_we_heard(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
-            yield problem("bus, access", denial(zenoh, settings.vehicle), "`camber access cloud` anew")
+        if zenoh.over_tls and can_publish(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
+            yield problem(
+                "bus, access", denial_message(zenoh, settings.vehicle), "`camber access cloud` anew"
+            )
     except (BusError, TlsError) as error:
         yield problem("bus", str(error), "router, certificates; `camber health router`")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic_settings import SettingsConfigDict
 
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import BusError, QueryFailed, ask_once, reach_router
+from camber.runtime.query import BusError, QueryFailed, check_router, query_once
 from camber.runtime.settings import ServiceSettings, load_or_exit
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import Health, HealthRequest
@@ -31,11 +31,11 @@ def main(argv: Sequence[str]) -> int:
     settings = _settings_of(args.service, args.config, args.vehicle, args.connect)
     try:
         if args.service == ROUTER:
-            reach_router(settings, timeout_s=args.timeout)
+            check_router(settings, timeout_s=args.timeout)
             print(_router_text(settings, as_json=args.json))
             return 0
         request = HealthRequest(time_ns=SystemClock().now_ns())
-        health = ask_once(settings, "health", request, service=args.service, timeout_s=args.timeout)
+        health = query_once(settings, "health", request, service=args.service, timeout_s=args.timeout)
     except (BusError, QueryFailed) as error:
         text = f"{args.service}: no answer: {error}"
         silence = {"service": args.service, "status": "no_answer", "reason": str(error)}

@@ -9,7 +9,7 @@ import typing
 from collections.abc import Sequence
 
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import Asker, BusError, QueryFailed
+from camber.runtime.query import BusError, QueryClient, QueryFailed
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
 from camber.tools.options.bus_options import add_bus_options, bus_settings
@@ -27,7 +27,7 @@ def main(argv: Sequence[str]) -> int:
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
     request = LogLevelRequest(time_ns=SystemClock().now_ns(), level=args.level, for_s=args.for_s)
     try:
-        with Asker(settings, timeout_s=args.timeout) as asker:
+        with QueryClient(settings, timeout_s=args.timeout) as asker:
             replies = asker.ask("log_level", request, settings.vehicle, [args.service])[args.service]
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)

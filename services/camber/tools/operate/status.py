@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pydantic import TypeAdapter, ValidationError
 
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import Asker, BusError
+from camber.runtime.query import BusError, QueryClient
 from camber.schemas.base import Name
 from camber.schemas.channels import FEEDER, SERVICES, VEHICLE_SERVICES
 from camber.schemas.health import HealthRequest
@@ -44,7 +44,7 @@ def main(argv: Sequence[str]) -> int:
     settings = bus_settings(args, prog=_PROG, vehicle=FLEET if args.fleet else args.vehicle)
     code = 0
     try:
-        with Asker(settings, timeout_s=args.timeout) as asker:
+        with QueryClient(settings, timeout_s=args.timeout) as asker:
             while True:
                 code = _look(asker, settings.vehicle, args)
                 if args.watch is None:
@@ -57,7 +57,7 @@ def main(argv: Sequence[str]) -> int:
         return code
 
 
-def _look(asker: Asker, vehicle: str, args: argparse.Namespace) -> int:
+def _look(asker: QueryClient, vehicle: str, args: argparse.Namespace) -> int:
     everyone = asker.alive("*") if args.fleet else asker.alive(vehicle)
     alive = everyone.get(vehicle, frozenset())
     view = look(asker, vehicle, args.service, alive, args.over, args.expect)
@@ -76,7 +76,7 @@ def _look(asker: Asker, vehicle: str, args: argparse.Namespace) -> int:
 
 
 def look(
-    asker: Asker,
+    asker: QueryClient,
     vehicle: str,
     wanted: Sequence[str] | None,
     alive: frozenset[str],
@@ -92,7 +92,7 @@ def look(
     return view_of(vehicle, _ask(asker, vehicle, services), before, alive)
 
 
-def _ask(asker: Asker, vehicle: str, services: Sequence[str]) -> Answers:
+def _ask(asker: QueryClient, vehicle: str, services: Sequence[str]) -> Answers:
     return asker.ask("health", HealthRequest(time_ns=SystemClock().now_ns()), vehicle, services)
 
 

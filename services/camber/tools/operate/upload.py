@@ -22,7 +22,7 @@ from pathlib import Path
 
 from camber.formats.drive.uploads_csv import read_uploads
 from camber.formats.errors import FormatError
-from camber.runtime.query import Asker, BusError, QueryFailed
+from camber.runtime.query import BusError, QueryClient, QueryFailed
 from camber.schemas.fleet import UploadBatch, UploadReceipt
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{_PROG}: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     try:
-        with Asker(settings, timeout_s=min(args.timeout, 5.0)) as asker:
+        with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as asker:
             done = [_send(asker, path, batches, args.timeout) for path, batches in files]
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0 if all(done) else 1
 
 
-def _send(asker: Asker, path: Path, batches: Sequence[UploadBatch], limit_s: float) -> bool:
+def _send(asker: QueryClient, path: Path, batches: Sequence[UploadBatch], limit_s: float) -> bool:
     """Is all of a file acknowledged? Says so, with what became of its batches."""
     counts: Counter[str] = Counter()
     reasons: list[str] = []
@@ -77,7 +77,7 @@ def _send(asker: Asker, path: Path, batches: Sequence[UploadBatch], limit_s: flo
     return not reasons
 
 
-def _receipt(asker: Asker, batch: UploadBatch, limit_s: float) -> tuple[str, str]:
+def _receipt(asker: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[str, str]:
     """What the store says of a batch, asked again until it says something; and why, where it is not stored."""
     deadline = time.monotonic() + limit_s
     while True:

@@ -17,7 +17,7 @@ from pathlib import Path
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import Heading, Observed, Store, StoreError
+from camber.map_update.stores.store import LedgerEntry, ObservationPage, Store, StoreError
 from camber.runtime.settings import ConfigError, load
 
 _PROG = "camber uploads"
@@ -35,7 +35,9 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with closing(_opened(args.store)) as store:
             out = csv.writer(sys.stdout, lineterminator="\n")
-            out.writerow([*Heading._fields, *((OBSERVATION.names or ()) if args.records else ("records",))])
+            out.writerow(
+                [*LedgerEntry._fields, *((OBSERVATION.names or ()) if args.records else ("records",))]
+            )
             for found in _all(store):
                 out.writerows(_records(found) if args.records else _contributions(found))
             sys.stdout.flush()
@@ -59,14 +61,14 @@ def _opened(where: str) -> Store:
     return SqliteStore(Path(where), read_only=True)
 
 
-def _all(store: Store) -> Iterator[Observed]:
+def _all(store: Store) -> Iterator[ObservationPage]:
     cursor = 0
     while (found := store.observations_after(cursor, _AT_ONCE)).headings:
         yield found
         cursor = found.cursor
 
 
-def _contributions(found: Observed) -> Iterator[tuple[object, ...]]:
+def _contributions(found: ObservationPage) -> Iterator[tuple[object, ...]]:
     """A heading, and how many of its observations are not forgotten."""
     counts = [0] * len(found.headings)
     for heading in found.heading_of.tolist():
@@ -74,7 +76,7 @@ def _contributions(found: Observed) -> Iterator[tuple[object, ...]]:
     return ((*heading, count) for heading, count in zip(found.headings, counts, strict=True))
 
 
-def _records(found: Observed) -> Iterator[tuple[object, ...]]:
+def _records(found: ObservationPage) -> Iterator[tuple[object, ...]]:
     words = {"fix_quality": QUALITIES, "verdict": VERDICTS}
     names = OBSERVATION.names or ()
     for heading, row in zip(found.heading_of.tolist(), found.rows.tolist(), strict=True):

@@ -3,8 +3,8 @@
 By default all times in the messages are moved to the present, and each message goes out when it was measured: live
 services and consumers, which refuse what is old, take them as they took them then. Bytes of a receiver have their own
 times inside, which cannot be moved: they are left out. With `--times recorded` nothing is changed, at any speed; only
-consumers that do not judge ages (`Listener(…, live=False)`, `camber record`) take that. To run services over a drive at
-another speed there is `camber replay`.
+consumers that do not judge ages (`Subscription(…, live=False)`, `camber record`) take that. To run services over a
+drive at another speed there is `camber replay`.
 
 It declares each producer that it plays, as that service would, and refuses where one of them is there already.
 """
@@ -23,8 +23,8 @@ from typing import Any
 from camber.formats.drive.recording import Recorded, RecordingError, read_recording
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
-from camber.runtime.query import Asker
-from camber.runtime.raw_subscription import Tap
+from camber.runtime.query import QueryClient
+from camber.runtime.raw_subscription import RawSubscription
 from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.channels import BY_NAME, SENSORS, Channel
@@ -96,12 +96,12 @@ def refuse_where_they_are(
     settings: ServiceSettings, producers: Collection[str], channels: Sequence[Channel], *, timeout_s: float
 ) -> None:
     """Raises Refused where one of these producers has declared itself, or is heard within a second."""
-    with Asker(settings, timeout_s=timeout_s) as asker:
+    with QueryClient(settings, timeout_s=timeout_s) as asker:
         alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
     there = {"vehicle" if name == SENSORS else name for name in alive} & set(producers)
     if not there:  # what is no service declares nothing
         played = [channel for channel in channels if set(channel.producers) & set(producers)]
-        with Tap(settings, played, timeout_s=timeout_s) as tap:
+        with RawSubscription(settings, played, timeout_s=timeout_s) as tap:
             time.sleep(_LISTEN_S)
             there = {BY_NAME[item.channel].producers[0] for item in tap.take()}
     if there:
@@ -137,7 +137,7 @@ class Player:
         self._buses = {name: Bus(session, quiet, name, self._clock) for name in sorted(producers)}
         for bus in self._buses.values():
             if not now:
-                bus.lose_nothing()
+                bus.set_blocking()
             bus.announce()
 
     def play(self, messages: Iterator[Recorded[Any] | RecordingError]) -> list[RecordingError]:

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from camber.runtime.raw_subscription import Tap
+from camber.runtime.raw_subscription import RawSubscription
 from camber.runtime.session import BusError
 from camber.schemas.channels import BY_NAME, CHANNELS, Channel
 from camber.tools.options.bus_options import add_bus_options, bus_settings
@@ -60,7 +60,7 @@ def main(argv: Sequence[str]) -> int:
     # No file has to be ended yet, and none of Python's handlers runs while Zenoh waits for a router.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        with Tap(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:
+        with RawSubscription(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:
             names = ", ".join(channel.name for channel in channels)
             print(f"{_PROG}: {settings.vehicle}: {names}, into {args.out}", file=sys.stderr, flush=True)
             end_s = time.monotonic() + (float("inf") if args.duration is None else args.duration)
@@ -107,7 +107,7 @@ def summary(files: RecordFiles) -> str:
     )
 
 
-def _write(tap: Tap, files: RecordFiles, said: Counter[str]) -> Counter[str]:
+def _write(tap: RawSubscription, files: RecordFiles, said: Counter[str]) -> Counter[str]:
     """Write what has come; say what had to be dropped because the disk is slower than the bus."""
     items, dropped = tap.take(), Counter(tap.dropped)
     files.write(items, time.monotonic(), lost=dropped.total() - said.total())

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from camber.formats.drive.recording import Recorder
-from camber.runtime.raw_subscription import Tapped
+from camber.runtime.raw_subscription import RawSample
 
 SUFFIX = ".mcap"
 _FLUSH_AFTER_S = 10.0
@@ -47,7 +47,7 @@ class RecordFiles:
         self._began_s = self._flushed_s = 0.0
         folder.mkdir(parents=True, exist_ok=True)
 
-    def write(self, items: list[Tapped], now_s: float, *, lost: int = 0) -> None:
+    def write(self, items: list[RawSample], now_s: float, *, lost: int = 0) -> None:
         """Write these to the file that is due now, and that `lost` were dropped before; `now_s` is monotonic."""
         for part in _parts(items):
             self._write(part, now_s, lost)
@@ -57,7 +57,7 @@ class RecordFiles:
         """End the file."""
         self._end_file()
 
-    def _write(self, items: list[Tapped], now_s: float, lost: int) -> None:
+    def _write(self, items: list[RawSample], now_s: float, lost: int) -> None:
         if self._recorder is not None and self._is_full(now_s):
             self._end_file()
         if self.problem is None and items and self._recorder is None:
@@ -147,9 +147,9 @@ class RecordFiles:
                 oldest.unlink()
 
 
-def _parts(items: list[Tapped]) -> Iterator[list[Tapped]]:
+def _parts(items: list[RawSample]) -> Iterator[list[RawSample]]:
     """What a recorder takes within one tick, in the order of arrival; one part, empty, where nothing came."""
-    part: list[Tapped] = []
+    part: list[RawSample] = []
     part_bytes = 0
     for item in items:
         if part and part_bytes + len(item.data) > _PART_BYTES:

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from camber.runtime.access_probe import BusError, are_we_heard, denial, name_in
+from camber.runtime.access_probe import BusError, can_publish, denial_message, name_in
 from camber.runtime.session import OVER_TLS, router_endpoints, router_rules
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name, name_of
@@ -162,14 +162,14 @@ def _check(args: argparse.Namespace) -> int:
         settings = settings_of(connect, table)
         own = name_of(certificate_name(Path(table["connect_certificate"])))
         name = args.name or name_in(router_rules(args.file)) or own
-        heard = are_we_heard(settings, name, timeout_s=args.timeout_s)
+        heard = can_publish(settings, name, timeout_s=args.timeout_s)
     except (BusError, TlsError) as error:
         print(f"camber access: {args.file}: {error}", file=sys.stderr)
         return 3
     if heard == "heard":
         print(f"heard as {name} at {', '.join(settings.connect)}")
         return 0
-    print(f"camber access: {denial(settings, name)}", file=sys.stderr)
+    print(f"camber access: {denial_message(settings, name)}", file=sys.stderr)
     return 1
 
 

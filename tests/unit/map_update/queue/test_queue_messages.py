@@ -5,7 +5,7 @@ import pytest
 
 from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
-    Parcel,
+    QueuedContribution,
     QueueMessageError,
     pack_outcomes,
     pack_parcels,
@@ -16,13 +16,13 @@ from camber.map_update.stores.store import Outcome
 from support.contributions import contribution, random_batch
 
 
-def parcels() -> list[Parcel]:
+def parcels() -> list[QueuedContribution]:
     rng = np.random.default_rng(4)
     refusal = Refusal("datum", "datum Tokyo, expected WGS84")
     return [
-        Parcel(random_batch("b1", 20, rng), None),
-        Parcel(contribution("u1", datum="Tokyo"), refusal),
-        Parcel(random_batch("b2", 3, rng), None),
+        QueuedContribution(random_batch("b1", 20, rng), None),
+        QueuedContribution(contribution("u1", datum="Tokyo"), refusal),
+        QueuedContribution(random_batch("b2", 3, rng), None),
     ]
 
 
@@ -45,13 +45,15 @@ def test_rows_that_are_not_finite_are_no_parcel():
     sent = contribution("u1")
     sent.observations["road_height_m"] = np.nan
     with pytest.raises(QueueMessageError, match="finite"):
-        unpack_parcels(pack_parcels("_INBOX.a", [Parcel(sent, None)]))
+        unpack_parcels(pack_parcels("_INBOX.a", [QueuedContribution(sent, None)]))
 
 
 @pytest.mark.parametrize("vehicle", ["", "a b", "a\0b", "x" * 65])
 def test_a_name_that_is_none_is_no_parcel(vehicle):
     with pytest.raises(QueueMessageError, match="vehicle"):
-        unpack_parcels(pack_parcels("_INBOX.a", [Parcel(contribution("u1", vehicle=vehicle), None)]))
+        unpack_parcels(
+            pack_parcels("_INBOX.a", [QueuedContribution(contribution("u1", vehicle=vehicle), None)])
+        )
 
 
 @pytest.mark.parametrize(

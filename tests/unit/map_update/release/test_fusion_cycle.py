@@ -9,9 +9,9 @@ import pytest
 
 from camber.map_update.contribution import OBSERVATION, QUALITIES, Contribution
 from camber.map_update.fusion.pipeline import Fusion
-from camber.map_update.release.fusion_cycle import Round, Rounds, Taken
-from camber.map_update.release.release_builder import ReleaseMaking
-from camber.map_update.release.review import Decided, Review
+from camber.map_update.release.fusion_cycle import FusionCycle, FusionDecision, IngestResult
+from camber.map_update.release.release_builder import ReleaseBuilder
+from camber.map_update.release.review import ReviewDecision, ReviewFolder
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import OvertakenError, Store
 from camber.road_map.release import open_release, read_release
@@ -57,7 +57,7 @@ def fleet() -> list[Contribution]:
     return [drive(vehicle, day) for day in (1, 3, 5) for vehicle in range(12)]
 
 
-def rounds(folder: Path, store: Store, **more: float) -> Rounds:
+def rounds(folder: Path, store: Store, **more: float) -> FusionCycle:
     if not (folder / "in").exists():
         rows = [surface(k, 20.0 * k, link_id=k // 10) for k in range(SURFACES)]
         roads = [
@@ -67,8 +67,8 @@ def rounds(folder: Path, store: Store, **more: float) -> Rounds:
         write(folder / "in", rows, roads)
     reference = open_release(folder / "in")
     fusion = Fusion(reference.road_surfaces(), SECRET)
-    making = ReleaseMaking(folder / "out", reference, signing_key=None)
-    return Rounds(store, fusion, making, **more)  # type: ignore[arg-type]
+    making = ReleaseBuilder(folder / "out", reference, signing_key=None)
+    return FusionCycle(store, fusion, making, **more)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -76,8 +76,8 @@ def store(tmp_path: Path) -> Store:
     return SqliteStore(tmp_path / "uploads.sqlite")
 
 
-def all_steps(fusing: Rounds, now_ns: int) -> Round:
-    while isinstance(done := fusing.step(now_ns), Taken):
+def all_steps(fusing: FusionCycle, now_ns: int) -> FusionDecision:
+    while isinstance(done := fusing.step(now_ns), IngestResult):
         pass
     assert done is not None
     return done
@@ -122,7 +122,7 @@ def test_however_the_steps_are_cut_the_release_is_the_same(tmp_path: Path, store
     for contribution in reversed(fleet()):
         committed(other, contribution)
     # A process of its own for each step, as if each had been killed after it.
-    while isinstance(rounds(tmp_path / "cut", other, most=100).step(NOW_NS), Taken):
+    while isinstance(rounds(tmp_path / "cut", other, most=100).step(NOW_NS), IngestResult):
         pass
     assert raised_m(tmp_path / "cut").tolist() == raised_m(tmp_path / "whole").tolist()
     assert other.progress().cursor == len(fleet())
@@ -149,7 +149,7 @@ def test_a_step_that_is_overtaken_writes_nothing(tmp_path: Path, store: Store) -
 def test_observations_of_another_datum_are_kept_and_not_fused(tmp_path: Path, store: Store) -> None:
     committed(store, drive(1, 1), drive(2, 1, datum="JGD2011"), drive(3, 1, datum="ITRF2020"))
     taken = rounds(tmp_path, store).step(NOW_NS)
-    assert isinstance(taken, Taken)
+    assert isinstance(taken, IngestResult)
     assert (taken.contributions, taken.observations, taken.other_datum) == (3, 360, 120)
     assert len(np.unique(store.votes_of()["voter"])) == 2
 
@@ -158,7 +158,7 @@ def test_a_clock_that_is_set_back_does_not_stop_it(tmp_path: Path, store: Store)
     fusing = rounds(tmp_path, store, every_s=60.0)
     all_steps(fusing, NOW_NS)
     committed(store, *fleet())
-    assert isinstance(fusing.step(NOW_NS - DAY_NS // 24), Taken)
+    assert isinstance(fusing.step(NOW_NS - DAY_NS // 24), IngestResult)
 
 
 def test_a_road_that_is_lowered_again_is_the_reference_again(tmp_path: Path, store: Store) -> None:
@@ -178,22 +178,23 @@ def test_what_a_person_accepts_or_rolls_back_is_taken_into_the_next_round(
     committed(store, *higher)
     fusing = rounds(tmp_path, store, every_s=1.0)
     all_steps(fusing, NOW_NS)
-    review = Review(tmp_path / "out")
+    review = ReviewFolder(tmp_path / "out")
     assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
     accepted = [
-        Decided(h.surface_id, "accept", h.offset_m, "ann", "a new bridge", NOW_NS) for h in review.held()
+        ReviewDecision(h.surface_id, "accept", h.offset_m, "ann", "a new bridge", NOW_NS)
+        for h in review.held()
     ]
     review.decide(accepted)
     found = fusing.step(NOW_NS + 2 * 10**9)
-    assert isinstance(found, Round)
+    assert isinstance(found, FusionDecision)
     assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)
     assert review.held() == []
 
-    making = ReleaseMaking(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
+    making = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
     withdrawn = making.corrections()
     making.roll_back(found.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
     review.reject_again(withdrawn, who="ann", why="it was not", time_ns=NOW_NS + 3 * 10**9)
     again = fusing.step(NOW_NS + 5 * 10**9)
-    assert isinstance(again, Round)
+    assert isinstance(again, FusionDecision)
     assert again.root.map_version == found.root.map_version + 1
     assert np.abs(raised_m(tmp_path)).max() == 0.0

@@ -10,7 +10,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.map_update.fusion.corrections import CORRECTION, NONE, Corrections, from_bytes, settled, to_bytes
-from camber.map_update.release.release_builder import ReleaseMaking, corrections_of, history
+from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history
 from camber.road_map.release import ReleaseError, open_release, read_release
 from support.small_map import DAY_NS, MADE_NS, link, surface, write
 
@@ -24,7 +24,7 @@ def corrections(*rows: tuple[Any, ...]) -> Corrections:
     return np.array(full, CORRECTION)
 
 
-def making(folder: Path, rows: list[dict[str, Any]] | None = None, **changed: Any) -> ReleaseMaking:
+def making(folder: Path, rows: list[dict[str, Any]] | None = None, **changed: Any) -> ReleaseBuilder:
     """Releases in `folder/out` from a reference in `folder/in` with surfaces in several tiles."""
     rows = (
         [surface(i, 300.0 * i, heights_m=50.0 + np.arange(6).reshape(3, 2) / 100) for i in range(6)]
@@ -32,7 +32,7 @@ def making(folder: Path, rows: list[dict[str, Any]] | None = None, **changed: An
         else rows
     )
     write(folder / "in", rows, [LINK], **changed)
-    return ReleaseMaking(folder / "out", open_release(folder / "in"), signing_key=KEY)
+    return ReleaseBuilder(folder / "out", open_release(folder / "in"), signing_key=KEY)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -130,9 +130,9 @@ def test_lineage_is_carried_on_and_an_id_that_was_given_up_is_never_taken_again(
     make = making(tmp_path, [surface(1), surface(2, 50.0)])
     make.make(corrections((1, 0.02)), time_ns=MADE_NS)
 
-    def surveyed(name: str, rows: list[dict[str, Any]], version: int, **changed: Any) -> ReleaseMaking:
+    def surveyed(name: str, rows: list[dict[str, Any]], version: int, **changed: Any) -> ReleaseBuilder:
         write(tmp_path / name, rows, map_version=version, **changed)
-        return ReleaseMaking(tmp_path / "out", open_release(tmp_path / name), signing_key=KEY)
+        return ReleaseBuilder(tmp_path / "out", open_release(tmp_path / name), signing_key=KEY)
 
     split = surveyed("split", [surface(2, 50.0), surface(3), surface(4, 10.0)], 20, lineage=[(3, 1), (4, 1)])
     assert split.make(NONE, time_ns=MADE_NS + 1).map_version == 21

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from camber.map_update.fusion.publication import DECISION, DECISIONS, REASONS, Decisions, DecisionWord
-from camber.map_update.release.review import Decided, Review, Word
+from camber.map_update.release.review import ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
 from support.small_map import MADE_NS
 
@@ -27,9 +27,9 @@ def decisions(*rows: tuple[int, DecisionWord, float]) -> Decisions:
     return Decisions(surfaces)
 
 
-def decided(surface_id: int, word: Word, offset_m: float, **changed: Any) -> Decided:
+def decided(surface_id: int, word: ReviewAction, offset_m: float, **changed: Any) -> ReviewDecision:
     values = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS, **changed}
-    return Decided(surface_id, word, offset_m, **values)
+    return ReviewDecision(surface_id, word, offset_m, **values)
 
 
 def words(found: Decisions) -> list[str]:
@@ -37,7 +37,7 @@ def words(found: Decisions) -> list[str]:
 
 
 def test_what_is_held_is_shown_with_its_numbers_and_since_when(tmp_path: Path) -> None:
-    review = Review(tmp_path)
+    review = ReviewFolder(tmp_path)
     assert review.held() == []
     review.judged(decisions((3, "hold", 0.2), (5, "publish", 0.1)), MADE_NS)
     review.judged(decisions((3, "hold", 0.21), (5, "nothing", 0.1)), MADE_NS + 5)
@@ -48,7 +48,7 @@ def test_what_is_held_is_shown_with_its_numbers_and_since_when(tmp_path: Path) -
 
 
 def test_an_accepted_change_is_published_and_waits_no_more(tmp_path: Path) -> None:
-    review = Review(tmp_path)
+    review = ReviewFolder(tmp_path)
     review.decide([decided(3, "accept", 0.2)])
     found = review.judged(decisions((3, "hold", 0.205), (4, "hold", 0.2)), MADE_NS)
     assert words(found) == ["publish", "hold"]
@@ -60,7 +60,7 @@ def test_an_accepted_change_is_published_and_waits_no_more(tmp_path: Path) -> No
 def test_a_rejected_change_is_not_published_until_the_votes_say_another_height(
     tmp_path: Path, word: DecisionWord
 ) -> None:
-    review = Review(tmp_path)
+    review = ReviewFolder(tmp_path)
     review.decide([decided(3, "reject", 0.2)])
     found = review.judged(decisions((3, word, 0.205)), MADE_NS)
     assert words(found) == ["nothing"]
@@ -71,15 +71,15 @@ def test_a_rejected_change_is_not_published_until_the_votes_say_another_height(
 
 
 def test_the_last_word_counts_and_all_are_kept(tmp_path: Path) -> None:
-    review = Review(tmp_path)
+    review = ReviewFolder(tmp_path)
     for word in ("accept", "reject", "accept"):
         review.decide([decided(3, word, 0.2)])  # type: ignore[arg-type]
-    assert [each.word for each in Review(tmp_path).decisions()] == ["accept", "reject", "accept"]
+    assert [each.word for each in ReviewFolder(tmp_path).decisions()] == ["accept", "reject", "accept"]
     assert words(review.judged(decisions((3, "hold", 0.2)), MADE_NS)) == ["publish"]
 
 
 def test_a_line_that_was_cut_short_was_never_decided(tmp_path: Path) -> None:
-    review = Review(tmp_path)
+    review = ReviewFolder(tmp_path)
     review.decide([decided(3, "accept", 0.2)])
     path = tmp_path / "review" / "decisions.jsonl"
     whole = path.read_bytes()
@@ -92,8 +92,8 @@ def test_a_line_that_was_cut_short_was_never_decided(tmp_path: Path) -> None:
 def test_nobody_decides_without_a_name_and_a_reason(tmp_path: Path) -> None:
     for missing in ("who", "why"):
         with pytest.raises(ReleaseError, match="somebody"):
-            Review(tmp_path).decide([decided(3, "accept", 0.2, **{missing: " "})])
-    assert Review(tmp_path).decisions() == []
+            ReviewFolder(tmp_path).decide([decided(3, "accept", 0.2, **{missing: " "})])
+    assert ReviewFolder(tmp_path).decisions() == []
 
 
 @pytest.mark.parametrize("name", ["held.json", "decisions.jsonl"])
@@ -101,4 +101,4 @@ def test_damaged_files_are_named(tmp_path: Path, name: str) -> None:
     (tmp_path / "review").mkdir()
     (tmp_path / "review" / name).write_text(json.dumps([{"word": 1}]) + "\n")
     with pytest.raises(ReleaseError, match=name):
-        Review(tmp_path).judged(decisions((3, "hold", 0.2)), MADE_NS)
+        ReviewFolder(tmp_path).judged(decisions((3, "hold", 0.2)), MADE_NS)

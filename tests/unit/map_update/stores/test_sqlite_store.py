@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from camber.map_update.stores.sqlite_store import FORMAT, SqliteStore
-from camber.map_update.stores.store import Step, StoreError
+from camber.map_update.stores.store import FusionStep, StoreError
 from support.contributions import NOW_NS, committed, contribution, random_batch
 
 
@@ -230,7 +230,7 @@ def test_what_is_forgotten_is_not_left_in_the_file(path, store):
     sent.observations["road_height_m"] = 40.123456789
     mark = sent.observations["road_height_m"][:1].tobytes()
     committed(store, sent, contribution("u1"))
-    store.advance(store.progress(), Step(cursor=2))
+    store.advance(store.progress(), FusionStep(cursor=2))
     assert store.forget(NOW_NS + 1) == 2
     store.close()
     assert mark not in path.read_bytes()

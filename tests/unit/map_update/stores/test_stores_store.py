@@ -12,7 +12,7 @@ from camber.map_update.contribution import Contribution
 from camber.map_update.fusion.votes import VOTE
 from camber.map_update.stores.postgres_store import PostgresStore
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import OvertakenError, Step, Store
+from camber.map_update.stores.store import FusionStep, OvertakenError, Store
 from support.contributions import (
     NOW_NS,
     committed,
@@ -147,7 +147,7 @@ def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicat
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
     assert store.forget(NOW_NS + 10) == 0
     third = store.observations_after(0, 100).headings[2].number
-    store.advance(store.progress(), Step(cursor=third))
+    store.advance(store.progress(), FusionStep(cursor=third))
     assert store.forget(NOW_NS + 2) == 2
     assert store.forget(NOW_NS + 2) == 0
     found = store.observations_after(0, 100)
@@ -162,7 +162,7 @@ def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
     last = store.observations_after(0, 100).headings[3].number
     assert store.prune(NOW_NS + 10) == 0
-    store.advance(store.progress(), Step(cursor=last))
+    store.advance(store.progress(), FusionStep(cursor=last))
     assert store.prune(NOW_NS + 10) == 0
     assert store.forget(NOW_NS + 3) == 3
     assert [store.prune(NOW_NS + 10, most=2) for _ in range(3)] == [2, 1, 0]
@@ -176,7 +176,7 @@ def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_
 def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
     for n in range(3):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
-    store.advance(store.progress(), Step(cursor=store.observations_after(0, 100).cursor))
+    store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     store.forget(NOW_NS + 10)
     assert store.prune(NOW_NS + 1) == 1
     assert committed(store, *(contribution(f"u{n}") for n in (1, 2))) == ["duplicate"] * 2
@@ -185,7 +185,7 @@ def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
 def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
     for n in range(5):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
-    store.advance(store.progress(), Step(cursor=store.observations_after(0, 100).cursor))
+    store.advance(store.progress(), FusionStep(cursor=store.observations_after(0, 100).cursor))
     assert [store.forget(NOW_NS + 5, most=2) for _ in range(4)] == [2, 2, 1, 0]
 
 
@@ -198,7 +198,7 @@ def votes(*rows: tuple[int, int, int]) -> np.ndarray:
 
 def test_a_step_of_the_fusion_is_written_whole(database, store):
     before = store.progress()
-    step = Step(
+    step = FusionStep(
         7, np.array([4, 2]), votes((4, 1, 1), (2, 9, 3), (4, 5, 1)), {"decisions": b"\0\xff", "x": b""}
     )
     after = store.advance(before, step)
@@ -216,11 +216,11 @@ def test_a_step_of_the_fusion_is_written_whole(database, store):
 
 
 def test_votes_of_a_surface_are_replaced_and_those_of_others_stay(store):
-    first = Step(
+    first = FusionStep(
         1, np.array([1, 2, 3]), votes((1, 1, 1), (2, 1, 1), (2, 2, 1), (3, 1, 1)), {"a": b"1", "b": b"2"}
     )
     seen = store.advance(store.progress(), first)
-    store.advance(seen, Step(2, np.array([2, 3]), votes((2, 3, 1)), {"a": None, "b": b"3"}))
+    store.advance(seen, FusionStep(2, np.array([2, 3]), votes((2, 3, 1)), {"a": None, "b": b"3"}))
     assert store.votes_of().tolist() == votes((1, 1, 1), (2, 3, 1)).tolist()
     assert (store.state_of("a"), store.state_of("b")) == (None, b"3")
 
@@ -228,17 +228,17 @@ def test_votes_of_a_surface_are_replaced_and_those_of_others_stay(store):
 def test_a_step_made_from_what_others_have_changed_since_is_not_written(database, store):
     other = database()
     seen = store.progress()
-    other.advance(other.progress(), Step(0, state={"review": b"accepted"}))
+    other.advance(other.progress(), FusionStep(0, state={"review": b"accepted"}))
     with pytest.raises(OvertakenError):
-        store.advance(seen, Step(5, np.array([1]), votes((1, 1, 1)), {"review": b"held"}))
+        store.advance(seen, FusionStep(5, np.array([1]), votes((1, 1, 1)), {"review": b"held"}))
     assert store.votes_of().tolist() == []
     assert store.state_of("review") == b"accepted"
-    assert store.advance(store.progress(), Step(5)).cursor == 5
+    assert store.advance(store.progress(), FusionStep(5)).cursor == 5
 
 
 def test_a_step_with_votes_of_a_surface_it_does_not_name_is_refused_whole(store):
     with pytest.raises(ValueError, match="does not name"):
-        store.advance(store.progress(), Step(5, np.array([1]), votes((2, 1, 1))))
+        store.advance(store.progress(), FusionStep(5, np.array([1]), votes((2, 1, 1))))
     assert store.progress() == (0, 0)
 
 

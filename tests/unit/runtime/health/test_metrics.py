@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from camber.runtime.clock import SystemClock
-from camber.runtime.health.metrics import MetricsServer, Spoken
+from camber.runtime.health.metrics import HealthCollector, MetricsServer
 from camber.schemas.health import ChannelUse, Health, Issue
 
 OWN = {"service": "integrity", "vehicle": "v7"}
@@ -46,12 +46,12 @@ def said(**more: object) -> Health:
 
 
 @pytest.fixture
-def spoken() -> Spoken:
-    return Spoken("integrity", "v7")
+def spoken() -> HealthCollector:
+    return HealthCollector("integrity", "v7")
 
 
 @pytest.fixture
-def server(spoken: Spoken) -> Iterator[MetricsServer]:
+def server(spoken: HealthCollector) -> Iterator[MetricsServer]:
     server = MetricsServer("127.0.0.1", 0, spoken)
     yield server
     server.close()
@@ -80,7 +80,7 @@ def value(found: dict[str, list[Sample]], name: str, **labels: str) -> float:
     return float(sample.value)
 
 
-def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: Spoken) -> None:
+def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: HealthCollector) -> None:
     spoken.say(said())
     found = samples(server)
     assert value(found, "camber_status", status="degraded") == 1.0
@@ -101,7 +101,7 @@ def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: Spo
     assert found["process_resident_memory_bytes"][0].value > 1e6
 
 
-def test_both_text_formats_are_served_as_asked(server: MetricsServer, spoken: Spoken) -> None:
+def test_both_text_formats_are_served_as_asked(server: MetricsServer, spoken: HealthCollector) -> None:
     spoken.say(said())
     plain, kind = get(server, "text/plain;version=0.0.4")
     assert kind.startswith("text/plain; version=0.0.4")
@@ -120,7 +120,7 @@ def test_before_the_loop_has_begun_it_is_starting(server: MetricsServer) -> None
 
 
 def test_of_a_frozen_loop_the_words_stay_and_their_age_grows(
-    server: MetricsServer, spoken: Spoken, monkeypatch: pytest.MonkeyPatch
+    server: MetricsServer, spoken: HealthCollector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     spoken.say(said())
     before = samples(server)
@@ -162,7 +162,7 @@ def raw(server: MetricsServer, data: bytes) -> bytes:
     ],
 )
 def test_what_is_no_question_is_refused_and_the_next_one_answered(
-    server: MetricsServer, spoken: Spoken, data: bytes, begin: bytes
+    server: MetricsServer, spoken: HealthCollector, data: bytes, begin: bytes
 ) -> None:
     spoken.say(said())
     answer = raw(server, data)
@@ -171,7 +171,9 @@ def test_what_is_no_question_is_refused_and_the_next_one_answered(
     assert value(samples(server), "camber_uptime_seconds") >= 12.0
 
 
-def test_who_asks_slowly_and_in_great_number_is_dropped(server: MetricsServer, spoken: Spoken) -> None:
+def test_who_asks_slowly_and_in_great_number_is_dropped(
+    server: MetricsServer, spoken: HealthCollector
+) -> None:
     spoken.say(said())
     threads = threading.active_count()
     with ExitStack() as held:
@@ -199,7 +201,7 @@ def samples_after(server: MetricsServer, limit_s: float) -> dict[str, list[Sampl
 
 def test_a_port_that_is_taken_is_said(server: MetricsServer) -> None:
     with pytest.raises(OSError, match="in use"):
-        MetricsServer("127.0.0.1", server.port, Spoken("gnss", "v7"))
+        MetricsServer("127.0.0.1", server.port, HealthCollector("gnss", "v7"))
 
 
 def test_a_version_that_is_none_gets_the_plain_text(server: MetricsServer) -> None:

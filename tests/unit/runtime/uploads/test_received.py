@@ -14,7 +14,7 @@ from camber.runtime.run import Loop
 from camber.runtime.service import Service
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
-from camber.runtime.uploads.received import Uploaded
+from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.channels import BY_NAME
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.fleet import ElevationUpload, UploadReceipt
@@ -35,7 +35,7 @@ class Server(Service[ServiceSettings]):
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Any]]]:
         return {"upload": self.take}
 
-    def take(self, uploads: Sequence[Uploaded]) -> list[UploadReceipt]:
+    def take(self, uploads: Sequence[ReceivedUpload]) -> list[UploadReceipt]:
         self.got += [(upload.vehicle, self.bus.now_ns()) for upload in uploads]
         return [
             UploadReceipt(

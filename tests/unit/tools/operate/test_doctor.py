@@ -356,9 +356,9 @@ def test_ports_and_hosts_that_there_cannot_be_are_problems() -> None:
 
 
 def test_a_port_that_a_running_service_of_ours_has_is_well() -> None:
-    from camber.runtime.health.metrics import MetricsServer, Spoken
+    from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
-    server = MetricsServer("127.0.0.1", 0, Spoken("gnss", "car"))
+    server = MetricsServer("127.0.0.1", 0, HealthCollector("gnss", "car"))
     try:
         found = list(check_ports([("gnss", service(metrics_port=server.port))]))
     finally:

@@ -194,7 +194,7 @@ def test_the_vehicle_is_the_one_that_is_named_or_that_of_the_settings(
         asked.append(settings.vehicle)
         raise BusError("away")
 
-    monkeypatch.setattr(status, "Asker", nobody)
+    monkeypatch.setattr(status, "QueryClient", nobody)
     config = tmp_path / "car.toml"
     config.write_text('vehicle = "car-7"\n')
     assert status.main(["--config", str(config), *words]) == 3

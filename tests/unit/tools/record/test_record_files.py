@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.recording import Recorded, read_recording
-from camber.runtime.raw_subscription import Tapped
+from camber.runtime.raw_subscription import RawSample
 from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
@@ -24,10 +24,10 @@ UNIX = 1_700_000_000 * 10**9
 OPEN = Limits(free_bytes=0)
 
 
-def motions(first: int, count: int) -> list[Tapped]:
+def motions(first: int, count: int) -> list[RawSample]:
     motion = build(Motion, Random(1), filled=True)
     return [
-        Tapped(
+        RawSample(
             "motion",
             "camber/v1/car/vehicle/motion",
             encode(motion.model_copy(update={"time_ns": T + n * 10**8}), source="vehicle", sequence=n),
@@ -127,7 +127,7 @@ def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path
         intensity=np.zeros(n, np.float32),
         offset_ns=np.zeros(n, np.int32),
     )
-    one = Tapped("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
+    one = RawSample("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
     files = RecordFiles(tmp_path, "car", OPEN)
     files.write([one] * 50, now_s=0.0)
     files.close()
