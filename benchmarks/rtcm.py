@@ -9,7 +9,7 @@ from figure import Figure, higher, per_call_us
 from pyrtcm import RTCMReader
 
 from camber.formats.observations import ObservationEpoch, carrier_hz, satellite_number, signal_number
-from camber.formats.rtcm.reader import RtcmDecoder, StationEpoch
+from camber.formats.rtcm.reader import BaseStationEpoch, RtcmDecoder
 from camber.formats.rtcm.writer import format_observations
 
 START_NS = 1_400_000_000_000_000_000
@@ -50,7 +50,7 @@ def decoded(data: bytes) -> int:
     """Observations in a stream that comes in pieces of 4096 bytes."""
     decoder = RtcmDecoder(START_NS)
     results = [result for at in range(0, len(data), 4096) for result in decoder.feed(data[at : at + 4096])]
-    return sum(result.epoch.satellite.size for result in results if isinstance(result, StationEpoch))
+    return sum(result.epoch.satellite.size for result in results if isinstance(result, BaseStationEpoch))
 
 
 def decoded_by_pyrtcm(data: bytes) -> int:

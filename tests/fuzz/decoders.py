@@ -46,7 +46,7 @@ from camber.formats.rtcm.writer import (
 )
 from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
 from camber.formats.ubx.reader import UbxDecoder
-from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe, ubx_frame
 from camber.geodesy.gps_time import NS_PER_DAY, week_tow_from_gps_ns
 from camber.map_server.elevation import ElevationMap
@@ -72,7 +72,7 @@ from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.sensors.lidar_reader import LidarReader
-from camber.sensors.sensor_clock import SensorClock, TimeScale
+from camber.sensors.sensor_clock import SensorClock, SystemTime
 from camber.simulator.output.can_frames import DBC
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
 from camber.tools.maps.importers.lane_map import Known, road_map
@@ -509,7 +509,7 @@ def _lidar_decoder(kind: str) -> LidarDecoder:
 
 def _read_packets(kind: str) -> Callable[[bytes], None]:
     """As `camber sensors` does, all at their time."""
-    scale: TimeScale = "utc_hour" if kind == "velodyne" else "tai"
+    scale: SystemTime = "utc_hour" if kind == "velodyne" else "tai"
 
     def read(data: bytes) -> None:
         reader = LidarReader("fuzz", _lidar_decoder(kind), SensorClock(scale, 0, NS_PER_DAY), 0.001)

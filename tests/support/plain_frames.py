@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 
 from camber.formats.broadcast.bit_fields import crc24q
+from camber.formats.receiver.frame_buffer import Frame, FrameProtocol
 from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
-from camber.formats.receiver.frames import Frame, FrameProtocol
 from camber.formats.rtcm.writer import PREAMBLE
 from camber.formats.ubx.writer import SYNC, checksum
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from camber.formats.drive.truth_csv import read_truth
-from camber.formats.receiver.frames import FrameBuffer
+from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.replay.observation_files import read_observation_file
 from camber.schemas.gnss import Fix

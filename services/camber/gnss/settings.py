@@ -14,7 +14,7 @@ from camber.gnss.observations.signal_pairs import groups_of
 from camber.gnss.position.rtk_engine import EngineOptions
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Name
-from camber.transport.byte_streams import source_of
+from camber.transport.byte_streams import parse_source
 
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
 
@@ -132,5 +132,5 @@ class GnssSettings(ServiceSettings):
     @classmethod
     def _known_source(cls, value: str | None) -> str | None:
         if value is not None and value != "bus":
-            source_of(value)
+            parse_source(value)
         return value

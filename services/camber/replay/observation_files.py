@@ -17,7 +17,7 @@ from typing import Literal
 from camber.formats.broadcast.bit_fields import crc24q
 from camber.formats.broadcast.ephemeris_fields import gps_ns_near
 from camber.formats.errors import FormatError
-from camber.formats.rinex.compressed_files import rinex_pieces
+from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rtcm.msm_reader import is_msm
 from camber.formats.ubx.writer import checksum
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
@@ -79,7 +79,7 @@ def read_observation_file(path: Path, near_ns: int | None) -> tuple[RawProtocol,
 
 def read_raw_file(path: Path) -> tuple[RawProtocol, bytes]:
     """A file unpacked, and what it is by its content. Raises FormatError, OSError."""
-    data = b"".join(rinex_pieces(path))
+    data = b"".join(rinex_chunks(path))
     if data[60:80].startswith(b"RINEX VERSION"):
         return "rinex", data
     for start, _ in _frames(data):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from camber.transport.byte_sources import CHUNK_BYTES, File, Serial, Source, Tcp
-from camber.transport.ntrip_client import Mountpoint, Ntrip, NtripAccess, PositionPace
+from camber.transport.ntrip_client import GgaSchedule, Mountpoint, Ntrip, NtripAccess
 from camber.transport.tcp_connection import RefusedError
 
 LIMIT_BYTES = 4 << 20
@@ -62,7 +62,7 @@ class ByteStream:
         self._thread.join(_CLOSING_S)
 
     def _run(self) -> None:
-        pauses = Pauses(random.random)
+        pauses = ReconnectBackoff(random.random)
         while not self._stop.is_set():
             refused = False
             self._flowed_s = 0.0
@@ -110,7 +110,7 @@ class ByteStream:
                 self.lost_bytes += excess
 
 
-class Pauses:
+class ReconnectBackoff:
     """How long to wait before the next attempt: twice as long each time, until data have flowed for a while.
 
     A connection alone is no success: a caster that takes and drops each one would be hammered. `chance` gives numbers
@@ -136,7 +136,7 @@ class Pauses:
         return pause_s * (0.5 + 0.5 * self._chance())
 
 
-def source_of(url: str, ntrip: NtripAccess | None = None) -> Opener:
+def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
     """What opens `file:PATH`, `tcp:HOST:PORT`, `serial:DEVICE[:BAUD]`, `ntrip://HOST:PORT/MOUNT` or `ntrips://…`.
 
     ValueError says what was expected, and never repeats a password.
@@ -168,11 +168,11 @@ def open_stream(
     ntrip: NtripAccess | None = None,
     silence_s: float = SILENCE_S,
 ) -> ByteStream:
-    """A stream from a source that `source_of` knows; ValueError where it does not.
+    """A stream from a source that `parse_source` knows; ValueError where it does not.
 
     `arrived` is called from the stream's thread whenever bytes have come.
     """
-    return ByteStream(source_of(url, ntrip), arrived=arrived, silence_s=silence_s)
+    return ByteStream(parse_source(url, ntrip), arrived=arrived, silence_s=silence_s)
 
 
 def _caster(url: str, access: NtripAccess) -> Opener:
@@ -180,7 +180,7 @@ def _caster(url: str, access: NtripAccess) -> Opener:
     if at is None:
         told = "; user and password do not belong into the address" if "@" in url else ""
         raise ValueError(f"{_shown(url)!r}: expected {url.partition(':')[0]}://HOST:PORT/MOUNT{told}")
-    pace = PositionPace(access)
+    pace = GgaSchedule(access)
     return lambda stop: Ntrip(at, access, pace, stop)
 
 

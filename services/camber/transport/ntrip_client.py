@@ -71,7 +71,7 @@ class Mountpoint:
         return cls(found[2] or found[3], int(found[4]), found[5], tls=bool(found[1]))
 
 
-class PositionPace:
+class GgaSchedule:
     """Says when the caster may be told our position, across all connections to it."""
 
     def __init__(self, access: NtripAccess) -> None:
@@ -105,9 +105,7 @@ class Ntrip:
 
     waits = False
 
-    def __init__(
-        self, at: Mountpoint, access: NtripAccess, pace: PositionPace, stop: threading.Event
-    ) -> None:
+    def __init__(self, at: Mountpoint, access: NtripAccess, pace: GgaSchedule, stop: threading.Event) -> None:
         self._pace = pace
         self._unsent = b""
         context = tls_context(access.ca_file) if at.tls else None

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from camber.transport import byte_streams
-from camber.transport.byte_streams import ByteStream, Pauses, open_stream, source_of
+from camber.transport.byte_streams import ByteStream, ReconnectBackoff, open_stream, parse_source
 from camber.transport.ntrip_client import NtripAccess
 from support.streams import PATIENCE_S, Reader, wait_for
 
@@ -178,7 +178,7 @@ def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, re
 )
 def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
     with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT or serial:DEVICE") as raised:
-        source_of(url)
+        parse_source(url)
     assert repr(url) in str(raised.value)
 
 
@@ -199,7 +199,7 @@ def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> No
 )
 def test_a_mountpoint_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
     with pytest.raises(ValueError, match="expected ntrip://HOST:PORT/MOUNT"):
-        source_of(url)
+        parse_source(url)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +215,7 @@ def test_a_mountpoint_that_is_none_is_refused_with_what_was_expected(url: str) -
 )
 def test_a_password_in_an_address_is_refused_and_not_repeated(url: str) -> None:
     with pytest.raises(ValueError, match=r"\*\*\*\*@host") as raised:
-        source_of(url)
+        parse_source(url)
     assert "heim" not in str(raised.value)
     assert "driver" not in str(raised.value)
 
@@ -252,7 +252,7 @@ def test_a_wrong_way_to_ask_a_caster_is_refused(wrong: dict[str, object], expect
     ],
 )
 def test_a_source_is_understood_without_being_opened(url: str) -> None:
-    assert callable(source_of(url))
+    assert callable(parse_source(url))
 
 
 def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,8 +263,8 @@ def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyP
         return object()
 
     monkeypatch.setattr(byte_streams, "Serial", port)
-    source_of("serial:/dev/serial/by-path/usb-0:1.0-port0:38400")(threading.Event())
-    source_of("serial:/dev/serial/by-path/usb-0:1.0-port0")(threading.Event())
+    parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0:38400")(threading.Event())
+    parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0")(threading.Event())
     assert opened == [
         ("/dev/serial/by-path/usb-0:1.0-port0", 38_400),
         ("/dev/serial/by-path/usb-0:1.0-port0", 115_200),
@@ -272,7 +272,7 @@ def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyP
 
 
 def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
-    pauses = Pauses(chance=lambda: 1.0)
+    pauses = ReconnectBackoff(chance=lambda: 1.0)
     grown = [pauses.after(flowed_s, refused=False) for flowed_s in (0.0, 9.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0)]
     assert grown == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
     assert pauses.after(10.0, refused=False) == 0.2
@@ -280,13 +280,13 @@ def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
 
 
 def test_who_has_refused_is_asked_less_often() -> None:
-    pauses = Pauses(chance=lambda: 1.0)
+    pauses = ReconnectBackoff(chance=lambda: 1.0)
     assert [pauses.after(0.0, refused=True) for _ in range(11)][-2:] == [60.0, 60.0]
     assert pauses.after(0.0, refused=False) == 10.0
 
 
 def test_a_pause_is_never_shorter_than_half_of_what_it_may_be() -> None:
-    assert Pauses(chance=lambda: 0.0).after(0.0, refused=False) == 0.1
+    assert ReconnectBackoff(chance=lambda: 0.0).after(0.0, refused=False) == 0.1
 
 
 def test_a_server_that_says_nothing_is_left_and_found_again(server: socket.socket, reader: Reader) -> None:

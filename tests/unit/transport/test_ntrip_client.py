@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.transport.ntrip_client import Mountpoint, NtripAccess, PositionPace, request
+from camber.transport.ntrip_client import GgaSchedule, Mountpoint, NtripAccess, request
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
 AT = Mountpoint("caster.example", 2101, "BASE", tls=False)
@@ -58,7 +58,7 @@ def test_names_of_any_language_are_sent_as_utf_8() -> None:
 def test_positions_are_sent_at_the_interval_and_never_more_than_once_a_second(
     steps_s: list[float], interval_s: float, unheard: list[int]
 ) -> None:
-    pace = PositionPace(NtripAccess(position=lambda: GGA, position_interval_s=interval_s))
+    pace = GgaSchedule(NtripAccess(position=lambda: GGA, position_interval_s=interval_s))
     now_s, sent_s = 0.0, []
     for index, step_s in enumerate(steps_s):
         now_s += step_s
@@ -88,14 +88,14 @@ def test_positions_are_sent_at_the_interval_and_never_more_than_once_a_second(
     ],
 )
 def test_what_is_no_sentence_of_a_position_is_not_sent(sentence: str | None) -> None:
-    pace = PositionPace(NtripAccess(position=lambda: sentence))
+    pace = GgaSchedule(NtripAccess(position=lambda: sentence))
     assert pace.due(0.0) is None
     assert "position" in pace.silent_because
 
 
 def test_a_sentence_is_sent_as_soon_as_there_is_one() -> None:
     sentences = iter([None, GGA + "\r\n", GGA])
-    pace = PositionPace(NtripAccess(position=lambda: next(sentences)))
+    pace = GgaSchedule(NtripAccess(position=lambda: next(sentences)))
     assert pace.due(0.0) is None
     assert pace.due(0.1) == GGA
     assert pace.silent_because == ""
@@ -103,4 +103,4 @@ def test_a_sentence_is_sent_as_soon_as_there_is_one() -> None:
 
 
 def test_who_gives_no_position_is_not_told_to() -> None:
-    assert PositionPace(NtripAccess()).silent_because == ""
+    assert GgaSchedule(NtripAccess()).silent_because == ""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from serial.tools.list_ports_common import ListPortInfo
 
-from camber.transport.byte_streams import source_of
+from camber.transport.byte_streams import parse_source
 from camber.transport.serial_ports import described
 
 
@@ -53,4 +53,4 @@ def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: 
 def test_what_is_given_as_a_source_is_one() -> None:
     for line in described([port("/dev/ttyS0"), port("/dev/ttyUSB0")], by_id=Path("/missing")).splitlines():
         if "--source" in line:
-            assert callable(source_of(line.split()[1]))
+            assert callable(parse_source(line.split()[1]))

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from camber.formats.broadcast.bit_fields import joined
-from camber.formats.broadcast.bit_layouts import BitLayout, laid_out, taken_apart
-from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
+from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.broadcast.klobuchar_coefficients import IONOSPHERE_FIELDS
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
@@ -59,26 +59,28 @@ def is_geostationary(satellite: int) -> bool:
     return number <= 5 or number >= 59
 
 
-def d1_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
+def encode_d1_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
     """Ten words of 30 bits of D1 subframe 1, 2 or 3 that begins at a GPS time; the ionosphere is zero.
 
     Words are as after de-interleaving: 22 information bits (26 in the first), then 8 check bits (4). Raises ValueError
-    as `broadcast_integers` does, or where no subframe begins at this time.
+    as `integers_from_ephemeris` does, or where no subframe begins at this time.
     """
     week, second = _second_of_week(start_ns, D1_SUBFRAME_S, subframe)
-    integers = dict.fromkeys(IONOSPHERE_FIELDS, 0) | broadcast_integers(ephemeris) | {"week": week % 8192}
-    return _words([*_head(subframe, second), *laid_out(D1[subframe], FIELDS_AND_IONOSPHERE, integers)])
+    integers = (
+        dict.fromkeys(IONOSPHERE_FIELDS, 0) | integers_from_ephemeris(ephemeris) | {"week": week % 8192}
+    )
+    return _words([*_head(subframe, second), *encode_layout(D1[subframe], FIELDS_AND_IONOSPHERE, integers)])
 
 
-def d2_page(ephemeris: Ephemeris, page: int, start_ns: int) -> list[int]:
-    """Ten words of page 1 or 3 to 10 of D2 subframe 1, beginning at a GPS time; else as `d1_subframe`."""
+def encode_d2_page(ephemeris: Ephemeris, page: int, start_ns: int) -> list[int]:
+    """Ten words of page 1 or 3 to 10 of D2 subframe 1, beginning at a GPS time; else as `encode_d1_subframe`."""
     week, second = _second_of_week(start_ns, D2_FRAME_S, page)
-    integers = broadcast_integers(ephemeris) | {"week": week % 8192}
+    integers = integers_from_ephemeris(ephemeris) | {"week": week % 8192}
     return _words(
         [
             *_head(1, second),
             (page, 4),
-            *laid_out(D2[page], FIELDS_AND_IONOSPHERE, integers),
+            *encode_layout(D2[page], FIELDS_AND_IONOSPHERE, integers),
             (0, _D2_RESERVED_BITS),
         ]
     )
@@ -93,24 +95,24 @@ class BeidouPart:
     fields: dict[str, int]
 
 
-def read_d1_subframe(words: Sequence[int]) -> BeidouPart:
+def decode_d1_subframe(words: Sequence[int]) -> BeidouPart:
     """One of D1; only 1 to 3 hold fields, subframe 1 the ionosphere's too.
 
-    Words as in `d1_subframe`, whatever stands before their 30 bits. Raises ValueError where check bits, the preamble,
-    the time or the number of words is wrong.
+    Words as in `encode_d1_subframe`, whatever stands before their 30 bits. Raises ValueError where check bits, the
+    preamble, the time or the number of words is wrong.
     """
     number, second, bits = _read(words)
     layout = D1.get(number, ())
-    return BeidouPart(number, second, taken_apart(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE))
+    return BeidouPart(number, second, decode_layout(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE))
 
 
-def read_d2_page(words: Sequence[int]) -> BeidouPart | None:
-    """A page of D2 subframe 1; None of another subframe. Else as `read_d1_subframe`."""
+def decode_d2_page(words: Sequence[int]) -> BeidouPart | None:
+    """A page of D2 subframe 1; None of another subframe. Else as `decode_d1_subframe`."""
     subframe, second, bits = _read(words)
     if subframe != 1:
         return None
     page = bits >> _BODY_BITS - 4 & 0b1111
-    fields = taken_apart(bits, _BODY_BITS - 4, D2.get(page, ()), FIELDS_AND_IONOSPHERE)
+    fields = decode_layout(bits, _BODY_BITS - 4, D2.get(page, ()), FIELDS_AND_IONOSPHERE)
     return BeidouPart(page, second, fields)
 
 

@@ -18,7 +18,7 @@ CRC24Q_POLYNOMIAL = 0x1864CFB
 """RTCM 10403.3, 4.2; Galileo OS SIS ICD 5.1.9.4; start value zero, not reflected."""
 
 
-def quantised(name: str, value: float, resolution: float, width: int, *, signed: bool) -> int:
+def quantize(name: str, value: float, resolution: float, width: int, *, signed: bool) -> int:
     """`value / resolution`, rounded; ValueError with the range where it does not fit in `width` bits."""
     low = -(1 << (width - 1)) if signed else 0
     high = (1 << (width - 1 if signed else width)) - 1
@@ -37,18 +37,18 @@ def joined(fields: Iterable[tuple[int, int]]) -> tuple[int, int]:
     return bits, width
 
 
-def bytes_of(bits: int, width: int) -> bytes:
+def bits_to_bytes(bits: int, width: int) -> bytes:
     """An integer of so many bits as bytes, filled up with zeros at its end."""
     padding = -width % 8
     return (bits << padding).to_bytes((width + padding) // 8, "big")
 
 
-def bits_of(bits: int, width: int) -> NDArray[np.uint8]:
+def bit_array(bits: int, width: int) -> NDArray[np.uint8]:
     """An integer of so many bits as an array of bits."""
-    return np.unpackbits(np.frombuffer(bytes_of(bits, width), np.uint8), count=width)
+    return np.unpackbits(np.frombuffer(bits_to_bytes(bits, width), np.uint8), count=width)
 
 
-def packed_columns(
+def pack_columns(
     head: Sequence[NDArray[np.uint8] | NDArray[np.bool_]], columns: Sequence[tuple[Integers, int]]
 ) -> bytes:
     """Single bits, then columns of integers, each item in as many bits as its column says; filled up with zeros."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from camber.formats.broadcast.ephemeris_fields import Field
+from camber.formats.broadcast.ephemeris_fields import BitField
 
 BitLayout = tuple[str | int, ...]
 
 
-def laid_out(
-    layout: BitLayout, fields: Mapping[str, Field], integers: Mapping[str, int]
+def encode_layout(
+    layout: BitLayout, fields: Mapping[str, BitField], integers: Mapping[str, int]
 ) -> list[tuple[int, int]]:
     """(value, width) pairs for `bit_fields.joined`."""
     pairs = list[tuple[int, int]]()
@@ -27,7 +27,7 @@ def laid_out(
     return pairs
 
 
-def taken_apart(bits: int, width: int, layout: BitLayout, fields: Mapping[str, Field]) -> dict[str, int]:
+def decode_layout(bits: int, width: int, layout: BitLayout, fields: Mapping[str, BitField]) -> dict[str, int]:
     """The fields at the front of so many bits, unsigned; of a field that stands there in part, that part in its place.
 
     Raises ValueError where the layout is longer than the bits.
@@ -43,7 +43,7 @@ def taken_apart(bits: int, width: int, layout: BitLayout, fields: Mapping[str, F
     return found
 
 
-def put_together(parts: Iterable[Mapping[str, int]], fields: Mapping[str, Field]) -> dict[str, int]:
+def combine_parts(parts: Iterable[Mapping[str, int]], fields: Mapping[str, BitField]) -> dict[str, int]:
     """What several subframes hold as whole fields, with their signs. What stands in two of them must be equal."""
     whole = dict[str, int]()
     for part in parts:
@@ -55,7 +55,7 @@ def put_together(parts: Iterable[Mapping[str, int]], fields: Mapping[str, Field]
     return whole
 
 
-def _part(entry: str, fields: Mapping[str, Field]) -> tuple[str, int, int]:
+def _part(entry: str, fields: Mapping[str, BitField]) -> tuple[str, int, int]:
     """Name, how far its bits are shifted, and how many there are."""
     if ">" in entry:
         name, _, bits = entry.partition(">")

@@ -10,16 +10,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from camber.formats.broadcast.bit_fields import quantised
+from camber.formats.broadcast.bit_fields import quantize
 from camber.formats.observations import Ephemeris, satellite_name
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
-Layout = tuple[str, ...]
+ColumnLayout = tuple[str, ...]
 """Names of `FIELDS`, in the order of transmission."""
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class BitField:
     """So many bits of `resolution`, in the unit of `Ephemeris`; angles that go round are taken modulo a turn."""
 
     width: int
@@ -29,99 +29,99 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True)
-class TimeScale:
+class GnssTimeScale:
     """A system's own week count: first week in GPS weeks, and how far it is behind GPS time."""
 
     first_gps_week: int
-    behind_gps_ns: int
+    gps_offset_ns: int
     weeks: int
 
 
-TIME_SCALES = {
-    "G": TimeScale(0, 0, 1024),
-    "J": TimeScale(0, 0, 1024),
-    "E": TimeScale(1024, 0, 4096),
-    "C": TimeScale(1356, 14 * NS_PER_SECOND, 8192),
+GNSS_TIME_SCALES = {
+    "G": GnssTimeScale(0, 0, 1024),
+    "J": GnssTimeScale(0, 0, 1024),
+    "E": GnssTimeScale(1024, 0, 4096),
+    "C": GnssTimeScale(1356, 14 * NS_PER_SECOND, 8192),
 }
 
-_TURN = Field(32, math.pi * 2.0**-31, signed=True, round=True)
+_TURN = BitField(32, math.pi * 2.0**-31, signed=True, round=True)
 _ORBIT = {
-    "sqrt_a": Field(32, 2.0**-19),
-    "eccentricity": Field(32, 2.0**-33),
-    "inclination_rad": Field(32, math.pi * 2.0**-31, signed=True),
-    "inclination_rate_rad_s": Field(14, math.pi * 2.0**-43, signed=True),
+    "sqrt_a": BitField(32, 2.0**-19),
+    "eccentricity": BitField(32, 2.0**-33),
+    "inclination_rad": BitField(32, math.pi * 2.0**-31, signed=True),
+    "inclination_rate_rad_s": BitField(14, math.pi * 2.0**-43, signed=True),
     "ascending_node_rad": _TURN,
-    "ascending_node_rate_rad_s": Field(24, math.pi * 2.0**-43, signed=True),
+    "ascending_node_rate_rad_s": BitField(24, math.pi * 2.0**-43, signed=True),
     "perigee_rad": _TURN,
     "mean_anomaly_rad": _TURN,
-    "mean_motion_difference_rad_s": Field(16, math.pi * 2.0**-43, signed=True),
+    "mean_motion_difference_rad_s": BitField(16, math.pi * 2.0**-43, signed=True),
 }
 
 
-def _harmonics(width: int, angle: float, length_m: float) -> dict[str, Field]:
-    angles = {name: Field(width, angle, signed=True) for name in ("cuc", "cus", "cic", "cis")}
-    return angles | {name: Field(width, length_m, signed=True) for name in ("crc_m", "crs_m")}
+def _harmonics(width: int, angle: float, length_m: float) -> dict[str, BitField]:
+    angles = {name: BitField(width, angle, signed=True) for name in ("cuc", "cus", "cic", "cis")}
+    return angles | {name: BitField(width, length_m, signed=True) for name in ("crc_m", "crs_m")}
 
 
 _GPS = {
     **_ORBIT,
     **_harmonics(16, 2.0**-29, 2.0**-5),
-    "satellite": Field(6),
-    "week": Field(10),
-    "toe_s": Field(16, 16.0),
-    "toc_s": Field(16, 16.0),
-    "af0_s": Field(22, 2.0**-31, signed=True),
-    "af1": Field(16, 2.0**-43, signed=True),
-    "af2": Field(8, 2.0**-55, signed=True),
-    "iode": Field(8),
-    "iodc": Field(10),
-    "accuracy": Field(4),
-    "health": Field(6),
-    "tgd_s": Field(8, 2.0**-31, signed=True),
-    "fit": Field(1),
-    "codes_on_l2": Field(2),
-    "l2_p_data": Field(1),
+    "satellite": BitField(6),
+    "week": BitField(10),
+    "toe_s": BitField(16, 16.0),
+    "toc_s": BitField(16, 16.0),
+    "af0_s": BitField(22, 2.0**-31, signed=True),
+    "af1": BitField(16, 2.0**-43, signed=True),
+    "af2": BitField(8, 2.0**-55, signed=True),
+    "iode": BitField(8),
+    "iodc": BitField(10),
+    "accuracy": BitField(4),
+    "health": BitField(6),
+    "tgd_s": BitField(8, 2.0**-31, signed=True),
+    "fit": BitField(1),
+    "codes_on_l2": BitField(2),
+    "l2_p_data": BitField(1),
 }
-FIELDS: dict[str, dict[str, Field]] = {
+FIELDS: dict[str, dict[str, BitField]] = {
     "G": _GPS,
-    "J": {**_GPS, "satellite": Field(4)},
+    "J": {**_GPS, "satellite": BitField(4)},
     "E": {
         **_ORBIT,
         **_harmonics(16, 2.0**-29, 2.0**-5),
-        "satellite": Field(6),
-        "week": Field(12),
-        "toe_s": Field(14, 60.0),
-        "toc_s": Field(14, 60.0),
-        "af0_s": Field(31, 2.0**-34, signed=True),
-        "af1": Field(21, 2.0**-46, signed=True),
-        "af2": Field(6, 2.0**-59, signed=True),
-        "iode": Field(10),
-        "accuracy": Field(8),
-        "bgd_e5a_s": Field(10, 2.0**-32, signed=True),
-        "bgd_e5b_s": Field(10, 2.0**-32, signed=True),
-        "e1b_invalid": Field(1),
-        "e1b_health": Field(2),
-        "e5a_invalid": Field(1),
-        "e5a_health": Field(2),
-        "e5b_invalid": Field(1),
-        "e5b_health": Field(2),
+        "satellite": BitField(6),
+        "week": BitField(12),
+        "toe_s": BitField(14, 60.0),
+        "toc_s": BitField(14, 60.0),
+        "af0_s": BitField(31, 2.0**-34, signed=True),
+        "af1": BitField(21, 2.0**-46, signed=True),
+        "af2": BitField(6, 2.0**-59, signed=True),
+        "iode": BitField(10),
+        "accuracy": BitField(8),
+        "bgd_e5a_s": BitField(10, 2.0**-32, signed=True),
+        "bgd_e5b_s": BitField(10, 2.0**-32, signed=True),
+        "e1b_invalid": BitField(1),
+        "e1b_health": BitField(2),
+        "e5a_invalid": BitField(1),
+        "e5a_health": BitField(2),
+        "e5b_invalid": BitField(1),
+        "e5b_health": BitField(2),
     },
     "C": {
         **_ORBIT,
         **_harmonics(18, 2.0**-31, 2.0**-6),
-        "satellite": Field(6),
-        "week": Field(13),
-        "toe_s": Field(17, 8.0),
-        "toc_s": Field(17, 8.0),
-        "af0_s": Field(24, 2.0**-33, signed=True),
-        "af1": Field(22, 2.0**-50, signed=True),
-        "af2": Field(11, 2.0**-66, signed=True),
-        "iode": Field(5),
-        "aodc": Field(5),
-        "accuracy": Field(4),
-        "health": Field(1),
-        "tgd1_s": Field(10, 1e-10, signed=True),
-        "tgd2_s": Field(10, 1e-10, signed=True),
+        "satellite": BitField(6),
+        "week": BitField(13),
+        "toe_s": BitField(17, 8.0),
+        "toc_s": BitField(17, 8.0),
+        "af0_s": BitField(24, 2.0**-33, signed=True),
+        "af1": BitField(22, 2.0**-50, signed=True),
+        "af2": BitField(11, 2.0**-66, signed=True),
+        "iode": BitField(5),
+        "aodc": BitField(5),
+        "accuracy": BitField(4),
+        "health": BitField(1),
+        "tgd1_s": BitField(10, 1e-10, signed=True),
+        "tgd2_s": BitField(10, 1e-10, signed=True),
     },
 }
 _MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
@@ -144,8 +144,8 @@ _NO_SISA = 255
 
 def system_week(system: str, time_ns: int) -> tuple[int, int]:
     """The system's own full week number and the ns into it, of a GPS time."""
-    scale = TIME_SCALES[system]
-    week, of_week_ns = divmod(time_ns - scale.behind_gps_ns, NS_PER_WEEK)
+    scale = GNSS_TIME_SCALES[system]
+    week, of_week_ns = divmod(time_ns - scale.gps_offset_ns, NS_PER_WEEK)
     return week - scale.first_gps_week, of_week_ns
 
 
@@ -155,7 +155,7 @@ def gps_ns_near(system: str, of_week_ns: int, near_ns: int) -> int:
     return near_ns + since
 
 
-def broadcast_integers(ephemeris: Ephemeris) -> dict[str, int]:
+def integers_from_ephemeris(ephemeris: Ephemeris) -> dict[str, int]:
     """Each field of `FIELDS` of the satellite's system as the integer that is transmitted.
 
     `week` is that of the ephemeris' reference time, modulo what the field holds. Accuracies become the least index that
@@ -172,7 +172,7 @@ def broadcast_integers(ephemeris: Ephemeris) -> dict[str, int]:
         raise ValueError(f"satellite {name}: no broadcast ephemeris of this number, expected G, J, E or C")
     values: dict[str, float] = {
         "satellite": number,
-        "week": system_week(system, ephemeris.toe_ns)[0] % TIME_SCALES[system].weeks,
+        "week": system_week(system, ephemeris.toe_ns)[0] % GNSS_TIME_SCALES[system].weeks,
         "af0_s": ephemeris.clock[0],
         "af1": ephemeris.clock[1],
         "af2": ephemeris.clock[2],
@@ -234,7 +234,7 @@ def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: i
     )
 
 
-def _attributes(fields: Mapping[str, Field]) -> list[str]:
+def _attributes(fields: Mapping[str, BitField]) -> list[str]:
     """The fields that have the name of an attribute and are taken as they are."""
     return [
         name
@@ -243,12 +243,12 @@ def _attributes(fields: Mapping[str, Field]) -> list[str]:
     ]
 
 
-def _integer(name: str, value: float, field: Field) -> int:
+def _integer(name: str, value: float, field: BitField) -> int:
     if field.round and math.isfinite(value):
         # Whole turns are dropped; just below +π it may round to +π, which is −π.
         turns = round(value / field.resolution) & (1 << field.width) - 1
         return turns - (1 << field.width) if turns >> (field.width - 1) else turns
-    return quantised(name, value, field.resolution, field.width, signed=field.signed)
+    return quantize(name, value, field.resolution, field.width, signed=field.signed)
 
 
 def _health(system: str, name: str, health: int) -> dict[str, float]:

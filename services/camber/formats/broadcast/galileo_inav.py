@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from camber.formats.broadcast.bit_fields import bytes_of, crc24q, joined
-from camber.formats.broadcast.bit_layouts import BitLayout, laid_out, taken_apart
-from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.broadcast.bit_fields import bits_to_bytes, crc24q, joined
+from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
+from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s
 
@@ -33,7 +33,7 @@ WORDS: dict[int, BitLayout] = {
 _WORD_BITS = 128
 
 
-def inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int]:
+def encode_inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int]:
     """Nine words of 32 bits: the even part of the page (120 bits, filled up), then the odd one, as u-blox gives them.
 
     Of E1-B receivers send a ninth word, whose content is not documented and is zero here; of E5b they send eight, and
@@ -41,9 +41,9 @@ def inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int]:
 
     Word type 1 to 6; `start_ns` (GPS time) is when the even part begins, which is said in words 5 and 6. Word 6 says
     that UTC is whole leap seconds behind, with none announced; some readers wait for it. The ionosphere of word 5, the
-    authentication and the search-and-rescue bits are zero. Raises ValueError as `broadcast_integers` does.
+    authentication and the search-and-rescue bits are zero. Raises ValueError as `integers_from_ephemeris` does.
     """
-    integers = broadcast_integers(ephemeris)
+    integers = integers_from_ephemeris(ephemeris)
     week, of_week_ns = system_week("E", start_ns)
     if word == 6:
         leap_s = gps_minus_utc_s(start_ns)
@@ -51,25 +51,25 @@ def inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int]:
         body = [(0, 32 + 24), (leap_s, 8), (0, 8), (week % 256, 8), (week % 256, 8), (1, 3), (leap_s, 8)]
         body.append((of_week_ns // NS_PER_SECOND, 20))
     elif word == 5:
-        body = laid_out(WORDS[5], FIELDS["E"], integers | {"week": week % 4096})
+        body = encode_layout(WORDS[5], FIELDS["E"], integers | {"week": week % 4096})
         body.append((of_week_ns // NS_PER_SECOND, 20))
     else:
-        body = laid_out(WORDS[word], FIELDS["E"], integers)
+        body = encode_layout(WORDS[word], FIELDS["E"], integers)
     data, width = joined([(word, 6), *body])
     data <<= _WORD_BITS - width
     even = (0b00 << 112 | data >> 16, 114)
     odd = ((0b10 << 16 | data & 0xFFFF) << 64, 82)
     crc = _crc(even[0], odd[0])
     page, width = joined([even, (0, 6 + 8), odd, (crc, 24), (0, 8 + 6 + 8)])
-    as_bytes = bytes_of(page, width)
+    as_bytes = bits_to_bytes(page, width)
     return [*(int.from_bytes(as_bytes[place : place + 4], "big") for place in range(0, 32, 4)), 0]
 
 
-def read_inav_page(words: Sequence[int]) -> tuple[int, dict[str, int]]:
+def decode_inav_page(words: Sequence[int]) -> tuple[int, dict[str, int]]:
     """Word type and content of a page: parts of `FIELDS` of types 1 to 5, else none.
 
-    Words as in `inav_page`, eight or nine. Raises ValueError where the CRC or the number of words is wrong, or the page
-    is none of the nominal ones with its even part first.
+    Words as in `encode_inav_page`, eight or nine. Raises ValueError where the CRC or the number of words is wrong, or the
+    page is none of the nominal ones with its even part first.
     """
     if len(words) not in (8, 9):
         raise ValueError(f"{len(words)} words, expected 8 or 9")
@@ -85,7 +85,7 @@ def read_inav_page(words: Sequence[int]) -> tuple[int, dict[str, int]]:
     word_type = data >> _WORD_BITS - 6
     if word_type not in WORDS:
         return word_type, {}
-    return word_type, taken_apart(data, _WORD_BITS - 6, WORDS[word_type], FIELDS["E"])
+    return word_type, decode_layout(data, _WORD_BITS - 6, WORDS[word_type], FIELDS["E"])
 
 
 def _crc(even: int, odd: int) -> int:

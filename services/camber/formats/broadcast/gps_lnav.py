@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from camber.formats.broadcast.bit_fields import joined
-from camber.formats.broadcast.bit_layouts import BitLayout, laid_out, taken_apart
-from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers, system_week
+from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
+from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.broadcast.klobuchar_coefficients import IONOSPHERE_FIELDS
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND
@@ -54,12 +54,12 @@ _NO_OFFSET = (0b11111, 5)
 _IONOSPHERE_PAGE = 56
 
 
-def lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
+def encode_lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
     """Ten words of 32 bits as a receiver reports them, of subframe 1, 2 or 3 that begins at a GPS time.
 
     Each word is D29*, D30* of the word before, 24 data bits, 6 parity bits; where D30* is one, all 32 are inverted, so
     that the data bits are as they were meant: so u-blox receivers give them. Raises ValueError as
-    `broadcast_integers` does, or where no subframe begins at this time.
+    `integers_from_ephemeris` does, or where no subframe begins at this time.
     """
     week, of_week_ns = system_week("G", start_ns)
     count, rest = divmod(of_week_ns, SUBFRAME_S * NS_PER_SECOND)
@@ -67,22 +67,22 @@ def lnav_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[in
         raise ValueError(
             f"subframe {subframe} at {of_week_ns / NS_PER_SECOND} s of the week, expected 1 to 3 in turn"
         )
-    integers = broadcast_integers(ephemeris) | {"week": week % 1024}
+    integers = integers_from_ephemeris(ephemeris) | {"week": week % 1024}
     head = [
         *((_PREAMBLE, 8), (0, 16)),
         # The count is that of the next subframe's start. No alert; anti-spoofing is on.
         *(((count + 1) % _TOW_COUNTS_PER_WEEK, 17), (0b01, 2), (subframe, 3), (0, 2)),
     ]
-    body = laid_out(BODIES[subframe], FIELDS[chr(ephemeris.satellite >> 8)], integers)
+    body = encode_layout(BODIES[subframe], FIELDS[chr(ephemeris.satellite >> 8)], integers)
     bits, width = joined([*head, *body, *([_NO_OFFSET] if subframe == 2 else []), (0, 2)])
-    return words_with_parity([bits >> width - 24 * (place + 1) & 0xFFFFFF for place in range(10)])
+    return add_parity([bits >> width - 24 * (place + 1) & 0xFFFFFF for place in range(10)])
 
 
-def read_lnav_subframe(words: Sequence[int]) -> tuple[int, dict[str, int]]:
+def decode_lnav_subframe(words: Sequence[int]) -> tuple[int, dict[str, int]]:
     """Number and content of a subframe: parts of `FIELDS` of 1 to 3, `IONOSPHERE_FIELDS` of page 18 of 4, else none.
 
-    Words as in `lnav_subframe`; whether the receiver has inverted the parity bits too, and what it puts before the
-    data, does not matter. Raises ValueError where a parity, the preamble or the number of words is wrong.
+    Words as in `encode_lnav_subframe`; whether the receiver has inverted the parity bits too, and what it puts before
+    the data, does not matter. Raises ValueError where a parity, the preamble or the number of words is wrong.
     """
     if len(words) != 10:
         raise ValueError(f"{len(words)} words, expected 10")
@@ -97,9 +97,9 @@ def read_lnav_subframe(words: Sequence[int]) -> tuple[int, dict[str, int]]:
         raise ValueError(f"preamble is {bits >> 232:02x}, expected {_PREAMBLE:02x}")
     number = bits >> _BODY_BITS + 2 & 0b111
     if number in BODIES:
-        return number, taken_apart(bits, _BODY_BITS, BODIES[number], FIELDS["G"])
+        return number, decode_layout(bits, _BODY_BITS, BODIES[number], FIELDS["G"])
     if number == 4 and bits >> _BODY_BITS - 8 & 0b111111 == _IONOSPHERE_PAGE:
-        return number, taken_apart(bits, _BODY_BITS - 8, tuple(IONOSPHERE_FIELDS), IONOSPHERE_FIELDS)
+        return number, decode_layout(bits, _BODY_BITS - 8, tuple(IONOSPHERE_FIELDS), IONOSPHERE_FIELDS)
     return number, {}
 
 
@@ -112,8 +112,8 @@ def parity(data: int, before: int) -> int:
     return value
 
 
-def words_with_parity(data: list[int]) -> list[int]:
-    """Ten words as in `lnav_subframe` of ten times 24 data bits; bits 23 and 24 of words 2 and 10 are solved for."""
+def add_parity(data: list[int]) -> list[int]:
+    """Ten words as in `encode_lnav_subframe`; bits 23 and 24 of words 2 and 10 are solved for."""
     words, before = list[int](), 0
     for place, meant in enumerate(data):
         if place in (1, 9):

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from camber.formats.broadcast.ephemeris_fields import Field
+from camber.formats.broadcast.ephemeris_fields import BitField
 
 _STEPS = (2.0**-30, 2.0**-27, 2.0**-24, 2.0**-24, 2.0**11, 2.0**14, 2.0**16, 2.0**16)
 _NAMES = ("alpha0", "alpha1", "alpha2", "alpha3", "beta0", "beta1", "beta2", "beta3")
-IONOSPHERE_FIELDS = {name: Field(8, step, signed=True) for name, step in zip(_NAMES, _STEPS, strict=True)}
+IONOSPHERE_FIELDS = {name: BitField(8, step, signed=True) for name, step in zip(_NAMES, _STEPS, strict=True)}
 
 Four = tuple[float, float, float, float]
 

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Literal
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea.framing import Sentence, sentence_of
+from camber.formats.nmea.framing import Sentence, parse_sentence
 from camber.formats.nmea.sentences import NS_PER_HOUR, READERS, Gbs, Gga, Gst, SentenceFields, UtcDate
 from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
-from camber.formats.receiver.frames import FrameBuffer
-from camber.formats.receiver.integrity_report import ReceiverStatements
+from camber.formats.receiver.frame_buffer import FrameBuffer
+from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import (
     NS_PER_DAY,
@@ -71,7 +71,7 @@ class NmeaDecoder:
         *,
         utc_date: date | None = None,
         last_sentence: LastSentence | None = None,
-        statements: ReceiverStatements | None = None,
+        statements: IntegrityReport | None = None,
     ) -> None:
         self.source_name = source_name
         self.epochs_without_position = 0
@@ -80,7 +80,7 @@ class NmeaDecoder:
         """GGA and GST sentences that came after their epoch had been emitted, and were lost."""
         self._frames = FrameBuffer("nmea")
         self._broken_bytes = 0
-        self._statements = ReceiverStatements() if statements is None else statements
+        self._statements = IntegrityReport() if statements is None else statements
         self._fixed_last = last_sentence
         self._last: str | None = last_sentence
         self._previous_last: str | None = None
@@ -107,7 +107,7 @@ class NmeaDecoder:
 
     def take(self, text: bytes, byte_offset: int) -> list[NmeaResult]:
         """What one sentence completes, from its `$` on without the line end, for who has found it already."""
-        sentence = sentence_of(self.source_name, text, byte_offset)
+        sentence = parse_sentence(self.source_name, text, byte_offset)
         if isinstance(sentence, FormatError):
             self._broken_bytes += len(text)
             return [sentence]

@@ -25,7 +25,7 @@ class Sentence:
     byte_offset: int
 
 
-def sentence_of(source_name: str, text: bytes, byte_offset: int) -> Sentence | FormatError:
+def parse_sentence(source_name: str, text: bytes, byte_offset: int) -> Sentence | FormatError:
     """The sentence of what looks like one, from its `$` on without the line end; an error where it is broken."""
     if len(text) > MOST_SENTENCE_BYTES:
         expected = f"at most {MOST_SENTENCE_BYTES} bytes before its end"

@@ -18,7 +18,7 @@ _JAMMING = ("unknown", "none", "warning", "critical")
 _SPOOFING = ("unknown", "none", "indicated", "affirmed")
 
 
-class ReceiverStatements:
+class IntegrityReport:
     """The last statement of each kind. Each holds for two seconds at most: then it is not known any more."""
 
     def __init__(self) -> None:

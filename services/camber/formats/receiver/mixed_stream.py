@@ -5,11 +5,11 @@ from __future__ import annotations
 from datetime import date
 
 from camber.formats.nmea.epochs import NmeaDecoder, NmeaResult
-from camber.formats.receiver.frames import Frame, FrameBuffer, FrameProtocol
-from camber.formats.receiver.integrity_report import ReceiverStatements
+from camber.formats.receiver.frame_buffer import Frame, FrameBuffer, FrameProtocol
+from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rtcm.reader import RtcmDecoder, RtcmResult
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.formats.ubx.reader import UbxMessages, UbxResult
 
 MixedResult = UbxResult | NmeaResult | RtcmResult
@@ -33,7 +33,7 @@ class MixedDecoder:
         protocols: tuple[FrameProtocol, ...] = _ALL,
     ) -> None:
         self.source_name = source_name
-        statements = ReceiverStatements()
+        statements = IntegrityReport()
         self.ubx = UbxMessages(near_ns, statements)
         self.nmea = NmeaDecoder(source_name, utc_date=utc_date, statements=statements)
         self.rtcm = None if near_ns is None else RtcmDecoder(near_ns)
@@ -77,7 +77,7 @@ class MixedDecoder:
 
     def _timed(self, results: list[UbxResult]) -> list[MixedResult]:
         for result in results:
-            if isinstance(result, ReceiverEpoch):
+            if isinstance(result, RawxEpoch):
                 self._time_is(result.epoch.time_ns)
             elif isinstance(result, ReceiverSolution):
                 self._time_is(result.time_ns)

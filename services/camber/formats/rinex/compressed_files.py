@@ -23,7 +23,7 @@ _OTHER = (b"\x1f\x9d", b"BZh", b"PK\x03\x04")
 _CRINEX = b"CRINEX VERS"
 
 
-def rinex_pieces(path: Path) -> Iterator[bytes]:
+def rinex_chunks(path: Path) -> Iterator[bytes]:
     """The RINEX text of a file, in pieces. Raises OSError if it cannot be opened, FormatError where a compression is
     damaged or needs a package that is not installed; what came before a damage is given out first."""
     with path.open("rb") as file:

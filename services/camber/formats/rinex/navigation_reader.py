@@ -16,9 +16,9 @@ from camber.formats.broadcast.klobuchar_coefficients import Four, IonosphereCoef
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES, LineBuffer
 from camber.formats.observations import Ephemeris
-from camber.formats.rinex.compressed_files import rinex_pieces
-from camber.formats.rinex.ephemeris_records import NavigationRecord, ephemeris_of, ionosphere_of
-from camber.formats.rinex.header import decimal_number, leap_seconds_from_text
+from camber.formats.rinex.compressed_files import rinex_chunks
+from camber.formats.rinex.navigation_records import NavigationRecord, parse_ephemeris, parse_ionosphere
+from camber.formats.rinex.observation_header import decimal_number, leap_seconds_from_text
 
 _MOST_HEADER_LINES = 20_000
 _MOST_RECORD_LINES = 12
@@ -187,9 +187,9 @@ class NavigationDecoder:
         if record.kind == "EPH" and messages and record.message in ("", *messages):
             if self._version() >= 4.0 and not record.message:
                 raise self._error("record", "a line '> EPH …' before it", record.first_line, record.satellite)
-            return ephemeris_of(record)
+            return parse_ephemeris(record)
         if record.kind == "ION" and record.message == _IONOSPHERE_MESSAGES.get(system):
-            self.klobuchar[system] = ionosphere_of(record)
+            self.klobuchar[system] = parse_ionosphere(record)
             return self.klobuchar[system]
         if record.kind not in ("EPH", "ION", "STO", "EOP") or system not in "GREJCSI":
             raise self._error(
@@ -225,7 +225,7 @@ def read_navigation(path: Path) -> RinexNavigation:
     decoder = NavigationDecoder(path.name)
     results: list[NavigationResult] = []
     try:
-        for piece in rinex_pieces(path):
+        for piece in rinex_chunks(path):
             results += decoder.feed(piece)
     except FormatError as damage:
         if decoder.version is None:

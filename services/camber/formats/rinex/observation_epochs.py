@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import signal_number
-from camber.formats.rinex.header import SYSTEMS_SKIPPED, ObservationHeader, ObservationType
 from camber.formats.rinex.observation_fields import (
     BAD,
     BLANK,
@@ -31,6 +30,7 @@ from camber.formats.rinex.observation_fields import (
     text_end,
     thousandths,
 )
+from camber.formats.rinex.observation_header import SYSTEMS_SKIPPED, ObservationHeader, ObservationType
 
 MAXIMUM_LINE_BYTES = 8192
 """A line of 511 observation types."""
@@ -67,7 +67,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-class Columns(NamedTuple):
+class HeaderTables(NamedTuple):
     """A header for the compiled loop.
 
     By system letter (256,): `first` column of its lines or one of the codes above, `column_count`, `signals`
@@ -86,14 +86,14 @@ class Columns(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class ColumnLayout:
     """The columns of a file, and their names."""
 
-    columns: Columns
+    columns: HeaderTables
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, header: ObservationHeader) -> Layout:
+    def of(cls, header: ObservationHeader) -> ColumnLayout:
         """Of a header."""
         first = np.full(256, _NOT_IN_HEADER, np.int64)
         count = np.zeros(256, np.int64)
@@ -111,7 +111,7 @@ class Layout:
             signal_count[k] = len(of_system[system])
             signals[k, : signal_count[k]] = [signal_number(s) for s in of_system[system]]
             types += [(t, of_system[system].index(t.signal) if t.kind else 0) for t in of_file]
-        columns = Columns(
+        columns = HeaderTables(
             first,
             count,
             signals,
@@ -126,7 +126,7 @@ class Layout:
 
 
 class _Tables(NamedTuple):
-    """What the loop fills: floats (4, room), integers (2, room), flags (2, room) are the columns of `Rows`."""
+    """The output: floats (4, room), integers (2, room), flags (2, room) are the columns of `ObservationColumns`."""
 
     floats: Floats
     integers: Integers
@@ -137,7 +137,7 @@ class _Tables(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class ObservationColumns:
     """Columns (rows,) of all epochs, as `ObservationEpoch` has them."""
 
     satellite: Integers
@@ -161,7 +161,7 @@ class Found:
     number, if `stop` says so; `missing`: lines without which, or without another epoch line, more cannot be said.
     """
 
-    rows: Rows
+    rows: ObservationColumns
     epochs: Integers
     problems: Integers
     skipped: Integers
@@ -173,7 +173,7 @@ class Found:
     missing: int
 
 
-def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> Found:
+def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, astray: bool) -> Found:
     """All whole epochs of bytes that end with a newline, up to the first event that brings header lines.
 
     `astray`: the lines before could not be read, and that has been said.
@@ -195,7 +195,7 @@ def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> 
     )
     # Copies: what is kept of an epoch must not hold on to the room that was left over.
     floats, integers, flags = (t[:, :n_rows].copy() for t in (tables.floats, tables.integers, tables.flags))
-    rows = Rows(
+    rows = ObservationColumns(
         satellite=integers[0],
         signal=integers[1],
         pseudorange_m=floats[0],
@@ -214,7 +214,7 @@ def read_epochs(data: bytes, layout: Layout, line_number: int, astray: bool) -> 
 
 @compiled
 def _read_epochs(
-    data: Bytes, line_number: int, astray: bool, columns: Columns, tables: _Tables
+    data: Bytes, line_number: int, astray: bool, columns: HeaderTables, tables: _Tables
 ) -> tuple[int, int, int, int, int, bool, int, int, int, int]:
     """Numbers of rows, epochs, problems; bytes and lines used; astray; why it stops; what belongs to that."""
     starts = np.empty(MOST_LINES + 2, np.int64)
@@ -324,7 +324,7 @@ def _find_lines(data: Bytes, starts: Integers, count: int) -> tuple[int, bool]:
 
 @compiled
 def _satellite_or_fault(
-    data: Bytes, begin: int, end: int, columns: Columns, taken: Integers, n_taken: int
+    data: Bytes, begin: int, end: int, columns: HeaderTables, taken: Integers, n_taken: int
 ) -> tuple[int, int]:
     """The satellite of a line, and what is wrong with it, −1: nothing."""
     satellite = satellite_at(data, begin, end)
@@ -355,7 +355,7 @@ def _read_values(
     begin: int,
     end: int,
     satellite: int,
-    columns: Columns,
+    columns: HeaderTables,
     tables: _Tables,
     n_rows: int,
     strength: Integers,
@@ -392,7 +392,9 @@ def _read_values(
 
 
 @compiled
-def _keep_observed(satellite: int, columns: Columns, tables: _Tables, n_rows: int, strength: Integers) -> int:
+def _keep_observed(
+    satellite: int, columns: HeaderTables, tables: _Tables, n_rows: int, strength: Integers
+) -> int:
     """Moves the rows of which something was observed together; returns the number of rows then.
 
     A signal strength digit is no observation; it stands for 6 dB-Hz, of which the middle is taken.

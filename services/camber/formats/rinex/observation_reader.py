@@ -16,18 +16,18 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.formats.observations import ObservationEpoch
-from camber.formats.rinex.compressed_files import rinex_pieces
-from camber.formats.rinex.header import HeaderReader, ObservationHeader
+from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rinex.observation_epochs import (
     CUT_SHORT,
     EVENT,
     EXPECTED,
     MAXIMUM_LINE_BYTES,
     NEEDS_MORE,
+    ColumnLayout,
     Found,
-    Layout,
     read_epochs,
 )
+from camber.formats.rinex.observation_header import HeaderReader, ObservationHeader
 
 _PIECE_BYTES = 1 << 18
 _MOST_PROBLEMS_KEPT = 1000
@@ -57,7 +57,7 @@ class RinexDecoder:
         """The file cannot be read: nothing more will come."""
         self._source_name = source_name
         self._reader = HeaderReader(source_name)
-        self._layout: Layout | None = None
+        self._layout: ColumnLayout | None = None
         self._pending = bytearray()
         self._missing = 0
         self._partial = bytearray()
@@ -121,11 +121,11 @@ class RinexDecoder:
 
     def _new_header(self, results: list[ObservationResult]) -> None:
         self.header = self._reader.header()
-        self._layout = Layout.of(self.header)
+        self._layout = ColumnLayout.of(self.header)
         results += self._reader.problems
         self._reader.problems.clear()
 
-    def _epochs(self, lines: bytes, layout: Layout, results: list[ObservationResult]) -> bytes:
+    def _epochs(self, lines: bytes, layout: ColumnLayout, results: list[ObservationResult]) -> bytes:
         """Gives out whole epochs; returns the lines of an unfinished one."""
         while True:
             found = read_epochs(lines, layout, self._line_number, self._astray)
@@ -145,7 +145,9 @@ class RinexDecoder:
                 self._missing = found.missing
                 return lines
 
-    def _give_out(self, found: Found, lines: bytes, layout: Layout, results: list[ObservationResult]) -> None:
+    def _give_out(
+        self, found: Found, lines: bytes, layout: ColumnLayout, results: list[ObservationResult]
+    ) -> None:
         problems = self._errors(found, lines, layout)
         rows, begin, said = found.rows, 0, 0
         for time_ns, end, before in found.epochs.tolist():
@@ -170,7 +172,7 @@ class RinexDecoder:
         for letter in np.flatnonzero(found.skipped).tolist():
             self.skipped[chr(letter)] += int(found.skipped[letter])
 
-    def _errors(self, found: Found, lines: bytes, layout: Layout) -> list[FormatError]:
+    def _errors(self, found: Found, lines: bytes, layout: ColumnLayout) -> list[FormatError]:
         errors = []
         for line_number, place, code, column in found.problems.tolist():
             what, expected = EXPECTED[code]
@@ -215,7 +217,7 @@ def read_observations(path: Path) -> RinexObservations:
                 epochs.append(result)
 
     try:
-        for piece in rinex_pieces(path):
+        for piece in rinex_chunks(path):
             take(decoder.feed(piece))
     except FormatError as damage:
         if decoder.header is None:

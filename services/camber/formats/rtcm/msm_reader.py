@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.formats.broadcast.ephemeris_fields import gps_ns_near
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
+from camber.formats.rtcm.msm_signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
 from camber.formats.rtcm.msm_writer import (
     CN0_PER_DBHZ,
     INVALID_ROUGH_MS,
@@ -22,7 +23,6 @@ from camber.formats.rtcm.msm_writer import (
     ROUGH_PER_MS,
     ROUGH_RATE_INVALID,
 )
-from camber.formats.rtcm.signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
 
 Bytes = NDArray[np.uint8]
 FIRST_MSM, LAST_MSM = 1071, 1137

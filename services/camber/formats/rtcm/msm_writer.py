@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.broadcast.bit_fields import bits_of, joined, packed_columns
+from camber.formats.broadcast.bit_fields import bit_array, joined, pack_columns
 from camber.formats.observations import (
     SPEED_OF_LIGHT_M_S,
     Floats,
@@ -19,7 +19,7 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
-from camber.formats.rtcm.signals import (
+from camber.formats.rtcm.msm_signals import (
     METRES_PER_MS,
     MSM_SIGNALS,
     MSM_SYSTEMS,
@@ -226,14 +226,14 @@ def _payload(
     cell_mask = np.zeros((numbers.size, 32), np.uint8)
     cell_mask[cells.of_satellite[of_cells] - of_satellites.start, ids - 1] = 1
 
-    epoch_ms = (time_ns - system.behind_gps_ns) % NS_PER_WEEK // _NS_PER_MS
+    epoch_ms = (time_ns - system.gps_offset_ns) % NS_PER_WEEK // _NS_PER_MS
     # After the multiple-message bit: issue of data station, reserved, clock steering, external clock, smoothing.
     header = joined(
         ((system.message, 12), (station_id, 12), (epoch_ms, 30), (int(more), 1), (0, 3 + 7 + 2 + 2 + 1 + 3))
     )
     rough = cells.rough_range[of_satellites]
-    return packed_columns(
-        (bits_of(*header), satellite_mask, used, cell_mask[:, used].reshape(-1)),
+    return pack_columns(
+        (bit_array(*header), satellite_mask, used, cell_mask[:, used].reshape(-1)),
         (
             (rough >> 10, 8),
             (np.zeros(numbers.size, np.int64), 4),  # extended satellite information: none

@@ -11,9 +11,9 @@ import numpy as np
 
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.formats.receiver.frames import FrameBuffer
-from camber.formats.receiver.lock_times import LockTimes
-from camber.formats.rtcm.ephemerides import EPHEMERIS_MESSAGES
+from camber.formats.receiver.frame_buffer import FrameBuffer
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
+from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, msm_header, read_msm
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
@@ -34,7 +34,7 @@ class ReferenceStation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StationEpoch:
+class BaseStationEpoch:
     """All observations of one epoch. Not `complete`: another epoch began before the last message of this one."""
 
     station_id: int
@@ -42,7 +42,7 @@ class StationEpoch:
     complete: bool
 
 
-RtcmResult = ReferenceStation | StationEpoch | Ephemeris
+RtcmResult = ReferenceStation | BaseStationEpoch | Ephemeris
 
 
 class RtcmDecoder:
@@ -65,7 +65,7 @@ class RtcmDecoder:
         self._frames = FrameBuffer("rtcm")
         self._near_ns = near_ns
         self._parts: dict[int, list[MsmMessage]] = {}
-        self._locks: dict[int, LockTimes] = {}
+        self._locks: dict[int, LossOfLockDetector] = {}
 
     @property
     def bytes_skipped(self) -> int:
@@ -140,7 +140,7 @@ class RtcmDecoder:
             integers, floats, keys = integers[:, rows], floats[:, rows], keys[rows]
         satellite, signal, half_cycle = integers
         pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, most_lock_s = floats
-        locks = self._locks.pop(station, None) or LockTimes()
+        locks = self._locks.pop(station, None) or LossOfLockDetector()
         if len(self._locks) == _MOST_STATIONS:
             del self._locks[next(iter(self._locks))]
         self._locks[station] = locks
@@ -156,7 +156,7 @@ class RtcmDecoder:
             loss_of_lock=locks.lost(time_ns, keys, ~np.isnan(carrier_phase_cycles), lock_time_s, most_lock_s),
             half_cycle=half_cycle.astype(np.bool_),
         )
-        return [StationEpoch(station, epoch, complete)]
+        return [BaseStationEpoch(station, epoch, complete)]
 
 
 class _Fields:

@@ -5,9 +5,9 @@ Source: RTCM 10403.3, 4.2 (frame), 3.5.3 (1005, 1006), 3.5.16 (MSM), 3.5.8, 3.5.
 
 from __future__ import annotations
 
-from camber.formats.broadcast.bit_fields import bytes_of, crc24q, joined, quantised
+from camber.formats.broadcast.bit_fields import bits_to_bytes, crc24q, joined, quantize
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.formats.rtcm.ephemerides import ephemeris_payloads
+from camber.formats.rtcm.ephemeris_messages import ephemeris_payloads
 from camber.formats.rtcm.msm_writer import msm7_payloads
 
 PREAMBLE = 0xD3
@@ -39,7 +39,7 @@ def format_reference_station(
     if not 0 <= station_id < 4096:
         raise ValueError(f"station id is {station_id}, expected 0 to 4095 (DF003)")
     x, y, z = (
-        quantised(f"reference station {axis} [m]", value, 1e-4, 38, signed=True)
+        quantize(f"reference station {axis} [m]", value, 1e-4, 38, signed=True)
         for axis, value in zip("xyz", position_ecef_m, strict=True)
     )
     fields = [
@@ -56,8 +56,8 @@ def format_reference_station(
         (z, 38),
     ]
     if antenna_height_m is not None:
-        fields.append((quantised("antenna height [m]", antenna_height_m, 1e-4, 16, signed=False), 16))
-    return rtcm_frame(bytes_of(*joined(fields)))
+        fields.append((quantize("antenna height [m]", antenna_height_m, 1e-4, 16, signed=False), 16))
+    return rtcm_frame(bits_to_bytes(*joined(fields)))
 
 
 def format_observations(

@@ -14,7 +14,7 @@ _MS_PER_WEEK = 604_800_000
 _ROLL_OVER_NS = 1024 * NS_PER_WEEK
 
 
-def unrolled_ns(time_ns: int, near_ns: int | None) -> int:
+def resolve_week_rollover(time_ns: int, near_ns: int | None) -> int:
     """Of this time and those whole roll-overs away from it that one which is nearest to `near_ns`, if that is known."""
     if near_ns is None:
         return time_ns

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.formats.ubx.gps_week import navigation_time_ns, unrolled_ns
+from camber.formats.ubx.gps_week import navigation_time_ns, resolve_week_rollover
 from camber.formats.ubx.nav_reader import (
     COV,
     HPPOSLLH,
     PL,
     PVT,
     Covariances,
-    Place,
+    NavPosition,
     PositionVelocityTime,
     ProtectionLevels,
     ReceiverBaseline,
@@ -32,7 +32,7 @@ class NavigationEpoch:
         self.protection: ProtectionLevels | None = None
         self.baseline: ReceiverBaseline | None = None
         """Its time is that of no epoch yet."""
-        self._precise: Place | None = None
+        self._precise: NavPosition | None = None
         self._covariances = Covariances(None, None)
 
     def take(self, message_id: int, payload: bytes) -> None:
@@ -51,10 +51,10 @@ class NavigationEpoch:
     def time_ns(self, near_ns: int | None, reference_ns: int | None) -> int | None:
         """To ms, with NAV-PVT to ns; None where the week is not known. ValueError for times that cannot be.
 
-        Without a date the week is the one nearest to `near_ns`; a date may be whole roll-overs off, see `unrolled_ns`.
+        Without a date the week is nearest to `near_ns`; a date may be whole roll-overs off, see `resolve_week_rollover`.
         """
         if self.pvt is not None and self.pvt.near_ns is not None:
-            near_ns = unrolled_ns(self.pvt.near_ns, reference_ns)
+            near_ns = resolve_week_rollover(self.pvt.near_ns, reference_ns)
         if near_ns is None:
             return None
         return navigation_time_ns(self.of_week_ms, near_ns, self.pvt.nanosecond if self.pvt else None)
@@ -88,7 +88,7 @@ class NavigationEpoch:
         )
 
 
-def _from_accuracies(place: Place) -> EnuCovariance | None:
+def _from_accuracies(place: NavPosition) -> EnuCovariance | None:
     if place.horizontal_m is None or place.vertical_m is None:
         return None
     each = 0.5 * place.horizontal_m * place.horizontal_m

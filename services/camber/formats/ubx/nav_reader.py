@@ -98,13 +98,13 @@ class PositionVelocityTime:
     authenticated: bool
     quality: SolutionQuality | None
     satellites: int
-    place: Place
+    place: NavPosition
     velocity_enu_m_s: _Vector
     age_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class NavPosition:
     """A position, its horizontal accuracy √(σ_e² + σ_n²) and vertical accuracy, None where they are not known."""
 
     latitude_rad: float
@@ -122,7 +122,7 @@ class Covariances:
     velocity_m2_s2: EnuCovariance | None
 
 
-def epoch_of(message_id: int, payload: bytes) -> int:
+def time_of_week_ms(message_id: int, payload: bytes) -> int:
     """The `iTOW` [ms] of one of the messages that are read; ValueError where it is too short to have one."""
     place = {HPPOSLLH: 4, RELPOSNED: 4, PL: 12}.get(message_id, 0)
     if len(payload) < place + 4:
@@ -227,10 +227,12 @@ def _place(
     height_m: float,
     horizontal_m: float | None,
     vertical_m: float | None,
-) -> Place:
+) -> NavPosition:
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0 or not _LOWEST_M <= height_m <= _HIGHEST_M:
         raise ValueError(f"position {latitude_deg}°, {longitude_deg}°, {height_m} m")
-    return Place(math.radians(latitude_deg), math.radians(longitude_deg), height_m, horizontal_m, vertical_m)
+    return NavPosition(
+        math.radians(latitude_deg), math.radians(longitude_deg), height_m, horizontal_m, vertical_m
+    )
 
 
 def _accuracy_m(value: int, per_m: float) -> float | None:
@@ -238,7 +240,7 @@ def _accuracy_m(value: int, per_m: float) -> float | None:
     return value / per_m if 0 < value < _UNKNOWN_ACCURACY else None
 
 
-def read_high_precision_position(payload: bytes) -> Place | None:
+def read_high_precision_position(payload: bytes) -> NavPosition | None:
     """NAV-HPPOSLLH; None where the receiver calls it invalid. ValueError where it is malformed."""
     if len(payload) != _HPPOSLLH.size or payload[0] != 0:
         raise ValueError(f"NAV-HPPOSLLH of {len(payload)} bytes, expected {_HPPOSLLH.size} and version 0")

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.observations import Floats, Integers, ObservationEpoch
-from camber.formats.receiver.lock_times import LockTimes
-from camber.formats.ubx.gps_week import checked_time_ns, unrolled_ns
-from camber.formats.ubx.signals import (
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
+from camber.formats.ubx.gps_week import checked_time_ns, resolve_week_rollover
+from camber.formats.ubx.signal_ids import (
     GEOSTATIONARY_CYCLES,
     MOST_OF_GNSS,
     SIGNAL_OF_IDS,
@@ -37,7 +37,7 @@ _LOCK_RESOLUTION_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReceiverEpoch:
+class RawxEpoch:
     """All observations of one epoch of the receiver itself, and whether it has just reset its clock by whole ms."""
 
     epoch: ObservationEpoch
@@ -45,7 +45,7 @@ class ReceiverEpoch:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class OmittedMeasurements:
     """How many measurements are not in the epoch: of systems that are not read, without a known name, told twice."""
 
     other_systems: int
@@ -54,14 +54,14 @@ class LeftOut:
 
 
 def read_raw_measurements(
-    payload: bytes, locks: LockTimes, near_ns: int | None
-) -> tuple[ReceiverEpoch, LeftOut]:
+    payload: bytes, locks: LossOfLockDetector, near_ns: int | None
+) -> tuple[RawxEpoch, OmittedMeasurements]:
     """Versions 0 and 1; the time is the receiver's own, rounded to ns.
 
     Of a week that has rolled over inside the receiver (1024 weeks), that one is meant which is nearest to `near_ns`. A
     value that the receiver says is not valid, or that is not finite, is NaN; so are a Doppler and a C/N0 of exactly 0,
     for which there is no such bit. `half_cycle`: there is a phase, and its half cycles are not resolved.
-    `loss_of_lock`: as `LockTimes` has it, and where half a cycle that was not subtracted from the phase now is, or the
+    `loss_of_lock`: as `LossOfLockDetector` has it, and where a subtracted half cycle changes, or the
     other way round. To phases of BeiDou's geostationary satellites half a cycle is added, see `GEOSTATIONARY_CYCLES`.
     Of what comes twice the first one counts.
 
@@ -74,7 +74,9 @@ def read_raw_measurements(
         raise ValueError(f"version {version}, {len(payload)} bytes for {count} measurements")
     if not (math.isfinite(of_week_s) and 0.0 <= of_week_s * NS_PER_SECOND < NS_PER_WEEK - 0.5):
         raise ValueError(f"time of week {of_week_s} s")
-    time_ns = checked_time_ns(unrolled_ns(week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND), near_ns))
+    time_ns = checked_time_ns(
+        resolve_week_rollover(week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND), near_ns)
+    )
     rows = np.frombuffer(payload, MEASUREMENT, count, _HEADER.size)
     gnss, number = rows["gnssId"].astype(np.int64), rows["svId"].astype(np.int64)
     # Receivers of version 0 have one signal of each system; the byte is reserved.
@@ -84,7 +86,9 @@ def read_raw_measurements(
     satellite = SYSTEM_OF_GNSS[gnss] * 256 + number
     keys = (satellite << 16) + signal
     used, repeated = _firsts(known, keys)
-    left_out = LeftOut(count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), repeated)
+    left_out = OmittedMeasurements(
+        count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), repeated
+    )
     if used.size < count:
         rows, keys, satellite, signal = rows[used], keys[used], satellite[used], signal[used]
     status_bits = rows["trkStat"]
@@ -111,7 +115,7 @@ def read_raw_measurements(
         ),
         half_cycle=has_phase & ((status_bits & HALF_CYCLE_VALID) == 0),
     )
-    return ReceiverEpoch(epoch, bool(status & _CLOCK_RESET)), left_out
+    return RawxEpoch(epoch, bool(status & _CLOCK_RESET)), left_out
 
 
 def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:

@@ -11,11 +11,11 @@ from dataclasses import replace
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris
-from camber.formats.receiver.frames import FrameBuffer
-from camber.formats.receiver.integrity_report import ReceiverStatements
-from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.receiver.frame_buffer import FrameBuffer
+from camber.formats.receiver.integrity_report import IntegrityReport
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.formats.ubx.ephemerides import SubframeCollector
+from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler
 from camber.formats.ubx.nav_epochs import NavigationEpoch
 from camber.formats.ubx.nav_reader import (
     COV,
@@ -25,18 +25,13 @@ from camber.formats.ubx.nav_reader import (
     PVT,
     RELPOSNED,
     ReceiverBaseline,
-    epoch_of,
+    time_of_week_ms,
 )
-from camber.formats.ubx.rawx_reader import ReceiverEpoch, read_raw_measurements
+from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
 UbxResult = (
-    ReceiverEpoch
-    | Ephemeris
-    | IonosphereCoefficients
-    | ReceiverSolution
-    | ReceiverBaseline
-    | ReceiverIntegrity
+    RawxEpoch | Ephemeris | IonosphereCoefficients | ReceiverSolution | ReceiverBaseline | ReceiverIntegrity
 )
 _NAV, _RXM, _MON, _SEC = 0x01, 0x02, 0x0A, 0x27
 _NAVIGATION_IDS = {PVT, HPPOSLLH, COV, RELPOSNED, PL, EOE}
@@ -51,7 +46,7 @@ class UbxMessages:
     next epoch begins, one epoch late. SEC-SIG and MON-RF after NAV-EOE become a statement of their own.
     """
 
-    def __init__(self, near_ns: int | None = None, statements: ReceiverStatements | None = None) -> None:
+    def __init__(self, near_ns: int | None = None, statements: IntegrityReport | None = None) -> None:
         self.near_ns = near_ns
         """Of the last epoch, at first as given."""
         # Only what is given settles roll-overs: a message that lies may lead the time astray, but not for long.
@@ -76,9 +71,9 @@ class UbxMessages:
         """NAV messages of an epoch after its end."""
         self.has_positions = False
         """Whether the receiver sends NAV-PVT."""
-        self._statements = ReceiverStatements() if statements is None else statements
-        self._locks = LockTimes()
-        self._subframes = SubframeCollector()
+        self._statements = IntegrityReport() if statements is None else statements
+        self._locks = LossOfLockDetector()
+        self._subframes = EphemerisAssembler()
         self._epoch: NavigationEpoch | None = None
         self._ended_ms: int | None = None
         self._stated = False
@@ -144,7 +139,7 @@ class UbxMessages:
         return [] if self._epoch is not None else self._state(time_ns)
 
     def _navigation(self, message_id: int, payload: bytes) -> list[UbxResult]:
-        of_week_ms = epoch_of(message_id, payload)
+        of_week_ms = time_of_week_ms(message_id, payload)
         if message_id == EOE:
             return self._end_epoch()
         results = list[UbxResult]()

@@ -18,8 +18,8 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
-from camber.formats.ubx.signals import GEOSTATIONARY_CYCLES, GNSS_IDS, are_geostationary, ids_of
-from camber.formats.ubx.subframes import Subframe
+from camber.formats.ubx.signal_ids import GEOSTATIONARY_CYCLES, GNSS_IDS, are_geostationary, ubx_signal_ids
+from camber.formats.ubx.subframe_schedule import Subframe
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_minus_utc_s, week_tow_from_gps_ns
 
 MOST_MEASUREMENTS = 255
@@ -146,7 +146,7 @@ def format_subframe(subframe: Subframe, *, channel: int = 0) -> bytes:
 
 def _ids(epoch: ObservationEpoch) -> tuple[Integers, Integers, Integers]:
     system, satellite = epoch.satellite >> 8, epoch.satellite & 255
-    gnss_id, signal_id, known = ids_of(epoch.satellite, epoch.signal)
+    gnss_id, signal_id, known = ubx_signal_ids(epoch.satellite, epoch.signal)
     _check(epoch, ~known, "u-blox has no number for this signal")
     named = (system << 16) + (satellite << 8) + signal_id
     again = np.ones(named.size, np.bool_)

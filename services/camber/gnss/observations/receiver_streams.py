@@ -16,8 +16,8 @@ from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.observation_reader import RinexDecoder
-from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder, StationEpoch
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation, RtcmDecoder
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.formats.ubx.reader import UbxDecoder
 from camber.gnss.observations.navigation_files import NavigationFiles
 from camber.gnss.observations.satellite_states import enu_from_ecef_rotation, geodetic
@@ -97,9 +97,9 @@ class StreamReader:
         return {name: count for name, count in counts.items() if count}
 
     def _known(self, result: object) -> list[Heard]:
-        if isinstance(result, ReceiverEpoch):
+        if isinstance(result, RawxEpoch):
             return [(self._stream, result.epoch)]
-        if isinstance(result, StationEpoch):
+        if isinstance(result, BaseStationEpoch):
             return [(self._station, result.epoch)]
         if isinstance(result, ReferenceStation):
             return [(self._station, StationPosition(result.position_ecef_m, f"rtcm-{result.station_id}"))]

@@ -29,12 +29,12 @@ from camber.formats.lidar_can.candump import candump_text
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
 from camber.formats.observations import Ephemeris
-from camber.formats.receiver.phase_counts import PhaseCounts
+from camber.formats.receiver.phase_alignment import PhaseAlignment
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.rinex.writer import StationHeader, navigation_text, observation_lines
 from camber.formats.rtcm.writer import format_ephemeris, format_observations, format_reference_station
 from camber.formats.ubx.nav_writer import format_high_precision_position, format_position_velocity_time
-from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
@@ -304,13 +304,13 @@ def _ubx(drive: SimulatedDrive) -> Iterator[bytes]:
         ),
         key=lambda part: (part.end_ns, part.satellite),
     )
-    place, counts = 0, PhaseCounts()
+    place, counts = 0, PhaseAlignment()
     for said in drive.said:
         if said.rover is not None:
             while place < len(waiting) and waiting[place].end_ns <= said.rover.time_ns:
                 yield format_subframe(waiting[place])
                 place += 1
-            yield format_raw_measurements(counts.near_pseudorange(said.rover))
+            yield format_raw_measurements(counts.align_to_pseudorange(said.rover))
         if said.solution is not None:
             yield format_position_velocity_time(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
             yield format_high_precision_position(said.solution, geoid_separation_m=GEOID_SEPARATION_M)
@@ -322,7 +322,7 @@ def _rtcm(drive: SimulatedDrive) -> Iterator[bytes]:
     ephemerides = [frame for ephemeris in _newest(drive) for frame in format_ephemeris(ephemeris)]
     every = 10 * drive.scenario.satellites.rate_hz
     said_m: tuple[float, ...] = ()
-    counts = PhaseCounts()
+    counts = PhaseAlignment()
     for number, epoch in enumerate(drive.base):
         place_m = base_ecef_m(drive, offsets[epoch.time_ns])
         if number % every == 0 or place_m != said_m:
@@ -330,7 +330,7 @@ def _rtcm(drive: SimulatedDrive) -> Iterator[bytes]:
             yield format_reference_station(place_m, station_id=_STATION_ID)
         if number % every == 0:
             yield from ephemerides
-        yield from format_observations(counts.near_pseudorange(epoch), station_id=_STATION_ID)
+        yield from format_observations(counts.align_to_pseudorange(epoch), station_id=_STATION_ID)
 
 
 def _newest(drive: SimulatedDrive) -> list[Ephemeris]:

@@ -20,9 +20,9 @@ from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rinex.observation_reader import RinexDecoder
-from camber.formats.rtcm.reader import ReferenceStation, StationEpoch
+from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation
 from camber.formats.ubx.nav_reader import ReceiverBaseline
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.schemas.gnss import ReceiverIntegrity
@@ -124,9 +124,9 @@ class _Held:
                         self.problems.append(item)
                 case ObservationEpoch():
                     self._epoch("file", item)
-                case ReceiverEpoch():
+                case RawxEpoch():
                     self._epoch("receiver", item.epoch)
-                case StationEpoch():
+                case BaseStationEpoch():
                     self._epoch(f"station {item.station_id}", item.epoch)
                 case ReferenceStation():
                     if item in self._stations or len(self._stations) < _MOST_STATIONS:

@@ -15,10 +15,10 @@ import numpy as np
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, Floats, ObservationEpoch
-from camber.formats.rinex.header import ObservationHeader
+from camber.formats.rinex.observation_header import ObservationHeader
 from camber.formats.rinex.observation_reader import RinexDecoder
-from camber.formats.rtcm.reader import ReferenceStation, StationEpoch
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.ellipsoid import geodetic_from_ecef_scalar
 from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.drive import RawObservations
@@ -119,9 +119,9 @@ def _read(path: Path, near_ns: int | None) -> _File:
             match item:
                 case ObservationEpoch():
                     file.epochs[_OWN].append(item)
-                case ReceiverEpoch():
+                case RawxEpoch():
                     file.epochs[_OWN].append(item.epoch)
-                case StationEpoch():
+                case BaseStationEpoch():
                     file.epochs[item.station_id].append(item.epoch)
                 case ReferenceStation():
                     file.stations[item.station_id, item.position_ecef_m] += 1

@@ -12,18 +12,18 @@ from itertools import chain
 from pathlib import Path
 from typing import Literal
 
-from camber.formats.broadcast.ephemeris_fields import FIELDS, TIME_SCALES
+from camber.formats.broadcast.ephemeris_fields import FIELDS, GNSS_TIME_SCALES
 from camber.formats.errors import FormatError
-from camber.formats.nmea.framing import Sentence, sentence_of
-from camber.formats.receiver.frames import Frame, FrameBuffer
+from camber.formats.nmea.framing import Sentence, parse_sentence
+from camber.formats.receiver.frame_buffer import Frame, FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder, MixedResult
 from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.formats.rinex.compressed_files import rinex_pieces
+from camber.formats.rinex.compressed_files import rinex_chunks
 from camber.formats.rinex.navigation_reader import NavigationDecoder, NavigationResult
 from camber.formats.rinex.observation_reader import ObservationResult, RinexDecoder
-from camber.formats.rtcm.ephemerides import EPHEMERIS_MESSAGES
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.schemas.gnss import ReceiverIntegrity
 
@@ -63,7 +63,7 @@ class RecordingFile:
         """Of a stream, by protocol and kind, where they are to be counted."""
         self.damage: FormatError | None = None
         """Of the compression: the recording ends there."""
-        pieces = rinex_pieces(path)
+        pieces = rinex_chunks(path)
         first = next(pieces, b"")
         self._pieces = chain((first,), pieces)
         self.format, self.decoder = self._recognised(first, near_ns)
@@ -114,7 +114,7 @@ class RecordingFile:
             return None
         others = MixedDecoder(self.path.name, protocols=("ubx", "nmea"))
         for item in (*others.feed(first), *others.finish()):
-            if isinstance(item, ReceiverEpoch):
+            if isinstance(item, RawxEpoch):
                 return item.epoch.time_ns
             if isinstance(item, ReceiverSolution | ReceiverIntegrity):
                 return item.time_ns
@@ -133,7 +133,7 @@ class RecordingFile:
 
 def _is_whole(frame: Frame) -> bool:
     """What looks like a sentence may be none."""
-    return frame.protocol != "nmea" or isinstance(sentence_of("", frame.data, 0), Sentence)
+    return frame.protocol != "nmea" or isinstance(parse_sentence("", frame.data, 0), Sentence)
 
 
 def message_name(frame: Frame) -> str:
@@ -153,7 +153,7 @@ def _reference_time_ns(payload: bytes, near_ns: int) -> int | None:
     if number not in EPHEMERIS_MESSAGES:
         return None
     system, layout, _ = EPHEMERIS_MESSAGES[number]
-    scale, found, place = TIME_SCALES[system], dict[str, int](), 12
+    scale, found, place = GNSS_TIME_SCALES[system], dict[str, int](), 12
     bits, width = int.from_bytes(payload, "big"), 8 * len(payload)
     for name in layout:
         place += FIELDS[system][name].width
@@ -162,5 +162,5 @@ def _reference_time_ns(payload: bytes, near_ns: int) -> int | None:
         found[name] = bits >> (width - place) & (1 << FIELDS[system][name].width) - 1
     of_week_ns = int(found["toe_s"] * FIELDS[system]["toe_s"].resolution) * NS_PER_SECOND
     turn_ns = scale.weeks * NS_PER_WEEK
-    first_ns = (scale.first_gps_week + found["week"]) * NS_PER_WEEK + of_week_ns + scale.behind_gps_ns
+    first_ns = (scale.first_gps_week + found["week"]) * NS_PER_WEEK + of_week_ns + scale.gps_offset_ns
     return first_ns + round((near_ns - first_ns) / turn_ns) * turn_ns

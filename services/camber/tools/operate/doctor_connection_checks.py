@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from camber.formats.receiver.frames import FrameBuffer
+from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import NS_PER_DAY

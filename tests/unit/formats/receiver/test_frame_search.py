@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camber.formats.receiver.frame_buffer import FrameBuffer, FrameProtocol
 from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
-from camber.formats.receiver.frames import FrameBuffer, FrameProtocol
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.writer import ubx_frame
 from support.plain_frames import PlainFrameBuffer

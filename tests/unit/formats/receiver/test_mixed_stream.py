@@ -16,14 +16,14 @@ from pyubx2 import UBXReader
 
 from camber.formats.errors import FormatError
 from camber.formats.nmea.epochs import format_gga, format_rmc
+from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
-from camber.formats.receiver.frames import FrameBuffer
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.nav_writer import format_position_velocity_time
-from camber.formats.ubx.rawx_reader import ReceiverEpoch
+from camber.formats.ubx.rawx_reader import RawxEpoch
 from camber.formats.ubx.reader import UbxDecoder
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.schemas.gnss import ReceiverIntegrity
@@ -195,7 +195,7 @@ def test_each_protocol_comes_to_its_decoder_in_the_streams_order():
     )
     found += decoder.finish()
     kinds = [type(result).__name__ for result in found]
-    assert kinds == ["ReceiverEpoch", "ReferenceStation", "ReceiverIntegrity", "ReceiverSolution"]
+    assert kinds == ["RawxEpoch", "ReferenceStation", "ReceiverIntegrity", "ReceiverSolution"]
     assert decoder.rtcm_without_time == 1
     assert decoder.bytes_skipped == len(b"garbage\x00")
     assert found[0].epoch.time_ns == START_NS
@@ -225,7 +225,7 @@ def test_a_date_from_raw_measurements_serves_positions_of_nmea():
     assert [type(result) for result in lone.feed(gga) + lone.finish()] == [FormatError]
     decoder = MixedDecoder("port")
     found = decoder.feed(format_raw_measurements(epoch) + gga) + decoder.finish()
-    assert [type(result) for result in found] == [ReceiverEpoch, ReceiverSolution]
+    assert [type(result) for result in found] == [RawxEpoch, ReceiverSolution]
     assert found[1].time_ns == position.time_ns
 
 
@@ -302,7 +302,7 @@ def test_messages_of_recordings_give_the_same_alone_and_mixed():
         results = mixed.feed(data) + mixed.finish()
         rtcm = b"".join(d for kind, d in frames_of(data) if kind == "rtcm")
         expected = [type(result).__name__ for result in alone.feed(rtcm) + alone.finish()]
-        names = {"ReferenceStation", "StationEpoch", "Ephemeris"}
+        names = {"ReferenceStation", "BaseStationEpoch", "Ephemeris"}
         assert [name for r in results if (name := type(r).__name__) in names] == expected
         ubx = UbxDecoder(path.name, START_NS)
         of_ubx = [type(result) for result in ubx.feed(data) + ubx.finish()]

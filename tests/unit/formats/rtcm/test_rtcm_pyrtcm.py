@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from pyrtcm import RTCM_DATA_FIELDS, RTCMMessage, RTCMReader, calc_crc24q
 from pyrtcm.rtcmtypes_get import RTCM_PAYLOADS_GET
 
-from camber.formats.broadcast.bit_fields import bytes_of, joined
+from camber.formats.broadcast.bit_fields import bits_to_bytes, joined
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.observations import Ephemeris
-from camber.formats.rtcm.ephemerides import EPHEMERIS_MESSAGES
+from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, minimum_lock_s, read_msm
+from camber.formats.rtcm.msm_signals import MSM_SIGNALS, MSM_SYSTEMS
 from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder
-from camber.formats.rtcm.signals import MSM_SIGNALS, MSM_SYSTEMS
 from camber.formats.rtcm.writer import rtcm_frame
 
 LIGHT_M_S = 299_792_458.0
@@ -131,7 +131,7 @@ def assert_equal_to_pyrtcm(frame: bytes, found: MsmMessage) -> None:
     time = next(
         getattr(message, name) for name in ("DF004", "DF248", "DF428", "DF427") if hasattr(message, name)
     )
-    behind_ns = MSM_SYSTEMS[TENS[int(message.identity) // 10]].behind_gps_ns
+    behind_ns = MSM_SYSTEMS[TENS[int(message.identity) // 10]].gps_offset_ns
     assert (found.time_ns - behind_ns - time * 1_000_000) % WEEK_NS == 0
     theirs = np.array(rows, float).reshape(-1, 9).T
     np.testing.assert_array_equal(found.integers, theirs[:3])
@@ -242,7 +242,7 @@ def any_msm(random: np.random.Generator, number: int) -> bytes:
         for _ in range(count):
             value = random.integers(0, 1 << width) if random.random() < 0.9 else random.choice(special)
             pairs.append((int(value), width))
-    return rtcm_frame(bytes_of(*joined(pairs)))
+    return rtcm_frame(bits_to_bytes(*joined(pairs)))
 
 
 @given(SEEDS)
@@ -266,7 +266,7 @@ def test_ephemerides_of_any_content_are_pyrtcms_to_the_last_bit(seed: int, numbe
     for name in ("toe_s", "toc_s"):
         values[name] = int(random.integers(0, 604_800 // FIELDS[system][name].resolution))
     pairs = [(number, 12), *((values[name], FIELDS[system][name].width) for name in layout), (0, spare)]
-    frame = rtcm_frame(bytes_of(*joined(pairs)))
+    frame = rtcm_frame(bits_to_bytes(*joined(pairs)))
     decoder = RtcmDecoder(NOW_NS)
     (found,) = decoder.feed(frame)
     assert isinstance(found, Ephemeris)

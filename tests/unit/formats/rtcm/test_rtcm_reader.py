@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyrtcm import RTCMReader
 
-from camber.formats.broadcast.bit_fields import bytes_of, joined
-from camber.formats.broadcast.ephemeris_fields import broadcast_integers
+from camber.formats.broadcast.bit_fields import bits_to_bytes, joined
+from camber.formats.broadcast.ephemeris_fields import integers_from_ephemeris
 from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, signal_name
 from camber.formats.rtcm.msm_reader import minimum_lock_s
 from camber.formats.rtcm.msm_writer import lock_indicator
-from camber.formats.rtcm.reader import ReferenceStation, RtcmDecoder, StationEpoch
+from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation, RtcmDecoder
 from camber.formats.rtcm.writer import (
     format_ephemeris,
     format_observations,
@@ -65,7 +65,7 @@ def test_observations_come_back_within_the_resolution(seed, away_s, of_week_ms):
         assert results == []
         return
     (found,) = results
-    assert isinstance(found, StationEpoch)
+    assert isinstance(found, BaseStationEpoch)
     assert (found.station_id, found.complete, found.epoch.time_ns) == (77, True, time_ns)
     theirs, ours = by_signal(epoch), by_signal(found.epoch)
     assert ours.keys() == theirs.keys()
@@ -101,7 +101,7 @@ def msm4_frame(letter_number, station, time_ms, rows):
     parts += [(70 + s, 8) for s in satellites] + [(s * 3, 10) for s in satellites]
     for place, width in enumerate((15, 22, 4, 1, 6)):
         parts += [(cell[place], width) for cell in chosen]
-    return rtcm_frame(bytes_of(*joined(parts)))
+    return rtcm_frame(bits_to_bytes(*joined(parts)))
 
 
 @pytest.mark.parametrize(("letter", "number"), [("G", 1074), ("E", 1094), ("J", 1114), ("C", 1124)])
@@ -164,16 +164,16 @@ def test_ephemerides_come_back_as_the_integers_that_were_sent(seed, name, hours)
     near_ns = toe_ns + hours * 3600 * SECOND_NS
     results, decoder = read_all(b"".join(format_ephemeris(ephemeris)), near_ns)
     assert not any(counters(decoder).values())
-    sent = broadcast_integers(ephemeris)
+    sent = integers_from_ephemeris(ephemeris)
     for found in results:
         assert isinstance(found, Ephemeris)
         assert (found.toe_ns, found.toc_ns, found.transmission_ns) == (toe_ns, ephemeris.toc_ns, near_ns)
         if name[0] != "E":
-            assert broadcast_integers(found) == sent
+            assert integers_from_ephemeris(found) == sent
     if name[0] == "E":
         fnav, inav = results
         assert (fnav.other["data_sources"], inav.other["data_sources"]) == (258.0, 517.0)
-        assert broadcast_integers(inav) | {"e5a_health": 0, "e5a_invalid": 0} == sent | {
+        assert integers_from_ephemeris(inav) | {"e5a_health": 0, "e5a_invalid": 0} == sent | {
             "e5a_health": 0,
             "e5a_invalid": 0,
         }
@@ -207,7 +207,7 @@ def described(results):
     """Comparable, NaN included."""
     told = []
     for result in results:
-        if isinstance(result, StationEpoch):
+        if isinstance(result, BaseStationEpoch):
             columns = (getattr(result.epoch, f.name) for f in fields(result.epoch))
             told.append((result.station_id, result.complete, *(np.asarray(c).tobytes() for c in columns)))
         else:
@@ -320,7 +320,7 @@ def test_an_epoch_is_given_when_its_last_message_came_or_the_next_begins():
     decoder = RtcmDecoder(NOW_NS)
     for frame in format_observations(one, station_id=1, more_follow=True):
         assert decoder.feed(frame) == []
-    glonass = rtcm_frame(bytes_of(*joined([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
+    glonass = rtcm_frame(bits_to_bytes(*joined([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
     (given_,) = decoder.feed(glonass)
     assert given_.complete
     assert decoder.not_read == 1

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
 from camber.formats.observations import satellite_name, satellite_number, signal_name, signal_number
-from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.ubx.rawx_reader import read_raw_measurements
 from camber.formats.ubx.reader import UbxDecoder
-from camber.formats.ubx.signals import GNSS_IDS, SIGNAL_IDS
+from camber.formats.ubx.signal_ids import GNSS_IDS, SIGNAL_IDS
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from support.random_observations import SECOND_NS, WEEK_NS, random_epoch
 
@@ -31,8 +31,8 @@ CARRIERS = {
 }
 
 
-def read(frame: bytes, *, locks: LockTimes | None = None, near_ns: int | None = None):
-    return read_raw_measurements(frame[6:-2], locks or LockTimes(), near_ns)
+def read(frame: bytes, *, locks: LossOfLockDetector | None = None, near_ns: int | None = None):
+    return read_raw_measurements(frame[6:-2], locks or LossOfLockDetector(), near_ns)
 
 
 def rawx(rows, *, tow_s=345_600.0, week=2300, status=1, version=1, count=None):
@@ -145,7 +145,7 @@ def test_values_that_are_no_numbers_are_not_known():
 
 def lost(*epochs) -> list[bool]:
     """(s of week, lock ms, tracking status): whether each phase is broken."""
-    locks, found = LockTimes(), []
+    locks, found = LossOfLockDetector(), []
     for tow_s, lock, track in epochs:
         epoch = read(rawx([row(lock=lock, track=track)], tow_s=tow_s), locks=locks)[0].epoch
         found.append(bool(epoch.loss_of_lock[0]))

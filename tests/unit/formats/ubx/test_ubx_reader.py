@@ -439,8 +439,8 @@ def test_messages_of_wrong_length_or_version_are_counted(frame):
 def test_a_position_that_cannot_be_is_refused():
     beyond = format_position_velocity_time(SOLUTION, geoid_separation_m=0.0)
     for place, value in ((28, 910_000_000), (24, 1_810_000_000), (32, 200_000_000), (32, -30_000_000)):
-        bytes_of = value.to_bytes(4, "little", signed=True)
-        frame = changed(beyond, **{f"b{place + k}": byte for k, byte in enumerate(bytes_of)})
+        bits_to_bytes = value.to_bytes(4, "little", signed=True)
+        frame = changed(beyond, **{f"b{place + k}": byte for k, byte in enumerate(bits_to_bytes)})
         results, messages = run(frame, near_ns=START_NS)
         assert [r for r in results if isinstance(r, ReceiverSolution)] == []
         assert messages.malformed == 1

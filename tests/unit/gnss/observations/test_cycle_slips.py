@@ -12,7 +12,7 @@ from camber.formats.observations import (
     satellite_number,
     signal_number,
 )
-from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.gnss.observations.cycle_slips import REASONS, ArcTracker
 
 SIGNALS = [
@@ -205,7 +205,7 @@ def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_th
     """A signal lost and found between each two epochs, one second apart, says 0.3 s each time."""
     epochs = [replace(e, lock_time_s=np.full(len(SIGNALS), 0.3)) for e in drive(1, 3)]
     assert broken_in(epochs)[1] == {"lock_time": 2 * len(SIGNALS)}
-    locks = LockTimes()
+    locks = LossOfLockDetector()
     keys = np.arange(len(SIGNALS))
     all_here = np.ones(len(SIGNALS), np.bool_)
     said = [locks.lost(e.time_ns, keys, all_here, e.lock_time_s, e.lock_time_s + 1e-3) for e in epochs]

@@ -19,7 +19,7 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
-from camber.formats.receiver.frames import FrameBuffer
+from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.rtcm.writer import format_reference_station
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.gnss.observations.receiver_streams import StreamReader

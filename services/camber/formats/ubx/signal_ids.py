@@ -42,7 +42,7 @@ def are_geostationary(satellite: Integers) -> NDArray[np.bool_]:
     return geostationary
 
 
-def ids_of(satellite: Integers, signal: Integers) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+def ubx_signal_ids(satellite: Integers, signal: Integers) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """u-blox' numbers of system and signal of each row (n,), and which rows have one."""
     system = satellite >> 8
     key = (system << 16) + signal

@@ -9,13 +9,13 @@ from camber.formats.broadcast.beidou_d1_d2 import (
     D1_SUBFRAME_S,
     D2_FRAME_S,
     D2_PAGES,
-    d1_subframe,
-    d2_page,
+    encode_d1_subframe,
+    encode_d2_page,
     is_geostationary,
 )
-from camber.formats.broadcast.ephemeris_fields import TIME_SCALES
-from camber.formats.broadcast.galileo_inav import PAGE_S, WORD_STARTS_S, inav_page
-from camber.formats.broadcast.gps_lnav import SUBFRAME_S, lnav_subframe
+from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES
+from camber.formats.broadcast.galileo_inav import PAGE_S, WORD_STARTS_S, encode_inav_page
+from camber.formats.broadcast.gps_lnav import SUBFRAME_S, encode_lnav_subframe
 from camber.formats.observations import Ephemeris, satellite_name
 from camber.geodesy.gps_time import NS_PER_SECOND
 
@@ -41,11 +41,11 @@ def subframes_between(ephemeris: Ephemeris, from_ns: int, to_ns: int) -> list[Su
 
     GPS and QZSS: LNAV subframes 1 to 3 of each frame of 30 s. Galileo: I/NAV words 1 to 6 on E1-B. BeiDou: D1 subframes
     1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. Almanacs and ionosphere are not sent. Raises
-    ValueError as `broadcast_integers` does.
+    ValueError as `integers_from_ephemeris` does.
     """
     system = satellite_name(ephemeris.satellite)[0]
     signal_id, write, schedule = _schedule(system, ephemeris.satellite)
-    behind_ns = TIME_SCALES[system].behind_gps_ns if system in TIME_SCALES else 0
+    behind_ns = GNSS_TIME_SCALES[system].gps_offset_ns if system in GNSS_TIME_SCALES else 0
     found: list[Subframe] = []
     for part, start_ns, length_ns in schedule:
         # The first end that is not before from_ns, in the system's own periods of 30 s.
@@ -61,14 +61,14 @@ def _schedule(system: str, satellite: int) -> tuple[int, _Writer, list[tuple[int
     second = NS_PER_SECOND
     if system in "GJ":
         length = SUBFRAME_S * second
-        return 0, lnav_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
+        return 0, encode_lnav_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
     if system == "E":
         starts = WORD_STARTS_S.items()
-        return 1, inav_page, [(word, start * second, PAGE_S * second) for word, start in starts]
+        return 1, encode_inav_page, [(word, start * second, PAGE_S * second) for word, start in starts]
     if system == "C" and is_geostationary(satellite):
         frame = D2_FRAME_S * second
-        return 1, d2_page, [(page, (page - 1) * frame, _D2_SUBFRAME_NS) for page in D2_PAGES]
+        return 1, encode_d2_page, [(page, (page - 1) * frame, _D2_SUBFRAME_NS) for page in D2_PAGES]
     if system == "C":
         length = D1_SUBFRAME_S * second
-        return 0, d1_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
+        return 0, encode_d1_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]
     raise ValueError(f"satellite {satellite_name(satellite)}: expected one of G, J, E, C")

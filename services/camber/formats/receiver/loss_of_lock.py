@@ -13,7 +13,7 @@ from camber.formats.observations import Floats, Integers
 from camber.geodesy.gps_time import NS_PER_SECOND
 
 
-class LockTimes:
+class LossOfLockDetector:
     """One receiver's memory: when each signal last had a phase, and how long it was locked then."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris
-from camber.formats.rinex.header import decimal_number
+from camber.formats.rinex.observation_header import decimal_number
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
 
 _WIDTH = 19
@@ -64,7 +64,7 @@ class NavigationRecord:
     lines: list[str] = field(default_factory=list)
 
 
-def ephemeris_of(record: NavigationRecord) -> Ephemeris:
+def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
     """Of a satellite of GPS, QZSS, Galileo or BeiDou. Raises ValueError with what is wrong."""
     system = record.satellite[0]
     rows = _ROWS[system]
@@ -157,7 +157,7 @@ def _check(values: Mapping[str, float]) -> None:
         raise ValueError(f"eccentricity {values['eccentricity']}, square root of a {values['sqrt_a']} √m")
 
 
-def ionosphere_of(record: NavigationRecord) -> IonosphereCoefficients:
+def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:
     """RINEX 4, Klobuchar's model: three numbers beside the time, four, one and the region."""
     if len(record.lines) < 3:
         raise ValueError(f"{len(record.lines)} lines, not 3")

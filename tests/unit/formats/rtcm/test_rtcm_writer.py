@@ -10,9 +10,9 @@ from pyrtcm import RTCMReader
 from pyrtcm.exceptions import RTCMParseError
 from pyrtcm.rtcmtypes_core import RTCM_DATA_FIELDS
 
-from camber.formats.broadcast.bit_fields import crc24q, joined, packed_columns, quantised
-from camber.formats.broadcast.ephemeris_fields import broadcast_integers, ephemeris_from_integers
-from camber.formats.rtcm.ephemerides import EPHEMERIS_MESSAGES
+from camber.formats.broadcast.bit_fields import crc24q, joined, pack_columns, quantize
+from camber.formats.broadcast.ephemeris_fields import ephemeris_from_integers, integers_from_ephemeris
+from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.writer import format_ephemeris, format_reference_station, rtcm_frame
 from support.random_observations import SECOND_NS, WEEK_NS, random_ephemeris
 
@@ -97,7 +97,7 @@ def test_a_station_that_does_not_fit_is_refused():
 def test_columns_are_packed_as_single_fields_are(fields):
     bits, width = joined([(value, width) for width, value in fields])
     expected = (bits << -width % 8).to_bytes((width + 7) // 8, "big")
-    assert packed_columns((), [(np.array([value]), width) for width, value in fields]) == expected
+    assert pack_columns((), [(np.array([value]), width) for width, value in fields]) == expected
 
 
 @given(st.floats(allow_nan=True), st.integers(2, 32), st.booleans())
@@ -106,12 +106,12 @@ def test_a_quantised_value_is_within_half_a_step_or_refused(value, width, signed
     low, high = (-(2 ** (width - 1)), 2 ** (width - 1) - 1) if signed else (0, 2**width - 1)
     # A value that is half a step outside is still rounded in.
     if (low - 0.5) * 0.25 <= value <= (high + 0.5) * 0.25:
-        found = quantised("x", value, 0.25, width, signed=signed)
+        found = quantize("x", value, 0.25, width, signed=signed)
         assert abs(found * 0.25 - value) <= 0.125
         assert low <= found <= high
     else:
         with pytest.raises(ValueError, match="x is "):
-            quantised("x", value, 0.25, width, signed=signed)
+            quantize("x", value, 0.25, width, signed=signed)
 
 
 # The data fields of each message, by the standard's numbers; pyrtcm's own table gives the resolutions.
@@ -213,7 +213,7 @@ def test_pyrtcm_gives_ephemerides_back_within_the_resolution_of_each_field(seed,
 def test_the_integers_make_the_same_ephemeris_and_that_the_same_integers(seed, name, week, hours):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, a_toe(rng, name, week))
-    integers = broadcast_integers(ephemeris)
+    integers = integers_from_ephemeris(ephemeris)
     # Within half a week of the reference times the week is found again.
     near_ns = ephemeris.toe_ns + min(max(hours, -60), 60) * 3600 * SECOND_NS
     again = ephemeris_from_integers(name[0], integers, near_ns)
@@ -223,7 +223,7 @@ def test_the_integers_make_the_same_ephemeris_and_that_the_same_integers(seed, n
         ephemeris.satellite,
     )
     assert again.health == ephemeris.health
-    assert broadcast_integers(again) == integers
+    assert integers_from_ephemeris(again) == integers
 
 
 def test_accuracies_are_told_as_the_index_that_is_not_better():

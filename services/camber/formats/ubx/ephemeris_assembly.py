@@ -14,20 +14,20 @@ from camber.formats.broadcast.beidou_d1_d2 import (
     D2_FRAME_S,
     D2_PAGES,
     BeidouPart,
-    read_d1_subframe,
-    read_d2_page,
+    decode_d1_subframe,
+    decode_d2_page,
 )
-from camber.formats.broadcast.bit_layouts import put_together
+from camber.formats.broadcast.bit_layouts import combine_parts
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
-from camber.formats.broadcast.galileo_inav import WORDS, read_inav_page
-from camber.formats.broadcast.gps_lnav import BODIES, read_lnav_subframe
+from camber.formats.broadcast.galileo_inav import WORDS, decode_inav_page
+from camber.formats.broadcast.gps_lnav import BODIES, decode_lnav_subframe
 from camber.formats.broadcast.klobuchar_coefficients import (
     IONOSPHERE_FIELDS,
     IonosphereCoefficients,
     coefficients_from_integers,
 )
 from camber.formats.observations import Ephemeris
-from camber.formats.ubx.signals import GNSS_IDS, MOST_SATELLITES
+from camber.formats.ubx.signal_ids import GNSS_IDS, MOST_SATELLITES
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 SubframeResult = Ephemeris | IonosphereCoefficients
@@ -42,7 +42,7 @@ _LEAST_SQRT_A = 2600.0
 _Parts = dict[int, Mapping[str, int]]
 
 
-class SubframeCollector:
+class EphemerisAssembler:
     """Remembers, of each satellite and signal, the parts of the ephemeris that is being sent.
 
     An ephemeris comes out as soon as all its parts have come that belong together, and then again only of new parts:
@@ -72,19 +72,19 @@ class SubframeCollector:
         if system == "E" and signal_id in _INAV_SIGNALS:
             return self._inav(key, words, near_ns)
         if system == "C" and signal_id in _D1_SIGNALS:
-            part = read_d1_subframe(words)
+            part = decode_d1_subframe(words)
             return self._beidou(key, part, (1, 2, 3), D1_SUBFRAME_S, near_ns)
         if system == "C" and signal_id in _D2_SIGNALS:
-            page = read_d2_page(words)
+            page = decode_d2_page(words)
             return [] if page is None else self._beidou(key, page, D2_PAGES, D2_FRAME_S, near_ns)
         return None
 
     def _lnav(
         self, system: str, key: tuple[int, int], words: Sequence[int], near_ns: int
     ) -> list[SubframeResult]:
-        number, fields = read_lnav_subframe(words)
+        number, fields = decode_lnav_subframe(words)
         if number == 4 and fields and system == "G":
-            return [coefficients_from_integers("G", put_together([fields], IONOSPHERE_FIELDS))]
+            return [coefficients_from_integers("G", combine_parts([fields], IONOSPHERE_FIELDS))]
         if number not in BODIES:
             return []
         parts = self._parts.setdefault(key, {})
@@ -94,7 +94,7 @@ class SubframeCollector:
         return [self._ephemeris(system, key, near_ns)]
 
     def _inav(self, key: tuple[int, int], words: Sequence[int], near_ns: int) -> list[SubframeResult]:
-        word_type, fields = read_inav_page(words)
+        word_type, fields = decode_inav_page(words)
         if word_type not in WORDS:
             return []
         if fields.get("satellite", key[0] & 255) != key[0] & 255:
@@ -120,7 +120,9 @@ class SubframeCollector:
             ionosphere = {name: part.fields[name] for name in IONOSPHERE_FIELDS}
             # Zeros are sent by those who have none.
             if any(ionosphere.values()):
-                results.append(coefficients_from_integers("C", put_together([ionosphere], IONOSPHERE_FIELDS)))
+                results.append(
+                    coefficients_from_integers("C", combine_parts([ionosphere], IONOSPHERE_FIELDS))
+                )
         # After an ephemeris they are forgotten, and parts of the same period may come once more.
         parts = self._parts.setdefault(key, {})
         parts[part.number] = {n: value for n, value in part.fields.items() if n not in IONOSPHERE_FIELDS}
@@ -129,7 +131,7 @@ class SubframeCollector:
     def _ephemeris(self, system: str, key: tuple[int, int], near_ns: int) -> Ephemeris:
         """Of all parts of the satellite, which are forgotten with it."""
         fields = FIELDS[system]
-        integers = put_together(self._parts.pop(key).values(), fields)
+        integers = combine_parts(self._parts.pop(key).values(), fields)
         for time in ("toe_s", "toc_s"):
             if integers[time] * fields[time].resolution >= _SECONDS_PER_WEEK:
                 raise ValueError(f"{time} is after the end of the week")

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
-from camber.formats.broadcast.gps_lnav import words_with_parity
-from camber.formats.ubx.subframes import subframes_between
+from camber.formats.broadcast.gps_lnav import add_parity
+from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_subframe
 from camber.geodesy.gps_time import gps_minus_utc_s
 from support.random_observations import SECOND_NS, WEEK_NS, random_ephemeris
@@ -71,13 +71,13 @@ def lnav_data(words):
 def test_words_of_a_receiver_are_made_again_bit_by_bit():
     data = lnav_data(RECEIVED)
     assert data[0] >> 16 == 0x8B
-    assert tuple(words_with_parity(data)) == RECEIVED
+    assert tuple(add_parity(data)) == RECEIVED
 
 
 @given(st.lists(st.integers(0, 2**24 - 1), min_size=10, max_size=10))
 @settings(derandomize=True, max_examples=200)
 def test_parity_holds_for_any_data(data):
-    found = lnav_data(words_with_parity(data))
+    found = lnav_data(add_parity(data))
     for place in range(10):
         solved = place in (1, 9)
         assert found[place] >> 2 * solved == data[place] >> 2 * solved

@@ -10,7 +10,7 @@ import pytest
 
 from camber.formats.observations import ObservationEpoch, satellite_number, signal_number
 from camber.formats.rtcm.writer import format_ephemeris, format_observations, format_reference_station
-from camber.formats.ubx.subframes import subframes_between
+from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe
 from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris
 

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.formats.receiver.lock_times import LockTimes
+from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 
 SECOND_NS = 1_000_000_000
 
 
 def run(*epochs, most_more_s=0.001):
     """(time s, lock s or None without a phase, state): which of them are lost."""
-    locks, lost = LockTimes(), []
+    locks, lost = LossOfLockDetector(), []
     for time_s, lock_s, state in epochs:
         has = np.array([lock_s is not None])
         least = np.array([lock_s or 0.0])
@@ -57,7 +57,7 @@ def test_a_class_of_lock_times_is_lost_only_where_it_certainly_is():
 @settings(derandomize=True, max_examples=50)
 def test_signals_do_not_mix_and_true_locks_are_told_apart(seed):
     rng = np.random.default_rng(seed)
-    locks, locked_at, last = LockTimes(), {}, {}
+    locks, locked_at, last = LossOfLockDetector(), {}, {}
     for epoch in range(1, 30):
         keys = rng.choice(20, rng.integers(1, 20), replace=False)
         for key in range(20):

@@ -19,9 +19,9 @@ from camber.formats.observations import (
     signal_name,
     signal_number,
 )
-from camber.formats.receiver.phase_counts import PhaseCounts
+from camber.formats.receiver.phase_alignment import PhaseAlignment
+from camber.formats.rtcm.msm_signals import MSM_SIGNALS
 from camber.formats.rtcm.msm_writer import lock_indicator
-from camber.formats.rtcm.signals import MSM_SIGNALS
 from camber.formats.rtcm.writer import format_observations
 from support.random_observations import COMMON, LIGHT_M_S, MOST, SECOND_NS, WEEK_NS, random_epoch
 
@@ -262,7 +262,7 @@ def test_a_damaged_frame_fails_its_check(seed):
 
 def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until_it_breaks():
     rng = np.random.default_rng(4)
-    counts = PhaseCounts()
+    counts = PhaseAlignment()
     wavelength = np.array([LIGHT_M_S / 1575.42e6, LIGHT_M_S / 1227.6e6])
     ambiguity = np.array([400_000.0, -333_333.5])
     told = []
@@ -280,7 +280,7 @@ def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until
             carrier_phase_cycles=phase,
             lock_time_s=lock_s,
         )
-        aligned = counts.near_pseudorange(epoch)
+        aligned = counts.align_to_pseudorange(epoch)
         format_observations(aligned, station_id=1)
         told.append(phase - aligned.carrier_phase_cycles)
     off = np.array(told)
@@ -291,7 +291,7 @@ def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until
 
 
 def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
-    counts = PhaseCounts()
+    counts = PhaseAlignment()
     started = None
     for k in range(300):
         epoch = one(
@@ -299,7 +299,7 @@ def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
             carrier_phase_cycles=one().carrier_phase_cycles + 50.0 * k,
             lock_time_s=np.full(2, 100.0 + k),
         )
-        aligned = counts.near_pseudorange(epoch)
+        aligned = counts.align_to_pseudorange(epoch)
         format_observations(aligned, station_id=1)
         if started is None and aligned.loss_of_lock[0]:
             started = k
@@ -310,8 +310,8 @@ def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
 
 
 def test_a_phase_without_any_pseudorange_is_left_out_until_there_is_one():
-    counts = PhaseCounts()
+    counts = PhaseAlignment()
     without = one(pseudorange_m=np.array([np.nan, 2.2e7]))
-    assert np.isnan(counts.near_pseudorange(without).carrier_phase_cycles).tolist() == [True, False]
+    assert np.isnan(counts.align_to_pseudorange(without).carrier_phase_cycles).tolist() == [True, False]
     later = one(time_ns=one().time_ns + SECOND_NS)
-    assert not np.isnan(counts.near_pseudorange(later).carrier_phase_cycles).any()
+    assert not np.isnan(counts.align_to_pseudorange(later).carrier_phase_cycles).any()

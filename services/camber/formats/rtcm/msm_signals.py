@@ -32,7 +32,7 @@ class MsmSystem:
     letter: str
     message: int
     satellites: int
-    behind_gps_ns: int = 0
+    gps_offset_ns: int = 0
 
 
 MSM_SYSTEMS = (

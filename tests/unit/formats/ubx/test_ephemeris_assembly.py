@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
-from camber.formats.broadcast.beidou_d1_d2 import FIELDS_AND_IONOSPHERE, read_d1_subframe, read_d2_page
-from camber.formats.broadcast.bit_layouts import put_together
-from camber.formats.broadcast.ephemeris_fields import FIELDS, broadcast_integers
-from camber.formats.broadcast.galileo_inav import read_inav_page
-from camber.formats.broadcast.gps_lnav import read_lnav_subframe, words_with_parity
+from camber.formats.broadcast.beidou_d1_d2 import FIELDS_AND_IONOSPHERE, decode_d1_subframe, decode_d2_page
+from camber.formats.broadcast.bit_layouts import combine_parts
+from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris
+from camber.formats.broadcast.galileo_inav import decode_inav_page
+from camber.formats.broadcast.gps_lnav import add_parity, decode_lnav_subframe
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, satellite_name, satellite_number
 from camber.formats.ubx.reader import UbxDecoder
-from camber.formats.ubx.subframes import Subframe, subframes_between
+from camber.formats.ubx.subframe_schedule import Subframe, subframes_between
 from camber.formats.ubx.writer import format_subframe, ubx_frame
 from support.random_observations import SECOND_NS, WEEK_NS, random_ephemeris
 
@@ -68,7 +68,7 @@ def words_of(frame: bytes) -> tuple[int, ...]:
 def assert_same(found: Ephemeris, sent: Ephemeris) -> None:
     """The same integers are broadcast: equal within the resolution of each field."""
     assert (found.satellite, found.toe_ns, found.toc_ns) == (sent.satellite, sent.toe_ns, sent.toc_ns)
-    integers, expected = broadcast_integers(found), broadcast_integers(sent)
+    integers, expected = integers_from_ephemeris(found), integers_from_ephemeris(sent)
     if chr(sent.satellite >> 8) == "E":
         # I/NAV does not say anything of E5a.
         for name in ("e5a_invalid", "e5a_health"):
@@ -174,7 +174,7 @@ def test_a_word_with_a_wrong_bit_is_never_used(seed, name):
     words[place] ^= 1 << bit
     decoder = UbxDecoder("port", begin_ns)
     decoder.feed(format_subframe(replace(subframe, words=tuple(words))))
-    read = {"E": read_inav_page, "C": read_d2_page if name[1:] in GEOSTATIONARY else read_d1_subframe}
+    read = {"E": decode_inav_page, "C": decode_d2_page if name[1:] in GEOSTATIONARY else decode_d1_subframe}
     if decoder.messages.bad_subframes == 0:
         # Tail, fill and reserved bits have no check, and nothing stands in them.
         assert name[0] in "EC"
@@ -189,23 +189,23 @@ def test_words_of_a_receiver_are_read_as_pyubx2_gives_them():
         assert words == words_of(frame)
         system = name[0]
         if system == "G":
-            number, fields = read_lnav_subframe(words)
-            integers = put_together([fields], FIELDS["G"])
+            number, fields = decode_lnav_subframe(words)
+            integers = combine_parts([fields], FIELDS["G"])
             # July 2025.
             assert (number, integers["toc_s"] * 16 % 7200) == (1, 0)
             assert integers["week"] == 2374 % 1024
             assert abs(integers["af0_s"] * 2.0**-31) < 1e-3
         elif system == "E":
-            number, fields = read_inav_page(words)
-            integers = put_together([fields], FIELDS["E"])
+            number, fields = decode_inav_page(words)
+            integers = combine_parts([fields], FIELDS["E"])
             assert number == 1
             assert integers["sqrt_a"] * 2.0**-19 == pytest.approx(5440.6, abs=0.1)
             assert integers["eccentricity"] * 2.0**-33 < 0.001
         else:
-            part = read_d1_subframe(words)
+            part = decode_d1_subframe(words)
             assert (part.number, part.second % 30) == (1, 0)
             assert part.fields["week"] == 2374 - 1356
-            integers = put_together([part.fields], FIELDS_AND_IONOSPHERE)
+            integers = combine_parts([part.fields], FIELDS_AND_IONOSPHERE)
             assert integers["toc_s"] * 8 % 3600 == 0
             assert abs(integers["af0_s"] * 2.0**-33) < 1e-3
 
@@ -228,7 +228,7 @@ def ionosphere_page(sv_id: int = 56) -> tuple[int, ...]:
     bits = (0b01 << 6 | sv_id) << 64 | int.from_bytes(bytes(coefficients), "big")
     body = bits << 192 - 72
     data = [0x8B << 16, 100 << 7 | 4 << 2, *((body >> 192 - 24 * k) & 0xFFFFFF for k in range(1, 9))]
-    return tuple(words_with_parity(data))
+    return tuple(add_parity(data))
 
 
 def test_the_ionosphere_comes_from_page_18_of_subframe_4():

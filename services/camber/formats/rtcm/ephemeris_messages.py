@@ -5,11 +5,11 @@ Source: RTCM 10403.3, tables 3.5-21 (1019), 3.5-70 (1042), 3.5-72 (1044), 3.5-73
 
 from __future__ import annotations
 
-from camber.formats.broadcast.bit_fields import bytes_of, joined
-from camber.formats.broadcast.ephemeris_fields import FIELDS, Layout, broadcast_integers
+from camber.formats.broadcast.bit_fields import bits_to_bytes, joined
+from camber.formats.broadcast.ephemeris_fields import FIELDS, ColumnLayout, integers_from_ephemeris
 from camber.formats.observations import Ephemeris
 
-_HARMONICS_AND_ANGLES: Layout = (
+_HARMONICS_AND_ANGLES: ColumnLayout = (
     "crs_m",
     "mean_motion_difference_rad_s",
     "mean_anomaly_rad",
@@ -26,7 +26,7 @@ _HARMONICS_AND_ANGLES: Layout = (
     "perigee_rad",
     "ascending_node_rate_rad_s",
 )
-_GALILEO: Layout = (
+_GALILEO: ColumnLayout = (
     "satellite",
     "week",
     "iode",
@@ -39,7 +39,7 @@ _GALILEO: Layout = (
     *_HARMONICS_AND_ANGLES,
     "bgd_e5a_s",
 )
-EPHEMERIS_MESSAGES: dict[int, tuple[str, Layout, int]] = {
+EPHEMERIS_MESSAGES: dict[int, tuple[str, ColumnLayout, int]] = {
     1019: (
         "G",
         (
@@ -117,12 +117,12 @@ def ephemeris_payloads(ephemeris: Ephemeris) -> list[bytes]:
     """The messages of an ephemeris, without frames: two of Galileo (F/NAV 1045, I/NAV 1046), else one.
 
     The week is that of the reference time. For Galileo both come from the one set of elements given. Raises ValueError
-    as `broadcast_integers` does.
+    as `integers_from_ephemeris` does.
     """
-    integers = broadcast_integers(ephemeris)
+    integers = integers_from_ephemeris(ephemeris)
     system = chr(ephemeris.satellite >> 8)
     return [
-        bytes_of(
+        bits_to_bytes(
             *joined(
                 [(number, 12), *((integers[name], FIELDS[system][name].width) for name in layout), (0, spare)]
             )

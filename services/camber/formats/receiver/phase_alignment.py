@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch
-from camber.formats.rtcm.signals import MSM_SIGNALS
+from camber.formats.rtcm.msm_signals import MSM_SIGNALS
 from camber.geodesy.gps_time import NS_PER_SECOND
 
 FARTHEST_M = 800.0
 """Further from its pseudorange than this the phase's count starts anew: 1171 m less what lies between pseudoranges."""
 
 
-class PhaseCounts:
+class PhaseAlignment:
     """One stream's memory: how many whole cycles each signal is off, and since when.
 
     The same number is taken off until the phase breaks: `loss_of_lock`, or a lock time shorter than the time since the
@@ -32,7 +32,7 @@ class PhaseCounts:
         self._last_ns = np.zeros(0, np.int64)
         self._since_ns = np.zeros(0, np.int64)
 
-    def near_pseudorange(self, epoch: ObservationEpoch) -> ObservationEpoch:
+    def align_to_pseudorange(self, epoch: ObservationEpoch) -> ObservationEpoch:
         """The epoch with its phases near the pseudoranges; ValueError for a signal whose carrier is not known."""
         place, known = MSM_SIGNALS.places(epoch.satellite, epoch.signal)
         if not known.all():
