@@ -72,7 +72,7 @@ from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 from camber.sensors.lidar_reader import LidarReader
-from camber.sensors.sensor_clock import SensorClock, SystemTime
+from camber.sensors.sensor_clock import SensorClock, TimeScale
 from camber.simulator.output.can_frames import DBC
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
 from camber.tools.maps.importers.lane_map import Known, road_map
@@ -509,7 +509,7 @@ def _lidar_decoder(kind: str) -> LidarDecoder:
 
 def _read_packets(kind: str) -> Callable[[bytes], None]:
     """As `camber sensors` does, all at their time."""
-    scale: SystemTime = "utc_hour" if kind == "velodyne" else "tai"
+    scale: TimeScale = "utc_hour" if kind == "velodyne" else "tai"
 
     def read(data: bytes) -> None:
         reader = LidarReader("fuzz", _lidar_decoder(kind), SensorClock(scale, 0, NS_PER_DAY), 0.001)

@@ -68,8 +68,8 @@ def encode_inav_page(ephemeris: Ephemeris, word: int, start_ns: int) -> list[int
 def decode_inav_page(words: Sequence[int]) -> tuple[int, dict[str, int]]:
     """Word type and content of a page: parts of `FIELDS` of types 1 to 5, else none.
 
-    Words as in `encode_inav_page`, eight or nine. Raises ValueError where the CRC or the number of words is wrong, or the
-    page is none of the nominal ones with its even part first.
+    Words as in `encode_inav_page`, eight or nine. Raises ValueError where the CRC or the number of words is wrong, or
+    the page is none of the nominal ones with its even part first.
     """
     if len(words) not in (8, 9):
         raise ValueError(f"{len(words)} words, expected 8 or 9")

@@ -51,7 +51,7 @@ class NavigationEpoch:
     def time_ns(self, near_ns: int | None, reference_ns: int | None) -> int | None:
         """To ms, with NAV-PVT to ns; None where the week is not known. ValueError for times that cannot be.
 
-        Without a date the week is nearest to `near_ns`; a date may be whole roll-overs off, see `resolve_week_rollover`.
+        Without a date the week is nearest to `near_ns`; a date may be roll-overs off, see `resolve_week_rollover`.
         """
         if self.pvt is not None and self.pvt.near_ns is not None:
             near_ns = resolve_week_rollover(self.pvt.near_ns, reference_ns)
