@@ -12,7 +12,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-NOT_IN_LEAST = {"cryptography", "mcap", "pynmeagps", "pyserial", "tqdm", "zstandard"}
+NOT_IN_LEAST = {"argcomplete", "cryptography", "mcap", "pynmeagps", "pyserial", "tqdm", "zstandard"}
 """Of all dependencies those that judge and router do not import."""
 COMPILER = "numba"
 

@@ -1,4 +1,4 @@
-"""`camber`: one command, a subcommand per service and per tool."""
+"""`camber`: one command, with a subcommand for each service and each tool."""
 
 from __future__ import annotations
 
@@ -8,68 +8,81 @@ import select
 import signal
 import sys
 
+from camber.tools.options.subcommands import Command, choose_command, help_text
+
 SERVICES = {
-    "gnss": "receivers and their files → tentative positions",
-    "map_server": "map release → road elevation, links, tiles",
-    "localizer": "motion, sweeps, map, confirmed positions → approximate pose with the road under it",
-    "antenna_height": "fixed value, suspension, ranging, scan matches → height of the antenna above the road",
-    "integrity": "everything above → verdict, position with its bounds, uploads",
-    "map_update": "uploads of a fleet → stored, each once",
-    "sensors": "a LiDAR's packets and a CAN bus, live or recorded → sweeps and motion",
+    "gnss": Command("camber.gnss.service", "candidate fixes and velocity from receivers and their files"),
+    "map_server": Command("camber.map_server.service", "road elevation, links and tiles from a map release"),
+    "localizer": Command(
+        "camber.localizer.service", "prior pose and road elevation from motion, sweeps and map"
+    ),
+    "antenna_height": Command("camber.antenna_height.service", "height of the antenna above the road"),
+    "integrity": Command("camber.integrity.service", "verdicts, positions with protection levels, uploads"),
+    "sensors": Command("camber.sensors.service", "sweeps and motion from a LiDAR and a CAN bus"),
+    "map_update": Command("camber.map_update.service", "fleet uploads, their fusion, new map releases"),
 }
-TOOLS = {
-    "router": ("camber.runtime.router", "a Zenoh router in Python"),
-    "replay": ("camber.replay.command", "run a recorded drive through all processes"),
-    "simulate": ("camber.tools.simulate", "make a drive or a fleet from a scenario, with truth"),
-    "localize": ("camber.tools.localize.command", "a drive through the localizer alone, with plots"),
-    "calibrate": (
-        "camber.tools.calibrate.command",
-        "lever arm, antenna height, base offset from a recorded drive",
-    ),
-    "demo": ("camber.tools.demo", "simulate two minutes through a city and replay them"),
-    "feed": ("camber.tools.record.feed", "a recorded drive, live, to services that are running"),
-    "lab": (
-        "camber.validation.lab.command",
-        "the judge against millions of simulated wrong fixes and faults",
-    ),
-    "evaluate": ("camber.validation.evaluate", "summary and report anew from a replay's folder"),
-    "evidence": (
-        "camber.validation.evidence.command",
-        "recorded and simulated drives, and the page of what came of them",
-    ),
-    "map": ("camber.tools.maps.command", "releases of the map: build, inspect, compare, give away"),
-    "certs": (
-        "camber.tools.security.certs",
-        "certificates: an authority, one for each vehicle, who and until when",
-    ),
-    "access": ("camber.tools.security.access", "who may say what: configurations of routers, checked"),
-    "upload": (
-        "camber.tools.operate.upload",
-        "observations of road heights in a file → the fleet's store, acknowledged",
-    ),
-    "uploads": ("camber.tools.operate.uploads", "what the fleet's store holds, as CSV"),
-    "health": ("camber.tools.operate.health", "ask a running service how it is"),
-    "doctor": (
-        "camber.tools.operate.doctor",
-        "is this deployment fit to drive: settings, clock, disk, map, receiver",
-    ),
-    "record": ("camber.tools.record.record", "what is on a vehicle's bus into MCAP files"),
-    "play": ("camber.tools.record.play", "a recording back onto a bus"),
-    "log_level": ("camber.tools.operate.log_level", "a running service logs more for a while"),
-    "status": (
-        "camber.tools.operate.status",
-        "who is alive on the bus, rates, ages, queues, versions, last errors",
-    ),
+TOOL_GROUPS = {
+    "drives": {
+        "demo": Command("camber.tools.demo", "simulate two minutes of city driving and replay them"),
+        "simulate": Command(
+            "camber.tools.simulate", "simulate a drive or a fleet, with truth, from a scenario"
+        ),
+        "replay": Command("camber.replay.command", "run a recorded drive through all services"),
+        "evaluate": Command("camber.validation.evaluate", "write summary and report of a replay again"),
+        "localize": Command(
+            "camber.tools.localize.command", "run the localizer alone over a drive, with plots"
+        ),
+        "calibrate": Command(
+            "camber.tools.calibrate.command", "estimate lever arm, antenna height and base offset"
+        ),
+    },
+    "validation": {
+        "lab": Command("camber.validation.lab.command", "Monte Carlo simulation of wrong fixes and faults"),
+        "evidence": Command(
+            "camber.validation.evidence.command", "run the benchmark drives, write docs/evidence.md"
+        ),
+    },
+    "maps and fleet": {
+        "map": Command("camber.tools.maps.command", "build, inspect, diff and export map releases"),
+        "upload": Command(
+            "camber.tools.operate.upload", "send road heights from a file to the fleet's store"
+        ),
+        "uploads": Command("camber.tools.operate.uploads", "export the fleet's store as CSV"),
+    },
+    "operation": {
+        "router": Command("camber.runtime.router", "run a Zenoh router in Python"),
+        "status": Command(
+            "camber.tools.operate.status", "show services, rates, ages, queues and last issues"
+        ),
+        "health": Command("camber.tools.operate.health", "query the health of a running service"),
+        "doctor": Command("camber.tools.operate.doctor", "check settings, clock, disk, map and receiver"),
+        "log_level": Command("camber.tools.operate.log_level", "change a service's log level for a while"),
+    },
+    "recording": {
+        "record": Command("camber.tools.record.record", "record a vehicle's bus into MCAP files"),
+        "play": Command("camber.tools.record.play", "play a recording back onto a bus"),
+        "feed": Command("camber.tools.record.feed", "feed a recorded drive live to running services"),
+    },
+    "security": {
+        "certs": Command("camber.tools.security.certs", "create a CA; issue, list and revoke certificates"),
+        "access": Command("camber.tools.security.access", "generate and check router access-control rules"),
+    },
 }
-GNSS_TOOLS = {
-    "inspect": ("camber.tools.gnss.inspect", "what a recording of satellite navigation holds"),
-    "solve": ("camber.tools.gnss.solve", "positions from a recording's raw observations, and a plot"),
+TOOLS = {name: command for group in TOOL_GROUPS.values() for name, command in group.items()}
+GNSS_COMMANDS = {
+    "inspect": Command("camber.tools.gnss.inspect", "show the contents of a recording of observations"),
+    "solve": Command("camber.tools.gnss.solve", "solve positions from raw observations, with plots"),
 }
+"""Tools that share their first word with the service `gnss`."""
+COMPLETION = Command("camber.tools.options.completion", "print the completion script of bash, zsh or fish")
+LIST_PORTS = Command("camber.transport.serial_ports", "list the serial ports of this machine")
+VERSION = Command("importlib.metadata", "print the version")
 
 EXTRA_OF = {
     "asyncpg": "fleet",
     "hatanaka": "engine",
     "laspy": "map",
+    "matplotlib": "plots",
     "nanoarrow": "map",
     "nats": "fleet",
     "numba": "engine",
@@ -78,21 +91,21 @@ EXTRA_OF = {
     "rasterio": "map",
     "small_gicp": "localizer",
 }
-"""Packages that not every service needs, and the extra of the distribution that brings them."""
+"""Optional packages, and the extra of the distribution that installs them."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Dispatch to a service or a tool; returns the exit code: 130 interrupted, 141 whoever reads has gone."""
+    """Run a service or a tool; return the exit code: 130 interrupted, 141 standard output closed by its reader."""
     args = sys.argv[1:] if argv is None else argv
     try:
         try:
             return _dispatch(args)
         finally:
-            print(end="", flush=True)  # here, where it can be caught
+            print(end="", flush=True)  # here, where a closed pipe can be handled
     except BrokenPipeError:
         output = select.poll()
         output.register(sys.stdout, 0)
-        if not output.poll(0):  # it was another pipe
+        if not output.poll(0):  # another pipe was closed
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
@@ -102,58 +115,61 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _dispatch(args: list[str]) -> int:
-    if not args or args[0] in ("-h", "--help", "help"):
+    if "_ARGCOMPLETE" in os.environ:
+        from camber.tools.options.completion import words_before_cursor
+
+        args = words_before_cursor()
+    elif not args or args[0] in ("-h", "--help", "help"):
         print(_help())
         return 0
-    name, rest = args[0].replace("-", "_"), args[1:]
+    if args[:1] == ["--version"]:
+        print(f"camber {importlib.import_module(VERSION.module).version('camber')}")
+        return 0
+    if args[:1] == ["--completion"]:
+        return _run(COMPLETION, args[1:])
+    name = choose_command("camber", {**SERVICES, **TOOLS}, args)
+    if name is None:
+        return 2
     try:
-        if name in SERVICES:
-            return _run_service(name, rest)
-        if name in TOOLS:
-            return _run_tool(TOOLS[name][0], rest)
+        return _run_service(name, args[1:]) if name in SERVICES else _run(TOOLS[name], args[1:])
     except ModuleNotFoundError as error:
         missing = (error.name or "camber").partition(".")[0]
         if missing == "camber":
             raise
         extra = EXTRA_OF.get(missing)
-        whence = f"camber[{extra}]" if extra else "all of Camber, and not with the image of a single service"
-        print(f"camber {name}: {missing} is not installed; it comes with {whence}", file=sys.stderr)
+        source = (
+            f"camber[{extra}]"
+            if extra
+            else "a full installation of Camber, not with a single service's image"
+        )
+        print(f"camber {name}: {missing} is not installed; it comes with {source}", file=sys.stderr)
         return 2
-    print(f"camber: {args[0]!r} is neither a service nor a tool; `camber --help` lists them", file=sys.stderr)
-    return 2
 
 
-def _run_tool(module: str, argv: list[str]) -> int:
-    code: int = importlib.import_module(module).main(argv)
+def _help() -> str:
+    observations = {f"gnss {name}": command for name, command in GNSS_COMMANDS.items()}
+    options = {"gnss --list-ports": LIST_PORTS, "--version": VERSION, "--completion": COMPLETION}
+    return help_text(
+        "camber", {"services": SERVICES, **TOOL_GROUPS, "observations": observations, "options": options}
+    )
+
+
+def _run(command: Command, argv: list[str]) -> int:
+    code: int = importlib.import_module(command.module).main(argv)
     return code
 
 
 def _run_service(name: str, argv: list[str]) -> int:
-    if name == "gnss" and argv and argv[0] in GNSS_TOOLS:
-        return _run_tool(GNSS_TOOLS[argv[0]][0], argv[1:])
+    if name == "gnss" and argv and argv[0] in GNSS_COMMANDS:
+        return _run(GNSS_COMMANDS[argv[0]], argv[1:])
     if name == "gnss" and "--list-ports" in argv:
-        print(importlib.import_module("camber.transport.serial_ports").describe_ports())
+        print(importlib.import_module(LIST_PORTS.module).describe_ports())
         return 0
     if name == "gnss" and {"-h", "--help"} & set(argv):
-        print("\n".join(_gnss_tools()) + "\n\nor the service:")
+        print(help_text("camber gnss", {"tools": GNSS_COMMANDS}) + "\n\nor the service:")
     from camber.runtime.run import run
 
-    module = importlib.import_module(f"camber.{name}.service")
-    return run(module.SERVICE, argv)
-
-
-def _help() -> str:
-    lines = ["usage: camber NAME [options]      camber NAME --help for each", "", "services:"]
-    lines += [f"  {name:<16} {text}" for name, text in SERVICES.items()]
-    lines += ["", "tools:"]
-    lines += [f"  {name:<16} {text}" for name, (_, text) in TOOLS.items()]
-    lines += ["", *_gnss_tools(), "camber gnss --list-ports        the serial ports that are here"]
-    return "\n".join(lines)
-
-
-def _gnss_tools() -> list[str]:
-    files = {"inspect": "FILE", "solve": "drive.toml"}
-    return [f"camber gnss {name + ' ' + files[name]:<19} {text}" for name, (_, text) in GNSS_TOOLS.items()]
+    return run(importlib.import_module(SERVICES[name].module).SERVICE, argv)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import os
 import subprocess
 import sys
@@ -17,9 +18,9 @@ from camber.transport.serial_ports import describe_ports
 def test_help_names_every_service_and_every_tool(capsys: pytest.CaptureFixture[str]) -> None:
     for argv in ([], ["--help"], ["-h"], ["help"]):
         assert cli.main(argv) == 0
-        said = capsys.readouterr().out
+        printed = capsys.readouterr().out
         for name in (*cli.SERVICES, *cli.TOOLS):
-            assert f"\n  {name} " in said
+            assert f"\n  {name} " in printed
 
 
 def test_every_service_of_the_table_is_a_command() -> None:
@@ -54,9 +55,76 @@ def test_a_service_is_started_with_the_rest_of_the_line(
 @pytest.mark.parametrize("name", ["gns", "../gnss", "", "runtime", "--config"])
 def test_an_unknown_name_is_one_line_and_exit_code_2(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([name]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == f"camber: {name!r} is neither a service nor a tool; `camber --help` lists them\n"
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"camber: no command {name!r}; ")
+    assert captured.err.endswith("`camber --help` lists them\n")
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        (["replya"], "replay"),
+        (["log-levle"], "log_level"),
+        (["map", "biuld"], "build"),
+        (["map", "build", "lanelet"], "lanelet2"),
+    ],
+)
+def test_a_mistyped_name_gets_the_nearest_one_suggested(
+    given: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(given) == 2
+    assert f"did you mean {meant!r}?" in capsys.readouterr().err
+
+
+def test_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"camber {importlib.metadata.version('camber')}\n"
+
+
+def completions(line: str) -> list[str]:
+    """What the shell is offered at the end of a line: argcomplete writes it to the file descriptor 8."""
+    reading, writing = os.pipe()
+    script = f"import os; os.dup2({writing}, 8); from camber.cli import main; main()"
+    variables = {
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+    }
+    subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | variables,
+        pass_fds=[writing],
+        stderr=subprocess.DEVNULL,
+        timeout=60,
+        check=False,
+    )
+    os.close(writing)
+    with os.fdopen(reading) as offered:
+        return offered.read().split()
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("camber repl", ["replay"]),
+        ("camber replay --sp", ["--speed"]),
+        ("camber map build lane", ["lanelet2"]),
+        ("camber antenna_height --fixed", ["--fixed-height-m", "--fixed-sigma-m"]),
+    ],
+)
+def test_the_shell_completes_commands_and_their_options(line: str, offered: list[str]) -> None:
+    assert completions(line) == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_completion_script_is_of_the_shell_asked_for(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["--completion", shell]) == 0
+    assert "camber" in capsys.readouterr().out
 
 
 def test_a_process_ends_with_the_exit_code() -> None:
@@ -102,13 +170,13 @@ def test_serial_ports_are_listed_whether_there_are_any_or_none(module: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("package", "name", "whence"),
+    ("package", "name", "source"),
     [
         ("numba", "gnss", "camber[engine]"),
-        ("cryptography", "doctor", "all of Camber, and not with the image of a single service"),
+        ("cryptography", "doctor", "a full installation of Camber, not with a single service's image"),
     ],
 )
-def test_a_package_that_is_missing_is_named_with_what_brings_it(package: str, name: str, whence: str) -> None:
+def test_a_package_that_is_missing_is_named_with_what_brings_it(package: str, name: str, source: str) -> None:
     run = f"from camber.cli import main; raise SystemExit(main(['{name}']))"
     without = f"import sys; sys.modules['{package}'] = None; {run}"
     ended = subprocess.run(
@@ -120,7 +188,7 @@ def test_a_package_that_is_missing_is_named_with_what_brings_it(package: str, na
         check=False,
     )
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == f"camber {name}: {package} is not installed; it comes with {whence}\n"
+    assert ended.stderr == f"camber {name}: {package} is not installed; it comes with {source}\n"
 
 
 def run_into(stdout: int, code: str, unbuffered: str = "") -> subprocess.CompletedProcess[str]:
@@ -150,7 +218,7 @@ TOOL = "from camber import cli\ncli._dispatch = lambda args: {}\nraise SystemExi
     ],
     ids=["its help", "a tool's help", "at the end", "at once"],
 )
-def test_whoever_reads_no_more_ends_it_without_a_word(code: str, unbuffered: str) -> None:
+def test_a_closed_output_ends_a_command_without_a_message(code: str, unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:

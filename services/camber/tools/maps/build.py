@@ -12,30 +12,27 @@ from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc
 from camber.road_map.release import ROOT_NAME, load_signing_key, open_release, write_release
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
-from camber.tools.maps.command import dispatched
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.options.error_report import in_words
 from camber.tools.options.number_options import number_from, whole_from
+from camber.tools.options.subcommands import Command, choose_command
 
 _PROG = "camber map build"
 
-KINDS: dict[str, tuple[str, str]] = {
-    "lanelet2": ("camber.tools.maps.importers.lanelets", "a Lanelet2 map, .osm with `ele`"),
-    "opendrive": ("camber.tools.maps.importers.opendrive_roads", "an OpenDRIVE map, .xodr"),
-    "argoverse": ("camber.tools.maps.importers.argoverse", "a log of Argoverse 2: ground raster and lanes"),
-    "clouds": (
-        "camber.tools.maps.importers.clouds",
-        "LAS, LAZ, PCD or PLY clouds and where the vehicle went",
+KINDS = {
+    "lanelet2": Command("camber.tools.maps.importers.lanelets", "a Lanelet2 map, .osm with `ele`"),
+    "opendrive": Command("camber.tools.maps.importers.opendrive_roads", "an OpenDRIVE map, .xodr"),
+    "argoverse": Command(
+        "camber.tools.maps.importers.argoverse", "an Argoverse 2 log: ground raster and lanes"
     ),
-    "drive": (
-        "camber.tools.maps.importers.survey_drive",
-        "confirmed positions of a drive, from a replay or a truth.csv",
+    "clouds": Command("camber.tools.maps.importers.clouds", "LAS, LAZ, PCD or PLY clouds and a trajectory"),
+    "drive": Command(
+        "camber.tools.maps.importers.survey_drive", "confirmed positions of a replay or a truth.csv"
     ),
-    "geojson": (
-        "camber.tools.maps.importers.geojson_roads",
-        "surfaces and links, as `camber map export` writes them",
+    "geojson": Command(
+        "camber.tools.maps.importers.geojson_roads", "GeoJSON as `camber map export` writes it"
     ),
-    "geotiff": ("camber.tools.maps.importers.rasters", "heights of a raster along roads that are given"),
+    "geotiff": Command("camber.tools.maps.importers.rasters", "heights of a raster along given roads"),
 }
 """Name → module and a line of help. The module has `add_arguments(parser)` for what only it needs, and
 `build(args) -> BuiltMap`, which may raise FormatError and OSError; its docstring describes the command. Of the
@@ -45,10 +42,10 @@ arguments that all have, `args` has `datum`, `epoch_year`, `surveyed_ns` (GPS ti
 
 def main(argv: Sequence[str]) -> int:
     """Build one release; 0 done, 2 something is not as it must be, said in one line."""
-    kind = dispatched(_PROG, "KIND", KINDS, argv)
+    kind = choose_command(_PROG, KINDS, argv)
     if kind is None:
         return 2
-    module = importlib.import_module(KINDS[kind][0])
+    module = importlib.import_module(KINDS[kind].module)
     parser = _parser(f"{_PROG} {kind}", module.__doc__)
     module.add_arguments(parser)
     args = parser.parse_args(argv[1:])
