@@ -226,7 +226,7 @@ def _pos(random: Random) -> list[list[bytes]]:
 def _rinex(random: Random) -> list[list[bytes]]:
     """The header, epochs, and an event with header lines of its own."""
     rng = np.random.default_rng(random.getrandbits(32))
-    station = StationHeader("FUZZ", (-3.8e6, 3.5e6, 3.7e6))
+    station = StationHeader(marker="FUZZ", position_ecef_m=(-3.8e6, 3.5e6, 3.7e6))
     files = []
     for satellites in (2, 4, 12):
         epochs = [random_epoch(rng, START_NS + k * STEP_NS, satellites=satellites) for k in range(4)]
@@ -242,7 +242,7 @@ def _rinex_navigation(random: Random) -> list[list[bytes]]:
     messages = {"G05": "LNAV", "E11": "INAV", "J02": "LNAV"}
     text = navigation_text(
         [random_ephemeris(rng, name, START_NS // WEEK_NS * WEEK_NS) for name in messages],
-        [IonosphereCoefficients(system, (1e-8,) * 4, (1e5,) * 4) for system in "GJC"],
+        [IonosphereCoefficients(system=system, alpha=(1e-8,) * 4, beta=(1e5,) * 4) for system in "GJC"],
     )
     lines = text.splitlines(keepends=True)
     begin = next(k for k, line in enumerate(lines, 1) if "END OF HEADER" in line)

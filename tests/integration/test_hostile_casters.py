@@ -18,7 +18,7 @@ from support.hostile_caster import HostileCaster, Peer, Script, certificates
 from support.streams import Reader, wait_for
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
-ACCESS = NtripAccess("driver", "geheim")
+ACCESS = NtripAccess(user="driver", password="geheim")
 OK_2 = b"HTTP/1.1 200 OK\r\nNtrip-Version: Ntrip/2.0\r\nContent-Type: gnss/data\r\n"
 
 
@@ -294,7 +294,7 @@ def test_a_stream_in_chunks_comes_through_tls_byte_for_byte(reader: Reader, tmp_
             at, size = at + size, size * 3 % 5000 + 1
         peer.wait()
 
-    access = NtripAccess("driver", "geheim", ca_file=authority)
+    access = NtripAccess(user="driver", password="geheim", ca_file=authority)
     with (
         HostileCaster(script, tls=tls) as caster,
         closing(opened(caster, reader, access, tls=True)) as stream,
@@ -319,7 +319,7 @@ def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
         (tls, tmp_path / "missing.pem", "missing.pem: No such file"),
         (tls, empty_file(tmp_path), "empty.pem: expected certificates in PEM"),
     ]:
-        access = NtripAccess("driver", "geheim", ca_file=trusted)
+        access = NtripAccess(user="driver", password="geheim", ca_file=trusted)
         with (
             HostileCaster(script, tls=presented) as caster,
             closing(opened(caster, reader, access, tls=True)) as stream,
@@ -355,7 +355,7 @@ def test_a_caster_without_tls_gets_no_password(reader: Reader) -> None:
 
 def test_closing_ends_the_thread_in_whatever_it_waits_for(reader: Reader, tmp_path: Path) -> None:
     authority, tls = certificates(tmp_path, "caster.example", address="127.0.0.1")
-    access = NtripAccess("driver", "geheim", ca_file=authority)
+    access = NtripAccess(user="driver", password="geheim", ca_file=authority)
     dumb: Script = lambda peer: peer.wait()  # noqa: E731
     cases: list[tuple[Script, ssl.SSLContext | None, bool]] = [
         (dumb, None, True),  # the handshake

@@ -21,7 +21,7 @@ from support.hostile_caster import HostileCaster, Peer
 from support.streams import Reader, wait_for
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
-ACCESS = NtripAccess("driver", "geheim")
+ACCESS = NtripAccess(user="driver", password="geheim")
 STATION = (-3_816_000.0, 3_639_000.0, 3_559_000.0)
 
 
@@ -117,7 +117,9 @@ def test_messages_come_unbroken_and_the_caster_is_told_where_we_are(
     version: int, reader: Reader, tmp_path: Path
 ) -> None:
     base, port, opened_s = Base(), free_port(), time.monotonic()
-    access = NtripAccess("driver", "geheim", version=version, position=lambda: GGA, position_interval_s=1.0)
+    access = NtripAccess(
+        user="driver", password="geheim", version=version, position=lambda: GGA, position_interval_s=1.0
+    )
     with (
         HostileCaster(base.script) as receiver,
         caster(receiver, port, tmp_path),

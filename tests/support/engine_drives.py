@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,9 @@ def solved(drive: Drive, engine: Engine | None = None) -> list[Solution]:
 
 def some_rows(epoch: ObservationEpoch, rows: NDArray[np.bool_] | NDArray[np.int64]) -> ObservationEpoch:
     """Some rows of an epoch, or all in another order."""
-    return ObservationEpoch(epoch.time_ns, *(getattr(epoch, name)[rows] for name in COLUMNS))
+    return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
 
 
 def seconds_later(epoch: ObservationEpoch, seconds: float) -> ObservationEpoch:
     """The same with another time tag."""
-    return ObservationEpoch(
-        epoch.time_ns + round(seconds * NS_PER_SECOND), *(getattr(epoch, name) for name in COLUMNS)
-    )
+    return replace(epoch, time_ns=epoch.time_ns + round(seconds * NS_PER_SECOND))

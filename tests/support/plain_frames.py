@@ -61,7 +61,9 @@ class PlainFrameBuffer:
             if size < 0:
                 self._skip(data)
             else:
-                frames.append(Frame(_PROTOCOL_OF[data[0]], data, self._buffer_offset + start))
+                frames.append(
+                    Frame(protocol=_PROTOCOL_OF[data[0]], data=data, byte_offset=self._buffer_offset + start)
+                )
         self._buffer_offset += place
         del buffer[:place]
         return frames

@@ -56,16 +56,16 @@ def random_epoch(
         return np.where(rng.random(n) < missing, np.nan, values)
 
     return ObservationEpoch(
-        time_ns,
-        satellite,
-        signal,
-        holes(pseudorange),
-        holes((common + rng.uniform(-800.0, 800.0, n)) / wavelength),
-        holes(-rate / wavelength),
-        holes(rng.uniform(0.1, 63.9, n)),
-        holes(10.0 ** rng.uniform(-3.0, 5.5, n)),
-        rng.random(n) < 0.1,
-        rng.random(n) < 0.2,
+        time_ns=time_ns,
+        satellite=satellite,
+        signal=signal,
+        pseudorange_m=holes(pseudorange),
+        carrier_phase_cycles=holes((common + rng.uniform(-800.0, 800.0, n)) / wavelength),
+        doppler_hz=holes(-rate / wavelength),
+        cn0_dbhz=holes(rng.uniform(0.1, 63.9, n)),
+        lock_time_s=holes(10.0 ** rng.uniform(-3.0, 5.5, n)),
+        loss_of_lock=rng.random(n) < 0.1,
+        half_cycle=rng.random(n) < 0.2,
     )
 
 

@@ -77,13 +77,13 @@ def run_rtklib(
     """Writes the three files, runs `rnx2rtkp` and compares; truth (n, 3) in the world frame."""
     assert RNX2RTKP is not None
     base_ecef = ecef_of(frame, np.array([base_m]))[0]
-    station = StationHeader("BASE", tuple(base_ecef.tolist()))
+    station = StationHeader(marker="BASE", position_ecef_m=tuple(base_ecef.tolist()))
     (folder / "base.obs").write_text(observation_text(base, station))
     rover_ecef = ecef_of(frame, truth_m[:1])[0]
     (folder / "rover.obs").write_text(
-        observation_text(rover, StationHeader("ROVER", tuple(rover_ecef.tolist())))
+        observation_text(rover, StationHeader(marker="ROVER", position_ecef_m=tuple(rover_ecef.tolist())))
     )
-    ionosphere = IonosphereCoefficients("G", KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)
+    ionosphere = IonosphereCoefficients(system="G", alpha=KLOBUCHAR_ALPHA, beta=KLOBUCHAR_BETA)
     (folder / "brdc.nav").write_text(navigation_text(ephemerides, [ionosphere]))
     x, y, z = base_ecef
     (folder / "options.conf").write_text(

@@ -52,7 +52,7 @@ def signal_name(number: int) -> str:
     return f"{chr(number >> 8)}{chr(number & 255)}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObservationEpoch:
     """One epoch at one receiver: one row a signal, columns (n,); NaN where a value was not observed.
 
@@ -72,7 +72,7 @@ class ObservationEpoch:
     half_cycle: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ephemeris:
     """One broadcast ephemeris: the Keplerian set of IS-GPS-200 20.3.3.4.3, used alike by GPS, QZSS, Galileo, BeiDou.
 

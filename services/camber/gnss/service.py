@@ -141,12 +141,12 @@ class GnssService(Service[GnssSettings]):
         if fix is None:
             return None
         solution = ReceiverSolution(
-            fix.time_ns,
-            fix.latitude_rad,
-            fix.longitude_rad,
-            fix.height_m,
-            SolutionQuality.SINGLE,
-            fix.satellites,
+            time_ns=fix.time_ns,
+            latitude_rad=fix.latitude_rad,
+            longitude_rad=fix.longitude_rad,
+            height_m=fix.height_m,
+            quality=SolutionQuality.SINGLE,
+            satellites=fix.satellites,
         )
         return format_gga(solution, geoid_separation_m=0.0).decode("ascii")
 

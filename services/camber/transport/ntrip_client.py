@@ -24,7 +24,7 @@ _ADDRESS = re.compile(r"ntrip(s?)://(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+)):(
 _GGA = re.compile(r"\$[A-Z]{2}GGA,[ -)+-~]{1,100}\*[0-9A-Fa-f]{2}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NtripAccess:
     """How we present ourselves to a caster.
 
@@ -53,7 +53,7 @@ class NtripAccess:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mountpoint:
     """Where a stream is."""
 

@@ -55,16 +55,16 @@ def epochs(rng):
     for k in range(SECONDS):
         metres = distance + rate * k
         yield ObservationEpoch(
-            BEGIN_NS + k * SECOND_NS,
-            satellite,
-            signal,
-            metres + rng.normal(size=n),
-            metres / wavelength + np.arange(n),
-            -rate / wavelength + rng.normal(size=n) * 0.1,
-            rng.integers(42, 55, n).astype(float),
-            np.full(n, 5.0 + k),
-            np.zeros(n, np.bool_),
-            np.zeros(n, np.bool_),
+            time_ns=BEGIN_NS + k * SECOND_NS,
+            satellite=satellite,
+            signal=signal,
+            pseudorange_m=metres + rng.normal(size=n),
+            carrier_phase_cycles=metres / wavelength + np.arange(n),
+            doppler_hz=-rate / wavelength + rng.normal(size=n) * 0.1,
+            cn0_dbhz=rng.integers(42, 55, n).astype(float),
+            lock_time_s=np.full(n, 5.0 + k),
+            loss_of_lock=np.zeros(n, np.bool_),
+            half_cycle=np.zeros(n, np.bool_),
         )
 
 

@@ -229,7 +229,7 @@ def raw(folder: Path, *, receiver: bool = True) -> Path:
     rng = np.random.default_rng(3)
     times = [START_NS + k * STEP_NS for k in range(10)]
     for name, first in (("rover", times), ("base", [START_NS - 10**9, *times])):
-        station = StationHeader(name, (-3_850_000.0, 3_430_000.0, 3_740_000.0))
+        station = StationHeader(marker=name, position_ecef_m=(-3_850_000.0, 3_430_000.0, 3_740_000.0))
         text = observation_text([random_epoch(rng, t, satellites=4) for t in first], station)
         (folder / f"{name}.obs.gz").write_bytes(gzip.compress(text.encode("ascii")))
     (folder / "brdc.nav").write_text(
@@ -361,9 +361,14 @@ def nmea_lines(folder: Path) -> tuple[Path, list[bytes], list[int]]:
     for k, solution in enumerate(solutions):
         time_ns = midnight_ns + (k - 4) * STEP_NS
         moved = ReceiverSolution(
-            time_ns, solution.latitude_rad, solution.longitude_rad, solution.height_m, solution.quality,
-            satellites=9, covariance_enu_m2=solution.covariance_enu_m2,
-        )  # fmt: skip
+            time_ns=time_ns,
+            latitude_rad=solution.latitude_rad,
+            longitude_rad=solution.longitude_rad,
+            height_m=solution.height_m,
+            quality=solution.quality,
+            satellites=9,
+            covariance_enu_m2=solution.covariance_enu_m2,
+        )
         lines += [format_rmc(moved), format_gga(moved, geoid_separation_m=37.0), format_gst(moved)]
         times.append(time_ns)
     lines.insert(7, b"$GNGGA,damaged\r\n")

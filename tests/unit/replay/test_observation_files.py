@@ -48,7 +48,7 @@ def check_cut(path: Path, data: bytes, times_ns: list[int], near_ns: int | None 
 
 
 def rinex() -> bytes:
-    return observation_text(epochs(), StationHeader("rover", ECEF_M)).encode("ascii")
+    return observation_text(epochs(), StationHeader(marker="rover", position_ecef_m=ECEF_M)).encode("ascii")
 
 
 def itow(time_ns: int) -> bytes:

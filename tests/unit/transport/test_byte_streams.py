@@ -234,7 +234,7 @@ def test_a_wrong_way_to_ask_a_caster_is_refused(wrong: dict[str, object], expect
     with pytest.raises(ValueError, match=expected) as raised:
         NtripAccess(**wrong)  # type: ignore[arg-type]
     assert "geheim" not in str(raised.value)
-    assert "geheim" not in repr(NtripAccess("driver", "geheim"))
+    assert "geheim" not in repr(NtripAccess(user="driver", password="geheim"))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from camber.transport.ntrip_client import GgaSchedule, Mountpoint, NtripAccess, request
 
 GGA = "$GPGGA,090000.00,3510.0000,N,13658.0000,E,1,12,0.8,30.0,M,38.0,M,,*5E"
-AT = Mountpoint("caster.example", 2101, "BASE", tls=False)
+AT = Mountpoint(host="caster.example", port=2101, name="BASE", tls=False)
 
 
 def lines(asked: bytes) -> list[str]:
@@ -23,7 +23,7 @@ def lines(asked: bytes) -> list[str]:
 
 
 def test_revision_2_is_asked_for_as_the_standard_says() -> None:
-    asked = lines(request(AT, NtripAccess("driver", "g:heim"), GGA))
+    asked = lines(request(AT, NtripAccess(user="driver", password="g:heim"), GGA))
     assert asked[0] == "GET /BASE HTTP/1.1"
     assert "Host: caster.example:2101" in asked
     assert "Ntrip-Version: Ntrip/2.0" in asked
@@ -40,12 +40,12 @@ def test_revision_1_knows_neither_hosts_nor_versions_nor_positions_in_a_request(
 
 def test_an_address_of_ipv6_stands_in_brackets() -> None:
     at = Mountpoint.of("ntrips://[::1]:443/VRS/3")
-    assert at == Mountpoint("::1", 443, "VRS/3", tls=True)
+    assert at == Mountpoint(host="::1", port=443, name="VRS/3", tls=True)
     assert "Host: [::1]:443" in lines(request(at, NtripAccess(), None))
 
 
 def test_names_of_any_language_are_sent_as_utf_8() -> None:
-    asked = lines(request(AT, NtripAccess("fahrer", "schlüssel"), None))
+    asked = lines(request(AT, NtripAccess(user="fahrer", password="schlüssel"), None))
     assert asked[-1] == "Authorization: Basic " + b64encode("fahrer:schlüssel".encode()).decode()
 
 

@@ -86,7 +86,7 @@ def encode_d2_page(ephemeris: Ephemeris, page: int, start_ns: int) -> list[int]:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BeidouPart:
     """A subframe (D1) or page (D2): its number, when it began [s of BeiDou's week], what of the fields it holds."""
 
@@ -103,7 +103,9 @@ def decode_d1_subframe(words: Sequence[int]) -> BeidouPart:
     """
     number, second, bits = _read(words)
     layout = D1.get(number, ())
-    return BeidouPart(number, second, decode_layout(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE))
+    return BeidouPart(
+        number=number, second=second, fields=decode_layout(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE)
+    )
 
 
 def decode_d2_page(words: Sequence[int]) -> BeidouPart | None:
@@ -113,7 +115,7 @@ def decode_d2_page(words: Sequence[int]) -> BeidouPart | None:
         return None
     page = bits >> _BODY_BITS - 4 & 0b1111
     fields = decode_layout(bits, _BODY_BITS - 4, D2.get(page, ()), FIELDS_AND_IONOSPHERE)
-    return BeidouPart(page, second, fields)
+    return BeidouPart(number=page, second=second, fields=fields)
 
 
 def bch_check(information: int) -> int:

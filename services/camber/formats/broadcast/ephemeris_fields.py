@@ -28,7 +28,7 @@ class BitField:
     round: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GnssTimeScale:
     """A system's own week count: first week in GPS weeks, and how far it is behind GPS time."""
 
@@ -38,10 +38,10 @@ class GnssTimeScale:
 
 
 GNSS_TIME_SCALES = {
-    "G": GnssTimeScale(0, 0, 1024),
-    "J": GnssTimeScale(0, 0, 1024),
-    "E": GnssTimeScale(1024, 0, 4096),
-    "C": GnssTimeScale(1356, 14 * NS_PER_SECOND, 8192),
+    "G": GnssTimeScale(first_gps_week=0, gps_offset_ns=0, weeks=1024),
+    "J": GnssTimeScale(first_gps_week=0, gps_offset_ns=0, weeks=1024),
+    "E": GnssTimeScale(first_gps_week=1024, gps_offset_ns=0, weeks=4096),
+    "C": GnssTimeScale(first_gps_week=1356, gps_offset_ns=14 * NS_PER_SECOND, weeks=8192),
 }
 
 _TURN = BitField(32, math.pi * 2.0**-31, signed=True, round=True)

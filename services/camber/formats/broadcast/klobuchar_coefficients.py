@@ -18,7 +18,7 @@ IONOSPHERE_FIELDS = {name: BitField(8, step, signed=True) for name, step in zip(
 Four = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class IonosphereCoefficients:
     """Of the system `G`, `J` or `C`: amplitude `alpha` and period `beta` [s, s/semicircle, s/semicircle², …]."""
 
@@ -30,4 +30,4 @@ class IonosphereCoefficients:
 def coefficients_from_integers(system: str, integers: Mapping[str, int]) -> IonosphereCoefficients:
     """From signed integers under the names of `IONOSPHERE_FIELDS`."""
     a0, a1, a2, a3, b0, b1, b2, b3 = (integers[name] * IONOSPHERE_FIELDS[name].resolution for name in _NAMES)
-    return IonosphereCoefficients(system, (a0, a1, a2, a3), (b0, b1, b2, b3))
+    return IonosphereCoefficients(system=system, alpha=(a0, a1, a2, a3), beta=(b0, b1, b2, b3))

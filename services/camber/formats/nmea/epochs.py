@@ -47,7 +47,7 @@ LastSentence = Literal["GGA", "GST", "RMC"]
 _CHUNK_BYTES = 65536
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Epoch:
     """What has come so far for one time of day."""
 
@@ -162,7 +162,7 @@ class NmeaDecoder:
         if self._epoch is not None and self._epoch.time_of_day_ns == time_of_day_ns:
             return []
         results = self._close()
-        self._epoch = _Epoch(time_of_day_ns, kind)
+        self._epoch = _Epoch(time_of_day_ns=time_of_day_ns, last_kind=kind)
         return results
 
     def _store(

@@ -15,7 +15,7 @@ from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES
 _WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sentence:
     """A sentence whose checksum is right: `kind` is its formatter (`GGA`), `fields` what follows, as text."""
 
@@ -34,7 +34,7 @@ def parse_sentence(source_name: str, text: bytes, byte_offset: int) -> Sentence 
     else:
         content, talker, kind, fields, checksum = get_parts(text)
         if calc_checksum(content) == checksum.upper():
-            return Sentence(talker, kind, tuple(fields), byte_offset)
+            return Sentence(talker=talker, kind=kind, fields=tuple(fields), byte_offset=byte_offset)
         expected = f"checksum {calc_checksum(content)}"
     # The end is shown too when it is the checksum that is wrong.
     found = text if "checksum" not in expected else text[:6] + b"..." + text[-6:]

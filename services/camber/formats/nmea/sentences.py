@@ -43,7 +43,7 @@ _AGE_LIMIT_S = 1.0e6
 _BIAS_LIMIT_M = 1.0e9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gga:
     """A position at a UTC time of day; `height_m` is above the ellipsoid (altitude plus geoid separation)."""
 
@@ -66,7 +66,7 @@ class Gst:
     covariance_enu_m2: EnuCovariance | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gbs:
     """Fault detection (RAIM): the errors expected in the position, and the satellite most likely to have failed.
 
@@ -186,15 +186,15 @@ def read_gga(fields: SentenceFields) -> Gga | int:
         raise fields.error(5, "quality", "0 to 6; manual and simulated positions are not read")
     satellites = fields.optional_number(6, "satellites", 0, 255)
     return Gga(
-        time_of_day_ns,
-        fields.latitude_rad(1),
-        fields.longitude_rad(3),
-        _ellipsoidal_height_m(fields),
-        QUALITY_FROM_NMEA[quality_number],
-        None if satellites is None else int(satellites),
-        fields.optional_number(12, "age of corrections", 0.0, _AGE_LIMIT_S),
-        fields.text(13) or None,
-        fields.byte_offset,
+        time_of_day_ns=time_of_day_ns,
+        latitude_rad=fields.latitude_rad(1),
+        longitude_rad=fields.longitude_rad(3),
+        height_m=_ellipsoidal_height_m(fields),
+        quality=QUALITY_FROM_NMEA[quality_number],
+        satellites=None if satellites is None else int(satellites),
+        age_s=fields.optional_number(12, "age of corrections", 0.0, _AGE_LIMIT_S),
+        station=fields.text(13) or None,
+        byte_offset=fields.byte_offset,
     )
 
 
@@ -259,12 +259,12 @@ def read_gbs(fields: SentenceFields) -> Gbs:
         expected_error_enu_m = east, north, up
     number = fields.optional_number(4, "failed satellite", 0, 999)
     return Gbs(
-        time_of_day_ns,
-        expected_error_enu_m,
-        None if number is None else _satellite(fields, int(number)),
-        fields.optional_number(5, "probability of missed detection", 0.0, 1.0),
-        fields.optional_number(6, "bias", -_BIAS_LIMIT_M, _BIAS_LIMIT_M),
-        fields.optional_number(7, "σ of bias", 0.0, _BIAS_LIMIT_M),
+        time_of_day_ns=time_of_day_ns,
+        expected_error_enu_m=expected_error_enu_m,
+        satellite=None if number is None else _satellite(fields, int(number)),
+        missed_detection_probability=fields.optional_number(5, "probability of missed detection", 0.0, 1.0),
+        bias_m=fields.optional_number(6, "bias", -_BIAS_LIMIT_M, _BIAS_LIMIT_M),
+        bias_sigma_m=fields.optional_number(7, "σ of bias", 0.0, _BIAS_LIMIT_M),
     )
 
 

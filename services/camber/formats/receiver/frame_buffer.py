@@ -19,7 +19,7 @@ _PROTOCOLS: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm")
 _PIECE_BYTES = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
     """UBX and RTCM: a whole message with its framing, whose checksum is right. NMEA: what looks like a sentence."""
 
@@ -61,7 +61,11 @@ class FrameBuffer:
     def _found(self, *, last: bool) -> list[Frame]:
         places, used, skipped, failed = find_frames(self._buffer, self._wanted, last=last)
         frames = [
-            Frame(_PROTOCOLS[protocol], self._buffer[start : start + size], self._buffer_offset + start)
+            Frame(
+                protocol=_PROTOCOLS[protocol],
+                data=self._buffer[start : start + size],
+                byte_offset=self._buffer_offset + start,
+            )
             for protocol, start, size in places.tolist()
         ]
         self.bytes_skipped += skipped

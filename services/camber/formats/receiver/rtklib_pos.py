@@ -51,7 +51,7 @@ _DATUM = re.compile(r"lat/lon/height=([^/,\s]*)/([^,\s)]*)")
 _OTHER_POSITION = re.compile(r"x/y/z-ecef|e/n/u-baseline|x-ecef\(|e-baseline\(")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Layout:
     """What a column header says: the time system and where each column stands after the two of the time."""
 
@@ -113,7 +113,13 @@ class PosDecoder:
         if not fields:
             return None
         layout = self._layout_for_row(line_number)
-        return None if layout is None else _Row(self.source_name, line_number, layout, fields).solution()
+        return (
+            None
+            if layout is None
+            else _Row(
+                source_name=self.source_name, line_number=line_number, layout=layout, fields=fields
+            ).solution()
+        )
 
     def _header(self, text: str, line_number: int) -> None:
         datum = _DATUM.search(text)
@@ -163,7 +169,7 @@ class PosDecoder:
                 )
         # The time takes two fields: date and time of day, or week and seconds.
         indices = {name: 2 + i for i, name in enumerate(columns)}
-        return _Layout(time_system == "UTC", indices, 2 + len(columns))
+        return _Layout(utc=time_system == "UTC", columns=indices, field_count=2 + len(columns))
 
     def _layout_for_row(self, line_number: int) -> _Layout | None:
         """The layout rows have now, or None if they cannot be read and that has been said already."""
@@ -186,7 +192,7 @@ class PosDecoder:
         raise FormatError(self.source_name, field, expected, line_number=line_number)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
     source_name: str
     line_number: int

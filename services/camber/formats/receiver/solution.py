@@ -18,7 +18,7 @@ class SolutionQuality(IntEnum):
     DEAD_RECKONING = 7
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverSolution:
     """One epoch of a receiver-side solution. What the source did not say is None.
 

@@ -136,7 +136,7 @@ class NavigationDecoder:
         halves[text[3]] = (a, b, c, d)
         if len(halves) < 2:
             return []
-        self.klobuchar[system] = IonosphereCoefficients(system, halves["A"], halves["B"])
+        self.klobuchar[system] = IonosphereCoefficients(system=system, alpha=halves["A"], beta=halves["B"])
         del self._halves[system, text[53:60]]
         return [self.klobuchar[system]]
 
@@ -149,7 +149,9 @@ class NavigationDecoder:
             self._astray = False
             words = text[1:].split() if announced else []
             kind, satellite, message = ([*words, "", "", ""])[:3] if announced else ("EPH", text[:3], "")
-            self._record = NavigationRecord(line_number, kind, satellite, message)
+            self._record = NavigationRecord(
+                first_line=line_number, kind=kind, satellite=satellite, message=message
+            )
         if self._record is None:
             if text and not self._astray:
                 self._astray = True
@@ -204,7 +206,7 @@ class NavigationDecoder:
         return self.version
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RinexNavigation:
     """A whole file. `problems` are the first thousand of `problem_count`; `skipped` records as the decoder has them."""
 
@@ -236,11 +238,11 @@ def read_navigation(path: Path) -> RinexNavigation:
     if decoder.version is None:
         raise problems[0]
     return RinexNavigation(
-        decoder.version,
-        [r for r in results if isinstance(r, Ephemeris)],
-        decoder.klobuchar,
-        decoder.leap_seconds,
-        problems[:_MOST_PROBLEMS_KEPT],
-        len(problems),
-        decoder.skipped,
+        version=decoder.version,
+        ephemerides=[r for r in results if isinstance(r, Ephemeris)],
+        klobuchar=decoder.klobuchar,
+        leap_seconds=decoder.leap_seconds,
+        problems=problems[:_MOST_PROBLEMS_KEPT],
+        problem_count=len(problems),
+        skipped=decoder.skipped,
     )

@@ -53,7 +53,7 @@ _MAY_BE_BLANK = {*_OTHER, "accuracy_m", "sent_s", "fit", "codes_on_l2", "l2_p_da
 _ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NavigationRecord:
     """Lines of one record, and what a RINEX 4 line `> EPH G01 LNAV` said before it."""
 
@@ -165,7 +165,7 @@ def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:
     second = [_required(record.lines[1], 4 + _WIDTH * k, "alpha, beta") for k in range(4)]
     last = _required(record.lines[2], 4, "beta")
     alpha, beta = (first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last)
-    return IonosphereCoefficients(record.satellite[0], alpha, beta)
+    return IonosphereCoefficients(system=record.satellite[0], alpha=alpha, beta=beta)
 
 
 def _required(line: str, start: int, name: str) -> float:

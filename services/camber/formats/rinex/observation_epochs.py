@@ -136,7 +136,7 @@ class _Tables(NamedTuple):
     skipped: Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObservationColumns:
     """Columns (rows,) of all epochs, as `ObservationEpoch` has them."""
 
@@ -151,7 +151,7 @@ class ObservationColumns:
     lock_time_s: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Found:
     """What a piece of a file holds.
 
@@ -207,9 +207,17 @@ def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, astray: boo
         lock_time_s=np.full(n_rows, np.nan),
     )
     return Found(
-        rows, tables.epochs[:n_epochs], tables.problems[:n_problems], tables.skipped, used, lines, is_astray, stop,
-        event=(begin, end, count), missing=count if stop == NEEDS_MORE else 0,
-    )  # fmt: skip
+        rows=rows,
+        epochs=tables.epochs[:n_epochs],
+        problems=tables.problems[:n_problems],
+        skipped=tables.skipped,
+        used=used,
+        lines=lines,
+        astray=is_astray,
+        stop=stop,
+        event=(begin, end, count),
+        missing=count if stop == NEEDS_MORE else 0,
+    )
 
 
 @compiled

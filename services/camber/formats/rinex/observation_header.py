@@ -23,7 +23,7 @@ _OLD_BEIDOU_VERSION = 3.04
 _LABEL = slice(60, 80)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationType:
     """One column of a system's lines: what is observed (`C`, `L`, `D`, `S`), of which signal, and the value's divisor.
 
@@ -36,7 +36,7 @@ class ObservationType:
     divisor: int = 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationHeader:
     """What the header says; None where it says nothing.
 
@@ -200,23 +200,23 @@ class HeaderReader:
             column = self._column(system, name)
             if column.kind and column.kind + column.signal in seen:
                 self._fault(f"SYS / # / OBS TYPES of {system}", "each type once", name)
-                column = ObservationType(name, "", "")
+                column = ObservationType(name=name, kind="", signal="")
             seen.add(column.kind + column.signal)
             columns.append(column)
         return tuple(columns)
 
     def _column(self, system: str, name: str) -> ObservationType:
         if name[:1] in "XI":
-            return ObservationType(name, "", "")
+            return ObservationType(name=name, kind="", signal="")
         known = len(name) == 3 and name[0] in "CLDS" and name[1] in "123456789" and name[2].isupper()
         signal = self._signal(system, name[1:])
         if not known or signal[0] not in CARRIER_OF_BAND_HZ[system]:
             self._fault(f"SYS / # / OBS TYPES of {system}", "C, L, D or S, band, attribute", name)
-            return ObservationType(name, "", "")
+            return ObservationType(name=name, kind="", signal="")
         unit = self._values.get("SIGNAL STRENGTH UNIT", "DBHZ").strip()
         kind = "" if name[0] == "S" and unit != "DBHZ" else name[0]
         divisor = self._scales.get((system, name), self._scales.get((system, ""), 1))
-        return ObservationType(name, kind, signal, divisor)
+        return ObservationType(name=name, kind=kind, signal=signal, divisor=divisor)
 
     def _signal(self, system: str, code: str) -> str:
         """B1 was band 1 in RINEX 3.02; since 3.04 band 1 is B1C, of which there is no 1I and 1Q."""

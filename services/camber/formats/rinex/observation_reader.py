@@ -155,16 +155,16 @@ class RinexDecoder:
             results += problems[said:before]
             results.append(
                 ObservationEpoch(
-                    time_ns,
-                    rows.satellite[part],
-                    rows.signal[part],
-                    rows.pseudorange_m[part],
-                    rows.carrier_phase_cycles[part],
-                    rows.doppler_hz[part],
-                    rows.cn0_dbhz[part],
-                    rows.lock_time_s[part],
-                    rows.loss_of_lock[part],
-                    rows.half_cycle[part],
+                    time_ns=time_ns,
+                    satellite=rows.satellite[part],
+                    signal=rows.signal[part],
+                    pseudorange_m=rows.pseudorange_m[part],
+                    carrier_phase_cycles=rows.carrier_phase_cycles[part],
+                    doppler_hz=rows.doppler_hz[part],
+                    cn0_dbhz=rows.cn0_dbhz[part],
+                    lock_time_s=rows.lock_time_s[part],
+                    loss_of_lock=rows.loss_of_lock[part],
+                    half_cycle=rows.half_cycle[part],
                 )
             )
             begin, said = end, before
@@ -185,7 +185,7 @@ class RinexDecoder:
         return errors
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RinexObservations:
     """A whole file. `problems` are the first thousand of `problem_count`; `skipped` satellites by system letter."""
 
@@ -226,4 +226,6 @@ def read_observations(path: Path) -> RinexObservations:
     take(decoder.finish())
     if decoder.header is None:
         raise problems[0]
-    return RinexObservations(decoder.header, epochs, problems, count, decoder.skipped)
+    return RinexObservations(
+        header=decoder.header, epochs=epochs, problems=problems, problem_count=count, skipped=decoder.skipped
+    )

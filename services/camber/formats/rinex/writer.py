@@ -32,7 +32,7 @@ _SYSTEM_ORDER = "GJEC"
 _IONOSPHERE_NAMES = {"G": "GPS", "J": "QZS", "C": "BDS"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StationHeader:
     """Who observed: names, and the antenna's approximate ECEF position [m]."""
 

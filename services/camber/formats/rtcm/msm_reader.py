@@ -64,7 +64,7 @@ def minimum_lock_s() -> dict[int, Floats]:
 _SHORT_LOCK_S, _LONG_LOCK_S = minimum_lock_s().values()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MsmMessage:
     """One message: `integers` (3, n) and `floats` (6, n) are columns as named above, a row of them each.
 
@@ -117,7 +117,14 @@ def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
     if status != _READ:
         raise ValueError(_PROBLEMS[status])
     time_ns = gps_ns_near(letter, time_ms * _NS_PER_MS, near_ns)
-    return MsmMessage(station_id, more, time_ns, integers[:, :count], floats[:, :count], unknown)
+    return MsmMessage(
+        station_id=station_id,
+        more_follow=more,
+        time_ns=time_ns,
+        integers=integers[:, :count],
+        floats=floats[:, :count],
+        unknown_signals=unknown,
+    )
 
 
 @compiled

@@ -25,7 +25,7 @@ _SIGNAL_IDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MsmSystem:
     """One system: its letter, the number of its MSM7 message, how many satellites the mask may name."""
 
@@ -36,15 +36,15 @@ class MsmSystem:
 
 
 MSM_SYSTEMS = (
-    MsmSystem("G", 1077, 63),
-    MsmSystem("E", 1097, 50),
-    MsmSystem("J", 1117, 10),
-    MsmSystem("C", 1127, 63, BDT_BEHIND_GPS_NS),
+    MsmSystem(letter="G", message=1077, satellites=63),
+    MsmSystem(letter="E", message=1097, satellites=50),
+    MsmSystem(letter="J", message=1117, satellites=10),
+    MsmSystem(letter="C", message=1127, satellites=63, gps_offset_ns=BDT_BEHIND_GPS_NS),
 )
 """In the order in which their messages are sent."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MsmSignals:
     """The signals of all systems by rising `keys` (letter × 65536 + signal): place of the system, id, carrier."""
 
@@ -72,7 +72,9 @@ def _signals() -> MsmSignals:
         for number, name in (entry.split(":") for entry in _SIGNAL_IDS[system.letter].split())
     )
     keys, systems, ids, carriers = zip(*rows, strict=True)
-    return MsmSignals(np.array(keys), np.array(systems), np.array(ids), np.array(carriers))
+    return MsmSignals(
+        keys=np.array(keys), system=np.array(systems), ids=np.array(ids), carriers_hz=np.array(carriers)
+    )
 
 
 MSM_SIGNALS = _signals()

@@ -87,7 +87,7 @@ def lock_indicator(lock_time_s: Floats) -> Integers:
     return np.where(whole < 64, whole, 32 * (doubling + 1) + (whole - (32 << doubling) >> doubling))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Cells:
     """The whole epoch in integers, sorted by system, satellite and signal id, and one row a satellite beside it."""
 
@@ -152,14 +152,14 @@ def _cells(epoch: ObservationEpoch) -> _Cells:
         _whole(rate_from_rough, RATE_INVALID),
     )
     return _Cells(
-        system,
-        number,
-        signal_id,
-        of_satellite,
-        columns,
-        first,
-        _whole(rough, INVALID_ROUGH_MS << 10),
-        _whole(rough_rate, ROUGH_RATE_INVALID),
+        system=system,
+        satellite=number,
+        signal_id=signal_id,
+        of_satellite=of_satellite,
+        columns=columns,
+        first=first,
+        rough_range=_whole(rough, INVALID_ROUGH_MS << 10),
+        rough_rate=_whole(rough_rate, ROUGH_RATE_INVALID),
     )
 
 

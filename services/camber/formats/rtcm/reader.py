@@ -24,7 +24,7 @@ _MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
 _DATA_SOURCES = {1045: 258.0, 1046: 517.0}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceStation:
     """Message 1005 or 1006: the antenna reference point, and (1006) its height above the marker."""
 
@@ -33,7 +33,7 @@ class ReferenceStation:
     antenna_height_m: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BaseStationEpoch:
     """All observations of one epoch. Not `complete`: another epoch began before the last message of this one."""
 
@@ -156,7 +156,7 @@ class RtcmDecoder:
             loss_of_lock=locks.lost(time_ns, keys, ~np.isnan(carrier_phase_cycles), lock_time_s, most_lock_s),
             half_cycle=half_cycle.astype(np.bool_),
         )
-        return [BaseStationEpoch(station, epoch, complete)]
+        return [BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)]
 
 
 class _Fields:
@@ -185,7 +185,9 @@ def _reference_station(payload: bytes, number: int) -> ReferenceStation:
     bits.take(2)
     z = bits.take(38, signed=True)
     height_m = bits.take(16) * 1e-4 if number == 1006 else None
-    return ReferenceStation(station_id, (x * 1e-4, y * 1e-4, z * 1e-4), height_m)
+    return ReferenceStation(
+        station_id=station_id, position_ecef_m=(x * 1e-4, y * 1e-4, z * 1e-4), antenna_height_m=height_m
+    )
 
 
 def _ephemeris(payload: bytes, number: int, near_ns: int) -> Ephemeris:

@@ -59,7 +59,7 @@ _LOWEST_M, _HIGHEST_M = -20_000.0, 100_000.0
 _Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverBaseline:
     """From the reference station to the rover, as the receiver solved it (NAV-RELPOSNED).
 
@@ -85,7 +85,7 @@ class ProtectionLevels:
     risk: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PositionVelocityTime:
     """NAV-PVT, in the units of `ReceiverSolution`. `near_ns` is its UTC to the second, `nanosecond` the fraction.
 
@@ -103,7 +103,7 @@ class PositionVelocityTime:
     age_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NavPosition:
     """A position, its horizontal accuracy √(σ_e² + σ_n²) and vertical accuracy, None where they are not known."""
 

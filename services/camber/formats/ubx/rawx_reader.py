@@ -44,7 +44,7 @@ class RawxEpoch:
     clock_reset: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OmittedMeasurements:
     """How many measurements are not in the epoch: of systems that are not read, without a known name, told twice."""
 
@@ -87,7 +87,9 @@ def read_raw_measurements(
     keys = (satellite << 16) + signal
     used, repeated = _firsts(known, keys)
     left_out = OmittedMeasurements(
-        count - int(np.count_nonzero(ours)), int(np.count_nonzero(ours & ~known)), repeated
+        other_systems=count - int(np.count_nonzero(ours)),
+        unknown_signals=int(np.count_nonzero(ours & ~known)),
+        repeated=repeated,
     )
     if used.size < count:
         rows, keys, satellite, signal = rows[used], keys[used], satellite[used], signal[used]

@@ -23,7 +23,7 @@ _PERIOD_NS = 30 * NS_PER_SECOND
 _D2_SUBFRAME_NS = 600_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Subframe:
     """What a satellite has sent until `end_ns` (GPS time at the satellite), on the signal `signal_id` of u-blox."""
 
@@ -52,7 +52,9 @@ def subframes_between(ephemeris: Ephemeris, from_ns: int, to_ns: int) -> list[Su
         end_ns = from_ns + (start_ns + length_ns + behind_ns - from_ns) % _PERIOD_NS
         for end in range(end_ns, to_ns, _PERIOD_NS):
             words = write(ephemeris, part, end - length_ns)
-            found.append(Subframe(end, ephemeris.satellite, signal_id, tuple(words)))
+            found.append(
+                Subframe(end_ns=end, satellite=ephemeris.satellite, signal_id=signal_id, words=tuple(words))
+            )
     return sorted(found, key=lambda subframe: subframe.end_ns)
 
 

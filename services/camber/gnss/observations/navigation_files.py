@@ -47,4 +47,4 @@ def _ionosphere(file: NavigationDecoder) -> IonosphereCoefficients | None:
     known = file.klobuchar.get("G")
     if known is None or known.alpha is None or known.beta is None:
         return None
-    return IonosphereCoefficients("G", known.alpha, known.beta)
+    return IonosphereCoefficients(system="G", alpha=known.alpha, beta=known.beta)

@@ -239,7 +239,7 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
     ]
     latitude, longitude, height = _geodetic(drive, drive.trajectory.antenna_m[0])
     near = ecef_from_geodetic_scalar(latitude, longitude, height)
-    station = StationHeader("rover", near)
+    station = StationHeader(marker="rover", position_ecef_m=near)
     header, *blocks = observation_lines([epoch for _, epoch in rover], station)
     _write_said(
         folder,
@@ -249,9 +249,9 @@ def _write_rinex(folder: Path, drive: SimulatedDrive) -> None:
         [(arrival_ns, block.encode("ascii")) for (arrival_ns, _), block in zip(rover, blocks, strict=True)],
     )
     with (folder / "base.obs").open("w", encoding="ascii", newline="\n") as file:
-        station = StationHeader("base", base_ecef_m(drive), marker_type="GEODETIC")
+        station = StationHeader(marker="base", position_ecef_m=base_ecef_m(drive), marker_type="GEODETIC")
         file.writelines(observation_lines(list(drive.base), station))
-    ionosphere = IonosphereCoefficients("G", KLOBUCHAR_ALPHA, KLOBUCHAR_BETA)
+    ionosphere = IonosphereCoefficients(system="G", alpha=KLOBUCHAR_ALPHA, beta=KLOBUCHAR_BETA)
     (folder / "brdc.nav").write_text(navigation_text(drive.broadcast, [ionosphere]), "ascii", newline="\n")
 
 

@@ -61,16 +61,16 @@ class SimulatedSignals:
             phase = self.levels.phase_tracked[k][rows]
             found.append(
                 ObservationEpoch(
-                    int(self.time_ns[k]),
-                    satellite[rows],
-                    self.signal[rows],
-                    self.pseudorange_m[k][rows],
-                    np.where(phase, self.carrier_phase_cycles[k][rows], np.nan),
-                    self.doppler_hz[k][rows],
-                    self.levels.cn0_dbhz[k][rows],
-                    np.where(phase, self.locks.lock_time_s[k][rows], 0.0),
-                    phase & self.locks.loss_of_lock[k][rows],
-                    phase & self.locks.half_cycle[k][rows],
+                    time_ns=int(self.time_ns[k]),
+                    satellite=satellite[rows],
+                    signal=self.signal[rows],
+                    pseudorange_m=self.pseudorange_m[k][rows],
+                    carrier_phase_cycles=np.where(phase, self.carrier_phase_cycles[k][rows], np.nan),
+                    doppler_hz=self.doppler_hz[k][rows],
+                    cn0_dbhz=self.levels.cn0_dbhz[k][rows],
+                    lock_time_s=np.where(phase, self.locks.lock_time_s[k][rows], 0.0),
+                    loss_of_lock=phase & self.locks.loss_of_lock[k][rows],
+                    half_cycle=phase & self.locks.half_cycle[k][rows],
                 )
             )
         return found

@@ -251,17 +251,24 @@ def _as_solutions(
         differential = quality[k] != single
         said.append(
             ReceiverSolution(
-                int(track.time_ns[k]),
-                float(latitude[k]),
-                float(longitude[k]),
-                float(height[k]),
-                SolutionQuality(int(quality[k])),
-                int(used),
-                tuple(float(v) for v in covariance),  # type: ignore[arg-type]
-                float(track.time_ns[k] % NS_PER_SECOND) / NS_PER_SECOND if differential else None,
-                float(ratio[k]) if differential else None,
-                tuple(float(v) for v in velocity_m_s[k]),  # type: ignore[arg-type]
-                (velocity_variance, 0.0, 0.0, velocity_variance, 0.0, velocity_variance),
+                time_ns=int(track.time_ns[k]),
+                latitude_rad=float(latitude[k]),
+                longitude_rad=float(longitude[k]),
+                height_m=float(height[k]),
+                quality=SolutionQuality(int(quality[k])),
+                satellites=int(used),
+                covariance_enu_m2=tuple(float(v) for v in covariance),  # type: ignore[arg-type]
+                age_s=float(track.time_ns[k] % NS_PER_SECOND) / NS_PER_SECOND if differential else None,
+                ratio=float(ratio[k]) if differential else None,
+                velocity_enu_m_s=tuple(float(v) for v in velocity_m_s[k]),  # type: ignore[arg-type]
+                velocity_covariance_enu_m2_s2=(
+                    velocity_variance,
+                    0.0,
+                    0.0,
+                    velocity_variance,
+                    0.0,
+                    velocity_variance,
+                ),
             )
         )
     return said

@@ -479,16 +479,29 @@ def test_decoded_values_are_those_of_pynmeagps() -> None:
 
 def test_minutes_never_round_to_sixty() -> None:
     solution = ReceiverSolution(
-        10**18, math.radians(35.0 - 1e-12), math.radians(-137.0 + 1e-12), 0.0, SolutionQuality.FIX
+        time_ns=10**18,
+        latitude_rad=math.radians(35.0 - 1e-12),
+        longitude_rad=math.radians(-137.0 + 1e-12),
+        height_m=0.0,
+        quality=SolutionQuality.FIX,
     )
     assert b",3500.0000000,N,13700.0000000,W," in format_gga(solution, geoid_separation_m=0.0)
 
 
 def test_writing_what_is_not_finite_is_an_error() -> None:
     with pytest.raises(ValueError, match="finite"):
-        format_gga(ReceiverSolution(0, 0.0, 0.0, math.nan, SolutionQuality.FIX), geoid_separation_m=0.0)
+        format_gga(
+            ReceiverSolution(
+                time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=math.nan, quality=SolutionQuality.FIX
+            ),
+            geoid_separation_m=0.0,
+        )
     with pytest.raises(ValueError, match="finite"):
-        format_rmc(ReceiverSolution(0, math.nan, 0.0, 0.0, SolutionQuality.FIX))
+        format_rmc(
+            ReceiverSolution(
+                time_ns=0, latitude_rad=math.nan, longitude_rad=0.0, height_m=0.0, quality=SolutionQuality.FIX
+            )
+        )
 
 
 def test_a_real_console_of_ubx_and_nmea_has_no_error_and_no_position() -> None:

@@ -171,7 +171,13 @@ def test_memory_is_bounded_whatever_comes():
 
 def solution(time_ns: int) -> ReceiverSolution:
     return ReceiverSolution(
-        time_ns, 0.6, 2.4, 50.0, SolutionQuality.FIX, 20, (0.01, 0.0, 0.0, 0.01, 0.0, 0.02)
+        time_ns=time_ns,
+        latitude_rad=0.6,
+        longitude_rad=2.4,
+        height_m=50.0,
+        quality=SolutionQuality.FIX,
+        satellites=20,
+        covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
     )
 
 

@@ -334,15 +334,26 @@ def assert_close_covariance(
 
 
 def test_writing_what_cannot_be_written_is_an_error() -> None:
-    solution = ReceiverSolution(0, 0.0, 0.0, math.nan, SolutionQuality.FIX)
+    solution = ReceiverSolution(
+        time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=math.nan, quality=SolutionQuality.FIX
+    )
     with pytest.raises(ValueError, match="not finite"):
         format_pos_line(solution)
     with pytest.raises(ValueError, match="no velocity"):
-        format_pos_line(ReceiverSolution(0, 0.0, 0.0, 0.0, SolutionQuality.FIX), velocity=True)
+        format_pos_line(
+            ReceiverSolution(
+                time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=0.0, quality=SolutionQuality.FIX
+            ),
+            velocity=True,
+        )
 
 
 def test_columns_stand_under_their_names() -> None:
-    line = format_pos_line(ReceiverSolution(0, 0.6, 2.3, 41.0, SolutionQuality.FIX)).decode()
+    line = format_pos_line(
+        ReceiverSolution(
+            time_ns=0, latitude_rad=0.6, longitude_rad=2.3, height_m=41.0, quality=SolutionQuality.FIX
+        )
+    ).decode()
     header = format_pos_header().decode().splitlines()[1]
     assert len(line.rstrip("\n")) == len(header)
 

@@ -25,7 +25,7 @@ DATA = os.environ.get("CAMBER_DATA")
 FILES = ("rooftop-2024-06-24/base.nav", "nagoya-2023-07-11/base.nav", "fujisawa-2021-09-22/SEPT2650.21P")
 RNX2RTKP = shutil.which("rnx2rtkp")
 SECOND_NS = 1_000_000_000
-IONOSPHERE = IonosphereCoefficients("G", (1e-8,) * 4, (1e5,) * 4)
+IONOSPHERE = IonosphereCoefficients(system="G", alpha=(1e-8,) * 4, beta=(1e5,) * 4)
 
 
 def recording(name: str) -> Path:
@@ -73,7 +73,9 @@ def ephemerides(seed: int) -> list[Ephemeris]:
 def test_what_was_written_is_read_back_to_the_last_printed_digit(seed):
     written = ephemerides(seed)
     said = [
-        IonosphereCoefficients(system, (1e-8 * k, -2e-8, 3e-8, 0.0), (9e4, 1e5, -2e5, 1e4 * k))
+        IonosphereCoefficients(
+            system=system, alpha=(1e-8 * k, -2e-8, 3e-8, 0.0), beta=(9e4, 1e5, -2e5, 1e4 * k)
+        )
         for k, system in enumerate("GCJ")
     ]
     read, errors, decoder = decode(navigation_text(written, said))
@@ -196,7 +198,7 @@ def test_rinex_4_announces_each_record():
     assert not errors
     assert read == [as_printed(e) for e in written]
     assert decoder.skipped == {"G CNAV": 2, "J CNAV": 1, "E CNAV": 2, "C CNAV": 2}
-    gps = IonosphereCoefficients("G", (1e-8, 2e-8, 3e-8, 4e-8), (5e4, 6e4, 7e4, 8e4))
+    gps = IonosphereCoefficients(system="G", alpha=(1e-8, 2e-8, 3e-8, 4e-8), beta=(5e4, 6e4, 7e4, 8e4))
     assert decoder.klobuchar == {"G": gps, "C": replace(gps, system="C")}
 
 
@@ -227,9 +229,9 @@ def test_the_ionosphere_comes_with_its_second_half():
     found = [decoder.feed(line.encode()) for line in header_lines(*lines).splitlines(keepends=True)]
     assert found == [
         *([[]] * 5),
-        [IonosphereCoefficients("G", quartet(10.0), quartet(40.0))],
-        [IonosphereCoefficients("C", quartet(20.0), quartet(50.0))],
-        [IonosphereCoefficients("C", quartet(30.0), quartet(60.0))],
+        [IonosphereCoefficients(system="G", alpha=quartet(10.0), beta=quartet(40.0))],
+        [IonosphereCoefficients(system="C", alpha=quartet(20.0), beta=quartet(50.0))],
+        [IonosphereCoefficients(system="C", alpha=quartet(30.0), beta=quartet(60.0))],
         [],
     ]
     assert decoder.klobuchar == {"G": found[5][0], "C": found[7][0]}

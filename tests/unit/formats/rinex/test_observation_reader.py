@@ -16,7 +16,7 @@ from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from support.random_observations import random_epoch
 
 NOON_NS = gps_ns_from_gpst(CalendarTime(2024, 2, 29, 12, 0, 0))
-STATION = StationHeader("ROVER", (-3810975.7625, 3566658.9114, 3653334.735))
+STATION = StationHeader(marker="ROVER", position_ecef_m=(-3810975.7625, 3566658.9114, 3653334.735))
 COLUMNS = ("pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz")
 
 

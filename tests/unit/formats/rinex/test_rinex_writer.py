@@ -11,7 +11,7 @@ from camber.formats.rinex.writer import StationHeader, navigation_text, observat
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 23, 59, 59, 900_000_000))
-STATION = StationHeader("ROVER", (-3810975.7625, 3566658.9114, 3653334.735))
+STATION = StationHeader(marker="ROVER", position_ecef_m=(-3810975.7625, 3566658.9114, 3653334.735))
 
 
 def epoch(number: int, rng: np.random.Generator) -> ObservationEpoch:
@@ -20,16 +20,16 @@ def epoch(number: int, rng: np.random.Generator) -> ObservationEpoch:
     phase = rng.uniform(-1e6, 2e8, n)
     phase[2] = np.nan
     return ObservationEpoch(
-        BEGIN_NS + number * NS_PER_SECOND // 10,
-        np.array([satellite_number(s) for s, _ in pairs]),
-        np.array([signal_number(s) for _, s in pairs]),
-        rng.uniform(2e7, 4e7, n),
-        phase,
-        rng.uniform(-5e3, 5e3, n),
-        np.array([20.0, 30.1, 45.0, 53.9, 60.0, 3.0]),
-        np.full(n, 2.0),
-        np.array([True, False, False, False, True, False]),
-        np.array([False, True, False, False, True, False]),
+        time_ns=BEGIN_NS + number * NS_PER_SECOND // 10,
+        satellite=np.array([satellite_number(s) for s, _ in pairs]),
+        signal=np.array([signal_number(s) for _, s in pairs]),
+        pseudorange_m=rng.uniform(2e7, 4e7, n),
+        carrier_phase_cycles=phase,
+        doppler_hz=rng.uniform(-5e3, 5e3, n),
+        cn0_dbhz=np.array([20.0, 30.1, 45.0, 53.9, 60.0, 3.0]),
+        lock_time_s=np.full(n, 2.0),
+        loss_of_lock=np.array([True, False, False, False, True, False]),
+        half_cycle=np.array([False, True, False, False, True, False]),
     )
 
 
@@ -223,7 +223,9 @@ def test_ephemerides_are_read_back_to_twelve_digits_in_their_systems_own_time(e)
 
 
 def test_the_navigation_header_names_the_ionosphere_and_unknown_systems_are_refused():
-    gps = IonosphereCoefficients("G", (1e-8, 2e-8, -6e-8, -1.2e-7), (1e5, 1.8e5, -1.3e5, -4.6e5))
+    gps = IonosphereCoefficients(
+        system="G", alpha=(1e-8, 2e-8, -6e-8, -1.2e-7), beta=(1e5, 1.8e5, -1.3e5, -4.6e5)
+    )
     text = navigation_text(SETS, [gps])
     assert "GPSA   1.0000E-08  2.0000E-08 -6.0000E-08 -1.2000E-07" in text
     assert len(read_navigation(text)) == 4

@@ -233,13 +233,31 @@ def ionosphere_page(sv_id: int = 56) -> tuple[int, ...]:
 
 def test_the_ionosphere_comes_from_page_18_of_subframe_4():
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
-    frame = format_subframe(Subframe(0, satellite_number("G05"), 0, ionosphere_page()))
+    frame = format_subframe(
+        Subframe(end_ns=0, satellite=satellite_number("G05"), signal_id=0, words=ionosphere_page())
+    )
     steps = (2.0**-30, 2.0**-27, 2.0**-24, 2.0**-24, 2.0**11, 2.0**14, 2.0**16, 2.0**16)
     values = [value * step for value, step in zip((*ALPHA, *BETA), steps, strict=True)]
-    assert decoder.feed(frame) == [IonosphereCoefficients("G", tuple(values[:4]), tuple(values[4:]))]
+    assert decoder.feed(frame) == [
+        IonosphereCoefficients(system="G", alpha=tuple(values[:4]), beta=tuple(values[4:]))
+    ]
     # Of QZSS it is for Japan, of another page something else.
-    assert decoder.feed(format_subframe(Subframe(0, satellite_number("J02"), 0, ionosphere_page()))) == []
-    assert decoder.feed(format_subframe(Subframe(0, satellite_number("G05"), 0, ionosphere_page(25)))) == []
+    assert (
+        decoder.feed(
+            format_subframe(
+                Subframe(end_ns=0, satellite=satellite_number("J02"), signal_id=0, words=ionosphere_page())
+            )
+        )
+        == []
+    )
+    assert (
+        decoder.feed(
+            format_subframe(
+                Subframe(end_ns=0, satellite=satellite_number("G05"), signal_id=0, words=ionosphere_page(25))
+            )
+        )
+        == []
+    )
     assert decoder.messages.bad_subframes == 0
 
 

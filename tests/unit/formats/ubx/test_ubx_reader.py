@@ -27,16 +27,16 @@ from support.random_observations import SECOND_NS, WEEK_NS
 TOW_MS = 345_600_000
 START_NS = 2300 * WEEK_NS + TOW_MS * 1_000_000
 SOLUTION = ReceiverSolution(
-    START_NS,
-    0.6,
-    2.4,
-    50.0,
-    SolutionQuality.FIX,
-    20,
-    (0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
-    1.5,
-    None,
-    (1.0, 2.0, 0.5),
+    time_ns=START_NS,
+    latitude_rad=0.6,
+    longitude_rad=2.4,
+    height_m=50.0,
+    quality=SolutionQuality.FIX,
+    satellites=20,
+    covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.02),
+    age_s=1.5,
+    ratio=None,
+    velocity_enu_m_s=(1.0, 2.0, 0.5),
 )
 
 

@@ -289,7 +289,13 @@ def test_pyubx2_gives_the_precise_position_back(solution, separation_m):
 
 
 def test_a_position_that_is_no_number_is_refused():
-    solution = ReceiverSolution(2300 * WEEK_NS, math.nan, 0.0, 0.0, SolutionQuality.FIX)
+    solution = ReceiverSolution(
+        time_ns=2300 * WEEK_NS,
+        latitude_rad=math.nan,
+        longitude_rad=0.0,
+        height_m=0.0,
+        quality=SolutionQuality.FIX,
+    )
     for write in (format_position_velocity_time, format_high_precision_position):
         with pytest.raises(ValueError, match="expected a finite number"):
             write(solution, geoid_separation_m=0.0)

@@ -41,11 +41,18 @@ def drive(rate_hz: int, count: int, *, seed: int = 1, noisy: bool = True) -> lis
         noise = (0.003 * rng.normal(size=len(of)), 0.05 * rng.normal(size=len(of))) if noisy else (0.0, 0.0)
         epochs.append(
             ObservationEpoch(
-                START_NS + round(t * 1e9), NAMES, CODES, range_m, (range_m + noise[0]) / WAVELENGTH_M + 1234,
-                -(rate_m_s + noise[1]) / WAVELENGTH_M, np.full(len(of), 45.0), np.full(len(of), 30.0 + t),
-                np.zeros(len(of), np.bool_), np.zeros(len(of), np.bool_),
+                time_ns=START_NS + round(t * 1e9),
+                satellite=NAMES,
+                signal=CODES,
+                pseudorange_m=range_m,
+                carrier_phase_cycles=(range_m + noise[0]) / WAVELENGTH_M + 1234,
+                doppler_hz=-(rate_m_s + noise[1]) / WAVELENGTH_M,
+                cn0_dbhz=np.full(len(of), 45.0),
+                lock_time_s=np.full(len(of), 30.0 + t),
+                loss_of_lock=np.zeros(len(of), np.bool_),
+                half_cycle=np.zeros(len(of), np.bool_),
             )
-        )  # fmt: skip
+        )
     return epochs
 
 
@@ -138,7 +145,7 @@ def test_the_order_of_a_satellites_bands_does_not_say_what_breaks():
         tracker, arcs = ArcTracker(), []
         for e in without:
             columns = {f: getattr(e, f)[rows] for f in e.__dataclass_fields__ if f != "time_ns"}
-            arcs.append(tracker.update(ObservationEpoch(e.time_ns, **columns)))
+            arcs.append(tracker.update(ObservationEpoch(time_ns=e.time_ns, **columns)))
         assert [len({a[i] for a in arcs}) for i in range(4)] == [2, 2, 2, 1]
 
 

@@ -130,9 +130,9 @@ def test_a_base_that_was_given_is_named_so_whatever_its_stream_calls_it(sky: Sky
 def test_the_ionosphere_of_gps_is_taken_and_beidous_is_not(sky: Sky) -> None:
     rover = ready(sky)
     alpha, beta = (1e-8, 2e-8, 3e-8, 4e-8), (1e5, 2e5, 3e5, 4e5)
-    rover.hear("rover", IonosphereCoefficients("C", alpha, beta))
+    rover.hear("rover", IonosphereCoefficients(system="C", alpha=alpha, beta=beta))
     assert rover.engine.ionosphere.size == 0
-    rover.hear("rover", IonosphereCoefficients("G", alpha, beta))
+    rover.hear("rover", IonosphereCoefficients(system="G", alpha=alpha, beta=beta))
     assert rover.engine.ionosphere.tolist() == [*alpha, *beta]
 
 

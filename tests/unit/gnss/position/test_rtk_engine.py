@@ -314,8 +314,8 @@ def test_sixty_satellites_are_no_trouble():
     for e, m in zip((rover, base), more, strict=True):
         m = replace(m, satellite=extra)
         both.append(
-            ObservationEpoch(e.time_ns, *(np.concatenate((getattr(e, f), getattr(m, f)))
-                for f in e.__dataclass_fields__ if f != "time_ns"))
+            replace(e, **{f: np.concatenate((getattr(e, f), getattr(m, f)))
+                for f in e.__dataclass_fields__ if f != "time_ns"})
         )  # fmt: skip
     engine = engine_of(drive(), ALONE)
     solution = one(*both, engine)

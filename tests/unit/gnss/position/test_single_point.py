@@ -67,7 +67,7 @@ def error_enu_m(found: SinglePoint, true_m: np.ndarray, frame: LocalFrame = FRAM
 
 
 def rows_of(epoch: ObservationEpoch, rows: np.ndarray) -> ObservationEpoch:
-    return ObservationEpoch(epoch.time_ns, *(getattr(epoch, name)[rows] for name in COLUMNS))
+    return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
 
 
 def of_systems(epoch: ObservationEpoch, systems: str) -> ObservationEpoch:

@@ -63,7 +63,7 @@ def velocity_of(epoch: ObservationEpoch, store: EphemerisStore) -> DopplerVeloci
 
 
 def rows_of(epoch: ObservationEpoch, rows: np.ndarray) -> ObservationEpoch:
-    return ObservationEpoch(epoch.time_ns, *(getattr(epoch, name)[rows] for name in COLUMNS))
+    return replace(epoch, **{name: getattr(epoch, name)[rows] for name in COLUMNS})
 
 
 def test_of_a_moving_car_velocities_are_centimetres_a_second_off_and_their_covariances_say_so():

@@ -75,7 +75,14 @@ def steady_epochs(count: int = EPOCHS, first_ns: int = FIRST_NS) -> list[Observa
 
 
 def solution(k: int, quality: SolutionQuality = SolutionQuality.FIX) -> ReceiverSolution:
-    return ReceiverSolution(FIRST_NS + k * NS, 0.61, 2.39, 50.0 + 0.01 * k, quality, satellites=12)
+    return ReceiverSolution(
+        time_ns=FIRST_NS + k * NS,
+        latitude_rad=0.61,
+        longitude_rad=2.39,
+        height_m=50.0 + 0.01 * k,
+        quality=quality,
+        satellites=12,
+    )
 
 
 def write(folder: Path, content: bytes | str, name: str = "recording") -> Path:
@@ -85,7 +92,7 @@ def write(folder: Path, content: bytes | str, name: str = "recording") -> Path:
 
 
 def rinex(epochs: Sequence[ObservationEpoch]) -> str:
-    return observation_text(epochs, StationHeader("roof", PLACE_ECEF_M))
+    return observation_text(epochs, StationHeader(marker="roof", position_ecef_m=PLACE_ECEF_M))
 
 
 def rtcm(epochs: Sequence[ObservationEpoch], *, station: int = 7) -> bytes:

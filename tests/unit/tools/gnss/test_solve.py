@@ -303,7 +303,7 @@ def test_a_drive_that_cannot_be_solved_is_one_clear_line(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], override: str, said: str
 ) -> None:
     epoch = read_observations(drive / "rover.obs").epochs[0]
-    station = StationHeader("x", (-3.8e6, 3.5e6, 3.6e6))
+    station = StationHeader(marker="x", position_ecef_m=(-3.8e6, 3.5e6, 3.6e6))
     stray = [epoch, *(replace(epoch, time_ns=epoch.time_ns + 60 * NS) for _ in range(2))]
     (drive / "other.obs").write_text(observation_text(stray, station))
     manifest = (drive / "drive.toml").read_text()

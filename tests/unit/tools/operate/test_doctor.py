@@ -380,9 +380,14 @@ def receiver(*, late_s: float = 0.05, bytes_of: Any = None) -> Iterator[str]:
             while not ended.wait(0.2):
                 time_ns = SystemClock().now_ns() - round(late_s * 1e9)
                 solution = ReceiverSolution(
-                    time_ns // 10_000_000 * 10_000_000, 0.6, 2.4, 50.0, SolutionQuality.FIX, 14,
+                    time_ns=time_ns // 10_000_000 * 10_000_000,
+                    latitude_rad=0.6,
+                    longitude_rad=2.4,
+                    height_m=50.0,
+                    quality=SolutionQuality.FIX,
+                    satellites=14,
                     covariance_enu_m2=None,
-                )  # fmt: skip
+                )
                 data = format_rmc(solution) + format_gga(solution, geoid_separation_m=37.0)
                 try:
                     connection.sendall(data if bytes_of is None else bytes_of)
