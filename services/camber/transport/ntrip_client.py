@@ -68,7 +68,7 @@ class Mountpoint:
         found = _ADDRESS.fullmatch(url)
         if found is None or not 0 < int(found[4]) < 65536:
             return None
-        return cls(found[2] or found[3], int(found[4]), found[5], tls=bool(found[1]))
+        return cls(host=found[2] or found[3], port=int(found[4]), name=found[5], tls=bool(found[1]))
 
 
 class GgaSchedule:

@@ -231,7 +231,11 @@ def _place(
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0 or not _LOWEST_M <= height_m <= _HIGHEST_M:
         raise ValueError(f"position {latitude_deg}°, {longitude_deg}°, {height_m} m")
     return NavPosition(
-        math.radians(latitude_deg), math.radians(longitude_deg), height_m, horizontal_m, vertical_m
+        latitude_rad=math.radians(latitude_deg),
+        longitude_rad=math.radians(longitude_deg),
+        height_m=height_m,
+        horizontal_m=horizontal_m,
+        vertical_m=vertical_m,
     )
 
 
