@@ -12,7 +12,7 @@ from camber.formats.drive.motion_csv import write_motion
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.localizer.warm_up import made_up_street, made_up_tile
+from camber.localizer.warm_up import synthetic_street, synthetic_tile
 from camber.road_map.release import write_release
 from support.running import camber, payloads, recorded
 from support.small_map import DAY_NS, link, links, surface, surfaces
@@ -48,7 +48,7 @@ def write_drive(folder: Path) -> Path:
         fixes.append(format_pos_line(fix(drive, WRONG_M)))
     (folder / "receiver.pos").write_bytes(b"".join(fixes))
     write_motion(folder / "motion.csv", motion)
-    road_m, walls_m = made_up_street()
+    road_m, walls_m = synthetic_street()
     write_release(
         folder / "map",
         region="street",
@@ -58,7 +58,7 @@ def write_drive(folder: Path) -> Path:
         time_ns=START_NS - DAY_NS,
         surfaces=surfaces([surface(1, half_length_m=70.0, half_width_m=4.0, frame=FRAME)]),
         links=links([link(1, (1, 2), [(-70.0, 0.0), (70.0, 0.0)])]),
-        clouds=[made_up_tile("road_cloud", road_m), made_up_tile("environment_cloud", walls_m)],
+        clouds=[synthetic_tile("road_cloud", road_m), synthetic_tile("environment_cloud", walls_m)],
         surrogate="made up",
     )
     latitude_rad, longitude_rad = geodetic(drive.begin_m + 0.5, -0.4)

@@ -147,10 +147,10 @@ def matched_drive(
         if tick.motion is not None:
             unsaid = {} if attitude else {"pitch_rad": None, "roll_rad": None}
             motion = tick.motion.model_copy(update=unsaid)
-            localization.hear_motion(motion)
+            localization.on_motion(motion)
             messages.append(("motion", motion))
         if tick.sweep is not None:
-            localization.hear_sweep(tick.sweep)
+            localization.on_sweep(tick.sweep)
         messages += [("suspension", tick.suspension)] if tick.suspension is not None else []
         messages += [("ranging", tick.ranging)] if tick.ranging is not None else []
         step = localization.advance()

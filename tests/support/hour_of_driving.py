@@ -98,10 +98,10 @@ def main() -> int:
         motion, sweep = tick
         began_s = time.process_time()
         if motion is not None:
-            localization.hear_motion(motion)
+            localization.on_motion(motion)
             begin_ns = motion.time_ns if begin_ns is None else begin_ns
         if sweep is not None:
-            localization.hear_sweep(sweep)
+            localization.on_sweep(sweep)
             sweeps += 1
         step = localization.advance()
         cpu_s += time.process_time() - began_s

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from camber.geodesy.angles import wrap_pi
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.filter.dead_reckoning import Behind, MotionSample
+from camber.localizer.filter.dead_reckoning import MotionSample, OverlayLag
 from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.pose_filter import MatchUpdate, PoseFilter
 from camber.localizer.local_plane import LocalPlane
@@ -48,7 +48,7 @@ START_OFF_M = 0.5
 SEAM_M = 15.0
 OTHER_ROAD_M = 1.0
 START_OFF_RAD = math.radians(2.0)
-_NOT_BEHIND = Behind()
+NO_LAG = OverlayLag()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,9 +172,9 @@ def localized(drive: KeptDrive, *, lidar: bool = True, given: float = 1.0) -> Lo
     for tick in drive.ticks:
         began_s = time.process_time()
         if tick.motion is not None:
-            localization.hear_motion(tick.motion)
+            localization.on_motion(tick.motion)
         if tick.sweep is not None:
-            localization.hear_sweep(tick.sweep)
+            localization.on_sweep(tick.sweep)
         step = localization.advance()
         if step.matches:
             sweep_s.append((time.process_time() - began_s) / len(step.matches))
@@ -219,11 +219,11 @@ def matched_alone(drive: KeptDrive, *, every: int = ALONE_EVERY) -> Errors:
             blindfold.predict(
                 MotionSample(m.time_ns, m.wheel_speed_m_s, m.yaw_rate_rad_s, m.steering_angle_rad)
             )
-            matcher.hear_tilt(m.roll_rad, m.pitch_rad)
+            matcher.set_attitude(m.roll_rad, m.pitch_rad)
         if tick.sweep is not None:
-            matcher.hear(tick.sweep)
+            matcher.add_sweep(tick.sweep)
         k = _row(truth, tick.time_ns)
-        matcher.forget_height()
+        matcher.reset_road_height()
         road = Road(status="known", elevation_m=float(truth.road_height_m[k]))
         for match in matcher.work(blindfold.plane, road).matches:
             if blindfold.asked(match.time_ns):
@@ -273,7 +273,7 @@ class _Blindfold(PoseFilter):
         covariance: Floats,
         *,
         unique: bool,
-        behind: Behind = _NOT_BEHIND,
+        behind: OverlayLag = NO_LAG,
     ) -> MatchUpdate:
         true_m = self._true(time_ns)
         off = np.array([east_m - true_m[0], north_m - true_m[1], wrap_pi(yaw_rad - true_m[2])])

@@ -13,7 +13,7 @@ import numpy as np
 from camber.localizer.localization import GivenStart, Localization, LocalizationOptions
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
-from camber.localizer.warm_up import MadeUpMap, made_up_street
+from camber.localizer.warm_up import SyntheticMap, synthetic_street
 from camber.road_map.tile_grid import tile_frame
 from camber.schemas.gnss import Fix
 from camber.schemas.lidar import Sweep
@@ -25,7 +25,7 @@ START_NS = 1_400_000_000 * NS
 FRAME = tile_frame(57686, 25920)
 LIDAR_HEIGHT_M = 1.8
 _TURN_NS = NS // 10
-_ROAD_M, _WALLS_M = made_up_street()
+_ROAD_M, _WALLS_M = synthetic_street()
 
 
 def geodetic(east_m: float, north_m: float) -> tuple[float, float]:
@@ -70,7 +70,7 @@ class StreetDrive:
     ) -> None:
         self.begin_m, self.speed_m_s = begin_m, speed_m_s
         self.heard = Heard()
-        self.answers = answers or MadeUpMap(_ROAD_M, _WALLS_M)
+        self.answers = answers or SyntheticMap(_ROAD_M, _WALLS_M)
         self.seen_m = np.concatenate((_ROAD_M, _WALLS_M)) if seen_m is None else seen_m
         start = GivenStart(*geodetic(begin_m + off_m[0], off_m[1]), off_rad, sigma_m, math.radians(1.0))
         mount = mount or SensorMount(0.0, 0.0, LIDAR_HEIGHT_M)
@@ -133,13 +133,13 @@ class StreetDrive:
         for _ in range(tenths):
             fix = None if fixes is None else fixes(self)
             if fix is not None:
-                self.localization.hear_fix(fix)
+                self.localization.on_fix(fix)
             moved = self.motion() if motion is None else motion(self)
             if moved is not None:
-                self.localization.hear_motion(moved)
+                self.localization.on_motion(moved)
             whole = self.sweep()
             for sweep in iter([whole]) if sweeps is None else sweeps(whole):
-                self.localization.hear_sweep(sweep)
+                self.localization.on_sweep(sweep)
             step = self.localization.advance()
             self.matches += step.matches
             if step.pose is not None:

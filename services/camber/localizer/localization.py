@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from camber.geodesy.se3 import lever_arm_enu
 from camber.localizer.filter.dead_reckoning import MotionSample, Outcome
 from camber.localizer.filter.pose_filter import PoseEstimate, PoseFilter, PoseModel
-from camber.localizer.filter.start import FixTrackStart, StartPose, lever_arm, moved_by_lever
-from camber.localizer.links.link_cache import LinksAround
+from camber.localizer.filter.start import StartFromFixes, StartPose, lever_arm, moved_by_lever
+from camber.localizer.links.link_cache import LinkCache
 from camber.localizer.links.link_matching import LinkMatch
 from camber.localizer.local_plane import LocalPlane
-from camber.localizer.map_queries import MapAnswers, Reports
+from camber.localizer.map_queries import Diagnostics, MapAnswers
 from camber.localizer.matching.scan_matcher import ScanMatcher, ScanMatchOptions
-from camber.localizer.road.road_below_antenna import RoadUnder, attitude_on
+from camber.localizer.road.road_below_antenna import RoadBelowAntenna, attitude_on
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 from camber.schemas.lidar import Sweep
@@ -67,16 +67,16 @@ class Step(NamedTuple):
 class Localization:
     """One vehicle. Call `advance` after what was heard of one time."""
 
-    def __init__(self, options: LocalizationOptions, answers: MapAnswers, reports: Reports) -> None:
+    def __init__(self, options: LocalizationOptions, answers: MapAnswers, reports: Diagnostics) -> None:
         model = options.model
         self._options, self._reports = options, reports
         self._lever_m = (model.antenna_x_m, model.antenna_y_m, options.antenna_z_m)
         self._filter = PoseFilter(model)
-        self._start = FixTrackStart(model.antenna_x_m, model.antenna_y_m)
+        self._start = StartFromFixes(model.antenna_x_m, model.antenna_y_m)
         self._given = options.given
         self._plane: LocalPlane | None = None
-        self._links = LinksAround(options.links_radius_m, answers, reports)
-        self._road = RoadUnder(options.road_sigma_limit_m, answers, reports)
+        self._links = LinkCache(options.links_radius_m, answers, reports)
+        self._road = RoadBelowAntenna(options.road_sigma_limit_m, answers, reports)
         self._matcher = (
             None
             if options.matching is None
@@ -96,7 +96,7 @@ class Localization:
 
     # What is heard
 
-    def hear_motion(self, motion: Motion) -> bool:
+    def on_motion(self, motion: Motion) -> bool:
         """Move on; whether the given pose was used up by this sample."""
         outcome: Outcome = self._filter.predict(
             MotionSample(
@@ -107,7 +107,7 @@ class Localization:
             self._reports.issue(f"motion_{outcome}", f"sample at {motion.time_ns} ns")
             return False
         if self._matcher is not None:
-            self._matcher.hear_tilt(motion.roll_rad, motion.pitch_rad)
+            self._matcher.set_attitude(motion.roll_rad, motion.pitch_rad)
         began = self._given is not None
         if self._given is not None:
             self._begin_given(self._given, motion.time_ns)
@@ -115,7 +115,7 @@ class Localization:
         self._follow_links(motion.time_ns)
         return began
 
-    def hear_fix(self, fix: Fix) -> None:
+    def on_fix(self, fix: Fix) -> None:
         """Unconfirmed: it may only help to start, and only where the filter says that it needs one."""
         if fix.quality != "fixed" or fix.covariance_enu_m2 is None:
             return
@@ -132,7 +132,7 @@ class Localization:
             self._jumped()
             self._reports.count("started_from_fixes")
 
-    def hear_verdict(self, verdict: Verdict) -> None:
+    def on_verdict(self, verdict: Verdict) -> None:
         """A confirmed position anchors the pose."""
         if verdict.verdict not in _CONFIRMED or verdict.covariance_enu_m2 is None:
             return
@@ -149,10 +149,10 @@ class Localization:
             self._jumped()
         self._reports.count(f"anchor.{result.outcome}")
 
-    def hear_sweep(self, sweep: Sweep) -> None:
+    def on_sweep(self, sweep: Sweep) -> None:
         """Taken in when the motion up to its end is known."""
         if self._matcher is not None:
-            self._matcher.hear(sweep)
+            self._matcher.add_sweep(sweep)
 
     # What comes out
 
@@ -184,9 +184,9 @@ class Localization:
         covariance = moved_by_lever(estimate.covariance, east_m, north_m)
         latitude_rad, longitude_rad = plane.geodetic(estimate.east_m + east_m, estimate.north_m + north_m)
         road = self._road.under(estimate, latitude_rad, longitude_rad)
-        self._links.seen_version(road.map_version)
+        self._links.note_map_version(road.map_version)
         if self._matcher is not None:
-            self._matcher.seen_version(road.map_version)
+            self._matcher.note_map_version(road.map_version)
         return Pose(
             time_ns=estimate.time_ns,
             mode=estimate.mode,
@@ -215,7 +215,7 @@ class Localization:
             yield "nothing but unconfirmed fixes stands for it"
         if estimate.disputed_by is not None:
             yield f"{estimate.disputed_by} say another place"
-        if estimate.wheels_doubted:
+        if estimate.wheel_slip_suspected:
             yield "the wheels do not say how fast the vehicle goes"
         if estimate.speed_age_s is None or estimate.speed_age_s > 0.0:
             yield "no speed"
@@ -270,7 +270,7 @@ class Localization:
         self._links.restart()
         self._road.forget()
         if self._matcher is not None:
-            self._matcher.forget_height()
+            self._matcher.reset_road_height()
 
     def _plane_for(self, latitude_rad: float, longitude_rad: float) -> LocalPlane:
         """The plane; laid anew where there is no pose in it yet: a first fix may have been anywhere."""

@@ -39,7 +39,7 @@ class MapAnswers(Protocol):
         """Is there anybody to ask? An old answer is worth nothing where the map itself may have gone."""
 
 
-class Reports(Protocol):
+class Diagnostics(Protocol):
     """Where what is amiss is told, and what happens is counted."""
 
     def issue(self, code: str, text: str) -> None:

@@ -48,14 +48,14 @@ class LocalizerService(Service[LocalizerSettings]):
         """Inputs."""
         localization = self._localization
         return {
-            "motion": self._hear_motion,
-            "fix": localization.hear_fix,
-            "verdict": localization.hear_verdict,
-            "sweep": localization.hear_sweep,
+            "motion": self._on_motion,
+            "fix": localization.on_fix,
+            "verdict": localization.on_verdict,
+            "sweep": localization.on_sweep,
         }
 
-    def _hear_motion(self, motion: Any) -> None:
-        if self._localization.hear_motion(motion):
+    def _on_motion(self, motion: Any) -> None:
+        if self._localization.on_motion(motion):
             problem = self._remembers.remember()
             if problem is not None:
                 self.bus.issue("given_pose_not_kept", problem)

@@ -43,16 +43,16 @@ _TURN_NS = 100_000_000
 
 def warm_up(sweeps: int = 3) -> list[Step]:
     """Drive through a made-up street with walls and posts; returns what came out."""
-    road_m, walls_m = made_up_street()
-    answers, frame = MadeUpMap(road_m, walls_m), tile_frame(*_TILE)
+    road_m, walls_m = synthetic_street()
+    answers, frame = SyntheticMap(road_m, walls_m), tile_frame(*_TILE)
     # Vague enough for the search around to be made ready too.
     given = GivenStart(frame.latitude_rad, frame.longitude_rad, 0.0, 1.0, math.radians(2.0))
     options = LocalizationOptions(given=given, matching=ScanMatchOptions(mount=_MOUNT))
-    localization = Localization(options, answers, Unheard())
+    localization = Localization(options, answers, NoDiagnostics())
     steps = []
     for number in range(sweeps):
         time_ns = _TIME_NS + number * _TURN_NS
-        localization.hear_motion(
+        localization.on_motion(
             Motion(
                 time_ns=time_ns,
                 wheel_speed_m_s=0.0,
@@ -62,12 +62,12 @@ def warm_up(sweeps: int = 3) -> list[Step]:
                 pitch_rad=0.0,
             )
         )
-        localization.hear_sweep(made_up_sweep(time_ns, np.concatenate((road_m, walls_m))))
+        localization.on_sweep(synthetic_sweep(time_ns, np.concatenate((road_m, walls_m))))
         steps.append(localization.advance())
     return steps
 
 
-def made_up_street() -> tuple[Array, Array]:
+def synthetic_street() -> tuple[Array, Array]:
     """Points (n, 3) of a level road and of what stands beside it, in metres about its middle, 140 m long."""
     along, across = np.arange(-70.0, 70.0, _STEP_M), np.arange(-4.0, 4.0, _STEP_M)
     up = np.arange(0.1, 5.0, _STEP_M)
@@ -89,7 +89,7 @@ def made_up_street() -> tuple[Array, Array]:
     return road_m, np.array(walls + ends)
 
 
-def made_up_sweep(time_ns: int, seen_m: Array) -> Sweep:
+def synthetic_sweep(time_ns: int, seen_m: Array) -> Sweep:
     """What a sensor at the origin, `_MOUNT` above it, gives of points (n, 3), as if nothing hid anything."""
     about = seen_m - np.array([_MOUNT.x_m, _MOUNT.y_m, _MOUNT.z_m])
     about = about[(np.hypot(about[:, 0], about[:, 1]) < 50.0) & (np.hypot(about[:, 0], about[:, 1]) > 2.0)]
@@ -104,12 +104,12 @@ def made_up_sweep(time_ns: int, seen_m: Array) -> Sweep:
     )
 
 
-class MadeUpMap:
+class SyntheticMap:
     """Answers for one tile with a level road; no links."""
 
     def __init__(self, road_m: Array, standing_m: Array) -> None:
         clouds: dict[Layer, Array] = {"road_cloud": road_m, "environment_cloud": standing_m}
-        self._blobs = {layer: encode(made_up_tile(layer, points_m)) for layer, points_m in clouds.items()}
+        self._blobs = {layer: encode(synthetic_tile(layer, points_m)) for layer, points_m in clouds.items()}
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
         """The same everywhere."""
@@ -151,7 +151,7 @@ class MadeUpMap:
         return True
 
 
-class Unheard:
+class NoDiagnostics:
     """Nobody listens."""
 
     def issue(self, code: str, text: str) -> None:
@@ -161,7 +161,7 @@ class Unheard:
         """Nothing."""
 
 
-def made_up_tile(layer: Layer, points_m: Array) -> CloudTile:
+def synthetic_tile(layer: Layer, points_m: Array) -> CloudTile:
     """Points (n, 3) as a tile about whose centre they are."""
     return CloudTile(
         time_ns=_TIME_NS,

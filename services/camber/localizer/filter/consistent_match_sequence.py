@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from camber.localizer.filter.dead_reckoning import Behind, TrackPoint
+from camber.localizer.filter.dead_reckoning import OverlayLag, TrackPoint
 from camber.localizer.filter.start import largest_variance, lever_arm, moved_by_lever
 from camber.localizer.links.link_filter import Array, wrapped
 
 
-class SeenMatch(NamedTuple):
+class MatchedPose(NamedTuple):
     """The pose by a scan match (m, rad), its covariance (3, 3), and where the dead-reckoned track was then; how far
     behind the sweeps were that were overlaid by that track."""
 
@@ -22,7 +22,7 @@ class SeenMatch(NamedTuple):
     yaw_rad: float
     covariance: Array
     track: TrackPoint
-    behind: Behind = Behind()
+    behind: OverlayLag = OverlayLag()
 
     def carried(self, track: TrackPoint) -> tuple[float, float, float, Array]:
         """East, north, yaw and covariance (3, 3) where the track was at another time."""
@@ -32,7 +32,7 @@ class SeenMatch(NamedTuple):
         return self.east_m + east, self.north_m + north, track.yaw_rad + turned, covariance
 
 
-class RunModel(NamedTuple):
+class ConsistencyModel(NamedTuple):
     """When matches agree, and which are determined well enough to say so."""
 
     gate: float = 21.11
@@ -44,17 +44,17 @@ class RunModel(NamedTuple):
     max_sigma_rad: float = math.radians(3.0)
 
 
-class MatchRun:
+class ConsistentMatchSequence:
     """Collects unique matches that agree; one that does not agree begins a new run."""
 
-    def __init__(self, model: RunModel | None = None) -> None:
-        self._model = model or RunModel()
+    def __init__(self, model: ConsistencyModel | None = None) -> None:
+        self._model = model or ConsistencyModel()
         self.forget()
 
     def forget(self) -> None:
         """Begin anew."""
-        self._first: SeenMatch | None = None
-        self._last: SeenMatch | None = None
+        self._first: MatchedPose | None = None
+        self._last: MatchedPose | None = None
         self.count = 0
 
     @property
@@ -75,7 +75,7 @@ class MatchRun:
             None if m is None else shifted(m, east_m, north_m) for m in (self._first, self._last)
         )
 
-    def add(self, match: SeenMatch, *, unique: bool) -> None:
+    def add(self, match: MatchedPose, *, unique: bool) -> None:
         """Take in a match; one that is not unique, or vague in any direction, says nothing."""
         model = self._model
         sigma_m = math.sqrt(largest_variance(match.covariance))
@@ -88,12 +88,12 @@ class MatchRun:
         self.count = self.count + 1 if follows else 1
         self._last = match
 
-    def _follows(self, first: SeenMatch, last: SeenMatch, match: SeenMatch) -> bool:
+    def _follows(self, first: MatchedPose, last: MatchedPose, match: MatchedPose) -> bool:
         if not 0.0 < _seconds(last, match) <= self._model.max_gap_s:
             return False
         return self._agree(last, match) and self._agree(first, match)
 
-    def _agree(self, a: SeenMatch, b: SeenMatch) -> bool:
+    def _agree(self, a: MatchedPose, b: MatchedPose) -> bool:
         model = self._model
         east, north, yaw, covariance = a.carried(b.track)
         off = np.array([b.east_m - east, b.north_m - north, wrapped(b.yaw_rad - yaw)])
@@ -102,10 +102,10 @@ class MatchRun:
         return float(off @ np.linalg.solve(s, off)) <= model.gate
 
 
-def shifted(match: SeenMatch, east_m: float, north_m: float) -> SeenMatch:
+def shifted(match: MatchedPose, east_m: float, north_m: float) -> MatchedPose:
     """The match in a plane whose origin has moved by (east, north)."""
     return match._replace(east_m=match.east_m - east_m, north_m=match.north_m - north_m)
 
 
-def _seconds(a: SeenMatch, b: SeenMatch) -> float:
+def _seconds(a: MatchedPose, b: MatchedPose) -> float:
     return (b.time_ns - a.time_ns) * 1e-9

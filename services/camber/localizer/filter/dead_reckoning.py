@@ -156,7 +156,7 @@ class Rotation(NamedTuple):
     d_gain: float = 0.0
 
 
-class Odometer:
+class WheelOdometry:
     """Remembers the last sample and turns a new one into the motion in between."""
 
     def __init__(self, model: MotionModel) -> None:
@@ -436,7 +436,7 @@ class TrackPoint(NamedTuple):
     wheel_m_s: float = 0.0
 
 
-class Behind(NamedTuple):
+class OverlayLag(NamedTuple):
     """How far behind a point of the track others lie in the mean: by the track, and by the wheels uncorrected."""
 
     path_m: float = 0.0

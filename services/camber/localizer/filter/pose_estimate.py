@@ -21,7 +21,7 @@ class PoseEstimate:
 
     Covariance (3, 3) of east, north (m) and yaw (rad). Ages are None for what never came; speed and yaw rate
     None where the last reading gave none. With an unknown heading `yaw_known` is false and yaw means nothing.
-    `disputed_by` insists on another place than the pose's (`dispute`); the covariance covers both. `wheels_doubted`:
+    `disputed_by`: the source that contradicts the pose; the covariance covers both. `wheel_slip_suspected`:
     the wheels do not say how fast the vehicle goes. `motion_late_s`: other sources have said something of this much
     later than the last motion sample.
     """
@@ -49,7 +49,7 @@ class PoseEstimate:
     link_offset_m: float
     link_offset_sigma_m: float
     disputed_by: Disputing | None = None
-    wheels_doubted: bool = False
+    wheel_slip_suspected: bool = False
     motion_late_s: float = 0.0
 
     @property

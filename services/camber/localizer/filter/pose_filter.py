@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from camber.localizer.filter.anchors import AnchorResult, Anchors, floored
-from camber.localizer.filter.consistent_match_sequence import SeenMatch
+from camber.localizer.filter.consistent_match_sequence import MatchedPose
 from camber.localizer.filter.dead_reckoning import (
     BIAS_A,
     BIAS_B,
@@ -25,20 +25,20 @@ from camber.localizer.filter.dead_reckoning import (
     SCALE,
     TURN_GAIN,
     YAW,
-    Behind,
     MotionSample,
     MotionStep,
-    Odometer,
     Outcome,
+    OverlayLag,
     RelativeTrack,
     TrackPoint,
+    WheelOdometry,
     propagate,
     rotation,
     speed_over_ground,
 )
 from camber.localizer.filter.filter_state import DEVIATION, LANE, FilterState
 from camber.localizer.filter.pose_estimate import Mode, PoseEstimate, Prediction, Provenance
-from camber.localizer.filter.pose_initialization import PoseBeginning
+from camber.localizer.filter.pose_initialization import PoseInitialization
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.scan_match_update import MatchUpdate, ScanMatches, late_noise
 from camber.localizer.filter.source_conflict import Dispute
@@ -50,7 +50,7 @@ from camber.localizer.filter.start import (
     moved_by_lever,
     require_covariance,
 )
-from camber.localizer.filter.wheel_slip import WheelDoubt
+from camber.localizer.filter.wheel_slip import WheelSlipDetector
 from camber.localizer.filter.yaw_rate_coupling import RotationCoupling
 from camber.localizer.links.link_coupling import CouplingResult, LinkCoupling
 from camber.localizer.links.link_filter import Array, wrapped
@@ -67,7 +67,7 @@ __all__ = [
     "Prediction",
 ]
 
-_NOT_BEHIND = Behind()
+NO_LAG = OverlayLag()
 
 
 class PoseFilter:
@@ -77,16 +77,16 @@ class PoseFilter:
         self._model = model or PoseModel()
         motion = self._model.motion
         self._gyro = BIAS_A if motion.a_rate_sensor == "yaw_rate" else BIAS_B
-        self._odometer = Odometer(motion)
+        self._odometer = WheelOdometry(motion)
         self._track = RelativeTrack()
         self._state = FilterState(self._model)
         self._rotation = RotationCoupling(self._state, self._model)
         self._link = LinkCoupling(self._state, self._model)
         self._anchors = Anchors(self._state, self._model)
-        self._wheels = WheelDoubt(self._state, self._model)
+        self._wheels = WheelSlipDetector(self._state, self._model)
         self._matches = ScanMatches(self._state, self._wheels, self._model)
         self._dispute = Dispute(self._model.holds_for_s)
-        self._begin = PoseBeginning(self._state, self._track, self._rotation, self._model)
+        self._begin = PoseInitialization(self._state, self._track, self._rotation, self._model)
         self._provenance: Provenance = "none"
         self._last_step: MotionStep | None = None
         self._rate_rad_s: float | None = None
@@ -102,7 +102,7 @@ class PoseFilter:
 
     @property
     def track(self) -> RelativeTrack:
-        """The dead-reckoned track in a frame of its own, for `FixTrackStart`."""
+        """The dead-reckoned track in a frame of its own, for `StartFromFixes`."""
         return self._track
 
     @property
@@ -169,7 +169,7 @@ class PoseFilter:
             link_offset_m=float(x[LANE] + x[DEVIATION]),
             link_offset_sigma_m=math.sqrt(max(0.0, float(lane_var))),
             disputed_by=self._dispute.by(now),
-            wheels_doubted=self._wheels.active,
+            wheel_slip_suspected=self._wheels.active,
             motion_late_s=max(0.0, (self._heard_ns - now) * 1e-9),
         )
 
@@ -262,7 +262,7 @@ class PoseFilter:
 
     def couple_link(self, match: LinkMatch) -> CouplingResult:
         """Take in the current link, and couple with it where due and where its direction means something."""
-        self._link.hear(match)
+        self._link.set_link(match)
         self.couple_rotation()
         if self._provenance == "none" or not self._model.couple_links:
             return CouplingResult("no_pose")
@@ -327,7 +327,7 @@ class PoseFilter:
         covariance: Array,
         *,
         unique: bool,
-        behind: Behind = _NOT_BEHIND,
+        behind: OverlayLag = NO_LAG,
     ) -> MatchUpdate:
         """Take in where the vehicle's reference point was at `time_ns` by a scan match, covariance (3, 3) of
         east, north (m) and yaw (rad), with large variances where the scene determines nothing.
@@ -349,7 +349,7 @@ class PoseFilter:
         newest = self._match_ns is None or time_ns > self._match_ns
         if then is None or not newest or now - time_ns > self._model.match_max_age_s * 1e9:
             return MatchUpdate("too_old")
-        seen = SeenMatch(time_ns, east_m, north_m, yaw_rad, self._matches.floored(covariance), then, behind)
+        seen = MatchedPose(time_ns, east_m, north_m, yaw_rad, self._matches.floored(covariance), then, behind)
         if self._provenance == "fixes":
             return self._support(seen, here, unique=unique)
         if not self._begin.heading_known:
@@ -362,11 +362,11 @@ class PoseFilter:
             result = self._hear_insisting(seen, here, result)
         return result
 
-    def motion_share(self, behind: Behind, yaw_rad: float) -> Array:
+    def motion_share(self, behind: OverlayLag, yaw_rad: float) -> Array:
         """Covariance (3, 3) that a match of sweeps which lie so far behind owes to what the wheels are not known by."""
         return self._matches.motion_share(behind, yaw_rad)
 
-    def _support(self, seen: SeenMatch, here: TrackPoint, *, unique: bool) -> MatchUpdate:
+    def _support(self, seen: MatchedPose, here: TrackPoint, *, unique: bool) -> MatchUpdate:
         """Nothing but fixes stands for the pose: begin anew from matches that agree, far or long enough."""
         model, run = self._model, self._matches.run
         run.add(seen, unique=unique)
@@ -380,7 +380,7 @@ class PoseFilter:
         self._state.forget_common(model)
         return MatchUpdate("supported")
 
-    def _show_heading(self, seen: SeenMatch, here: TrackPoint, *, unique: bool) -> MatchUpdate:
+    def _show_heading(self, seen: MatchedPose, here: TrackPoint, *, unique: bool) -> MatchUpdate:
         """The place is known and the heading is not: a unique match at that place shows it."""
         x, variance = self._state.x, largest_variance(self._state.p) + largest_variance(seen.covariance)
         east, north, yaw, _ = seen.carried(here)
@@ -391,7 +391,7 @@ class PoseFilter:
         self._begin_from(seen, here, np.zeros(2))
         return MatchUpdate("accepted", nis, off)
 
-    def _hear_insisting(self, seen: SeenMatch, here: TrackPoint, refused: MatchUpdate) -> MatchUpdate:
+    def _hear_insisting(self, seen: MatchedPose, here: TrackPoint, refused: MatchUpdate) -> MatchUpdate:
         """Refused matches agree with one another: believe them, or own that they dispute the pose."""
         assert refused.innovation is not None
         assert self.time_ns is not None
@@ -403,7 +403,7 @@ class PoseFilter:
         self._dispute.raised("matches", float(off[0]), float(off[1]), self.time_ns)
         return refused
 
-    def _begin_from(self, seen: SeenMatch, here: TrackPoint, off_m: Array) -> None:
+    def _begin_from(self, seen: MatchedPose, here: TrackPoint, off_m: Array) -> None:
         """The pose of a match, doubted a little; `off_m`: by how much another one was given up."""
         model = self._model
         doubt = np.diag([model.support_sigma_m**2] * 2 + [model.support_sigma_rad**2])
@@ -417,7 +417,7 @@ class PoseFilter:
         self._matches.taken(seen)
         self._taken(seen)
 
-    def _taken(self, seen: SeenMatch) -> None:
+    def _taken(self, seen: MatchedPose) -> None:
         """A match has entered; one that leaves a direction open places nothing along it."""
         self._match_ns = seen.time_ns
         if largest_variance(seen.covariance) <= DEGENERATE_SIGMA_M**2:

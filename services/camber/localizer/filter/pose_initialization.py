@@ -14,7 +14,7 @@ from camber.localizer.filter.yaw_rate_coupling import RotationCoupling
 from camber.localizer.links.link_filter import Array
 
 
-class PoseBeginning:
+class PoseInitialization:
     """Places the pose; while the heading is unknown, keeps the search for it."""
 
     def __init__(

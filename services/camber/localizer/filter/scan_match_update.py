@@ -20,7 +20,12 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from camber.localizer.filter.consistent_match_sequence import MatchRun, RunModel, SeenMatch, shifted
+from camber.localizer.filter.consistent_match_sequence import (
+    ConsistencyModel,
+    ConsistentMatchSequence,
+    MatchedPose,
+    shifted,
+)
 from camber.localizer.filter.dead_reckoning import (
     EAST,
     NORTH,
@@ -28,13 +33,13 @@ from camber.localizer.filter.dead_reckoning import (
     WHEEL_LAG,
     WHEEL_SLIP,
     YAW,
-    Behind,
+    OverlayLag,
     TrackPoint,
 )
 from camber.localizer.filter.filter_state import MATCH_EAST, MATCH_NORTH, MATCH_YAW, FilterState
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.filter.start import lever_arm
-from camber.localizer.filter.wheel_slip import WheelDoubt
+from camber.localizer.filter.wheel_slip import WheelSlipDetector
 from camber.localizer.links.link_filter import Array, wrapped
 
 MatchOutcome: TypeAlias = Literal[
@@ -78,12 +83,12 @@ class _Observed(NamedTuple):
 class ScanMatches:
     """Takes scan matches into a pose whose heading is known."""
 
-    def __init__(self, state: FilterState, wheels: WheelDoubt, model: PoseModel) -> None:
+    def __init__(self, state: FilterState, wheels: WheelSlipDetector, model: PoseModel) -> None:
         self._state, self._wheels, self._model = state, wheels, model
-        self.run = MatchRun(RunModel(gate=model.match_gate))
+        self.run = ConsistentMatchSequence(ConsistencyModel(gate=model.match_gate))
         self.held_at_m = -math.inf  # path at which a match or an anchor last held the pose
         self._last: tuple[int, float] | None = None  # time and path of the last that was taken in
-        self._taken: list[SeenMatch] = []  # of the last second
+        self._taken: list[MatchedPose] = []  # of the last second
         self._refused_ns: int | None = None
 
     def forget(self) -> None:
@@ -96,7 +101,7 @@ class ScanMatches:
         self.run.shift(east_m, north_m)
         self._taken = [shifted(match, east_m, north_m) for match in self._taken]
 
-    def update(self, match: SeenMatch, here: TrackPoint, *, unique: bool) -> MatchUpdate:
+    def update(self, match: MatchedPose, here: TrackPoint, *, unique: bool) -> MatchUpdate:
         """Take in a match of the past; says `outside_gate` where it is refused."""
         seen = self._observed(match, here)
         moved = (float(seen.innovation[0]), float(seen.innovation[1]), float(seen.innovation[2]))
@@ -117,7 +122,7 @@ class ScanMatches:
         self.taken(match)
         return MatchUpdate("accepted", nis, moved)
 
-    def taken(self, match: SeenMatch) -> None:
+    def taken(self, match: MatchedPose) -> None:
         """The pose follows this match."""
         self.run.forget()
         self._last = (match.time_ns, match.track.path_m)
@@ -131,7 +136,7 @@ class ScanMatches:
         """Whether refused matches agree with one another, though not with the pose."""
         return self.run.count >= self._model.recover_after_matches
 
-    def may_recover(self, match: SeenMatch, here: TrackPoint) -> bool:
+    def may_recover(self, match: MatchedPose, here: TrackPoint) -> bool:
         """Whether refused matches are to be believed: they insist over a distance, and the pose may be so far off."""
         model = self._model
         if not self.insist or self.run.path_m < model.recover_after_m:
@@ -147,7 +152,7 @@ class ScanMatches:
         position, yaw = model.match_sigma_floor_m**2, model.match_sigma_floor_rad**2
         return covariance + np.diag([position, position, yaw])
 
-    def _observed(self, match: SeenMatch, here: TrackPoint) -> _Observed:
+    def _observed(self, match: MatchedPose, here: TrackPoint) -> _Observed:
         """z = pose now - motion since + common; what was driven since turns with the yaw.
 
         What is seen is where the overlaid sweeps were in the mean: all motion since then is the wheels'.
@@ -180,21 +185,21 @@ class ScanMatches:
                 h[row, WHEEL_LAG] = -back.wheel_change_m_s * ahead[row]
         return _Observed(h, np.array([east, north, yaw]), match.covariance + late_noise(then, here))
 
-    def motion_share(self, behind: Behind, yaw_rad: float) -> Array:
+    def motion_share(self, behind: OverlayLag, yaw_rad: float) -> Array:
         """Covariance (3, 3) of what the wheels are not known by, over the way since the sweeps' mean."""
         p = self._state.p[np.ix_((SCALE, WHEEL_LAG), (SCALE, WHEEL_LAG))]
         way = np.array([behind.wheel_m, behind.wheel_change_m_s])
         ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
         return np.outer(ahead, ahead) * float(way @ p @ way)
 
-    def _contradicted(self, match: SeenMatch) -> bool:
+    def _contradicted(self, match: MatchedPose) -> bool:
         """Whether a match was refused just now: then one that moves the pose shows that the pose was wrong, and not
         that the wheels or the rotation sensor were."""
         if self._refused_ns is None:
             return False
         return match.time_ns - self._refused_ns <= self._model.holds_for_s * 1e9
 
-    def _could_be_elsewhere(self, match: SeenMatch) -> bool:
+    def _could_be_elsewhere(self, match: MatchedPose) -> bool:
         """Whether the pose is vague where the match is not: any place that looks alike would pass the gate."""
         model, p = self._model, self._state.p
         variances, directions = np.linalg.eigh(match.covariance[:2, :2])
@@ -203,7 +208,7 @@ class ScanMatches:
         yaw_vague = p[YAW, YAW] > model.match_sure_rad**2 > 10.0 * match.covariance[2, 2]
         return bool(place.any() or yaw_vague)
 
-    def _doubt_wheels(self, seen: _Observed, match: SeenMatch) -> bool:
+    def _doubt_wheels(self, seen: _Observed, match: MatchedPose) -> bool:
         """Doubt the wheels where that explains the match, and only that; says whether they are doubted from now on."""
         since_ns = None if self._wheels.active else self._other_way_since_ns(match)
         if since_ns is None:
@@ -222,7 +227,7 @@ class ScanMatches:
         h[0, WHEEL_SLIP], h[1, WHEEL_SLIP] = -late_s * math.cos(yaw), -late_s * math.sin(yaw)
         return h
 
-    def _other_way_since_ns(self, match: SeenMatch) -> int | None:
+    def _other_way_since_ns(self, match: MatchedPose) -> int | None:
         """When the newest match was since which this one and the wheels tell of different ways."""
         model, p = self._model, self._state.p
         ahead = np.array([math.cos(match.yaw_rad), math.sin(match.yaw_rad)])
@@ -238,7 +243,7 @@ class ScanMatches:
                 return one.time_ns
         return None
 
-    def _news(self, match: SeenMatch) -> float:
+    def _news(self, match: MatchedPose) -> float:
         """The share of a match, in ]0, 1], that the one before has not said already."""
         if self._last is None or self._wheels.active:  # nobody else says what was driven since
             return 1.0
@@ -247,10 +252,10 @@ class ScanMatches:
         return min(1.0, max(1e-3, distance + (match.time_ns - time_ns) * 1e-9 / self._model.match_renewed_s))
 
 
-def _behind_now(match: SeenMatch, here: TrackPoint) -> Behind:
+def _behind_now(match: MatchedPose, here: TrackPoint) -> OverlayLag:
     """How far behind the end of the track the match's sweeps lie in the mean."""
     then, behind = match.track, match.behind
-    return Behind(
+    return OverlayLag(
         here.path_m - then.path_m + behind.path_m,
         here.wheel_m - then.wheel_m + behind.wheel_m,
         here.wheel_m_s - then.wheel_m_s + behind.wheel_change_m_s,

@@ -67,7 +67,7 @@ class _Fix(NamedTuple):
     track: TrackPoint
 
 
-class FixTrackStart:
+class StartFromFixes:
     """Collects unconfirmed fixes of the antenna until they show a pose. Antenna x forward, y left (m)."""
 
     def __init__(

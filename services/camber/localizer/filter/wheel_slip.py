@@ -24,7 +24,7 @@ from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_filter import Array
 
 
-class WheelDoubt:
+class WheelSlipDetector:
     """Says whether the wheels are believed, and keeps the state that stands for what they miss."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:

@@ -6,17 +6,17 @@ import math
 
 from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork
 from camber.localizer.local_plane import LocalPlane
-from camber.localizer.map_queries import MapAnswers, NoAnswer, Reports
+from camber.localizer.map_queries import Diagnostics, MapAnswers, NoAnswer
 from camber.schemas.road import LinksRequest
 
 _REFETCH_SHARE = 0.4  # of the radius: so far may the vehicle go before links are fetched anew
 _FETCH_PAUSE_NS = 1_000_000_000  # between two attempts
 
 
-class LinksAround:
+class LinkCache:
     """A matcher over the links within `radius_m`."""
 
-    def __init__(self, radius_m: float, answers: MapAnswers, reports: Reports) -> None:
+    def __init__(self, radius_m: float, answers: MapAnswers, reports: Diagnostics) -> None:
         self._radius_m = radius_m
         self._answers, self._reports = answers, reports
         self._matcher: LinkMatcher | None = None
@@ -33,7 +33,7 @@ class LinksAround:
         if self._matcher is not None:
             self._matcher.reset()
 
-    def seen_version(self, map_version: int | None) -> None:
+    def note_map_version(self, map_version: int | None) -> None:
         """The elevations come from this version; links of another one are fetched anew."""
         if map_version is not None and self._version is not None and map_version != self._version:
             self._centre = None

@@ -26,7 +26,7 @@ from camber.localizer.filter.filter_state import DEVIATION, LANE, SHIFT_EAST, SH
 from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_filter import jacobian_s, jacobian_x, observation, wrapped
 from camber.localizer.links.link_matching import LinkId, LinkMatch
-from camber.localizer.links.link_offset_memory import LinkMemory
+from camber.localizer.links.link_offset_memory import LinkOffsetMemory
 
 CouplingOutcome: TypeAlias = Literal[
     "coupled",
@@ -54,7 +54,7 @@ class LinkCoupling:
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
-        self._memory = LinkMemory(state, model)
+        self._memory = LinkOffsetMemory(state, model)
         self.match = LinkMatch("none")
         self.sigma_m = 0.0  # of the link in use
         self.coupled_ns: int | None = None
@@ -76,7 +76,7 @@ class LinkCoupling:
             state.set_independent(index, 1.0)
             state.x[index] = 0.0
 
-    def hear(self, match: LinkMatch) -> None:
+    def set_link(self, match: LinkMatch) -> None:
         """The link of now, whether it is coupled or not."""
         self.match = match
         if match.status == "none":

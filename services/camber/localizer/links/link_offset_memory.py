@@ -27,7 +27,7 @@ class _Kept(NamedTuple):
     forward: bool
 
 
-class LinkMemory:
+class LinkOffsetMemory:
     """The deviations kept: one state each, behind the filter's own, the oldest first."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:

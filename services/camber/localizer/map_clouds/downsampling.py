@@ -12,7 +12,7 @@ from camber.localizer.map_clouds.voxel_grid import Floats, voxels
 _COARSER = 1.1
 
 
-def evenly_thinned(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floats:
+def thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floats:
     """Of points (n, 3) [m] at most so many, one for each voxel, in their order; all where they are few enough.
 
     Voxels grow from `voxel_m` until they are few enough. A point is one of those put in, never a mean: the mean of

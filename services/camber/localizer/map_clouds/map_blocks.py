@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.map_clouds.static_structure import in_steady_columns
+from camber.localizer.map_clouds.static_structure import static_mask
 from camber.localizer.map_clouds.voxel_grid import Floats, voxel_means
 from camber.localizer.matching.registration import LayerTarget
-from camber.localizer.matching.shift_profile import SeenFromAbove
+from camber.localizer.matching.shift_profile import OccupancyRaster
 from camber.localizer.road.road_raster import RoadHeights
 from camber.road_map.tile_grid import TILES, Tile, tile_frame, tile_of, tiles_around
 from camber.schemas.road import CloudTile
@@ -88,8 +88,8 @@ class Block:
     _layers: dict[tuple[float, float, bool], LayerTarget] = field(default_factory=dict, repr=False)
     _heights: Floats | None = field(default=None, repr=False)
     _road_target: LayerTarget | None = field(default=None, repr=False)
-    _steady: NDArray[np.bool_] | None = field(default=None, repr=False)
-    _above: SeenFromAbove | None = field(default=None, repr=False)
+    _static_columns: NDArray[np.bool_] | None = field(default=None, repr=False)
+    _above: OccupancyRaster | None = field(default=None, repr=False)
 
     def east_north(self, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
         """A place in the block's frame."""
@@ -110,16 +110,16 @@ class Block:
     @property
     def steady(self) -> NDArray[np.bool_]:
         """Which of the environment's points (n,) cannot have moved since the survey (`steady_columns`)."""
-        if self._steady is None:
-            self._steady = in_steady_columns(self.environment_m, self.height_above_road_m)
-        return self._steady
+        if self._static_columns is None:
+            self._static_columns = static_mask(self.environment_m, self.height_above_road_m)
+        return self._static_columns
 
     @property
-    def above(self) -> SeenFromAbove:
+    def above(self) -> OccupancyRaster:
         """What stands steady, as seen from above; drawn once."""
         if self._above is None:
             low = self.height_above_road_m < _HIGHEST_STANDING_M
-            self._above = SeenFromAbove.of(self.environment_m[self.steady & low])
+            self._above = OccupancyRaster.of(self.environment_m[self.steady & low])
         return self._above
 
     def layers(self, bounds: Bounds, *, steady: bool = True) -> tuple[LayerTarget, ...]:
@@ -160,7 +160,7 @@ class Block:
         return self.road.within(self.environment_m, lowest_m, high_m + LAYER_MARGIN_M)
 
 
-class CloudBlocks:
+class MapBlockStore:
     """Holds the clouds of the tiles around the vehicle and builds blocks from them."""
 
     def __init__(self, options: BlockOptions | None = None) -> None:

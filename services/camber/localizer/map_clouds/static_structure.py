@@ -33,7 +33,7 @@ ROOF_SPREAD_M: Final = 0.15
 """A roof is even, seen from the road; a crown over a road is not."""
 
 
-def in_steady_columns(points_m: Floats, heights_m: Floats) -> NDArray[np.bool_]:
+def static_mask(points_m: Floats, heights_m: Floats) -> NDArray[np.bool_]:
     """Of points (n, 3) with heights (n,) above the road, NaN where there is none: is each part of a steady column?"""
     if not len(points_m):
         return np.zeros(0, np.bool_)
@@ -41,7 +41,7 @@ def in_steady_columns(points_m: Floats, heights_m: Floats) -> NDArray[np.bool_]:
     cells -= cells.min(axis=0)
     columns = int(cells[:, 1].max()) + 1
     number = cells[:, 0] * columns + cells[:, 1]
-    steady = _steady(number, heights_m, (int(cells[:, 0].max()) + 1) * columns)
+    steady = _static_columns(number, heights_m, (int(cells[:, 0].max()) + 1) * columns)
     return steady | _under_roof(points_m, heights_m)
 
 
@@ -67,7 +67,7 @@ def _under_roof(points_m: Floats, heights_m: Floats) -> NDArray[np.bool_]:
 
 
 @compiled_without_gil
-def _steady(number: NDArray[np.int64], heights_m: Floats, count: int) -> NDArray[np.bool_]:
+def _static_columns(number: NDArray[np.int64], heights_m: Floats, count: int) -> NDArray[np.bool_]:
     seen = np.zeros(count, np.uint8)
     for i in range(len(number)):
         step = np.floor((heights_m[i] - LOWEST_M) / STEP_M)

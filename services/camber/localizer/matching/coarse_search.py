@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.localizer.map_clouds.downsampling import evenly_thinned
+from camber.localizer.map_clouds.downsampling import thinned_evenly
 from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions, match_layers
 from camber.localizer.matching.point_to_plane import moved
 from camber.localizer.matching.registration import LayerTarget
@@ -139,7 +139,7 @@ def _candidates(
     total = np.zeros((2 * turns + 1, 2 * shifts + 1, 2 * shifts + 1))
     for (low, high), target in zip(options.bounds_m, targets, strict=True):
         points_m = local_points_m[(heights_m >= low) & (heights_m < high)]
-        points_m = evenly_thinned(points_m, _POINTS_PER_LAYER)
+        points_m = thinned_evenly(points_m, _POINTS_PER_LAYER)
         if target.empty or len(points_m) < options.min_points:
             continue
         turned_m = points_m @ guess[:3, :3].T

@@ -20,7 +20,7 @@ RoadBy: TypeAlias = Literal["surface", "line"]
 _ROAD_SEEN_M = 8.0  # a sensor farther than this from the map's road is not above it
 
 
-class Standing(NamedTuple):
+class GroundAlignment(NamedTuple):
     """map_from_local (4, 4) in the block's frame, heights (n,) of the local map above the road, and the fit to it,
     None where no road was seen: then it stands as the map's road lies."""
 
@@ -47,7 +47,7 @@ class SensorHeights(NamedTuple):
     """By its own returns the sensor cannot be where its mount says."""
 
 
-def set_down(
+def align_to_road(
     points_m: Array,
     block: Block,
     east_m: float,
@@ -56,7 +56,7 @@ def set_down(
     near_m: float,
     *,
     by: RoadBy = "surface",
-) -> Standing | None:
+) -> GroundAlignment | None:
     """A local map (n, 3) with its origin at a place in the block, on the road that is nearest to a height there.
 
     By the surface of the ground that it sees itself, or by the document's line through the map's road about the
@@ -74,8 +74,8 @@ def set_down(
     fit = fit_road(points_m, heights_m, block.road_target, guess) if by == "surface" else None
     if fit is None or fit.status == "lost":
         placed = _on_line(guess, block)
-        return Standing(placed, surface.height_above(transform_points(placed, points_m)), None)
-    return Standing(
+        return GroundAlignment(placed, surface.height_above(transform_points(placed, points_m)), None)
+    return GroundAlignment(
         fit.map_from_local, surface.height_above(transform_points(fit.map_from_local, points_m)), fit
     )
 
@@ -90,7 +90,7 @@ def _on_line(guess: Array, block: Block) -> Array:
     return placed
 
 
-def sensor_heights(
+def measure_sensor_heights(
     sweep_m: Array, own: GroundPlane | None, mount: SensorMount, map_from_vehicle_: Array, block: Block
 ) -> SensorHeights:
     """What a sweep (n, 3) in the vehicle frame, its own returns from the road, and where it was matched say.

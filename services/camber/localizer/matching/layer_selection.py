@@ -33,7 +33,7 @@ class LayerEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class SelectedEstimate:
     """The answer of all. `agreed`: false where no majority was there, and the covariance holds the layers' spread."""
 
     offset: Floats
@@ -42,7 +42,7 @@ class Choice:
     agreed: bool
 
 
-def choose(estimates: Sequence[LayerEstimate], rule: Rule) -> Choice:
+def choose(estimates: Sequence[LayerEstimate], rule: Rule) -> SelectedEstimate:
     """One answer of at least one estimate. Only "voted" looks whether they agree."""
     if rule == "voted":
         return _voted(estimates)
@@ -57,18 +57,18 @@ def choose(estimates: Sequence[LayerEstimate], rule: Rule) -> Choice:
     weights = weights / weights.sum()
     offset = sum((w * e.offset for w, e in zip(weights, estimates, strict=True)), np.zeros(3))
     covariance = sum((w * e.covariance for w, e in zip(weights, estimates, strict=True)), np.zeros((3, 3)))
-    return Choice(offset, covariance, tuple(bool(w > 0.0) for w in weights), True)
+    return SelectedEstimate(offset, covariance, tuple(bool(w > 0.0) for w in weights), True)
 
 
-def _voted(estimates: Sequence[LayerEstimate]) -> Choice:
+def _voted(estimates: Sequence[LayerEstimate]) -> SelectedEstimate:
     groups = _largest_groups(estimates)
     if len(groups) == 1 and 2 * len(groups[0]) > len(estimates):
         members = groups[0]
         offset, covariance = fused([estimates[i] for i in members])
-        return Choice(offset, covariance, tuple(i in members for i in range(len(estimates))), True)
+        return SelectedEstimate(offset, covariance, tuple(i in members for i in range(len(estimates))), True)
     offset, covariance = fused(estimates)
     apart = np.array([e.offset - offset for e in estimates])
-    return Choice(offset, covariance + apart.T @ apart, (True,) * len(estimates), False)
+    return SelectedEstimate(offset, covariance + apart.T @ apart, (True,) * len(estimates), False)
 
 
 def fused(estimates: Sequence[LayerEstimate]) -> tuple[Floats, Floats]:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.localizer.map_clouds.downsampling import evenly_thinned
+from camber.localizer.map_clouds.downsampling import thinned_evenly
 from camber.localizer.matching.layer_selection import LayerEstimate, Rule, choose
 from camber.localizer.matching.match_covariance import (
     UNSEEN_M,
@@ -29,12 +29,12 @@ from camber.localizer.matching.match_covariance import (
     without_unseen,
 )
 from camber.localizer.matching.point_to_plane import (
-    Pairs,
-    PlaneFit,
-    fit_planes,
+    Correspondences,
+    IcpResult,
+    find_correspondences,
+    icp_point_to_plane,
     moved,
-    nearest_pairs,
-    plane_rows,
+    normal_equations,
 )
 from camber.localizer.matching.registration import LayerFit, LayerTarget, Method, fit_of, register
 
@@ -86,7 +86,7 @@ class MatchOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class LayerRow:
+class LayerMatch:
     """One layer of a match."""
 
     bounds_m: tuple[float, float]
@@ -112,7 +112,7 @@ class LayeredMatch:
     """(4, 4)"""
     covariance: Floats
     """(3, 3) of east, north [m], yaw [rad] of L's origin, in the map's frame."""
-    layers: tuple[LayerRow, ...]
+    layers: tuple[LayerMatch, ...]
 
     @property
     def east_m(self) -> float:
@@ -145,7 +145,7 @@ def match_layers(
     if len(targets) != len(options.bounds_m):
         raise ValueError(f"{len(targets)} targets, expected {len(options.bounds_m)}, one for each layer")
     sources = [
-        evenly_thinned(local_points_m[(heights_m >= low) & (heights_m < high)], options.points_per_layer)
+        thinned_evenly(local_points_m[(heights_m >= low) & (heights_m < high)], options.points_per_layer)
         for low, high in options.bounds_m
     ]
     start = _joint_start(sources, targets, guess, options) if options.method == "point_to_plane" else None
@@ -157,31 +157,31 @@ def match_layers(
 
 def _joint_start(
     sources: Sequence[Floats], targets: Sequence[LayerTarget], guess: Floats, options: MatchOptions
-) -> PlaneFit:
-    few = [evenly_thinned(source, options.points_at_start) for source in sources]
+) -> IcpResult:
+    few = [thinned_evenly(source, options.points_at_start) for source in sources]
     reach_m = options.capture_distance_m
     layers = list(zip(targets, few, strict=True))
-    return fit_planes(layers, guess, "planar", reach_m, reach_m / 3.0, _LAYER_SCALE_M)
+    return icp_point_to_plane(layers, guess, "planar", reach_m, reach_m / 3.0, _LAYER_SCALE_M)
 
 
 def _registered(
-    source_m: Floats, target: LayerTarget, guess: Floats, start: PlaneFit | None, options: MatchOptions
-) -> tuple[LayerFit, Floats, Pairs]:
+    source_m: Floats, target: LayerTarget, guess: Floats, start: IcpResult | None, options: MatchOptions
+) -> tuple[LayerFit, Floats, Correspondences]:
     """The layer's fit, its offset from the guess, and the pairs there."""
     d_max_m = options.max_distance_m
     if options.method == "point_to_plane":
         begin = guess if start is None else start.transform
         limit = options.max_iterations
-        planes = fit_planes(
+        planes = icp_point_to_plane(
             [(target, source_m)], begin, "planar", d_max_m, _LAYER_SCALE_M, max_iterations=limit
         )
-        pairs = nearest_pairs(target, source_m, planes.transform)
+        pairs = find_correspondences(target, source_m, planes.transform)
         iterations = planes.iterations + (0 if start is None else start.iterations)
         fit = fit_of(planes.transform, planes.converged, iterations, pairs[1], d_max_m)
         return fit, _offset(guess, fit.transform), pairs
     fit = register(target, source_m, guess, options.method, d_max_m, options.max_iterations)
     offset = _offset(guess, fit.transform)
-    return fit, offset, nearest_pairs(target, source_m, moved(guess, offset, "planar"))
+    return fit, offset, find_correspondences(target, source_m, moved(guess, offset, "planar"))
 
 
 def _row(
@@ -189,11 +189,11 @@ def _row(
     source_m: Floats,
     target: LayerTarget,
     guess: Floats,
-    start: PlaneFit | None,
+    start: IcpResult | None,
     options: MatchOptions,
-) -> LayerRow:
+) -> LayerMatch:
     fit, offset, pairs = _registered(source_m, target, guess, start, options)
-    planes = plane_rows(target, source_m, moved(guess, offset, "planar"), "planar", pairs)
+    planes = normal_equations(target, source_m, moved(guess, offset, "planar"), "planar", pairs)
     residual = math.sqrt(planes.square / planes.weight) if planes.weight else math.inf
     outcome: Literal["used", "too_few_points", "not_converged", "low_overlap", "large_residual"] = "used"
     if fit.points < options.min_points or target.empty:
@@ -210,7 +210,7 @@ def _row(
         # Least squares of points follow what has moved; what the planes would still correct is evidence of it.
         step = planes.step()
         covariance = covariance + np.outer(step, step)
-    return LayerRow(bounds_m, fit, offset, covariance, residual, inliers, outcome)
+    return LayerMatch(bounds_m, fit, offset, covariance, residual, inliers, outcome)
 
 
 def _offset(guess: Floats, transform: Floats) -> Floats:
@@ -223,7 +223,7 @@ def _offset(guess: Floats, transform: Floats) -> Floats:
     )
 
 
-def _answer(rows: list[LayerRow], guess: Floats, options: MatchOptions) -> LayeredMatch:
+def _answer(rows: list[LayerMatch], guess: Floats, options: MatchOptions) -> LayeredMatch:
     usable = [i for i, row in enumerate(rows) if row.outcome == "used"]
     asked = [row for row in rows if row.outcome != "too_few_points"]
     if not usable:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
-from camber.localizer.filter.dead_reckoning import Behind, TrackPoint
+from camber.localizer.filter.dead_reckoning import OverlayLag, TrackPoint
 from camber.localizer.map_clouds.voxel_grid import Floats, voxel_means
 from camber.localizer.matching.sweep_preparation import PreparedSweep
 
@@ -39,7 +39,7 @@ class LocalCloud:
     points_m: Floats
     sweeps: int
     path_m: float
-    behind: Behind
+    behind: OverlayLag
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +119,9 @@ class LocalMap:
             behind=self._behind(),
         )
 
-    def _behind(self) -> Behind:
+    def _behind(self) -> OverlayLag:
         newest, n = self._stands[-1].at, len(self._stands)
-        return Behind(
+        return OverlayLag(
             sum(newest.path_m - stand.at.path_m for stand in self._stands) / n,
             sum(newest.wheel_m - stand.at.wheel_m for stand in self._stands) / n,
             sum(newest.wheel_m_s - stand.at.wheel_m_s for stand in self._stands) / n,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.localizer.map_clouds.downsampling import voxel_count
-from camber.localizer.matching.point_to_plane import PlaneRows
+from camber.localizer.matching.point_to_plane import NormalEquations
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ DEGENERATE_SIGMA_M = 0.5
 """A direction known less well than this is not known well enough to be called a match."""
 
 
-def planar_covariance(rows: PlaneRows, source_m: Floats) -> Floats:
+def planar_covariance(rows: NormalEquations, source_m: Floats) -> Floats:
     """Covariance (3, 3) of east, north [m], yaw [rad] of a fit by these rows of a cloud (n, 3) [m].
 
     σ of the rows that turn out too small are scaled up to their residuals, never down.

@@ -27,7 +27,7 @@ from camber.geodesy.se3 import transform_points
 from camber.localizer.matching.registration import LayerTarget
 
 Floats = NDArray[np.float64]
-Pairs = tuple[NDArray[np.int64], Floats]
+Correspondences = tuple[NDArray[np.int64], Floats]
 Free = Literal["planar", "vertical"]
 
 NOISE_M = 0.03
@@ -46,7 +46,7 @@ _STEP_RAD = 1.0e-4
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneRows:
+class NormalEquations:
     """What point-to-plane rows at a transform say of three parameters; rows weighted by 1/σ²."""
 
     normal_matrix: Floats
@@ -94,7 +94,7 @@ class PlaneRows:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneFit:
+class IcpResult:
     """Where a fit ended: map_from_local (4, 4), and whether its last step was small."""
 
     transform: Floats
@@ -102,7 +102,7 @@ class PlaneFit:
     iterations: int
 
 
-def fit_planes(
+def icp_point_to_plane(
     layers: Sequence[tuple[LayerTarget, Floats]],
     guess: Floats,
     free: Free,
@@ -110,7 +110,7 @@ def fit_planes(
     first_scale_m: float,
     last_scale_m: float = 0.0,
     max_iterations: int = MAX_ITERATIONS,
-) -> PlaneFit:
+) -> IcpResult:
     """Fit clouds (n, 3) [m], each to its part of the map, all by one motion from `guess`, map_from_local (4, 4).
 
     The scale narrows from the first to the last; pairs may be `max_distance_m` apart, and once the scale is below the
@@ -118,51 +118,51 @@ def fit_planes(
     steps to be small.
     """
     transform = np.array(guess, dtype=np.float64)
-    scale_m, searched_at, pairs = first_scale_m, transform, list[Pairs]()
+    scale_m, searched_at, pairs = first_scale_m, transform, list[Correspondences]()
     for iteration in range(1, max_iterations + 1):
         last = scale_m < max(NOISE_M, last_scale_m)
         distance_m = min(max_distance_m, LAST_DISTANCE_M) if scale_m < NOISE_M else max_distance_m
         if not pairs or _apart_m(transform, searched_at) > _SEARCH_AGAIN_M:
-            pairs = [nearest_pairs(target, source, transform) for target, source in layers]
+            pairs = [find_correspondences(target, source, transform) for target, source in layers]
             searched_at = transform
         width_m = scale_m if scale_m >= NOISE_M else 0.0
-        rows = sum_of_rows(
+        rows = summed(
             [
-                plane_rows(target, source, transform, free, pair, distance_m, width_m)
+                normal_equations(target, source, transform, free, pair, distance_m, width_m)
                 for (target, source), pair in zip(layers, pairs, strict=True)
             ]
         )
         if rows is None:
-            return PlaneFit(transform, False, iteration)
+            return IcpResult(transform, False, iteration)
         step = rows.step()
         transform = moved(transform, step, free)
         if last and (last_scale_m > NOISE_M or _is_small(step, free)):
-            return PlaneFit(transform, True, iteration)
+            return IcpResult(transform, True, iteration)
         scale_m *= _NARROWING
-    return PlaneFit(transform, False, max_iterations)
+    return IcpResult(transform, False, max_iterations)
 
 
-def nearest_pairs(target: LayerTarget, source_m: Floats, transform: Floats) -> Pairs:
+def find_correspondences(target: LayerTarget, source_m: Floats, transform: Floats) -> Correspondences:
     """Of a cloud (n, 3) [m] at `transform` the rows (n,) of the nearest map points, and their distances (n,) [m]."""
     if target.empty or not len(source_m):
         return np.zeros(len(source_m), np.int64), np.full(len(source_m), np.inf)
     return target.nearest(transform_points(transform, source_m))
 
 
-def plane_rows(
+def normal_equations(
     target: LayerTarget,
     source_m: Floats,
     transform: Floats,
     free: Free,
-    pairs: Pairs,
+    pairs: Correspondences,
     max_distance_m: float = LAST_DISTANCE_M,
     scale_m: float = 0.0,
-) -> PlaneRows:
+) -> NormalEquations:
     """The rows of a cloud (n, 3) [m] at `transform`, map_from_local (4, 4); `scale_m` widens their σ."""
     matrix, chance, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     kept = np.zeros(len(source_m), np.bool_)
     if target.empty or not len(source_m):
-        return PlaneRows(matrix, chance, gradient, 0.0, 0.0, kept)
+        return NormalEquations(matrix, chance, gradient, 0.0, 0.0, kept)
     points_m = transform_points(transform, source_m)
     shift, turn = _motions(transform, free)
     weight, square = _accumulate(
@@ -170,14 +170,14 @@ def plane_rows(
         np.ascontiguousarray(transform[:3, 3]), shift, turn, max_distance_m, NOISE_M**2 + scale_m**2,
         matrix, chance, gradient, kept,
     )  # fmt: skip
-    return PlaneRows(matrix, chance, gradient, weight, square, kept)
+    return NormalEquations(matrix, chance, gradient, weight, square, kept)
 
 
-def sum_of_rows(parts: Sequence[PlaneRows]) -> PlaneRows | None:
+def summed(parts: Sequence[NormalEquations]) -> NormalEquations | None:
     """The rows of several clouds at one transform together; None where none is paired."""
     if not any(part.weight > 0.0 for part in parts):
         return None
-    return PlaneRows(
+    return NormalEquations(
         sum((part.normal_matrix for part in parts), np.zeros((3, 3))),
         sum((part.by_chance for part in parts), np.zeros((3, 3))),
         sum((part.gradient for part in parts), np.zeros(3)),

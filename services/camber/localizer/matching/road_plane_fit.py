@@ -14,9 +14,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.localizer.map_clouds.downsampling import evenly_thinned, voxel_count
+from camber.localizer.map_clouds.downsampling import thinned_evenly, voxel_count
 from camber.localizer.matching.match_covariance import PATCH_M
-from camber.localizer.matching.point_to_plane import fit_planes, nearest_pairs, plane_rows
+from camber.localizer.matching.point_to_plane import (
+    find_correspondences,
+    icp_point_to_plane,
+    normal_equations,
+)
 from camber.localizer.matching.registration import LayerTarget
 
 Floats = NDArray[np.float64]
@@ -59,13 +63,15 @@ def fit_road(local_points_m: Floats, heights_m: Floats, road: LayerTarget, guess
     `guess` is map_from_local (4, 4). Ambiguous: a slope is not seen (a narrow strip of road) and stays the guess's.
     """
     near = np.hypot(local_points_m[:, 0], local_points_m[:, 1]) < NEAR_M
-    ground = evenly_thinned(local_points_m[near & (np.abs(heights_m) < GROUND_M)], _AT_MOST)
-    ground = ground[nearest_pairs(road, ground, guess)[1] <= MAX_DISTANCE_M]
+    ground = thinned_evenly(local_points_m[near & (np.abs(heights_m) < GROUND_M)], _AT_MOST)
+    ground = ground[find_correspondences(road, ground, guess)[1] <= MAX_DISTANCE_M]
     unseen = np.diag(_UNSEEN**2)
     if len(ground) < _MIN_POINTS:
         return RoadFit("lost", guess.copy(), unseen, len(ground), 0, math.inf)
-    fit = fit_planes([(road, ground)], guess, "vertical", MAX_DISTANCE_M, _FIRST_SCALE_M)
-    rows = plane_rows(road, ground, fit.transform, "vertical", nearest_pairs(road, ground, fit.transform))
+    fit = icp_point_to_plane([(road, ground)], guess, "vertical", MAX_DISTANCE_M, _FIRST_SCALE_M)
+    rows = normal_equations(
+        road, ground, fit.transform, "vertical", find_correspondences(road, ground, fit.transform)
+    )
     kept = int(np.count_nonzero(rows.kept))
     residual = math.sqrt(rows.square / rows.weight) if rows.weight else math.inf
     if not fit.converged or 2 * kept < len(ground) or residual > _MAX_RESIDUAL:

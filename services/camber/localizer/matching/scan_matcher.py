@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
-from camber.localizer.filter.dead_reckoning import Behind
+from camber.localizer.filter.dead_reckoning import OverlayLag
 from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.pose_filter import PoseFilter
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.map_clouds.map_blocks import Block, BlockOptions
-from camber.localizer.map_clouds.tile_supply import CloudSupply
-from camber.localizer.map_queries import MapAnswers, Reports
+from camber.localizer.map_clouds.tile_loading import CloudTileLoader
+from camber.localizer.map_queries import Diagnostics, MapAnswers
 from camber.localizer.matching.coarse_search import REACH_M, REACH_RAD, SearchResult, search, seems_mirrored
 from camber.localizer.matching.ground_alignment import (
+    GroundAlignment,
     RoadBy,
     SensorHeights,
-    Standing,
-    sensor_heights,
-    set_down,
+    align_to_road,
+    measure_sensor_heights,
 )
 from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions, match_layers
 from camber.localizer.matching.local_map import LEVEL, LocalMap
@@ -97,19 +97,19 @@ class _Found(NamedTuple):
     """A match, where the local map stood for it, and whether a search says that there is no other place like it."""
 
     match: LayeredMatch
-    standing: Standing
+    standing: GroundAlignment
     unique: bool
-    behind: Behind
+    behind: OverlayLag
 
 
 class ScanMatcher:
     """One sensor's sweeps. Call `work` after what was heard of one time."""
 
     def __init__(
-        self, options: ScanMatchOptions, pose: PoseFilter, answers: MapAnswers, reports: Reports
+        self, options: ScanMatchOptions, pose: PoseFilter, answers: MapAnswers, reports: Diagnostics
     ) -> None:
         self._options, self._filter, self._reports = options, pose, reports
-        self._supply = CloudSupply(options.blocks, answers, reports)
+        self._supply = CloudTileLoader(options.blocks, answers, reports)
         self._local_map = LocalMap(options.sweeps)
         self._waiting: deque[Sweep] = deque()
         self._tilt: tuple[float, float] | None = None  # roll and pitch by a sensor
@@ -118,29 +118,29 @@ class ScanMatcher:
         self._height: tuple[float, float] | None = None
         self._last_sweep_ns: int | None = None
         self._searched_ns = _NEVER_SEARCHED_NS
-        self._in_vain = 0  # matches in a row that were lost or refused
+        self._consecutive_failures = 0  # matches in a row that were lost or refused
         self._misplaced = 0
         self._view: tuple[int, Array, Block, _Found] | None = None
         self.reason = ""
 
     # What is heard
 
-    def hear(self, sweep: Sweep) -> None:
+    def add_sweep(self, sweep: Sweep) -> None:
         """A sweep, worked off when the motion up to its end is known."""
         if len(self._waiting) == _MOST_WAITING:
             self._waiting.popleft()
             self._reports.count("sweep.dropped")
         self._waiting.append(sweep)
 
-    def hear_tilt(self, roll_rad: float | None, pitch_rad: float | None) -> None:
+    def set_attitude(self, roll_rad: float | None, pitch_rad: float | None) -> None:
         """Roll and pitch against gravity by a sensor; None where it gave nothing."""
         self._tilt = None if roll_rad is None or pitch_rad is None else (roll_rad, pitch_rad)
 
-    def seen_version(self, map_version: int | None) -> None:
+    def note_map_version(self, map_version: int | None) -> None:
         """The map's other answers are of this version."""
-        self._supply.seen_version(map_version)
+        self._supply.note_map_version(map_version)
 
-    def forget_height(self) -> None:
+    def reset_road_height(self) -> None:
         """The pose has jumped: the level may be another one."""
         self._height = None
 
@@ -194,7 +194,7 @@ class ScanMatcher:
             return self._lost(raw.time_ns, f"sweep: {sweep.problem or 'no_motion'}")
         self._last_sweep_ns = raw.time_ns
         estimate = self._filter.estimate()
-        if estimate is not None and estimate.wheels_doubted:
+        if estimate is not None and estimate.wheel_slip_suspected:
             self._local_map.reset()  # sweeps laid on one another by a wrong speed are a smear
         own = ground_plane(sweep.points_m, self._options.mount)
         self._local_map.add(sweep, sweep.at, self._tilt, road_tilt=own.tilt if own is not None else LEVEL)
@@ -218,7 +218,7 @@ class ScanMatcher:
             self._build_ahead(plane, prediction, estimate.speed_m_s)
         if found is None:
             return self._lost(raw.time_ns, "map: no road here")
-        return self._told(sweep, own, found, plane, block, turned_rad)
+        return self._apply_match(sweep, own, found, plane, block, turned_rad)
 
     def _build_ahead(self, plane: LocalPlane, prediction: Prediction, speed_m_s: float) -> None:
         """A step towards the block where the vehicle will be in some seconds, so that no border costs half a second."""
@@ -250,7 +250,7 @@ class ScanMatcher:
         east_m, north_m = block.east_north(*place)
         yaw_rad = prediction.yaw_rad - turned_rad
         by = self._options.road_by
-        standing = set_down(local.points_m, block, east_m, north_m, yaw_rad, near_m, by=by)
+        standing = align_to_road(local.points_m, block, east_m, north_m, yaw_rad, near_m, by=by)
         if standing is None:
             return None
         targets = block.layers(options.bounds_m)
@@ -263,7 +263,11 @@ class ScanMatcher:
             match, unique = result.match, result.unique and result.match.status != "lost"
             if result.rivals and _beats(result, local.points_m, standing, block):
                 match, unique = result.best, True
-            if self._in_vain and self._in_vain % _MIRRORED_AFTER == 0 and seems_mirrored(*material):
+            if (
+                self._consecutive_failures
+                and self._consecutive_failures % _MIRRORED_AFTER == 0
+                and seems_mirrored(*material)
+            ):
                 self._reports.issue("sensor_mirrored", "sweeps fit the map with left and right exchanged")
         else:
             match = match_layers(*material)
@@ -279,7 +283,7 @@ class ScanMatcher:
         return found
 
     def _by_low_things(
-        self, points_m: Array, standing: Standing, block: Block, reach: tuple[float, float] | None
+        self, points_m: Array, standing: GroundAlignment, block: Block, reach: tuple[float, float] | None
     ) -> tuple[LayeredMatch, bool]:
         """Where nothing fits that stands: by fences, hedges and cars, which may have moved; believed no more."""
         options = self._options.match
@@ -302,7 +306,7 @@ class ScanMatcher:
 
     def _search_reach(self, prediction: Prediction, time_ns: int) -> tuple[float, float] | None:
         """How far to search (m, rad); None: no search now."""
-        in_vain = self._in_vain >= _SEARCH_AFTER or self._filter.mode == "provisional"
+        in_vain = self._consecutive_failures >= _SEARCH_AFTER or self._filter.mode == "provisional"
         if not in_vain and not self._too_wide(prediction):
             return None
         if 0 <= time_ns - self._searched_ns < _SEARCH_PAUSE_NS:
@@ -315,7 +319,7 @@ class ScanMatcher:
 
     # What comes out
 
-    def _told(
+    def _apply_match(
         self,
         sweep: PreparedSweep,
         own: GroundPlane | None,
@@ -326,7 +330,9 @@ class ScanMatcher:
     ) -> tuple[ScanMatch, bool]:
         """Tell the filter, and everybody else what has become of the match."""
         match, standing = found.match, found.standing
-        heights = sensor_heights(sweep.points_m, own, self._options.mount, match.map_from_local, block)
+        heights = measure_sensor_heights(
+            sweep.points_m, own, self._options.mount, match.map_from_local, block
+        )
         self._misplaced = self._misplaced + 1 if heights.misplaced else 0
         status: str = match.status
         reason: str = "" if status == "converged" else match.reason
@@ -349,10 +355,10 @@ class ScanMatcher:
             if outcome == "outside_gate":
                 status, reason = "ambiguous", "contradicts the pose"
         if status != "lost" and outcome in ("accepted", "recovered", "supported"):
-            self._in_vain = 0
+            self._consecutive_failures = 0
             self._keep_attitude(sweep.time_ns, heights.map_from_vehicle, standing, block)
         else:
-            self._in_vain += 1
+            self._consecutive_failures += 1
         self.reason = f"scan match {status}: {reason}" if reason else ""
         if status != "lost":
             share = self._filter.motion_share(found.behind, match.yaw_rad)
@@ -360,7 +366,9 @@ class ScanMatcher:
         said = _message(sweep.time_ns, status, reason, match, heights, self._options.mount, block)
         return said, outcome in ("recovered", "supported")
 
-    def _keep_attitude(self, time_ns: int, map_from_vehicle: Array, standing: Standing, block: Block) -> None:
+    def _keep_attitude(
+        self, time_ns: int, map_from_vehicle: Array, standing: GroundAlignment, block: Block
+    ) -> None:
         if standing.road is None:
             return
         roll_rad, pitch_rad, _ = roll_pitch_yaw_from_rotation(map_from_vehicle)
@@ -369,12 +377,12 @@ class ScanMatcher:
 
     def _lost(self, time_ns: int, reason: str) -> tuple[ScanMatch, bool]:
         self.reason = f"scan match lost: {reason}"
-        self._in_vain += 1
+        self._consecutive_failures += 1
         self._reports.count("match.lost")
         return ScanMatch(time_ns=time_ns, status="lost", reason=reason), False
 
 
-def _beats(result: SearchResult, points_m: Array, standing: Standing, block: Block) -> bool:
+def _beats(result: SearchResult, points_m: Array, standing: GroundAlignment, block: Block) -> bool:
     """Whether what stands tells the best place from those that have as many points on the map: long walls fit
     anywhere along themselves, and outnumber what does not."""
     poses = [result.best.map_from_local, *(rival.map_from_local for rival in result.rivals)]
@@ -382,11 +390,11 @@ def _beats(result: SearchResult, points_m: Array, standing: Standing, block: Blo
     return bool(best - max(others) > _RIVAL_GONE)
 
 
-def _stands(standing: Standing) -> NDArray[np.bool_]:
+def _stands(standing: GroundAlignment) -> NDArray[np.bool_]:
     return (standing.heights_m > STANDING_M[0]) & (standing.heights_m < STANDING_M[1])
 
 
-def _doubted(match: LayeredMatch, points_m: Array, standing: Standing, block: Block) -> LayeredMatch:
+def _doubted(match: LayeredMatch, points_m: Array, standing: GroundAlignment, block: Block) -> LayeredMatch:
     """A match that is not lost, with the variance that shifts along its worst direction leave open."""
     values, vectors = np.linalg.eigh(match.covariance[:2, :2])
     worst = vectors[:, 1]

@@ -37,14 +37,14 @@ CORRELATED: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenFromAbove:
+class OccupancyRaster:
     """Nearness (rows, columns) of 0 to 255 to what stands, east by north, from a corner."""
 
     corner_m: Floats
     nearness: Raster
 
     @classmethod
-    def of(cls, points_m: Floats) -> SeenFromAbove:
+    def of(cls, points_m: Floats) -> OccupancyRaster:
         """Of points (n, 3) [m] of what stands."""
         if not len(points_m):
             return cls(np.zeros(2), np.zeros((1, 1), np.uint8))
@@ -67,7 +67,7 @@ class ShiftProfile(NamedTuple):
         return self.mean_m**2 + self.sigma_m**2
 
 
-def shift_profile(points_m: Floats, above: SeenFromAbove, direction: Floats) -> ShiftProfile:
+def shift_profile(points_m: Floats, above: OccupancyRaster, direction: Floats) -> ShiftProfile:
     """Of points (n, 2) or (n, 3) [m] in the map's frame, as matched, along a unit vector (2,)."""
     if not len(points_m):
         return ShiftProfile(0.0, REACH_M)
@@ -82,7 +82,7 @@ def shift_profile(points_m: Floats, above: SeenFromAbove, direction: Floats) -> 
     return ShiftProfile(mean_m, math.sqrt(float(weight @ (shifts_m - mean_m) ** 2) + STEP_M**2 / 12.0))
 
 
-def log_likelihoods(points_m: Floats, poses: Sequence[Floats], above: SeenFromAbove) -> Floats:
+def log_likelihoods(points_m: Floats, poses: Sequence[Floats], above: OccupancyRaster) -> Floats:
     """How well each of some poses (4, 4), map from local, explains what stands in a local map (n, 3) [m]; up to a
     common constant."""
     if not len(points_m):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.localizer.filter.pose_filter import PoseEstimate
-from camber.localizer.map_queries import MapAnswers, NoAnswer, Reports
+from camber.localizer.map_queries import Diagnostics, MapAnswers, NoAnswer
 from camber.localizer.road.road_prefetch import RoadAhead, places_ahead
 from camber.schemas.pose import Road
 from camber.schemas.road import ElevationRequest
@@ -30,7 +30,7 @@ class _Driven(NamedTuple):
     longitude_rad: float
 
 
-class RoadUnder:
+class RoadBelowAntenna:
     """Remembers the last road and what lies ahead; nothing of a height comes in but the map's own.
 
     Where roads part or join, or change their level, several links are in question, and their surfaces lie on one
@@ -39,7 +39,7 @@ class RoadUnder:
     under the antenna. Where their edges are nearer than the pose is known, only the links can tell.
     """
 
-    def __init__(self, sigma_limit_m: float, answers: MapAnswers, reports: Reports) -> None:
+    def __init__(self, sigma_limit_m: float, answers: MapAnswers, reports: Diagnostics) -> None:
         self._sigma_limit_m = sigma_limit_m
         self._answers, self._reports = answers, reports
         self._ahead: RoadAhead | None = None

@@ -80,14 +80,14 @@ def localize(
     sweep_s: list[float] = []
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
-            fixed.before(tick.time_ns + 1, localization.hear_fix)
-            confirmed.before(tick.time_ns, localization.hear_verdict)
+            fixed.before(tick.time_ns + 1, localization.on_fix)
+            confirmed.before(tick.time_ns, localization.on_verdict)
             for motion in tick.motion:
-                localization.hear_motion(motion)
+                localization.on_motion(motion)
             sweeps = list(reader.read(tick.sweeps)) if matcher is not None else []
             began_s = time.perf_counter()
             for sweep in sweeps:
-                localization.hear_sweep(sweep)
+                localization.on_sweep(sweep)
             step = localization.advance()
             if step.matches:
                 sweep_s.append((time.perf_counter() - began_s) / len(step.matches))

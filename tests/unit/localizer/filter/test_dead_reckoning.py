@@ -20,8 +20,8 @@ from camber.localizer.filter.dead_reckoning import (
     YAW,
     MotionModel,
     MotionSample,
-    Odometer,
     RelativeTrack,
+    WheelOdometry,
     propagate,
     rotation,
 )
@@ -34,7 +34,7 @@ class Reckoner:
     """Odometer and propagation with nothing else."""
 
     def __init__(self, model=MODEL, yaw=0.0):
-        self.model, self.odometer, self.track = model, Odometer(model), RelativeTrack()
+        self.model, self.odometer, self.track = model, WheelOdometry(model), RelativeTrack()
         self.x = np.zeros(N_MOTION)
         self.x[YAW] = yaw
         self.p = np.diag([1e-4, 1e-4, 1e-6] + [1e-12] * (N_MOTION - 3))
@@ -104,7 +104,7 @@ def test_propagation_carries_the_covariance_by_its_true_derivatives(sensor):
     steering, rate, speed, dt = 0.12, 0.3, 7.0, 0.1
 
     def run(x):
-        x, p, odometer = x.copy(), np.zeros((N_MOTION, N_MOTION)), Odometer(model)
+        x, p, odometer = x.copy(), np.zeros((N_MOTION, N_MOTION)), WheelOdometry(model)
         odometer.advance(MotionSample(0, speed - 0.2, rate, steering), 0.0)
         step = odometer.advance(MotionSample(round(dt * 1e9), speed, rate, steering), 0.0)
         turn = rotation(step, sensor, model, float(x[BIAS_A]), float(x[SCALE]), float(x[TURN_GAIN]))

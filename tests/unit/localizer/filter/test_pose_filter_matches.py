@@ -9,7 +9,7 @@ from scipy import stats
 
 from camber.localizer.filter.dead_reckoning import SCALE, MotionSample
 from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
-from camber.localizer.filter.start import FixTrackStart, StartPose, lever_arm
+from camber.localizer.filter.start import StartFromFixes, StartPose, lever_arm
 from camber.localizer.links.link_filter import LinkLine
 from camber.localizer.links.link_matching import LinkMatch
 
@@ -393,12 +393,12 @@ def test_a_slip_is_noticed_held_by_matches_and_teaches_the_scale_nothing():
             vehicle.step(8.0, slip=slip)
             vehicle.match()
             worst = max(worst, vehicle.distance())
-            doubted |= vehicle.filter.estimate().wheels_doubted
+            doubted |= vehicle.filter.estimate().wheel_slip_suspected
         assert doubted
         assert worst < 0.5, "without matches it would be 12 m"
         vehicle.drive(5.0, 8.0)
         e = vehicle.filter.estimate()
-        assert not e.wheels_doubted
+        assert not e.wheel_slip_suspected
         assert abs(vehicle.filter._state.x[SCALE] - scale) < 0.002
         assert vehicle.distance() < 0.1
 
@@ -407,7 +407,7 @@ def test_a_slip_without_any_witness_is_noticed_by_an_acceleration_that_no_vehicl
     vehicle = matched_vehicle()
     for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.2, 1.1):
         vehicle.step(8.0, slip=slip)
-    assert vehicle.filter.estimate().wheels_doubted
+    assert vehicle.filter.estimate().wheel_slip_suspected
     vehicle.drive(3.0, 8.0, matches=False)
     assert vehicle.distance() > 1.0
     assert vehicle.nees() < 16.3
@@ -417,10 +417,10 @@ def test_wheels_that_cease_to_slip_are_believed_again_without_a_witness():
     vehicle = matched_vehicle()
     for slip in (1.1, 1.2, 1.3, *[1.3] * 40, 1.24, 1.18, 1.12, 1.06):
         vehicle.step(8.0, slip=slip)
-    assert vehicle.filter.estimate().wheels_doubted
+    assert vehicle.filter.estimate().wheel_slip_suspected
     vehicle.drive(1.5, 8.0, matches=False)
     e = vehicle.filter.estimate()
-    assert not e.wheels_doubted
+    assert not e.wheel_slip_suspected
     assert e.speed_m_s == pytest.approx(8.0, abs=0.3)
     assert vehicle.nees() < 16.3
 
@@ -441,7 +441,7 @@ def test_a_slow_slip_is_noticed_by_the_matches():
     for k in range(60):
         vehicle.step(8.0, slip=1.0 + min(0.01 * k, 0.2))
         vehicle.match()
-        doubted |= vehicle.filter.estimate().wheels_doubted
+        doubted |= vehicle.filter.estimate().wheel_slip_suspected
         worst = max(worst, vehicle.distance())
     assert doubted
     assert worst < 0.5, "without matches it would be 8 m"
@@ -454,7 +454,7 @@ def test_matches_that_are_off_as_the_ones_before_were_do_not_make_the_wheels_dou
             vehicle.step(8.0 if k < 80 else 0.0)
             result = vehicle.match(off=(min(0.004 * k, 0.3), 0.0, 0.0))
             assert result.outcome == "accepted"
-            assert not vehicle.filter.estimate().wheels_doubted
+            assert not vehicle.filter.estimate().wheel_slip_suspected
 
 
 def test_wheels_that_stand_stop_a_vehicle_that_slides():
@@ -462,11 +462,11 @@ def test_wheels_that_stand_stop_a_vehicle_that_slides():
     for slip in (0.4, *[0.0] * 20):
         vehicle.step(0.0, slip=slip)
     assert vehicle.speed > 1.0
-    assert vehicle.filter.estimate().wheels_doubted
+    assert vehicle.filter.estimate().wheel_slip_suspected
     assert vehicle.nees() < 16.3
     vehicle.drive(3.5, 0.0, matches=False)
     e = vehicle.filter.estimate()
-    assert not e.wheels_doubted
+    assert not e.wheel_slip_suspected
     assert e.speed_m_s == pytest.approx(0.0, abs=0.1)
     assert vehicle.nees() < 16.3
     assert vehicle.distance() < 8.0
@@ -589,7 +589,7 @@ def test_a_provisional_pose_is_what_it_is_without_the_matches_that_do_not_yet_su
 
 def supported_after(fixes_off, seed):
     """The pose after matches have supported it, begun and begun again by fixes that are off by these metres."""
-    vehicle, start = Vehicle(seed=seed), FixTrackStart()
+    vehicle, start = Vehicle(seed=seed), StartFromFixes()
     fixes = np.random.default_rng(seed + 1000)
     poses, coupled = [], 0
     for k in range(150):
@@ -619,7 +619,7 @@ def test_no_unconfirmed_fix_changes_a_pose_that_was_given(seed):
     """Motion, links' rows, matches, anchors; with arbitrary fixes through the start, and without: the same bits."""
     poses = {}
     for with_fixes in (True, False):
-        vehicle, start = Vehicle(seed=seed), FixTrackStart()
+        vehicle, start = Vehicle(seed=seed), StartFromFixes()
         fixes = np.random.default_rng(seed + 2000)
         vehicle.filter.start(vehicle.given())
         poses[with_fixes] = []

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample, Odometer, RelativeTrack
+from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample, RelativeTrack, WheelOdometry
 from camber.localizer.filter.start import (
-    FixTrackStart,
     HeadingModel,
     HeadingSearch,
     Place,
+    StartFromFixes,
     StartPose,
     lever_arm,
     moved_by_lever,
@@ -29,8 +29,8 @@ class Drive:
         print("seed", seed)
         self.rng = np.random.default_rng(seed)
         self.antenna, self.yaw, self.place = antenna, yaw, np.array([east, north])
-        self.track, self.odometer, self.time_ns = RelativeTrack(), Odometer(MotionModel()), 0
-        self.start = FixTrackStart(*antenna)
+        self.track, self.odometer, self.time_ns = RelativeTrack(), WheelOdometry(MotionModel()), 0
+        self.start = StartFromFixes(*antenna)
         self.step(0.0, 0.0)
 
     def step(self, speed, rate):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG, Behind, MotionModel, MotionSample
+from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG, MotionModel, MotionSample, OverlayLag
 from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
 from camber.localizer.filter.start import StartPose
 
@@ -46,7 +46,7 @@ class Straight:
             self.step(t)
             here = self.filter.track.at(round(t * 1e9))
             sweeps = [self.filter.track.at(round(s * 1e9)) for s, _ in self.ways[-10:]]
-            behind = Behind(
+            behind = OverlayLag(
                 *(
                     np.mean([getattr(here, name) - getattr(sweep, name) for sweep in sweeps])
                     for name in ("path_m", "wheel_m", "wheel_m_s")

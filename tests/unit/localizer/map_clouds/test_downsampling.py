@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.localizer.map_clouds.downsampling import evenly_thinned, first_of_voxels, voxel_count
+from camber.localizer.map_clouds.downsampling import first_of_voxels, thinned_evenly, voxel_count
 
 
 def cloud(n: int) -> NDArray[np.float64]:
@@ -28,19 +28,19 @@ def test_the_first_point_of_each_voxel_is_what_a_dictionary_finds() -> None:
 @pytest.mark.parametrize("at_most", [1, 50, 1000, 4999])
 def test_no_more_points_than_asked_for_and_each_of_them_was_there(at_most: int) -> None:
     points = cloud(5000)
-    thin = evenly_thinned(points, at_most)
+    thin = thinned_evenly(points, at_most)
     assert 0 < len(thin) <= at_most
     assert {tuple(p) for p in thin} <= {tuple(p) for p in points}
 
 
 def test_few_points_are_left_alone() -> None:
     points = cloud(40)
-    np.testing.assert_array_equal(evenly_thinned(points, 40), points)
-    assert len(evenly_thinned(np.empty((0, 3)), 10)) == 0
+    np.testing.assert_array_equal(thinned_evenly(points, 40), points)
+    assert len(thinned_evenly(np.empty((0, 3)), 10)) == 0
 
 
 def test_a_dense_spot_does_not_keep_its_weight() -> None:
     points = cloud(20_000)
-    thin = evenly_thinned(points, 1000)
+    thin = thinned_evenly(points, 1000)
     assert np.mean(np.linalg.norm(points, axis=1) < 3.0) > 0.45
     assert np.mean(np.linalg.norm(thin, axis=1) < 3.0) < 0.1

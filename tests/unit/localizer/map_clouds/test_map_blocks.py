@@ -15,8 +15,8 @@ from camber.localizer.map_clouds.map_blocks import (
     NO_GROUND_M,
     Block,
     BlockOptions,
-    CloudBlocks,
     CloudLayer,
+    MapBlockStore,
 )
 from camber.road_map.tile_grid import Tile, tile_frame, tile_of
 from camber.schemas.road import CloudTile
@@ -84,7 +84,7 @@ def tile_frame_place(x: int, y: int) -> tuple[float, float]:
     return frame.latitude_rad, frame.longitude_rad
 
 
-def load(blocks: CloudBlocks, clouds: dict[CloudLayer, Floats], at: tuple[float, float] = CORNER) -> int:
+def load(blocks: MapBlockStore, clouds: dict[CloudLayer, Floats], at: tuple[float, float] = CORNER) -> int:
     needed = blocks.tiles_needed(*at)
     for layer, x, y in needed:
         blocks.set_tile(layer, x, y, tile(layer, x, y, clouds[layer]), "no such tile")
@@ -98,7 +98,7 @@ def at(east_m: float, north_m: float) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def block() -> Block:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     load(blocks, street())
     found = blocks.block_at(*at(5.0, -5.0))
     assert found is not None, blocks.reason
@@ -106,7 +106,7 @@ def block() -> Block:
 
 
 def test_around_a_corner_four_tiles_are_needed_the_own_one_first() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     place = at(5.0, -5.0)
     needed = blocks.tiles_needed(*place)
     tiles: list[Tile] = [(x, y) for _, x, y in needed]
@@ -116,7 +116,7 @@ def test_around_a_corner_four_tiles_are_needed_the_own_one_first() -> None:
 
 
 def test_while_tiles_are_missing_there_is_no_block_and_it_is_said() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     assert blocks.block_at(*CORNER) is None
     assert "not been loaded" in blocks.reason
     load(blocks, street())
@@ -169,7 +169,7 @@ def test_places_go_there_and_back(block: Block) -> None:
 def test_metres_are_those_of_the_sensor_also_on_a_mountain() -> None:
     """Tiles are at height zero; at 3000 m a sensor measures 2.3 cm more over 50 m."""
     clouds = street()
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         low = tile(layer, x, y, clouds[layer])
         high = None if low is None else low.model_copy(update={"base_height_m": low.base_height_m + 3000.0})
@@ -198,7 +198,7 @@ def test_a_layer_that_begins_at_the_road_reaches_below_it(block: Block) -> None:
 
 
 def test_a_block_is_built_once_while_it_is_in_use() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     load(blocks, street())
     first = blocks.block_at(*at(5.0, -5.0))
     assert blocks.block_at(*at(60.0, -60.0)) is first
@@ -208,14 +208,14 @@ def test_a_block_is_built_once_while_it_is_in_use() -> None:
 
 
 def test_no_tile_is_asked_for_twice_while_it_is_near() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     assert load(blocks, street()) == 8
     for east in range(-90, 91, 10):
         assert blocks.tiles_needed(*at(float(east), 5.0)) == []
 
 
 def test_only_the_last_few_blocks_are_kept() -> None:
-    blocks = CloudBlocks(BlockOptions(blocks=2))
+    blocks = MapBlockStore(BlockOptions(blocks=2))
     load(blocks, street())
     first = blocks.block_at(*at(5.0, -5.0))
     blocks.block_at(*at(-5.0, -5.0))
@@ -228,7 +228,7 @@ def test_only_the_last_few_blocks_are_kept() -> None:
 
 
 def test_tiles_far_away_are_forgotten() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     load(blocks, street())
     held = blocks.points
     assert held > 0
@@ -239,7 +239,7 @@ def test_tiles_far_away_are_forgotten() -> None:
 
 
 def test_where_the_map_has_nothing_it_is_said_why() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         blocks.set_tile(layer, x, y, None, "datum_mismatch")
     assert blocks.block_at(*CORNER) is None
@@ -250,7 +250,7 @@ def test_where_the_map_has_nothing_it_is_said_why() -> None:
 
 
 def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     clouds = street()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         there = tile(layer, x, y, clouds[layer]) if x == X else None
@@ -262,7 +262,7 @@ def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
 
 
 def test_an_environment_without_a_road_is_no_block() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     clouds = street()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         there = tile(layer, x, y, clouds[layer]) if layer == "environment_cloud" else None
@@ -272,7 +272,7 @@ def test_an_environment_without_a_road_is_no_block() -> None:
 
 
 def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     load(blocks, street())
     first = blocks.block_at(*at(5.0, -5.0))
     moved = {layer: points + np.array([0.0, 0.0, 1.0]) for layer, points in street().items()}
@@ -288,7 +288,7 @@ def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
 
 
 def test_a_tile_that_was_missing_and_comes_with_a_new_map_makes_blocks_anew() -> None:
-    blocks, clouds = CloudBlocks(), street()
+    blocks, clouds = MapBlockStore(), street()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         blocks.set_tile(layer, x, y, tile(layer, x, y, clouds[layer]) if x == X else None)
     first = blocks.block_at(*at(5.0, -5.0))
@@ -302,7 +302,7 @@ def test_a_tile_that_was_missing_and_comes_with_a_new_map_makes_blocks_anew() ->
 
 
 def test_the_block_ahead_is_built_step_by_step() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     ahead = at(-5.0, -5.0)
     assert not blocks.build_ahead(*ahead, BOUNDS)
     load(blocks, street())
@@ -324,7 +324,7 @@ def test_the_tiles_of_the_own_block_are_always_among_those_needed(latitude_deg: 
     rng = np.random.default_rng(7)
     middle = np.array([math.radians(latitude_deg), 1.0])
     for latitude, longitude in (middle + rng.uniform(-0.004, 0.004, (30, 2))).tolist():
-        blocks = CloudBlocks()
+        blocks = MapBlockStore()
         for layer, x, y in blocks.tiles_needed(latitude, longitude):
             blocks.set_tile(layer, x, y, None)
         assert blocks.block_at(latitude, longitude) is None
@@ -334,11 +334,11 @@ def test_the_tiles_of_the_own_block_are_always_among_those_needed(latitude_deg: 
 def test_a_tile_given_for_another_is_refused() -> None:
     there = tile("road_cloud", X, Y, street()["road_cloud"])
     with pytest.raises(ValueError, match="expected"):
-        CloudBlocks().set_tile("road_cloud", X + 1, Y, there)
+        MapBlockStore().set_tile("road_cloud", X + 1, Y, there)
 
 
 def test_beyond_the_tiles_there_is_no_block() -> None:
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     assert blocks.block_at(1.55, 0.0) is None
     assert blocks.reason
     assert blocks.tiles_needed(1.55, 0.0) == []
@@ -355,6 +355,6 @@ def test_points_of_a_tile_that_reach_nowhere_are_dropped() -> None:
         resolution_m=1.0,
         quanta=quanta,
     )
-    blocks = CloudBlocks()
+    blocks = MapBlockStore()
     blocks.set_tile("road_cloud", X, Y, odd)
     assert blocks.points == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camber.localizer.map_clouds.static_structure import in_steady_columns
+from camber.localizer.map_clouds.static_structure import static_mask
 
 
 def column(low_m: float, high_m: float, x_m: float = 0.2, step_m: float = 0.2) -> np.ndarray:
@@ -16,7 +16,7 @@ def column(low_m: float, high_m: float, x_m: float = 0.2, step_m: float = 0.2) -
 def steady(*columns_m: np.ndarray) -> list[bool]:
     """Of each column, whether all of it is steady, or none."""
     points_m = np.concatenate(columns_m)
-    found = in_steady_columns(points_m, points_m[:, 2])
+    found = static_mask(points_m, points_m[:, 2])
     parts = np.split(found, np.cumsum([len(part) for part in columns_m])[:-1])
     assert all(len(set(part.tolist())) == 1 for part in parts)
     return [bool(part[0]) for part in parts]
@@ -38,12 +38,12 @@ def test_a_column_is_steady_from_knee_to_overhead(low_m: float, high_m: float, i
 
 def test_a_car_below_a_crown_is_no_column() -> None:
     points_m = np.concatenate((column(0.0, 1.5), column(2.5, 6.0)))
-    assert not in_steady_columns(points_m, points_m[:, 2]).any()
+    assert not static_mask(points_m, points_m[:, 2]).any()
 
 
 def test_a_gap_of_a_window_or_a_sign_does_no_harm() -> None:
     points_m = np.concatenate((column(0.0, 1.15), column(1.65, 5.0)))
-    assert in_steady_columns(points_m, points_m[:, 2]).all()
+    assert static_mask(points_m, points_m[:, 2]).all()
 
 
 def test_a_car_beside_a_post_is_not_made_steady_by_it() -> None:
@@ -60,16 +60,16 @@ def roof(height_m: float, spread_m: float, seed: int = 3) -> np.ndarray:
 def test_under_a_roof_whatever_stands_was_built_there() -> None:
     cabinet = column(0.0, 1.6)
     points_m = np.concatenate((cabinet, roof(4.8, 0.02)))
-    assert in_steady_columns(points_m, points_m[:, 2])[: len(cabinet)].all()
+    assert static_mask(points_m, points_m[:, 2])[: len(cabinet)].all()
 
 
 def test_a_crown_over_the_road_is_no_roof() -> None:
     car = column(0.0, 1.6)
     points_m = np.concatenate((car, roof(5.5, 0.8)))
-    assert not in_steady_columns(points_m, points_m[:, 2])[: len(car)].any()
+    assert not static_mask(points_m, points_m[:, 2])[: len(car)].any()
 
 
 def test_without_a_road_below_nothing_is_steady() -> None:
     points_m = column(0.0, 5.0)
-    assert not in_steady_columns(points_m, np.full(len(points_m), np.nan)).any()
-    assert len(in_steady_columns(np.zeros((0, 3)), np.zeros(0))) == 0
+    assert not static_mask(points_m, np.full(len(points_m), np.nan)).any()
+    assert len(static_mask(np.zeros((0, 3)), np.zeros(0))) == 0

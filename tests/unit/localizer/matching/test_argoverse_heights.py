@@ -18,7 +18,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
 from camber.localizer.map_clouds.map_blocks import Block
 from camber.localizer.map_clouds.voxel_grid import voxel_means
-from camber.localizer.matching.ground_alignment import SensorHeights, sensor_heights, set_down
+from camber.localizer.matching.ground_alignment import SensorHeights, align_to_road, measure_sensor_heights
 from camber.localizer.matching.sweep_preparation import SensorMount, SweepOptions
 from camber.localizer.road.road_attitude import ground_plane
 from camber.localizer.road.road_raster import RoadHeights
@@ -65,9 +65,11 @@ def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> S
     points_m, mount = of_sensor(log, sweep, name, axle_m)
     east_m, north_m, up_m = (place_m - corner_m).tolist()
     _, _, yaw_rad = roll_pitch_yaw_from_rotation(sweep.city_from_egovehicle)
-    standing = set_down(points_m, block, east_m, north_m, yaw_rad, up_m)
+    standing = align_to_road(points_m, block, east_m, north_m, yaw_rad, up_m)
     assert standing is not None
-    return sensor_heights(points_m, ground_plane(points_m, mount), mount, standing.map_from_local, block)
+    return measure_sensor_heights(
+        points_m, ground_plane(points_m, mount), mount, standing.map_from_local, block
+    )
 
 
 def calibrated_m(log: ArgoverseLog, sweep: LidarSweep, name: str) -> float:

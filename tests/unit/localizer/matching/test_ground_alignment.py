@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import map_from_vehicle, roll_pitch_yaw_from_rotation, transform_points
 from camber.localizer.map_clouds.map_blocks import Block
-from camber.localizer.matching.ground_alignment import RoadBy, SensorHeights, sensor_heights, set_down
+from camber.localizer.matching.ground_alignment import (
+    RoadBy,
+    SensorHeights,
+    align_to_road,
+    measure_sensor_heights,
+)
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.road.road_attitude import GroundPlane, ground_plane
 from camber.localizer.road.road_raster import RoadHeights
@@ -49,7 +54,7 @@ HEIGHT_M = float(SENSOR_M[2] - GRADE * SENSOR_M[0] - CROSSFALL * SENSOR_M[1])
 
 
 def heights(match: Floats, own: GroundPlane | None = None, sweep_m: Floats = SEEN) -> SensorHeights:
-    return sensor_heights(sweep_m, own, MOUNT, match, BLOCK)
+    return measure_sensor_heights(sweep_m, own, MOUNT, match, BLOCK)
 
 
 def off(east_m: float = 0.0, up_m: float = 0.0, pitch_deg: float = 0.0) -> Floats:
@@ -104,7 +109,7 @@ def test_the_bodys_tilt_against_the_road_is_that_of_its_own_returns() -> None:
 
 @pytest.mark.parametrize("by", ["surface", "line"])
 def test_a_local_map_is_set_down_on_the_grade_by_its_own_ground_or_by_the_maps_line(by: RoadBy) -> None:
-    standing = set_down(SEEN, BLOCK, 0.0, 0.0, 0.0, 0.2, by=by)
+    standing = align_to_road(SEEN, BLOCK, 0.0, 0.0, 0.0, 0.2, by=by)
     assert standing is not None
     _, pitch_rad, _ = roll_pitch_yaw_from_rotation(standing.map_from_local)
     assert abs(standing.map_from_local[2, 3]) < 0.03
@@ -115,11 +120,11 @@ def test_a_local_map_is_set_down_on_the_grade_by_its_own_ground_or_by_the_maps_l
 
 def test_without_ground_in_sight_the_maps_line_serves() -> None:
     walls = SEEN + np.array([0.0, 0.0, 2.0])
-    standing = set_down(walls, BLOCK, 0.0, 0.0, 0.0, 0.2)
+    standing = align_to_road(walls, BLOCK, 0.0, 0.0, 0.0, 0.2)
     assert standing is not None
     assert standing.road is None
     assert abs(standing.map_from_local[2, 3]) < 0.03
 
 
 def test_where_the_map_has_no_road_nothing_is_set_down() -> None:
-    assert set_down(SEEN, BLOCK, 500.0, 500.0, 0.0, 0.0) is None
+    assert align_to_road(SEEN, BLOCK, 500.0, 500.0, 0.0, 0.0) is None

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from camber.localizer.matching.match_covariance import FLOOR_M, UNSEEN_M, axes, degenerate, planar_covariance
-from camber.localizer.matching.point_to_plane import fit_planes, nearest_pairs, plane_rows
+from camber.localizer.matching.point_to_plane import (
+    find_correspondences,
+    icp_point_to_plane,
+    normal_equations,
+)
 from camber.localizer.matching.registration import LayerTarget
 from support.plain_layers import CORRIDOR, MAP_DENSITY, YARD, pose, surfaces
 
@@ -19,7 +23,7 @@ def covariance(
     target = LayerTarget.of(surfaces(walls, MAP_DENSITY, np.random.default_rng(1)))
     source = surfaces(walls, density, np.random.default_rng(2))
     return planar_covariance(
-        plane_rows(target, source, AT, "planar", nearest_pairs(target, source, AT)), source
+        normal_equations(target, source, AT, "planar", find_correspondences(target, source, AT)), source
     )
 
 
@@ -48,7 +52,7 @@ def test_twice_as_many_points_on_the_same_walls_tell_hardly_more() -> None:
 def test_without_any_pair_nothing_is_known() -> None:
     target = LayerTarget.of(surfaces(CORRIDOR, 5.0, np.random.default_rng(1)))
     source = surfaces(YARD, 1.0, np.random.default_rng(2)) + 500.0
-    rows = plane_rows(target, source, AT, "planar", nearest_pairs(target, source, AT))
+    rows = normal_equations(target, source, AT, "planar", find_correspondences(target, source, AT))
     assert np.sqrt(np.diag(planar_covariance(rows, source)))[:2] == pytest.approx(UNSEEN_M, rel=1e-3)
 
 
@@ -63,9 +67,9 @@ def test_errors_are_no_larger_than_the_covariance_says() -> None:
         ]
         target = LayerTarget.of(surfaces(YARD, 12.0, np.random.default_rng((seed, 1))))
         source = surfaces(moved_walls, 4.0, np.random.default_rng((seed, 2)))  # type: ignore[arg-type]
-        fit = fit_planes([(target, source)], AT, "planar", 1.0, 0.15)
-        rows = plane_rows(
-            target, source, fit.transform, "planar", nearest_pairs(target, source, fit.transform)
+        fit = icp_point_to_plane([(target, source)], AT, "planar", 1.0, 0.15)
+        rows = normal_equations(
+            target, source, fit.transform, "planar", find_correspondences(target, source, fit.transform)
         )
         t = fit.transform
         error = np.array([t[0, 3], t[1, 3], np.arctan2(t[1, 0], t[0, 0])])

@@ -14,7 +14,7 @@ from camber.localizer.matching.layered_matching import MatchOptions
 from camber.localizer.matching.registration import Method
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
-from camber.localizer.warm_up import MadeUpMap, made_up_street
+from camber.localizer.warm_up import SyntheticMap, synthetic_street
 from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.road import TileReply, TileRequest
@@ -128,27 +128,27 @@ def test_a_mirrored_sensor_never_gives_a_confident_wrong_pose() -> None:
 
 
 def test_where_the_map_has_no_clouds_it_says_so() -> None:
-    class NoClouds(MadeUpMap):
+    class NoClouds(SyntheticMap):
         def tile(self, request: TileRequest) -> TileReply:
             return TileReply(
                 time_ns=request.time_ns, status="unknown", reason="none here", payload=np.zeros(0, np.uint8)
             )
 
-    drive = StreetDrive(answers=NoClouds(*made_up_street()))
+    drive = StreetDrive(answers=NoClouds(*synthetic_street()))
     drive.run(10)
     assert drive.poses[-1].mode == "dead_reckoning"
     assert "none here" in drive.poses[-1].reason
 
 
 def test_in_a_bare_corridor_the_along_direction_stays_unknown() -> None:
-    road_m, _ = made_up_street()
+    road_m, _ = synthetic_street()
     along, up = np.arange(-70.0, 70.0, 0.2), np.arange(0.1, 5.0, 0.2)
     walls_m = np.array([(x, side * 7.0, z) for x in along for side in (-1, 1) for z in up])
     drive = StreetDrive(
         off_m=(0.8, 0.3),
         sigma_m=0.8,
         seen_m=np.concatenate((road_m, walls_m)),
-        answers=MadeUpMap(road_m, walls_m),
+        answers=SyntheticMap(road_m, walls_m),
     )
     drive.run(30)
     covariance = drive.poses[-1].covariance_east_north_yaw

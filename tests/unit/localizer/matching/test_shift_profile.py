@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.localizer.matching.shift_profile import REACH_M, SeenFromAbove, shift_profile
+from camber.localizer.matching.shift_profile import REACH_M, OccupancyRaster, shift_profile
 
 EAST = np.array([1.0, 0.0])
 
@@ -33,31 +33,31 @@ def seen(posts_m: list[float], seed: int) -> np.ndarray:
 
 
 def test_posts_tell_the_place_along_a_street() -> None:
-    profile = shift_profile(seen(POSTS, 2), SeenFromAbove.of(street(POSTS)), EAST)
+    profile = shift_profile(seen(POSTS, 2), OccupancyRaster.of(street(POSTS)), EAST)
     assert abs(profile.mean_m) < 0.1
     assert profile.sigma_m < 0.15
 
 
 def test_walls_alone_do_not() -> None:
-    profile = shift_profile(seen([], 2), SeenFromAbove.of(street([])), EAST)
+    profile = shift_profile(seen([], 2), OccupancyRaster.of(street([])), EAST)
     assert profile.sigma_m > 0.5
 
 
 @pytest.mark.parametrize("off_m", [-1.2, 0.8, 2.0])
 def test_a_match_in_the_wrong_valley_is_told_so(off_m: float) -> None:
-    profile = shift_profile(seen(POSTS, 3) + np.array([off_m, 0.0]), SeenFromAbove.of(street(POSTS)), EAST)
+    profile = shift_profile(seen(POSTS, 3) + np.array([off_m, 0.0]), OccupancyRaster.of(street(POSTS)), EAST)
     assert profile.mean_m == pytest.approx(-off_m, abs=0.15)
     assert profile.variance_m2 > 0.8 * off_m**2
 
 
 def test_a_row_of_equal_posts_leaves_every_one_of_them_open() -> None:
     even = [-27.0 + 2.0 * n for n in range(28)]
-    profile = shift_profile(seen(even, 6), SeenFromAbove.of(street(even)), EAST)
+    profile = shift_profile(seen(even, 6), OccupancyRaster.of(street(even)), EAST)
     assert profile.sigma_m > 1.0
 
 
 def test_many_points_on_one_post_say_no_more_than_some() -> None:
-    above = SeenFromAbove.of(street(POSTS))
+    above = OccupancyRaster.of(street(POSTS))
     once = shift_profile(seen(POSTS, 4), above, EAST)
     again = shift_profile(np.concatenate([seen(POSTS, 4)] * 20), above, EAST)
     assert again.sigma_m == pytest.approx(once.sigma_m, rel=0.02)
@@ -66,12 +66,12 @@ def test_many_points_on_one_post_say_no_more_than_some() -> None:
 def test_the_direction_is_the_one_asked_for() -> None:
     angle = 0.7
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    above = SeenFromAbove.of(street(POSTS) @ turn.T)
+    above = OccupancyRaster.of(street(POSTS) @ turn.T)
     profile = shift_profile((seen(POSTS, 5) + np.array([0.8, 0.0])) @ turn.T, above, turn @ EAST)
     assert profile.mean_m == pytest.approx(-0.8, abs=0.15)
 
 
 def test_where_nothing_stands_nothing_is_known() -> None:
-    nothing = SeenFromAbove.of(np.zeros((0, 3)))
+    nothing = OccupancyRaster.of(np.zeros((0, 3)))
     assert shift_profile(seen(POSTS, 7), nothing, EAST).sigma_m > 0.5 * REACH_M
-    assert shift_profile(np.zeros((0, 3)), SeenFromAbove.of(street(POSTS)), EAST).sigma_m == REACH_M
+    assert shift_profile(np.zeros((0, 3)), OccupancyRaster.of(street(POSTS)), EAST).sigma_m == REACH_M

@@ -11,7 +11,7 @@ import pytest
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import map_from_vehicle
-from camber.localizer.matching.layered_matching import LayeredMatch, LayerRow
+from camber.localizer.matching.layered_matching import LayeredMatch, LayerMatch
 from camber.localizer.matching.match_view import MatchView
 from camber.localizer.matching.registration import LayerFit
 from camber.tools.localize.match_picture import FULL_M, picture, residual_colours
@@ -19,9 +19,9 @@ from camber.tools.localize.match_picture import FULL_M, picture, residual_colour
 START_NS = 1_300_000_000 * 1_000_000_000
 
 
-def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> LayerRow:
+def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> LayerMatch:
     fit = LayerFit(np.eye(4), True, 5, 1234, 1000, mean_distance_m, 0.81)
-    return LayerRow((low_m, high_m), fit, np.zeros(3), np.eye(3), 0.97, 0.64, outcome)  # type: ignore[arg-type]
+    return LayerMatch((low_m, high_m), fit, np.zeros(3), np.eye(3), 0.97, 0.64, outcome)  # type: ignore[arg-type]
 
 
 def view(status: str = "ambiguous", reason: str = "layers_disagree") -> MatchView:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from camber.localizer.map_clouds.map_blocks import Block, BlockOptions, CloudBlocks
+from camber.localizer.map_clouds.map_blocks import Block, BlockOptions, MapBlockStore
 from camber.localizer.map_clouds.tile_download import CloudLayer, TileFetch
-from camber.localizer.map_queries import MapAnswers, NoAnswer, Reports
+from camber.localizer.map_queries import Diagnostics, MapAnswers, NoAnswer
 from camber.localizer.matching.layered_matching import Bounds
 
 _PARTS_PER_STEP = 16  # 4 MB
@@ -14,11 +14,11 @@ _ASK_AGAIN_NS = 30_000_000_000  # for tiles that there were none of: the map ser
 _Key = tuple[CloudLayer, int, int]
 
 
-class CloudSupply:
+class CloudTileLoader:
     """Blocks of the map. Each tile is loaded once while it is in use, and again only where it has changed."""
 
-    def __init__(self, options: BlockOptions, answers: MapAnswers, reports: Reports) -> None:
-        self._blocks = CloudBlocks(options)
+    def __init__(self, options: BlockOptions, answers: MapAnswers, reports: Diagnostics) -> None:
+        self._blocks = MapBlockStore(options)
         self._answers, self._reports = answers, reports
         self._fetch: TileFetch | None = None
         self._sha256: dict[_Key, str] = {}
@@ -28,7 +28,7 @@ class CloudSupply:
         self._forgot_ns: int | None = None
         self.reason = ""
 
-    def seen_version(self, map_version: int | None) -> None:
+    def note_map_version(self, map_version: int | None) -> None:
         """The map's answers are of this version: of another one, tiles may have changed."""
         if map_version is None or map_version == self._version:
             return

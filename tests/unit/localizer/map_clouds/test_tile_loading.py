@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from camber.localizer.map_clouds.map_blocks import BlockOptions
-from camber.localizer.map_clouds.tile_supply import CloudSupply
+from camber.localizer.map_clouds.tile_loading import CloudTileLoader
 from camber.localizer.map_queries import NoAnswer
-from camber.localizer.warm_up import MadeUpMap, Unheard, made_up_street
+from camber.localizer.warm_up import NoDiagnostics, SyntheticMap, synthetic_street
 from camber.road_map.tile_grid import tile_frame
 from camber.schemas.road import TileReply, TileRequest
 
@@ -20,9 +20,9 @@ NS = 1_000_000_000
 START_NS = 1_400_000_000 * NS
 
 
-class CountingMap(MadeUpMap):
+class CountingMap(SyntheticMap):
     def __init__(self) -> None:
-        super().__init__(*made_up_street())
+        super().__init__(*synthetic_street())
         self.asked: Counter[tuple[str, int, int]] = Counter()
         self.there, self.silent = True, False
         self.seen: list[TileRequest] = []
@@ -41,8 +41,8 @@ class CountingMap(MadeUpMap):
         return self.there
 
 
-def supply(answers: Any) -> CloudSupply:
-    return CloudSupply(BlockOptions(), answers, Unheard())
+def supply(answers: Any) -> CloudTileLoader:
+    return CloudTileLoader(BlockOptions(), answers, NoDiagnostics())
 
 
 def test_a_tile_is_loaded_once_while_it_is_in_use() -> None:
@@ -58,9 +58,9 @@ def test_a_tile_is_loaded_once_while_it_is_in_use() -> None:
 def test_of_a_new_version_only_what_has_changed_is_loaded_again() -> None:
     answers = CountingMap()
     clouds = supply(answers)
-    clouds.seen_version(1)
+    clouds.note_map_version(1)
     before = clouds.block_at(*HERE, START_NS + NS)
-    clouds.seen_version(2)
+    clouds.note_map_version(2)
     assert clouds.block_at(*HERE, START_NS + 2 * NS) is before
     again = [request for request in answers.seen if request.have_sha256 is not None]
     assert {request.layer for request in again} == {"road_cloud", "environment_cloud"}
@@ -87,8 +87,8 @@ def test_an_absent_map_server_is_not_asked_and_what_is_here_serves_on() -> None:
     block = clouds.block_at(*HERE, START_NS + NS)
     asked = sum(answers.asked.values())
     answers.there = False
-    clouds.seen_version(1)
-    clouds.seen_version(2)
+    clouds.note_map_version(1)
+    clouds.note_map_version(2)
     assert clouds.block_at(*HERE, START_NS + 2 * NS) is block
     assert sum(answers.asked.values()) == asked
 
