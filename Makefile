@@ -10,6 +10,8 @@ MADE := .venv/.made-$(VERSION)
 PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 OUT := out
+# The extras that images install.
+SHIPPED := engine,localizer,map,fleet,web,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -29,7 +31,8 @@ help:
 	@echo "make hostile  a million malformed messages to every input of a driving vehicle; HOSTILE_COUNT=20000 for less"
 	@echo "make image   container image camber, with everything for any service"
 	@echo "make sbom    bill of materials of what images install, CycloneDX, into $(OUT)/sbom.json"
-	@echo "make licences  their licences; fails on one that may not be shipped. make vulnerabilities: known ones, by osv.dev"
+	@echo "make licences  licences of all packages; fails on one that may not be shipped"
+	@echo "make vulnerabilities  known vulnerabilities of all packages, by osv.dev"
 	@echo "make golden  golden bytes of messages that are not released; make docs: generated pages"
 	@echo "make clean   remove what was made, but .venv"
 
@@ -93,8 +96,7 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m camber.tools.generate_docs.data_flow --check
-	$(BIN)/python deploy/supply_chain.py licences >/dev/null
-	$(BIN)/python deploy/supply_chain.py vulnerabilities
+	$(MAKE) licences >/dev/null
 
 # Types are checked by one processor while the other compiles.
 check: setup
@@ -132,17 +134,30 @@ docs: setup
 
 image:
 	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg PYTHON_IMAGE --build-arg KIND=compiled \
-		--build-arg EXTRAS=engine,localizer,map,fleet,web,simulator --tag camber .
+		--build-arg EXTRAS=$(SHIPPED) --tag camber .
 
-sbom: setup
-	$(BIN)/python deploy/supply_chain.py sbom --out $(OUT)/sbom.json
+# The auditing tools have an environment of their own: what they audit is without them.
+.venv/audit/.made: constraints.txt pyproject.toml $(MADE)
+	$(PYTHON) -m venv --clear .venv/audit
+	PIP_CONSTRAINT=constraints.txt .venv/audit/bin/pip install --quiet --disable-pip-version-check \
+		cyclonedx-bom pip-audit pip-licenses
+	@touch $@
 
-licences: setup
-	$(BIN)/python deploy/supply_chain.py licences
+sbom: .venv/audit/.made
+	$(PYTHON) -m venv --clear $(OUT)/shipped
+	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(OUT)/shipped/bin/pip install --quiet \
+		--disable-pip-version-check --no-compile '.[$(SHIPPED)]'
+	$(OUT)/shipped/bin/pip uninstall --quiet --yes pip setuptools
+	.venv/audit/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
+		--output-file $(OUT)/sbom.json $(OUT)/shipped/bin/python
 
-# Where osv.dev cannot be reached it says SKIPPED; for a release: deploy/supply_chain.py vulnerabilities --required
-vulnerabilities: setup
-	$(BIN)/python deploy/supply_chain.py vulnerabilities
+# The licences that may be shipped are in pyproject.toml.
+licences: setup .venv/audit/.made
+	.venv/audit/bin/pip-licenses --python $(BIN)/python
+	$(BIN)/python deploy/bundled_licences.py
+
+vulnerabilities: .venv/audit/.made
+	.venv/audit/bin/pip-audit --strict --vulnerability-service osv --no-deps --disable-pip --requirement constraints.txt
 
 clean:
 	rm -rf $(OUT) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
