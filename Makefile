@@ -95,7 +95,7 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m camber.tools.generate_docs.data_flow --check
+	$(BIN)/python -m camber.tools.generate_docs --check
 	$(MAKE) licences >/dev/null
 
 # Types are checked by one processor while the other compiles.
@@ -130,7 +130,7 @@ golden: setup
 	PYTHONPATH=tests $(BIN)/python -m contract.make_golden
 
 docs: setup
-	$(BIN)/python -m camber.tools.generate_docs.data_flow
+	$(BIN)/python -m camber.tools.generate_docs
 
 image:
 	docker build --file deploy/Dockerfile --build-arg PIP_INDEX_URL --build-arg PYTHON_IMAGE --build-arg KIND=compiled \

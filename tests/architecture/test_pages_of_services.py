@@ -1,19 +1,14 @@
-"""A service's page names all its settings as they are, and every issue that it can raise."""
+"""A service's page names every issue that it can raise and every reason that it gives."""
 
 from __future__ import annotations
 
-import importlib
 import re
 import typing
-from typing import Any
 
 import pytest
-from pydantic import BaseModel
-from pydantic_core import PydanticUndefined
 
 from camber.gnss.position.rtk_engine import REASON, Warning_
 from camber.localizer.settings import GivenPose
-from camber.runtime.settings import ServiceSettings
 from support.tree import ROOT
 
 PAGES = ("gnss", "antenna_height", "localizer", "integrity", "sensors")
@@ -21,42 +16,6 @@ PAGES = ("gnss", "antenna_height", "localizer", "integrity", "sensors")
 
 def page_of(service: str) -> str:
     return (ROOT / "docs" / "services" / f"{service}.md").read_text("utf-8")
-
-
-def rows_of(name: str, settings: type[BaseModel], prefix: str = "") -> list[str]:
-    """What must stand in the table of parameters of one setting, or of each one of a table."""
-    info = settings.model_fields[name]
-    if info.default_factory is not None and issubclass(info.annotation or object, BaseModel):
-        table: Any = info.annotation
-        return [row for inner in table.model_fields for row in rows_of(inner, table, f"{prefix}{name}.")]
-    return [
-        f"| `{prefix}{name}` | {shown(info.get_default())} | {limits(info.metadata)} | {info.description} |"
-    ]
-
-
-def shown(default: Any) -> str:
-    if default is PydanticUndefined:
-        return "must be set"
-    if default is None:
-        return "unset"
-    return f"`{str(default).lower() if isinstance(default, bool) else default}`"
-
-
-def limits(metadata: list[Any]) -> str:
-    words = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
-    bounds = ((word, getattr(item, name, None)) for item in metadata for name, word in words.items())
-    return " ".join(f"{word} {bound:g}" for word, bound in bounds if bound is not None).replace("-", "−")
-
-
-@pytest.mark.parametrize("service", PAGES)
-def test_the_table_of_parameters_is_that_of_the_settings(service: str) -> None:
-    settings = importlib.import_module(f"camber.{service}.service").SERVICE.SETTINGS
-    own = [name for name in settings.model_fields if name not in ServiceSettings.model_fields]
-    expected = ["| setting | default | range | meaning |", "|---|---|---|---|"]
-    expected += [row for name in own for row in rows_of(name, settings)]
-    parameters = page_of(service).partition("\n## Parameters\n")[2]
-    found = [line for line in parameters.splitlines() if line.startswith("|")]
-    assert found == expected, "\n".join(["the table should be:", *expected])
 
 
 @pytest.mark.parametrize("service", PAGES)

@@ -7,7 +7,6 @@ from collections import Counter
 
 import pytest
 
-from camber.tools.generate_docs import data_flow
 from support.tree import ROOT, SOURCE_ROOTS, tracked_files
 
 # Written so that this file does not match itself.
@@ -69,7 +68,3 @@ def test_unit_tests_stand_where_their_sources_do() -> None:
 
 def test_every_package_has_unit_tests() -> None:
     assert packages() - folders_of_unit_tests() == set()
-
-
-def test_the_page_of_the_data_flow_is_fresh() -> None:
-    assert data_flow.main(["--check"]) == 0

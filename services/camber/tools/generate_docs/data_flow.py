@@ -1,15 +1,12 @@
-"""Write `docs/data-flow.md` from the table of channels: `python -m camber.tools.generate_docs.data_flow [--check]`."""
+"""The page `docs/data-flow.md`: every channel and every message, from the table of channels."""
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import pkgutil
 import re
-import sys
 import typing
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 from pydantic.fields import FieldInfo
@@ -18,12 +15,10 @@ import camber.schemas
 from camber.schemas.base import ArrayOf, Message, Model
 from camber.schemas.channels import CHANNELS, Channel
 
-_PAGE = Path(__file__).parents[4] / "docs" / "data-flow.md"
-
 _HEAD = """\
 # How data flows
 
-Made from `schemas/camber/schemas/channels.py` by `python -m camber.tools.generate_docs.data_flow`; do not edit.
+Made from `schemas/camber/schemas/channels.py` by `make docs`; do not edit.
 Frames, heights, times and units are those of [conventions](conventions.md).
 
 ```
@@ -72,23 +67,6 @@ def page() -> str:
     parts += [_model(model) for model in on_the_bus]
     parts += ["## Messages in files", *(_model(model) for model in in_files)]
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Write the page, or with `--check` say whether it is fresh; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="camber.tools.generate_docs.data_flow", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="fail when the page is stale, and write nothing")
-    parser.add_argument("--page", type=Path, default=_PAGE, help="where it stands (docs/data-flow.md)")
-    options = parser.parse_args(argv)
-    path: Path = options.page
-    if not options.check:
-        path.write_text(page(), encoding="utf-8")
-    elif not path.is_file() or path.read_text(encoding="utf-8") != page():
-        print(
-            f"{path}: stale; python -m camber.tools.generate_docs.data_flow writes it anew", file=sys.stderr
-        )
-        return 1
-    return 0
 
 
 def _streams(channels: list[Channel]) -> str:
@@ -231,7 +209,3 @@ def _named(annotation: Any, metadata: list[Any]) -> str:
     if isinstance(annotation, type) and issubclass(annotation, Model):
         return _link(annotation)
     return "none" if annotation is type(None) else str(annotation.__name__)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
