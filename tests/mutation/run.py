@@ -250,8 +250,8 @@ def _change(name: str, folder: Path) -> tuple[str, str, str]:
     lines = [line for line in shown.splitlines() if not line.startswith(("---", "+++", "#"))]
     was = " ".join(line[1:].strip() for line in lines if line.startswith("-"))
     becomes = " ".join(line[1:].strip() for line in lines if line.startswith("+"))
-    found = re.fullmatch(r"camber\.(.+)\.x(.+)__mutmut_\d+", name)
-    place = name if found is None else f"{found[1]} {found[2].replace('ǁ', '.').strip('._')}"
+    result = re.fullmatch(r"camber\.(.+)\.x(.+)__mutmut_\d+", name)
+    place = name if result is None else f"{result[1]} {result[2].replace('ǁ', '.').strip('._')}"
     return place, was, becomes
 
 

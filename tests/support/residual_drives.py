@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from camber.integrity.learning.height_correction import Learning
-from camber.integrity.learning.residuals import Key, Residual
+from camber.integrity.learning.residuals import FixResidual, ReferenceKey
 
 START_NS = 1_400_000_000 * 1_000_000_000
 SPEED_M_S, RATE_HZ, SURFACE_M, LINK_M = 10.0, 10, 50.0, 200.0
 EARTH_M = 6_350_000.0
 """Of the meridian there, a little too small: twenty metres are a little more."""
-KEY = Key("stroke", "engine:WGS84", 3)
+KEY = ReferenceKey("stroke", "engine:WGS84", 3)
 
 
-def residual(epoch: float = 0, **changes: Any) -> Residual:
+def residual(epoch: float = 0, **changes: Any) -> FixResidual:
     """A right fix of an epoch; the pose is that of a scan match."""
     driven_m = SPEED_M_S * epoch / RATE_HZ
     fields: dict[str, Any] = {
@@ -37,7 +37,7 @@ def residual(epoch: float = 0, **changes: Any) -> Residual:
         "speed_m_s": SPEED_M_S,
         "key": KEY,
     }
-    return Residual(**fields | changes)
+    return FixResidual(**fields | changes)
 
 
 def gauss_markov(rng: np.random.Generator, n: int, sigma: float, memory: float) -> np.ndarray:
@@ -76,7 +76,7 @@ def drive(
     for epoch, up in enumerate(up_m.tolist()):
         before_m = learning.correction(KEY).correction_m
         word = "confirmed" if abs(up - before_m) <= noise.gate_m else "erroneous"
-        learning.hear(residual(epoch, up_m=up, verdict=word, map_sigma_m=noise.map_sigma_m))
+        learning.update(residual(epoch, up_m=up, verdict=word, map_sigma_m=noise.map_sigma_m))
         yield learning.correction(KEY).correction_m
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.protection.protection_level import TailPart
+from camber.integrity.protection.protection_level import TailComponent
 
 Floats = NDArray[np.float64]
 
 
-def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> list[TailPart]:
+def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> list[TailComponent]:
     """Of horizontal errors: means (n, k, 2), covariances (n, k, 2, 2) east and north."""
     ee, en, nn = covariance_m2[..., 0, 0], covariance_m2[..., 0, 1], covariance_m2[..., 1, 1]
     with np.errstate(invalid="ignore"):  # of infinite ones: seen by `levels_m`
@@ -21,7 +21,7 @@ def horizontal(weight: Floats, mean_m: Floats, covariance_m2: Floats) -> list[Ta
         return in_parts(weight, along, across, middle + spread, middle - spread)
 
 
-def in_parts(*columns: Floats) -> list[TailPart]:
+def in_parts(*columns: Floats) -> list[TailComponent]:
     """Of columns (n, k) k parts of arrays (n,)."""
     weight, along, across, larger, smaller = (np.ascontiguousarray(column.T) for column in columns)
     return list(zip(weight, along, across, larger, smaller, strict=True))

@@ -31,7 +31,7 @@ def age_s(time_ns: int, now_ns: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
+class EpochInputs:
     """The inputs nearest to the time of a judgement, and which services are on the bus."""
 
     pose: Pose | None

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from camber.integrity.checks.fix_history import FixesBefore
-from camber.integrity.checks.fix_sequence import FixOrder
-from camber.integrity.checks.fix_tests import Examination
-from camber.integrity.epoch_inputs import Situation, unusable_fix
-from camber.integrity.judgement import Judgement
-from camber.integrity.latest_inputs import Heard
+from camber.integrity.checks.fix_history import FixHistory
+from camber.integrity.checks.fix_sequence import FixSequence
+from camber.integrity.checks.fix_tests import FixTests
+from camber.integrity.epoch_inputs import EpochInputs, unusable_fix
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Correction, Learning
 from camber.integrity.learning.height_residual import base_of, key_of, residual_of
 from camber.integrity.rules import Rules
@@ -26,10 +26,10 @@ class Judge:
     def __init__(self, rules: Rules, learning: Learning | None = None) -> None:
         self.rules = rules
         self.learning = learning if learning is not None else Learning(rules.learning)
-        self.heard = Heard()
-        self.before = FixesBefore(rules)
-        self._examination = Examination(rules, self.heard, self.before, self.learning)
-        self._fixes = FixOrder()
+        self.heard = LatestInputs()
+        self.before = FixHistory(rules)
+        self._examination = FixTests(rules, self.heard, self.before, self.learning)
+        self._fixes = FixSequence()
         self._base = ""  # of the newest fix
 
     @property
@@ -47,39 +47,39 @@ class Judge:
         self.before.forget_after(limit_ns)
         self._fixes.forget_after(limit_ns)
 
-    def correction(self, situation: Situation) -> Correction:
+    def correction(self, inputs: EpochInputs) -> Correction:
         """The correction in force, for a height that needs no fix."""
-        return self.learning.correction(key_of(self._base, situation.pose, situation.antenna))
+        return self.learning.correction(key_of(self._base, inputs.pose, inputs.antenna))
 
     def judge(
         self,
         fix: Fix,
         now_ns: int,
         alive: frozenset[str],
-        others: Callable[[Judgement], Judgement] = lambda judgement: judgement,
-    ) -> Judgement | None:
+        others: Callable[[FixJudgement], FixJudgement] = lambda judgement: judgement,
+    ) -> FixJudgement | None:
         """The one verdict on a fix, None where it has had it; what is learnt from it is learnt here.
 
         `others` may put the judgement of another estimate in place of the first one.
         """
-        if self._fixes.has_verdict(fix):
+        if self._fixes.register_once(fix):
             return None
-        reason = self._fixes.misplaced(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
+        reason = self._fixes.check_epoch(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
         if reason is not None:
-            found = others(Judgement(fix, "unknown", reason))
-            return self.settle(found) if found.confirmed else found
+            result = others(FixJudgement(fix, "unknown", reason))
+            return self.settle(result) if result.confirmed else result
         return self.settle(others(self.examine(fix, alive)))
 
-    def examine(self, fix: Fix, alive: frozenset[str], trials: int = 1) -> Judgement:
+    def examine(self, fix: Fix, alive: frozenset[str], trials: int = 1) -> FixJudgement:
         """What is to be said of a usable fix, the last of so many estimates. Nothing is remembered until `settle`."""
         return self._examination.examine(fix, alive, trials)
 
-    def settle(self, judgement: Judgement) -> Judgement:
+    def settle(self, judgement: FixJudgement) -> FixJudgement:
         """Make a judgement the final one: remember what follows from it for the fixes to come."""
         fix = judgement.fix
         speed_m_s = self.heard.speed_at(fix.time_ns, self.rules.motion_max_age_s)
         self._base = base_of(fix)
         self.before.settle(judgement, speed_m_s)
         if judgement.comparison is not None:
-            self.learning.hear(residual_of(judgement, judgement.comparison, speed_m_s))
+            self.learning.update(residual_of(judgement, judgement.comparison, speed_m_s))
         return judgement

@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 
-from camber.integrity.checks.receiver_integrity import ReceiverWord
-from camber.integrity.epoch_inputs import Situation, age_s
+from camber.integrity.checks.receiver_integrity import ReceiverIntegrityMonitor
+from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.pose import Pose
 
@@ -14,11 +14,11 @@ _POSES = 64  # a second or more at any rate of the pose
 _NEAR_S = 0.5  # the pose by which a displacement is told is at most so far from the fix
 
 
-class Heard:
+class LatestInputs:
     """The inputs beside the fixes, each as it came."""
 
     def __init__(self) -> None:
-        self.receiver = ReceiverWord()
+        self.receiver = ReceiverIntegrityMonitor()
         self.poses: deque[Pose] = deque(maxlen=_POSES)
         self._antenna: AntennaHeight | None = None
         self._speed: tuple[int, float] | None = None
@@ -28,16 +28,16 @@ class Heard:
         """The newest pose."""
         return self.poses[-1] if self.poses else None
 
-    def hear_pose(self, pose: Pose) -> None:
+    def add_pose(self, pose: Pose) -> None:
         """A new pose; one that is older than the last is of no use."""
         if not self.poses or pose.time_ns > self.poses[-1].time_ns:
             self.poses.append(pose)
 
-    def hear_antenna(self, antenna: AntennaHeight) -> None:
+    def set_antenna_height(self, antenna: AntennaHeight) -> None:
         """A new antenna height."""
         self._antenna = antenna
 
-    def hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+    def add_wheel_speed(self, time_ns: int, speed_m_s: float | None) -> None:
         """A new wheel speed; None does not overwrite a known one, its age does."""
         if speed_m_s is not None:
             self._speed = (time_ns, speed_m_s)
@@ -50,9 +50,9 @@ class Heard:
             self._antenna = None
         self.receiver.forget_after(limit_ns)
 
-    def situation(self, at_ns: int, alive: frozenset[str]) -> Situation:
+    def inputs(self, at_ns: int, alive: frozenset[str]) -> EpochInputs:
         """What is known for a judgement at this time: the pose nearest to it."""
-        return Situation(self._nearest_pose(at_ns), self._antenna, alive)
+        return EpochInputs(self._nearest_pose(at_ns), self._antenna, alive)
 
     def speed_at(self, time_ns: int, max_age_s: float) -> float | None:
         """The wheels' speed, None where it is too far from this time."""

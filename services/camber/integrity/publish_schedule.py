@@ -8,7 +8,7 @@ _REPEAT_NS = 100_000_000  # without an epoch of its own, a word is repeated this
 _SAME_EPOCH_NS = round(SAME_EPOCH_S * 1e9)
 
 
-class Spoken:
+class PublishSchedule:
     """Times of the last words; 0: none yet."""
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class Spoken:
         """Another position, or the word that the pose gives none, has been published."""
         self._position_ns = max(self._position_ns, time_ns)
 
-    def no_position(self, now_ns: int) -> None:
+    def unavailable_position(self, now_ns: int) -> None:
         """The word that there is no pose has been published."""
         self._none_at_ns = now_ns
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.checks.start_rule import StartRules
 from camber.integrity.checks.time_series import SeriesRules
 from camber.integrity.checks.verification import VerificationRules
@@ -24,7 +24,7 @@ class Rules:
     clock that is wrong.
     """
 
-    determination: DeterminationRules = field(default_factory=DeterminationRules)
+    determination: ConsistencyParameters = field(default_factory=ConsistencyParameters)
     pose_sigma_limit_m: float = 15.0
     fix_sigma_limit_m: float = 0.5
     pose_max_age_s: float = 0.3

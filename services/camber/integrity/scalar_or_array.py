@@ -13,60 +13,60 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-Either: TypeAlias = Any
+FloatOrArray: TypeAlias = Any
 """A float or an array of them, all (n,); of words and truths too. numpy's types cannot say that both give the same."""
 
 
-def functions_of(value: Either) -> ModuleType:
+def functions_of(value: FloatOrArray) -> ModuleType:
     """Where the functions of its kind of number are, under the same names: `sqrt`, `exp`, `log`, `log1p`."""
     return np if isinstance(value, np.ndarray) else math
 
 
-def any_of(condition: Either) -> bool:
+def any_of(condition: FloatOrArray) -> bool:
     """Does it apply to one of them at least?"""
     return bool(condition.any()) if isinstance(condition, np.ndarray) else condition
 
 
-def where(condition: Either, yes: Either, no: Either) -> Either:
+def where(condition: FloatOrArray, yes: FloatOrArray, no: FloatOrArray) -> FloatOrArray:
     """`yes` where it applies, else `no`; what does not apply may be anything."""
     if condition is True or condition is False:  # by far the most often asked, and the soonest told
         return yes if condition else no
     return np.where(condition, yes, no) if isinstance(condition, np.ndarray) else yes if condition else no
 
 
-def negated(condition: Either) -> Either:
+def logical_not(condition: FloatOrArray) -> FloatOrArray:
     """Where it does not apply."""
     return ~condition if isinstance(condition, np.ndarray) else not condition
 
 
-def positive(value: Either) -> Either:
+def positive_or_nan(value: FloatOrArray) -> FloatOrArray:
     """The value where it is above nought and finite, else NaN: what may be divided by and has a root."""
     return where((value > 0.0) & (value < math.inf), value, math.nan)
 
 
-def known(value: Either) -> Either:
+def finite_or_inf(value: FloatOrArray) -> FloatOrArray:
     """Infinite where it is not a number."""
     return where(value < math.inf, value, math.inf)
 
 
-def root(value: Either) -> Either:
+def sqrt(value: FloatOrArray) -> FloatOrArray:
     """√ of what is not negative."""
     return np.sqrt(value) if isinstance(value, np.ndarray) else math.sqrt(value)
 
 
-def log(value: Either) -> Either:
+def log(value: FloatOrArray) -> FloatOrArray:
     """Natural logarithm of what is above nought."""
     return np.log(value) if isinstance(value, np.ndarray) else math.log(value)
 
 
-def log_of_sum(one: Either, other: Either) -> Either:
+def log_sum_exp(one: FloatOrArray, other: FloatOrArray) -> FloatOrArray:
     """ln (eᵃ + eᵇ)."""
     larger, smaller = where(one > other, one, other), where(one > other, other, one)
     share = np.exp(smaller - larger) if isinstance(larger, np.ndarray) else math.exp(smaller - larger)
     return larger + log(1.0 + share)
 
 
-def larger_eigenvalue(ee: Either, en: Either, nn: Either) -> Either:
+def larger_eigenvalue(ee: FloatOrArray, en: FloatOrArray, nn: FloatOrArray) -> FloatOrArray:
     """Of [[ee, en], [en, nn]]."""
     half = 0.5 * (ee - nn)
-    return 0.5 * (ee + nn) + root(half * half + en * en)
+    return 0.5 * (ee + nn) + sqrt(half * half + en * en)

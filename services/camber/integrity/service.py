@@ -6,18 +6,23 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from camber.integrity.epoch_inputs import Situation, age_s
+from camber.integrity.epoch_inputs import EpochInputs, age_s
 from camber.integrity.judge import Judge
-from camber.integrity.judgement import Judgement, verdict_of
+from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.learning.height_correction import Learning, LearningRules
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.integrity.learning.saved_state import from_text, to_text
-from camber.integrity.protection.position_output import Positions, is_provisional, no_position
-from camber.integrity.publish_schedule import Spoken
-from camber.integrity.re_estimation.requests import Answering, concluded, question_for, unanswered
+from camber.integrity.protection.position_output import PositionOutput, is_provisional, unavailable_position
+from camber.integrity.publish_schedule import PublishSchedule
+from camber.integrity.re_estimation.requests import (
+    QueryBackoff,
+    conclude_re_estimation,
+    estimates_request,
+    without_estimates,
+)
 from camber.integrity.rules import SAME_EPOCH_S
 from camber.integrity.settings import IntegritySettings
-from camber.integrity.uploads import Collector, upload_for
+from camber.integrity.uploads import UploadBatcher, upload_for
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
 from camber.runtime.uploads.uploader import Uploader
@@ -45,11 +50,11 @@ class IntegrityService(Service[IntegritySettings]):
         self._saved = self._judge.learning.samples
         self._newest_ns = 0  # of all that was heard
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was heard
-        self._spoken = Spoken()
+        self._spoken = PublishSchedule()
         self._levels = settings.level_rules()
-        self._positions = Positions(self._rules, self._levels)
-        self._gnss = Answering()
-        self._collector = Collector(settings.upload_every_s)
+        self._positions = PositionOutput(self._rules, self._levels)
+        self._gnss = QueryBackoff()
+        self._collector = UploadBatcher(settings.upload_every_s)
         self._uploader = self._make_uploader() if settings.upload and settings.state_dir else None
 
     def _make_uploader(self) -> Uploader:
@@ -65,23 +70,25 @@ class IntegrityService(Service[IntegritySettings]):
         """Inputs."""
         return {
             "fix": self._hearing(lambda fix: self._pending.append((fix, self.bus.now_ns()))),
-            "pose": self._hearing(self._judge.heard.hear_pose),
-            "antenna_height": self._hearing(self._judge.heard.hear_antenna),
-            "receiver_integrity": self._hearing(self._judge.heard.receiver.hear),
-            "velocity": self._hearing(self._positions.hear_velocity),
-            "motion": self._hearing(lambda motion: self._hear_speed(motion.time_ns, motion.wheel_speed_m_s)),
+            "pose": self._hearing(self._judge.heard.add_pose),
+            "antenna_height": self._hearing(self._judge.heard.set_antenna_height),
+            "receiver_integrity": self._hearing(self._judge.heard.receiver.update),
+            "velocity": self._hearing(self._positions.add_velocity),
+            "motion": self._hearing(
+                lambda motion: self._add_wheel_speed(motion.time_ns, motion.wheel_speed_m_s)
+            ),
         }
 
     def _hearing(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        def hear(message: Any) -> None:
+        def update(message: Any) -> None:
             self._newest_ns = max(self._newest_ns, message.time_ns)
             take(message)
 
-        return hear
+        return update
 
-    def _hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
-        self._judge.heard.hear_speed(time_ns, speed_m_s)
-        self._positions.hear_speed(time_ns, speed_m_s)
+    def _add_wheel_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+        self._judge.heard.add_wheel_speed(time_ns, speed_m_s)
+        self._positions.add_wheel_speed(time_ns, speed_m_s)
 
     def advance(self, now_ns: int) -> None:
         """Judge what can be judged, then say where the vehicle is."""
@@ -121,57 +128,59 @@ class IntegrityService(Service[IntegritySettings]):
         if judgement is None:
             self.bus.count("fix.judged_already")
             return
-        self.bus.count(f"verdict.{judgement.word}")
+        self.bus.count(f"verdict.{judgement.verdict}")
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
         self._spoken.verdict(now_ns)
-        self._positions.hear_judgement(judgement)
+        self._positions.update_dispute(judgement)
         if judgement.confirmed:
-            situation = self._judge.heard.situation(judgement.fix.time_ns, alive)
-            correction_m = self._judge.correction(situation).correction_m
-            self.bus.publish("position", self._positions.confirmed(judgement, correction_m, situation))
+            inputs = self._judge.heard.inputs(judgement.fix.time_ns, alive)
+            correction_m = self._judge.correction(inputs).correction_m
+            self.bus.publish("position", self._positions.confirmed(judgement, correction_m, inputs))
             self._spoken.rtk(fix.time_ns)
         self._save(_SAVE_EVERY)
         self._collect(judgement)
 
-    def _other_estimate(self, judgement: Judgement, alive: frozenset[str]) -> Judgement:
+    def _other_estimate(self, judgement: FixJudgement, alive: frozenset[str]) -> FixJudgement:
         """The judgement of another estimate of the fix, where one is called for and passes; else the one there is."""
         rules, fix = self._rules.re_estimation, judgement.fix
-        question = question_for(judgement, rules)
+        question = estimates_request(judgement, rules)
         if question is None:
             return judgement
-        asked_ns, situation = self.bus.now_ns(), self._judge.heard.situation(fix.time_ns, alive)
-        pose, missing = situation.pose, situation.missing(fix.time_ns, self._rules)
+        asked_ns, inputs = self.bus.now_ns(), self._judge.heard.inputs(fix.time_ns, alive)
+        pose, missing = inputs.pose, inputs.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it can tell nothing.
         if pose is None or missing is not None or is_provisional(pose):
             return judgement
-        if not self._gnss.may_be_asked(asked_ns):
-            return unanswered(judgement, "gnss has just not answered")
+        if not self._gnss.is_ready(asked_ns):
+            return without_estimates(judgement, "gnss has just not answered")
         late = age_s(fix.time_ns, asked_ns) > self._rules.fix_max_age_s / 2.0
         if self.settings.link_delay_s and late:
             self.bus.count(
                 "estimates.too_late"
             )  # another round trip, and the fixes that wait would be too old
-            return unanswered(judgement, "the judge is late already")
+            return without_estimates(judgement, "the judge is late already")
         try:
             answer: Estimates = self.bus.ask("estimates", question)
         except QueryFailed as error:
             if error.reason != "absent":
-                self._gnss.fell_silent(self.bus.now_ns())
+                self._gnss.register_timeout(self.bus.now_ns())
             self.bus.count(f"estimates.{error.reason}")
-            return unanswered(judgement, str(error))
-        found = concluded(judgement, answer, lambda other, n: self._judge.examine(other, alive, n), rules)
-        self.bus.count(f"estimates.{'confirmed' if found.confirmed else answer.status}")
-        return found
+            return without_estimates(judgement, str(error))
+        result = conclude_re_estimation(
+            judgement, answer, lambda other, n: self._judge.examine(other, alive, n), rules
+        )
+        self.bus.count(f"estimates.{'confirmed' if result.confirmed else answer.status}")
+        return result
 
     def _publish_pose_position(self, alive: frozenset[str]) -> None:
         pose = self._judge.heard.pose
         if pose is None or not self._spoken.pose_is_due(pose.time_ns):
             return
-        situation = self._judge.heard.situation(pose.time_ns, alive)
+        inputs = self._judge.heard.inputs(pose.time_ns, alive)
         self._spoken.position(pose.time_ns)
         self.bus.publish(
             "position",
-            self._positions.at(pose.time_ns, situation, self._judge.correction(situation).correction_m),
+            self._positions.at(pose.time_ns, inputs, self._judge.correction(inputs).correction_m),
         )
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
@@ -180,30 +189,30 @@ class IntegrityService(Service[IntegritySettings]):
         position_is_due = self._spoken.position_is_due(now_ns, self._rules.pose_max_age_s)
         if not (verdict_is_due or position_is_due):
             return
-        situation = self._judge.heard.situation(now_ns, alive)
-        reason = self._silence_reason(now_ns, situation)
+        inputs = self._judge.heard.inputs(now_ns, alive)
+        reason = self._silence_reason(now_ns, inputs)
         if reason is not None and verdict_is_due:
             self._spoken.verdict(now_ns)
             self.bus.publish(
                 "verdict", Verdict(time_ns=now_ns, fix_id=None, verdict="unknown", reason=reason)
             )
-        missing = situation.missing_pose(now_ns, self._rules) or reason
+        missing = inputs.missing_pose(now_ns, self._rules) or reason
         if missing is not None and position_is_due:
-            self._spoken.no_position(now_ns)
-            position = self._positions.at(now_ns, situation, self._judge.correction(situation).correction_m)
+            self._spoken.unavailable_position(now_ns)
+            position = self._positions.at(now_ns, inputs, self._judge.correction(inputs).correction_m)
             if position.source == "none":
-                position = no_position(now_ns, missing, self._rules, self._levels)
+                position = unavailable_position(now_ns, missing, self._rules, self._levels)
             self.bus.publish("position", position)
 
-    def _silence_reason(self, now_ns: int, situation: Situation) -> Reason | None:
+    def _silence_reason(self, now_ns: int, inputs: EpochInputs) -> Reason | None:
         last_ns = self._judge.last_fix_ns
-        if "gnss" not in situation.alive:
+        if "gnss" not in inputs.alive:
             return "gnss_absent"
         if last_ns is None or not age_s(last_ns, now_ns) <= self._rules.fix_max_age_s:
             return "gnss_stale"
-        return situation.missing(now_ns, self._rules)
+        return inputs.missing(now_ns, self._rules)
 
-    def _collect(self, judgement: Judgement) -> None:
+    def _collect(self, judgement: FixJudgement) -> None:
         upload = upload_for(judgement, self.settings.vehicle, self._rules.true_sigma)
         if upload is not None and self._uploader is not None:
             self._hand_over(self._collector.add(upload))

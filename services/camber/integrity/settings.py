@@ -6,10 +6,10 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from camber.integrity.checks.determination import ALL_TESTS, DeterminationRules, Test
+from camber.integrity.checks.consistency import ALL_TESTS, ConsistencyParameters, Test
 from camber.integrity.checks.start_rule import StartRules
 from camber.integrity.checks.time_series import SeriesRules
-from camber.integrity.checks.verification import VerificationRules, Witness
+from camber.integrity.checks.verification import VerificationEvidence, VerificationRules
 from camber.integrity.learning.height_correction import LearningRules, Mode
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.protection.doppler_position import DopplerRules
@@ -142,7 +142,7 @@ class IntegritySettings(ServiceSettings):
     series_vertical_m: float = Field(
         0.12, gt=0.0, description="most by which it may have risen otherwise than the road"
     )
-    verified_by: tuple[Witness, ...] = Field(
+    verified_by: tuple[VerificationEvidence, ...] = Field(
         VerificationRules().enough, description="what suffices to confirm a fix that the height is against"
     )
     verified_fix_sigma_m: float = Field(
@@ -207,8 +207,8 @@ class IntegritySettings(ServiceSettings):
         self._determination()
         return self
 
-    def _determination(self) -> DeterminationRules:
-        return DeterminationRules(
+    def _determination(self) -> ConsistencyParameters:
+        return ConsistencyParameters(
             self.tests,
             self.tolerance,
             self.tolerance_m,

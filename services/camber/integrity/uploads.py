@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.geodesy.gps_time import gpst_from_gps_ns
-from camber.integrity.judgement import Judgement
-from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 from camber.schemas.gnss import Quality
@@ -33,7 +33,7 @@ MOST_ROWS = 64
 _DAY_NS = 86_400_000_000_000
 
 
-def upload_for(judgement: Judgement, vehicle: str, sigma: TrueSigma) -> ElevationUpload | None:
+def upload_for(judgement: FixJudgement, vehicle: str, sigma: TrueSigma) -> ElevationUpload | None:
     """The upload of one judgement; None where fix, antenna height or surface is not known well enough."""
     fix, pose, road = judgement.fix, judgement.pose, judgement.road
     if pose is None or road is None or road.surface_id is None or pose.road.map_version is None:
@@ -44,7 +44,7 @@ def upload_for(judgement: Judgement, vehicle: str, sigma: TrueSigma) -> Elevatio
     if antenna is None or not antenna[0] >= 0.0:
         return None
     antenna_m, antenna_sigma_m = antenna
-    covariance_m2 = with_true_sigma(fix.covariance_enu_m2, sigma)
+    covariance_m2 = inflate_covariance(fix.covariance_enu_m2, sigma)
     sigma_m = math.hypot(math.sqrt(covariance_m2[5]), antenna_sigma_m)
     if not sigma_m <= LARGEST_SIGMA_M:
         return None
@@ -54,7 +54,7 @@ def upload_for(judgement: Judgement, vehicle: str, sigma: TrueSigma) -> Elevatio
         upload_id=_name(fix.time_ns, f"{fix.fix_id}".encode()),
         fix_id=fix.fix_id,
         fix_quality=fix.quality,
-        verdict=judgement.word,
+        verdict=judgement.verdict,
         latitude_rad=fix.latitude_rad,
         longitude_rad=fix.longitude_rad,
         road_height_m=fix.height_m - antenna_m,
@@ -105,7 +105,7 @@ def batch_of(uploads: Sequence[ElevationUpload]) -> UploadBatch:
     )
 
 
-class Collector:
+class UploadBatcher:
     """Collects uploads into batches: of one map version and datum, of one stretch of time, of at most 64 rows.
 
     The stretches lie on the grid of GPS time, so that a drive judged again gives the same batches.

@@ -5,7 +5,7 @@ import typing
 
 import pytest
 
-from camber.integrity.epoch_inputs import Situation, age_s, unusable_fix
+from camber.integrity.epoch_inputs import EpochInputs, age_s, unusable_fix
 from camber.integrity.rules import Rules
 from camber.schemas.pose import RoadReason
 from support.judging import ALL, antenna, at, fix, pose, road
@@ -48,7 +48,7 @@ ROWS = [
 
 def missing(**changes):
     known = {"pose": pose(), "antenna": antenna(), "alive": ALL} | changes
-    return Situation(**known).missing(at(0), RULES)
+    return EpochInputs(**known).missing(at(0), RULES)
 
 
 def test_with_all_there_nothing_is_missing():
@@ -84,12 +84,12 @@ def test_every_reason_of_an_unknown_road_is_passed_on_or_road_unknown(reason):
         "map_server_absent": "map_server_absent",
         "datum_mismatch": "datum_mismatch",
     }
-    found = missing(pose=pose(road=road(status="unknown", reason=reason)))
-    assert found == expected.get(reason, "road_unknown")
+    result = missing(pose=pose(road=road(status="unknown", reason=reason)))
+    assert result == expected.get(reason, "road_unknown")
 
 
 def test_without_a_pose_there_is_no_road():
-    assert Situation(None, antenna(), ALL).missing_road() == "pose_missing"
+    assert EpochInputs(None, antenna(), ALL).missing_road() == "pose_missing"
 
 
 def test_a_service_that_just_left_is_still_believed_within_its_age_limit():

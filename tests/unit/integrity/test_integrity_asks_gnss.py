@@ -46,8 +46,8 @@ class BusWithGnss:
 def available(request, **changes):
     """Three estimates that agree and are right."""
     epoch = (request.time_ns - at(0)) / (at(1) - at(0))
-    found = [candidate(epoch, east_m=0.01 * k, excluded=(f"G{k:02d}",)) for k in range(1, 4)]
-    fields = {"status": "available", "trials": request.maximum_trials, "candidates": tuple(found)}
+    result = [candidate(epoch, east_m=0.01 * k, excluded=(f"G{k:02d}",)) for k in range(1, 4)]
+    fields = {"status": "available", "trials": request.maximum_trials, "candidates": tuple(result)}
     return Estimates(time_ns=request.time_ns, fix_id=request.fix_id, **fields | changes)
 
 

@@ -53,7 +53,7 @@ class Rig:
         self.service = IntegrityService(IntegritySettings(**settings), self.bus)
         self.handlers = self.service.handlers()
 
-    def hear(self, **messages):
+    def update(self, **messages):
         for name, message in messages.items():
             self.handlers[name](message)
 
@@ -75,7 +75,7 @@ class Rig:
             "pose": pose(k),
             "fix": fix(k),
         } | changes
-        self.hear(**{name: message for name, message in messages.items() if message is not None})
+        self.update(**{name: message for name, message in messages.items() if message is not None})
         return self.advance(k)
 
 
@@ -83,7 +83,7 @@ def of(sent, name):
     return [message for channel, message in sent if channel == name]
 
 
-def words(sent):
+def verdicts(sent):
     return [(verdict.verdict, verdict.reason) for verdict in of(sent, "verdict")]
 
 
@@ -108,7 +108,7 @@ def test_it_is_the_service_that_the_command_runs():
 
 def test_a_right_fix_has_a_verdict_and_is_the_position_of_its_epoch(rig):
     sent = rig.epoch(0)
-    assert words(sent) == [("confirmed", "height_agrees")]
+    assert verdicts(sent) == [("confirmed", "height_agrees")]
     (position,) = of(sent, "position")
     assert position.source == "rtk"
     assert position.horizontal_protection_level_m > position.semi_major_999_m
@@ -118,13 +118,13 @@ def test_a_right_fix_has_a_verdict_and_is_the_position_of_its_epoch(rig):
 
 def test_the_pose_of_the_same_epoch_does_not_overwrite_it_before_or_after(rig):
     sent = rig.epoch(0)
-    rig.hear(pose=pose(0.05))  # 10 ms later by the vehicle's own clock
+    rig.update(pose=pose(0.05))  # 10 ms later by the vehicle's own clock
     sent += rig.advance(0.05)
     assert [p.source for p in of(sent, "position")] == ["rtk"]
 
 
 def test_it_says_how_much_waits(rig, kept):
-    rig.hear(fix=fix(0))
+    rig.update(fix=fix(0))
     assert rig.service.gauges() == {"fixes_waiting": 1.0}
     assert kept.service.gauges()["uploads_not_stored"] == 0.0
     kept.service.close()
@@ -132,21 +132,21 @@ def test_it_says_how_much_waits(rig, kept):
 
 def test_a_fix_that_is_not_confirmed_leaves_the_epoch_to_the_pose(rig):
     sent = rig.epoch(0, fix=fix(0, up_m=1.0))
-    assert words(sent) == [("erroneous", "height_disagrees")]
+    assert verdicts(sent) == [("erroneous", "height_disagrees")]
     assert [(p.source, p.fix_id) for p in of(sent, "position")] == [("sensors", None)]
 
 
 def test_a_late_fix_does_not_bring_back_an_old_pose(rig):
     rig.epoch(0, fix=None)
     rig.epoch(1, fix=None)
-    rig.hear(fix=fix(0))
+    rig.update(fix=fix(0))
     sent = rig.advance(1.2)
     assert [(p.source, p.time_ns) for p in of(sent, "position")] == [("rtk", at(0))]
 
 
 def test_a_fix_that_comes_twice_has_one_verdict(rig):
     sent = rig.epoch(0)
-    rig.hear(fix=fix(0))
+    rig.update(fix=fix(0))
     sent += rig.advance(0.5)
     assert len([v for v in of(sent, "verdict") if v.fix_id is not None]) == 1
     assert rig.bus.counters["fix.judged_already"] == 1
@@ -172,18 +172,18 @@ MS = 1.0 / 200.0  # of an epoch
 def test_a_fix_waits_a_little_for_the_pose_of_its_epoch(rig):
     rig.epoch(0)
     rig.bus.time_ns = at(1)
-    rig.hear(fix=fix(1))
-    assert words(rig.advance(1)) == []
-    rig.hear(pose=pose(1))
-    assert words(rig.advance(1 + 10 * MS)) == [("confirmed", "height_agrees")]
+    rig.update(fix=fix(1))
+    assert verdicts(rig.advance(1)) == []
+    rig.update(pose=pose(1))
+    assert verdicts(rig.advance(1 + 10 * MS)) == [("confirmed", "height_agrees")]
 
 
 def test_but_not_longer_than_20_ms_where_the_localizer_is_frozen(rig):
     rig.epoch(0)
     rig.bus.time_ns = at(1)
-    rig.hear(fix=fix(1))
-    assert words(rig.advance(1 + 19 * MS)) == []
-    assert words(rig.advance(1 + 20 * MS)) == [
+    rig.update(fix=fix(1))
+    assert verdicts(rig.advance(1 + 19 * MS)) == []
+    assert verdicts(rig.advance(1 + 20 * MS)) == [
         ("confirmed", "height_agrees")
     ]  # by the pose of the epoch before
 
@@ -191,30 +191,30 @@ def test_but_not_longer_than_20_ms_where_the_localizer_is_frozen(rig):
 def test_nor_where_the_fix_is_dated_ahead(rig):
     rig.epoch(0)
     rig.bus.time_ns = at(1)
-    rig.hear(fix=fix(3))
-    assert words(rig.advance(1)) == []
-    assert len(words(rig.advance(1 + 20 * MS))) == 1
+    rig.update(fix=fix(3))
+    assert verdicts(rig.advance(1)) == []
+    assert len(verdicts(rig.advance(1 + 20 * MS))) == 1
 
 
 def test_nor_where_the_clock_is_set_back(rig):
     rig.epoch(100)
-    rig.hear(fix=fix(101))
+    rig.update(fix=fix(101))
     rig.advance(99.9)
     assert rig.service._pending == []
 
 
 def test_nor_where_there_is_no_localizer(rig):
     rig.bus.alive.discard("localizer")
-    assert words(rig.epoch(0, pose=None)) == [("unknown", "localizer_absent")]
+    assert verdicts(rig.epoch(0, pose=None)) == [("unknown", "localizer_absent")]
 
 
 def test_what_still_waits_at_the_end_is_judged(rig):
     rig.epoch(0)
     rig.bus.time_ns = at(1)
-    rig.hear(fix=fix(1))
+    rig.update(fix=fix(1))
     rig.advance(1)
     rig.service.close()
-    assert words(rig.take()) == [("confirmed", "height_agrees")]
+    assert verdicts(rig.take()) == [("confirmed", "height_agrees")]
 
 
 def test_a_fix_that_the_judge_fails_on_is_not_tried_for_ever(rig, monkeypatch):
@@ -223,7 +223,7 @@ def test_a_fix_that_the_judge_fails_on_is_not_tried_for_ever(rig, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         rig.epoch(1)
     monkeypatch.undo()
-    assert words(rig.epoch(2)) == [("confirmed", "height_agrees")]
+    assert verdicts(rig.epoch(2)) == [("confirmed", "height_agrees")]
 
 
 # --- silence -----------------------------------------------------------------------------------------------------
@@ -290,7 +290,7 @@ def test_without_poses_the_position_is_none_however_often_fixes_come(step):
 def test_from_the_first_moment_there_is_a_word(rig):
     rig.bus.alive.clear()
     sent = rig.advance(0)
-    assert words(sent) == [("unknown", "gnss_absent")]
+    assert verdicts(sent) == [("unknown", "gnss_absent")]
     assert [p.reason for p in of(sent, "position")] == ["localizer_absent"]
     assert of(sent, "verdict")[0].fix_id is None
 
@@ -303,9 +303,9 @@ def test_when_all_is_well_nothing_is_said_between_the_epochs(rig):
 def test_after_the_clock_was_set_back_there_is_no_silence(rig):
     rig.epoch(10_000)
     sent = rig.advance(0)
-    assert words(sent) == [("unknown", "gnss_stale")]
+    assert verdicts(sent) == [("unknown", "gnss_stale")]
     assert [p.source for p in of(rig.epoch(1, fix=None), "position")] == ["sensors"]
-    assert words(rig.epoch(2)) == [("confirmed", "height_agrees")]
+    assert verdicts(rig.epoch(2)) == [("confirmed", "height_agrees")]
 
 
 # --- uploads -----------------------------------------------------------------------------------------------------

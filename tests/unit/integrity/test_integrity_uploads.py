@@ -5,9 +5,9 @@ import pytest
 
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.integrity.checks.height_check import RoadPoint
-from camber.integrity.judgement import Judgement
+from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import TrueSigma
-from camber.integrity.uploads import MOST_ROWS, Collector, batch_of, decimal_year, upload_for
+from camber.integrity.uploads import MOST_ROWS, UploadBatcher, batch_of, decimal_year, upload_for
 from camber.map_update.contribution import QUALITIES, VERDICTS
 from camber.schemas.antenna import HeightByMethod
 from support.judging import ROAD_M, antenna, at, fix, pose, road
@@ -17,30 +17,30 @@ POINT = RoadPoint(ROAD_M, 0.03, surface_id=7)
 EVERY_S = 5.0  # 25 epochs, and START_NS is on the grid
 
 
-def judgement(epoch=0, word="confirmed", **changes):
+def judgement(epoch=0, verdict="confirmed", **changes):
     fields = {"pose": pose(epoch), "antenna": antenna(epoch), "road": POINT, "fix": fix(epoch)} | changes
-    return Judgement(word=word, reason="none", **fields)
+    return FixJudgement(verdict=verdict, reason="none", **fields)
 
 
 def upload(epoch=0, **changes):
-    found = upload_for(judgement(epoch, **changes), "car", SIGMA)
-    assert found is not None
-    return found
+    result = upload_for(judgement(epoch, **changes), "car", SIGMA)
+    assert result is not None
+    return result
 
 
-@pytest.mark.parametrize("word", VERDICTS)
-def test_every_verdict_is_uploaded_with_its_word(word):
-    assert upload(word=word).verdict == word
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_is_uploaded_with_its_word(verdict):
+    assert upload(verdict=verdict).verdict == verdict
 
 
 def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
-    found = upload(fix=fix(up_m=0.5), road=RoadPoint(99.0, 0.03, surface_id=8))
-    assert found.road_height_m == pytest.approx(ROAD_M + 0.5)
-    assert found.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.02**2) ** 0.5)
-    assert found.position_covariance_enu_m2[0] == pytest.approx(16 * 2.5e-5 + 0.05**2)
-    assert found.surface_id == 8
-    assert found.map_version == 3
-    assert found.epoch_year == pytest.approx(2023.5, abs=0.1)
+    result = upload(fix=fix(up_m=0.5), road=RoadPoint(99.0, 0.03, surface_id=8))
+    assert result.road_height_m == pytest.approx(ROAD_M + 0.5)
+    assert result.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.02**2) ** 0.5)
+    assert result.position_covariance_enu_m2[0] == pytest.approx(16 * 2.5e-5 + 0.05**2)
+    assert result.surface_id == 8
+    assert result.map_version == 3
+    assert result.epoch_year == pytest.approx(2023.5, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -54,9 +54,9 @@ def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
     ids=str,
 )
 def test_the_epoch_is_the_decimal_year_to_two_days(gpst, year):
-    found = decimal_year(gps_ns_from_gpst(CalendarTime(*gpst, 0, 0, 0, 0)))
-    assert found == pytest.approx(year, abs=2 / 365, rel=0.0)
-    assert found == year or gpst[1:] != (1, 1)
+    result = decimal_year(gps_ns_from_gpst(CalendarTime(*gpst, 0, 0, 0, 0)))
+    assert result == pytest.approx(year, abs=2 / 365, rel=0.0)
+    assert result == year or gpst[1:] != (1, 1)
 
 
 def test_an_antenna_may_be_as_low_as_it_likes():
@@ -71,14 +71,14 @@ def test_the_height_is_free_of_what_was_learnt_against_the_map():
 def test_the_antenna_height_of_scan_matching_is_that_above_the_maps_road_so_the_surest_other_way_is_sent():
     ways = (("ranging", 1.83, 0.03), ("scan_matching", 1.7, 0.01), ("stroke", 1.81, 0.015))
     others = tuple(HeightByMethod(way=way, height_m=height, sigma_m=sigma) for way, height, sigma in ways)
-    found = upload(antenna=antenna(way="scan_matching", height_m=1.7, others=others))
-    assert found.antenna_height_m == 1.81
-    assert found.road_height_m == pytest.approx(ROAD_M + 1.8 - 1.81)
-    assert found.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.015**2) ** 0.5)
+    result = upload(antenna=antenna(way="scan_matching", height_m=1.7, others=others))
+    assert result.antenna_height_m == 1.81
+    assert result.road_height_m == pytest.approx(ROAD_M + 1.8 - 1.81)
+    assert result.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.015**2) ** 0.5)
 
 
 def test_the_same_fix_has_the_same_id_and_another_has_not():
-    assert upload().upload_id == upload(word="erroneous").upload_id
+    assert upload().upload_id == upload(verdict="erroneous").upload_id
     assert len({upload(k).upload_id for k in range(50)}) == 50
 
 
@@ -109,7 +109,7 @@ def test_what_no_fusion_can_use_stays_here(changes):
 
 
 def test_a_batch_has_a_row_for_each_in_order():
-    uploads = [upload(k, word=word) for k, word in enumerate(VERDICTS)]
+    uploads = [upload(k, verdict=verdict) for k, verdict in enumerate(VERDICTS)]
     batch = batch_of(uploads)
     assert batch.time_ns == uploads[-1].time_ns
     assert (batch.vehicle, batch.datum, batch.map_version) == ("car", "WGS84", 3)
@@ -134,7 +134,7 @@ def test_the_id_of_a_batch_is_made_of_its_contents():
         batch_of([upload(0), upload(1)]).batch_id,
         batch_of([upload(0), upload(1)]).batch_id,
         batch_of([upload(1)]).batch_id,
-        batch_of([upload(0), upload(1, word="erroneous")]).batch_id,
+        batch_of([upload(0), upload(1, verdict="erroneous")]).batch_id,
     ]
     assert ids[0] == ids[1]
     assert len(set(ids)) == 3
@@ -155,7 +155,7 @@ def test_what_does_not_go_together_is_refused(uploads):
 
 
 def collected(uploads):
-    collector = Collector(EVERY_S)
+    collector = UploadBatcher(EVERY_S)
     batches = [*(collector.add(one) for one in uploads), collector.take()]
     return [len(batch.surface_id) for batch in batches if batch is not None]
 
@@ -174,7 +174,7 @@ def test_a_new_map_begins_a_new_batch():
 
 
 def test_each_upload_is_in_exactly_one_batch():
-    collector, rows = Collector(EVERY_S), []
+    collector, rows = UploadBatcher(EVERY_S), []
     for k in range(200):
         batch = collector.add(upload(k / 4))
         rows += batch.positioning_time_ns.tolist() if batch is not None else []
@@ -186,7 +186,7 @@ def test_each_upload_is_in_exactly_one_batch():
 
 
 def test_a_batch_is_due_when_its_stretch_is_over():
-    collector = Collector(EVERY_S)
+    collector = UploadBatcher(EVERY_S)
     assert collector.due(at(100)) is None
     collector.add(upload(0))
     assert collector.due(at(24)) is None

@@ -2,42 +2,42 @@
 
 import pytest
 
-from camber.integrity.latest_inputs import Heard
+from camber.integrity.latest_inputs import LatestInputs
 from camber.schemas.gnss import ReceiverIntegrity
 from support.judging import ALL, antenna, at, pose
 
 
 def heard(*epochs, **changes):
-    found = Heard()
+    result = LatestInputs()
     for epoch in epochs:
-        found.hear_pose(pose(epoch, **changes))
-    return found
+        result.add_pose(pose(epoch, **changes))
+    return result
 
 
 def test_before_anything_is_heard_nothing_is_known():
     assert heard().pose is None
     assert heard().pose_near(at(0)) is None
     assert heard().speed_at(at(0), 1.0) is None
-    situation = heard().situation(at(0), ALL)
-    assert (situation.pose, situation.antenna, situation.alive) == (None, None, ALL)
+    inputs = heard().inputs(at(0), ALL)
+    assert (inputs.pose, inputs.antenna, inputs.alive) == (None, None, ALL)
 
 
 @pytest.mark.parametrize(
     ("time", "epoch"), [(-5, 0), (0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (1, 1), (1.6, 2), (2.4, 2), (9, 3)]
 )
 def test_of_several_poses_it_is_the_nearest_and_of_two_as_near_the_earlier(time, epoch):
-    assert heard(0, 1, 2, 3).situation(at(time), ALL).pose == pose(epoch)
+    assert heard(0, 1, 2, 3).inputs(at(time), ALL).pose == pose(epoch)
 
 
 def test_a_pose_that_is_no_newer_is_not_heard():
-    found = heard(2, 1)
-    found.hear_pose(pose(2, east_m=5.0))
-    assert list(found.poses) == [pose(2)]
+    result = heard(2, 1)
+    result.add_pose(pose(2, east_m=5.0))
+    assert list(result.poses) == [pose(2)]
 
 
 def test_of_a_long_drive_only_the_newest_poses_are_kept():
-    found = heard(*range(100))
-    assert list(found.poses) == [pose(epoch) for epoch in range(36, 100)]
+    result = heard(*range(100))
+    assert list(result.poses) == [pose(epoch) for epoch in range(36, 100)]
 
 
 @pytest.mark.parametrize(("epoch", "near"), [(2.5, True), (-2.5, True), (2.51, False), (-2.51, False)])
@@ -52,29 +52,29 @@ def test_one_without_a_place_tells_none():
 
 @pytest.mark.parametrize(("epoch", "speed_m_s"), [(2.5, 7.0), (-2.5, 7.0), (2.6, None), (-2.6, None)])
 def test_the_speed_is_known_so_long(epoch, speed_m_s):
-    found = Heard()
-    found.hear_speed(at(0), 7.0)
-    assert found.speed_at(at(epoch), 0.5) == speed_m_s
+    result = LatestInputs()
+    result.add_wheel_speed(at(0), 7.0)
+    assert result.speed_at(at(epoch), 0.5) == speed_m_s
 
 
 def test_no_speed_leaves_the_one_before():
-    found = Heard()
-    found.hear_speed(at(0), 7.0)
-    found.hear_speed(at(1), None)
-    assert found.speed_at(at(1), 0.5) == 7.0
+    result = LatestInputs()
+    result.add_wheel_speed(at(0), 7.0)
+    result.add_wheel_speed(at(1), None)
+    assert result.speed_at(at(1), 0.5) == 7.0
 
 
 def test_what_is_dated_ahead_is_forgotten_and_what_is_of_now_is_not():
-    found = heard(0, 1, 2)
-    found.hear_antenna(antenna(1))
-    found.receiver.hear(ReceiverIntegrity(time_ns=at(1), spoofing="affirmed"))
-    found.forget_after(at(1))
-    assert found.pose == pose(1)
-    assert found.situation(at(1), ALL).antenna == antenna(1)
-    assert found.receiver.warning(at(1), 1.0) == "spoofing affirmed"
-    found.forget_after(at(1) - 1)
-    assert found.pose == pose(0)
-    assert found.situation(at(1), ALL).antenna is None
-    assert found.receiver.warning(at(1), 1.0) is None
-    found.forget_after(at(0) - 1)
-    assert found.pose is None
+    result = heard(0, 1, 2)
+    result.set_antenna_height(antenna(1))
+    result.receiver.update(ReceiverIntegrity(time_ns=at(1), spoofing="affirmed"))
+    result.forget_after(at(1))
+    assert result.pose == pose(1)
+    assert result.inputs(at(1), ALL).antenna == antenna(1)
+    assert result.receiver.warning(at(1), 1.0) == "spoofing affirmed"
+    result.forget_after(at(1) - 1)
+    assert result.pose == pose(0)
+    assert result.inputs(at(1), ALL).antenna is None
+    assert result.receiver.warning(at(1), 1.0) is None
+    result.forget_after(at(0) - 1)
+    assert result.pose is None

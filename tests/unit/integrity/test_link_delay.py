@@ -109,10 +109,10 @@ def test_a_delay_that_is_known_changes_nothing_but_the_time(said, in_vehicle, de
 def test_a_delay_that_varies_below_the_setting_loses_no_fix_and_changes_no_verdict(said, in_vehicle) -> None:
     """Of what one epoch has, the last may come 50 ms after the first."""
     bus, _ = judged(said, 0.08, 0.15, jitter_s=0.05)
-    found = {fix_id: outcome(verdict) for fix_id, verdict in bus.verdicts.items()}
-    assert found.keys() == in_vehicle.keys()
-    words = {fix_id: one["verdict"] for fix_id, one in found.items()}
-    assert words == {fix_id: one["verdict"] for fix_id, one in in_vehicle.items()}
+    result = {fix_id: outcome(verdict) for fix_id, verdict in bus.verdicts.items()}
+    assert result.keys() == in_vehicle.keys()
+    verdicts = {fix_id: one["verdict"] for fix_id, one in result.items()}
+    assert verdicts == {fix_id: one["verdict"] for fix_id, one in in_vehicle.items()}
 
 
 def test_without_the_setting_a_delay_costs_verdicts(said, in_vehicle) -> None:

@@ -19,15 +19,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.scalar_or_array import Either, known, positive, root, where
+from camber.integrity.scalar_or_array import FloatOrArray, finite_or_inf, positive_or_nan, sqrt, where
 
 Floats = NDArray[np.float64]
-Words = NDArray[np.int8]
+TestOutcomes = NDArray[np.int8]
 
 AGREES, UNVERIFIED, CONTRADICTS = 0, 1, 2
 
 
-Upper: TypeAlias = tuple[Either, Either, Either, Either, Either, Either]
+UpperTriangle: TypeAlias = tuple[
+    FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray
+]
 """(ee, en, eu, nn, nu, uu) of symmetric matrices, each a float or (n,)."""
 
 
@@ -39,10 +41,10 @@ class Distances:
     none, is infinitely far off.
     """
 
-    height: Either
-    position: Either
-    joint: Either
-    height_sigma_m: Either
+    height: FloatOrArray
+    position: FloatOrArray
+    joint: FloatOrArray
+    height_sigma_m: FloatOrArray
 
 
 def difference_covariance(
@@ -53,19 +55,19 @@ def difference_covariance(
     `fix_covariance_m2` (n, 3, 3), `pose_covariance_m2` (n, 2, 2), `height_variance_m2` (n,), `slope` (n, 2).
     """
     pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
-    found = covariance_of_difference(
-        upper(fix_covariance_m2), pose, height_variance_m2, (slope[:, 0], slope[:, 1])
+    result = covariance_of_difference(
+        upper_triangle(fix_covariance_m2), pose, height_variance_m2, (slope[:, 0], slope[:, 1])
     )
-    ee, en, eu, nn, nu, uu = np.broadcast_arrays(*found)
+    ee, en, eu, nn, nu, uu = np.broadcast_arrays(*result)
     return np.stack([ee, en, eu, en, nn, nu, eu, nu, uu], axis=-1).reshape(-1, 3, 3)
 
 
 def covariance_of_difference(
-    fix_m2: Upper,
-    pose_m2: tuple[Either, Either, Either],
-    height_variance_m2: Either,
-    slope: tuple[Either, Either],
-) -> Upper:
+    fix_m2: UpperTriangle,
+    pose_m2: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
+    height_variance_m2: FloatOrArray,
+    slope: tuple[FloatOrArray, FloatOrArray],
+) -> UpperTriangle:
     """S of the difference, if the fix is right, each part a float or (n,).
 
     `fix_m2` and `pose_m2` (ee, en, nn) are their covariances, `height_variance_m2` is that of road and antenna
@@ -79,27 +81,29 @@ def covariance_of_difference(
     return ee + pose_ee, en + pose_en, level_eu, nn + pose_nn, level_nu, level_uu + height_variance_m2
 
 
-def upper(matrices: Floats) -> Upper:
+def upper_triangle(matrices: Floats) -> UpperTriangle:
     """The upper triangles of matrices (n, 3, 3)."""
     m = matrices
     return m[:, 0, 0], m[:, 0, 1], m[:, 0, 2], m[:, 1, 1], m[:, 1, 2], m[:, 2, 2]
 
 
-def distances(difference_m: tuple[Either, Either, Either], covariance_m2: Upper) -> Distances:
+def distances(
+    difference_m: tuple[FloatOrArray, FloatOrArray, FloatOrArray], covariance_m2: UpperTriangle
+) -> Distances:
     """How far differences east, north and up are from nothing, by their covariances; each part a float or (n,)."""
-    horizontal, joint, _ = terms(difference_m, covariance_m2)
-    up, upright = difference_m[2], positive(covariance_m2[5])
+    horizontal, joint, _ = mahalanobis_terms(difference_m, covariance_m2)
+    up, upright = difference_m[2], positive_or_nan(covariance_m2[5])
     return Distances(
-        height=known(up * up / upright),
-        position=known(horizontal),
-        joint=known(joint),
-        height_sigma_m=root(known(upright)),
+        height=finite_or_inf(up * up / upright),
+        position=finite_or_inf(horizontal),
+        joint=finite_or_inf(joint),
+        height_sigma_m=sqrt(finite_or_inf(upright)),
     )
 
 
-def terms(
-    difference_m: tuple[Either, Either, Either], covariance_m2: Upper
-) -> tuple[Either, Either, tuple[Either, Either, Either]]:
+def mahalanobis_terms(
+    difference_m: tuple[FloatOrArray, FloatOrArray, FloatOrArray], covariance_m2: UpperTriangle
+) -> tuple[FloatOrArray, FloatOrArray, tuple[FloatOrArray, FloatOrArray, FloatOrArray]]:
     """dᵀ S⁻¹ d of the horizontal position alone and of all, and the three pivots of S, whose product is det S.
 
     Golub and Van Loan, Matrix Computations, 4.1.2: S = L D Lᵀ with the horizontal axes first, so that the first two
@@ -107,18 +111,18 @@ def terms(
     numbers where it is none.
     """
     (east, north, up), (ee, en, eu, nn, nu, uu) = difference_m, covariance_m2
-    pivot_east, upright = positive(ee), positive(uu)
+    pivot_east, upright = positive_or_nan(ee), positive_or_nan(uu)
     l_north, l_up = en / pivot_east, eu / pivot_east
-    pivot_north = positive(nn - l_north * en)
+    pivot_north = positive_or_nan(nn - l_north * en)
     coupled = nu - l_up * en
-    pivot_up = positive(upright - l_up * eu - coupled * coupled / pivot_north)
+    pivot_up = positive_or_nan(upright - l_up * eu - coupled * coupled / pivot_north)
     off_north = north - l_north * east
     off_up = up - l_up * east - coupled / pivot_north * off_north
     horizontal = east * east / pivot_east + off_north * off_north / pivot_north
     return horizontal, horizontal + off_up * off_up / pivot_up, (pivot_east, pivot_north, pivot_up)
 
 
-def words(squared: Either, hold_back_limit: float, false_alarm_limit: float) -> Either:
+def outcome_of(squared: FloatOrArray, hold_back_limit: float, false_alarm_limit: float) -> FloatOrArray:
     """AGREES, UNVERIFIED or CONTRADICTS of squared distances; what is not a number contradicts."""
     return where(
         squared <= hold_back_limit, AGREES, where(squared <= false_alarm_limit, UNVERIFIED, CONTRADICTS)
@@ -150,9 +154,9 @@ def chi2_survival(squared: float, degrees: int) -> float:
     """P(χ² > squared) for 1, 2 or 3 degrees of freedom. Raises ValueError for any other number."""
     if degrees == 2:
         return math.exp(-0.5 * squared)
-    root = math.sqrt(0.5 * squared)
+    half_sigma = math.sqrt(0.5 * squared)
     if degrees == 1:
-        return math.erfc(root)
+        return math.erfc(half_sigma)
     if degrees == 3:
-        return math.erfc(root) + 2.0 / math.sqrt(math.pi) * root * math.exp(-0.5 * squared)
+        return math.erfc(half_sigma) + 2.0 / math.sqrt(math.pi) * half_sigma * math.exp(-0.5 * squared)
     raise ValueError(f"{degrees} degrees of freedom, expected 1, 2 or 3")

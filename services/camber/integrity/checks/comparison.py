@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from camber.integrity.checks.chi2_test import Floats, covariance_of_difference
-from camber.integrity.checks.determination import Limits, determination_of
-from camber.integrity.checks.height_check import Height, RoadPoint
+from camber.integrity.checks.consistency import ConsistencyLimits, consistency_of
+from camber.integrity.checks.height_check import HeightModel, RoadPoint
 from camber.integrity.checks.pose_gate import offset_from_pose
-from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.scalar_or_array import larger_eigenvalue
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
@@ -22,7 +22,7 @@ _ACCELERATION_M_S2 = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class FixComparison:
     """The difference (3,) of a fix, its covariance S (3, 3) if the fix is right, and what was found.
 
     Fix less pose to the east and north at the fix's time, and fix less road, antenna and correction at its place
@@ -37,7 +37,7 @@ class Comparison:
     height_m: float | None
     height_sigma_m: float
     tolerance_m: float | None
-    reach_m: float
+    acceptance_radius_m: float
     joint_distance2: float | None
     joint_limit: float | None
 
@@ -52,21 +52,28 @@ class Comparison:
         (ee, en, _), (_, nn, _), _ = self.covariance_m2.tolist()
         return math.sqrt(larger_eigenvalue(ee, en, nn))
 
-    def in_words(self, pose_sigma_m: float) -> str:
+    def describe(self, pose_sigma_m: float) -> str:
         """All figures, for the detail of a verdict."""
         aside_m = math.hypot(*self.position_m)
-        words = [f"{aside_m:.2f} m from the pose of σ {pose_sigma_m:.2f} m, {self.reach_m:.2f} m would agree"]
+        parts = [
+            f"{aside_m:.2f} m from the pose of σ {pose_sigma_m:.2f} m, {self.acceptance_radius_m:.2f} m would agree"
+        ]
         if self.height_m is not None:
             sigma = f"σ {self.height_sigma_m:.2f} m, {self.tolerance_m:.2f} m would agree"
-            words.insert(0, f"height {self.height_m:+.2f} m of {sigma}")
+            parts.insert(0, f"height {self.height_m:+.2f} m of {sigma}")
         if self.joint_distance2 is not None and self.joint_limit is not None:
-            words.append(f"together {self.joint_distance2:.1f} of {self.joint_limit:.1f}")
-        return "; ".join(words)
+            parts.append(f"together {self.joint_distance2:.1f} of {self.joint_limit:.1f}")
+        return "; ".join(parts)
 
 
 def compare(
-    fix: Fix, pose: Pose, road: RoadPoint | None, height: Height | None, sigma: TrueSigma, limits: Limits
-) -> Comparison:
+    fix: Fix,
+    pose: Pose,
+    road: RoadPoint | None,
+    height: HeightModel | None,
+    sigma: TrueSigma,
+    limits: ConsistencyLimits,
+) -> FixComparison:
     """The comparison of one fix; without road and antenna its height is infinitely far off.
 
     Raises ValueError for a fix or a pose without covariance or place.
@@ -79,21 +86,21 @@ def compare(
         up_m = fix.height_m - height.expected_m(road)
         variance_m2, slope = height.variance_m2(road), (road.slope_east, road.slope_north)
     pose_m2 = _pose_covariance(pose, fix.time_ns)
-    fix_m2 = with_true_sigma(fix.covariance_enu_m2, sigma)
+    fix_m2 = inflate_covariance(fix.covariance_enu_m2, sigma)
     covariance_m2 = covariance_of_difference(fix_m2, pose_m2, variance_m2, slope)
-    found = determination_of((east_m, north_m, up_m), covariance_m2, pose_m2, limits)
+    result = consistency_of((east_m, north_m, up_m), covariance_m2, pose_m2, limits)
     asks_height = limits.rules.asks_height
     ee, en, eu, nn, nu, uu = covariance_m2
-    return Comparison(
+    return FixComparison(
         difference_m=np.array([east_m, north_m, up_m]),
         covariance_m2=np.array([[ee, en, eu], [en, nn, nu], [eu, nu, uu]]),
-        outcome=found.outcome,
-        position=found.position,
+        outcome=result.outcome,
+        position=result.position,
         height_m=-up_m if asks_height and math.isfinite(up_m) else None,
-        height_sigma_m=found.distances.height_sigma_m,
-        tolerance_m=found.tolerance_m if asks_height else None,
-        reach_m=found.reach_m,
-        joint_distance2=_finite(found.distances.joint),
+        height_sigma_m=result.distances.height_sigma_m,
+        tolerance_m=result.tolerance_m if asks_height else None,
+        acceptance_radius_m=result.acceptance_radius_m,
+        joint_distance2=_finite(result.distances.joint),
         joint_limit=_finite(limits.joint[1]),
     )
 

@@ -8,28 +8,28 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.checks.pose_gate import claimed_sigma_m, offset_from_pose
 from camber.integrity.checks.start_rule import StartCount, StartFix
-from camber.integrity.checks.time_series import Link, continues, next_link
-from camber.integrity.checks.verification import Integers
-from camber.integrity.judgement import Judgement
-from camber.integrity.protection.covariance_inflation import with_true_sigma
+from camber.integrity.checks.time_series import ChainedFix, continues_chain, next_in_chain
+from camber.integrity.checks.verification import AmbiguityHistory
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.protection.covariance_inflation import inflate_covariance
 from camber.integrity.protection.position_output import is_provisional
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 
 
-class FixesBefore:
+class FixHistory:
     """Changed by `settle` alone; all else only asks."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self.integers = Integers()
-        self.chain: Link | None = None
+        self.integers = AmbiguityHistory()
+        self.chain: ChainedFix | None = None
         self._start = StartCount()
 
-    def settle(self, judgement: Judgement, speed_m_s: float | None) -> None:
+    def settle(self, judgement: FixJudgement, speed_m_s: float | None) -> None:
         """Remember what follows from a judgement that is final; `speed_m_s` of the wheels then, None: not known."""
-        fix, confirmed = judgement.fix, judgement.word == "confirmed"
+        fix, confirmed = judgement.fix, judgement.verdict == "confirmed"
         # The engine compares integers with those of its own fix, not with another estimate's.
         self.integers = self.integers.after(
             fix,
@@ -39,7 +39,7 @@ class FixesBefore:
         starting = judgement.pose is not None and is_provisional(judgement.pose)
         in_a_row = starting and (confirmed or judgement.reason == "starting")
         self._start = self.start_after(fix, speed_m_s) if in_a_row else StartCount()
-        if judgement.confirmed and judgement.road is not None and is_sharp(fix, self._rules):
+        if judgement.confirmed and judgement.road is not None and is_precise(fix, self._rules):
             self.chain = self._chain_after(judgement, judgement.road)
 
     def forget_after(self, limit_ns: int) -> None:
@@ -47,14 +47,14 @@ class FixesBefore:
         if self.chain is not None and self.chain.time_ns > limit_ns:
             self.chain = None
         if self.integers.last_ns > limit_ns:
-            self.integers = Integers()
+            self.integers = AmbiguityHistory()
 
     def start_after(self, fix: Fix, speed_m_s: float | None) -> StartCount:
         """Agreeing fixes in a row, if this is one more."""
         start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, speed_m_s)
         return self._start.after(start, self._rules.start)
 
-    def are_continued_by(self, fix: Fix, pose_then: Pose | None, pose_now: Pose | None) -> bool:
+    def is_consistent_with_previous(self, fix: Fix, pose_then: Pose | None, pose_now: Pose | None) -> bool:
         """Has the fix moved since the last right one as the vehicle has? The poses are those of both times."""
         last = self.chain
         if last is None or pose_then is None or pose_now is None:
@@ -66,21 +66,21 @@ class FixesBefore:
             last.latitude_rad, last.longitude_rad, pose_then, last.time_ns
         )
         east_now, north_now = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose_now, fix.time_ns)
-        return continues(
+        return continues_chain(
             last,
             self._rules.series,
             time_ns=fix.time_ns,
             moved_east_m=east_m,
             moved_north_m=north_m,
             # It has moved otherwise than the vehicle by as much as it has moved against the pose.
-            astray_m=math.hypot(east_now - east_then, north_now - north_then),
+            drift_m=math.hypot(east_now - east_then, north_now - north_then),
             height_m=fix.height_m,
         )
 
-    def _chain_after(self, judgement: Judgement, road: RoadPoint) -> Link:
+    def _chain_after(self, judgement: FixJudgement, road: RoadPoint) -> ChainedFix:
         """The chain with a position found right as its head."""
         fix = judgement.fix
-        link = Link(
+        link = ChainedFix(
             fix.time_ns,
             fix.latitude_rad,
             fix.longitude_rad,
@@ -88,12 +88,12 @@ class FixesBefore:
             road.slope_east,
             road.slope_north,
         )
-        return next_link(link, self.chain, verified=judgement.word != "confirmed")
+        return next_in_chain(link, self.chain, verified=judgement.verdict != "confirmed")
 
 
-def is_sharp(fix: Fix, rules: Rules) -> bool:
+def is_precise(fix: Fix, rules: Rules) -> bool:
     """Is the fix so precise, by its own account, that where it stands and how it moves says something?"""
     assert fix.covariance_enu_m2 is not None
-    return claimed_sigma_m(with_true_sigma(fix.covariance_enu_m2, rules.true_sigma)) <= (
+    return claimed_sigma_m(inflate_covariance(fix.covariance_enu_m2, rules.true_sigma)) <= (
         rules.verification.fix_sigma_m
     )

@@ -9,7 +9,7 @@ from camber.schemas.integrity import Reason
 _REMEMBERED = 1024  # ids; minutes at any rate of a receiver
 
 
-class FixOrder:
+class FixSequence:
     """What is remembered of the fixes heard so far."""
 
     def __init__(self) -> None:
@@ -17,7 +17,7 @@ class FixOrder:
         """Time of the last solution heard, of whatever quality."""
         self._ids: dict[int, None] = {}
 
-    def has_verdict(self, fix: Fix) -> bool:
+    def register_once(self, fix: Fix) -> bool:
         """Was a fix of this id judged already? Else it counts as judged from now on."""
         if fix.fix_id in self._ids:
             return True
@@ -26,7 +26,7 @@ class FixOrder:
             del self._ids[next(iter(self._ids))]
         return False
 
-    def misplaced(self, fix: Fix, now_ns: int, rules: Rules) -> Reason | None:
+    def check_epoch(self, fix: Fix, now_ns: int, rules: Rules) -> Reason | None:
         """Why the fix cannot be judged at its place in time; one dated ahead leaves no trace here."""
         ahead_s = (fix.time_ns - now_ns) / 1e9
         if ahead_s > rules.future_limit_s:

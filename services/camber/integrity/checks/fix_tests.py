@@ -10,21 +10,21 @@ import math
 from dataclasses import replace
 
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
-from camber.integrity.checks.comparison import Comparison, compare
-from camber.integrity.checks.determination import (
+from camber.integrity.checks.comparison import FixComparison, compare
+from camber.integrity.checks.consistency import (
     ALL_AGREE,
     HEIGHT_CONTRADICTS,
     POSITION_CONTRADICTS,
     POSITION_UNVERIFIED,
     REASONS,
 )
-from camber.integrity.checks.fix_history import FixesBefore, is_sharp
-from camber.integrity.checks.height_check import Height, road_at
+from camber.integrity.checks.fix_history import FixHistory, is_precise
+from camber.integrity.checks.height_check import HeightModel, road_at
 from camber.integrity.checks.pose_gate import offset_from_pose, pose_sigma_m
 from camber.integrity.checks.verification import phase_residuals_agree, scan_matching_agrees, verified
 from camber.integrity.epoch_inputs import age_s
-from camber.integrity.judgement import Judgement
-from camber.integrity.latest_inputs import Heard
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.latest_inputs import LatestInputs
 from camber.integrity.learning.height_correction import Learning
 from camber.integrity.learning.height_residual import base_of, key_of
 from camber.integrity.protection.position_output import is_provisional
@@ -34,37 +34,37 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Evidence, Reason, VerdictValue
 
 
-class Examination:
+class FixTests:
     """Says what is to be said of a fix that can be judged."""
 
-    def __init__(self, rules: Rules, heard: Heard, before: FixesBefore, learning: Learning) -> None:
+    def __init__(self, rules: Rules, heard: LatestInputs, before: FixHistory, learning: Learning) -> None:
         self._rules, self._heard, self._before, self._learning = rules, heard, before, learning
 
-    def examine(self, fix: Fix, alive: frozenset[str], trials: int) -> Judgement:
+    def examine(self, fix: Fix, alive: frozenset[str], trials: int) -> FixJudgement:
         """What is to be said of it, the last of so many estimates; `alive` are the services on the bus."""
-        situation = self._heard.situation(fix.time_ns, alive)
-        key = key_of(base_of(fix), situation.pose, situation.antenna)
-        draft = Judgement(
+        inputs = self._heard.inputs(fix.time_ns, alive)
+        key = key_of(base_of(fix), inputs.pose, inputs.antenna)
+        draft = FixJudgement(
             fix,
             "unknown",
             "none",
             correction_m=self._learning.correction(key).correction_m,
-            pose=situation.pose,
-            antenna=situation.antenna,
+            pose=inputs.pose,
+            antenna=inputs.antenna,
             cause=self._learning.diagnosis(None).cause,
             trials=trials,
         )
         against = self._against_itself(draft)
         if against is not None:
             return against
-        reason = situation.missing(fix.time_ns, self._rules)
+        reason = inputs.missing(fix.time_ns, self._rules)
         return self._locate(draft) if reason is None else replace(draft, reason=reason)
 
-    def _against_itself(self, draft: Judgement) -> Judgement | None:
+    def _against_itself(self, draft: FixJudgement) -> FixJudgement | None:
         """What is against a fix before anything else is asked: its phases, its receiver, the integers before it."""
         fix, tests = draft.fix, self._rules.determination.tests
         if "phase_residuals" in tests and fix.phase_residuals == "contradictory":
-            return replace(draft, word="erroneous", reason="phase_residuals_contradict")
+            return replace(draft, verdict="erroneous", reason="phase_residuals_contradict")
         warning = self._heard.receiver.warning(fix.time_ns, self._rules.receiver_max_age_s)
         if "receiver" in tests and warning is not None:
             return replace(draft, reason="receiver_warns", detail=warning)
@@ -74,7 +74,7 @@ class Examination:
             return replace(draft, reason="continuity_disagrees", detail=detail)
         return None
 
-    def _locate(self, draft: Judgement) -> Judgement:
+    def _locate(self, draft: FixJudgement) -> FixJudgement:
         """Is there a road below the fix, known well enough to check anything by it?"""
         fix, pose, rules = draft.fix, draft.pose, self._rules.determination
         assert pose is not None
@@ -90,7 +90,7 @@ class Examination:
         assert draft.antenna.height_m is not None
         assert draft.antenna.sigma_m is not None
         correction = self._learning.correction(key_of(base_of(fix), pose, draft.antenna))
-        height = Height(
+        height = HeightModel(
             draft.antenna.height_m,
             correction.correction_m,
             math.hypot(draft.antenna.sigma_m, correction.sigma_m),
@@ -105,33 +105,33 @@ class Examination:
         cause = self._learning.diagnosis(road.surface_id).cause
         return self._determine(replace(draft, road=road, cause=cause), height)
 
-    def _off_the_road(self, draft: Judgement) -> Judgement:
+    def _off_the_road(self, draft: FixJudgement) -> FixJudgement:
         """The planes of the map do not reach the fix: because it is off the pose, or because the pose is."""
         assert draft.pose is not None
         limits = limits_after(self._rules.determination, draft.trials)
-        found = compare(draft.fix, draft.pose, None, None, self._rules.true_sigma, limits)
-        if "position" in self._rules.determination.tests and found.position == CONTRADICTS:
-            return self._disagreed(replace(draft, comparison=found), found, POSITION_CONTRADICTS)
+        result = compare(draft.fix, draft.pose, None, None, self._rules.true_sigma, limits)
+        if "position" in self._rules.determination.tests and result.position == CONTRADICTS:
+            return self._disagreed(replace(draft, comparison=result), result, POSITION_CONTRADICTS)
         detail = "the fix is beyond the surface's plane"
         return replace(draft, reason="pose_too_uncertain", detail=detail)
 
-    def _determine(self, draft: Judgement, height: Height | None) -> Judgement:
-        """Height and position, alone and together."""
+    def _determine(self, draft: FixJudgement, height: HeightModel | None) -> FixJudgement:
+        """HeightModel and position, alone and together."""
         assert draft.pose is not None
         limits = limits_after(self._rules.determination, draft.trials)
-        found = compare(draft.fix, draft.pose, draft.road, height, self._rules.true_sigma, limits)
-        draft = replace(draft, comparison=found)
-        if found.outcome == ALL_AGREE:
-            return self._agreed(draft, found)
-        return self._disagreed(draft, found, found.outcome)
+        result = compare(draft.fix, draft.pose, draft.road, height, self._rules.true_sigma, limits)
+        draft = replace(draft, comparison=result)
+        if result.outcome == ALL_AGREE:
+            return self._agreed(draft, result)
+        return self._disagreed(draft, result, result.outcome)
 
-    def _agreed(self, draft: Judgement, found: Comparison) -> Judgement:
+    def _agreed(self, draft: FixJudgement, result: FixComparison) -> FixJudgement:
         """Confirmed, where anything speaks for the fix and the start is over."""
         assert draft.pose is not None
         starting, rules = is_provisional(draft.pose), self._rules
         if "subset_agreement" in rules.determination.tests and draft.fix.subset_agreement == "disagree":
             return self._split(draft)
-        evidence = self._evidence(draft, found)
+        evidence = self._evidence(draft, result)
         if not evidence:
             detail = "nothing that is asked speaks for the fix"
             return replace(draft, reason="height_unverified", detail=detail)
@@ -143,16 +143,16 @@ class Examination:
                 return replace(draft, reason="starting", detail=detail)
             evidence = (*evidence, "track")
         reason: Reason = "height_agrees" if rules.determination.asks_height else "none"
-        return replace(draft, word="confirmed", reason=reason, evidence=evidence)
+        return replace(draft, verdict="confirmed", reason=reason, evidence=evidence)
 
-    def _evidence(self, draft: Judgement, found: Comparison) -> tuple[Evidence, ...]:
+    def _evidence(self, draft: FixJudgement, result: FixComparison) -> tuple[Evidence, ...]:
         """What speaks for a fix that nothing speaks against, and what could have spoken against it."""
         assert draft.pose is not None
         rules, evidence = self._rules.determination, list[Evidence]()
         if rules.asks_height:
             evidence.append("height")
         # A pose that stems from the fixes themselves, or is metres wide, agrees with everything.
-        narrow = found.reach_m <= rules.position_cap_m
+        narrow = result.acceptance_radius_m <= rules.position_cap_m
         if rules.asks_position and narrow and not is_provisional(draft.pose):
             evidence.append("position")
         if "phase_residuals" in rules.tests and draft.fix.phase_residuals == "consistent":
@@ -161,46 +161,46 @@ class Examination:
             evidence.append("subset_agreement")
         return tuple(evidence)
 
-    def _split(self, draft: Judgement) -> Judgement:
+    def _split(self, draft: FixJudgement) -> FixJudgement:
         """All else agrees, but a part of its satellites is fixed elsewhere: one of both is wrong. Verified?"""
         detail = "without one system its satellites are fixed elsewhere"
         held = replace(draft, reason="subsets_disagree", detail=detail)
         return self._unless_verified(held, self._witnesses(held)) if self._may_be_verified(held) else held
 
-    def _disagreed(self, draft: Judgement, found: Comparison, outcome: int) -> Judgement:
+    def _disagreed(self, draft: FixJudgement, result: FixComparison, outcome: int) -> FixJudgement:
         """Common to all fixes? Verified by something else? Else erroneous, or not known."""
         assert draft.pose is not None
         starting = is_provisional(draft.pose)
-        reason, detail = REASONS[outcome], found.in_words(pose_sigma_m(draft.pose))
+        reason, detail = REASONS[outcome], result.describe(pose_sigma_m(draft.pose))
         if draft.cause == "base":
             return replace(draft, reason="common_offset", detail=f"{reason}: {detail}")
         # The place of a provisional pose is that of the fixes before: they contradict one another.
         wrong = outcome >= HEIGHT_CONTRADICTS and not (starting and outcome == POSITION_CONTRADICTS)
         # A fix that is not where the vehicle is says nothing of the road there.
-        road = None if found.position == CONTRADICTS else draft.road
-        word: VerdictValue = "erroneous" if wrong else "unknown"
-        held = replace(draft, word=word, reason=reason, detail=detail, road=road)
+        road = None if result.position == CONTRADICTS else draft.road
+        verdict: VerdictValue = "erroneous" if wrong else "unknown"
+        held = replace(draft, verdict=verdict, reason=reason, detail=detail, road=road)
         if not self._may_be_verified(draft):
             return held
         witnesses = self._witnesses(draft)
-        if found.position != AGREES:
+        if result.position != AGREES:
             # With the height agreed, the pose is in doubt as much as the fix: what speaks owes nothing to the pose.
             doubtful = outcome == POSITION_UNVERIFIED
             witnesses = tuple(w for w in witnesses if doubtful and w == "ambiguity_continuity")
         return self._unless_verified(held, witnesses)
 
-    def _may_be_verified(self, draft: Judgement) -> bool:
+    def _may_be_verified(self, draft: FixJudgement) -> bool:
         """Is the pose of its own making, and the fix sharp enough not to fit anything?"""
         assert draft.pose is not None
-        return not is_provisional(draft.pose) and is_sharp(draft.fix, self._rules)
+        return not is_provisional(draft.pose) and is_precise(draft.fix, self._rules)
 
-    def _unless_verified(self, held: Judgement, witnesses: tuple[Evidence, ...]) -> Judgement:
+    def _unless_verified(self, held: FixJudgement, witnesses: tuple[Evidence, ...]) -> FixJudgement:
         """As it was held, or confirmed where what speaks for it suffices."""
         if not verified(frozenset(witnesses), self._rules.verification):
             return held
-        return replace(held, word="confirmed_after_verification", evidence=witnesses)
+        return replace(held, verdict="confirmed_after_verification", evidence=witnesses)
 
-    def _witnesses(self, draft: Judgement) -> tuple[Evidence, ...]:
+    def _witnesses(self, draft: FixJudgement) -> tuple[Evidence, ...]:
         """What speaks for the fix although height or position are against it."""
         fix, pose, rules = draft.fix, draft.pose, self._rules
         assert pose is not None
@@ -225,4 +225,4 @@ class Examination:
         if last is None:
             return False
         then, now = self._heard.pose_near(last.time_ns), self._heard.pose_near(fix.time_ns)
-        return self._before.are_continued_by(fix, then, now)
+        return self._before.is_consistent_with_previous(fix, then, now)

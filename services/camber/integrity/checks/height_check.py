@@ -25,7 +25,7 @@ class RoadPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Height:
+class HeightModel:
     """Of the antenna above the road: `h_a`, the correction `h_e`, and the σ of both together, metres."""
 
     antenna_m: float

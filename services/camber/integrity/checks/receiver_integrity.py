@@ -15,13 +15,13 @@ _WARNINGS: dict[str, frozenset[str]] = {
 }
 
 
-class ReceiverWord:
+class ReceiverIntegrityMonitor:
     """The newest known statement on each thing that can warn, with its time."""
 
     def __init__(self) -> None:
         self._said: dict[str, tuple[int, str]] = {}
 
-    def hear(self, statement: ReceiverIntegrity) -> None:
+    def update(self, statement: ReceiverIntegrity) -> None:
         """One more; what it does not know leaves the word before it, and so does one that is older."""
         for name in _WARNINGS:
             word = getattr(statement, name)

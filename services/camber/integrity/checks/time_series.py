@@ -21,7 +21,7 @@ class SeriesRules:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class ChainedFix:
     """A fix found right, the road's slope there, and how many fixes back the last confirmed one is."""
 
     time_ns: int
@@ -30,33 +30,33 @@ class Link:
     height_m: float
     slope_east: float
     slope_north: float
-    links: int = 0
+    chain_length: int = 0
 
 
-def continues(
-    last: Link | None,
+def continues_chain(
+    last: ChainedFix | None,
     rules: SeriesRules,
     *,
     time_ns: int,
     moved_east_m: float,
     moved_north_m: float,
-    astray_m: float,
+    drift_m: float,
     height_m: float,
 ) -> bool:
     """Does the fix continue the last right one?
 
-    `moved_*` is the fix's displacement since then, `astray_m` how far that is from the vehicle's by its own sensors;
+    `moved_*` is the fix's displacement since then, `drift_m` how far that is from the vehicle's by its own sensors;
     the height must have changed by the road's slope at the last fix times the displacement.
     """
-    if last is None or last.links >= rules.longest_chain:
+    if last is None or last.chain_length >= rules.longest_chain:
         return False
     gap_s = (time_ns - last.time_ns) / 1e9
     if not 0.0 < gap_s <= rules.longest_gap_s:
         return False
     risen_m = last.slope_east * moved_east_m + last.slope_north * moved_north_m
-    return astray_m <= rules.horizontal_m and abs(height_m - last.height_m - risen_m) <= rules.vertical_m
+    return drift_m <= rules.horizontal_m and abs(height_m - last.height_m - risen_m) <= rules.vertical_m
 
 
-def next_link(fix: Link, last: Link | None, *, verified: bool) -> Link:
+def next_in_chain(fix: ChainedFix, last: ChainedFix | None, *, verified: bool) -> ChainedFix:
     """The fix as the head of the chain: a confirmed one starts anew, a verified one is a link more."""
-    return replace(fix, links=(last.links + 1 if last is not None else 1) if verified else 0)
+    return replace(fix, chain_length=(last.chain_length + 1 if last is not None else 1) if verified else 0)

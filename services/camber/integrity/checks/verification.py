@@ -24,7 +24,9 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Evidence
 from camber.schemas.pose import Pose
 
-Witness = Literal["time_series", "ambiguity_continuity", "scan_matching", "phase_residuals", "scan_and_phase"]
+VerificationEvidence = Literal[
+    "time_series", "ambiguity_continuity", "scan_matching", "phase_residuals", "scan_and_phase"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class VerificationRules:
     pose of a scan match is at most `scan_sigma_m` wide; residuals count from `phase_ambiguities` resolved ones on.
     """
 
-    enough: tuple[Witness, ...] = ("time_series", "ambiguity_continuity", "scan_and_phase")
+    enough: tuple[VerificationEvidence, ...] = ("time_series", "ambiguity_continuity", "scan_and_phase")
     fix_sigma_m: float = 0.15
     continuity_fixes: int = 5
     continuity_s: float = 30.0
@@ -67,7 +69,7 @@ def phase_residuals_agree(fix: Fix, rules: VerificationRules) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Integers:
+class AmbiguityHistory:
     """What is remembered of the integers of the fixes so far: of the chain that the height has confirmed.
 
     `confirmed` fixes of it were, from `first_ns` to `last_ns`; `newest` says whether the fix before was one of them.
@@ -103,7 +105,7 @@ class Integers:
             fix.ambiguity_continuity == "continuous" and since_ns is not None and since_ns == self.disputed_ns
         )
 
-    def after(self, fix: Fix, *, confirmed: bool, contradicted: bool) -> Integers:
+    def after(self, fix: Fix, *, confirmed: bool, contradicted: bool) -> AmbiguityHistory:
         """The memory after the verdict on one more fix; `confirmed`: by its height, not by its integers."""
         if contradicted:
             return replace(self, newest=False, disputed_ns=fix.continuous_since_ns)
@@ -113,7 +115,7 @@ class Integers:
             return replace(
                 self, confirmed=self.confirmed + 1, last_ns=fix.time_ns, newest=True, disputed_ns=None
             )
-        return Integers(1, fix.time_ns, fix.time_ns, newest=True)
+        return AmbiguityHistory(1, fix.time_ns, fix.time_ns, newest=True)
 
     def _goes_on(self, fix: Fix) -> bool:
         if fix.ambiguity_continuity != "continuous" or fix.continuous_since_ns is None or not self.confirmed:

@@ -24,7 +24,7 @@ _NORMAL_MAD = 1.4826  # σ of a normal distribution by its median absolute devia
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Differences:
+class HeightDifferences:
     """n stretches: difference, variance of fix and antenna, σ of the map, place (n, 2) in metres, time."""
 
     up_m: Floats
@@ -33,9 +33,9 @@ class Differences:
     place_m: Floats
     time_s: Floats
 
-    def only(self, kept: NDArray[np.bool_]) -> Differences:
+    def only(self, kept: NDArray[np.bool_]) -> HeightDifferences:
         """Some of them."""
-        return Differences(
+        return HeightDifferences(
             self.up_m[kept],
             self.variance_m2[kept],
             self.map_sigma_m[kept],
@@ -51,7 +51,7 @@ class Differences:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CommonPart:
+class CommonOffset:
     """Value by data and prior; σ of what the data's errors put into it; what it changes by in a second.
 
     `drift_sigmas` is the slope over time by its own σ, `drift_m` the slope times the time it was seen over.
@@ -64,14 +64,14 @@ class CommonPart:
     drift_m: float
 
 
-def common_part(
-    differences: Differences, correlation_m: float, prior_m: float, prior_sigma_m: float
-) -> CommonPart:
+def estimate_common_offset(
+    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
+) -> CommonOffset:
     """The common part of at least one difference."""
     kept = differences.only(_rest(differences, correlation_m, prior_m, prior_sigma_m))
     value_m, precision, information = _estimate(kept, correlation_m, prior_m, prior_sigma_m)
     slope, slope_sigma, span_s = _slope(kept, correlation_m)
-    return CommonPart(
+    return CommonOffset(
         value_m,
         float(np.sqrt(information)) / precision,
         len(kept.up_m),
@@ -81,7 +81,7 @@ def common_part(
 
 
 def _rest(
-    differences: Differences, correlation_m: float, prior_m: float, prior_sigma_m: float
+    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
 ) -> NDArray[np.bool_]:
     """Which agree with one another; the prior has a voice, so that it takes two to outvote it.
 
@@ -103,7 +103,7 @@ def _rest(
 
 
 def _estimate(
-    differences: Differences, correlation_m: float, prior_m: float, prior_sigma_m: float
+    differences: HeightDifferences, correlation_m: float, prior_m: float, prior_sigma_m: float
 ) -> tuple[float, float, float]:
     """Value, its inverse variance, and the part of that which is the data's."""
     ones = np.ones(len(differences.up_m))
@@ -114,7 +114,7 @@ def _estimate(
     return value_m, precision, information
 
 
-def _slope(differences: Differences, correlation_m: float) -> tuple[float, float, float]:
+def _slope(differences: HeightDifferences, correlation_m: float) -> tuple[float, float, float]:
     """Change a second, its σ (0: not known), and the time between first and last."""
     n = len(differences.up_m)
     span_s = float(np.ptp(differences.time_s)) if n else 0.0

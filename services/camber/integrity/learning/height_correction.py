@@ -22,9 +22,9 @@ from typing import Literal
 import numpy as np
 
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.integrity.learning.common_offset import CommonPart, Differences, common_part
-from camber.integrity.learning.offset_causes import CauseRules, Causes, ChangedRoad, Diagnosis
-from camber.integrity.learning.residuals import Cell, CellCollector, Key, Residual
+from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
+from camber.integrity.learning.offset_causes import CauseRules, Diagnosis, OffsetCauses, RoadChange
+from camber.integrity.learning.residuals import CellCollector, FixResidual, ReferenceKey, ResidualCell
 
 Mode = Literal["per_cause", "document"]
 _MOST_CELLS = 96
@@ -66,7 +66,7 @@ class Correction:
 
 
 @dataclass(slots=True)
-class Part:
+class CorrectionState:
     """What was learnt with one antenna and one base, and from which map last."""
 
     antenna: str
@@ -75,7 +75,7 @@ class Part:
     correction: Correction = Correction()
     prior_m: float = 0.0
     prior_sigma_m: float = 0.1
-    cells: deque[tuple[Cell, float]] = field(default_factory=lambda: deque(maxlen=_MOST_CELLS))
+    cells: deque[tuple[ResidualCell, float]] = field(default_factory=lambda: deque(maxlen=_MOST_CELLS))
     held_m: float | None = None
     """The correction before a drift began; None: nothing drifts."""
 
@@ -84,10 +84,10 @@ class Learning:
     """Hears the residual of every judged fix in the order of time; gives the correction in force, and causes."""
 
     def __init__(
-        self, rules: LearningRules, parts: Sequence[Part] = (), roads: Sequence[ChangedRoad] = ()
+        self, rules: LearningRules, parts: Sequence[CorrectionState] = (), roads: Sequence[RoadChange] = ()
     ) -> None:
         self.rules = rules
-        self.causes = Causes(rules.causes, roads)
+        self.causes = OffsetCauses(rules.causes, roads)
         self._parts = {(part.antenna, part.base): part for part in parts}
         self._cells = CellCollector(rules.causes.cell_m)
 
@@ -97,11 +97,11 @@ class Learning:
         return sum(part.correction.samples for part in self._parts.values())
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[CorrectionState, ...]:
         """What there is to keep, oldest first."""
         return tuple(self._parts.values())
 
-    def correction(self, key: Key) -> Correction:
+    def correction(self, key: ReferenceKey) -> Correction:
         """In force for this antenna, base and map; nothing where nothing was learnt for them."""
         part = self._parts.get((key.antenna, key.base)) or self._same_antenna(key)
         if part is None:
@@ -120,10 +120,10 @@ class Learning:
         """The causes named since the last call."""
         return self.causes.news()
 
-    def hear(self, residual: Residual) -> None:
+    def update(self, residual: FixResidual) -> None:
         """Learn from one judged fix what may be learnt from it."""
         before, roads = self.causes.common, len(self.causes.roads)
-        self.causes.hear(residual, self.correction(residual.key).correction_m)
+        self.causes.update(residual, self.correction(residual.key).correction_m)
         part = self._parts.get((residual.key.antenna, residual.key.base))
         if self.causes.common.cause != before.cause and part is not None:
             self._forget(before, self.causes.common, part)
@@ -134,11 +134,11 @@ class Learning:
         if self.rules.mode == "document":
             self._learn_by_gain(residual)
             return
-        cell = self._cells.hear(residual)
+        cell = self._cells.add(residual)
         if cell is not None:
             self._learn(cell)
 
-    def _may_learn(self, residual: Residual) -> bool:
+    def _may_learn(self, residual: FixResidual) -> bool:
         speed_m_s = residual.speed_m_s
         return (
             residual.confirmed
@@ -147,7 +147,7 @@ class Learning:
             and self.rules.least_speed_m_s <= abs(speed_m_s) < math.inf
         )
 
-    def _learn_by_gain(self, residual: Residual) -> None:
+    def _learn_by_gain(self, residual: FixResidual) -> None:
         """H (4) and (5); unchanged where the new one would be beyond the cap."""
         part, observed_m = self._part(residual.key), residual.known_up_m
         assert observed_m is not None
@@ -156,7 +156,7 @@ class Learning:
         if abs(learnt_m) <= self.rules.cap_m:
             part.correction = Correction(learnt_m, 0.0, before.samples + 1)
 
-    def _learn(self, cell: Cell) -> None:
+    def _learn(self, cell: ResidualCell) -> None:
         """One step towards the common part of the stretches remembered."""
         part = self._part(cell.key)
         if self.causes.common.cause == "base" or cell.surface_id in self.causes.roads:
@@ -165,28 +165,28 @@ class Learning:
         part.cells.append((cell, part.correction.correction_m))
         if _may_be_the_road(self.causes.common):
             return
-        found = common_part(
+        result = estimate_common_offset(
             _differences(part.cells), self.rules.correlation_m, part.prior_m, part.prior_sigma_m
         )
-        target_m = self._target_m(part, found)
+        target_m = self._target_m(part, result)
         step_s = min(max((cell.end_ns - last_ns) / 1e9, 0.0), _LONGEST_STEP_S)
         before_m, most_m = part.correction.correction_m, self.rules.rate_m_s * step_s
         step_m = min(max(target_m - before_m, -most_m), most_m)
         learnt_m = min(max(before_m + step_m, -self.rules.cap_m), self.rules.cap_m)
-        sigma_m = math.hypot(found.sigma_m, target_m - learnt_m)
+        sigma_m = math.hypot(result.sigma_m, target_m - learnt_m)
         part.correction = Correction(learnt_m, sigma_m, part.correction.samples + 1)
 
-    def _target_m(self, part: Part, found: CommonPart) -> float:
+    def _target_m(self, part: CorrectionState, result: CommonOffset) -> float:
         """Where the correction should go: where it was before a drift began; where it is, if that is beyond the cap."""
         rules = self.rules
-        if found.drift_sigmas > rules.drift_sigmas and found.drift_m > rules.drift_m:
+        if result.drift_sigmas > rules.drift_sigmas and result.drift_m > rules.drift_m:
             if part.held_m is None:
                 part.held_m = part.cells[0][1]
             return part.held_m
         part.held_m = None
-        return found.value_m if abs(found.value_m) <= rules.cap_m else part.correction.correction_m
+        return result.value_m if abs(result.value_m) <= rules.cap_m else part.correction.correction_m
 
-    def _forget(self, earlier: Diagnosis, diagnosis: Diagnosis, part: Part) -> None:
+    def _forget(self, earlier: Diagnosis, diagnosis: Diagnosis, part: CorrectionState) -> None:
         """Stretches before an antenna changed say nothing of it; those since a base went wrong were never true.
 
         What may be the road is not learnt until it is known to be the antenna; where it ends before, it was the road.
@@ -214,7 +214,7 @@ class Learning:
             part.cells = deque((seen for seen in part.cells if seen[0].surface_id not in known), _MOST_CELLS)
 
     @staticmethod
-    def _undo(part: Part, onset_ns: int | None, *, keep: bool = False) -> None:
+    def _undo(part: CorrectionState, onset_ns: int | None, *, keep: bool = False) -> None:
         """Take back what was learnt since then; `keep` the stretches, of which it is not known yet."""
         assert onset_ns is not None
         before = [(cell, m) for cell, m in part.cells if cell.end_ns <= onset_ns]
@@ -225,7 +225,7 @@ class Learning:
         if not keep:
             part.cells = deque(before, _MOST_CELLS)
 
-    def _part(self, key: Key) -> Part:
+    def _part(self, key: ReferenceKey) -> CorrectionState:
         """The part of this antenna and base, made where there is none, fit for this version of the map."""
         part = self._parts.get((key.antenna, key.base))
         if part is None:
@@ -235,8 +235,8 @@ class Learning:
             self._open(part, part.correction)
         return part
 
-    def _begin(self, key: Key) -> Part:
-        part = Part(key.antenna, key.base, key.map_version, prior_sigma_m=self.rules.prior_sigma_m)
+    def _begin(self, key: ReferenceKey) -> CorrectionState:
+        part = CorrectionState(key.antenna, key.base, key.map_version, prior_sigma_m=self.rules.prior_sigma_m)
         model = self._same_antenna(key)
         if model is not None:
             self._open(part, model.correction)
@@ -245,7 +245,7 @@ class Learning:
             del self._parts[next(iter(self._parts))]
         return part
 
-    def _open(self, part: Part, correction: Correction) -> None:
+    def _open(self, part: CorrectionState, correction: Correction) -> None:
         """Begin from what is known, less surely: the differences heard so far were others."""
         sigma_m = math.hypot(correction.sigma_m, self.rules.release_sigma_m)
         part.correction = Correction(correction.correction_m, sigma_m, correction.samples)
@@ -253,7 +253,7 @@ class Learning:
         part.held_m = None
         part.cells.clear()
 
-    def _same_antenna(self, key: Key) -> Part | None:
+    def _same_antenna(self, key: ReferenceKey) -> CorrectionState | None:
         """The newest part of this antenna with whatever base."""
         return next((p for p in reversed(self._parts.values()) if p.antenna == key.antenna), None)
 
@@ -263,9 +263,9 @@ def _may_be_the_road(diagnosis: Diagnosis) -> bool:
     return diagnosis.cause == "ambiguous" and diagnosis.after_right
 
 
-def _differences(cells: Sequence[tuple[Cell, float]]) -> Differences:
+def _differences(cells: Sequence[tuple[ResidualCell, float]]) -> HeightDifferences:
     first = cells[0][0]
-    return Differences(
+    return HeightDifferences(
         np.array([cell.up_m for cell, _ in cells], np.float64),
         np.array([cell.fix_sigma_m**2 + _LEAST_SIGMA_M**2 for cell, _ in cells]),
         np.array([cell.map_sigma_m for cell, _ in cells]),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from camber.integrity.checks.comparison import Comparison
-from camber.integrity.judgement import Judgement
-from camber.integrity.learning.residuals import Key, Residual
+from camber.integrity.checks.comparison import FixComparison
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.learning.residuals import FixResidual, ReferenceKey
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
@@ -21,19 +21,19 @@ def base_of(fix: Fix) -> str:
     return f"{fix.origin}:{fix.datum}:{fix.base_station or ''}"
 
 
-def key_of(base: str, pose: Pose | None, antenna: AntennaHeight | None) -> Key:
+def key_of(base: str, pose: Pose | None, antenna: AntennaHeight | None) -> ReferenceKey:
     """To what a lasting difference of height belongs."""
     way = antenna.way if antenna is not None and antenna.way is not None else ""
     version = pose.road.map_version if pose is not None else None
-    return Key(way, base, version if version is not None else 0)
+    return ReferenceKey(way, base, version if version is not None else 0)
 
 
-def residual_of(judgement: Judgement, found: Comparison, speed_m_s: float | None) -> Residual:
+def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float | None) -> FixResidual:
     """Of a fix that was compared, whatever the verdict; `speed_m_s` of the wheels, None: not known."""
     fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
-    residual = Residual(
+    residual = FixResidual(
         fix.time_ns,
-        judgement.word,
+        judgement.verdict,
         fix.latitude_rad,
         fix.longitude_rad,
         speed_m_s=speed_m_s,
@@ -41,12 +41,12 @@ def residual_of(judgement: Judgement, found: Comparison, speed_m_s: float | None
         link_id=pose.link_id if pose is not None else None,
     )
     if pose is not None and pose.provenance in _FREE_OF_THIS_FIX:
-        east_m, north_m = found.position_m
+        east_m, north_m = result.position_m
         residual = replace(
             residual,
             east_m=east_m,
             north_m=north_m,
-            horizontal_sigma_m=found.position_sigma_m,
+            horizontal_sigma_m=result.position_sigma_m,
             anchored_ns=None if pose.mode == "scan_match" else pose.anchor_time_ns,
         )
     if road is None or antenna is None or antenna.height_m is None:
@@ -54,7 +54,7 @@ def residual_of(judgement: Judgement, found: Comparison, speed_m_s: float | None
     return replace(
         residual,
         up_m=fix.height_m - road.elevation_m - antenna.height_m,
-        fix_sigma_m=math.sqrt(max(found.height_sigma_m**2 - road.sigma_m**2, 0.0)),
+        fix_sigma_m=math.sqrt(max(result.height_sigma_m**2 - road.sigma_m**2, 0.0)),
         map_sigma_m=road.sigma_m,
         surface_id=road.surface_id,
     )

@@ -24,7 +24,7 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from camber.integrity.learning.residuals import Cell, CellCollector, Residual, distance_m
+from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, distance_m
 from camber.schemas.integrity import Cause
 
 ISSUE_CODES: dict[Cause, str] = {
@@ -85,19 +85,19 @@ class Diagnosis:
     after_right: bool = False
 
 
-NOTHING = Diagnosis()
+NO_OFFSET = Diagnosis()
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
     """A cell, and the correction that was in force at its end."""
 
-    cell: Cell
+    cell: ResidualCell
     correction_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class ChangedRoad:
+class RoadChange:
     """A surface that lies otherwise than this version of the map says."""
 
     surface_id: int
@@ -106,12 +106,12 @@ class ChangedRoad:
     onset_ns: int
 
 
-class Causes:
+class OffsetCauses:
     """Hears residuals in the order of time. `roads`: those known to have changed, by surface."""
 
-    def __init__(self, rules: CauseRules, roads: Sequence[ChangedRoad] = ()) -> None:
+    def __init__(self, rules: CauseRules, roads: Sequence[RoadChange] = ()) -> None:
         self.rules = rules
-        self.common = NOTHING
+        self.common = NO_OFFSET
         self.roads = {road.surface_id: road for road in roads}
         self._collector = CellCollector(rules.cell_m)
         self._map_version = roads[0].map_version if roads else None
@@ -132,9 +132,9 @@ class Causes:
         news, self._news = self._news, []
         return news
 
-    def hear(self, residual: Residual, correction_m: float) -> None:
+    def update(self, residual: FixResidual, correction_m: float) -> None:
         """Take a residual, whatever its verdict; `correction_m` is that in force."""
-        cell = self._collector.hear(residual)
+        cell = self._collector.add(residual)
         if cell is None:
             return
         if cell.up_m is not None and cell.key.map_version != self._map_version:
@@ -152,14 +152,14 @@ class Causes:
         self._run, self._whole, self._suspects = [], False, {}
         self.roads = {key: road for key, road in self.roads.items() if road.map_version == version}
 
-    def _name(self, found: Diagnosis) -> None:
-        if found.cause == self.common.cause:
+    def _name(self, result: Diagnosis) -> None:
+        if result.cause == self.common.cause:
             # It began when it was first seen to begin, and after what, also when that has left the memory.
-            self.common = replace(found, onset_ns=self.common.onset_ns, after_right=self.common.after_right)
+            self.common = replace(result, onset_ns=self.common.onset_ns, after_right=self.common.after_right)
             return
-        if found.cause != "none":
-            self._news.append(found)
-        self.common = found
+        if result.cause != "none":
+            self._news.append(result)
+        self.common = result
 
     def _common_cause(self) -> Diagnosis:
         """Of the longest row of newest cells that differ by one vector."""
@@ -171,10 +171,10 @@ class Causes:
             if offset is not None:
                 cells = [s.cell for s in seen[first:]]
                 before = seen[first - 1].cell if first else None
-                found = _cause_of(cells, before, offset, self.rules)
-                after_right = found is not NOTHING and first >= self.rules.least_cells
-                return replace(found, after_right=after_right)
-        return NOTHING
+                result = _cause_of(cells, before, offset, self.rules)
+                after_right = result is not NO_OFFSET and first >= self.rules.least_cells
+                return replace(result, after_right=after_right)
+        return NO_OFFSET
 
     def _follow_roads(self, seen: _Seen) -> None:
         """Has a stretch that differs ended, with a road before it and after it that does not?"""
@@ -213,7 +213,7 @@ class Causes:
         if not (verified or again) or surface_id in self.roads:
             return
         onset_ns = earlier[1] if again and earlier is not None else begin_ns
-        road = ChangedRoad(surface_id, here[0].cell.key.map_version, offset_m, onset_ns)
+        road = RoadChange(surface_id, here[0].cell.key.map_version, offset_m, onset_ns)
         self.roads[surface_id] = road
         self._news.append(_diagnosis_of(road))
 
@@ -223,19 +223,19 @@ def _difference_m(seen: _Seen) -> float | None:
     return None if seen.cell.up_m is None else seen.cell.up_m - seen.correction_m
 
 
-def _is_large(cell: Cell, difference_m: float, rules: CauseRules) -> bool:
+def _is_large(cell: ResidualCell, difference_m: float, rules: CauseRules) -> bool:
     sigma_m = math.hypot(cell.fix_sigma_m, cell.map_sigma_m)
     return abs(difference_m) > max(rules.least_height_m, 3.0 * sigma_m)
 
 
 @dataclass(frozen=True, slots=True)
 class _Offset:
-    """What cells have in common; None where it is not observed. `aside`: the horizontal part is one."""
+    """What cells have in common; None where it is not observed. `horizontal_outcome`: the horizontal part is one."""
 
     up_m: float | None
     up_is_one: bool
     east_north_m: tuple[float, float] | None
-    aside: bool
+    horizontal_outcome: bool
 
 
 def _offset_of(seen: Sequence[_Seen], first: int, rules: CauseRules) -> _Offset | None:
@@ -247,10 +247,16 @@ def _offset_of(seen: Sequence[_Seen], first: int, rules: CauseRules) -> _Offset 
     cells, before = [s.cell for s in seen[first:]], seen[max(first - _BEFORE, 0) : first]
     before_m = (before[-1] if before else seen[0]).correction_m
     up_m, up_is_one = _height(cells, before_m, rules)
-    east_north_m, aside = _horizontal([_side(cell, cells[0].begin_ns) for cell in cells], rules)
+    east_north_m, horizontal_outcome = _horizontal([_side(cell, cells[0].begin_ns) for cell in cells], rules)
     up_is_one = up_is_one and not _had_begun([d for s in before if (d := _difference_m(s)) is not None], up_m)
-    aside = aside and not _had_begun([_along(s.cell, east_north_m) for s in before], 1.0)
-    return _Offset(up_m, up_is_one, east_north_m, aside) if up_is_one or aside else None
+    horizontal_outcome = horizontal_outcome and not _had_begun(
+        [_along(s.cell, east_north_m) for s in before], 1.0
+    )
+    return (
+        _Offset(up_m, up_is_one, east_north_m, horizontal_outcome)
+        if up_is_one or horizontal_outcome
+        else None
+    )
 
 
 def _had_begun(before: Sequence[float], value: float | None) -> bool:
@@ -261,7 +267,7 @@ def _had_begun(before: Sequence[float], value: float | None) -> bool:
     return abs(middle - value) < abs(middle)
 
 
-def _along(cell: Cell, east_north_m: tuple[float, float] | None) -> float:
+def _along(cell: ResidualCell, east_north_m: tuple[float, float] | None) -> float:
     """How much of a horizontal difference a cell shows: 1 all of it, 0 nothing or not known."""
     if cell.horizontal_m is None or east_north_m is None:
         return 0.0
@@ -269,7 +275,7 @@ def _along(cell: Cell, east_north_m: tuple[float, float] | None) -> float:
     return (cell.horizontal_m[0] * east_m + cell.horizontal_m[1] * north_m) / (east_m**2 + north_m**2)
 
 
-def _height(cells: Sequence[Cell], before_m: float, rules: CauseRules) -> tuple[float | None, bool]:
+def _height(cells: Sequence[ResidualCell], before_m: float, rules: CauseRules) -> tuple[float | None, bool]:
     known = [(cell.up_m - before_m, cell) for cell in cells if cell.up_m is not None]
     if len(known) < rules.least_cells:
         return None, False
@@ -287,7 +293,7 @@ def _height(cells: Sequence[Cell], before_m: float, rules: CauseRules) -> tuple[
     return middle_m, goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
 
 
-def _side(cell: Cell, since_ns: int) -> tuple[float, float, float] | None:
+def _side(cell: ResidualCell, since_ns: int) -> tuple[float, float, float] | None:
     """Fix less pose, where the pose leans on no fix since then: it owes nothing to those that are in question."""
     return None if cell.anchored_ns is not None and cell.anchored_ns >= since_ns else cell.horizontal_m
 
@@ -316,12 +322,14 @@ def _horizontal(
     return (east_m, north_m), goes_on and stands and sum(nearer) >= rules.coherent * len(nearer)
 
 
-def _cause_of(cells: Sequence[Cell], before: Cell | None, offset: _Offset, rules: CauseRules) -> Diagnosis:
+def _cause_of(
+    cells: Sequence[ResidualCell], before: ResidualCell | None, offset: _Offset, rules: CauseRules
+) -> Diagnosis:
     """Of a row of cells that differ by one vector."""
     if (cells[-1].end_ns - cells[0].begin_ns) / 1e9 < _least_s(offset, rules):
-        return NOTHING
+        return NO_OFFSET
     diagnosis = Diagnosis("ambiguous", cells[0].begin_ns, offset.up_m, offset.east_north_m)
-    if offset.aside:
+    if offset.horizontal_outcome:
         return _said(replace(diagnosis, cause="base"), "fixes are off by one vector")
     if before is not None:
         new_antenna = before.key.antenna != cells[0].key.antenna
@@ -341,7 +349,7 @@ def _cause_of(cells: Sequence[Cell], before: Cell | None, offset: _Offset, rules
 
 
 def _least_s(offset: _Offset, rules: CauseRules) -> float:
-    if not offset.aside or offset.east_north_m is None:
+    if not offset.horizontal_outcome or offset.east_north_m is None:
         return rules.least_s
     return rules.least_far_s if math.hypot(*offset.east_north_m) > rules.far_m else rules.least_aside_s
 
@@ -353,6 +361,6 @@ def _said(diagnosis: Diagnosis, why: str) -> Diagnosis:
     return replace(diagnosis, text=f"{', '.join(parts)}: {why}")
 
 
-def _diagnosis_of(road: ChangedRoad) -> Diagnosis:
+def _diagnosis_of(road: RoadChange) -> Diagnosis:
     text = f"surface {road.surface_id} lies {road.offset_m:+.2f} m from map version {road.map_version}"
     return Diagnosis("road", road.onset_ns, road.offset_m, None, road.surface_id, text)

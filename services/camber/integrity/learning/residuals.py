@@ -18,7 +18,7 @@ MOST_FIXES = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class ReferenceKey:
     """What an offset belongs to: how the antenna's height is known, whose fixes these are, which map."""
 
     antenna: str = ""
@@ -27,7 +27,7 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Residual:
+class FixResidual:
     """One judged fix less its model, without any learnt correction; None: not known.
 
     `up_m` is `h_r − (h_m + h_a)` of H (4), `fix_sigma_m` that of fix and antenna together, `map_sigma_m` the road's.
@@ -48,7 +48,7 @@ class Residual:
     horizontal_sigma_m: float | None = None
     surface_id: int | None = None
     speed_m_s: float | None = None
-    key: Key = Key()
+    key: ReferenceKey = ReferenceKey()
     link_id: int | None = None
     anchored_ns: int | None = None
 
@@ -73,14 +73,14 @@ class Residual:
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class ResidualCell:
     """The fixes of one stretch on one surface: medians, and how many of the fixes were verified against the height.
 
     Where it lies is where it began. `horizontal_m` is east, north and their σ, `anchored_ns` the newest fix that one of
     their poses leans on.
     """
 
-    key: Key
+    key: ReferenceKey
     surface_id: int | None
     begin_ns: int
     end_ns: int
@@ -101,9 +101,9 @@ class CellCollector:
 
     def __init__(self, length_m: float) -> None:
         self._length_m = length_m
-        self._residuals: list[Residual] = []
+        self._residuals: list[FixResidual] = []
 
-    def hear(self, residual: Residual) -> Cell | None:
+    def add(self, residual: FixResidual) -> ResidualCell | None:
         """Take one; returns the cell that it ends, if it ends one. One that is no place is left out."""
         if not math.isfinite(residual.latitude_rad + residual.longitude_rad):
             return None
@@ -115,13 +115,13 @@ class CellCollector:
             self._residuals.append(residual)
         return ended
 
-    def _goes_on(self, first: Residual, residual: Residual) -> bool:
+    def _goes_on(self, first: FixResidual, residual: FixResidual) -> bool:
         if (first.surface_id, first.key) != (residual.surface_id, residual.key):
             return False
         return distance_m(first, residual) < self._length_m
 
 
-def cell_of(residuals: list[Residual]) -> Cell:
+def cell_of(residuals: list[FixResidual]) -> ResidualCell:
     """The cell of residuals of one surface and key, at least one."""
     first = residuals[0]
     ups = [(up_m, r) for r in residuals if (up_m := r.known_up_m) is not None]
@@ -130,7 +130,7 @@ def cell_of(residuals: list[Residual]) -> Cell:
     if sides:
         east_m, north_m, sigma_m = (statistics.median(column) for column in zip(*sides, strict=True))
         horizontal_m = (east_m, north_m, sigma_m)
-    return Cell(
+    return ResidualCell(
         first.key,
         first.surface_id,
         first.time_ns,
@@ -148,6 +148,6 @@ def cell_of(residuals: list[Residual]) -> Cell:
     )
 
 
-def distance_m(a: Residual | Cell, b: Residual | Cell) -> float:
+def distance_m(a: FixResidual | ResidualCell, b: FixResidual | ResidualCell) -> float:
     """Between two places, along the ellipsoid's tangent plane."""
     return math.hypot(*east_north_between(a.latitude_rad, a.longitude_rad, b.latitude_rad, b.longitude_rad))

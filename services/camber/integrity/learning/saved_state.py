@@ -6,14 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationError
 
-from camber.integrity.learning.height_correction import Correction, Learning, LearningRules, Part
-from camber.integrity.learning.offset_causes import ChangedRoad
+from camber.integrity.learning.height_correction import Correction, CorrectionState, Learning, LearningRules
+from camber.integrity.learning.offset_causes import RoadChange
 from camber.schemas.base import Count, Model, TimeNs
 
 _Key = Annotated[str, Field(max_length=200)]
 
 
-class _Part(Model):
+class _SavedCorrection(Model):
     antenna: _Key
     base: _Key
     map_version: Count
@@ -22,23 +22,23 @@ class _Part(Model):
     samples: Count
 
 
-class _Road(Model):
+class _SavedRoadChange(Model):
     surface_id: Count
     map_version: Count
     offset_m: Annotated[float, Field(ge=-100.0, le=100.0)]
     onset_ns: TimeNs
 
 
-class _Kept(Model):
+class _SavedLearning(Model):
     format: Literal[1]
-    parts: Annotated[tuple[_Part, ...], Field(max_length=64)]
-    roads: Annotated[tuple[_Road, ...], Field(max_length=4096)]
+    parts: Annotated[tuple[_SavedCorrection, ...], Field(max_length=64)]
+    roads: Annotated[tuple[_SavedRoadChange, ...], Field(max_length=4096)]
 
 
 def to_text(learning: Learning) -> str:
     """Everything worth keeping; the stretches in memory are not: after a restart they are seen anew."""
     parts = tuple(
-        _Part(
+        _SavedCorrection(
             antenna=part.antenna,
             base=part.base,
             map_version=part.map_version,
@@ -49,7 +49,7 @@ def to_text(learning: Learning) -> str:
         for part in learning.parts
     )
     roads = tuple(
-        _Road(
+        _SavedRoadChange(
             surface_id=road.surface_id,
             map_version=road.map_version,
             offset_m=road.offset_m,
@@ -57,13 +57,13 @@ def to_text(learning: Learning) -> str:
         )
         for road in learning.causes.roads.values()
     )
-    return _Kept(format=1, parts=parts, roads=roads[-4096:]).model_dump_json()
+    return _SavedLearning(format=1, parts=parts, roads=roads[-4096:]).model_dump_json()
 
 
 def from_text(text: str, rules: LearningRules) -> Learning:
     """The reverse. Raises ValueError, one line, that says what was expected where."""
     try:
-        kept = _Kept.model_validate_json(text)
+        kept = _SavedLearning.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "text"
@@ -79,14 +79,14 @@ def from_text(text: str, rules: LearningRules) -> Learning:
     return Learning(
         rules,
         [_part_of(part, rules) for part in kept.parts],
-        [ChangedRoad(r.surface_id, r.map_version, r.offset_m, r.onset_ns) for r in kept.roads],
+        [RoadChange(r.surface_id, r.map_version, r.offset_m, r.onset_ns) for r in kept.roads],
     )
 
 
-def _part_of(kept: _Part, rules: LearningRules) -> Part:
+def _part_of(kept: _SavedCorrection, rules: LearningRules) -> CorrectionState:
     """As a prior it is less sure than it was: load and tyres change while a vehicle stands."""
     sigma_m = max(kept.sigma_m, rules.release_sigma_m)
-    return Part(
+    return CorrectionState(
         kept.antenna,
         kept.base,
         kept.map_version,

@@ -29,7 +29,7 @@ class TrueSigma:
     vertical_m: float = 0.05
 
 
-def with_true_sigma(covariance_enu_m2: Covariance3, sigma: TrueSigma) -> Covariance3:
+def inflate_covariance(covariance_enu_m2: Covariance3, sigma: TrueSigma) -> Covariance3:
     """The covariance of a right fix from the one its receiver claims."""
     scale2, horizontal, vertical = sigma.scale**2, sigma.horizontal_m**2, sigma.vertical_m**2
     ee, en, eu, nn, nu, uu = covariance_enu_m2

@@ -95,7 +95,7 @@ class DopplerPosition:
         self._speeds: deque[tuple[int, float]] = deque(maxlen=_KEPT)
         self._sum: _Sum | None = None
 
-    def hear_velocity(self, velocity: SatelliteVelocity) -> None:
+    def add_velocity(self, velocity: SatelliteVelocity) -> None:
         """A new velocity; one that is older than the last, or has no covariance, is of no use."""
         heard = self._read(velocity)
         if heard is None or (self._velocities and heard.time_ns <= self._velocities[-1].time_ns):
@@ -104,7 +104,7 @@ class DopplerPosition:
         if self._sum is not None:
             self._sum = self._after(self._sum, heard)
 
-    def hear_speed(self, time_ns: int, speed_m_s: float) -> None:
+    def add_wheel_speed(self, time_ns: int, speed_m_s: float) -> None:
         """A new wheel speed."""
         if not self._speeds or time_ns > self._speeds[-1][0]:
             self._speeds.append((time_ns, speed_m_s))
@@ -145,23 +145,23 @@ class DopplerPosition:
 
     def at(self, time_ns: int) -> Displacement | None:
         """The displacement at a time, moved on by the last velocity; None where it has ended or that is too old."""
-        found, rules = self._sum, self._rules
-        if found is None:
+        result, rules = self._sum, self._rules
+        if result is None:
             return None
-        velocity = found.velocity
+        velocity = result.velocity
         ahead_s = (time_ns - velocity.time_ns) / 1e9
-        old = not (time_ns - found.since_ns) / 1e9 <= rules.longest_s
-        if old or time_ns < found.since_ns or not abs(ahead_s) <= rules.longest_pause_s:
+        old = not (time_ns - result.since_ns) / 1e9 <= rules.longest_s
+        if old or time_ns < result.since_ns or not abs(ahead_s) <= rules.longest_pause_s:
             return None
         turned_m = 0.5 * rules.acceleration_m_s2 * ahead_s**2
         covariance = (
-            found.covariance_m2
-            + abs(ahead_s) * (found.with_velocity + found.with_velocity.T)
+            result.covariance_m2
+            + abs(ahead_s) * (result.with_velocity + result.with_velocity.T)
             + ahead_s**2 * velocity.covariance_m2_s2
             + turned_m**2 * np.eye(3)
         )
-        metres = found.metres + ahead_s * velocity.metres_s
-        return Displacement(found.since_ns, metres, covariance, velocity.yaw_rad, found.checked)
+        metres = result.metres + ahead_s * velocity.metres_s
+        return Displacement(result.since_ns, metres, covariance, velocity.yaw_rad, result.checked)
 
     def _read(self, velocity: SatelliteVelocity) -> _Velocity | None:
         claimed = _matrix(velocity.covariance_enu_m2_s2)
@@ -218,8 +218,8 @@ class DopplerPosition:
         return near[1]
 
 
-def _matrix(upper: Covariance3) -> Floats:
-    ee, en, eu, nn, nu, uu = upper
+def _matrix(upper_triangle: Covariance3) -> Floats:
+    ee, en, eu, nn, nu, uu = upper_triangle
     return np.array([[ee, en, eu], [en, nn, nu], [eu, nu, uu]])
 
 

@@ -2,11 +2,11 @@
 
 If a confirmed fix is wrong, the truth is where road and pose say: its error is then N(d, covariance of the pose), d
 being the difference of fix and model. Confirmed fixes anchor the pose: one that was wrong and has passed has pulled it
-along, and agrees with it afterwards. `Suspicion` remembers how likely that is and how far off it may be; it fades as
+along, and agrees with it afterwards. `LatentFaultHypothesis` holds how likely that is and how far off; it fades as
 episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching bears the pose
-out place after place (`MatchedPlaces`).
+out place after place (`MatchCorroboration`).
 
-A fix whose height agrees and whose place the pose contradicts leaves it open which of both is wrong (`Dispute`): until
+A fix whose height agrees and whose place the pose contradicts: either may be wrong (`PoseDispute`). Until
 one that agrees, the vehicle may be where the fix was.
 
 A height that is the road's is off where the road has changed since the survey. What fixes have said of the road is not
@@ -24,12 +24,12 @@ from typing import Literal
 from camber.geodesy.ellipsoid import meridian_radius_m, prime_vertical_radius_m
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.chi2_test import AGREES
-from camber.integrity.checks.determination import POSITION_CONTRADICTS
-from camber.integrity.epoch_inputs import Situation
-from camber.integrity.judgement import Judgement
-from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.checks.consistency import POSITION_CONTRADICTS
+from camber.integrity.epoch_inputs import EpochInputs
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.doppler_position import Displacement
-from camber.integrity.protection.position_bounds import LevelRules, Mixture, Part
+from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules, log_odds_of, log_odds_of_share
 from camber.integrity.rules import Rules
 from camber.integrity.scalar_or_array import larger_eigenvalue
@@ -37,17 +37,17 @@ from camber.schemas.base import Covariance3
 from camber.schemas.pose import Pose
 
 Source = Literal["rtk", "doppler", "sensors", "scan_match"]
-Place = tuple[float, float, float | None]
+GeodeticPosition = tuple[float, float, float | None]
 
 UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
 _MOST_LOG_ODDS = 30.0
 _NOT_OF_THE_POSE = frozenset({"phase_residuals_contradict", "receiver_warns", "common_offset"})
 """It is the fix by its own account, or the base: neither says that the pose is wrong."""
-_SHARP = 4.0  # σ of a match that lie within the offset suspected
+_MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset suspected
 
 
 @dataclass(frozen=True, slots=True)
-class Suspicion:
+class LatentFaultHypothesis:
     """That what fixes and pose stand on is a wrong fix: odds, and mean squares of the offset (each axis, upwards).
 
     `time_ns` None: no fix has been confirmed yet.
@@ -59,46 +59,50 @@ class Suspicion:
     up_m2: float
 
     @classmethod
-    def before_any(cls, rules: WrongFixRules) -> Suspicion:
+    def initial(cls, rules: WrongFixRules) -> LatentFaultHypothesis:
         """Of a pose that rests on fixes of which nothing is known here."""
         return cls(None, math.exp(log_odds_of_share(rules.prior)), *rules.second_moment_m2)
 
-    def lasting(self, time_ns: int, rules: WrongFixRules) -> float:
+    def remaining_share(self, time_ns: int, rules: WrongFixRules) -> float:
         """The share of it that is left at a later time: episodes of wrong fixes end."""
         if self.time_ns is None:
             return 0.0
         return math.exp(-max(time_ns - self.time_ns, 0) / (rules.episode_s * 1e9))
 
-    def after(self, time_ns: int, odds: float, wrong: Part, rules: WrongFixRules) -> Suspicion:
+    def after(
+        self, time_ns: int, odds: float, wrong: MixtureComponent, rules: WrongFixRules
+    ) -> LatentFaultHypothesis:
         """After a confirmed fix: the episode may have lasted, or another have begun since the fix before.
 
         `odds` are those of the fix by itself, `wrong` is how far off it is if it is wrong.
         """
-        lasting = self.lasting(time_ns, rules)
-        begun = (1.0 - lasting) * odds
-        total = lasting * self.odds + begun
+        remaining_share = self.remaining_share(time_ns, rules)
+        begun = (1.0 - remaining_share) * odds
+        total = remaining_share * self.odds + begun
         share = begun / total if total > 0.0 else 0.0
         (east_m, north_m, up_m), (ee, _, nn) = wrong.mean_m, wrong.horizontal_m2
         horizontal_m2, up_m2 = max(east_m * east_m + ee, north_m * north_m + nn), up_m * up_m + wrong.up_m2
-        return Suspicion(
+        return LatentFaultHypothesis(
             time_ns,
             total,
             self.horizontal_m2 + share * (horizontal_m2 - self.horizontal_m2),
             self.up_m2 + share * (up_m2 - self.up_m2),
         )
 
-    def borne_out(self, before: Suspicion, rules: LevelRules) -> Suspicion:
+    def corroborate(self, before: LatentFaultHypothesis, rules: LevelRules) -> LatentFaultHypothesis:
         """After a scan match has found the pose where it is: what is left of `before` would take a wrong match too."""
         assert self.time_ns is not None
-        left = before.lasting(self.time_ns, rules.wrong_fix) * before.odds
+        left = before.remaining_share(self.time_ns, rules.wrong_fix) * before.odds
         return replace(self, odds=self.odds - (1.0 - rules.false_match_prior) * left)
 
-    def part(self, weight: float) -> Part:
+    def part(self, weight: float) -> MixtureComponent:
         """What was pulled along."""
-        return Part(weight, (0.0, 0.0, 0.0), (self.horizontal_m2, 0.0, self.horizontal_m2), self.up_m2)
+        return MixtureComponent(
+            weight, (0.0, 0.0, 0.0), (self.horizontal_m2, 0.0, self.horizontal_m2), self.up_m2
+        )
 
 
-class MatchedPlaces:
+class MatchCorroboration:
     """Places at which scan matching bears the pose out, so far apart that what deceives it at one is gone at the next.
 
     A witness is a match that is newer than what is suspected, and sharp beside the offset that is suspected.
@@ -107,9 +111,9 @@ class MatchedPlaces:
     def __init__(self, rules: LevelRules) -> None:
         self._rules = rules
         self._last: tuple[float, float] | None = None
-        self._before: Suspicion | None = None
+        self._before: LatentFaultHypothesis | None = None
 
-    def hear(self, pose: Pose, suspicion: Suspicion) -> Suspicion:
+    def update(self, pose: Pose, suspicion: LatentFaultHypothesis) -> LatentFaultHypothesis:
         """The suspicion after a pose."""
         if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
             return suspicion
@@ -123,14 +127,14 @@ class MatchedPlaces:
             return suspicion
         assert self._before.time_ns is not None
         newer = pose.match_time_ns is not None and pose.match_time_ns > self._before.time_ns
-        if not newer or not _SHARP**2 * _larger_m2(pose) <= suspicion.horizontal_m2:
+        if not newer or not _MATCH_SIGMAS**2 * _larger_m2(pose) <= suspicion.horizontal_m2:
             return suspicion
         before, self._last, self._before = self._before, here, None
-        return suspicion.borne_out(before, self._rules)
+        return suspicion.corroborate(before, self._rules)
 
 
 @dataclass(frozen=True, slots=True)
-class Dispute:
+class PoseDispute:
     """A fix whose height agrees and whose place the pose contradicts: one of both is wrong, and which is not known.
 
     `east_m`, `north_m` from the pose to the fix, `covariance_enu_m2` of the fix, `begun_ns` when the first said so.
@@ -149,7 +153,7 @@ class Dispute:
         """How likely it is the pose. It does not fade: a pose gone astray stays so."""
         return rules.disputed_pose_prior * rules.false_match_prior**self.matches
 
-    def hear(self, pose: Pose, rules: LevelRules) -> Dispute:
+    def update(self, pose: Pose, rules: LevelRules) -> PoseDispute:
         """After a pose: a newer match bears it out, and another one as far on as what deceives a match reaches."""
         if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
             return self
@@ -162,7 +166,9 @@ class Dispute:
                 return self
         return replace(self, matches=self.matches + 1, matched_at=here)
 
-    def beside(self, parts: tuple[Part, ...], alone: Part, weight: float) -> tuple[Part, ...]:
+    def with_alternative(
+        self, parts: tuple[MixtureComponent, ...], alone: MixtureComponent, weight: float
+    ) -> tuple[MixtureComponent, ...]:
         """The parts of a pose, of which `alone` is the one that is right, and that the vehicle is where the fix is."""
         # The fix's height is the road's, as the pose's is.
         there = replace(alone, weight=weight, mean_m=(self.east_m, self.north_m, 0.0))
@@ -170,23 +176,25 @@ class Dispute:
         return (*others, _wider(there, self.covariance_enu_m2))
 
 
-def dispute_after(judgement: Judgement, before: Dispute | None, sigma: TrueSigma) -> Dispute | None:
+def updated_dispute(
+    judgement: FixJudgement, before: PoseDispute | None, sigma: TrueSigma
+) -> PoseDispute | None:
     """What is disputed after a judgement: a fix that agrees with the pose ends it, one that was not compared does not.
 
     Those that contradict in height too, or by their own account, are wrong by themselves and say nothing of the pose.
     """
-    found, fix = judgement.comparison, judgement.fix
+    result, fix = judgement.comparison, judgement.fix
     if judgement.confirmed:
         return None
-    if found is None or fix.covariance_enu_m2 is None or judgement.reason in _NOT_OF_THE_POSE:
+    if result is None or fix.covariance_enu_m2 is None or judgement.reason in _NOT_OF_THE_POSE:
         return before
-    if found.position == AGREES:
+    if result.position == AGREES:
         return None
     # Where the map knows no road under the fix, its height speaks neither for it nor against it.
-    if found.outcome != POSITION_CONTRADICTS and judgement.reason != "position_disagrees":
+    if result.outcome != POSITION_CONTRADICTS and judgement.reason != "position_disagrees":
         return before
-    newest = Dispute(
-        fix.time_ns, fix.time_ns, *found.position_m, with_true_sigma(fix.covariance_enu_m2, sigma)
+    newest = PoseDispute(
+        fix.time_ns, fix.time_ns, *result.position_m, inflate_covariance(fix.covariance_enu_m2, sigma)
     )
     if before is None:
         return newest
@@ -194,59 +202,63 @@ def dispute_after(judgement: Judgement, before: Dispute | None, sigma: TrueSigma
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class PositionCandidate:
     """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does."""
 
     source: Source
     time_ns: int
-    place: Place
+    geodetic: GeodeticPosition
     covariance_enu_m2: Covariance3
     yaw_rad: float | None
-    mixture: Mixture
+    mixture: ErrorMixture
     wrong: float | None
     fix_id: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Confirmed:
+class ConfirmedPosition:
     """A confirmed fix as a position, and the suspicion that it leaves."""
 
-    candidate: Candidate
-    suspicion: Suspicion
+    candidate: PositionCandidate
+    suspicion: LatentFaultHypothesis
 
 
-def confirmed_fix(judgement: Judgement, before: Suspicion, rules: LevelRules, sigma: TrueSigma) -> Confirmed:
+def confirmed_fix(
+    judgement: FixJudgement, before: LatentFaultHypothesis, rules: LevelRules, sigma: TrueSigma
+) -> ConfirmedPosition:
     """The position of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
     fix = judgement.fix
     if not judgement.confirmed or fix.covariance_enu_m2 is None:
-        raise ValueError(f"fix {fix.fix_id} is {judgement.word}, not confirmed")
-    covariance = with_true_sigma(fix.covariance_enu_m2, sigma)
+        raise ValueError(f"fix {fix.fix_id} is {judgement.verdict}, not confirmed")
+    covariance = inflate_covariance(fix.covariance_enu_m2, sigma)
     odds, wrong = _if_wrong(judgement, covariance, before, rules.wrong_fix)
-    pulled = before.lasting(fix.time_ns, rules.wrong_fix) * before.odds
+    pulled = before.remaining_share(fix.time_ns, rules.wrong_fix) * before.odds
     total = 1.0 + odds + pulled
     parts = (
-        Part(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
+        MixtureComponent(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
         *_by_road(wrong, odds / total, rules),
         _wider(before.part(pulled / total), covariance),
     )
     probability = (odds + pulled) / total
-    candidate = Candidate(
+    candidate = PositionCandidate(
         "rtk",
         fix.time_ns,
         (fix.latitude_rad, fix.longitude_rad, fix.height_m),
         covariance,
         judgement.pose.yaw_rad if judgement.pose is not None else None,
         # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
-        Mixture(parts, probability * rules.pose_fault_prior),
+        ErrorMixture(parts, probability * rules.pose_fault_prior),
         probability,
         fix.fix_id,
     )
-    return Confirmed(candidate, before.after(fix.time_ns, odds, wrong, rules.wrong_fix))
+    return ConfirmedPosition(candidate, before.after(fix.time_ns, odds, wrong, rules.wrong_fix))
 
 
-def of_doppler(base: Candidate, moved: Displacement, time_ns: int, rules: LevelRules) -> Candidate:
+def of_doppler(
+    base: PositionCandidate, moved: Displacement, time_ns: int, rules: LevelRules
+) -> PositionCandidate:
     """The confirmed position moved on by satellite velocities, with all that stood behind it."""
-    latitude_rad, longitude_rad, height_m = base.place
+    latitude_rad, longitude_rad, height_m = base.geodetic
     assert height_m is not None
     east_m, north_m, up_m = (float(metre) for metre in moved.metres)
     to_latitude_rad = latitude_rad + north_m / (meridian_radius_m(latitude_rad) + height_m)
@@ -258,42 +270,42 @@ def of_doppler(base: Candidate, moved: Displacement, time_ns: int, rules: LevelR
         float(one + other) for one, other in zip(base.covariance_enu_m2, added, strict=True)
     )
     grown = tuple(_wider(part, added) for part in base.mixture.parts)
-    return Candidate(
+    return PositionCandidate(
         "doppler",
         time_ns,
         (to_latitude_rad, longitude_rad + east_m / around_m, height_m + up_m),
         (ee, en, eu, nn, nu, uu),
         moved.yaw_rad,
-        Mixture(grown, base.mixture.lost + rules.pose_fault_prior),
+        ErrorMixture(grown, base.mixture.lost + rules.pose_fault_prior),
         base.wrong,
         base.fix_id,
     )
 
 
 def of_pose(
-    situation: Situation,
+    inputs: EpochInputs,
     correction_m: float,
-    suspicion: Suspicion,
+    suspicion: LatentFaultHypothesis,
     rules: Rules,
     levels: LevelRules,
-    dispute: Dispute | None = None,
-) -> Candidate:
-    """The pose's antenna on its road. `situation.missing_pose` has to be None."""
-    pose = situation.pose
+    dispute: PoseDispute | None = None,
+) -> PositionCandidate:
+    """The pose's antenna on its road. `inputs.missing_pose` has to be None."""
+    pose = inputs.pose
     assert pose is not None
     assert pose.latitude_rad is not None
     assert pose.longitude_rad is not None
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
-    height_m, up_m2 = height_on_road(situation, correction_m, rules)
-    alone = Part(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
-    parts: tuple[Part, ...]
+    height_m, up_m2 = height_on_road(inputs, correction_m, rules)
+    alone = MixtureComponent(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
+    parts: tuple[MixtureComponent, ...]
     wrong: float | None = None
     if not rests_on_fixes(pose):
         parts = _by_road(alone, 1.0, levels)
     else:
         wrong = suspicion.odds / (1.0 + suspicion.odds)
-        pulled = Part(
+        pulled = MixtureComponent(
             wrong,
             (0.0, 0.0, 0.0),
             (ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
@@ -301,14 +313,14 @@ def of_pose(
         )
         parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
     if dispute is not None:
-        parts = dispute.beside(parts, alone, dispute.weight(levels))
-    return Candidate(
+        parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
+    return PositionCandidate(
         "scan_match" if pose.mode == "scan_match" else "sensors",
         pose.time_ns,
         (pose.latitude_rad, pose.longitude_rad, height_m),
         (ee, en, 0.0, nn, 0.0, up_m2),
         pose.yaw_rad,
-        Mixture(parts, levels.pose_fault_prior),
+        ErrorMixture(parts, levels.pose_fault_prior),
         wrong,
     )
 
@@ -332,13 +344,13 @@ def _larger_m2(pose: Pose) -> float:
     return larger_m2
 
 
-def height_on_road(situation: Situation, correction_m: float, rules: Rules) -> tuple[float | None, float]:
+def height_on_road(inputs: EpochInputs, correction_m: float, rules: Rules) -> tuple[float | None, float]:
     """Height of the antenna on the road below it, and its variance with the slope's share of the pose's error."""
-    pose, antenna = situation.pose, situation.antenna
+    pose, antenna = inputs.pose, inputs.antenna
     assert pose is not None
     assert pose.covariance_east_north_yaw is not None
     road = pose.road
-    if situation.missing_road() is not None or situation.missing_antenna(pose.time_ns, rules) is not None:
+    if inputs.missing_road() is not None or inputs.missing_antenna(pose.time_ns, rules) is not None:
         return None, UNKNOWN_HEIGHT_M2
     if road.slope_east is None or road.slope_north is None:
         return None, UNKNOWN_HEIGHT_M2
@@ -355,17 +367,17 @@ def height_on_road(situation: Situation, correction_m: float, rules: Rules) -> t
 
 
 def _if_wrong(
-    judgement: Judgement, covariance: Covariance3, before: Suspicion, rules: WrongFixRules
-) -> tuple[float, Part]:
+    judgement: FixJudgement, covariance: Covariance3, before: LatentFaultHypothesis, rules: WrongFixRules
+) -> tuple[float, MixtureComponent]:
     """Odds that the fix is wrong, by itself, and how far off it is then."""
-    found, pose = judgement.comparison, judgement.pose
+    result, pose = judgement.comparison, judgement.pose
     horizontal_m2, vertical_m2 = rules.second_moment_m2
     prior_log_odds = rules.prior_log_odds(judgement.fix.satellites)
-    if found is None or pose is None or pose.covariance_east_north_yaw is None:
-        unknown = Part(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
+    if result is None or pose is None or pose.covariance_east_north_yaw is None:
+        unknown = MixtureComponent(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
         return judgement.trials * math.exp(prior_log_odds), unknown
-    east_m, north_m, up_m = found.difference_m.tolist()
-    (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = found.covariance_m2.tolist()
+    east_m, north_m, up_m = result.difference_m.tolist()
+    (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = result.covariance_m2.tolist()
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     if is_provisional(pose) or (before.time_ns is None and rests_on_fixes(pose)):
         # Such a pose is where the fixes are: it says nothing against them.
@@ -383,16 +395,18 @@ def _if_wrong(
         judgement.trials,
     )
     # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
-    wrong = Part(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
+    wrong = MixtureComponent(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
     return math.exp(min(against, _MOST_LOG_ODDS)), wrong
 
 
-def _by_road(part: Part, weight: float, rules: LevelRules) -> tuple[Part, Part]:
+def _by_road(
+    part: MixtureComponent, weight: float, rules: LevelRules
+) -> tuple[MixtureComponent, MixtureComponent]:
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
     changed, sigma_m = rules.changed_road_prior, rules.changed_road_sigma_m
     return (
-        Part((1.0 - changed) * weight, part.mean_m, part.horizontal_m2, part.up_m2),
-        Part(changed * weight, part.mean_m, part.horizontal_m2, part.up_m2 + sigma_m * sigma_m),
+        MixtureComponent((1.0 - changed) * weight, part.mean_m, part.horizontal_m2, part.up_m2),
+        MixtureComponent(changed * weight, part.mean_m, part.horizontal_m2, part.up_m2 + sigma_m * sigma_m),
     )
 
 
@@ -400,8 +414,8 @@ def _horizontal(covariance: Covariance3) -> tuple[float, float, float]:
     return covariance[0], covariance[1], covariance[3]
 
 
-def _wider(part: Part, covariance: Sequence[float]) -> Part:
+def _wider(part: MixtureComponent, covariance: Sequence[float]) -> MixtureComponent:
     """With the errors of a covariance added."""
     (ee, en, nn) = part.horizontal_m2
     added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    return Part(part.weight, part.mean_m, added, float(part.up_m2 + covariance[5]))
+    return MixtureComponent(part.weight, part.mean_m, added, float(part.up_m2 + covariance[5]))

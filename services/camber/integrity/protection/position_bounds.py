@@ -16,9 +16,9 @@ import numpy as np
 
 from camber.geodesy.covariance import eigenvalues_m2
 from camber.integrity.protection.doppler_position import DopplerRules
-from camber.integrity.protection.protection_level import TailPart, levels_m
+from camber.integrity.protection.protection_level import TailComponent, levels_m
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules
-from camber.integrity.scalar_or_array import Either, larger_eigenvalue
+from camber.integrity.scalar_or_array import FloatOrArray, larger_eigenvalue
 
 _P99, _P999 = 0.99, 0.999
 # A tenth of a millimetre keeps an ellipse of one that is sure in some direction.
@@ -78,7 +78,7 @@ class LevelRules:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MixtureComponent:
     """One way in which the position may be off: its weight, mean east, north, up, (ee, en, nn), and uu.
 
     `up_m2` infinite: the height is not known.
@@ -91,10 +91,10 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Mixture:
+class ErrorMixture:
     """All ways, the right one first; `lost`: the probability of what no bound covers. With it they make one."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[MixtureComponent, ...]
     lost: float = 0.0
 
 
@@ -111,7 +111,7 @@ class Bounds:
     vertical_level_m: float
 
 
-def bounds_of(mixtures: Sequence[Mixture], rules: LevelRules) -> list[Bounds]:
+def bounds_of(mixtures: Sequence[ErrorMixture], rules: LevelRules) -> list[Bounds]:
     """Of several positions at once."""
     firsts = [_right(mixture, rules) for mixture in mixtures]
     tails = [_tails(mixture, first, rules) for mixture, first in zip(mixtures, firsts, strict=True)]
@@ -122,14 +122,16 @@ def bounds_of(mixtures: Sequence[Mixture], rules: LevelRules) -> list[Bounds]:
     return [_bounds(first, level) for first, level in zip(firsts, levels.T.tolist(), strict=True)]
 
 
-def _columns(of_each: Sequence[Sequence[TailPart]]) -> list[TailPart]:
+def _columns(of_each: Sequence[Sequence[TailComponent]]) -> list[TailComponent]:
     """The parts of several as one mixture of arrays: to those that have fewer, some of no weight."""
     nothing, k = (0.0, 0.0, 0.0, 1.0, 1.0), max(map(len, of_each))
     table = np.array([[*parts, *[nothing] * (k - len(parts))] for parts in of_each])
     return [tuple(columns) for columns in np.ascontiguousarray(table.transpose(1, 2, 0))]
 
 
-def _levels(tails: Sequence[Sequence[TailPart]], lost: Either, rules: LevelRules) -> list[Either]:
+def _levels(
+    tails: Sequence[Sequence[TailComponent]], lost: FloatOrArray, rules: LevelRules
+) -> list[FloatOrArray]:
     """Scales of the ellipses of 99 and of 99.9 %, horizontal and vertical level."""
     standard, metres, upwards = tails
     risk = rules.integrity_risk - lost
@@ -137,7 +139,7 @@ def _levels(tails: Sequence[Sequence[TailPart]], lost: Either, rules: LevelRules
     return [*ellipses, *levels_m(metres, [risk]), *levels_m(upwards, [risk])]
 
 
-def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
+def is_beyond(mixture: ErrorMixture, level_m: float, rules: LevelRules) -> bool:
     """Is the horizontal level surely larger than this? By the errors along each part's major axis alone."""
     probability = mixture.lost
     for part in mixture.parts:
@@ -149,7 +151,7 @@ def is_beyond(mixture: Mixture, level_m: float, rules: LevelRules) -> bool:
     return probability > _SURELY * rules.integrity_risk
 
 
-def _right(mixture: Mixture, rules: LevelRules) -> Horizontal:
+def _right(mixture: ErrorMixture, rules: LevelRules) -> Horizontal:
     """(ee, en, nn) of the first part, as the ellipses take it."""
     return _with_margin(mixture.parts[0].horizontal_m2, rules)
 
@@ -159,7 +161,7 @@ def _with_margin(horizontal_m2: Horizontal, rules: LevelRules) -> Horizontal:
     return margin2 * ee + _LEAST_M2, margin2 * en, margin2 * nn + _LEAST_M2
 
 
-def _tails(mixture: Mixture, first: Horizontal, rules: LevelRules) -> list[list[TailPart]]:
+def _tails(mixture: ErrorMixture, first: Horizontal, rules: LevelRules) -> list[list[TailComponent]]:
     """Of the parts what their tails take: in σ of the first part, in metres, and upwards. What is alike is one."""
     in_plane: dict[tuple[float, float, Horizontal], float] = {}
     on_line: dict[tuple[float, float], float] = {}
@@ -173,7 +175,7 @@ def _tails(mixture: Mixture, first: Horizontal, rules: LevelRules) -> list[list[
     # The inverse of the lower Cholesky factor [[p, 0], [q, r]]: no numbers where the first part has no ellipse.
     p, r = (1.0 / math.sqrt(ee), 1.0 / math.sqrt(rest)) if rest > 0.0 else (math.nan, math.nan)
     q = -en / ee * r
-    standard, metres = list[TailPart](), list[TailPart]()
+    standard, metres = list[TailComponent](), list[TailComponent]()
     for (east, north, horizontal_m2), weight in in_plane.items():
         ee, en, nn = _with_margin(horizontal_m2, rules)
         mixed = q * ee + r * en

@@ -11,18 +11,18 @@ import math
 from dataclasses import replace
 
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.integrity.epoch_inputs import Situation, age_s
-from camber.integrity.judgement import Judgement
+from camber.integrity.epoch_inputs import EpochInputs, age_s
+from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.doppler_position import DopplerPosition
 from camber.integrity.protection.fault_hypotheses import (
-    Candidate,
-    Dispute,
-    MatchedPlaces,
-    Suspicion,
+    LatentFaultHypothesis,
+    MatchCorroboration,
+    PoseDispute,
+    PositionCandidate,
     confirmed_fix,
-    dispute_after,
     of_doppler,
     of_pose,
+    updated_dispute,
 )
 from camber.integrity.protection.fault_hypotheses import (
     is_provisional as is_provisional,
@@ -40,30 +40,30 @@ _AS_SURVEYED = 5.33  # σ that a height may be off at 1e-7
 _LARGEST_M = 1e9  # that a message holds
 
 
-class Positions:
+class PositionOutput:
     """Hears velocities, wheel speeds and judgements; says the position of an epoch. Times come in, nothing is read."""
 
     def __init__(self, rules: Rules, levels: LevelRules) -> None:
         self._rules, self._levels = rules, levels
         self._doppler = DopplerPosition(levels.doppler)
-        self._base: Candidate | None = None
-        self._suspicion = Suspicion.before_any(levels.wrong_fix)
-        self._matched = MatchedPlaces(levels)
-        self._dispute: Dispute | None = None
+        self._base: PositionCandidate | None = None
+        self._suspicion = LatentFaultHypothesis.initial(levels.wrong_fix)
+        self._matched = MatchCorroboration(levels)
+        self._dispute: PoseDispute | None = None
         self._index = ReliabilityIndex(levels.index)
 
-    def hear_velocity(self, velocity: SatelliteVelocity) -> None:
+    def add_velocity(self, velocity: SatelliteVelocity) -> None:
         """A velocity by satellite Doppler."""
-        self._doppler.hear_velocity(velocity)
+        self._doppler.add_velocity(velocity)
 
-    def hear_speed(self, time_ns: int, speed_m_s: float | None) -> None:
+    def add_wheel_speed(self, time_ns: int, speed_m_s: float | None) -> None:
         """A wheel speed; None does not overwrite a known one, its age does."""
         if speed_m_s is not None:
-            self._doppler.hear_speed(time_ns, speed_m_s)
+            self._doppler.add_wheel_speed(time_ns, speed_m_s)
 
-    def hear_judgement(self, judgement: Judgement) -> None:
+    def update_dispute(self, judgement: FixJudgement) -> None:
         """What has become of a fix, whatever it is: one that the pose contradicts makes the pose doubtful too."""
-        self._dispute = dispute_after(judgement, self._dispute, self._rules.true_sigma)
+        self._dispute = updated_dispute(judgement, self._dispute, self._rules.true_sigma)
 
     def forget_future(self, now_ns: int) -> None:
         """Drop what is dated ahead: from a clock that is wrong, or from before ours was set back."""
@@ -74,42 +74,42 @@ class Positions:
             self._base = None
         if self._suspicion.time_ns is not None and self._suspicion.time_ns > limit_ns:
             self._suspicion = replace(self._suspicion, time_ns=limit_ns)
-            self._matched = MatchedPlaces(self._levels)
+            self._matched = MatchCorroboration(self._levels)
         if self._dispute is not None and self._dispute.time_ns > limit_ns:
             self._dispute = replace(self._dispute, begun_ns=limit_ns, time_ns=limit_ns)
 
-    def confirmed(self, judgement: Judgement, correction_m: float, situation: Situation) -> Position:
+    def confirmed(self, judgement: FixJudgement, correction_m: float, inputs: EpochInputs) -> Position:
         """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
-        self._hear_match(situation)
-        found = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
-        self._suspicion = found.suspicion
-        if self._base is None or found.candidate.time_ns > self._base.time_ns:
-            self._base = found.candidate
-            self._doppler.begin(found.candidate.time_ns)
-        pose, _ = self._of_pose(found.candidate.time_ns, situation, correction_m)
-        return self._best([found.candidate, pose], situation)
+        self._hear_match(inputs)
+        result = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
+        self._suspicion = result.suspicion
+        if self._base is None or result.candidate.time_ns > self._base.time_ns:
+            self._base = result.candidate
+            self._doppler.begin(result.candidate.time_ns)
+        pose, _ = self._of_pose(result.candidate.time_ns, inputs, correction_m)
+        return self._best([result.candidate, pose], inputs)
 
-    def at(self, time_ns: int, situation: Situation, correction_m: float) -> Position:
+    def at(self, time_ns: int, inputs: EpochInputs, correction_m: float) -> Position:
         """The position of an epoch without a confirmed fix: what there is of it, or why there is none."""
-        self._hear_match(situation)
-        pose, missing = self._of_pose(time_ns, situation, correction_m)
+        self._hear_match(inputs)
+        pose, missing = self._of_pose(time_ns, inputs, correction_m)
         doppler = self._of_doppler(time_ns, pose)
         if doppler is None and missing is not None:
-            return no_position(time_ns, missing, self._rules, self._levels)
-        return self._best([doppler, pose], situation)
+            return unavailable_position(time_ns, missing, self._rules, self._levels)
+        return self._best([doppler, pose], inputs)
 
-    def _hear_match(self, situation: Situation) -> None:
+    def _hear_match(self, inputs: EpochInputs) -> None:
         """What scan matching says of what was suspected, or disputed, before this epoch."""
-        if situation.pose is not None:
-            self._suspicion = self._matched.hear(situation.pose, self._suspicion)
+        if inputs.pose is not None:
+            self._suspicion = self._matched.update(inputs.pose, self._suspicion)
             if self._dispute is not None:
-                self._dispute = self._dispute.hear(situation.pose, self._levels)
+                self._dispute = self._dispute.update(inputs.pose, self._levels)
 
     def _of_pose(
-        self, time_ns: int, situation: Situation, correction_m: float
-    ) -> tuple[Candidate | None, Reason | None]:
-        pose = situation.pose
-        missing = situation.missing_pose(time_ns, self._rules)
+        self, time_ns: int, inputs: EpochInputs, correction_m: float
+    ) -> tuple[PositionCandidate | None, Reason | None]:
+        pose = inputs.pose
+        missing = inputs.missing_pose(time_ns, self._rules)
         if pose is None or missing is not None:
             return None, missing
         if is_provisional(pose):
@@ -118,10 +118,10 @@ class Positions:
         old = not abs(age_s(moved_ns, time_ns)) <= self._levels.time_to_alert_s
         if old or not abs(age_s(pose.time_ns, time_ns)) <= SAME_EPOCH_S:
             return None, "pose_stale"
-        found = of_pose(situation, correction_m, self._suspicion, self._rules, self._levels, self._dispute)
-        return found, None
+        result = of_pose(inputs, correction_m, self._suspicion, self._rules, self._levels, self._dispute)
+        return result, None
 
-    def _of_doppler(self, time_ns: int, pose: Candidate | None) -> Candidate | None:
+    def _of_doppler(self, time_ns: int, pose: PositionCandidate | None) -> PositionCandidate | None:
         """The position by Doppler where it can be checked and agrees; where it does not it ends.
 
         What has been summed up began with the base: each new one begins it anew.
@@ -129,18 +129,22 @@ class Positions:
         moved = self._doppler.at(time_ns)
         if moved is None or self._base is None:
             return None
-        found = of_doppler(self._base, moved, time_ns, self._levels)
+        result = of_doppler(self._base, moved, time_ns, self._levels)
         if pose is None:
-            return found if moved.checked else None
+            return result if moved.checked else None
         east_m, north_m = east_north_between(
-            pose.place[0], pose.place[1], found.place[0], found.place[1], found.place[2] or 0.0
+            pose.geodetic[0],
+            pose.geodetic[1],
+            result.geodetic[0],
+            result.geodetic[1],
+            result.geodetic[2] or 0.0,
         )
-        if _distance2(east_m, north_m, pose.covariance_enu_m2, found.covariance_enu_m2) <= _CONTRADICTION:
-            return found
+        if _distance2(east_m, north_m, pose.covariance_enu_m2, result.covariance_enu_m2) <= _CONTRADICTION:
+            return result
         self._doppler.end()
         return None
 
-    def _best(self, candidates: list[Candidate | None], situation: Situation) -> Position:
+    def _best(self, candidates: list[PositionCandidate | None], inputs: EpochInputs) -> Position:
         """The first of them, or a later one whose level is clearly smaller and whose height is borne out."""
         best, *others = [candidate for candidate in candidates if candidate is not None]
         bounds = self._bounds(best)
@@ -149,23 +153,29 @@ class Positions:
             # Mostly one look at the tails tells that the level is larger, and no bound needs to be found.
             if self._levels.levels == "integrity_risk" and is_beyond(other.mixture, limit_m, self._levels):
                 continue
-            found = self._bounds(other)
-            if found.horizontal_level_m < limit_m and self._bears_out(best, bounds, other, found):
-                best, bounds = other, found
+            result = self._bounds(other)
+            if result.horizontal_level_m < limit_m and self._bears_out(best, bounds, other, result):
+                best, bounds = other, result
         self._index.keep(best.time_ns, bounds)
-        return self._position(best, bounds, situation)
+        return self._position(best, bounds, inputs)
 
-    def _bears_out(self, best: Candidate, bounds: Bounds, other: Candidate, found: Bounds) -> bool:
+    def _bears_out(
+        self, best: PositionCandidate, bounds: Bounds, other: PositionCandidate, result: Bounds
+    ) -> bool:
         """Is the height of the other within the vertical level that was found, as far as both are known?
 
         Where a position is usable, the other has to be on a road as it was surveyed: one that has changed since shows
         as a height that a fix contradicts, and the fix knows it better.
         """
-        here_m, there_m = best.place[2], other.place[2]
+        here_m, there_m = best.geodetic[2], other.geodetic[2]
         if here_m is None or there_m is None:
             return True
-        reach_m = _AS_SURVEYED * math.sqrt(other.covariance_enu_m2[5])
-        limit_m = min(reach_m, found.vertical_level_m) if self._is_small(bounds) else found.vertical_level_m
+        acceptance_radius_m = _AS_SURVEYED * math.sqrt(other.covariance_enu_m2[5])
+        limit_m = (
+            min(acceptance_radius_m, result.vertical_level_m)
+            if self._is_small(bounds)
+            else result.vertical_level_m
+        )
         return abs(there_m - here_m) <= limit_m
 
     def _is_small(self, bounds: Bounds) -> bool:
@@ -175,25 +185,25 @@ class Positions:
             and bounds.vertical_level_m < self._levels.vertical_alert_limit_m
         )
 
-    def _bounds(self, of: Candidate) -> Bounds:
-        (found,) = bounds_of([of.mixture], self._levels)
+    def _bounds(self, of: PositionCandidate) -> Bounds:
+        (result,) = bounds_of([of.mixture], self._levels)
         if self._levels.levels == "integrity_risk":
-            return found
-        return self._index.bounds(of.source, of.time_ns, found, known=of.place[2] is not None)
+            return result
+        return self._index.bounds(of.source, of.time_ns, result, known=of.geodetic[2] is not None)
 
-    def _position(self, found: Candidate, bounds: Bounds, situation: Situation) -> Position:
-        reason = self._too_large(found, bounds, situation)
+    def _position(self, result: PositionCandidate, bounds: Bounds, inputs: EpochInputs) -> Position:
+        reason = self._too_large(result, bounds, inputs)
         by_risk = self._levels.levels == "integrity_risk"
         return Position(
-            time_ns=found.time_ns,
-            source=found.source,
+            time_ns=result.time_ns,
+            source=result.source,
             usable=reason is None,
             reason=reason or "none",
-            latitude_rad=found.place[0],
-            longitude_rad=found.place[1],
-            height_m=found.place[2],
-            covariance_enu_m2=found.covariance_enu_m2,
-            yaw_rad=found.yaw_rad,
+            latitude_rad=result.geodetic[0],
+            longitude_rad=result.geodetic[1],
+            height_m=result.geodetic[2],
+            covariance_enu_m2=result.covariance_enu_m2,
+            yaw_rad=result.yaw_rad,
             semi_major_99_m=_known(bounds.semi_major_99_m),
             semi_minor_99_m=_known(bounds.semi_minor_99_m),
             semi_major_999_m=_known(bounds.semi_major_999_m),
@@ -204,24 +214,24 @@ class Positions:
             integrity_risk=self._levels.integrity_risk if by_risk else 1.0 - self._levels.index.probability,
             alert_limit_m=self._rules.alert_limit_m,
             vertical_alert_limit_m=self._levels.vertical_alert_limit_m,
-            wrong_fix_probability=found.wrong,
-            fix_id=found.fix_id if found.source == "rtk" else None,
+            wrong_fix_probability=result.wrong,
+            fix_id=result.fix_id if result.source == "rtk" else None,
         )
 
-    def _too_large(self, found: Candidate, bounds: Bounds, situation: Situation) -> Reason | None:
+    def _too_large(self, result: PositionCandidate, bounds: Bounds, inputs: EpochInputs) -> Reason | None:
         """Why it is not usable."""
         if not bounds.horizontal_level_m < self._rules.alert_limit_m:
-            return "position_unverified" if found.source == "rtk" else "pose_too_uncertain"
-        if found.place[2] is None:
+            return "position_unverified" if result.source == "rtk" else "pose_too_uncertain"
+        if result.geodetic[2] is None:
             return (
-                situation.missing_road()
-                or situation.missing_antenna(found.time_ns, self._rules)
-                or "road_unknown"
+                inputs.missing_road() or inputs.missing_antenna(result.time_ns, self._rules) or "road_unknown"
             )
         return None if bounds.vertical_level_m < self._levels.vertical_alert_limit_m else "height_unverified"
 
 
-def no_position(time_ns: int, reason: Reason, rules: Rules, levels: LevelRules | None = None) -> Position:
+def unavailable_position(
+    time_ns: int, reason: Reason, rules: Rules, levels: LevelRules | None = None
+) -> Position:
     """The clear word that there is none."""
     return Position(
         time_ns=time_ns,

@@ -26,9 +26,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from camber.integrity.scalar_or_array import Either, any_of, functions_of, negated, where
+from camber.integrity.scalar_or_array import FloatOrArray, any_of, functions_of, logical_not, where
 
-TailPart: TypeAlias = tuple[Either, Either, Either, Either, Either]
+TailComponent: TypeAlias = tuple[FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray]
 """Of one part of the mixture: weight, mean along and across the major axis, larger and smaller variance; each a float
 or (n,)."""
 
@@ -49,7 +49,7 @@ _AIM = 1e-4  # below the risk, in ln P; what is as much below that is near enoug
 _NARROW = 1e-4  # of L²: between what keeps to the risk and what does not, where P jumps
 
 
-def levels_m(parts: Sequence[TailPart], risks: Sequence[Either]) -> list[Either]:
+def levels_m(parts: Sequence[TailComponent], risks: Sequence[FloatOrArray]) -> list[FloatOrArray]:
     """Of each of these risks the smallest L with P(|error| > L) ≤ risk; ∞ where there is none. All floats, or (n,).
 
     P, the mean over the nodes, is at most the risk less 3 %, which is more than the nodes are wrong by: 1 % of errors
@@ -60,43 +60,45 @@ def levels_m(parts: Sequence[TailPart], risks: Sequence[Either]) -> list[Either]
     known = _known(parts)
     if not isinstance(known, np.ndarray):
         return _levels_m(parts, risks) if known else [math.inf] * len(risks)
-    found = np.full((len(risks), len(known)), np.inf)
+    result = np.full((len(risks), len(known)), np.inf)
     possible = np.flatnonzero(known)
     for at in range(0, len(possible), _ROWS):
         rows = possible[at : at + _ROWS]
-        some: list[TailPart] = [(w[rows], x[rows], y[rows], a[rows], b[rows]) for w, x, y, a, b in parts]
-        found[:, rows] = _levels_m(some, [risk[rows] for risk in risks])
-    return list(found)
+        some: list[TailComponent] = [(w[rows], x[rows], y[rows], a[rows], b[rows]) for w, x, y, a, b in parts]
+        result[:, rows] = _levels_m(some, [risk[rows] for risk in risks])
+    return list(result)
 
 
-def _known(parts: Sequence[TailPart]) -> Either:
+def _known(parts: Sequence[TailComponent]) -> FloatOrArray:
     """Is all of it finite, and each covariance one?"""
-    sound: Either = True
+    sound: FloatOrArray = True
     for weight, along_m, across_m, larger_m2, smaller_m2 in parts:
         sound = sound & (smaller_m2 >= -_ROUNDING * larger_m2) & (larger_m2 >= 0.0) & (larger_m2 < math.inf)
         sound = sound & (abs(weight) < math.inf) & (abs(along_m) < math.inf) & (abs(across_m) < math.inf)
     return sound
 
 
-def _levels_m(parts: Sequence[TailPart], risks: Sequence[Either]) -> list[Either]:
+def _levels_m(parts: Sequence[TailComponent], risks: Sequence[FloatOrArray]) -> list[FloatOrArray]:
     """Of what is known."""
-    mixture = _Mixture(parts)
+    mixture = _TailProbability(parts)
     levels = [mixture.level_m((1.0 - _MARGIN) * where(risk > 0.0, risk, 1.0)) for risk in risks]
     return [where(risk > 0.0, level, math.inf) for risk, level in zip(risks, levels, strict=True)]
 
 
-class _Mixture:
+class _TailProbability:
     """P(|error| > L) by what is needed of each part at its nodes: −1 / (2 s), m·n and its square.
 
     Opposite nodes differ in the sign of m·n alone, so a half of them is held; a quarter where the mean lies along the
     axis, for those on both sides of it say the same, and without a mean; one where all directions are alike.
     """
 
-    def __init__(self, parts: Sequence[TailPart]) -> None:
+    def __init__(self, parts: Sequence[TailComponent]) -> None:
         self._by = functions_of(parts[0][0])
-        self._reaches: list[tuple[Either, Either, Either, Either]] = []
-        self._centred: list[tuple[Either, Either]] = []
-        self._aside: list[tuple[Either, Either, list[tuple[Either, Either, Either]]]] = []
+        self._reaches: list[tuple[FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray]] = []
+        self._centred: list[tuple[FloatOrArray, FloatOrArray]] = []
+        self._aside: list[
+            tuple[FloatOrArray, FloatOrArray, list[tuple[FloatOrArray, FloatOrArray, FloatOrArray]]]
+        ] = []
         log, sqrt = self._by.log, self._by.sqrt
         for weight, along_m, across_m, larger_m2, smaller_m2 in parts:
             smaller_m2 = where(smaller_m2 > 0.0, smaller_m2, 0.0)
@@ -118,26 +120,26 @@ class _Mixture:
                 nodes.append((-0.5 / square, outwards, outwards * outwards))
             self._aside.append((weight, length2, nodes))
 
-    def level_m(self, risk: Either) -> Either:
+    def level_m(self, risk: FloatOrArray) -> FloatOrArray:
         """By what the nodes say."""
         log_risk = self._by.log(risk)
         low, high, at = self._about(log_risk)
-        found: Either = False
+        result: FloatOrArray = False
         steps = 0
-        while steps < _STEPS and any_of(negated(found)):
+        while steps < _STEPS and any_of(logical_not(result)):
             steps += 1
             probability, slope = self._beyond(at)
             kept = probability <= risk
             high, low = where(kept, at, high), where(kept, low, at)
             above = self._by.log(probability + _LEAST) - log_risk + _AIM
-            found = (kept & (above >= -_AIM)) | (high - low <= _NARROW * high)
+            result = (kept & (above >= -_AIM)) | (high - low <= _NARROW * high)
             at = at + above * probability / (_LEAST - slope)
             at = where((at > low) & (at < high), at, 0.5 * (low + high))
             # Once found a level stays as it is: it does not depend on those beside it.
-            at = where(found, high, at)
+            at = where(result, high, at)
         return self._by.sqrt(high)
 
-    def _beyond(self, level_m2: Either) -> tuple[Either, Either]:
+    def _beyond(self, level_m2: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray]:
         """P(|error| > L), or never less, and its slope over L²."""
         exp, sqrt = self._by.exp, self._by.sqrt
         probability, slope = 0.0, 0.0
@@ -163,7 +165,7 @@ class _Mixture:
             slope = slope + where(nearer, 0.0, share * fall)
         return probability, slope
 
-    def _about(self, log_risk: Either) -> tuple[Either, Either, Either]:
+    def _about(self, log_risk: FloatOrArray) -> tuple[FloatOrArray, FloatOrArray, FloatOrArray]:
         """L² that is too small, one that is large enough, and one between to begin with."""
         log1p, sqrt = self._by.log1p, self._by.sqrt
         reach, first, parts = 0.0, 0.0, math.log(len(self._reaches))

@@ -19,8 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.checks.chi2_test import Upper, chi2_survival, terms, upper
-from camber.integrity.scalar_or_array import Either, known, log, log_of_sum, where
+from camber.integrity.checks.chi2_test import UpperTriangle, chi2_survival, mahalanobis_terms, upper_triangle
+from camber.integrity.scalar_or_array import FloatOrArray, finite_or_inf, log, log_sum_exp, where
 
 Floats = NDArray[np.float64]
 
@@ -85,25 +85,25 @@ def log_odds(
     """
     with np.errstate(all="ignore"):  # what is not finite is told
         return np.asarray(
-            log_odds_of(tuple(difference_m.T), upper(covariance_m2), rules, prior_log_odds, trials)
+            log_odds_of(tuple(difference_m.T), upper_triangle(covariance_m2), rules, prior_log_odds, trials)
         )
 
 
 def log_odds_of(
-    difference_m: tuple[Either, Either, Either],
-    covariance_m2: Upper,
+    difference_m: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
+    covariance_m2: UpperTriangle,
     rules: WrongFixRules,
-    prior_log_odds: Either,
-    trials: Either,
-) -> Either:
+    prior_log_odds: FloatOrArray,
+    trials: FloatOrArray,
+) -> FloatOrArray:
     """The same of differences east, north, up; each part a float or (n,)."""
     ee, en, eu, nn, nu, uu = covariance_m2
     near, far = (
         log_share + _log_density(difference_m, (ee + east_m2, en, eu, nn + north_m2, nu, uu + up_m2))
         for log_share, (east_m2, north_m2, up_m2) in _if_wrong(rules)
     )
-    ratio = log_of_sum(near, far) - _log_density(difference_m, covariance_m2)
-    return known(prior_log_odds + log(where(trials > 1, trials, 1)) + ratio)
+    ratio = log_sum_exp(near, far) - _log_density(difference_m, covariance_m2)
+    return finite_or_inf(prior_log_odds + log(where(trials > 1, trials, 1)) + ratio)
 
 
 @lru_cache(maxsize=64)
@@ -126,7 +126,7 @@ def missed_detection_probability(
     With the eigenvalues λ of S⁻¹ W, d's covariance W if it is wrong, and the largest one λ₁: at most
     λ₁^(3/2) / √(λ₁ λ₂ λ₃) · P(χ²(3) ≤ limit / λ₁), equal where the three are; the union over trials. 1 where S is none.
     """
-    known, s = _usable(covariance_m2)
+    usable, s = _usable(covariance_m2)
     whitening = np.linalg.inv(np.linalg.cholesky(s))
     total = np.zeros(len(s))
     for share, variance in rules.parts:
@@ -135,7 +135,7 @@ def missed_detection_probability(
         largest = values[:, 2]
         inside = np.array([_chi2_inside(limit / value) for value in largest.tolist()])
         total += share * np.minimum(largest**1.5 / np.sqrt(values.prod(axis=1)) * inside, 1.0)
-    return np.where(known, np.minimum(np.maximum(trials, 1) * total, 1.0), 1.0)
+    return np.where(usable, np.minimum(np.maximum(trials, 1) * total, 1.0), 1.0)
 
 
 def _chi2_inside(squared: float) -> float:
@@ -147,13 +147,13 @@ def _chi2_inside(squared: float) -> float:
 
 def _usable(covariance_m2: Floats) -> tuple[NDArray[np.bool_], Floats]:
     """Which are covariances, and with the unit matrix in place of those that are none."""
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(covariance_m2).all(axis=(1, 2)))
-    safe = np.where(known[:, None, None], covariance_m2, np.eye(3))
-    known &= np.linalg.eigvalsh(safe)[:, 0] > 0.0
-    return known, np.where(known[:, None, None], safe, np.eye(3))
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(covariance_m2).all(axis=(1, 2)))
+    safe = np.where(usable[:, None, None], covariance_m2, np.eye(3))
+    usable &= np.linalg.eigvalsh(safe)[:, 0] > 0.0
+    return usable, np.where(usable[:, None, None], safe, np.eye(3))
 
 
-def _log_density(d: tuple[Either, Either, Either], s: Upper) -> Either:
+def _log_density(d: tuple[FloatOrArray, FloatOrArray, FloatOrArray], s: UpperTriangle) -> FloatOrArray:
     """ln N(d; 0, S) but for the constant that all of three dimensions share; not a number where S is no covariance."""
-    _, squared, (east, north, up) = terms(d, s)
+    _, squared, (east, north, up) = mahalanobis_terms(d, s)
     return -0.5 * (squared + log(east) + log(north) + log(up))

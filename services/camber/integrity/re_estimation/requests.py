@@ -17,15 +17,15 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal
 
-from camber.integrity.checks.determination import DeterminationRules, Limits
-from camber.integrity.judgement import Judgement
+from camber.integrity.checks.consistency import ConsistencyLimits, ConsistencyParameters
+from camber.integrity.judgement import FixJudgement
 from camber.integrity.re_estimation.subset_agreement import AgreementRules, agreement_of
 from camber.schemas.gnss import Candidate, Estimates, EstimatesRequest, Fix
 
 _MOST_HELD_BACK = 0.1
 _PAUSE_NS = 2_000_000_000
 
-Judged = Callable[[Fix, int], Judgement]
+Judged = Callable[[Fix, int], FixJudgement]
 """Judges another estimate of a fix, given how many there are."""
 
 
@@ -43,66 +43,68 @@ class ReEstimationRules:
     subsets_for_height_alone: int = 3
 
 
-class Answering:
+class QueryBackoff:
     """Does gnss answer? After a question that it did not answer it is left alone for two seconds, so that the judge
     never waits for longer than once in that time."""
 
     def __init__(self) -> None:
         self._silent_ns: int | None = None
 
-    def may_be_asked(self, now_ns: int) -> bool:
+    def is_ready(self, now_ns: int) -> bool:
         """Is it worth to wait for an answer now?"""
         return self._silent_ns is None or not 0 <= now_ns - self._silent_ns < _PAUSE_NS
 
-    def fell_silent(self, now_ns: int) -> None:
+    def register_timeout(self, now_ns: int) -> None:
         """It has not answered."""
         self._silent_ns = now_ns
 
 
-def question_for(judgement: Judgement, rules: ReEstimationRules) -> EstimatesRequest | None:
+def estimates_request(judgement: FixJudgement, rules: ReEstimationRules) -> EstimatesRequest | None:
     """What to ask gnss; None where the judgement calls for no other estimate, or a receiver made the fix."""
     fix = judgement.fix
     unresolved = judgement.reason == "not_a_fix" and fix.quality == "float" and rules.unresolved
-    if rules.way == "off" or fix.origin != "engine" or not (judgement.word == "erroneous" or unresolved):
+    if rules.way == "off" or fix.origin != "engine" or not (judgement.verdict == "erroneous" or unresolved):
         return None
     return EstimatesRequest(time_ns=fix.time_ns, fix_id=fix.fix_id, maximum_trials=rules.most_trials)
 
 
-def unanswered(judgement: Judgement, why: str) -> Judgement:
+def without_estimates(judgement: FixJudgement, why: str) -> FixJudgement:
     """The judgement as it was, with the word that there is no other estimate."""
     return replace(judgement, detail=_joined(judgement.detail, f"no other estimates: {why}"))
 
 
-def concluded(judgement: Judgement, answer: Estimates, judged: Judged, rules: ReEstimationRules) -> Judgement:
+def conclude_re_estimation(
+    judgement: FixJudgement, answer: Estimates, judged: Judged, rules: ReEstimationRules
+) -> FixJudgement:
     """The judgement of the estimate that passes; else the one there was, final now, with why."""
     if answer.status != "available" or answer.fix_id != judgement.fix.fix_id:
-        return unanswered(judgement, answer.reason or answer.status)
+        return without_estimates(judgement, answer.reason or answer.status)
     trials, disputed, subsets = judgement.trials + answer.trials, False, 0
     if rules.way == "one_by_one":
-        candidates, why, words = list(answer.candidates), "none passes", "one after the other"
+        candidates, why, support = list(answer.candidates), "none passes", "one after the other"
     else:
-        found = agreement_of(answer.candidates, rules.agreement)
-        candidates = [] if found.candidate is None else [found.candidate]
-        subsets, disputed = found.subsets, found.disputed
-        why, words = found.why, f"{subsets} agree"
+        result = agreement_of(answer.candidates, rules.agreement)
+        candidates = [] if result.candidate is None else [result.candidate]
+        subsets, disputed = result.subsets, result.disputed
+        why, support = result.why, f"{subsets} agree"
     for candidate in candidates:
         other = judged(other_fix(judgement.fix, candidate), trials)
-        if other.word == "confirmed" and rules.way == "agreement" and not _carried(other, subsets, rules):
-            why = f"{words}, {rules.subsets_for_height_alone} are needed where only the height speaks"
-        elif other.word == "confirmed":
+        if other.verdict == "confirmed" and rules.way == "agreement" and not _carried(other, subsets, rules):
+            why = f"{support}, {rules.subsets_for_height_alone} are needed where only the height speaks"
+        elif other.verdict == "confirmed":
             left_out = ", ".join(candidate.excluded_satellites)
-            detail = f"of {answer.trials} other estimates, {words}; this one without {left_out}"
+            detail = f"of {answer.trials} other estimates, {support}; this one without {left_out}"
             return replace(other, evidence=(*other.evidence, "estimates"), detail=_cut(detail))
         elif rules.way == "agreement":
-            why = f"{words}, {other.reason}: {other.detail}"
+            why = f"{support}, {other.reason}: {other.detail}"
     detail = _joined(judgement.detail, f"{answer.trials} other estimates: {why}")
-    if disputed and judgement.word == "erroneous":
+    if disputed and judgement.verdict == "erroneous":
         detail = _cut(f"{judgement.reason}: {detail}")
         return replace(judgement, reason="estimates_disagree", detail=detail, trials=trials)
     return replace(judgement, detail=detail, trials=trials)
 
 
-def _carried(other: Judgement, subsets: int, rules: ReEstimationRules) -> bool:
+def _carried(other: FixJudgement, subsets: int, rules: ReEstimationRules) -> bool:
     """Could the position have contradicted it, or do enough estimates name the place for the height to be enough?
 
     Up to one in ten wrong places has the height of the road, and twenty were tried.
@@ -132,7 +134,7 @@ def other_fix(fix: Fix, candidate: Candidate) -> Fix:
 
 
 @lru_cache(maxsize=256)
-def limits_after(rules: DeterminationRules, trials: int) -> Limits:
+def limits_after(rules: ConsistencyParameters, trials: int) -> ConsistencyLimits:
     """The limits for the last of so many estimates: so many times more right ones may be held back."""
     rate = min(rules.hold_back_rate * max(trials, 1), max(rules.hold_back_rate, _MOST_HELD_BACK))
     return replace(rules, hold_back_rate=rate).limits()

@@ -13,9 +13,9 @@ from camber.formats.observations import Floats
 from camber.geodesy.horizontal_offsets import east_north_between
 from camber.integrity.checks.height_check import road_at
 from camber.integrity.checks.pose_gate import can_move_on, offset_from_pose, pose_sigma_m
-from camber.integrity.learning.common_offset import CommonPart, Differences, common_part
-from camber.integrity.learning.residuals import Cell, CellCollector, Residual, cell_of
-from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.learning.common_offset import CommonOffset, HeightDifferences, estimate_common_offset
+from camber.integrity.learning.residuals import CellCollector, FixResidual, ResidualCell, cell_of
+from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 from camber.tools.calibrate.calibration import Pairs
@@ -34,14 +34,14 @@ class Paired:
     """What a drive gives: pairs with poses of a scan match, heights (m,) of stretches of road, and how many fixes."""
 
     pairs: Pairs
-    cells: tuple[Cell, ...]
+    cells: tuple[ResidualCell, ...]
     fixes: int
 
 
 def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
     """Each fixed position with the pose nearest to it; both in the order of their times."""
     rows: list[tuple[int, float, float, float, float]] = []
-    cells, collector, last = list[Cell](), CellCollector(_STRETCH_M), list[Residual]()
+    cells, collector, last = list[ResidualCell](), CellCollector(_STRETCH_M), list[FixResidual]()
     times_ns = [pose.time_ns for pose in poses]
     fixed = [fix for fix in fixes if fix.quality == "fixed" and fix.covariance_enu_m2 is not None]
     for fix in fixed:
@@ -53,7 +53,7 @@ def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
             rows.append(row)
         residual = _height(fix, pose)
         if residual is not None:
-            ended = collector.hear(residual)
+            ended = collector.add(residual)
             if ended is not None:
                 cells.append(ended)
                 last = []
@@ -65,14 +65,14 @@ def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
     return Paired(Pairs(time_ns, table[:, 1:3], table[:, 3], table[:, 4]), tuple(cells), len(fixed))
 
 
-def height_of(cells: Sequence[Cell]) -> CommonPart | None:
+def height_of(cells: Sequence[ResidualCell]) -> CommonOffset | None:
     """Antenna above the road, with a base that is right in height; None where there is too little road."""
     if len(cells) < _LEAST_STRETCHES:
         return None
-    return common_part(_differences(cells), _MAP_CORRELATION_M, _middle_m(cells), _ANY_HEIGHT_M)
+    return estimate_common_offset(_differences(cells), _MAP_CORRELATION_M, _middle_m(cells), _ANY_HEIGHT_M)
 
 
-def _middle_m(cells: Sequence[Cell]) -> float:
+def _middle_m(cells: Sequence[ResidualCell]) -> float:
     return float(np.median([cell.up_m for cell in cells if cell.up_m is not None]))
 
 
@@ -91,12 +91,12 @@ def _row(fix: Fix, pose: Pose) -> tuple[int, float, float, float, float] | None:
     if pose.mode != "scan_match" or pose.yaw_rad is None or not 0.0 < sigma_m <= _SIGMA_LIMIT_M:
         return None
     assert fix.covariance_enu_m2 is not None
-    ee, _, _, nn, _, _ = with_true_sigma(fix.covariance_enu_m2, TrueSigma())
+    ee, _, _, nn, _, _ = inflate_covariance(fix.covariance_enu_m2, TrueSigma())
     east_m, north_m = offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, fix.time_ns)
     return fix.time_ns, east_m, north_m, pose.yaw_rad, math.hypot(sigma_m, math.sqrt(max(ee, nn)))
 
 
-def _height(fix: Fix, pose: Pose) -> Residual | None:
+def _height(fix: Fix, pose: Pose) -> FixResidual | None:
     """The fix above the road at its place."""
     assert fix.covariance_enu_m2 is not None
     if pose.road.datum != fix.datum:
@@ -104,8 +104,8 @@ def _height(fix: Fix, pose: Pose) -> Residual | None:
     road = road_at(pose.road, *offset_from_pose(fix.latitude_rad, fix.longitude_rad, pose, pose.time_ns))
     if road is None:
         return None
-    sigma_m = math.sqrt(with_true_sigma(fix.covariance_enu_m2, TrueSigma())[5])
-    return Residual(
+    sigma_m = math.sqrt(inflate_covariance(fix.covariance_enu_m2, TrueSigma())[5])
+    return FixResidual(
         fix.time_ns,
         "unknown",
         fix.latitude_rad,
@@ -117,11 +117,11 @@ def _height(fix: Fix, pose: Pose) -> Residual | None:
     )
 
 
-def _differences(cells: Sequence[Cell]) -> Differences:
+def _differences(cells: Sequence[ResidualCell]) -> HeightDifferences:
     known = [cell for cell in cells if cell.up_m is not None]
     first = known[0]
 
-    def place(cell: Cell) -> tuple[float, float]:
+    def place(cell: ResidualCell) -> tuple[float, float]:
         return east_north_between(
             first.latitude_rad, first.longitude_rad, cell.latitude_rad, cell.longitude_rad
         )
@@ -129,7 +129,7 @@ def _differences(cells: Sequence[Cell]) -> Differences:
     def column(values: list[float | None]) -> Floats:
         return np.array(values, np.float64)
 
-    return Differences(
+    return HeightDifferences(
         column([cell.up_m for cell in known]),
         column([cell.fix_sigma_m**2 for cell in known]),
         column([cell.map_sigma_m for cell in known]),

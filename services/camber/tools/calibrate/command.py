@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from camber.formats.errors import FormatError
-from camber.integrity.learning.common_offset import CommonPart
+from camber.integrity.learning.common_offset import CommonOffset
 from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.processes import config_text
@@ -94,7 +94,7 @@ def _paired(inputs: DriveInputs, work: Path, *, quiet: bool) -> Paired:
 
 
 def _lines(
-    name: str, paired: Paired, horizontal: Horizontal | None, height: CommonPart | None, arm: LeverArm
+    name: str, paired: Paired, horizontal: Horizontal | None, height: CommonOffset | None, arm: LeverArm
 ) -> list[str]:
     lines = [
         f"{name}: {paired.fixes:,} fixes, {len(paired.pairs.time_ns):,} beside a scan match, "
@@ -133,7 +133,7 @@ def _horizontal_lines(found: Horizontal, arm: LeverArm) -> list[str]:
     ]
 
 
-def _height_lines(found: CommonPart, arm: LeverArm) -> list[str]:
+def _height_lines(found: CommonOffset, arm: LeverArm) -> list[str]:
     lines = [
         f"Antenna height above the road, mean of the drive: {found.value_m:.3f} ± {found.sigma_m:.3f} m "
         f"(set: {arm.z_m:g}), if the base's height is right: nothing on board tells the two apart."
@@ -143,7 +143,7 @@ def _height_lines(found: CommonPart, arm: LeverArm) -> list[str]:
     return lines
 
 
-def _snippet(name: str, horizontal: Horizontal | None, height: CommonPart | None, arm: LeverArm) -> str:
+def _snippet(name: str, horizontal: Horizontal | None, height: CommonOffset | None, arm: LeverArm) -> str:
     """Tables for drive.toml; what cannot be set there is a comment."""
     lines = [f"# Found by camber calibrate from the drive {name}."]
     if horizontal is not None and horizontal.separable:

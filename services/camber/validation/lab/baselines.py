@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.integrity.checks.chi2_test import Floats, Words
-from camber.integrity.checks.determination import (
+from camber.integrity.checks.chi2_test import Floats, TestOutcomes
+from camber.integrity.checks.consistency import (
     ALL_AGREE,
     BOTH_CONTRADICT,
     HEIGHT_CONTRADICTS,
-    DeterminationRules,
-    Limits,
-    determine,
+    ConsistencyLimits,
+    ConsistencyParameters,
+    consistency_of_arrays,
 )
 
 Booleans = NDArray[np.bool_]
@@ -29,7 +29,7 @@ CONTROLS = ("ratio only", "residuals only", "height only", "LiDAR only", JUDGE, 
 class Controls:
     """Which of n fixes each control confirms, by the product's limits, beside poses of one σ."""
 
-    def __init__(self, rules: DeterminationRules, pose_sigma_m: float) -> None:
+    def __init__(self, rules: ConsistencyParameters, pose_sigma_m: float) -> None:
         self._pose_m2 = np.eye(2)[None] * pose_sigma_m**2
         self._all = rules.limits()
         self._height = replace(rules, tests=("height",)).limits()
@@ -49,7 +49,7 @@ class Controls:
         level = np.abs(difference_m[:, 2]) <= tolerance_m
         aside = difference_m[:, 0] ** 2 + difference_m[:, 1] ** 2 <= reach2[of]
 
-        def where(could: Booleans, limits: Limits) -> Booleans:
+        def where(could: Booleans, limits: ConsistencyLimits) -> Booleans:
             rows = np.flatnonzero(could)
             agrees = np.zeros(len(could), np.bool_)
             agrees[rows] = self._outcome(difference_m[rows], s[of[rows]], limits) == ALL_AGREE
@@ -77,5 +77,7 @@ class Controls:
         found: Booleans = self._outcome(difference_m, covariance_m2, self._all) == ALL_AGREE
         return found
 
-    def _outcome(self, difference_m: Floats, covariance_m2: Floats, limits: Limits) -> Words:
-        return determine(difference_m, covariance_m2, self._pose_m2, limits).outcome
+    def _outcome(
+        self, difference_m: Floats, covariance_m2: Floats, limits: ConsistencyLimits
+    ) -> TestOutcomes:
+        return consistency_of_arrays(difference_m, covariance_m2, self._pose_m2, limits).outcome

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from camber.integrity.protection import wrong_fix_probability as wrong_fix
 from camber.integrity.protection.doppler_position import DopplerPosition
-from camber.integrity.protection.position_bounds import LevelRules, Mixture, Part, bounds_of
+from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent, bounds_of
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
 from camber.simulator.random_streams import stream
@@ -170,7 +170,7 @@ def claimed_growth() -> tuple[Floats, float]:
     for k in range(round(_LONGEST_S / _STEP_S) + 1):
         time_ns = _EPOCH_NS + round(k * _STEP_S * 1e9)
         v = VELOCITY_SIGMA_M_S**2
-        own.hear_velocity(
+        own.add_velocity(
             SatelliteVelocity(
                 time_ns=time_ns,
                 velocity_enu_m_s=(0.0, 0.0, 0.0),
@@ -221,9 +221,9 @@ def bounds(claimed: Claimed) -> Bounded:
     """As the product makes them; the height, of which nothing is told here, has a part of 1 m."""
     n, parts = claimed.weight.shape
     mixtures = [
-        Mixture(
+        ErrorMixture(
             tuple(
-                Part(
+                MixtureComponent(
                     float(claimed.weight[i, k]),
                     (float(claimed.mean_m[i, k, 0]), float(claimed.mean_m[i, k, 1]), 0.0),
                     _plane(claimed.covariance_m2[i, k]),

@@ -64,7 +64,7 @@ ASSUMED = Assumptions()
 
 
 def trusted_fix(claimed_m2: Floats, rules: Rules) -> Floats:
-    """Covariances (n, 3, 3) of right fixes from the claimed ones, by the judge's rule (`with_true_sigma`)."""
+    """Covariances (n, 3, 3) of right fixes from the claimed ones, by the judge's rule (`inflate_covariance`)."""
     true = rules.true_sigma
     floor = np.diag([true.horizontal_m**2, true.horizontal_m**2, true.vertical_m**2])
     return np.asarray(true.scale**2 * claimed_m2 + floor)

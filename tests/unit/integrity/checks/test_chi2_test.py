@@ -15,8 +15,8 @@ from camber.integrity.checks.chi2_test import (
     chi2_limit,
     chi2_survival,
     difference_covariance,
-    upper,
-    words,
+    outcome_of,
+    upper_triangle,
 )
 from camber.integrity.checks.chi2_test import distances as distances_of
 
@@ -28,14 +28,14 @@ SLOPE = np.array([[0.08, -0.03]])
 def distances(d, covariance_m2):
     """Of rows (n, 3) and matrices (n, 3, 3); those of each row alone are the same."""
     with np.errstate(all="ignore"):
-        found = distances_of(tuple(d.T), upper(covariance_m2))
+        result = distances_of(tuple(d.T), upper_triangle(covariance_m2))
     for i, row in enumerate(d[:20].tolist()):
         alone = distances_of(
-            tuple(row), tuple(part[i] for part in map(np.ndarray.tolist, upper(covariance_m2)))
+            tuple(row), tuple(part[i] for part in map(np.ndarray.tolist, upper_triangle(covariance_m2)))
         )
         for name in ("height", "position", "joint", "height_sigma_m"):
-            assert getattr(alone, name) == getattr(found, name)[i], name
-    return found
+            assert getattr(alone, name) == getattr(result, name)[i], name
+    return result
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3])
@@ -66,22 +66,22 @@ def test_differences_of_right_fixes_are_as_large_as_the_covariance_says() -> Non
     difference_m[:, :2] -= pose_m
     difference_m[:, 2] -= fix_m[:, :2] @ SLOPE[0] + rng.normal(0.0, 0.04, n)
     covariance_m2 = difference_covariance(FIX, POSE, np.array([0.04**2]), SLOPE)
-    found = distances(difference_m, np.repeat(covariance_m2, n, axis=0))
-    assert np.mean(found.joint > chi2_limit(0.01, 3)) == pytest.approx(0.01, abs=1e-3)
-    assert np.mean(found.position > chi2_limit(0.01, 2)) == pytest.approx(0.01, abs=1e-3)
-    assert np.mean(found.height > chi2_limit(0.01, 1)) == pytest.approx(0.01, abs=1e-3)
+    result = distances(difference_m, np.repeat(covariance_m2, n, axis=0))
+    assert np.mean(result.joint > chi2_limit(0.01, 3)) == pytest.approx(0.01, abs=1e-3)
+    assert np.mean(result.position > chi2_limit(0.01, 2)) == pytest.approx(0.01, abs=1e-3)
+    assert np.mean(result.height > chi2_limit(0.01, 1)) == pytest.approx(0.01, abs=1e-3)
 
 
 def test_the_covariance_is_that_of_fix_pose_and_height_along_the_slope_of_each() -> None:
     fix_m2, pose_m2 = np.concatenate([FIX, 4.0 * FIX, FIX]), np.concatenate([POSE, POSE, 0.0 * POSE])
     height_m2, slope = np.array([1e-3, 2e-3, 3e-3]), np.array([[0.08, -0.03], [0.0, 0.1], [-0.2, 0.05]])
-    found = difference_covariance(fix_m2, pose_m2, height_m2, slope)
+    result = difference_covariance(fix_m2, pose_m2, height_m2, slope)
     for k in range(3):
         j = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-slope[k, 0], -slope[k, 1], 1.0]])
         expected = j @ fix_m2[k] @ j.T
         expected[:2, :2] += pose_m2[k]
         expected[2, 2] += height_m2[k]
-        assert found[k] == pytest.approx(expected)
+        assert result[k] == pytest.approx(expected)
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.floats(1.0, 5.0))
@@ -96,22 +96,22 @@ def test_a_larger_contradiction_is_further_off(d: tuple[float, float, float], ti
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_is_infinitely_far(bad: float) -> None:
     covariance_m2 = difference_covariance(FIX, POSE, np.array([1e-3]), SLOPE)
-    found = distances(np.array([[0.0, bad, bad]]), covariance_m2)
-    assert (found.height[0], found.position[0], found.joint[0]) == (np.inf, np.inf, np.inf)
-    found = distances(np.zeros((1, 3)), np.where(np.eye(3) > 0, bad, covariance_m2))
-    assert (found.height[0], found.position[0], found.joint[0]) == (np.inf, np.inf, np.inf)
-    assert found.height_sigma_m[0] == np.inf
+    result = distances(np.array([[0.0, bad, bad]]), covariance_m2)
+    assert (result.height[0], result.position[0], result.joint[0]) == (np.inf, np.inf, np.inf)
+    result = distances(np.zeros((1, 3)), np.where(np.eye(3) > 0, bad, covariance_m2))
+    assert (result.height[0], result.position[0], result.joint[0]) == (np.inf, np.inf, np.inf)
+    assert result.height_sigma_m[0] == np.inf
 
 
 @pytest.mark.parametrize("variances", [(-1.0, 1.0, 1.0), (1.0, 1.0, 0.0)])
 def test_a_covariance_that_is_none_vouches_for_nothing(variances: tuple[float, float, float]) -> None:
-    found = distances(np.zeros((1, 3)), np.diag(variances)[None])
-    assert found.joint[0] == np.inf
+    result = distances(np.zeros((1, 3)), np.diag(variances)[None])
+    assert result.joint[0] == np.inf
 
 
 def test_between_the_limits_nobody_can_say() -> None:
-    found = words(np.array([0.0, 4.0, 4.1, 9.0, 9.1, np.inf, np.nan]), 4.0, 9.0)
-    assert found.tolist() == [
+    result = outcome_of(np.array([0.0, 4.0, 4.1, 9.0, 9.1, np.inf, np.nan]), 4.0, 9.0)
+    assert result.tolist() == [
         AGREES,
         AGREES,
         UNVERIFIED,
@@ -128,20 +128,20 @@ def test_distances_are_those_of_another_implementation(seed: int) -> None:
     root = rng.normal(size=(5, 3, 3)) * rng.uniform(0.05, 10.0, (5, 3, 1))
     covariance_m2 = root @ root.transpose(0, 2, 1) + 1e-3 * np.eye(3)
     d = rng.normal(size=(5, 3))
-    found = distances(d, covariance_m2)
+    result = distances(d, covariance_m2)
     for i in range(5):
         s = covariance_m2[i]
-        assert found.joint[i] == pytest.approx(d[i] @ np.linalg.solve(s, d[i]), rel=1e-6)
-        assert found.position[i] == pytest.approx(d[i, :2] @ np.linalg.solve(s[:2, :2], d[i, :2]), rel=1e-6)
-        assert found.height[i] == pytest.approx(d[i, 2] ** 2 / s[2, 2])
-        assert found.height_sigma_m[i] == pytest.approx(np.sqrt(s[2, 2]))
+        assert result.joint[i] == pytest.approx(d[i] @ np.linalg.solve(s, d[i]), rel=1e-6)
+        assert result.position[i] == pytest.approx(d[i, :2] @ np.linalg.solve(s[:2, :2], d[i, :2]), rel=1e-6)
+        assert result.height[i] == pytest.approx(d[i, 2] ** 2 / s[2, 2])
+        assert result.height_sigma_m[i] == pytest.approx(np.sqrt(s[2, 2]))
 
 
 def test_where_only_the_height_is_not_known_the_position_still_counts() -> None:
     covariance_m2 = difference_covariance(FIX, POSE, np.array([np.inf]), SLOPE)
-    found = distances(np.array([[0.1, 0.0, np.nan]]), covariance_m2)
-    assert 0.0 < found.position[0] < np.inf
-    assert (found.height[0], found.joint[0]) == (np.inf, np.inf)
+    result = distances(np.array([[0.1, 0.0, np.nan]]), covariance_m2)
+    assert 0.0 < result.position[0] < np.inf
+    assert (result.height[0], result.joint[0]) == (np.inf, np.inf)
 
 
 @pytest.mark.parametrize(

@@ -9,41 +9,41 @@ import numpy as np
 import pytest
 
 from camber.integrity.checks.comparison import compare
-from camber.integrity.checks.determination import DeterminationRules
-from camber.integrity.checks.height_check import Height, RoadPoint
+from camber.integrity.checks.consistency import ConsistencyParameters
+from camber.integrity.checks.height_check import HeightModel, RoadPoint
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import ANTENNA_M, ROAD_M, fix, pose
 
 SIGMA = TrueSigma(scale=2.0, horizontal_m=0.03, vertical_m=0.04)
 COVARIANCE = (2e-4, 1e-5, 2e-5, 3e-4, 3e-5, 5e-4)
 ROAD = RoadPoint(ROAD_M, 0.03, 0.1, -0.05, 7)
-HEIGHT = Height(ANTENNA_M, -0.02, 0.025)
+HEIGHT = HeightModel(ANTENNA_M, -0.02, 0.025)
 
 
 def compared(the_fix=None, *, the_pose=None, road=ROAD, height=HEIGHT, **rules):
-    limits = DeterminationRules(**rules).limits()
+    limits = ConsistencyParameters(**rules).limits()
     the_fix = the_fix or fix(covariance_enu_m2=COVARIANCE)
     return compare(the_fix, the_pose or pose(), road, height, SIGMA, limits)
 
 
 def test_the_difference_is_that_from_the_pose_and_from_road_antenna_and_correction():
-    found = compared(fix(east_m=0.3, north_m=-0.1, up_m=0.15))
-    assert found.difference_m == pytest.approx([0.3, -0.1, 0.17], abs=1e-3)
-    assert found.position_m == pytest.approx((0.3, -0.1), abs=1e-3)
-    assert found.height_m == pytest.approx(-0.17)
+    result = compared(fix(east_m=0.3, north_m=-0.1, up_m=0.15))
+    assert result.difference_m == pytest.approx([0.3, -0.1, 0.17], abs=1e-3)
+    assert result.position_m == pytest.approx((0.3, -0.1), abs=1e-3)
+    assert result.height_m == pytest.approx(-0.17)
 
 
 def test_the_covariance_is_that_of_fix_pose_road_and_antenna_with_the_slope():
-    found = compared(the_pose=pose(covariance_east_north_yaw=(0.01, 0.002, 9.0, 0.02, 9.0, 9.0)))
+    result = compared(the_pose=pose(covariance_east_north_yaw=(0.01, 0.002, 9.0, 0.02, 9.0, 9.0)))
     fix_m2 = 4.0 * np.array([[2e-4, 1e-5, 2e-5], [1e-5, 3e-4, 3e-5], [2e-5, 3e-5, 5e-4]])
     fix_m2 += np.diag([9e-4, 9e-4, 16e-4])
     j = np.array([[1, 0, 0], [0, 1, 0], [-0.1, 0.05, 1]])
     expected = j @ fix_m2 @ j.T
     expected[:2, :2] += [[0.01, 0.002], [0.002, 0.02]]
     expected[2, 2] += 0.03**2 + 0.025**2
-    assert found.covariance_m2 == pytest.approx(expected)
-    assert found.height_sigma_m == pytest.approx(math.sqrt(expected[2, 2]))
-    assert found.position_sigma_m == pytest.approx(math.sqrt(np.linalg.eigvalsh(expected[:2, :2])[1]))
+    assert result.covariance_m2 == pytest.approx(expected)
+    assert result.height_sigma_m == pytest.approx(math.sqrt(expected[2, 2]))
+    assert result.position_sigma_m == pytest.approx(math.sqrt(np.linalg.eigvalsh(expected[:2, :2])[1]))
 
 
 def test_a_pose_that_was_moved_on_is_as_much_wider_as_a_car_may_have_accelerated():
@@ -53,49 +53,49 @@ def test_a_pose_that_was_moved_on_is_as_much_wider_as_a_car_may_have_accelerated
 
 @pytest.mark.parametrize("unknown", ["road", "height"])
 def test_without_either_road_or_antenna_the_height_is_infinitely_far_off_too(unknown):
-    found, without = compared(**{unknown: None}), compared(road=None, height=None)
-    assert math.isnan(found.difference_m[2])
-    assert (found.covariance_m2 == without.covariance_m2).all()
+    result, without = compared(**{unknown: None}), compared(road=None, height=None)
+    assert math.isnan(result.difference_m[2])
+    assert (result.covariance_m2 == without.covariance_m2).all()
 
 
 def test_without_a_road_the_height_is_infinitely_far_off_and_the_position_is_still_told():
-    found = compared(fix(east_m=0.3), road=None, height=None)
-    assert found.position_m == pytest.approx((0.3, 0.0), abs=1e-3)
-    assert (found.height_m, found.joint_distance2) == (None, None)
-    assert found.outcome != 0
+    result = compared(fix(east_m=0.3), road=None, height=None)
+    assert result.position_m == pytest.approx((0.3, 0.0), abs=1e-3)
+    assert (result.height_m, result.joint_distance2) == (None, None)
+    assert result.outcome != 0
     assert compared(road=None, height=None, tests=("position",)).outcome == 0
 
 
 def test_where_the_height_is_not_asked_neither_it_nor_its_tolerance_is_told():
-    found = compared(tests=("position",))
-    assert (found.height_m, found.tolerance_m, found.joint_limit) == (None, None, None)
+    result = compared(tests=("position",))
+    assert (result.height_m, result.tolerance_m, result.joint_limit) == (None, None, None)
 
 
 def test_all_figures_are_told_in_words():
-    text = compared(fix(east_m=0.3, up_m=0.15)).in_words(0.1)
+    text = compared(fix(east_m=0.3, up_m=0.15)).describe(0.1)
     assert "height -0.17 m of σ" in text
     assert "0.30 m from the pose of σ 0.10 m" in text
     assert "together " in text
     assert len(text) <= 200
-    assert compared(tests=("position",)).in_words(0.1).startswith("0.00 m from the pose")
+    assert compared(tests=("position",)).describe(0.1).startswith("0.00 m from the pose")
 
 
 def test_the_words_are_those_of_the_figures():
-    found = replace(
+    result = replace(
         compared(),
         difference_m=np.array([0.3, -0.4, 0.15]),
         height_m=-0.15,
         height_sigma_m=0.061,
         tolerance_m=0.2,
-        reach_m=0.55,
+        acceptance_radius_m=0.55,
         joint_distance2=4.52,
         joint_limit=16.27,
     )
-    assert found.in_words(0.123) == (
+    assert result.describe(0.123) == (
         "height -0.15 m of σ 0.06 m, 0.20 m would agree; "
         "0.50 m from the pose of σ 0.12 m, 0.55 m would agree; together 4.5 of 16.3"
     )
-    assert replace(found, joint_limit=None).in_words(0.1) == replace(found, joint_distance2=None).in_words(
+    assert replace(result, joint_limit=None).describe(0.1) == replace(result, joint_distance2=None).describe(
         0.1
     )
 

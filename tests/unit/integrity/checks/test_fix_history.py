@@ -2,10 +2,10 @@
 
 import pytest
 
-from camber.integrity.checks.fix_history import FixesBefore, is_sharp
+from camber.integrity.checks.fix_history import FixHistory, is_precise
 from camber.integrity.checks.height_check import RoadPoint
 from camber.integrity.checks.verification import VerificationRules
-from camber.integrity.judgement import Judgement
+from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.rules import Rules
 from support.judging import ROAD_M, at, fix, place, pose, provisional
@@ -14,19 +14,19 @@ SPEED_M_S = 10.0
 CHAIN = {"ambiguity_continuity": "continuous", "continuous_since_ns": at(0)}
 
 
-def right(epoch=0, word="confirmed", reason="height_agrees", **changes):
+def right(epoch=0, verdict="confirmed", reason="height_agrees", **changes):
     fields = {"fix": fix(epoch, **CHAIN), "road": RoadPoint(ROAD_M, 0.03), "pose": pose(epoch)}
-    return Judgement(word=word, reason=reason, **fields | changes)
+    return FixJudgement(verdict=verdict, reason=reason, **fields | changes)
 
 
 def after(*judgements):
-    before = FixesBefore(Rules())
+    before = FixHistory(Rules())
     for judgement in judgements:
         before.settle(judgement, SPEED_M_S)
     return before
 
 
-def aside(epoch, east_m=0.0, north_m=0.0):
+def displaced_pose(epoch, east_m=0.0, north_m=0.0):
     """A pose that far from where the vehicle is."""
     latitude_rad, longitude_rad = place(epoch, east_m, north_m)
     return pose(epoch, latitude_rad=latitude_rad, longitude_rad=longitude_rad)
@@ -36,38 +36,45 @@ def aside(epoch, east_m=0.0, north_m=0.0):
 
 
 def test_a_fix_that_moved_as_the_pose_did_continues_wherever_the_pose_is():
-    assert after(right()).are_continued_by(fix(1), aside(0, 3.0, -2.0), aside(1, 3.0, -2.0))
+    assert after(right()).is_consistent_with_previous(
+        fix(1), displaced_pose(0, 3.0, -2.0), displaced_pose(1, 3.0, -2.0)
+    )
 
 
 @pytest.mark.parametrize("drift_m", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
 def test_one_that_moved_against_the_pose_does_not(drift_m):
-    now = aside(1, 3.0 + drift_m[0], -2.0 + drift_m[1])
-    assert not after(right()).are_continued_by(fix(1), aside(0, 3.0, -2.0), now)
+    now = displaced_pose(1, 3.0 + drift_m[0], -2.0 + drift_m[1])
+    assert not after(right()).is_consistent_with_previous(fix(1), displaced_pose(0, 3.0, -2.0), now)
 
 
 @pytest.mark.parametrize(("up_m", "does"), [(0.1, True), (0.21, True), (0.23, False), (-0.03, False)])
 def test_where_the_road_climbs_to_the_east_the_fix_has_to(up_m, does):
     before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.05, 0.0)))  # and the vehicle went 2 m there
-    assert before.are_continued_by(fix(1, up_m=up_m), pose(0), pose(1)) is does
+    assert before.is_consistent_with_previous(fix(1, up_m=up_m), pose(0), pose(1)) is does
 
 
 @pytest.mark.parametrize(("up_m", "does"), [(-0.2, True), (0.0, False)])
 def test_where_it_falls_to_the_north_too(up_m, does):
     before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.0, -0.1)))
-    assert before.are_continued_by(fix(1, north_m=2.0, up_m=up_m), pose(0), aside(1, 0.0, 2.0)) is does
+    assert (
+        before.is_consistent_with_previous(
+            fix(1, north_m=2.0, up_m=up_m), pose(0), displaced_pose(1, 0.0, 2.0)
+        )
+        is does
+    )
 
 
 def test_nothing_is_continued_without_a_right_fix_and_the_poses_of_both_times():
-    assert not after().are_continued_by(fix(1), pose(0), pose(1))
-    assert not after(right()).are_continued_by(fix(1), None, pose(1))
-    assert not after(right()).are_continued_by(fix(1), pose(0), None)
+    assert not after().is_consistent_with_previous(fix(1), pose(0), pose(1))
+    assert not after(right()).is_consistent_with_previous(fix(1), None, pose(1))
+    assert not after(right()).is_consistent_with_previous(fix(1), pose(0), None)
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"word": "erroneous"},
-        {"word": "unknown"},
+        {"verdict": "erroneous"},
+        {"verdict": "unknown"},
         {"road": None},
         {"fix": fix(0, covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))},
     ],
@@ -78,9 +85,12 @@ def test_only_a_right_and_sharp_one_over_a_road_is_continued(changes):
 
 
 def test_a_confirmed_one_begins_the_chain_and_a_verified_one_is_a_link_of_it():
-    words = ["confirmed", "confirmed_after_verification", "confirmed_after_verification", "confirmed"]
-    links = [after(*(right(k, word) for k, word in enumerate(words[:n]))).chain.links for n in (1, 2, 3, 4)]
-    assert links == [0, 1, 2, 0]
+    verdicts = ["confirmed", "confirmed_after_verification", "confirmed_after_verification", "confirmed"]
+    chain_length = [
+        after(*(right(k, verdict) for k, verdict in enumerate(verdicts[:n]))).chain.chain_length
+        for n in (1, 2, 3, 4)
+    ]
+    assert chain_length == [0, 1, 2, 0]
 
 
 def test_what_is_dated_ahead_is_forgotten_and_what_is_of_now_is_not():
@@ -96,9 +106,9 @@ def test_sharp_is_what_is_so_with_its_true_sigma():
         true_sigma=TrueSigma(scale=2.0, horizontal_m=0.0, vertical_m=0.0),
         verification=VerificationRules(fix_sigma_m=0.5),
     )
-    assert is_sharp(fix(covariance_enu_m2=(0.0625, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
-    assert not is_sharp(fix(covariance_enu_m2=(0.063, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
-    assert not is_sharp(fix(covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.063)), rules)
+    assert is_precise(fix(covariance_enu_m2=(0.0625, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
+    assert not is_precise(fix(covariance_enu_m2=(0.063, 0.0, 0.0, 0.01, 0.0, 0.01)), rules)
+    assert not is_precise(fix(covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.063)), rules)
 
 
 # --- integers and start -------------------------------------------------------------------------------------------
@@ -121,16 +131,16 @@ def test_integers_that_contradict_them_are_remembered_as_such():
     ("changes", "fixes"),
     [
         ({}, 4),
-        ({"word": "unknown", "reason": "starting"}, 4),
-        ({"word": "unknown", "reason": "height_unverified"}, 1),
-        ({"word": "confirmed_after_verification"}, 1),
+        ({"verdict": "unknown", "reason": "starting"}, 4),
+        ({"verdict": "unknown", "reason": "height_unverified"}, 1),
+        ({"verdict": "confirmed_after_verification"}, 1),
         ({"pose": pose(2)}, 1),
         ({"pose": None}, 1),
     ],
     ids=str,
 )
 def test_only_agreeing_ones_above_a_provisional_pose_count_at_the_start(changes, fixes):
-    starting = {"word": "unknown", "reason": "starting"}
+    starting = {"verdict": "unknown", "reason": "starting"}
     drive = [right(k, pose=provisional(k), **starting) for k in (0, 1)]
     before = after(*drive, right(2, **{"pose": provisional(2)} | changes))
     assert before.start_after(fix(3), SPEED_M_S).fixes == fixes

@@ -2,7 +2,7 @@
 
 import pytest
 
-from camber.integrity.checks.fix_sequence import FixOrder
+from camber.integrity.checks.fix_sequence import FixSequence
 from camber.integrity.rules import Rules
 from support.judging import at, fix
 
@@ -10,52 +10,52 @@ RULES = Rules()
 
 
 def place_all(order, *epochs):
-    return [order.misplaced(fix(epoch), at(epoch), RULES) for epoch in epochs]
+    return [order.check_epoch(fix(epoch), at(epoch), RULES) for epoch in epochs]
 
 
 def test_fixes_in_order_are_in_place():
-    order = FixOrder()
+    order = FixSequence()
     assert place_all(order, 0, 1, 2) == [None, None, None]
     assert order.last_ns == at(2)
 
 
 def test_a_second_one_of_an_epoch_is_repeated_an_earlier_one_out_of_order():
-    order = FixOrder()
+    order = FixSequence()
     assert place_all(order, 1, 1, 0) == [None, "fix_repeated", "fix_out_of_order"]
     assert order.last_ns == at(1)
 
 
 @pytest.mark.parametrize(("late_epochs", "reason"), [(2.5, None), (2.6, "gnss_stale")])
 def test_one_that_comes_late_is_stale(late_epochs, reason):
-    assert FixOrder().misplaced(fix(0), at(late_epochs), RULES) == reason
+    assert FixSequence().check_epoch(fix(0), at(late_epochs), RULES) == reason
 
 
 def test_one_that_is_dated_ahead_is_implausible_and_does_not_make_the_others_old():
-    order = FixOrder()
-    assert order.misplaced(fix(100), at(0), RULES) == "fix_implausible"
+    order = FixSequence()
+    assert order.check_epoch(fix(100), at(0), RULES) == "fix_implausible"
     assert order.last_ns is None
     assert place_all(order, 1) == [None]
 
 
 def test_each_fix_has_one_verdict():
-    order = FixOrder()
-    assert [order.has_verdict(fix(epoch)) for epoch in (0, 1, 0, 1)] == [False, False, True, True]
+    order = FixSequence()
+    assert [order.register_once(fix(epoch)) for epoch in (0, 1, 0, 1)] == [False, False, True, True]
 
 
 def test_only_the_latest_are_remembered():
-    order = FixOrder()
+    order = FixSequence()
     ids = [fix(0, fix_id=number) for number in range(1025)]
-    assert not any(order.has_verdict(one) for one in ids)
-    assert order.has_verdict(ids[1])
-    assert not order.has_verdict(ids[0])
+    assert not any(order.register_once(one) for one in ids)
+    assert order.register_once(ids[1])
+    assert not order.register_once(ids[0])
 
 
 def test_when_the_clock_is_set_back_what_was_heard_later_is_forgotten():
-    order = FixOrder()
+    order = FixSequence()
     place_all(order, 50)
     order.forget_after(at(50))
     assert order.last_ns == at(50)
     order.forget_after(at(1))
     assert order.last_ns is None
     assert place_all(order, 1) == [None]
-    FixOrder().forget_after(at(0))
+    FixSequence().forget_after(at(0))

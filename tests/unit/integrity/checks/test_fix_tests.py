@@ -5,11 +5,11 @@ import re
 
 import pytest
 
-from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.judge import Judge
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules
 from camber.integrity.learning.offset_causes import Diagnosis
-from camber.integrity.learning.residuals import Key
+from camber.integrity.learning.residuals import ReferenceKey
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import ReceiverIntegrity
 from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose, provisional, road
@@ -26,14 +26,14 @@ class Knowing(Learning):
         return Diagnosis("road" if surface_id == 7 else "none")
 
     def correction(self, key):
-        return self._known if key == Key("fixed", "receiver:WGS84:", 3) else Correction()
+        return self._known if key == ReferenceKey("fixed", "receiver:WGS84:", 3) else Correction()
 
 
 def examined(the_fix=None, the_pose=None, learning=None, rules=None):
     judge = Judge(rules or Rules(), learning or Knowing())
-    judge.heard.hear_pose(the_pose or pose())
-    judge.heard.hear_antenna(antenna())
-    judge.heard.hear_speed(at(0), SPEED_M_S)
+    judge.heard.add_pose(the_pose or pose())
+    judge.heard.set_antenna_height(antenna())
+    judge.heard.add_wheel_speed(at(0), SPEED_M_S)
     return judge.examine(the_fix or fix(), ALL)
 
 
@@ -58,7 +58,7 @@ def test_the_correction_is_told_with_what_was_not_compared_too():
             "the height is not a number",
         ),
         (
-            {"rules": Rules(determination=DeterminationRules(tests=("phase_residuals",)))},
+            {"rules": Rules(determination=ConsistencyParameters(tests=("phase_residuals",)))},
             "height_unverified",
             "nothing that is asked speaks for the fix",
         ),
@@ -71,31 +71,35 @@ def test_the_correction_is_told_with_what_was_not_compared_too():
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_the_detail_says_what_is_missing(asked, reason, detail):
-    found = examined(**asked)
-    assert (found.word, found.reason, found.detail) == ("unknown", reason, detail)
+    result = examined(**asked)
+    assert (result.verdict, result.reason, result.detail) == ("unknown", reason, detail)
 
 
 def test_a_road_that_is_known_too_vaguely_says_how_vaguely():
-    found = examined(the_pose=pose(road=road(sigma_m=2.0)))
-    assert (found.word, found.reason) == ("unknown", "road_unknown")
+    result = examined(the_pose=pose(road=road(sigma_m=2.0)))
+    assert (result.verdict, result.reason) == ("unknown", "road_unknown")
     assert re.fullmatch(
-        r"σ 2\.00 m of road and antenna, expected at most the largest tolerance, [0-9.]+ m", found.detail
+        r"σ 2\.00 m of road and antenna, expected at most the largest tolerance, [0-9.]+ m", result.detail
     )
 
 
 def test_a_warning_of_the_receiver_is_told():
     judge = Judge(Rules(), Knowing())
-    judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
-    found = judge.examine(fix(), ALL)
-    assert (found.word, found.reason, found.detail) == ("unknown", "receiver_warns", "spoofing affirmed")
+    judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
+    result = judge.examine(fix(), ALL)
+    assert (result.verdict, result.reason, result.detail) == (
+        "unknown",
+        "receiver_warns",
+        "spoofing affirmed",
+    )
 
 
 def test_a_solution_that_is_no_fix_leaves_the_start_as_it_was():
     judge = Judge(Rules(), Knowing())
-    words = []
+    verdicts = []
     for k in range(6):
-        judge.heard.hear_pose(provisional(k))
-        judge.heard.hear_antenna(antenna(k))
-        judge.heard.hear_speed(at(k), SPEED_M_S)
-        words.append(judge.judge(fix(k, quality="float" if k == 3 else "fixed"), at(k), ALL).reason)
-    assert words == ["starting", "starting", "starting", "not_a_fix", "starting", "height_agrees"]
+        judge.heard.add_pose(provisional(k))
+        judge.heard.set_antenna_height(antenna(k))
+        judge.heard.add_wheel_speed(at(k), SPEED_M_S)
+        verdicts.append(judge.judge(fix(k, quality="float" if k == 3 else "fixed"), at(k), ALL).reason)
+    assert verdicts == ["starting", "starting", "starting", "not_a_fix", "starting", "height_agrees"]

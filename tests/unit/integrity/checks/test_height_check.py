@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from camber.integrity.checks.height_check import Height, RoadPoint, road_at
+from camber.integrity.checks.height_check import HeightModel, RoadPoint, road_at
 from camber.schemas.pose import RoadPatch
 from support.judging import ROAD_M, road
 
@@ -27,19 +27,19 @@ def patch(**changes):
 
 
 def test_the_antenna_must_stand_on_road_and_its_height_with_the_correction():
-    assert Height(1.8, 0.0, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.8)
-    assert Height(1.8, -0.1, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.7)
+    assert HeightModel(1.8, 0.0, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.8)
+    assert HeightModel(1.8, -0.1, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.7)
 
 
 @given(error_m=st.floats(-0.3, 0.3))
 def test_the_correction_learnt_from_an_error_takes_the_difference_to_zero(error_m):
     receiver_m = 41.8 + error_m
     learnt_m = receiver_m - (1.8 + 40.0)  # (4)
-    assert Height(1.8, learnt_m, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(receiver_m)
+    assert HeightModel(1.8, learnt_m, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(receiver_m)
 
 
 def test_its_variance_is_that_of_road_and_antenna():
-    assert Height(1.8, 0.0, 0.02).variance_m2(RoadPoint(40.0, 0.03)) == pytest.approx(0.03**2 + 0.02**2)
+    assert HeightModel(1.8, 0.0, 0.02).variance_m2(RoadPoint(40.0, 0.03)) == pytest.approx(0.03**2 + 0.02**2)
 
 
 def test_the_road_at_an_offset_is_that_of_its_plane():

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import Comparison
+from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.checks.height_check import RoadPoint
-from camber.integrity.judgement import Judgement, verdict_of
+from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import ROAD_M, at, fix, pose, road
 
 SIGMA = TrueSigma(scale=2.0, horizontal_m=0.03, vertical_m=0.04)
-FOUND = Comparison(
+FOUND = FixComparison(
     difference_m=np.array([0.3, -0.1, 0.15]),
     covariance_m2=np.eye(3),
     outcome=3,
@@ -18,14 +18,14 @@ FOUND = Comparison(
     height_m=-0.15,
     height_sigma_m=0.06,
     tolerance_m=0.2,
-    reach_m=0.5,
+    acceptance_radius_m=0.5,
     joint_distance2=4.5,
     joint_limit=16.3,
 )
 
 
-def judgement(word="erroneous", **changes):
-    return Judgement(fix(3), word, "height_disagrees", **changes)
+def judgement(verdict="erroneous", **changes):
+    return FixJudgement(fix(3), verdict, "height_disagrees", **changes)
 
 
 def test_it_is_of_the_fix_and_says_what_was_found():
@@ -68,9 +68,9 @@ def test_its_surface_is_the_one_under_the_fix_else_the_one_under_the_pose():
     assert verdict_of(under_the_pose, SIGMA).map_version == 3
 
 
-@pytest.mark.parametrize("word", ["confirmed", "confirmed_after_verification"])
-def test_a_confirmed_one_has_the_position_of_the_fix_with_its_true_sigma(word):
-    verdict = verdict_of(judgement(word), SIGMA)
+@pytest.mark.parametrize("verdict", ["confirmed", "confirmed_after_verification"])
+def test_a_confirmed_one_has_the_position_of_the_fix_with_its_true_sigma(verdict):
+    verdict = verdict_of(judgement(verdict), SIGMA)
     assert (verdict.latitude_rad, verdict.longitude_rad, verdict.height_m) == (
         fix(3).latitude_rad,
         fix(3).longitude_rad,
@@ -80,8 +80,8 @@ def test_a_confirmed_one_has_the_position_of_the_fix_with_its_true_sigma(word):
     assert verdict.covariance_enu_m2 == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("word", ["erroneous", "unknown"])
-def test_another_has_none(word):
-    verdict = verdict_of(judgement(word), SIGMA)
+@pytest.mark.parametrize("verdict", ["erroneous", "unknown"])
+def test_another_has_none(verdict):
+    verdict = verdict_of(judgement(verdict), SIGMA)
     assert (verdict.latitude_rad, verdict.longitude_rad, verdict.height_m) == (None, None, None)
     assert verdict.covariance_enu_m2 is None

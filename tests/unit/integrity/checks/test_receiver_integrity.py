@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.checks.receiver_integrity import ReceiverWord
+from camber.integrity.checks.receiver_integrity import ReceiverIntegrityMonitor
 from camber.schemas.gnss import ReceiverIntegrity
 from support.judging import at
 
@@ -12,14 +12,14 @@ MAX_AGE_S = 2.0
 
 
 def said(*statements):
-    word = ReceiverWord()
+    verdict = ReceiverIntegrityMonitor()
     for epoch, fields in statements:
-        word.hear(ReceiverIntegrity(time_ns=at(epoch), **fields))
-    return word
+        verdict.update(ReceiverIntegrity(time_ns=at(epoch), **fields))
+    return verdict
 
 
-def warning(word, epoch=0):
-    return word.warning(at(epoch), MAX_AGE_S)
+def warning(verdict, epoch=0):
+    return verdict.warning(at(epoch), MAX_AGE_S)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_it_does_not_warn_of(fields):
 
 
 def test_nothing_was_said_yet():
-    assert warning(ReceiverWord()) is None
+    assert warning(ReceiverIntegrityMonitor()) is None
 
 
 def test_what_is_not_known_takes_nothing_back_but_good_news_does():
@@ -75,11 +75,11 @@ def test_it_holds_as_long_as_its_age_allows(epoch, expected):
 
 
 def test_what_is_dated_ahead_is_forgotten_when_the_clock_is_set_back():
-    word = said((0, {"raim": "failed"}), (5, {"spoofing": "affirmed"}))
-    word.forget_after(at(4))
-    assert warning(word) == "raim failed"
-    word.forget_after(at(0))
-    assert warning(word) == "raim failed"
+    verdict = said((0, {"raim": "failed"}), (5, {"spoofing": "affirmed"}))
+    verdict.forget_after(at(4))
+    assert warning(verdict) == "raim failed"
+    verdict.forget_after(at(0))
+    assert warning(verdict) == "raim failed"
 
 
 @settings(deadline=None, derandomize=True)
@@ -90,7 +90,7 @@ def test_what_is_dated_ahead_is_forgotten_when_the_clock_is_set_back():
     )
 )
 def test_the_newest_known_word_counts(statements):
-    word = said(*((epoch, {"spoofing": spoofing}) for epoch, spoofing in statements))
+    verdict = said(*((epoch, {"spoofing": spoofing}) for epoch, spoofing in statements))
     known = [s for s in statements if s[1] != "unknown"]
     newest = max(known, key=lambda s: (s[0], known.index(s)), default=None)
     newest = next((s for s in reversed(known) if newest is not None and s[0] == newest[0]), None)
@@ -99,4 +99,4 @@ def test_the_newest_known_word_counts(statements):
         if newest is not None and newest[1] != "none" and abs(newest[0]) <= 10
         else None
     )
-    assert warning(word) == expected
+    assert warning(verdict) == expected

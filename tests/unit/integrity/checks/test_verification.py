@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.checks.verification import (
-    Integers,
+    AmbiguityHistory,
     VerificationRules,
     phase_residuals_agree,
     scan_matching_agrees,
@@ -37,7 +37,7 @@ def broken(epoch):
 
 def after(*fixes, confirmed=True):
     """What is remembered after such fixes, all confirmed."""
-    integers = Integers()
+    integers = AmbiguityHistory()
     for one in fixes:
         integers = integers.after(one, confirmed=confirmed, contradicted=False)
     return integers
@@ -84,7 +84,7 @@ def test_the_integers_of_five_fixes_that_the_height_confirmed_carry_the_next():
 @pytest.mark.parametrize(
     ("integers", "the_fix"),
     [
-        (Integers(), continued(5)),
+        (AmbiguityHistory(), continued(5)),
         (after(*FIVE[:4]), continued(5)),
         (after(*FIVE), first(5)),
         (after(*FIVE), broken(5)),

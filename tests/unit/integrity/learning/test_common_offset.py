@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.learning.common_offset import Differences, common_part
+from camber.integrity.learning.common_offset import HeightDifferences, estimate_common_offset
 
 SEED = 20261122
 
@@ -16,7 +16,7 @@ def differences(up_m, *, gap_m=20.0, sigma_m=0.02, map_sigma_m=0.05):
     up_m = np.asarray(up_m, np.float64)
     n = len(up_m)
     along_m = gap_m * np.arange(n)
-    return Differences(
+    return HeightDifferences(
         up_m,
         np.full(n, sigma_m**2),
         np.full(n, map_sigma_m),
@@ -26,18 +26,20 @@ def differences(up_m, *, gap_m=20.0, sigma_m=0.02, map_sigma_m=0.05):
 
 
 def part(up_m, *, prior_m=0.0, prior_sigma_m=0.1, **changes):
-    return common_part(differences(up_m, **changes), 20.0, prior_m, prior_sigma_m)
+    return estimate_common_offset(differences(up_m, **changes), 20.0, prior_m, prior_sigma_m)
 
 
 def test_it_is_the_generalised_least_squares_of_a_textbook():
-    found = differences([0.1, 0.06, 0.12, 0.09], gap_m=10.0)
+    result = differences([0.1, 0.06, 0.12, 0.09], gap_m=10.0)
     gap = np.abs(np.subtract.outer(np.arange(4), np.arange(4))) * 10.0
     inverse = np.linalg.inv(0.05**2 * np.exp(-gap / 20.0) + 0.02**2 * np.eye(4))
     precision = inverse.sum() + 0.1**-2
-    assert common_part(found, 20.0, 0.0, 0.1).value_m == pytest.approx(
-        (inverse @ found.up_m).sum() / precision
+    assert estimate_common_offset(result, 20.0, 0.0, 0.1).value_m == pytest.approx(
+        (inverse @ result.up_m).sum() / precision
     )
-    assert common_part(found, 20.0, 0.0, 0.1).sigma_m == pytest.approx(inverse.sum() ** 0.5 / precision)
+    assert estimate_common_offset(result, 20.0, 0.0, 0.1).sigma_m == pytest.approx(
+        inverse.sum() ** 0.5 / precision
+    )
 
 
 def test_stretches_in_one_place_weigh_as_one():
@@ -53,22 +55,22 @@ def test_its_sigma_is_that_of_its_errors():
     along = 20.0 * np.arange(30)
     map_m = np.linalg.cholesky(0.05**2 * np.exp(-np.abs(np.subtract.outer(along, along)) / 20.0))
     for _ in range(400):
-        found = part(map_m @ rng.standard_normal(30) + rng.normal(0.0, 0.02, 30), prior_sigma_m=10.0)
-        values.append(found.value_m)
-        sigma_m = found.sigma_m
+        result = part(map_m @ rng.standard_normal(30) + rng.normal(0.0, 0.02, 30), prior_sigma_m=10.0)
+        values.append(result.value_m)
+        sigma_m = result.sigma_m
     assert np.std(values) == pytest.approx(sigma_m, rel=0.15)
 
 
 def test_outliers_are_left_out_while_they_are_fewer():
-    found = part([0.05] * 13 + [0.6, -0.9, 3.0, 0.6, 0.6])
-    assert found.used == 13
-    assert found.value_m == pytest.approx(0.05, abs=0.005)
+    result = part([0.05] * 13 + [0.6, -0.9, 3.0, 0.6, 0.6])
+    assert result.used == 13
+    assert result.value_m == pytest.approx(0.05, abs=0.005)
 
 
 def test_what_the_fixes_could_be_off_alike_makes_no_room_for_a_changed_road():
-    found = part([0.01, -0.01, 0.0, 0.02] * 4 + [0.28] * 6, sigma_m=0.1, map_sigma_m=0.03)
-    assert found.used == 16
-    assert found.value_m == pytest.approx(0.005, abs=0.002)
+    result = part([0.01, -0.01, 0.0, 0.02] * 4 + [0.28] * 6, sigma_m=0.1, map_sigma_m=0.03)
+    assert result.used == 16
+    assert result.value_m == pytest.approx(0.005, abs=0.002)
 
 
 def test_of_a_few_that_scatter_little_by_chance_the_next_may_still_differ_by_its_sigma():
@@ -85,8 +87,8 @@ def test_of_a_few_what_differs_by_more_than_its_sigma_explains_is_left_out():
 def test_of_many_the_scatter_seen_tells_between_the_maps_own_and_what_their_sigma_explain():
     for sign in (1.0, -1.0):  # 3 · 1.4826 · 0.06 m about the middle
         for off_m, used in ((0.12, 11), (0.32, 10)):
-            found = part([0.04, -0.04] * 5 + [sign * off_m], sigma_m=0.1, map_sigma_m=0.02, gap_m=100.0)
-            assert found.used == used
+            result = part([0.04, -0.04] * 5 + [sign * off_m], sigma_m=0.1, map_sigma_m=0.02, gap_m=100.0)
+            assert result.used == used
     assert part([0.2] * 10 + [0.36], prior_m=0.2).used == 10, "about what they have in common"
     assert part([0.2, -0.2] * 5).used == 0, "more than 0.162 m off"
 
@@ -98,8 +100,8 @@ def test_it_takes_two_to_outvote_the_prior():
 
 
 def test_where_nothing_agrees_the_prior_stays():
-    found = part([40.0], prior_m=0.02)
-    assert (found.used, found.value_m, found.sigma_m) == (0, 0.02, 0.0)
+    result = part([40.0], prior_m=0.02)
+    assert (result.used, result.value_m, result.sigma_m) == (0, 0.02, 0.0)
 
 
 def test_a_single_difference_is_weighed_against_the_prior():
@@ -125,24 +127,24 @@ def test_a_drift_is_as_sure_as_generalised_least_squares_make_it(bend_m, scatter
     left_m = up_m - design @ level_and_slope
     seen = left_m @ inverse @ left_m / 4.0
     assert seen == pytest.approx(0.0, abs=1e-9) if bend_m == 0.0 else seen > 0.1
-    found = part(up_m)
-    assert found.used == 6
+    result = part(up_m)
+    assert result.used == 6
     sigma = np.sqrt(normal[1, 1] * (scatter or seen))
-    assert found.drift_sigmas == pytest.approx(abs(level_and_slope[1]) / sigma)
-    assert found.drift_m == pytest.approx(abs(level_and_slope[1]) * 10.0)
+    assert result.drift_sigmas == pytest.approx(abs(level_and_slope[1]) / sigma)
+    assert result.drift_m == pytest.approx(abs(level_and_slope[1]) * 10.0)
 
 
 def test_four_stretches_show_a_drift():
     assert part([0.0, 0.03, 0.06, 0.09]).drift_m == pytest.approx(0.09)
     slowly = differences([0.0, 0.03, 0.06, 0.09])
     at_once = replace(slowly, time_s=0.1 * np.arange(4))
-    assert common_part(at_once, 20.0, 0.0, 0.1).drift_m == pytest.approx(0.09)
+    assert estimate_common_offset(at_once, 20.0, 0.0, 0.1).drift_m == pytest.approx(0.09)
 
 
 def test_a_drift_is_the_same_from_whatever_moment_the_time_is_counted():
-    found = differences([0.0, 0.03, 0.05, 0.09, 0.13])
-    since_1970 = replace(found, time_s=found.time_s + 1.4e9)
-    here, there = (common_part(given_, 20.0, 0.0, 0.1) for given_ in (found, since_1970))
+    result = differences([0.0, 0.03, 0.05, 0.09, 0.13])
+    since_1970 = replace(result, time_s=result.time_s + 1.4e9)
+    here, there = (estimate_common_offset(given_, 20.0, 0.0, 0.1) for given_ in (result, since_1970))
     assert here.drift_m > 0.1
     assert here.drift_sigmas > 3.0
     assert there.drift_m == pytest.approx(here.drift_m)
@@ -152,15 +154,15 @@ def test_a_drift_is_the_same_from_whatever_moment_the_time_is_counted():
 def test_of_few_stretches_or_of_one_time_no_drift_is_told():
     assert part([0.0, 0.05, 0.1]).drift_sigmas == part([0.0, 0.05, 0.1]).drift_m == 0.0
     still = differences([0.0, 0.05, 0.1, 0.15])
-    at_once = Differences(still.up_m, still.variance_m2, still.map_sigma_m, still.place_m, np.zeros(4))
-    assert common_part(at_once, 20.0, 0.0, 0.1).drift_sigmas == 0.0
+    at_once = HeightDifferences(still.up_m, still.variance_m2, still.map_sigma_m, still.place_m, np.zeros(4))
+    assert estimate_common_offset(at_once, 20.0, 0.0, 0.1).drift_sigmas == 0.0
 
 
 @settings(derandomize=True, deadline=None, max_examples=80)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(-0.3, 0.3))
 def test_it_lies_between_the_prior_and_what_was_heard(up_m, prior_m):
-    found = part(up_m, prior_m=prior_m, gap_m=100.0)
+    result = part(up_m, prior_m=prior_m, gap_m=100.0)
     low, high = min(*up_m, prior_m), max(*up_m, prior_m)
-    assert low - 1e-6 <= found.value_m <= high + 1e-6
-    assert 0.0 <= found.sigma_m <= 0.1
-    assert 0 <= found.used <= len(up_m)
+    assert low - 1e-6 <= result.value_m <= high + 1e-6
+    assert 0.0 <= result.sigma_m <= 0.1
+    assert 0 <= result.used <= len(up_m)

@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.learning.common_offset import CommonPart
+from camber.integrity.learning.common_offset import CommonOffset
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules, _differences
-from camber.integrity.learning.offset_causes import NOTHING, Causes, ChangedRoad, Diagnosis
-from camber.integrity.learning.residuals import Key, cell_of
+from camber.integrity.learning.offset_causes import NO_OFFSET, Diagnosis, OffsetCauses, RoadChange
+from camber.integrity.learning.residuals import ReferenceKey, cell_of
 from support.residual_drives import KEY, START_NS, Noise, drive, residual
 
 RULES = LearningRules()
 BY_GAIN = LearningRules(mode="document")
 
 
-def hear(learning, first, last, **changes):
+def update(learning, first, last, **changes):
     for epoch in range(first, last):
-        learning.hear(residual(epoch, **changes))
+        learning.update(residual(epoch, **changes))
     return learning.correction(changes.get("key", KEY))
 
 
@@ -28,23 +28,23 @@ def hear(learning, first, last, **changes):
 
 
 def test_by_the_document_one_position_moves_the_correction_by_the_gain():
-    assert hear(Learning(BY_GAIN), 0, 1, up_m=0.1) == Correction(pytest.approx(0.01 * 0.1), 0.0, 1)
+    assert update(Learning(BY_GAIN), 0, 1, up_m=0.1) == Correction(pytest.approx(0.01 * 0.1), 0.0, 1)
 
 
 def test_by_the_document_it_ends_at_what_is_observed():
-    assert hear(Learning(BY_GAIN), 0, 2000, up_m=0.1).correction_m == pytest.approx(0.1, abs=1e-6)
+    assert update(Learning(BY_GAIN), 0, 2000, up_m=0.1).correction_m == pytest.approx(0.1, abs=1e-6)
 
 
 def test_by_the_document_what_would_go_beyond_the_cap_is_not_believed():
     learning = Learning(BY_GAIN)
-    before = hear(learning, 0, 100, up_m=0.1)
-    assert hear(learning, 100, 101, up_m=1e6) == before
+    before = update(learning, 0, 100, up_m=0.1)
+    assert update(learning, 100, 101, up_m=1e6) == before
 
 
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
 def test_by_the_document_one_number_is_for_every_base_and_map(changes):
     learning = Learning(BY_GAIN)
-    known = hear(learning, 0, 100, up_m=0.1)
+    known = update(learning, 0, 100, up_m=0.1)
     assert known.samples == 100
     assert learning.correction(replace(KEY, **changes)) == known
 
@@ -74,7 +74,7 @@ def test_by_the_document_one_number_is_for_every_base_and_map(changes):
     ids=str,
 )
 def test_from_what_is_not_confirmed_not_moving_or_not_known_nothing_is_learnt(rules, changes):
-    assert hear(Learning(rules), 0, 300, **{"up_m": 0.05} | changes) == Correction()
+    assert update(Learning(rules), 0, 300, **{"up_m": 0.05} | changes) == Correction()
 
 
 @pytest.mark.parametrize("rules", [RULES, BY_GAIN], ids=["per cause", "document"])
@@ -82,11 +82,11 @@ def test_from_what_is_not_confirmed_not_moving_or_not_known_nothing_is_learnt(ru
     "changes", [{"speed_m_s": 3.0}, {"speed_m_s": -3.0}, {"verdict": "confirmed_after_verification"}]
 )
 def test_both_kinds_of_confirmed_positions_teach_forwards_and_backwards(rules, changes):
-    assert hear(Learning(rules), 0, 300, up_m=0.05, **changes).correction_m > 0.01
+    assert update(Learning(rules), 0, 300, up_m=0.05, **changes).correction_m > 0.01
 
 
 def test_a_place_that_is_none_is_left_out():
-    assert hear(Learning(RULES), 0, 300, up_m=0.05, latitude_rad=math.nan) == Correction()
+    assert update(Learning(RULES), 0, 300, up_m=0.05, latitude_rad=math.nan) == Correction()
 
 
 # --- how fast, how far ----------------------------------------------------------------------------------------------
@@ -122,8 +122,10 @@ def test_the_same_stretch_again_and_again_makes_it_no_surer():
     for epoch in range(1200):
         place = residual(epoch % 20)  # 20 m up, and back at once
         moved = residual(epoch)
-        learning.hear(replace(moved, latitude_rad=place.latitude_rad, surface_id=epoch // 20 % 2, up_m=0.05))
-        other.hear(replace(moved, up_m=0.05))
+        learning.update(
+            replace(moved, latitude_rad=place.latitude_rad, surface_id=epoch // 20 % 2, up_m=0.05)
+        )
+        other.update(replace(moved, up_m=0.05))
     assert learning.correction(KEY).sigma_m > 1.5 * other.correction(KEY).sigma_m
 
 
@@ -152,15 +154,15 @@ numbers = st.one_of(
 )
 def test_no_sequence_of_heights_whatever_takes_it_beyond_the_cap_or_the_rate(steps, rules):
     learning, before_m = Learning(rules), 0.0
-    for number, (up_m, driven_m, word) in enumerate(steps):
+    for number, (up_m, driven_m, verdict) in enumerate(steps):
         place = residual(driven_m)
-        learning.hear(replace(place, time_ns=START_NS + number * 10**9, up_m=up_m, verdict=word))
-        found = learning.correction(KEY)
-        assert abs(found.correction_m) <= rules.cap_m
-        assert 0.0 <= found.sigma_m < math.inf
+        learning.update(replace(place, time_ns=START_NS + number * 10**9, up_m=up_m, verdict=verdict))
+        result = learning.correction(KEY)
+        assert abs(result.correction_m) <= rules.cap_m
+        assert 0.0 <= result.sigma_m < math.inf
         if rules is RULES:
-            assert abs(found.correction_m - before_m) <= RULES.rate_m_s * 10.0 + 1e-12
-        before_m = found.correction_m
+            assert abs(result.correction_m - before_m) <= RULES.rate_m_s * 10.0 + 1e-12
+        before_m = result.correction_m
 
 
 def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learnt):
@@ -170,12 +172,12 @@ def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learn
     part.cells[0] = (part.cells[0][0], oldest_m - 0.001)
     sure, large = RULES.drift_sigmas + 0.1, RULES.drift_m + 0.001
     for sigmas, metres in ((sure, 0.0), (0.0, large)):
-        assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, sigmas, metres)) == 0.07
+        assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, sigmas, metres)) == 0.07
         assert part.held_m is None
-    assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, sure, large)) == oldest_m - 0.001
+    assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, sure, large)) == oldest_m - 0.001
     part.cells.popleft()
-    assert learnt._target_m(part, CommonPart(0.08, 0.01, 70, sure, large)) == oldest_m - 0.001
-    assert learnt._target_m(part, CommonPart(0.07, 0.01, 70, 0.0, 0.0)) == 0.07
+    assert learnt._target_m(part, CommonOffset(0.08, 0.01, 70, sure, large)) == oldest_m - 0.001
+    assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, 0.0, 0.0)) == 0.07
     assert part.held_m is None
 
 
@@ -184,16 +186,16 @@ def test_stretches_are_told_by_metres_and_seconds_since_the_first_and_no_surer_t
         cell_of([residual(epoch, up_m=up_m, fix_sigma_m=fix_sigma_m, map_sigma_m=0.04)])
         for epoch, up_m, fix_sigma_m in ((100, 0.1, 0.0), (130, 0.2, 0.03))
     ]
-    found = _differences([(cell, 0.0) for cell in cells])
-    assert found.up_m.tolist() == [0.1, 0.2]
-    assert found.variance_m2 == pytest.approx([0.01**2, 0.03**2 + 0.01**2])
-    assert found.map_sigma_m.tolist() == [0.04, 0.04]
-    assert found.place_m == pytest.approx(np.array([[0.0, 0.0], [0.0, 30.0]]), rel=0.01, abs=1e-6)
-    assert found.time_s.tolist() == [0.0, 3.0]
+    result = _differences([(cell, 0.0) for cell in cells])
+    assert result.up_m.tolist() == [0.1, 0.2]
+    assert result.variance_m2 == pytest.approx([0.01**2, 0.03**2 + 0.01**2])
+    assert result.map_sigma_m.tolist() == [0.04, 0.04]
+    assert result.place_m == pytest.approx(np.array([[0.0, 0.0], [0.0, 30.0]]), rel=0.01, abs=1e-6)
+    assert result.time_s.tolist() == [0.0, 3.0]
 
 
 def test_towards_what_is_beyond_the_cap_it_does_not_go():
-    assert hear(Learning(RULES), 0, 900, up_m=0.4).correction_m <= 0.01
+    assert update(Learning(RULES), 0, 900, up_m=0.4).correction_m <= 0.01
 
 
 # --- to what it belongs ---------------------------------------------------------------------------------------------
@@ -202,7 +204,7 @@ def test_towards_what_is_beyond_the_cap_it_does_not_go():
 @pytest.fixture
 def learnt():
     learning = Learning(RULES)
-    assert hear(learning, 0, 1200, up_m=0.06).correction_m == pytest.approx(0.06, abs=0.01)
+    assert update(learning, 0, 1200, up_m=0.06).correction_m == pytest.approx(0.06, abs=0.01)
     return learning
 
 
@@ -221,7 +223,7 @@ def test_with_another_base_or_map_the_antennas_part_stays_and_is_less_sure(learn
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
 def test_it_goes_on_from_there(learnt, changes):
     key = replace(KEY, **changes)
-    assert hear(learnt, 1200, 2400, up_m=0.02, key=key).correction_m == pytest.approx(0.02, abs=0.015)
+    assert update(learnt, 1200, 2400, up_m=0.02, key=key).correction_m == pytest.approx(0.02, abs=0.015)
     part = learnt.parts[-1]
     assert (part.base, part.map_version) == (key.base, key.map_version)
     assert len(part.cells) > 50, "the stretches heard there are remembered"
@@ -231,10 +233,10 @@ def test_it_goes_on_from_there(learnt, changes):
 def test_as_long_as_nothing_is_learnt_there_that_is_all_that_is_known_of_it(learnt, changes):
     """Here the road has changed, so nothing is learnt."""
     key = replace(KEY, **changes)
-    learnt.causes = Causes(RULES.causes, [ChangedRoad(24, key.map_version, 0.2, START_NS)])
-    hear(learnt, 1200, 1201, up_m=0.26, key=key)
+    learnt.causes = OffsetCauses(RULES.causes, [RoadChange(24, key.map_version, 0.2, START_NS)])
+    update(learnt, 1200, 1201, up_m=0.26, key=key)
     known, learnt.parts[0].held_m = learnt.correction(KEY), 0.01  # something drifted
-    hear(learnt, 1201, 1240, up_m=0.26, key=key)
+    update(learnt, 1201, 1240, up_m=0.26, key=key)
     part, sigma_m = learnt.parts[-1], math.hypot(known.sigma_m, RULES.release_sigma_m)
     assert part.correction == Correction(known.correction_m, sigma_m, known.samples)
     assert (part.prior_m, part.prior_sigma_m) == (known.correction_m, sigma_m)
@@ -243,30 +245,30 @@ def test_as_long_as_nothing_is_learnt_there_that_is_all_that_is_known_of_it(lear
 
 def test_a_new_map_that_has_the_changed_road_right_does_not_correct_it_twice(learnt):
     before = learnt.correction(KEY).correction_m
-    learnt.causes.roads[30] = ChangedRoad(30, KEY.map_version, 0.2, START_NS)
-    assert hear(learnt, 1500, 1550, up_m=0.26).correction_m == pytest.approx(before, abs=0.003)
+    learnt.causes.roads[30] = RoadChange(30, KEY.map_version, 0.2, START_NS)
+    assert update(learnt, 1500, 1550, up_m=0.26).correction_m == pytest.approx(before, abs=0.003)
     new = replace(KEY, map_version=4)
-    assert hear(learnt, 1550, 1950, up_m=0.06, key=new).correction_m == pytest.approx(before, abs=0.01)
+    assert update(learnt, 1550, 1950, up_m=0.06, key=new).correction_m == pytest.approx(before, abs=0.01)
     assert learnt.causes.roads == {}
 
 
 def test_a_base_that_returns_finds_its_part_again(learnt):
     other = replace(KEY, base="receiver:WGS84")
-    hear(learnt, 1200, 2400, up_m=0.0, key=other)
+    update(learnt, 1200, 2400, up_m=0.0, key=other)
     assert learnt.correction(KEY).correction_m == pytest.approx(0.06, abs=0.01)
 
 
 def test_of_many_bases_the_oldest_are_forgotten():
     learning = Learning(RULES)
     for number in range(20):
-        hear(learning, 30 * number, 30 * number + 30, key=Key("stroke", f"base {number}", 3))
+        update(learning, 30 * number, 30 * number + 30, key=ReferenceKey("stroke", f"base {number}", 3))
     assert len(learning.parts) == 16
     assert learning.parts[-1].base == "base 19"
 
 
 def test_an_antenna_that_was_measured_well_is_moved_less():
     well, badly = (
-        hear(Learning(replace(RULES, prior_sigma_m=sigma_m)), 0, 900, up_m=0.06) for sigma_m in (0.01, 0.1)
+        update(Learning(replace(RULES, prior_sigma_m=sigma_m)), 0, 900, up_m=0.06) for sigma_m in (0.01, 0.1)
     )
     assert well.correction_m < 0.5 * badly.correction_m
 
@@ -276,17 +278,17 @@ def test_an_antenna_that_was_measured_well_is_moved_less():
 
 def test_a_wrong_base_is_not_learnt_and_what_was_learnt_since_it_began_is_undone(learnt):
     before = learnt.correction(KEY).correction_m
-    hear(learnt, 1200, 1700, up_m=0.16, east_m=0.6, north_m=-0.4)
+    update(learnt, 1200, 1700, up_m=0.16, east_m=0.6, north_m=-0.4)
     assert learnt.diagnosis(None).cause == "base"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
-    assert [found.cause for found in learnt.news()] == ["base"]
-    assert hear(learnt, 1700, 2400, up_m=0.06).correction_m == pytest.approx(0.06, abs=0.01)
+    assert [result.cause for result in learnt.news()] == ["base"]
+    assert update(learnt, 1700, 2400, up_m=0.06).correction_m == pytest.approx(0.06, abs=0.01)
     assert learnt.diagnosis(None).cause == "none"
 
 
 def test_a_base_metres_off_leaves_what_was_learnt_as_it_is(learnt):
     before, samples = learnt.correction(KEY), learnt.samples
-    hear(learnt, 1200, 1400, verdict="unknown", up_m=9.0, east_m=12.0, north_m=-9.0)
+    update(learnt, 1200, 1400, verdict="unknown", up_m=9.0, east_m=12.0, north_m=-9.0)
     assert learnt.diagnosis(None).cause == "base"
     assert learnt.correction(KEY).correction_m == pytest.approx(before.correction_m, abs=1e-3)
     assert learnt.samples == samples
@@ -294,7 +296,7 @@ def test_a_base_metres_off_leaves_what_was_learnt_as_it_is(learnt):
 
 def test_a_cause_that_is_named_before_anything_is_learnt_teaches_nothing():
     learning = Learning(RULES)
-    hear(learning, 0, 400, verdict="unknown", up_m=9.0, east_m=12.0, north_m=-9.0)
+    update(learning, 0, 400, verdict="unknown", up_m=9.0, east_m=12.0, north_m=-9.0)
     assert learning.diagnosis(None).cause == "base"
     assert (learning.parts, learning.correction(KEY)) == ((), Correction())
 
@@ -302,36 +304,36 @@ def test_a_cause_that_is_named_before_anything_is_learnt_teaches_nothing():
 def test_an_antenna_named_while_something_drifts_does_not_make_right_what_drifted(learnt):
     (part,) = learnt.parts
     part.held_m, known = 0.0, len(part.cells)
-    learnt._forget(NOTHING, Diagnosis("antenna", residual(600).time_ns), part)
+    learnt._forget(NO_OFFSET, Diagnosis("antenna", residual(600).time_ns), part)
     assert (part.held_m, len(part.cells)) == (0.0, known)
 
 
 def test_where_a_base_went_wrong_nothing_is_held_of_what_drifted(learnt):
     (part,) = learnt.parts
     part.held_m = 0.05
-    learnt._forget(NOTHING, Diagnosis("base", residual(600).time_ns), part)
+    learnt._forget(NO_OFFSET, Diagnosis("base", residual(600).time_ns), part)
     assert part.held_m is None
 
 
 def test_an_antenna_that_changed_is_named_and_learnt_from_then_on(learnt):
-    hear(learnt, 1200, 1800, up_m=-0.19)
-    (named,) = [found for found in learnt.news() if found.cause == "antenna"]
+    update(learnt, 1200, 1800, up_m=-0.19)
+    (named,) = [result for result in learnt.news() if result.cause == "antenna"]
     assert named.onset_ns == pytest.approx(residual(1200).time_ns, abs=3e9)
     (part,) = learnt.parts
     assert all(cell.end_ns > named.onset_ns for cell, _ in part.cells), "what was before says nothing of it"
     assert (part.prior_sigma_m, part.held_m, part.cells.maxlen) == (RULES.prior_sigma_m, None, 96)
-    assert hear(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.01)
+    assert update(learnt, 1800, 3000, up_m=-0.19).correction_m == pytest.approx(-0.19, abs=0.01)
 
 
 def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(learnt):
     before = learnt.correction(KEY).correction_m
-    hear(learnt, 1200, 1500, up_m=before + 0.25)
+    update(learnt, 1200, 1500, up_m=before + 0.25)
     assert learnt.diagnosis(None).cause == "ambiguous"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
     (part,) = learnt.parts
     onset_ns = learnt.diagnosis(None).onset_ns
     assert min(cell.begin_ns for cell, _ in part.cells if cell.up_m > before + 0.2) == onset_ns, "it is kept"
-    hear(learnt, 1500, 1900, up_m=before)
+    update(learnt, 1500, 1900, up_m=before)
     assert learnt.diagnosis(None).cause == "none"
     assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.004)
     (part,) = learnt.parts
@@ -340,10 +342,10 @@ def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(lea
 
 def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
     learning = Learning(RULES)
-    hear(learning, 0, 200)
+    update(learning, 0, 200)
     for epoch in range(200, 300):
         off = {"up_m": 0.25, "verdict": "confirmed_after_verification"} if epoch < 250 else {}
-        learning.hear(residual(epoch, **off))
+        learning.update(residual(epoch, **off))
     assert set(learning.causes.roads) == {4}
     (part,) = learning.parts
     assert {cell.surface_id for cell, _ in part.cells} == {0, 1, 2, 3, 5}
@@ -352,11 +354,11 @@ def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
 
 def test_a_road_that_is_named_is_taken_out_of_what_was_heard_with_another_base_too():
     learning, other = Learning(RULES), replace(KEY, base="receiver:WGS84")
-    hear(learning, 0, 300)
+    update(learning, 0, 300)
     for epoch in range(300):
         off = {"up_m": 0.25, "verdict": "confirmed_after_verification"} if 200 <= epoch < 250 else {}
         again = residual(epoch, key=other, **off)
-        learning.hear(replace(again, time_ns=again.time_ns + 600 * 10**9))
+        learning.update(replace(again, time_ns=again.time_ns + 600 * 10**9))
     assert set(learning.causes.roads) == {4}
     surfaces = {part.base: {cell.surface_id for cell, _ in part.cells} for part in learning.parts}
     assert surfaces == {base: {0, 1, 2, 3, 5} for base in (KEY.base, other.base)}
@@ -364,9 +366,9 @@ def test_a_road_that_is_named_is_taken_out_of_what_was_heard_with_another_base_t
 
 def test_a_road_that_is_named_at_a_walking_pace_before_anything_is_learnt_teaches_nothing():
     learning = Learning(RULES)
-    hear(learning, 0, 200, speed_m_s=1.0)
-    hear(learning, 200, 250, speed_m_s=1.0, up_m=0.25, verdict="confirmed_after_verification")
-    hear(learning, 250, 300, speed_m_s=1.0)
+    update(learning, 0, 200, speed_m_s=1.0)
+    update(learning, 200, 250, speed_m_s=1.0, up_m=0.25, verdict="confirmed_after_verification")
+    update(learning, 250, 300, speed_m_s=1.0)
     assert set(learning.causes.roads) == {4}
     assert (learning.parts, learning.correction(KEY)) == ((), Correction())
 
@@ -374,9 +376,9 @@ def test_a_road_that_is_named_at_a_walking_pace_before_anything_is_learnt_teache
 def test_a_changed_road_of_a_few_hundred_metres_that_fits_the_height_check_is_not_learnt(learnt):
     before = learnt.correction(KEY).correction_m
     for epoch in range(1200, 1360):
-        learnt.hear(residual(epoch, up_m=before + 0.28, fix_sigma_m=0.1))
+        learnt.update(residual(epoch, up_m=before + 0.28, fix_sigma_m=0.1))
     for epoch in range(1360, 1800):
-        learnt.hear(residual(epoch, up_m=before, fix_sigma_m=0.1))
+        learnt.update(residual(epoch, up_m=before, fix_sigma_m=0.1))
         assert learnt.correction(KEY).correction_m == pytest.approx(before, abs=0.01)
 
 
@@ -397,7 +399,7 @@ def test_far_from_where_it_should_be_it_goes_there_at_its_rate_stretch_by_stretc
     learning, steps = Learning(RULES), []
     before = learning.correction(KEY)
     for epoch in range(8 * epochs):
-        learning.hear(residual(epoch, up_m=0.25, surface_id=epoch // epochs))
+        learning.update(residual(epoch, up_m=0.25, surface_id=epoch // epochs))
         now = learning.correction(KEY)
         if now.samples != before.samples:
             assert now.samples == before.samples + 1
@@ -411,6 +413,6 @@ def test_far_from_where_it_should_be_it_goes_there_at_its_rate_stretch_by_stretc
 
 def test_an_erroneous_run_is_named_and_not_learnt(learnt):
     before = learnt.correction(KEY).correction_m
-    assert hear(learnt, 1200, 1800, up_m=0.6, verdict="erroneous").correction_m == before
+    assert update(learnt, 1200, 1800, up_m=0.6, verdict="erroneous").correction_m == before
     assert learnt.diagnosis(None).cause == "antenna"
     assert learnt.diagnosis(None).up_m == pytest.approx(0.6 - before, abs=0.01)

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.integrity.checks.comparison import Comparison
+from camber.integrity.checks.comparison import FixComparison
 from camber.integrity.checks.height_check import RoadPoint
-from camber.integrity.judgement import Judgement
+from camber.integrity.judgement import FixJudgement
 from camber.integrity.learning.height_residual import base_of, key_of, residual_of
-from camber.integrity.learning.residuals import Key
+from camber.integrity.learning.residuals import ReferenceKey
 from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, pose, road
 
-FOUND = Comparison(
+FOUND = FixComparison(
     difference_m=np.array([0.3, -0.1, 0.15]),
     covariance_m2=np.diag([0.04, 0.09, 0.0025]),
     outcome=0,
@@ -21,21 +21,23 @@ FOUND = Comparison(
     height_m=-0.15,
     height_sigma_m=0.05,
     tolerance_m=0.2,
-    reach_m=0.5,
+    acceptance_radius_m=0.5,
     joint_distance2=4.5,
     joint_limit=16.3,
 )
 SEEN = pose(mode="scan_match", provenance="scan_match", link_id=5, anchor_time_ns=at(-9))
 
 
-def told(found=FOUND, speed_m_s=10.0, **changes):
+def told(result=FOUND, speed_m_s=10.0, **changes):
     fields = {
         "fix": fix(3, up_m=0.25, base_station="rtcm-7"),
         "pose": SEEN,
         "antenna": antenna(),
         "road": RoadPoint(ROAD_M, 0.03, surface_id=8),
     }
-    return residual_of(Judgement(word="confirmed", reason="none", **fields | changes), found, speed_m_s)
+    return residual_of(
+        FixJudgement(verdict="confirmed", reason="none", **fields | changes), result, speed_m_s
+    )
 
 
 def test_it_is_told_how_far_the_fix_is_off_road_and_antenna_without_any_correction():
@@ -53,7 +55,7 @@ def test_it_is_told_of_which_fix_where_how_fast_and_on_which_road():
     of = told()
     assert (of.time_ns, of.verdict, of.speed_m_s, of.link_id) == (at(3), "confirmed", 10.0, 5)
     assert (of.latitude_rad, of.longitude_rad) == (fix(3).latitude_rad, fix(3).longitude_rad)
-    assert of.key == Key("fixed", "receiver:WGS84:rtcm-7", 3)
+    assert of.key == ReferenceKey("fixed", "receiver:WGS84:rtcm-7", 3)
     assert told(pose=None).link_id is None
 
 
@@ -89,9 +91,11 @@ def test_any_other_does_not(the_pose):
 def test_to_whom_it_belongs_is_known_as_far_as_it_is_said():
     assert base_of(fix()) == "receiver:WGS84:"
     assert base_of(fix(origin="engine", datum="ITRF2020", base_station="b")) == "engine:ITRF2020:b"
-    assert key_of("b", None, None) == Key("", "b", 0)
-    assert key_of("b", pose(road=road(map_version=None)), antenna(way=None)) == Key("", "b", 0)
-    assert key_of("b", pose(road=road(map_version=4)), antenna(way="ranging")) == Key("ranging", "b", 4)
+    assert key_of("b", None, None) == ReferenceKey("", "b", 0)
+    assert key_of("b", pose(road=road(map_version=None)), antenna(way=None)) == ReferenceKey("", "b", 0)
+    assert key_of("b", pose(road=road(map_version=4)), antenna(way="ranging")) == ReferenceKey(
+        "ranging", "b", 4
+    )
 
 
 def test_the_height_is_that_of_the_antenna_the_fix_and_the_road_there():

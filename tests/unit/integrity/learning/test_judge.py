@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.judge import Judge
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules
 from camber.integrity.learning.offset_causes import Diagnosis
-from camber.integrity.learning.residuals import Key
+from camber.integrity.learning.residuals import ReferenceKey
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import ReceiverIntegrity
 from support.judging import ALL, ROAD_M, antenna, at, fix, pose, provisional, road
@@ -36,9 +36,9 @@ class Knowing(Learning):
 def judge_with(*, poses=(), antenna_height=None, learning=None, rules=None):
     judge = Judge(rules or Rules(), learning)
     for one in poses:
-        judge.heard.hear_pose(one)
+        judge.heard.add_pose(one)
     if antenna_height is not None:
-        judge.heard.hear_antenna(antenna_height)
+        judge.heard.set_antenna_height(antenna_height)
     return judge
 
 
@@ -46,14 +46,14 @@ def judged(the_fix=None, *, now=0.0, alive=ALL, the_pose=None, the_antenna=None,
     """The judgement of one fix, with everything there and right but for what is given."""
     poses = [the_pose if the_pose is not None else pose()]
     judge = judge_with(poses=poses, antenna_height=the_antenna or antenna(), **others)
-    judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), **statement or {}))
+    judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), **statement or {}))
     judgement = judge.judge(the_fix or fix(), at(now), alive)
     assert judgement is not None
     return judgement
 
 
 def word_and_reason(judgement):
-    return judgement.word, judgement.reason
+    return judgement.verdict, judgement.reason
 
 
 class Drive:
@@ -64,9 +64,9 @@ class Drive:
         self.speed_m_s = speed_m_s
 
     def epoch(self, k, the_fix=None, the_pose=None):
-        self.judge.heard.hear_pose(the_pose or pose(k))
-        self.judge.heard.hear_antenna(antenna(k))
-        self.judge.heard.hear_speed(at(k), self.speed_m_s)
+        self.judge.heard.add_pose(the_pose or pose(k))
+        self.judge.heard.set_antenna_height(antenna(k))
+        self.judge.heard.add_wheel_speed(at(k), self.speed_m_s)
         judgement = self.judge.judge(the_fix or fix(k), at(k), ALL)
         assert judgement is not None
         return judgement
@@ -142,15 +142,15 @@ def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes)
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.heard.hear_antenna(changes.get("the_antenna") or antenna())
-    drive.judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
+    drive.judge.heard.set_antenna_height(changes.get("the_antenna") or antenna())
+    drive.judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
     drive.judge.heard.poses.clear()  # the last known pose is the one given
-    drive.judge.heard.hear_pose(changes.get("the_pose") or pose())
+    drive.judge.heard.add_pose(changes.get("the_pose") or pose())
     judgement = drive.judge.judge(
         changes.get("the_fix") or fix(), at(changes.get("now", 0.0)), changes.get("alive", ALL)
     )
     assert judgement is not None
-    assert judgement.word == "unknown"
+    assert judgement.verdict == "unknown"
 
 
 def test_without_any_pose_or_antenna_height_there_is_no_verdict():
@@ -185,18 +185,18 @@ def test_what_is_not_a_number_is_never_confirmed(where, value):
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.heard.hear_antenna(the_antenna)
-    drive.judge.heard.hear_pose(the_pose)
+    drive.judge.heard.set_antenna_height(the_antenna)
+    drive.judge.heard.add_pose(the_pose)
     judgement = drive.judge.judge(the_fix, at(0), ALL)
     assert judgement is not None
-    assert judgement.word == "unknown"
+    assert judgement.verdict == "unknown"
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_limits_of_the_position_are_those_of_the_rates_and_of_both_covariances(sign):
     sigma_m = math.sqrt(0.1**2 + (4 * 0.005) ** 2 + 0.05**2)
     agrees_m, contradicts_m = (sigma_m * math.sqrt(chi2.isf(rate / 2, 2)) for rate in (1e-3, 1e-6))
-    rules = Rules(determination=DeterminationRules(tests=("height", "position")))
+    rules = Rules(determination=ConsistencyParameters(tests=("height", "position")))
 
     def said(north_m):
         return word_and_reason(judged(fix(north_m=sign * north_m), rules=rules))
@@ -255,8 +255,8 @@ def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
 def test_what_is_dated_ahead_blocks_nothing_once_it_is_forgotten():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.heard.hear_pose(pose(1000))
-    drive.judge.heard.hear_antenna(antenna(1000))
+    drive.judge.heard.add_pose(pose(1000))
+    drive.judge.heard.set_antenna_height(antenna(1000))
     drive.judge.forget_future(at(1))
     assert drive.judge.heard.pose == pose(0)
     without = drive.judge.judge(fix(1), at(1), ALL)
@@ -274,7 +274,7 @@ def test_after_the_clock_was_set_back_the_judge_goes_on():
     assert drive.judge.last_fix_ns is None
     assert drive.epoch(0).confirmed
     assert (
-        drive.epoch(1, fix(1, up_m=0.45)).word == "erroneous"
+        drive.epoch(1, fix(1, up_m=0.45)).verdict == "erroneous"
     )  # the chain of later fixes is forgotten: height + 0.45
 
 
@@ -303,9 +303,11 @@ def test_another_estimate_may_take_the_place_of_a_solution_that_is_no_fix():
         asked.append(judgement)
         return judge.examine(fix(0), ALL, trials=3)
 
-    found = judge.judge(fix(0, quality="float"), at(0), ALL, others)
-    assert [(one.fix.quality, one.word, one.reason) for one in asked] == [("float", "unknown", "not_a_fix")]
-    assert (found.fix, found.word, found.trials) == (fix(0), "confirmed", 3)
+    result = judge.judge(fix(0, quality="float"), at(0), ALL, others)
+    assert [(one.fix.quality, one.verdict, one.reason) for one in asked] == [
+        ("float", "unknown", "not_a_fix")
+    ]
+    assert (result.fix, result.verdict, result.trials) == (fix(0), "confirmed", 3)
     assert judge.before.chain is not None
 
 
@@ -329,44 +331,44 @@ def test_where_the_map_is_wrong_the_time_series_carries_a_right_fix():
 def test_but_not_one_that_jumps_itself():
     drive = Drive()
     assert drive.epoch(0).confirmed
-    assert drive.epoch(1, fix(1, up_m=0.4)).word == "erroneous"
+    assert drive.epoch(1, fix(1, up_m=0.4)).verdict == "erroneous"
 
 
 def test_nor_one_that_moved_otherwise_than_the_vehicle():
     drive = Drive()
     assert drive.epoch(0).confirmed
-    assert drive.epoch(1, fix(1, north_m=0.2), off_map(1)).word == "erroneous"
+    assert drive.epoch(1, fix(1, north_m=0.2), off_map(1)).verdict == "erroneous"
 
 
 def test_nor_after_a_second_without_a_right_fix():
     drive = Drive()
     assert drive.epoch(0).confirmed
-    assert drive.epoch(6, the_pose=off_map(6)).word == "erroneous"
+    assert drive.epoch(6, the_pose=off_map(6)).verdict == "erroneous"
 
 
 def test_nor_without_a_right_fix_before():
-    assert Drive().epoch(0, the_pose=off_map(0)).word == "erroneous"
+    assert Drive().epoch(0, the_pose=off_map(0)).verdict == "erroneous"
 
 
 def test_nor_where_no_pose_tells_the_way_since():
     drive = Drive()
     drive.epoch(0)
     drive.judge.heard.poses.clear()
-    assert drive.epoch(4, the_pose=off_map(4)).word == "erroneous"
+    assert drive.epoch(4, the_pose=off_map(4)).verdict == "erroneous"
 
 
 def test_the_chain_of_verified_fixes_ends():
     drive = Drive(speed_m_s=1.0)  # slower than it learns
     drive.epoch(0)
-    words = [drive.epoch(k, the_pose=off_map(k)).word for k in range(1, 28)]
-    assert words == ["confirmed_after_verification"] * 25 + ["erroneous"] * 2
+    verdicts = [drive.epoch(k, the_pose=off_map(k)).verdict for k in range(1, 28)]
+    assert verdicts == ["confirmed_after_verification"] * 25 + ["erroneous"] * 2
 
 
 def test_a_provisional_pose_verifies_nothing():
     drive = Drive()
     drive.epoch(0)
     wrong_map = provisional(1, road=road(elevation_m=ROAD_M - 0.4))
-    assert drive.epoch(1, the_pose=wrong_map).word == "erroneous"
+    assert drive.epoch(1, the_pose=wrong_map).verdict == "erroneous"
 
 
 # --- start -------------------------------------------------------------------------------------------------------
@@ -375,7 +377,7 @@ def test_a_provisional_pose_verifies_nothing():
 def test_from_fixes_alone_the_fifth_in_a_row_is_confirmed():
     drive = Drive()
     judgements = [drive.epoch(k, the_pose=provisional(k)) for k in range(5)]
-    assert [j.word for j in judgements] == ["unknown"] * 4 + ["confirmed"]
+    assert [j.verdict for j in judgements] == ["unknown"] * 4 + ["confirmed"]
     assert {j.reason for j in judgements[:4]} == {"starting"}
     assert judgements[4].evidence == ("height", "track")
 
@@ -396,8 +398,8 @@ def test_one_that_does_not_agree_begins_the_count_anew(odd, odd_pose):
     for k in range(4):
         drive.epoch(k, the_pose=odd_pose(k))
     assert not odd(drive).confirmed
-    words = [drive.epoch(k, the_pose=odd_pose(k)).word for k in range(5, 10)]
-    assert words == ["unknown"] * 4 + ["confirmed"]
+    verdicts = [drive.epoch(k, the_pose=odd_pose(k)).verdict for k in range(5, 10)]
+    assert verdicts == ["unknown"] * 4 + ["confirmed"]
 
 
 def test_a_restart_of_the_pose_elsewhere_begins_the_count_anew():
@@ -406,7 +408,7 @@ def test_a_restart_of_the_pose_elsewhere_begins_the_count_anew():
     for k in range(4):
         drive.epoch(k, the_pose=provisional(k))
     elsewhere = [drive.epoch(k, fix(k, east_m=30.0), provisional(k, east_m=30.0)) for k in range(4, 9)]
-    assert [j.word for j in elsewhere] == ["unknown"] * 4 + ["confirmed"]
+    assert [j.verdict for j in elsewhere] == ["unknown"] * 4 + ["confirmed"]
 
 
 def test_after_an_anchored_pose_was_lost_the_start_begins_at_nought():
@@ -432,16 +434,16 @@ def test_without_a_wheel_speed_nothing_starts():
 
 def test_a_stale_wheel_speed_starts_nothing():
     drive = Drive(speed_m_s=None)
-    drive.judge.heard.hear_speed(at(0), 10.0)
-    words = [drive.epoch(k, the_pose=provisional(k)).word for k in range(20)]
-    assert "confirmed" not in words
+    drive.judge.heard.add_wheel_speed(at(0), 10.0)
+    verdicts = [drive.epoch(k, the_pose=provisional(k)).verdict for k in range(20)]
+    assert "confirmed" not in verdicts
 
 
 # --- learning ----------------------------------------------------------------------------------------------------
 
 
 def in_force(drive):
-    return drive.judge.correction(drive.judge.heard.situation(at(0), ALL))
+    return drive.judge.correction(drive.judge.heard.inputs(at(0), ALL))
 
 
 def test_right_positions_teach_the_correction_and_later_fixes_are_judged_by_it():
@@ -492,7 +494,7 @@ class Listening(Learning):
         super().__init__(LearningRules())
         self.heard = []
 
-    def hear(self, residual):
+    def update(self, residual):
         self.heard.append(residual)
 
 
@@ -509,7 +511,7 @@ def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_with
     assert residual.map_sigma_m == 0.03
     assert residual.fix_sigma_m == pytest.approx(math.sqrt((4 * 0.01) ** 2 + 0.05**2 + 0.02**2))
     assert residual.surface_id == 7
-    assert residual.key == Key("fixed", "receiver:WGS84:", 3)
+    assert residual.key == ReferenceKey("fixed", "receiver:WGS84:", 3)
 
 
 def test_another_base_station_has_a_part_of_its_own():
@@ -544,23 +546,27 @@ def test_it_hears_on_which_confirmed_fix_the_pose_leans_and_on_which_link_it_is(
 def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and_of_the_newest_base():
     class Asked(Learning):
         def correction(self, key):
-            return Correction(0.01, 0.02) if key == Key("fixed", "receiver:WGS84:rtcm-8", 3) else Correction()
+            return (
+                Correction(0.01, 0.02)
+                if key == ReferenceKey("fixed", "receiver:WGS84:rtcm-8", 3)
+                else Correction()
+            )
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    situation = judge.heard.situation(at(0), ALL)
+    inputs = judge.heard.inputs(at(0), ALL)
     judge.judge(fix(0, base_station="rtcm-7"), at(0), ALL)
-    assert judge.correction(situation) == Correction()
+    assert judge.correction(inputs) == Correction()
     judge.judge(fix(1, base_station="rtcm-8"), at(1), ALL)
-    assert judge.correction(situation) == Correction(0.01, 0.02)
+    assert judge.correction(inputs) == Correction(0.01, 0.02)
 
 
 def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base():
     class Asked(Learning):
         def correction(self, key):
-            return Correction(0.01, 0.02) if key == Key("fixed", "", 3) else Correction()
+            return Correction(0.01, 0.02) if key == ReferenceKey("fixed", "", 3) else Correction()
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    assert judge.correction(judge.heard.situation(at(0), ALL)) == Correction(0.01, 0.02)
+    assert judge.correction(judge.heard.inputs(at(0), ALL)) == Correction(0.01, 0.02)
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
@@ -595,7 +601,7 @@ def test_a_larger_height_contradiction_never_raises_trust(near_m, farther_m, sig
         drive = Drive()
         for k in range(history):
             drive.epoch(k)
-        return TRUST[drive.epoch(history, fix(history, up_m=sign * up_m)).word]
+        return TRUST[drive.epoch(history, fix(history, up_m=sign * up_m)).verdict]
 
     assert trust(near_m + farther_m) <= trust(near_m)
 
@@ -603,7 +609,9 @@ def test_a_larger_height_contradiction_never_raises_trust(near_m, farther_m, sig
 @settings(deadline=None, derandomize=True)
 @given(near_m=st.floats(0.0, 5.0), farther_m=st.floats(0.0, 5.0))
 def test_a_larger_distance_from_the_pose_never_raises_trust(near_m, farther_m):
-    assert TRUST[judged(fix(north_m=near_m + farther_m)).word] <= TRUST[judged(fix(north_m=near_m)).word]
+    assert (
+        TRUST[judged(fix(north_m=near_m + farther_m)).verdict] <= TRUST[judged(fix(north_m=near_m)).verdict]
+    )
 
 
 ages_epochs = st.floats(-30.0, 30.0)
@@ -627,11 +635,11 @@ def test_nothing_but_a_fix_is_ever_confirmed(quality, up_m):
 
 
 @settings(deadline=None, derandomize=True)
-@given(st.lists(st.sampled_from(["right"] * 4 + ["high", "aside", "no_pose", "no_road"]), max_size=30))
+@given(st.lists(st.sampled_from(["right"] * 4 + ["high", "horizontal", "no_pose", "no_road"]), max_size=30))
 def test_along_any_provisional_drive_a_fix_is_confirmed_after_five_that_agree_and_no_sooner(events):
     drive = Drive()
     for k, event in enumerate(events):
-        the_fix = {"high": fix(k, up_m=1.0), "aside": fix(k, north_m=3.0)}.get(event, fix(k))
+        the_fix = {"high": fix(k, up_m=1.0), "horizontal": fix(k, north_m=3.0)}.get(event, fix(k))
         the_pose = {
             "no_pose": pose(k, mode="none", provenance="none"),
             "no_road": provisional(k, road=no_road()),
@@ -644,7 +652,7 @@ def test_along_any_provisional_drive_a_fix_is_confirmed_after_five_that_agree_an
 
 
 def by(*tests, **changes):
-    return Rules(determination=DeterminationRules(tests=tests, **changes))
+    return Rules(determination=ConsistencyParameters(tests=tests, **changes))
 
 
 AGAINST = {
@@ -688,7 +696,7 @@ def test_without_the_height_neither_road_nor_antenna_is_needed():
     judgement = judged(rules=by("position"), **nothing)
     assert word_and_reason(judgement) == ("confirmed", "none")
     assert judgement.evidence == ("position",)
-    assert judged(**nothing).word == "unknown"
+    assert judged(**nothing).verdict == "unknown"
     assert judged(rules=by("position"), the_pose=pose(road=road(datum=None))).confirmed
     assert judged(fix(datum="JGD2011"), rules=by("position")).reason == "datum_mismatch"
 
@@ -755,12 +763,12 @@ def test_a_fix_whose_subsets_disagree_is_confirmed_where_enough_else_speaks_for_
 
 def test_a_fix_whose_subsets_disagree_does_not_count_at_the_start():
     drive = Drive()
-    words = [
+    verdicts = [
         drive.epoch(k, fix(k, subset_agreement="disagree" if k == 4 else "agree"), provisional(k))
         for k in range(10)
     ]
-    assert [judgement.reason for judgement in words[:5]] == ["starting"] * 4 + ["subsets_disagree"]
-    assert [judgement.confirmed for judgement in words] == [False] * 9 + [True]
+    assert [judgement.reason for judgement in verdicts[:5]] == ["starting"] * 4 + ["subsets_disagree"]
+    assert [judgement.confirmed for judgement in verdicts] == [False] * 9 + [True]
 
 
 def test_the_fixed_tolerance_is_that_of_the_document():
@@ -778,7 +786,7 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
         assert judgement.cause == "base"
         assert judgement.detail.split(":")[0].endswith(("disagrees", "unverified"))
     assert judged(learning=base).confirmed
-    assert judged(fix(up_m=0.6), learning=Knowing(cause="antenna")).word == "erroneous"
+    assert judged(fix(up_m=0.6), learning=Knowing(cause="antenna")).verdict == "erroneous"
 
 
 def test_a_fix_beyond_the_road_and_off_the_pose_contradicts_the_pose():
@@ -817,7 +825,7 @@ def test_a_fix_that_is_wide_by_its_own_account_is_not_verified():
     for k in range(5):
         drive.epoch(k, chained(k))
     wide = (2.5e-5, 0.0, 0.0, 2.5e-5, 0.0, 0.04**2)
-    assert drive.epoch(5, chained(5, covariance_enu_m2=wide), off_map(5, 1.5)).word == "erroneous"
+    assert drive.epoch(5, chained(5, covariance_enu_m2=wide), off_map(5, 1.5)).verdict == "erroneous"
     assert drive.epoch(6, chained(6), off_map(6, 1.5)).confirmed
 
 
@@ -825,7 +833,7 @@ def test_a_fix_that_is_wide_by_its_own_account_vouches_for_none():
     drive = Drive()
     wide = (2.5e-5, 0.0, 0.0, 2.5e-5, 0.0, 0.04**2)
     assert drive.epoch(0, fix(0, covariance_enu_m2=wide)).confirmed
-    assert drive.epoch(1, the_pose=far_off_map(1)).word == "erroneous"
+    assert drive.epoch(1, the_pose=far_off_map(1)).verdict == "erroneous"
 
 
 def test_nothing_is_verified_that_is_not_where_the_pose_is():
@@ -849,8 +857,8 @@ def test_where_the_pose_is_in_doubt_integers_that_were_confirmed_carry_a_fix_tha
 def test_but_neither_the_time_series_nor_sweeps_that_are_elsewhere():
     drive = Drive()
     drive.epoch(0)
-    aside = [drive.epoch(k, fix(k, north_m=0.12 * k)) for k in range(1, 5)]
-    assert [judgement.word for judgement in aside] == ["confirmed"] * 3 + ["unknown"]
+    horizontal = [drive.epoch(k, fix(k, north_m=0.12 * k)) for k in range(1, 5)]
+    assert [judgement.verdict for judgement in horizontal] == ["confirmed"] * 3 + ["unknown"]
     fitting = fix(north_m=0.5, phase_residuals="consistent", ambiguities_fixed=12)
     assert judged(fitting, the_pose=matched(0)).reason == "position_unverified"
     assert not judged(fitting, the_pose=matched(0)).confirmed
@@ -863,7 +871,7 @@ def test_other_integers_than_those_just_confirmed_are_not_known_until_they_have_
     held = drive.epoch(5, chained(5, "broken", 5))
     assert word_and_reason(held) == ("unknown", "continuity_disagrees")
     assert "0.2 s ago" in held.detail
-    later = [drive.epoch(k, chained(k, since=5)).word for k in range(6, 12)]
+    later = [drive.epoch(k, chained(k, since=5)).verdict for k in range(6, 12)]
     assert later == ["unknown"] * 4 + ["confirmed"] * 2
 
 
@@ -881,31 +889,31 @@ def test_sweeps_and_phases_together_carry_a_fix_neither_alone():
     model = road(elevation_m=ROAD_M - 0.6)
     fitting = {"phase_residuals": "consistent", "ambiguities_fixed": 12}
     both = judged(fix(**fitting), the_pose=matched(0, road=model))
-    assert both.word == "confirmed_after_verification"
+    assert both.verdict == "confirmed_after_verification"
     assert both.evidence == ("scan_matching", "phase_residuals")
-    assert judged(fix(), the_pose=matched(0, road=model)).word == "erroneous"
-    assert judged(fix(**fitting), the_pose=pose(road=model)).word == "erroneous"
-    assert judged(fix(**fitting), the_pose=matched(0, road=model, sigma_m=0.2)).word == "erroneous"
+    assert judged(fix(), the_pose=matched(0, road=model)).verdict == "erroneous"
+    assert judged(fix(**fitting), the_pose=pose(road=model)).verdict == "erroneous"
+    assert judged(fix(**fitting), the_pose=matched(0, road=model, sigma_m=0.2)).verdict == "erroneous"
     assert not judged(fix(north_m=0.5, **fitting), the_pose=matched(0, road=model)).confirmed
     height_only = by("height")
-    assert judged(fix(**fitting), the_pose=matched(0, road=model), rules=height_only).word == "erroneous"
+    assert judged(fix(**fitting), the_pose=matched(0, road=model), rules=height_only).verdict == "erroneous"
 
 
 def test_what_is_examined_leaves_no_trace_until_it_is_settled():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.heard.hear_pose(far_off_map(1))
-    drive.judge.heard.hear_antenna(antenna(1))
+    drive.judge.heard.add_pose(far_off_map(1))
+    drive.judge.heard.set_antenna_height(antenna(1))
     again = [drive.judge.examine(fix(1), ALL) for _ in range(2)]
-    assert [judgement.word for judgement in again] == ["confirmed_after_verification"] * 2
-    assert drive.judge.before.chain.links == 0
+    assert [judgement.verdict for judgement in again] == ["confirmed_after_verification"] * 2
+    assert drive.judge.before.chain.chain_length == 0
     drive.judge.settle(again[0])
-    assert drive.judge.before.chain.links == 1
+    assert drive.judge.before.chain.chain_length == 1
 
 
 def test_the_receivers_warning_is_forgotten_with_the_clock():
     drive = Drive()
-    drive.judge.heard.receiver.hear(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
+    drive.judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
     assert drive.epoch(1).reason == "receiver_warns"
     drive.judge.forget_future(at(0))
     assert drive.epoch(2).confirmed

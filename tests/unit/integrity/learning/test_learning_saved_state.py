@@ -6,8 +6,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.learning.height_correction import Correction, Learning, LearningRules, Part
-from camber.integrity.learning.offset_causes import ChangedRoad
+from camber.integrity.learning.height_correction import Correction, CorrectionState, Learning, LearningRules
+from camber.integrity.learning.offset_causes import RoadChange
 from camber.integrity.learning.saved_state import from_text, to_text
 from support.residual_drives import KEY, START_NS, residual
 
@@ -15,8 +15,8 @@ RULES = LearningRules()
 
 
 def learning(correction_m=0.1, samples=7):
-    part = Part(KEY.antenna, KEY.base, KEY.map_version, Correction(correction_m, 0.02, samples))
-    return Learning(RULES, [part], [ChangedRoad(9, 3, -0.2, START_NS)])
+    part = CorrectionState(KEY.antenna, KEY.base, KEY.map_version, Correction(correction_m, 0.02, samples))
+    return Learning(RULES, [part], [RoadChange(9, 3, -0.2, START_NS)])
 
 
 @settings(derandomize=True)
@@ -36,7 +36,7 @@ def test_after_a_restart_it_learns_on_from_there_and_is_less_sure():
     (part,) = again.parts
     assert (part.prior_m, part.prior_sigma_m) == (0.1, RULES.release_sigma_m)
     for epoch in range(600):
-        again.hear(residual(epoch, up_m=0.06))
+        again.update(residual(epoch, up_m=0.06))
     assert again.correction(KEY).correction_m == pytest.approx(0.06, abs=0.01)
     assert again.diagnosis(9).cause == "road"
 
@@ -46,12 +46,12 @@ def test_nothing_learnt_is_kept_as_nothing():
 
 
 def test_what_is_less_sure_than_can_be_kept_is_kept_as_a_metre():
-    vague = Part(KEY.antenna, KEY.base, KEY.map_version, Correction(0.1, 1.7, 7))
+    vague = CorrectionState(KEY.antenna, KEY.base, KEY.map_version, Correction(0.1, 1.7, 7))
     assert from_text(to_text(Learning(RULES, [vague])), RULES).correction(KEY) == Correction(0.1, 1.0, 7)
 
 
 def test_of_more_roads_than_can_be_kept_the_newest_are():
-    roads = [ChangedRoad(number, 3, 0.2, START_NS + number) for number in range(4097)]
+    roads = [RoadChange(number, 3, 0.2, START_NS + number) for number in range(4097)]
     assert [*from_text(to_text(Learning(RULES, (), roads)), RULES).causes.roads] == [*range(1, 4097)]
 
 
@@ -119,7 +119,7 @@ def test_no_damage_whatever_moves_the_height_beyond_the_cap(data):
     at = data.draw(st.integers(0, len(text) - 1))
     damaged = text[:at] + data.draw(st.text(max_size=4)) + text[at + data.draw(st.integers(0, 4)) :]
     try:
-        found = from_text(damaged, RULES)
+        result = from_text(damaged, RULES)
     except ValueError:
         return
-    assert abs(found.correction(KEY).correction_m) <= RULES.cap_m
+    assert abs(result.correction(KEY).correction_m) <= RULES.cap_m

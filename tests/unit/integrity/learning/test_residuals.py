@@ -10,7 +10,7 @@ from support.residual_drives import KEY, residual
 
 def cells(residuals, length_m=20.0):
     collector = CellCollector(length_m)
-    return [cell for one in residuals if (cell := collector.hear(one)) is not None]
+    return [cell for one in residuals if (cell := collector.add(one)) is not None]
 
 
 def test_a_stretch_ends_after_its_length_or_with_its_surface_map_antenna_or_base():
@@ -23,28 +23,28 @@ def test_a_stretch_ends_after_its_length_or_with_its_surface_map_antenna_or_base
 
 
 def test_a_wrong_fix_or_two_do_not_move_it():
-    found = cell_of([residual(k, up_m=5.0 if k < 2 else 0.01 * k, east_m=0.1 * k) for k in range(9)])
-    assert found.up_m == pytest.approx(0.06)
-    assert found.horizontal_m == (pytest.approx(0.4), 0.0, 0.1)
-    assert (found.fix_sigma_m, found.map_sigma_m) == (0.05, 0.05)
-    assert (found.begin_ns, found.end_ns) == (residual(0).time_ns, residual(8).time_ns)
+    result = cell_of([residual(k, up_m=5.0 if k < 2 else 0.01 * k, east_m=0.1 * k) for k in range(9)])
+    assert result.up_m == pytest.approx(0.06)
+    assert result.horizontal_m == (pytest.approx(0.4), 0.0, 0.1)
+    assert (result.fix_sigma_m, result.map_sigma_m) == (0.05, 0.05)
+    assert (result.begin_ns, result.end_ns) == (residual(0).time_ns, residual(8).time_ns)
 
 
 def test_it_knows_its_link_and_the_newest_fix_that_one_of_its_poses_leans_on():
     assert cell_of([residual(0), residual(1)]).anchored_ns is None
-    found = cell_of([residual(k, anchored_ns=at) for k, at in enumerate([3, None, 7, 5])])
-    assert (found.link_id, found.anchored_ns) == (0, 7)
+    result = cell_of([residual(k, anchored_ns=at) for k, at in enumerate([3, None, 7, 5])])
+    assert (result.link_id, result.anchored_ns) == (0, 7)
 
 
 def test_how_many_were_verified_against_the_height_is_known():
-    words = ["confirmed", "confirmed_after_verification", "erroneous", "confirmed_after_verification"]
-    assert cell_of([residual(k, verdict=word) for k, word in enumerate(words)]).verified == 2
+    verdicts = ["confirmed", "confirmed_after_verification", "erroneous", "confirmed_after_verification"]
+    assert cell_of([residual(k, verdict=verdict) for k, verdict in enumerate(verdicts)]).verified == 2
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf])
 def test_what_is_not_known_is_not_counted(value):
-    found = cell_of([residual(0, up_m=value, east_m=value), residual(1, up_m=0.2, horizontal_sigma_m=0.0)])
-    assert (found.up_m, found.horizontal_m) == (0.2, None)
+    result = cell_of([residual(0, up_m=value, east_m=value), residual(1, up_m=0.2, horizontal_sigma_m=0.0)])
+    assert (result.up_m, result.horizontal_m) == (0.2, None)
     nothing = cell_of([residual(0, up_m=value, north_m=value)])
     assert (nothing.up_m, nothing.horizontal_m, nothing.fix_sigma_m, nothing.map_sigma_m) == (
         None,
@@ -57,8 +57,8 @@ def test_what_is_not_known_is_not_counted(value):
 
 def test_standing_still_neither_ends_a_stretch_nor_makes_it_heavier():
     collector = CellCollector(20.0)
-    assert all(collector.hear(residual(0)) is None for _ in range(2 * MOST_FIXES))
-    ended = collector.hear(residual(20))
+    assert all(collector.add(residual(0)) is None for _ in range(2 * MOST_FIXES))
+    ended = collector.add(residual(20))
     assert ended is not None
     assert ended.fixes == MOST_FIXES
 
@@ -70,5 +70,5 @@ def test_what_is_no_place_is_left_out():
 
 
 def test_confirmed_is_what_a_consumer_may_use():
-    words = ["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
-    assert [residual(verdict=word).confirmed for word in words] == [True, True, False, False]
+    verdicts = ["confirmed", "confirmed_after_verification", "erroneous", "unknown"]
+    assert [residual(verdict=verdict).confirmed for verdict in verdicts] == [True, True, False, False]

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.epoch_inputs import Situation
+from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judge import Judge
-from camber.integrity.protection.fault_hypotheses import dispute_after
-from camber.integrity.protection.position_bounds import LevelRules, Part
-from camber.integrity.protection.position_output import Positions
+from camber.integrity.protection.fault_hypotheses import updated_dispute
+from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
+from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
 from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose
 
@@ -29,20 +29,20 @@ def sharp_pose(epoch=0, **changes):
 def examined(epoch=0, **off):
     """A fix so far off beside the sharp pose, as the judge finds it."""
     judge, the_pose = Judge(RULES), sharp_pose(epoch)
-    judge.heard.hear_pose(the_pose)
-    judge.heard.hear_antenna(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judge.heard.add_pose(the_pose)
+    judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     return judge.examine(fix(epoch, **off), ALL)
 
 
 def after(*judgements, levels=LEVELS):
-    positions = Positions(RULES, levels)
+    positions = PositionOutput(RULES, levels)
     for judgement in judgements:
-        positions.hear_judgement(judgement)
+        positions.update_dispute(judgement)
     return positions
 
 
 def position(positions, epoch=1, **changes):
-    return positions.at(at(epoch), Situation(sharp_pose(epoch, **changes), antenna(epoch), ALL), 0.0)
+    return positions.at(at(epoch), EpochInputs(sharp_pose(epoch, **changes), antenna(epoch), ALL), 0.0)
 
 
 UNDISPUTED = position(after())
@@ -51,14 +51,14 @@ UNDISPUTED = position(after())
 def test_a_pose_that_a_fix_with_the_roads_height_contradicts_is_bounded_as_far_as_the_fix_and_no_farther():
     assert UNDISPUTED.usable
     for aside_m in (0.9, 5.0):
-        found = position(after(examined(east_m=0.6 * aside_m, north_m=0.8 * aside_m)))
-        assert aside_m < found.horizontal_protection_level_m < aside_m + 0.6
-        assert found.usable is (aside_m < 1.0)
-        assert found.reason == ("none" if aside_m < 1.0 else "pose_too_uncertain")
-        assert found.vertical_protection_level_m == pytest.approx(
+        result = position(after(examined(east_m=0.6 * aside_m, north_m=0.8 * aside_m)))
+        assert aside_m < result.horizontal_protection_level_m < aside_m + 0.6
+        assert result.usable is (aside_m < 1.0)
+        assert result.reason == ("none" if aside_m < 1.0 else "pose_too_uncertain")
+        assert result.vertical_protection_level_m == pytest.approx(
             UNDISPUTED.vertical_protection_level_m, rel=1e-2
         )
-        assert found.semi_major_99_m == pytest.approx(UNDISPUTED.semi_major_99_m, rel=0.05)
+        assert result.semi_major_99_m == pytest.approx(UNDISPUTED.semi_major_99_m, rel=0.05)
 
 
 def test_it_does_not_fade_and_ends_with_a_fix_that_agrees():
@@ -66,9 +66,9 @@ def test_it_does_not_fade_and_ends_with_a_fix_that_agrees():
     assert agreeing.comparison.position == 0
     assert not position(after(disputing), epoch=900).usable
     assert position(after(disputing, agreeing), epoch=8) == position(after(), epoch=8)
-    confirmed = replace(disputing, word="confirmed")
+    confirmed = replace(disputing, verdict="confirmed")
     assert position(after(disputing, confirmed)) == UNDISPUTED
-    unsure = replace(agreeing, word="unknown", reason="height_unverified")
+    unsure = replace(agreeing, verdict="unknown", reason="height_unverified")
     assert position(after(disputing, unsure), epoch=8) == position(after(), epoch=8)
 
 
@@ -76,7 +76,7 @@ def test_it_does_not_fade_and_ends_with_a_fix_that_agrees():
 def test_a_fix_that_is_wrong_by_its_own_account_or_by_its_base_says_nothing_of_the_pose(reason):
     disputing = examined(east_m=5.0)
     assert position(after(replace(disputing, reason=reason))) == UNDISPUTED
-    later = replace(examined(1.0), word="unknown", reason=reason)
+    later = replace(examined(1.0), verdict="unknown", reason=reason)
     assert not position(after(disputing, later)).usable
 
 
@@ -91,9 +91,9 @@ def test_a_fix_that_was_not_compared_leaves_it_as_it_was():
     disputing = examined(east_m=5.0)
     for other in (
         replace(examined(1.0), comparison=None),
-        replace(examined(1.0), fix=fix(1.0, covariance_enu_m2=None), word="unknown"),
+        replace(examined(1.0), fix=fix(1.0, covariance_enu_m2=None), verdict="unknown"),
     ):
-        other = replace(other, word="unknown")
+        other = replace(other, verdict="unknown")
         assert position(after(other)) == UNDISPUTED
         assert not position(after(disputing, other)).usable
 
@@ -146,31 +146,31 @@ def test_what_is_dated_ahead_disputes_from_now_on():
 
 
 def test_the_dispute_is_that_of_the_newest_fix_and_began_with_the_first():
-    first = dispute_after(examined(0.0, east_m=3.0), None, RULES.true_sigma)
-    second = dispute_after(examined(1.0, east_m=4.0), first, RULES.true_sigma)
+    first = updated_dispute(examined(0.0, east_m=3.0), None, RULES.true_sigma)
+    second = updated_dispute(examined(1.0, east_m=4.0), first, RULES.true_sigma)
     assert (second.begun_ns, second.time_ns) == (at(0), at(1))
     assert second.east_m == pytest.approx(4.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("unknown", ["latitude_rad", "longitude_rad"])
 def test_a_match_of_which_no_place_is_known_bears_nothing_out(unknown):
-    disputed = dispute_after(examined(0.0, east_m=3.0), None, RULES.true_sigma)
-    assert disputed.hear(sharp_pose(1, match_time_ns=at(1)), LEVELS).matches == 1
-    assert disputed.hear(sharp_pose(1, match_time_ns=at(1), **{unknown: None}), LEVELS) == disputed
+    disputed = updated_dispute(examined(0.0, east_m=3.0), None, RULES.true_sigma)
+    assert disputed.update(sharp_pose(1, match_time_ns=at(1)), LEVELS).matches == 1
+    assert disputed.update(sharp_pose(1, match_time_ns=at(1), **{unknown: None}), LEVELS) == disputed
 
 
 def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
-    disputed = dispute_after(examined(0.0, east_m=3.0), None, RULES.true_sigma)
-    once = disputed.hear(sharp_pose(1, match_time_ns=at(1)), LEVELS)
-    again = dispute_after(examined(2.0, east_m=3.0), once, RULES.true_sigma)
-    assert again.hear(sharp_pose(3, match_time_ns=at(3)), LEVELS).matches == 1
-    assert again.hear(sharp_pose(100, match_time_ns=at(100)), LEVELS).matches == 2
+    disputed = updated_dispute(examined(0.0, east_m=3.0), None, RULES.true_sigma)
+    once = disputed.update(sharp_pose(1, match_time_ns=at(1)), LEVELS)
+    again = updated_dispute(examined(2.0, east_m=3.0), once, RULES.true_sigma)
+    assert again.update(sharp_pose(3, match_time_ns=at(3)), LEVELS).matches == 1
+    assert again.update(sharp_pose(100, match_time_ns=at(100)), LEVELS).matches == 2
 
 
 def test_either_the_pose_is_right_or_the_vehicle_is_where_the_fix_was():
-    disputed = dispute_after(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
-    alone = Part(1.0, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.1)
+    disputed = updated_dispute(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
+    alone = MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.1)
     parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
-    *others, there = disputed.beside(parts, alone, 0.2)
+    *others, there = disputed.with_alternative(parts, alone, 0.2)
     assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])
     assert there.mean_m == pytest.approx((3.0, 4.0, 0.0), abs=1e-3)

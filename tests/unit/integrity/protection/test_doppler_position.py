@@ -38,19 +38,19 @@ def driven(rules=PLAIN, steps=50, wheels=10.0, make=velocity, begin=0):
     position = DopplerPosition(rules)
     for k in range(steps + 1):
         if wheels is not None:
-            position.hear_speed(at(k), wheels)
-        position.hear_velocity(make(k))
+            position.add_wheel_speed(at(k), wheels)
+        position.add_velocity(make(k))
         if k == begin:
             position.begin(at(begin))
     return position
 
 
 def test_it_has_come_as_far_as_the_velocities_say():
-    found = driven(wheels=9.5, make=lambda k: velocity(k, east=9.0 + 0.02 * k, north=1.0, up=0.1)).at(at(50))
-    assert found.metres == pytest.approx([5.0 * 9.5, 5.0, 0.5])
-    assert found.since_ns == at(0)
-    assert found.yaw_rad == pytest.approx(0.0)
-    assert found.checked
+    result = driven(wheels=9.5, make=lambda k: velocity(k, east=9.0 + 0.02 * k, north=1.0, up=0.1)).at(at(50))
+    assert result.metres == pytest.approx([5.0 * 9.5, 5.0, 0.5])
+    assert result.since_ns == at(0)
+    assert result.yaw_rad == pytest.approx(0.0)
+    assert result.checked
 
 
 def test_its_covariance_is_that_of_draws_of_errors_that_are_alike_for_a_while():
@@ -62,16 +62,16 @@ def test_its_covariance_is_that_of_draws_of_errors_that_are_alike_for_a_while():
         later = rho * error + math.sqrt(1.0 - rho**2) * rng.normal(0.0, sigma, n)
         metres += 0.05 * (error + later)
         error = later
-    found = driven(steps=steps).at(at(steps))
-    assert found.covariance_m2 == pytest.approx(metres.var() * np.eye(3), rel=0.04, abs=1e-12)
+    result = driven(steps=steps).at(at(steps))
+    assert result.covariance_m2 == pytest.approx(metres.var() * np.eye(3), rel=0.04, abs=1e-12)
 
 
 @pytest.mark.parametrize("correlation_s", [0.3, 1.0, 5.0])
 def test_one_step_is_as_unsure_as_the_mean_velocity_and_the_errors_it_keeps(correlation_s):
     rules = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0, correlation_s=correlation_s)
-    found = driven(rules, 1).at(at(1)).covariance_m2
+    result = driven(rules, 1).at(at(1)).covariance_m2
     rho = math.exp(-0.1 / correlation_s)
-    assert found == pytest.approx(0.5 * 0.1**2 * (1.0 + rho) * 0.05**2 * np.eye(3))
+    assert result == pytest.approx(0.5 * 0.1**2 * (1.0 + rho) * 0.05**2 * np.eye(3))
 
 
 @pytest.mark.parametrize("correlation_s", [0.3, 5.0])
@@ -125,9 +125,9 @@ def test_the_claimed_covariance_is_scaled_and_has_a_floor():
 
 def test_between_velocities_it_is_moved_on_and_less_sure():
     position = driven(steps=10)
-    found = position.at(at(12))
-    assert found.metres == pytest.approx([12.0, 0.0, 0.0])
-    assert found.covariance_m2[0, 0] > position.at(at(10)).covariance_m2[0, 0]
+    result = position.at(at(12))
+    assert result.metres == pytest.approx([12.0, 0.0, 0.0])
+    assert result.covariance_m2[0, 0] > position.at(at(10)).covariance_m2[0, 0]
     assert position.at(at(9)).metres == pytest.approx([9.0, 0.0, 0.0])
 
 
@@ -137,14 +137,14 @@ def test_between_velocities_it_is_as_unsure_as_the_last_one_and_what_a_vehicle_m
     steps, ahead_s
 ):
     """P + |t| (X + Xᵀ) + t² V, and half of a t² with a = 3 m/s²."""
-    found = driven(steps=steps).at(at(steps + ahead_s / 0.1))
+    result = driven(steps=steps).at(at(steps + ahead_s / 0.1))
     if steps == 0 and ahead_s < 0.0:
-        assert found is None
+        assert result is None
         return
     rho, v = math.exp(-0.1), 0.05**2
     p, x = (0.0, 0.0) if steps == 0 else (0.005 * (1.0 + rho) * v, 0.05 * (rho * v + v))
     expected = p + 2.0 * abs(ahead_s) * x + ahead_s**2 * v + (0.5 * 3.0 * ahead_s**2) ** 2
-    assert found.covariance_m2 == pytest.approx(expected * np.eye(3))
+    assert result.covariance_m2 == pytest.approx(expected * np.eye(3))
 
 
 def test_what_ends_among_the_velocities_that_are_here_already_ends_it():
@@ -155,26 +155,26 @@ def test_what_ends_among_the_velocities_that_are_here_already_ends_it():
 
 def test_a_wheel_speed_that_comes_late_is_of_no_use():
     position = DopplerPosition(PLAIN)
-    position.hear_velocity(velocity(0))
+    position.add_velocity(velocity(0))
     for k, wheels in ((0, 10.0), (2, 10.0), (1, 100.0)):
-        position.hear_speed(at(k), wheels)
+        position.add_wheel_speed(at(k), wheels)
     position.begin(at(0))
-    position.hear_velocity(velocity(1))
+    position.add_velocity(velocity(1))
     assert position.at(at(1)) is not None
 
 
 def test_a_velocity_that_claims_to_be_exact_is_as_good_as_the_floor():
     exact = {"covariance_enu_m2_s2": (0.0,) * 6}
-    found = driven(DopplerRules(), 1, make=lambda k: velocity(k, **exact)).at(at(1))
+    result = driven(DopplerRules(), 1, make=lambda k: velocity(k, **exact)).at(at(1))
     floor = DopplerRules(sigma_scale=1.0, sigma_floor_m_s=0.0)
     same = driven(floor, 1, make=lambda k: velocity(k, sigma=DopplerRules().sigma_floor_m_s)).at(at(1))
-    assert found.covariance_m2 == pytest.approx(same.covariance_m2)
+    assert result.covariance_m2 == pytest.approx(same.covariance_m2)
 
 
 def test_one_whose_errors_go_wholly_together_is_heard_too():
     one = 0.05**2 * np.ones(6)
-    found = driven(steps=1, make=lambda k: velocity(k, covariance_enu_m2_s2=tuple(one.tolist())))
-    assert found.at(at(1)) is not None
+    result = driven(steps=1, make=lambda k: velocity(k, covariance_enu_m2_s2=tuple(one.tolist())))
+    assert result.at(at(1)) is not None
 
 
 def test_wheels_may_be_off_by_a_share_of_the_path():
@@ -195,7 +195,7 @@ def test_a_verdict_that_comes_late_finds_the_velocities_since():
 
 def test_the_first_velocity_may_come_just_after_the_position():
     position = DopplerPosition(PLAIN)
-    position.hear_velocity(velocity(2))
+    position.add_velocity(velocity(2))
     position.begin(at(0))
     assert position.at(at(2)).metres == pytest.approx([2.0, 0.0, 0.0])
 
@@ -205,13 +205,13 @@ def test_without_a_velocity_near_the_position_there_is_nothing():
     assert position.at(at(0)) is None
     position.begin(at(0))
     assert position.at(at(0)) is None
-    position.hear_velocity(velocity(20))
+    position.add_velocity(velocity(20))
     position.begin(at(0))
     assert position.at(at(20)) is None
     position = driven(begin=None)
     position.begin(at(30))
     assert position.at(at(51)) is not None
-    position.hear_velocity(velocity(58))
+    position.add_velocity(velocity(58))
     position.begin(at(30))
     assert position.at(at(58)) is None
 
@@ -224,7 +224,7 @@ def test_it_ends_when_it_is_too_old_or_velocities_pause():
     assert driven().at(at(53)) is not None
     assert driven().at(at(53.1)) is None
     paused = driven()
-    paused.hear_velocity(velocity(53.1))
+    paused.add_velocity(velocity(53.1))
     assert paused.at(at(53.1)) is None
 
 
@@ -232,7 +232,7 @@ def test_it_ends_on_demand_and_begins_anew_with_the_next_position():
     position = driven()
     position.end()
     assert position.at(at(50)) is None
-    position.hear_velocity(velocity(51))
+    position.add_velocity(velocity(51))
     assert position.at(at(51)) is None
     position.begin(at(51))
     assert position.at(at(51)).metres == pytest.approx([0.0, 0.0, 0.0])
@@ -269,7 +269,7 @@ def test_what_is_not_known_well_upwards_may_climb_so_much_more():
 
 def test_what_began_without_wheels_is_not_checked():
     position = DopplerPosition(PLAIN)
-    position.hear_velocity(velocity(0))
+    position.add_velocity(velocity(0))
     position.begin(at(0))
     assert not position.at(at(0)).checked
 
@@ -293,8 +293,8 @@ def test_slips_one_way_make_up_for_those_the_other_way():
     for first in (0.3, -0.3):
         position = driven(steps=0)
         for k in range(1, 201):
-            position.hear_speed(at(k), 10.0 + (first if k <= 20 else -first if k <= 40 else 0.0))
-            position.hear_velocity(velocity(k))
+            position.add_wheel_speed(at(k), 10.0 + (first if k <= 20 else -first if k <= 40 else 0.0))
+            position.add_velocity(velocity(k))
         assert position.at(at(200)) is not None
 
 
@@ -302,12 +302,12 @@ def test_the_path_goes_on_where_the_wheels_were_silent_for_a_while():
     position = driven(wheels=9.6, steps=20)
     for k in range(21, 200):
         if k > 30:
-            position.hear_speed(at(k), 9.6)
-        position.hear_velocity(velocity(k))
-        found = position.at(at(k))
-        if found is None:
+            position.add_wheel_speed(at(k), 9.6)
+        position.add_velocity(velocity(k))
+        result = position.at(at(k))
+        if result is None:
             break
-        assert found.checked is (k <= 23)
+        assert result.checked is (k <= 23)
     assert position.at(at(199)) is None
 
 
@@ -320,22 +320,22 @@ def test_a_slow_drag_ends_it_by_the_path():
 def test_without_wheels_all_the_time_it_is_not_checked(wheels):
     position = driven(wheels=wheels)
     for k in range(51, 56):
-        position.hear_velocity(velocity(k))
+        position.add_velocity(velocity(k))
     assert not position.at(at(55)).checked
 
 
 def test_what_is_older_than_the_last_is_of_no_use():
     position = driven()
-    position.hear_velocity(velocity(49, east=100.0))
-    position.hear_velocity(velocity(50, east=100.0))
-    position.hear_speed(at(49), 100.0)
-    position.hear_velocity(velocity(51))
+    position.add_velocity(velocity(49, east=100.0))
+    position.add_velocity(velocity(50, east=100.0))
+    position.add_wheel_speed(at(49), 100.0)
+    position.add_velocity(velocity(51))
     assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])
 
 
 def test_a_velocity_whose_covariance_is_none_is_not_heard():
     position = driven()
-    position.hear_velocity(velocity(51, east=12.0, covariance_enu_m2_s2=(1.0, 2.0, 0.0, 1.0, 0.0, 1.0)))
+    position.add_velocity(velocity(51, east=12.0, covariance_enu_m2_s2=(1.0, 2.0, 0.0, 1.0, 0.0, 1.0)))
     assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])
 
 
@@ -352,8 +352,8 @@ def test_what_is_dated_ahead_is_forgotten():
     assert position.at(at(50)) is not None
     position.forget_future(at(40))
     assert position.at(at(40)) is None
-    position.hear_speed(at(41), 10.0)
-    position.hear_velocity(velocity(41))
+    position.add_wheel_speed(at(41), 10.0)
+    position.add_velocity(velocity(41))
     position.begin(at(41))
     assert position.at(at(41)) is not None
 
@@ -362,19 +362,19 @@ def test_what_is_dated_as_late_as_may_be_is_kept():
     position = driven()
     position.forget_future(at(50))
     assert position.at(at(50)) is not None
-    position.hear_velocity(velocity(50, east=100.0))
-    position.hear_speed(at(50), 100.0)
+    position.add_velocity(velocity(50, east=100.0))
+    position.add_wheel_speed(at(50), 100.0)
     position.begin(at(50))
     assert position.at(at(50)).checked
 
 
 def test_a_wheel_speed_dated_ahead_does_not_keep_out_those_of_now():
     position = driven()
-    position.hear_speed(at(70), 10.0)
+    position.add_wheel_speed(at(70), 10.0)
     position.forget_future(at(50))
     for k in range(51, 60):
-        position.hear_speed(at(k), 10.0)
-        position.hear_velocity(velocity(k))
+        position.add_wheel_speed(at(k), 10.0)
+        position.add_velocity(velocity(k))
     assert position.at(at(59)).checked
 
 

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.integrity.epoch_inputs import Situation
+from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judge import Judge
 from camber.integrity.protection.doppler_position import Displacement
 from camber.integrity.protection.fault_hypotheses import (
-    Candidate,
-    Suspicion,
+    LatentFaultHypothesis,
+    PositionCandidate,
     confirmed_fix,
     of_doppler,
     of_pose,
     rests_on_fixes,
 )
-from camber.integrity.protection.position_bounds import LevelRules, Mixture, Part
-from camber.integrity.protection.position_output import Positions
+from camber.integrity.protection.position_bounds import ErrorMixture, LevelRules, MixtureComponent
+from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
 from support.judging import (
@@ -38,16 +38,16 @@ from support.judging import (
 
 RULES, LEVELS = Rules(), LevelRules()
 MATCHED = {"mode": "scan_match", "provenance": "scan_match"}
-BEFORE = Suspicion.before_any(LEVELS.wrong_fix)
+BEFORE = LatentFaultHypothesis.initial(LEVELS.wrong_fix)
 CHANGED = LEVELS.changed_road_prior
-NOTHING = (0.0, 0.0, 0.0)
+NO_OFFSET = (0.0, 0.0, 0.0)
 
 
 def judged(the_pose=None, **off):
     judge = Judge(RULES)
-    judge.heard.hear_pose(the_pose or pose(**MATCHED))
-    judge.heard.hear_antenna(antenna())
-    return replace(judge.examine(fix(**off), ALL), word="confirmed")
+    judge.heard.add_pose(the_pose or pose(**MATCHED))
+    judge.heard.set_antenna_height(antenna())
+    return replace(judge.examine(fix(**off), ALL), verdict="confirmed")
 
 
 def by_fix(judgement, before=BEFORE):
@@ -55,7 +55,7 @@ def by_fix(judgement, before=BEFORE):
 
 
 def by_pose(the_pose, suspicion=BEFORE, correction_m=0.0):
-    return of_pose(Situation(the_pose, antenna(), ALL), correction_m, suspicion, RULES, LEVELS)
+    return of_pose(EpochInputs(the_pose, antenna(), ALL), correction_m, suspicion, RULES, LEVELS)
 
 
 def weights(candidate):
@@ -67,18 +67,22 @@ def weights(candidate):
 
 def test_a_fix_is_where_it_says_unless_it_is_wrong_and_then_the_vehicle_is_where_road_and_pose_say():
     judgement = judged(east_m=0.05, up_m=0.04)
-    found = by_fix(judgement).candidate
-    right, wrong, wrong_on_a_changed_road, pulled = found.mixture.parts
-    assert (found.source, found.time_ns, found.fix_id) == ("rtk", at(0), fix().fix_id)
-    assert found.place == (judgement.fix.latitude_rad, judgement.fix.longitude_rad, judgement.fix.height_m)
-    assert found.yaw_rad == 0.0
+    result = by_fix(judgement).candidate
+    right, wrong, wrong_on_a_changed_road, pulled = result.mixture.parts
+    assert (result.source, result.time_ns, result.fix_id) == ("rtk", at(0), fix().fix_id)
+    assert result.geodetic == (
+        judgement.fix.latitude_rad,
+        judgement.fix.longitude_rad,
+        judgement.fix.height_m,
+    )
+    assert result.yaw_rad == 0.0
     assert by_fix(judged(pose(**MATCHED, yaw_rad=0.7))).candidate.yaw_rad == 0.7
     assert by_fix(replace(judgement, pose=None)).candidate.yaw_rad is None
-    assert sum(weights(found)) == pytest.approx(1.0)
-    assert found.wrong == pytest.approx(1.0 - right.weight)
-    assert found.mixture.lost == pytest.approx(found.wrong * LEVELS.pose_fault_prior)
-    ee, _, _, nn, _, uu = found.covariance_enu_m2
-    assert (right.mean_m, right.horizontal_m2, right.up_m2) == (NOTHING, (ee, 0.0, nn), uu)
+    assert sum(weights(result)) == pytest.approx(1.0)
+    assert result.wrong == pytest.approx(1.0 - right.weight)
+    assert result.mixture.lost == pytest.approx(result.wrong * LEVELS.pose_fault_prior)
+    ee, _, _, nn, _, uu = result.covariance_enu_m2
+    assert (right.mean_m, right.horizontal_m2, right.up_m2) == (NO_OFFSET, (ee, 0.0, nn), uu)
     assert wrong.mean_m == pytest.approx((0.05, 0.0, 0.04), abs=1e-4)
     assert wrong.horizontal_m2 == pytest.approx((0.01, 0.0, 0.01))
     assert wrong_on_a_changed_road.up_m2 == pytest.approx(wrong.up_m2 + LEVELS.changed_road_sigma_m**2)
@@ -95,16 +99,16 @@ def test_if_a_fix_is_wrong_the_height_is_that_of_road_and_antenna_but_no_surer_t
 
 def test_errors_of_a_fix_that_go_together_stay_together_where_it_is_right():
     covariance = (4e-4, 1e-4, 5e-5, 5e-4, 2e-5, 6e-4)
-    found = by_fix(judged(covariance_enu_m2=covariance)).candidate
-    ee, en, _, nn, _, _ = found.covariance_enu_m2
-    assert found.mixture.parts[0].horizontal_m2 == (ee, en, nn)
+    result = by_fix(judged(covariance_enu_m2=covariance)).candidate
+    ee, en, _, nn, _, _ = result.covariance_enu_m2
+    assert result.mixture.parts[0].horizontal_m2 == (ee, en, nn)
     assert en == pytest.approx(RULES.true_sigma.scale**2 * 1e-4)
 
 
 @pytest.mark.parametrize("off", [{"east_m": 2.0}, {"north_m": 2.0}], ids=str)
 def test_a_provisional_pose_says_nothing_against_a_fix_beside_it_along_either_axis(off):
-    aside = by_fix(judged(provisional(), satellites=16, **off)).candidate.wrong
-    assert aside == pytest.approx(by_fix(judged(provisional(), satellites=16)).candidate.wrong, rel=0.01)
+    horizontal = by_fix(judged(provisional(), satellites=16, **off)).candidate.wrong
+    assert horizontal == pytest.approx(by_fix(judged(provisional(), satellites=16)).candidate.wrong, rel=0.01)
     assert by_fix(judged(satellites=16, **off)).candidate.wrong > 0.999, "a matched one does"
 
 
@@ -117,27 +121,27 @@ def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is
         heard = replace(compared, difference_m=difference_m, covariance_m2=covariance_m2)
         return by_fix(replace(judged(), comparison=heard)).candidate
 
-    found = with_height(up_m, variance_m2)
-    assert found.wrong == pytest.approx(with_height(0.0, 1e6).wrong, rel=1e-9), "as one known to a kilometre"
-    assert found.mixture.parts[1].mean_m == NOTHING
-    assert found.mixture.parts[1].up_m2 == pytest.approx(LEVELS.wrong_fix.second_moment_m2[1])
+    result = with_height(up_m, variance_m2)
+    assert result.wrong == pytest.approx(with_height(0.0, 1e6).wrong, rel=1e-9), "as one known to a kilometre"
+    assert result.mixture.parts[1].mean_m == NO_OFFSET
+    assert result.mixture.parts[1].up_m2 == pytest.approx(LEVELS.wrong_fix.second_moment_m2[1])
 
 
 @pytest.mark.parametrize(("mean_m", "horizontal_m2"), [((3.0, 1.0, 2.0), 9.04), ((1.0, -3.0, 2.0), 9.09)])
 def test_a_suspicion_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
     """Nothing was suspected before: what is suspected then is what the fix may be."""
-    wrong = Part(1.0, mean_m, (0.04, 0.0, 0.09), 0.25)
-    found = Suspicion(at(0), 0.0, 1.0, 1.0).after(at(1), 0.5, wrong, LEVELS.wrong_fix)
-    assert (found.horizontal_m2, found.up_m2) == pytest.approx((horizontal_m2, 4.25))
-    unsuspected = Suspicion(at(0), 0.0, 1.0, 1.0).after(at(1), 0.0, wrong, LEVELS.wrong_fix)
+    wrong = MixtureComponent(1.0, mean_m, (0.04, 0.0, 0.09), 0.25)
+    result = LatentFaultHypothesis(at(0), 0.0, 1.0, 1.0).after(at(1), 0.5, wrong, LEVELS.wrong_fix)
+    assert (result.horizontal_m2, result.up_m2) == pytest.approx((horizontal_m2, 4.25))
+    unsuspected = LatentFaultHypothesis(at(0), 0.0, 1.0, 1.0).after(at(1), 0.0, wrong, LEVELS.wrong_fix)
     assert (unsuspected.odds, unsuspected.horizontal_m2, unsuspected.up_m2) == (0.0, 1.0, 1.0)
 
 
 def test_of_a_fix_that_was_compared_with_nothing_only_its_prior_is_known():
-    found = by_fix(replace(judged(), comparison=None)).candidate
+    result = by_fix(replace(judged(), comparison=None)).candidate
     horizontal_m2, up_m2 = LEVELS.wrong_fix.second_moment_m2
-    wrong = found.mixture.parts[1]
-    assert (wrong.mean_m, wrong.horizontal_m2) == (NOTHING, (horizontal_m2, 0.0, horizontal_m2))
+    wrong = result.mixture.parts[1]
+    assert (wrong.mean_m, wrong.horizontal_m2) == (NO_OFFSET, (horizontal_m2, 0.0, horizontal_m2))
     assert wrong.up_m2 == pytest.approx(up_m2)
 
 
@@ -150,7 +154,7 @@ def test_what_was_suspected_before_stands_behind_the_next_fix_as_it_fades():
     ee, _, _, nn, _, uu = second.covariance_enu_m2
     assert pulled.horizontal_m2 == pytest.approx((first.horizontal_m2 + ee, 0.0, first.horizontal_m2 + nn))
     assert pulled.up_m2 == pytest.approx(first.up_m2 + uu)
-    assert pulled.mean_m == NOTHING
+    assert pulled.mean_m == NO_OFFSET
     assert sum(weights(second)) == pytest.approx(1.0)
 
 
@@ -159,35 +163,35 @@ def test_what_was_suspected_before_stands_behind_the_next_fix_as_it_fades():
 
 def test_by_doppler_it_has_come_so_far_and_is_so_much_less_sure():
     parts = (
-        Part(0.9, NOTHING, (0.01, 0.002, 0.02), 0.03),
-        Part(0.1, (1.0, 2.0, 3.0), (0.1, 0.0, 0.2), 0.3),
+        MixtureComponent(0.9, NO_OFFSET, (0.01, 0.002, 0.02), 0.03),
+        MixtureComponent(0.1, (1.0, 2.0, 3.0), (0.1, 0.0, 0.2), 0.3),
     )
-    base = Candidate(
+    base = PositionCandidate(
         "rtk",
         at(0),
         (LATITUDE_RAD, LONGITUDE_RAD, 100.0),
         (0.01, 0.002, 0.003, 0.02, 0.004, 0.03),
         0.5,
-        Mixture(parts, 1e-9),
+        ErrorMixture(parts, 1e-9),
         0.1,
         17,
     )
     p = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]])
     moved = Displacement(at(0), np.array([30.0, -40.0, 1.5]), p, 0.7, True)
-    found = of_doppler(base, moved, at(5), LEVELS)
+    result = of_doppler(base, moved, at(5), LEVELS)
     frame = LocalFrame(LATITUDE_RAD, LONGITUDE_RAD, 100.0)
     there = frame.geodetic_from_east_north(30.0, -40.0, 101.5)
-    assert found.place[:2] == pytest.approx(there[:2], abs=1e-10)  # a millimetre
-    assert found.place[2] == pytest.approx(101.5)
-    assert (found.source, found.time_ns, found.yaw_rad) == ("doppler", at(5), 0.7)
-    assert (found.wrong, found.fix_id) == (0.1, 17)
-    assert found.covariance_enu_m2 == pytest.approx((1.01, 0.102, 0.203, 2.02, 0.304, 3.03))
-    assert [part.weight for part in found.mixture.parts] == [0.9, 0.1]
-    assert [part.mean_m for part in found.mixture.parts] == [NOTHING, (1.0, 2.0, 3.0)]
-    assert found.mixture.parts[0].horizontal_m2 == pytest.approx((1.01, 0.102, 2.02))
-    assert found.mixture.parts[1].horizontal_m2 == pytest.approx((1.1, 0.1, 2.2))
-    assert [part.up_m2 for part in found.mixture.parts] == pytest.approx([3.03, 3.3])
-    assert found.mixture.lost == pytest.approx(1e-9 + LEVELS.pose_fault_prior)
+    assert result.geodetic[:2] == pytest.approx(there[:2], abs=1e-10)  # a millimetre
+    assert result.geodetic[2] == pytest.approx(101.5)
+    assert (result.source, result.time_ns, result.yaw_rad) == ("doppler", at(5), 0.7)
+    assert (result.wrong, result.fix_id) == (0.1, 17)
+    assert result.covariance_enu_m2 == pytest.approx((1.01, 0.102, 0.203, 2.02, 0.304, 3.03))
+    assert [part.weight for part in result.mixture.parts] == [0.9, 0.1]
+    assert [part.mean_m for part in result.mixture.parts] == [NO_OFFSET, (1.0, 2.0, 3.0)]
+    assert result.mixture.parts[0].horizontal_m2 == pytest.approx((1.01, 0.102, 2.02))
+    assert result.mixture.parts[1].horizontal_m2 == pytest.approx((1.1, 0.1, 2.2))
+    assert [part.up_m2 for part in result.mixture.parts] == pytest.approx([3.03, 3.3])
+    assert result.mixture.lost == pytest.approx(1e-9 + LEVELS.pose_fault_prior)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -198,8 +202,8 @@ def test_by_doppler_and_by_the_pose_it_must_be_within_what_both_know_along_each_
     sigma_m[axis] = 3.0
     off_m = [0.0, 0.0]
     off_m[axis] = sigmas * 3.0
-    positions = Positions(RULES, LEVELS)
-    positions.hear_velocity(
+    positions = PositionOutput(RULES, LEVELS)
+    positions.add_velocity(
         SatelliteVelocity(
             time_ns=at(0),
             velocity_enu_m_s=(10.0, 0.0, 0.0),
@@ -209,17 +213,17 @@ def test_by_doppler_and_by_the_pose_it_must_be_within_what_both_know_along_each_
             heading_rad=math.pi / 2.0,
         )
     )
-    positions.hear_speed(at(0), 10.0)
-    positions.confirmed(judged(), 0.0, Situation(pose(**MATCHED), antenna(), ALL))
-    aside = fix(east_m=off_m[0], north_m=off_m[1])
+    positions.add_wheel_speed(at(0), 10.0)
+    positions.confirmed(judged(), 0.0, EpochInputs(pose(**MATCHED), antenna(), ALL))
+    horizontal = fix(east_m=off_m[0], north_m=off_m[1])
     there = pose(
         **MATCHED,
-        latitude_rad=aside.latitude_rad,
-        longitude_rad=aside.longitude_rad,
+        latitude_rad=horizontal.latitude_rad,
+        longitude_rad=horizontal.longitude_rad,
         covariance_east_north_yaw=(sigma_m[0] ** 2, 0.0, 0.0, sigma_m[1] ** 2, 0.0, 1e-4),
     )
-    found = positions.at(at(0), Situation(there, antenna(), ALL), 0.0)
-    assert (found.source == "doppler") == goes_on
+    result = positions.at(at(0), EpochInputs(there, antenna(), ALL), 0.0)
+    assert (result.source == "doppler") == goes_on
 
 
 # --- of a pose ----------------------------------------------------------------------------------------------------
@@ -243,30 +247,30 @@ def test_a_pose_rests_on_fixes_where_any_of_it_says_so(changes, rests):
 
 def test_a_pose_that_rests_on_no_fix_is_off_by_its_own_errors_alone_on_the_road_or_one_that_has_changed():
     covariance = (0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)
-    found = by_pose(pose(**MATCHED, covariance_east_north_yaw=covariance, yaw_rad=0.3), correction_m=0.02)
-    as_surveyed, changed = found.mixture.parts
-    assert (found.source, found.time_ns, found.yaw_rad, found.wrong) == ("scan_match", at(0), 0.3, None)
-    assert found.place[2] == pytest.approx(ROAD_M + ANTENNA_M + 0.02)
+    result = by_pose(pose(**MATCHED, covariance_east_north_yaw=covariance, yaw_rad=0.3), correction_m=0.02)
+    as_surveyed, changed = result.mixture.parts
+    assert (result.source, result.time_ns, result.yaw_rad, result.wrong) == ("scan_match", at(0), 0.3, None)
+    assert result.geodetic[2] == pytest.approx(ROAD_M + ANTENNA_M + 0.02)
     up_m2 = 0.03**2 + 0.02**2
-    assert found.covariance_enu_m2 == pytest.approx((0.04, 0.01, 0.0, 0.09, 0.0, up_m2))
-    assert weights(found) == pytest.approx([1.0 - CHANGED, CHANGED])
-    assert [part.mean_m for part in found.mixture.parts] == [NOTHING, NOTHING]
+    assert result.covariance_enu_m2 == pytest.approx((0.04, 0.01, 0.0, 0.09, 0.0, up_m2))
+    assert weights(result) == pytest.approx([1.0 - CHANGED, CHANGED])
+    assert [part.mean_m for part in result.mixture.parts] == [NO_OFFSET, NO_OFFSET]
     assert as_surveyed.horizontal_m2 == changed.horizontal_m2 == (0.04, 0.01, 0.09)
     assert as_surveyed.up_m2 == pytest.approx(up_m2)
     assert changed.up_m2 == pytest.approx(up_m2 + LEVELS.changed_road_sigma_m**2)
-    assert found.mixture.lost == LEVELS.pose_fault_prior
+    assert result.mixture.lost == LEVELS.pose_fault_prior
 
 
 def test_one_that_does_may_have_been_pulled_along_but_its_height_is_that_of_the_road():
-    suspicion = Suspicion(at(-1), 0.25, 4.0, 9.0)
-    found = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), suspicion)
-    alone, _, pulled, _ = found.mixture.parts
-    assert found.source == "sensors"
-    assert found.wrong == pytest.approx(0.2)
-    assert weights(found) == pytest.approx(
+    suspicion = LatentFaultHypothesis(at(-1), 0.25, 4.0, 9.0)
+    result = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), suspicion)
+    alone, _, pulled, _ = result.mixture.parts
+    assert result.source == "sensors"
+    assert result.wrong == pytest.approx(0.2)
+    assert weights(result) == pytest.approx(
         [0.8 * (1 - CHANGED), 0.8 * CHANGED, 0.2 * (1 - CHANGED), 0.2 * CHANGED]
     )
-    assert [part.mean_m for part in found.mixture.parts] == [NOTHING] * 4
+    assert [part.mean_m for part in result.mixture.parts] == [NO_OFFSET] * 4
     assert pulled.horizontal_m2 == pytest.approx((4.04, 0.01, 4.09))
     assert pulled.up_m2 == alone.up_m2
 
@@ -277,16 +281,16 @@ def test_where_the_road_is_not_known_neither_is_the_height():
         road(slope_north=None),
         road(status="unknown", reason="no_surface"),
     ):
-        found = by_pose(pose(**MATCHED, road=unknown))
-        assert found.place[2] is None
-        assert all(part.up_m2 == math.inf for part in found.mixture.parts)
-        assert found.covariance_enu_m2[5] == 1e6
+        result = by_pose(pose(**MATCHED, road=unknown))
+        assert result.geodetic[2] is None
+        assert all(part.up_m2 == math.inf for part in result.mixture.parts)
+        assert result.covariance_enu_m2[5] == 1e6
 
 
 def test_on_a_slope_the_height_shares_the_error_of_the_place_also_where_east_and_north_go_together():
     sloping = road(slope_east=0.1, slope_north=-0.2)
-    found = by_pose(
+    result = by_pose(
         pose(**MATCHED, road=sloping, covariance_east_north_yaw=(0.04, 0.02, 0.0, 0.09, 0.0, 1e-4))
     )
-    along, place = np.array([0.1, -0.2]), np.array([[0.04, 0.02], [0.02, 0.09]])
-    assert found.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + along @ place @ along)
+    along, geodetic = np.array([0.1, -0.2]), np.array([[0.04, 0.02], [0.02, 0.09]])
+    assert result.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + along @ geodetic @ along)

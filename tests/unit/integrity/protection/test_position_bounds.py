@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.protection.position_bounds import (
+    ErrorMixture,
     IndexRules,
     LevelRules,
-    Mixture,
-    Part,
+    MixtureComponent,
     bounds_of,
     is_beyond,
 )
@@ -26,12 +26,14 @@ SLACK = 1.0 + 5e-4
 
 
 def normal(s, up=0.05, rho=0.0, ratio=1.0):
-    return Mixture((Part(1.0, (0.0, 0.0, 0.0), (s * s, rho * s * s * ratio, (s * ratio) ** 2), up * up),))
+    return ErrorMixture(
+        (MixtureComponent(1.0, (0.0, 0.0, 0.0), (s * s, rho * s * s * ratio, (s * ratio) ** 2), up * up),)
+    )
 
 
 def with_wrong(w, s=0.055, offset=0.3, pose=0.1):
-    wrong = Part(w, (offset, 0.0, 0.1), (pose * pose, 0.0, pose * pose), 0.05**2)
-    return Mixture((replace(normal(s).parts[0], weight=1.0 - w), wrong), w * 1e-8)
+    wrong = MixtureComponent(w, (offset, 0.0, 0.1), (pose * pose, 0.0, pose * pose), 0.05**2)
+    return ErrorMixture((replace(normal(s).parts[0], weight=1.0 - w), wrong), w * 1e-8)
 
 
 def of(mixture, rules=RULES):
@@ -50,9 +52,9 @@ def test_of_independent_draws_the_ellipses_hold_what_they_promise_and_little_mor
     (part,) = normal(s, rho=rho, ratio=ratio).parts
     ee, en, nn = part.horizontal_m2
     errors = rng.multivariate_normal([0.0, 0.0], [[ee, en], [en, nn]], 400_000)
-    found = of(Mixture((part,)))
-    assert 0.990 <= 1.0 - outside(found, errors, found.semi_major_99_m, found.semi_minor_99_m) <= 0.995
-    assert 0.9990 <= 1.0 - outside(found, errors, found.semi_major_999_m, found.semi_minor_999_m) <= 0.9997
+    result = of(ErrorMixture((part,)))
+    assert 0.990 <= 1.0 - outside(result, errors, result.semi_major_99_m, result.semi_minor_99_m) <= 0.995
+    assert 0.9990 <= 1.0 - outside(result, errors, result.semi_major_999_m, result.semi_minor_999_m) <= 0.9997
 
 
 @pytest.mark.parametrize("w", [0.0, 0.002, 0.05])
@@ -60,12 +62,12 @@ def test_with_wrong_fixes_among_the_draws_they_still_hold(w):
     rng, n = np.random.default_rng(22), 400_000
     wrong = rng.random(n) < w
     errors = np.where(wrong[:, None], rng.normal((0.3, 0.0), 0.1, (n, 2)), rng.normal(0.0, 0.055, (n, 2)))
-    found = of(with_wrong(w))
+    result = of(with_wrong(w))
     for risk, major, minor in (
-        (0.01, found.semi_major_99_m, found.semi_minor_99_m),
-        (0.001, found.semi_major_999_m, found.semi_minor_999_m),
+        (0.01, result.semi_major_99_m, result.semi_minor_99_m),
+        (0.001, result.semi_major_999_m, result.semi_minor_999_m),
     ):
-        assert outside(found, errors, major, minor) <= risk + 4.0 * math.sqrt(risk / n)
+        assert outside(result, errors, major, minor) <= risk + 4.0 * math.sqrt(risk / n)
 
 
 @pytest.mark.parametrize("pose", [0.05, 0.10])
@@ -119,15 +121,15 @@ def test_what_no_bound_covers_is_taken_from_the_risk():
 
 def test_a_height_that_is_not_known_has_no_level_and_takes_nothing_from_the_others():
     (part,) = normal(0.1).parts
-    found = of(Mixture((replace(part, up_m2=math.inf),)))
-    assert found.vertical_level_m == math.inf
-    assert found.horizontal_level_m == of(normal(0.1)).horizontal_level_m
+    result = of(ErrorMixture((replace(part, up_m2=math.inf),)))
+    assert result.vertical_level_m == math.inf
+    assert result.horizontal_level_m == of(normal(0.1)).horizontal_level_m
 
 
 def test_a_position_that_is_sure_in_one_direction_has_bounds_all_the_same():
-    found = of(Mixture((Part(1.0, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0), 0.01),)))
-    assert found.horizontal_level_m == pytest.approx(1.03 * 0.2 * 5.327, rel=1e-3)
-    assert 0.0 < found.semi_minor_99_m < 1e-3
+    result = of(ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0), 0.01),)))
+    assert result.horizontal_level_m == pytest.approx(1.03 * 0.2 * 5.327, rel=1e-3)
+    assert 0.0 < result.semi_minor_99_m < 1e-3
 
 
 def test_several_positions_are_bounded_each_by_itself():
@@ -139,9 +141,9 @@ def test_several_positions_are_bounded_each_by_itself():
 
 def test_a_part_that_is_told_in_two_is_the_same_part():
     (part,) = normal(0.1).parts
-    other = Part(0.1, (0.5, 0.0, 0.0), (0.02, 0.0, 0.02), 1e-4)
+    other = MixtureComponent(0.1, (0.5, 0.0, 0.0), (0.02, 0.0, 0.02), 1e-4)
     half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
-    whole, told = Mixture((replace(part, weight=0.9), other)), Mixture((half, other, rest))
+    whole, told = ErrorMixture((replace(part, weight=0.9), other)), ErrorMixture((half, other, rest))
     assert of(told).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
     assert of(told).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
 
@@ -151,8 +153,8 @@ def test_draws_of_errors_that_lie_aside_and_are_wider_one_way_exceed_the_level_a
     rules = replace(RULES, integrity_risk=0.01, horizontal_margin=1.0)
     for east_m, north_m in ((0.5, 0.2), (1.0, 1.0), (-0.4, 0.4)):
         errors = rng.multivariate_normal([east_m, north_m], [[0.25, 0.1], [0.1, 0.09]], n)
-        aside = Part(1.0, (east_m, north_m, 0.0), (0.25, 0.1, 0.09), 0.01)
-        share = (np.hypot(*errors.T) > of(Mixture((aside,)), rules).horizontal_level_m).mean()
+        horizontal = MixtureComponent(1.0, (east_m, north_m, 0.0), (0.25, 0.1, 0.09), 0.01)
+        share = (np.hypot(*errors.T) > of(ErrorMixture((horizontal,)), rules).horizontal_level_m).mean()
         assert 0.94 * 0.01 <= share <= 0.01 + 4.0 * math.sqrt(0.01 / n)
 
 
@@ -160,17 +162,17 @@ def test_draws_of_errors_that_lie_aside_and_are_wider_one_way_exceed_the_level_a
     "horizontal_m2", [(-1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (1.0, 2.0, 1.0), (math.nan, 0.0, 1.0)]
 )
 def test_what_is_no_covariance_has_no_bounds_and_is_none_of_a_position_that_is_right(horizontal_m2):
-    found = of(
-        Mixture(
+    result = of(
+        ErrorMixture(
             (
-                Part(0.5, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.01),
-                Part(0.5, (0.0, 0.0, 0.0), horizontal_m2, 0.01),
+                MixtureComponent(0.5, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.01),
+                MixtureComponent(0.5, (0.0, 0.0, 0.0), horizontal_m2, 0.01),
             )
         )
     )
-    assert found.horizontal_level_m == found.semi_major_99_m == math.inf, "not beside others"
+    assert result.horizontal_level_m == result.semi_major_99_m == math.inf, "not beside others"
     with pytest.raises(ValueError, match="is not positive semidefinite"):
-        of(Mixture((Part(1.0, (0.0, 0.0, 0.0), horizontal_m2, 0.01),)))
+        of(ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), horizontal_m2, 0.01),)))
 
 
 @exactly
@@ -187,7 +189,9 @@ def test_a_level_far_beyond_is_seen_without_finding_it():
     assert is_beyond(replace(normal(0.1), lost=1.0), 1e6, RULES)
     assert not is_beyond(normal(0.1), 0.6, RULES)
     assert not is_beyond(normal(0.1), math.inf, RULES)
-    assert not is_beyond(Mixture((Part(1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),)), 0.0, RULES)
+    assert not is_beyond(
+        ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),)), 0.0, RULES
+    )
 
 
 def turned(mixture, angle_rad):
@@ -199,22 +203,22 @@ def turned(mixture, angle_rad):
         covariance = turn @ np.array([[ee, en], [en, nn]]) @ turn.T
         mean = turn @ [east_m, north_m]
         parts.append(
-            Part(
+            MixtureComponent(
                 part.weight,
                 (float(mean[0]), float(mean[1]), up_m),
                 (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
                 part.up_m2,
             )
         )
-    return Mixture(tuple(parts), mixture.lost)
+    return ErrorMixture(tuple(parts), mixture.lost)
 
 
 @exactly
 @given(st.floats(-3.0, 3.0), st.floats(0.0, 1.5), st.floats(-1.0, 1.0))
 def test_no_direction_is_special(angle_rad, offset, slant):
-    right = Part(0.99, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0025), 0.01)
-    wrong = Part(0.01, (offset, 0.5 * offset, 0.2), (0.09, 0.02 * slant, 0.01), 0.04)
-    mixture = Mixture((right, wrong), 1e-9)
+    right = MixtureComponent(0.99, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0025), 0.01)
+    wrong = MixtureComponent(0.01, (offset, 0.5 * offset, 0.2), (0.09, 0.02 * slant, 0.01), 0.04)
+    mixture = ErrorMixture((right, wrong), 1e-9)
     one, other = of(mixture), of(turned(mixture, angle_rad))
     for name in ("semi_major_99_m", "semi_minor_99_m", "semi_major_999_m", "horizontal_level_m"):
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=2e-3)
@@ -225,7 +229,7 @@ def test_no_direction_is_special(angle_rad, offset, slant):
 
 @pytest.mark.parametrize("angle_rad", [0.5, -0.5, math.pi / 4, -math.pi / 4])
 def test_a_level_far_beyond_is_seen_in_any_direction(angle_rad):
-    narrow = Mixture((Part(1.0, (0.0, 0.0, 0.0), (0.25, 0.0, 1e-4), 0.01),))
+    narrow = ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.25, 0.0, 1e-4), 0.01),))
     assert is_beyond(turned(narrow, angle_rad), 2.4, RULES)
     assert not is_beyond(turned(narrow, angle_rad), 3.0, RULES)
 
@@ -284,7 +288,7 @@ def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_fo
 
 
 def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():
-    sure = Part(0.5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
-    wide = Part(0.5, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0), 0.0)
-    assert is_beyond(Mixture((sure, wide)), 1.0, RULES)
-    assert not is_beyond(Mixture((sure, sure)), 1.0, RULES)
+    sure = MixtureComponent(0.5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+    wide = MixtureComponent(0.5, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0), 0.0)
+    assert is_beyond(ErrorMixture((sure, wide)), 1.0, RULES)
+    assert not is_beyond(ErrorMixture((sure, sure)), 1.0, RULES)

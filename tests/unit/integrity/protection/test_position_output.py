@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.epoch_inputs import Situation
-from camber.integrity.judgement import Judgement, verdict_of
-from camber.integrity.protection.covariance_inflation import TrueSigma, with_true_sigma
+from camber.integrity.epoch_inputs import EpochInputs
+from camber.integrity.judgement import FixJudgement, verdict_of
+from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.integrity.protection.position_bounds import LevelRules
-from camber.integrity.protection.position_output import Positions, _distance2, no_position
+from camber.integrity.protection.position_output import PositionOutput, _distance2, unavailable_position
 from camber.integrity.rules import Rules
 from support.judging import ALL, ANTENNA_M, ROAD_M, antenna, at, fix, pose, provisional, road
 
@@ -17,12 +17,12 @@ RULES = Rules()
 
 
 def right(the_fix=None, **changes):
-    return Judgement(the_fix or fix(), "confirmed", "height_agrees", pose=pose(), **changes)
+    return FixJudgement(the_fix or fix(), "confirmed", "height_agrees", pose=pose(), **changes)
 
 
 def from_pose(the_pose, the_antenna=None, *, correction_m=0.0, alive=ALL):
-    situation = Situation(the_pose, the_antenna, alive)
-    return Positions(RULES, LevelRules()).at(the_pose.time_ns, situation, correction_m)
+    inputs = EpochInputs(the_pose, the_antenna, alive)
+    return PositionOutput(RULES, LevelRules()).at(the_pose.time_ns, inputs, correction_m)
 
 
 # --- poses -------------------------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def test_a_provisional_pose_or_one_of_no_use_gives_no_position(the_pose, reason)
 
 
 def test_the_word_that_there_is_none_has_no_place():
-    position = no_position(at(0), "localizer_absent", RULES)
+    position = unavailable_position(at(0), "localizer_absent", RULES)
     assert not position.usable
     assert position.reason == "localizer_absent"
     assert position.latitude_rad is position.height_m is position.covariance_enu_m2 is None
@@ -98,9 +98,9 @@ def test_the_word_that_there_is_none_has_no_place():
 # --- verdicts ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("word", ["unknown", "erroneous"])
-def test_a_verdict_that_confirms_nothing_has_no_position(word):
-    verdict = verdict_of(Judgement(fix(), word, "none", pose=pose()), TrueSigma())
+@pytest.mark.parametrize("verdict", ["unknown", "erroneous"])
+def test_a_verdict_that_confirms_nothing_has_no_position(verdict):
+    verdict = verdict_of(FixJudgement(fix(), verdict, "none", pose=pose()), TrueSigma())
     assert (
         verdict.latitude_rad is verdict.longitude_rad is verdict.height_m is verdict.covariance_enu_m2 is None
     )
@@ -112,12 +112,12 @@ def test_a_verdict_that_confirms_has_the_position_with_its_true_covariance():
     verdict = verdict_of(right(), TrueSigma())
     assert (verdict.latitude_rad, verdict.longitude_rad) == (fix().latitude_rad, fix().longitude_rad)
     assert verdict.height_m == fix().height_m
-    assert verdict.covariance_enu_m2 == with_true_sigma(fix().covariance_enu_m2, TrueSigma())
+    assert verdict.covariance_enu_m2 == inflate_covariance(fix().covariance_enu_m2, TrueSigma())
     assert verdict.fix_id == fix().fix_id
 
 
 def test_a_verdict_without_pose_or_covariance_says_so():
-    verdict = verdict_of(Judgement(fix(covariance_enu_m2=None), "confirmed", "none"), TrueSigma())
+    verdict = verdict_of(FixJudgement(fix(covariance_enu_m2=None), "confirmed", "none"), TrueSigma())
     assert verdict.surface_id is verdict.map_version is verdict.latitude_rad is None
     assert verdict.height_difference_m is verdict.tolerance_m is None
 
@@ -136,5 +136,5 @@ def test_how_far_two_positions_are_apart_is_told_by_what_both_know_of_the_plane_
     covariances = [np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T for root in (one, other)]
     plane = sum(covariances)[:2, :2] + 0.1**2 * np.eye(2)
     apart = np.array([east_m, north_m])
-    found = _distance2(east_m, north_m, *(tuple(c[np.triu_indices(3)].tolist()) for c in covariances))
-    assert found == pytest.approx(apart @ np.linalg.inv(plane) @ apart, rel=1e-6, abs=1e-9)
+    result = _distance2(east_m, north_m, *(tuple(c[np.triu_indices(3)].tolist()) for c in covariances))
+    assert result == pytest.approx(apart @ np.linalg.inv(plane) @ apart, rel=1e-6, abs=1e-9)

@@ -9,13 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.integrity.epoch_inputs import Situation
+from camber.integrity.epoch_inputs import EpochInputs
 from camber.integrity.judge import Judge
-from camber.integrity.judgement import Judgement
-from camber.integrity.protection.fault_hypotheses import MatchedPlaces, Suspicion, confirmed_fix
+from camber.integrity.judgement import FixJudgement
+from camber.integrity.protection.fault_hypotheses import (
+    LatentFaultHypothesis,
+    MatchCorroboration,
+    confirmed_fix,
+)
 from camber.integrity.protection.fault_hypotheses import of_pose as candidate_of_pose
 from camber.integrity.protection.position_bounds import LevelRules, bounds_of
-from camber.integrity.protection.position_output import Positions
+from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.protection.wrong_fix_probability import WrongFixRules
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import SatelliteVelocity
@@ -52,46 +56,46 @@ def velocity(epoch, east=SPEED_M_S, north=0.0, **changes):
     return SatelliteVelocity(**(fields | changes))
 
 
-def situation(the_pose=None, the_antenna=None, alive=ALL):
-    return Situation(the_pose, the_antenna, alive)
+def inputs(the_pose=None, the_antenna=None, alive=ALL):
+    return EpochInputs(the_pose, the_antenna, alive)
 
 
 def judged(the_pose, the_fix=None, trials=1):
     judge = Judge(RULES)
-    judge.heard.hear_pose(the_pose)
-    judge.heard.hear_antenna(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judge.heard.add_pose(the_pose)
+    judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     judgement = judge.examine(the_fix or fix(), ALL)
-    return replace(judgement, word="confirmed", trials=trials)
+    return replace(judgement, verdict="confirmed", trials=trials)
 
 
 def confirmed(positions, the_pose=None, the_fix=None, trials=1):
     the_pose = the_pose or pose(**MATCHED)
-    return positions.confirmed(judged(the_pose, the_fix, trials), 0.0, situation(the_pose, antenna()))
+    return positions.confirmed(judged(the_pose, the_fix, trials), 0.0, inputs(the_pose, antenna()))
 
 
 def by_itself(the_fix, trials=1):
     """The candidate that a fix makes beside a matched pose."""
-    before = Suspicion.before_any(LEVELS.wrong_fix)
+    before = LatentFaultHypothesis.initial(LEVELS.wrong_fix)
     return confirmed_fix(judged(pose(**MATCHED), the_fix, trials), before, LEVELS, RULES.true_sigma).candidate
 
 
 def fresh(levels=LEVELS, rules=RULES):
-    return Positions(rules, levels)
+    return PositionOutput(rules, levels)
 
 
 def of_pose(the_pose, the_antenna=None, levels=LEVELS, epoch=0.0, rules=RULES):
-    return fresh(levels, rules).at(at(epoch), situation(the_pose, the_antenna or antenna()), 0.0)
+    return fresh(levels, rules).at(at(epoch), inputs(the_pose, the_antenna or antenna()), 0.0)
 
 
 def driving(epochs=1, levels=LEVELS, **changes):
     """After a confirmed fix, velocities and wheels for some epochs."""
     positions = fresh(levels)
-    positions.hear_velocity(velocity(0))
-    positions.hear_speed(at(0), SPEED_M_S)
+    positions.add_velocity(velocity(0))
+    positions.add_wheel_speed(at(0), SPEED_M_S)
     confirmed(positions)
     for k in range(1, epochs + 1):
-        positions.hear_speed(at(k), SPEED_M_S)
-        positions.hear_velocity(velocity(k, **changes))
+        positions.add_wheel_speed(at(k), SPEED_M_S)
+        positions.add_velocity(velocity(k, **changes))
     return positions
 
 
@@ -104,40 +108,40 @@ def level(position):
 
 
 def test_a_confirmed_fix_that_a_matched_pose_bears_out_is_usable_at_1e_7():
-    found = confirmed(fresh(), the_fix=fix(satellites=16))
-    assert (found.source, found.usable, found.reason, found.fix_id) == ("rtk", True, "none", fix().fix_id)
-    assert found.horizontal_protection_level_m < 1.0
-    assert found.vertical_protection_level_m < 1.0
-    assert 0.0 < found.wrong_fix_probability < 1e-3
-    assert found.integrity_risk == 1e-7
-    assert (found.alert_limit_m, found.vertical_alert_limit_m) == (1.5, 2.0)
-    assert found.semi_major_99_m < found.semi_major_999_m < found.horizontal_protection_level_m
+    result = confirmed(fresh(), the_fix=fix(satellites=16))
+    assert (result.source, result.usable, result.reason, result.fix_id) == ("rtk", True, "none", fix().fix_id)
+    assert result.horizontal_protection_level_m < 1.0
+    assert result.vertical_protection_level_m < 1.0
+    assert 0.0 < result.wrong_fix_probability < 1e-3
+    assert result.integrity_risk == 1e-7
+    assert (result.alert_limit_m, result.vertical_alert_limit_m) == (1.5, 2.0)
+    assert result.semi_major_99_m < result.semi_major_999_m < result.horizontal_protection_level_m
 
 
-@pytest.mark.parametrize("word", ["unknown", "erroneous"])
-def test_any_other_is_refused(word):
-    with pytest.raises(ValueError, match=f"is {word}, not confirmed"):
-        fresh().confirmed(Judgement(fix(), word, "none"), 0.0, situation(pose(), antenna()))
+@pytest.mark.parametrize("verdict", ["unknown", "erroneous"])
+def test_any_other_is_refused(verdict):
+    with pytest.raises(ValueError, match=f"is {verdict}, not confirmed"):
+        fresh().confirmed(FixJudgement(fix(), verdict, "none"), 0.0, inputs(pose(), antenna()))
     with pytest.raises(ValueError, match="not confirmed"):
-        fresh().confirmed(Judgement(fix(covariance_enu_m2=None), "confirmed", "none"), 0.0, situation())
+        fresh().confirmed(FixJudgement(fix(covariance_enu_m2=None), "confirmed", "none"), 0.0, inputs())
 
 
 def test_a_pose_that_knows_nothing_better_than_the_fix_cannot_make_it_usable():
     for the_pose in (pose(sigma_m=2.0, **MATCHED), provisional(), pose(provenance="confirmed")):
-        found = confirmed(fresh(), the_pose)
-        assert found.source == "rtk"
-        assert not found.usable
-        assert found.reason == "position_unverified"
-        assert found.wrong_fix_probability > 1e-3
+        result = confirmed(fresh(), the_pose)
+        assert result.source == "rtk"
+        assert not result.usable
+        assert result.reason == "position_unverified"
+        assert result.wrong_fix_probability > 1e-3
 
 
 @pytest.mark.parametrize(("satellites", "prior"), [(16, 0.1), (10, 0.3), (6, 0.95), (None, 0.95)])
 def test_without_any_comparison_the_prior_of_the_satellites_alone_counts(satellites, prior):
     the_fix = fix(satellites=satellites)
-    found = fresh().confirmed(Judgement(the_fix, "confirmed", "none"), 0.0, situation())
-    assert found.wrong_fix_probability == pytest.approx(prior)
-    assert not found.usable
-    assert found.yaw_rad is None
+    result = fresh().confirmed(FixJudgement(the_fix, "confirmed", "none"), 0.0, inputs())
+    assert result.wrong_fix_probability == pytest.approx(prior)
+    assert not result.usable
+    assert result.yaw_rad is None
 
 
 def test_a_fix_whose_height_was_not_compared_has_only_the_place_to_speak_for_it():
@@ -149,9 +153,9 @@ def test_a_fix_whose_height_was_not_compared_has_only_the_place_to_speak_for_it(
     unheard = replace(
         judgement, comparison=replace(judgement.comparison, difference_m=difference, covariance_m2=vague)
     )
-    found = fresh().confirmed(unheard, 0.0, situation())
-    assert found.wrong_fix_probability > confirmed(fresh()).wrong_fix_probability
-    assert found.vertical_protection_level_m > confirmed(fresh()).vertical_protection_level_m
+    result = fresh().confirmed(unheard, 0.0, inputs())
+    assert result.wrong_fix_probability > confirmed(fresh()).wrong_fix_probability
+    assert result.vertical_protection_level_m > confirmed(fresh()).vertical_protection_level_m
 
 
 @exactly
@@ -166,10 +170,10 @@ def test_a_larger_contradiction_never_lowers_the_probability_or_a_level(east, up
 
 
 def test_a_fix_of_fewer_satellites_is_never_surer_all_else_the_same():
-    found = [by_itself(fix(satellites=count)) for count in (None, *range(4, 20))]
-    wrong = [candidate.wrong for candidate in found]
+    result = [by_itself(fix(satellites=count)) for count in (None, *range(4, 20))]
+    wrong = [candidate.wrong for candidate in result]
     assert wrong == sorted(wrong, reverse=True)
-    bounds = bounds_of([candidate.mixture for candidate in found], LEVELS)
+    bounds = bounds_of([candidate.mixture for candidate in result], LEVELS)
     for less, more in itertools.pairwise(bounds):
         assert less.horizontal_level_m * SLACK >= more.horizontal_level_m
         assert less.vertical_level_m * SLACK >= more.vertical_level_m
@@ -187,9 +191,9 @@ def test_every_trial_is_charged(trials, east):
 
 def test_a_pose_that_is_clearly_better_takes_the_place_of_a_vague_fix():
     vague = fix(covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
-    found = confirmed(fresh(), pose(sigma_m=0.03, **MATCHED), vague)
-    assert found.source == "scan_match"
-    assert found.fix_id is None
+    result = confirmed(fresh(), pose(sigma_m=0.03, **MATCHED), vague)
+    assert result.source == "scan_match"
+    assert result.fix_id is None
 
 
 def beside_a_sharp_pose(up_m, east_m=0.0, **rules):
@@ -218,7 +222,7 @@ def test_where_the_height_of_a_pose_is_not_known_none_contradicts_it():
     the_pose = pose(sigma_m=0.03, road=road(datum=None), **MATCHED)
     vague = fix(covariance_enu_m2=(0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))
     judgement = replace(judged(pose(**MATCHED), vague), pose=the_pose)
-    assert fresh().confirmed(judgement, 0.0, situation(the_pose, antenna())).source == "scan_match"
+    assert fresh().confirmed(judgement, 0.0, inputs(the_pose, antenna())).source == "scan_match"
 
 
 # --- what a wrong fix leaves behind ------------------------------------------------------------------------------
@@ -227,29 +231,29 @@ def test_where_the_height_of_a_pose_is_not_known_none_contradicts_it():
 def test_a_pose_that_confirmed_fixes_anchor_is_no_better_than_they():
     positions = fresh()
     confirmed(positions, pose(sigma_m=2.0, **MATCHED))
-    found = positions.at(at(1), situation(pose(1), antenna(1)), 0.0)
-    assert found.wrong_fix_probability > 1e-4
-    assert level(found) > 1.5
-    assert not found.usable
-    matched = positions.at(at(1), situation(pose(1, **MATCHED), antenna(1)), 0.0)
+    result = positions.at(at(1), inputs(pose(1), antenna(1)), 0.0)
+    assert result.wrong_fix_probability > 1e-4
+    assert level(result) > 1.5
+    assert not result.usable
+    matched = positions.at(at(1), inputs(pose(1, **MATCHED), antenna(1)), 0.0)
     assert matched.usable
     assert matched.wrong_fix_probability is None
 
 
 def test_a_pose_anchored_by_what_is_not_known_here_is_not_usable():
-    found = of_pose(pose())
-    assert found.source == "sensors"
-    assert not found.usable
-    assert found.wrong_fix_probability == pytest.approx(0.1)
+    result = of_pose(pose())
+    assert result.source == "sensors"
+    assert not result.usable
+    assert result.wrong_fix_probability == pytest.approx(0.1)
 
 
 def test_suspicion_fades_with_the_fixes_that_agree_and_not_with_time_alone():
     rules = WrongFixRules()
-    start = Suspicion.before_any(rules)
+    start = LatentFaultHypothesis.initial(rules)
     now = confirmed_fix(judged(provisional()), start, LEVELS, RULES.true_sigma).suspicion
     assert now.odds > 1e-3
-    assert now.lasting(now.time_ns + round(1e10), rules) == pytest.approx(math.exp(-1.0))
-    assert now.lasting(now.time_ns - 1, rules) == 1.0
+    assert now.remaining_share(now.time_ns + round(1e10), rules) == pytest.approx(math.exp(-1.0))
+    assert now.remaining_share(now.time_ns - 1, rules) == 1.0
     later = now
     for k in range(1, 400):
         later = confirmed_fix(judged(pose(k, **MATCHED), fix(k)), later, LEVELS, RULES.true_sigma).suspicion
@@ -263,9 +267,9 @@ def matched(k, **changes):
 
 def heard(poses, start=None, levels=LEVELS):
     """What is left of a suspicion of even odds after poses."""
-    suspicion, places = start or Suspicion(at(0), 1.0, 1.0, 1.0), MatchedPlaces(levels)
+    suspicion, places = start or LatentFaultHypothesis(at(0), 1.0, 1.0, 1.0), MatchCorroboration(levels)
     for the_pose in poses:
-        suspicion = places.hear(the_pose, suspicion)
+        suspicion = places.update(the_pose, suspicion)
     return suspicion.odds
 
 
@@ -289,22 +293,22 @@ def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_afte
 
 
 def test_of_fixes_that_are_not_known_here_no_match_knows_the_time():
-    before = Suspicion.before_any(WrongFixRules())
+    before = LatentFaultHypothesis.initial(WrongFixRules())
     assert heard((matched(k) for k in range(400)), before) == before.odds
 
 
 def test_what_a_match_refutes_is_what_was_suspected_before_it():
     places, old, new = (
-        MatchedPlaces(LEVELS),
-        Suspicion(at(0), 1.0, 1.0, 1.0),
-        Suspicion(at(400), 0.5, 1.0, 1.0),
+        MatchCorroboration(LEVELS),
+        LatentFaultHypothesis(at(0), 1.0, 1.0, 1.0),
+        LatentFaultHypothesis(at(400), 0.5, 1.0, 1.0),
     )
-    places.hear(matched(0), old)
-    assert places.hear(matched(400), old) == old
-    left = old.lasting(at(400), LEVELS.wrong_fix)
+    places.update(matched(0), old)
+    assert places.update(matched(400), old) == old
+    left = old.remaining_share(at(400), LEVELS.wrong_fix)
     grown = replace(new, odds=new.odds + left)
-    found = places.hear(matched(401), grown)
-    assert found.odds == pytest.approx(new.odds + LEVELS.false_match_prior * left)
+    result = places.update(matched(401), grown)
+    assert result.odds == pytest.approx(new.odds + LEVELS.false_match_prior * left)
 
 
 def test_a_drive_that_began_with_fixes_alone_is_usable_once_matches_have_borne_it_out():
@@ -314,8 +318,8 @@ def test_a_drive_that_began_with_fixes_alone_is_usable_once_matches_have_borne_i
         confirmed(positions, provisional())
         for k in range(1, 450):
             the_pose = kind(k, sigma_m=0.05)
-            found = positions.confirmed(judged(the_pose, fix(k)), 0.0, situation(the_pose, antenna(k)))
-        usable[kind] = found.usable, level(found)
+            result = positions.confirmed(judged(the_pose, fix(k)), 0.0, inputs(the_pose, antenna(k)))
+        usable[kind] = result.usable, level(result)
     assert usable[matched][0]
     assert usable[matched][1] < 1.0
     assert usable[matched][1] < 0.5 * usable[pose][1]
@@ -326,79 +330,77 @@ def test_a_match_dated_ahead_bears_nothing_out_once_the_clock_is_right():
     confirmed(positions, provisional(400), fix(400))
     positions.forget_future(at(0))
     for k in (0, 400):
-        found = positions.at(at(k), situation(matched(k), antenna(k)), 0.0)
-    assert found.wrong_fix_probability > 1e-3
+        result = positions.at(at(k), inputs(matched(k), antenna(k)), 0.0)
+    assert result.wrong_fix_probability > 1e-3
 
 
 # --- Doppler -----------------------------------------------------------------------------------------------------
 
 
 def test_between_fixes_the_position_is_that_of_the_velocities():
-    found = driving(10).at(at(10), situation(), 0.0)
-    assert (found.source, found.usable, found.fix_id) == ("doppler", True, None)
-    assert (found.latitude_rad, found.longitude_rad) == pytest.approx(place(10), abs=1e-9)
-    assert found.height_m == pytest.approx(ROAD_M + ANTENNA_M, abs=1e-3)
-    assert found.yaw_rad == pytest.approx(0.0)
-    assert found.wrong_fix_probability is not None
-    assert found.horizontal_protection_level_m > level(confirmed(fresh()))
+    result = driving(10).at(at(10), inputs(), 0.0)
+    assert (result.source, result.usable, result.fix_id) == ("doppler", True, None)
+    assert (result.latitude_rad, result.longitude_rad) == pytest.approx(place(10), abs=1e-9)
+    assert result.height_m == pytest.approx(ROAD_M + ANTENNA_M, abs=1e-3)
+    assert result.yaw_rad == pytest.approx(0.0)
+    assert result.wrong_fix_probability is not None
+    assert result.horizontal_protection_level_m > level(confirmed(fresh()))
 
 
 def test_it_goes_before_the_sensors_and_before_a_match_that_is_not_clearly_better():
     positions = driving(10)
-    doppler = positions.at(at(10), situation(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
+    doppler = positions.at(at(10), inputs(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
     assert doppler.source == "doppler"
-    matched = positions.at(at(10), situation(pose(10, sigma_m=0.03, **MATCHED), antenna(10)), 0.0)
+    matched = positions.at(at(10), inputs(pose(10, sigma_m=0.03, **MATCHED), antenna(10)), 0.0)
     assert matched.source == "scan_match"
     assert level(matched) < level(doppler)
 
 
-@pytest.mark.parametrize("aside", [0.0, 3.0])
-def test_one_that_contradicts_the_pose_ends_until_the_next_confirmed_fix(aside):
-    positions = driving(10, north=aside)
-    found = positions.at(at(10), situation(pose(10, **MATCHED), antenna(10)), 0.0)
-    assert found.source == ("scan_match" if aside else "doppler")
-    assert positions.at(at(10), situation(), 0.0).source == ("none" if aside else "doppler")
+@pytest.mark.parametrize("horizontal", [0.0, 3.0])
+def test_one_that_contradicts_the_pose_ends_until_the_next_confirmed_fix(horizontal):
+    positions = driving(10, north=horizontal)
+    result = positions.at(at(10), inputs(pose(10, **MATCHED), antenna(10)), 0.0)
+    assert result.source == ("scan_match" if horizontal else "doppler")
+    assert positions.at(at(10), inputs(), 0.0).source == ("none" if horizontal else "doppler")
 
 
 def test_without_wheels_it_counts_only_beside_a_pose():
     positions = fresh()
-    positions.hear_velocity(velocity(0))
-    positions.hear_speed(at(0), None)
+    positions.add_velocity(velocity(0))
+    positions.add_wheel_speed(at(0), None)
     confirmed(positions)
-    positions.hear_velocity(velocity(1))
-    assert positions.at(at(1), situation(), 0.0).source == "none"
-    assert (
-        positions.at(at(1), situation(pose(1, sigma_m=0.2, **MATCHED), antenna(1)), 0.0).source == "doppler"
-    )
+    positions.add_velocity(velocity(1))
+    assert positions.at(at(1), inputs(), 0.0).source == "none"
+    assert positions.at(at(1), inputs(pose(1, sigma_m=0.2, **MATCHED), antenna(1)), 0.0).source == "doppler"
 
 
 def test_a_fix_that_is_older_than_the_last_confirmed_one_does_not_set_it_back():
     positions = driving(10)
     confirmed(positions, pose(5, **MATCHED), fix(5))
     confirmed(positions, pose(4, **MATCHED), fix(4))
-    found = positions.at(at(10), situation(), 0.0)
-    assert (found.latitude_rad, found.longitude_rad) == pytest.approx(place(10), abs=1e-9)
+    result = positions.at(at(10), inputs(), 0.0)
+    assert (result.latitude_rad, result.longitude_rad) == pytest.approx(place(10), abs=1e-9)
 
 
 def test_what_is_dated_ahead_is_forgotten():
     positions = driving(10)
     positions.forget_future(at(10))
-    assert positions.at(at(10), situation(), 0.0).source == "doppler"
+    assert positions.at(at(10), inputs(), 0.0).source == "doppler"
     positions.forget_future(at(-10))
-    assert positions.at(at(10), situation(), 0.0).source == "none"
+    assert positions.at(at(10), inputs(), 0.0).source == "none"
     assert fresh().forget_future(at(0)) is None
 
 
 def test_what_is_dated_as_late_as_may_be_is_kept():
     now_ns = at(10) - round(RULES.future_limit_s * 1e9)
     positions = fresh()
-    positions.hear_velocity(velocity(10))
-    positions.hear_speed(at(10), SPEED_M_S)
+    positions.add_velocity(velocity(10))
+    positions.add_wheel_speed(at(10), SPEED_M_S)
     confirmed(positions, pose(10, **MATCHED), fix(10))
     positions.forget_future(now_ns)
-    assert positions.at(at(10), situation(), 0.0).source == "doppler"
+    assert positions.at(at(10), inputs(), 0.0).source == "doppler"
     positions.forget_future(now_ns - 1)
-    assert positions.at(at(10), situation(), 0.0).source == "none"
+    assert positions.at(at(10), inputs(), 0.0).source == "none"
     assert confirmed(positions, pose(10, **MATCHED), fix(10)).source == "rtk"
 
 
@@ -421,35 +423,35 @@ def test_what_was_suspected_ahead_of_the_clock_is_suspected_as_if_of_now():
 
 
 def test_a_matched_pose_stands_on_the_road_with_its_antenna():
-    found = of_pose(pose(sigma_m=0.08, **MATCHED))
-    assert (found.source, found.usable, found.reason) == ("scan_match", True, "none")
-    assert found.height_m == pytest.approx(ROAD_M + ANTENNA_M)
-    assert found.horizontal_protection_level_m == pytest.approx(1.03 * 0.08 * 5.68, rel=0.02)
+    result = of_pose(pose(sigma_m=0.08, **MATCHED))
+    assert (result.source, result.usable, result.reason) == ("scan_match", True, "none")
+    assert result.height_m == pytest.approx(ROAD_M + ANTENNA_M)
+    assert result.horizontal_protection_level_m == pytest.approx(1.03 * 0.08 * 5.68, rel=0.02)
     as_surveyed = of_pose(pose(sigma_m=0.08, **MATCHED), levels=LevelRules(changed_road_prior=0.0))
     assert as_surveyed.vertical_protection_level_m == pytest.approx(math.hypot(0.03, 0.02) * 5.33, rel=0.02)
-    assert found.wrong_fix_probability is None
+    assert result.wrong_fix_probability is None
 
 
 def test_the_vertical_level_of_a_pose_holds_a_road_that_has_changed():
-    found = of_pose(pose(sigma_m=0.08, **MATCHED))
+    result = of_pose(pose(sigma_m=0.08, **MATCHED))
     # One road in a hundred: 1e-5 of those that have changed may be beyond.
-    assert found.vertical_protection_level_m == pytest.approx(math.hypot(0.2, 0.03, 0.02) * 4.42, rel=0.02)
+    assert result.vertical_protection_level_m == pytest.approx(math.hypot(0.2, 0.03, 0.02) * 4.42, rel=0.02)
     as_surveyed = of_pose(pose(sigma_m=0.08, **MATCHED), levels=LevelRules(changed_road_prior=0.0))
     assert as_surveyed.horizontal_protection_level_m == pytest.approx(
-        found.horizontal_protection_level_m, rel=1e-6
+        result.horizontal_protection_level_m, rel=1e-6
     )
-    assert found.height_m == as_surveyed.height_m
-    assert found.covariance_enu_m2 == as_surveyed.covariance_enu_m2
+    assert result.height_m == as_surveyed.height_m
+    assert result.covariance_enu_m2 == as_surveyed.covariance_enu_m2
 
 
 @pytest.mark.parametrize("the_pose", [pose(**MATCHED), pose()], ids=["no fix behind it", "anchored by fixes"])
 def test_a_pose_is_one_of_its_parts_whatever_has_changed(the_pose):
     for prior in (0.0, 0.01, 1.0):
         levels = LevelRules(changed_road_prior=prior)
-        suspicion = Suspicion.before_any(levels.wrong_fix)
-        found = candidate_of_pose(situation(the_pose, antenna()), 0.0, suspicion, RULES, levels)
-        assert sum(part.weight for part in found.mixture.parts) == pytest.approx(1.0)
-        odd = [part.weight for part in found.mixture.parts if part.up_m2 > 0.2**2]
+        suspicion = LatentFaultHypothesis.initial(levels.wrong_fix)
+        result = candidate_of_pose(inputs(the_pose, antenna()), 0.0, suspicion, RULES, levels)
+        assert sum(part.weight for part in result.mixture.parts) == pytest.approx(1.0)
+        odd = [part.weight for part in result.mixture.parts if part.up_m2 > 0.2**2]
         assert sum(odd) == pytest.approx(prior)
 
 
@@ -458,17 +460,17 @@ def test_a_pose_is_one_of_its_parts_whatever_has_changed(the_pose):
 def test_roads_that_change_more_or_more_often_never_shrink_a_vertical_level(one, other, sigma_m, factor, rtk):
     low, high = sorted((one, other))
 
-    def found(prior, sigma_m):
+    def result(prior, sigma_m):
         levels = LevelRules(changed_road_prior=prior, changed_road_sigma_m=sigma_m)
         the_position = confirmed(fresh(levels)) if rtk else of_pose(pose(**MATCHED), levels=levels)
         return the_position.vertical_protection_level_m
 
-    assert found(high, factor * sigma_m) * SLACK >= found(low, sigma_m)
+    assert result(high, factor * sigma_m) * SLACK >= result(low, sigma_m)
 
 
 def test_where_a_wrong_fix_would_stand_on_a_changed_road_the_level_of_a_fix_holds_both():
     def parts(prior):
-        before = Suspicion.before_any(LEVELS.wrong_fix)
+        before = LatentFaultHypothesis.initial(LEVELS.wrong_fix)
         levels = LevelRules(changed_road_prior=prior)
         return confirmed_fix(
             judged(pose(**MATCHED)), before, levels, RULES.true_sigma
@@ -482,8 +484,8 @@ def test_where_a_wrong_fix_would_stand_on_a_changed_road_the_level_of_a_fix_hold
 
 
 def test_on_a_slope_the_height_shares_the_error_of_the_place():
-    found = of_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2), **MATCHED))
-    assert found.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
+    result = of_pose(pose(sigma_m=0.2, road=road(slope_east=0.1, slope_north=-0.2), **MATCHED))
+    assert result.covariance_enu_m2[5] == pytest.approx(0.03**2 + 0.02**2 + 0.05 * 0.2**2)
 
 
 @pytest.mark.parametrize(
@@ -498,12 +500,12 @@ def test_on_a_slope_the_height_shares_the_error_of_the_place():
     ],
 )
 def test_where_the_height_is_not_known_the_position_is_there_but_not_usable(changes, the_antenna, reason):
-    found = of_pose(pose(**MATCHED, **changes), the_antenna)
-    assert found.source == "scan_match"
-    assert (found.usable, found.reason) == (False, reason)
-    assert found.height_m is found.vertical_protection_level_m is None
-    assert found.horizontal_protection_level_m < 1.0
-    assert found.covariance_enu_m2[5] == 1e6
+    result = of_pose(pose(**MATCHED, **changes), the_antenna)
+    assert result.source == "scan_match"
+    assert (result.usable, result.reason) == (False, reason)
+    assert result.height_m is result.vertical_protection_level_m is None
+    assert result.horizontal_protection_level_m < 1.0
+    assert result.covariance_enu_m2[5] == 1e6
 
 
 @pytest.mark.parametrize(
@@ -521,34 +523,34 @@ def test_where_the_height_is_not_known_the_position_is_there_but_not_usable(chan
     ],
 )
 def test_a_pose_of_no_use_or_another_time_is_none(the_pose, reason):
-    found = of_pose(the_pose)
-    assert (found.source, found.usable, found.reason) == ("none", False, reason)
-    assert found.latitude_rad is found.horizontal_protection_level_m is None
-    assert found.vertical_alert_limit_m == 2.0
+    result = of_pose(the_pose)
+    assert (result.source, result.usable, result.reason) == ("none", False, reason)
+    assert result.latitude_rad is result.horizontal_protection_level_m is None
+    assert result.vertical_alert_limit_m == 2.0
 
 
 def test_too_wide_a_pose_is_there_but_not_usable_and_says_why():
-    found = of_pose(pose(sigma_m=0.5, **MATCHED))
-    assert (found.source, found.usable, found.reason) == ("scan_match", False, "pose_too_uncertain")
+    result = of_pose(pose(sigma_m=0.5, **MATCHED))
+    assert (result.source, result.usable, result.reason) == ("scan_match", False, "pose_too_uncertain")
     low = of_pose(pose(**MATCHED), levels=LevelRules(vertical_alert_limit_m=0.1))
     assert (low.usable, low.reason) == (False, "height_unverified")
 
 
 def test_no_risk_to_spend_means_no_level():
-    found = of_pose(pose(**MATCHED), levels=LevelRules(pose_fault_prior=1e-7))
-    assert found.horizontal_protection_level_m is None
-    assert not found.usable
-    assert found.semi_major_999_m < 1.0
+    result = of_pose(pose(**MATCHED), levels=LevelRules(pose_fault_prior=1e-7))
+    assert result.horizontal_protection_level_m is None
+    assert not result.usable
+    assert result.semi_major_999_m < 1.0
 
 
 @exactly
 @given(sigma, sigma, st.floats(-0.99, 0.99), sigma)
 def test_more_uncertainty_never_shrinks_a_bound_and_never_makes_usable(se, sn, rho, more):
-    def found(extra_m2):
+    def result(extra_m2):
         covariance = (se**2 + extra_m2, rho * se * sn, 0.0, sn**2 + extra_m2, 0.0, 1e-4)
         return of_pose(pose(covariance_east_north_yaw=covariance, **MATCHED))
 
-    small, large = found(0.0), found(more**2)
+    small, large = result(0.0), result(more**2)
     if large.source != "none":
         assert large.semi_major_99_m * SLACK >= small.semi_major_99_m
         assert large.semi_major_999_m * SLACK >= small.semi_major_999_m
@@ -578,10 +580,10 @@ def test_a_fix_that_agrees_wholly_is_never_surer_by_a_blunter_pose_or_claim(s, m
 def test_stale_missing_or_provisional_is_never_usable(mode, provenance, age, with_antenna, with_road):
     changes = {} if with_road else {"road": road(status="unknown", reason="no_surface")}
     the_pose = pose(age, mode=mode, provenance=provenance, **changes)
-    found = fresh().at(at(0), situation(the_pose, antenna() if with_antenna else None), 0.0)
+    result = fresh().at(at(0), inputs(the_pose, antenna() if with_antenna else None), 0.0)
     good = mode not in ("none", "provisional") and provenance not in ("none", "fixes")
-    assert not found.usable or (good and abs(age) <= 0.1 and with_antenna and with_road)
-    assert found.usable == (found.reason == "none")
+    assert not result.usable or (good and abs(age) <= 0.1 and with_antenna and with_road)
+    assert result.usable == (result.reason == "none")
 
 
 # --- R's formulas ------------------------------------------------------------------------------------------------
@@ -591,15 +593,15 @@ def test_by_the_reliability_index_levels_are_r_s():
     levels = LevelRules(levels="reliability_index")
     positions = driving(10, levels)
     a = math.sqrt(9.2103)
-    found = positions.at(at(10), situation(), 0.0)
-    assert found.source == "doppler"
-    assert found.horizontal_protection_level_m == pytest.approx(a * (0.025 + 20 * 0.02), rel=1e-4)
-    assert found.integrity_risk == pytest.approx(0.01)
+    result = positions.at(at(10), inputs(), 0.0)
+    assert result.source == "doppler"
+    assert result.horizontal_protection_level_m == pytest.approx(a * (0.025 + 20 * 0.02), rel=1e-4)
+    assert result.integrity_risk == pytest.approx(0.01)
     again = confirmed(positions, pose(10, **MATCHED), fix(10))
     assert again.horizontal_protection_level_m == pytest.approx(a * 0.025, rel=1e-4)
     positions = fresh(levels)
     confirmed(positions)
-    sensors = positions.at(at(1), situation(pose(1), antenna(1)), 0.0)
+    sensors = positions.at(at(1), inputs(pose(1), antenna(1)), 0.0)
     assert sensors.source == "sensors"
     assert sensors.horizontal_protection_level_m == pytest.approx(a * (0.025 + 2 * 0.03), rel=1e-4)
     assert sensors.usable
@@ -607,6 +609,6 @@ def test_by_the_reliability_index_levels_are_r_s():
 
 def test_by_the_reliability_index_a_match_is_taken_where_its_ellipse_is_clearly_smaller():
     positions = driving(10, LevelRules(levels="reliability_index"))
-    found = positions.at(at(10), situation(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
-    assert found.source == "scan_match"
-    assert found.horizontal_protection_level_m == found.semi_major_99_m < 0.7 * math.sqrt(9.2103) * 0.425
+    result = positions.at(at(10), inputs(pose(10, sigma_m=0.2, **MATCHED), antenna(10)), 0.0)
+    assert result.source == "scan_match"
+    assert result.horizontal_protection_level_m == result.semi_major_99_m < 0.7 * math.sqrt(9.2103) * 0.425

@@ -46,9 +46,9 @@ def in_floats(parts, row=0):
 
 
 def level(parts, risk):
-    (found,) = levels_m(in_floats(parts), [risk])
-    assert isinstance(found, float)
-    return found
+    (result,) = levels_m(in_floats(parts), [risk])
+    assert isinstance(result, float)
+    return result
 
 
 def mixture(weights, means, sigmas):
@@ -78,28 +78,28 @@ def test_on_a_line_it_is_the_normal_distributions(s, risk):
 def test_of_an_ellipse_it_is_that_of_quadrature_over_the_plane(a, b, rho):
     covariance = np.array([[a * a, rho * a * b], [rho * a * b, b * b]])
     larger, smaller = np.linalg.eigvalsh(covariance)[::-1]
-    found = level(alone(covariance), 1e-5)
+    result = level(alone(covariance), 1e-5)
 
     def beyond(x):
-        rest = max(found * found - x * x, 0.0)
+        rest = max(result * result - x * x, 0.0)
         return stats.norm.pdf(x, scale=math.sqrt(larger)) * special.erfc(math.sqrt(0.5 * rest / smaller))
 
-    inside = integrate.quad(beyond, 0.0, found, epsabs=1e-15, limit=500)[0]
-    outside = stats.norm.sf(found, scale=math.sqrt(larger))
+    inside = integrate.quad(beyond, 0.0, result, epsabs=1e-15, limit=500)[0]
+    outside = stats.norm.sf(result, scale=math.sqrt(larger))
     assert 2.0 * (inside + outside) == pytest.approx(SPENT * 1e-5, rel=2e-3)
 
 
 def test_of_heights_with_a_mean_it_is_exact():
-    found = level(vertical(np.array([[0.9, 0.1]]), np.array([[0.0, -0.3]]), np.array([[0.01, 0.04]])), 1e-4)
-    p = 0.9 * 2.0 * stats.norm.sf(found, scale=0.1)
-    p += 0.1 * (stats.norm.sf(found, 0.3, 0.2) + stats.norm.cdf(-found, 0.3, 0.2))
+    result = level(vertical(np.array([[0.9, 0.1]]), np.array([[0.0, -0.3]]), np.array([[0.01, 0.04]])), 1e-4)
+    p = 0.9 * 2.0 * stats.norm.sf(result, scale=0.1)
+    p += 0.1 * (stats.norm.sf(result, 0.3, 0.2) + stats.norm.cdf(-result, 0.3, 0.2))
     assert p == pytest.approx(SPENT * 1e-4, rel=2e-3)
     assert p <= 1e-4
 
 
-def exact(weight, mean, sigma, found):
+def exact(weight, mean, sigma, result):
     """P of round errors about means: Rice's distribution, by the non-central χ² of two degrees of freedom."""
-    x, m = found[:, None] / sigma, np.maximum((mean / sigma) ** 2, 1e-300)
+    x, m = result[:, None] / sigma, np.maximum((mean / sigma) ** 2, 1e-300)
     return (weight * stats.ncx2.sf(x**2, 2, m)).sum(axis=1)
 
 
@@ -112,8 +112,8 @@ def test_where_a_part_weighs_as_much_as_the_risk_the_exact_formula_keeps_to_it(f
     weight, sigma = np.column_stack((1.0 - second, second)), 10.0 ** rng.uniform(-2.0, 0.5, (n, 2))
     mean = np.column_stack((np.zeros(n), rng.uniform(0.0, farthest, n) * sigma[:, 1]))
     covariance = (sigma**2)[:, :, None, None] * np.eye(2)
-    found = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
-    assert (exact(weight, mean, sigma, found) <= risk).all()
+    result = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), risk)
+    assert (exact(weight, mean, sigma, result) <= risk).all()
 
 
 @pytest.mark.parametrize("far", [0.0, 3.0])
@@ -123,8 +123,8 @@ def test_about_where_the_level_jumps_to_another_part_the_risk_is_kept(far):
     mean = np.tile([0.0, far], (101, 1))
     sigma = np.full((101, 2), [0.05, 0.4])
     covariance = (sigma**2)[:, :, None, None] * np.eye(2)
-    found = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), np.full(101, 1e-7))
-    assert (exact(weight, mean, sigma, found) <= 1e-7).all()
+    result = of_rows(horizontal(weight, np.stack((mean, 0.0 * mean), axis=2), covariance), np.full(101, 1e-7))
+    assert (exact(weight, mean, sigma, result) <= 1e-7).all()
 
 
 def test_draws_of_a_mixture_exceed_it_no_more_often_than_the_risk_and_not_much_more_seldom():
@@ -189,8 +189,8 @@ def test_all_rows_are_solved_alike_however_many():
     tails = horizontal(
         np.ones((9000, 1)), np.zeros((9000, 1, 2)), (spread**2)[:, None, None, None] * np.eye(2)
     )
-    found = of_rows(tails, np.full(9000, 1e-7))
-    assert found == pytest.approx(spread * math.sqrt(-2.0 * math.log(SPENT * 1e-7)), rel=1e-4)
+    result = of_rows(tails, np.full(9000, 1e-7))
+    assert result == pytest.approx(spread * math.sqrt(-2.0 * math.log(SPENT * 1e-7)), rel=1e-4)
     nothing = horizontal(np.ones((0, 1)), np.zeros((0, 1, 2)), np.zeros((0, 1, 2, 2)))
     assert of_rows(nothing, np.zeros(0)).shape == (0,)
 
@@ -245,10 +245,10 @@ def test_nodes_that_say_the_same_need_not_be_asked(across, round_by):
 
 
 def test_a_mean_of_a_metre_across_is_like_one_of_a_little_more():
-    found = [levels_m([(1.0, 0.5, across_m, 0.4, 0.01)], [1e-3])[0] for across_m in (1.0, 1.0 + 1e-9)]
-    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    result = [levels_m([(1.0, 0.5, across_m, 0.4, 0.01)], [1e-3])[0] for across_m in (1.0, 1.0 + 1e-9)]
+    assert result[0] == pytest.approx(result[1], rel=1e-6)
     along_the_axis = levels_m([(1.0, math.hypot(0.5, 1.0), 0.0, 0.4, 0.01)], [1e-3])[0]
-    assert found[0] < 0.95 * along_the_axis
+    assert result[0] < 0.95 * along_the_axis
 
 
 def test_what_has_no_error_takes_nothing_of_the_risk_beyond_where_it_is():
@@ -266,10 +266,10 @@ def test_what_has_no_error_takes_nothing_of_the_risk_beyond_where_it_is():
 @pytest.mark.parametrize("sigma_m", [0.0, 1e-6])
 def test_of_what_lies_aside_for_certain_it_is_so_far(at_m, sigma_m):
     """All of P falls within a micrometre, but for Newton's steps."""
-    near, aside = (0.9, 0.0, 0.0, 1e-4, 1e-4), (0.1, at_m, 0.0, sigma_m**2, 0.0)
-    assert levels_m([near, aside], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
+    near, horizontal = (0.9, 0.0, 0.0, 1e-4, 1e-4), (0.1, at_m, 0.0, sigma_m**2, 0.0)
+    assert levels_m([near, horizontal], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
     anywhere = (5e-4, 0.0, 0.0, 1e6, 1e6)  # half of the risk
-    assert levels_m([near, aside, anywhere], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
+    assert levels_m([near, horizontal, anywhere], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
 
 
 @pytest.mark.parametrize(
@@ -303,9 +303,9 @@ def test_a_part_of_which_anything_is_not_finite_has_no_level(place, value):
 
 def test_one_without_a_level_takes_none_from_those_beside_it():
     variance = np.array([1.0, math.nan, 4.0, -1.0])
-    found = levels_m([(np.ones(4), np.zeros(4), np.zeros(4), variance, variance)], [np.full(4, 1e-3)])[0]
+    result = levels_m([(np.ones(4), np.zeros(4), np.zeros(4), variance, variance)], [np.full(4, 1e-3)])[0]
     one = math.sqrt(-2.0 * math.log(SPENT * 1e-3))
-    assert found == pytest.approx([one, math.inf, 2.0 * one, math.inf], rel=5e-4)
+    assert result == pytest.approx([one, math.inf, 2.0 * one, math.inf], rel=5e-4)
 
 
 @pytest.mark.parametrize("risk", [0.0, -1e-9, math.nan])

@@ -122,8 +122,8 @@ def test_no_number_is_certainly_wrong_and_the_ends_are_reached():
 
 def test_a_vague_test_lets_all_pass_and_trials_add_up_to_at_most_one():
     rules = replace(RULES, far_share=0.0)
-    blunt = missed_detection_probability(1e6 * np.eye(3)[None], chi2_limit(1e-3, 3), rules)[0]
-    assert blunt == pytest.approx(0.999, abs=1e-3)
+    insufficient_power = missed_detection_probability(1e6 * np.eye(3)[None], chi2_limit(1e-3, 3), rules)[0]
+    assert insufficient_power == pytest.approx(0.999, abs=1e-3)
     once = missed_detection_probability(S[None], 16.27, RULES)[0]
     assert missed_detection_probability(S[None], 16.27, RULES, 5)[0] == pytest.approx(5 * once)
     assert missed_detection_probability(S[None], 16.27, RULES, 10**6)[0] == 1.0

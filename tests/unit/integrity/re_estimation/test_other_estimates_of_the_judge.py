@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import pytest
 
-from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.judge import Judge
-from camber.integrity.judgement import Judgement, verdict_of
+from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.re_estimation.requests import (
-    Answering,
+    QueryBackoff,
     ReEstimationRules,
-    concluded,
+    conclude_re_estimation,
+    estimates_request,
     limits_after,
     other_fix,
-    question_for,
-    unanswered,
+    without_estimates,
 )
 from camber.integrity.re_estimation.subset_agreement import AgreementRules
 from camber.integrity.rules import Rules
@@ -27,13 +27,13 @@ ENGINE = {"origin": "engine"}
 
 
 def erroneous(**changes):
-    return Judgement(
+    return FixJudgement(
         fix(0, up_m=1.0, **ENGINE | changes), "erroneous", "height_disagrees", detail="height +1.00 m"
     )
 
 
 def unresolved(**changes):
-    return Judgement(fix(0, **{"quality": "float", **ENGINE, **changes}), "unknown", "not_a_fix")
+    return FixJudgement(fix(0, **{"quality": "float", **ENGINE, **changes}), "unknown", "not_a_fix")
 
 
 def answer(*candidates, trials=20, **changes):
@@ -48,21 +48,21 @@ def right(n=3, **changes):
 class Judged:
     """Judges as told, and remembers what it was shown."""
 
-    def __init__(self, *words, evidence=("height",)):
-        self.words, self.seen, self.evidence = list(words), [], evidence
+    def __init__(self, *verdicts, evidence=("height",)):
+        self.verdicts, self.seen, self.evidence = list(verdicts), [], evidence
 
     def __call__(self, other, trials):
         self.seen.append((other, trials))
-        word = self.words.pop(0)
-        reason = "height_agrees" if word == "confirmed" else "height_disagrees"
-        return Judgement(other, word, reason, "as told", evidence=self.evidence, trials=trials)
+        verdict = self.verdicts.pop(0)
+        reason = "height_agrees" if verdict == "confirmed" else "height_disagrees"
+        return FixJudgement(other, verdict, reason, "as told", evidence=self.evidence, trials=trials)
 
 
 # --- what is asked ------------------------------------------------------------------------------------------------
 
 
 def test_of_an_erroneous_fix_of_the_engine_other_estimates_are_asked_up_to_the_limit():
-    question = question_for(erroneous(), replace(RULES, most_trials=7))
+    question = estimates_request(erroneous(), replace(RULES, most_trials=7))
     assert question is not None
     assert (question.fix_id, question.time_ns) == (fix(0).fix_id, at(0))
     assert (question.strategy, question.maximum_trials) == ("all", 7)
@@ -70,16 +70,16 @@ def test_of_an_erroneous_fix_of_the_engine_other_estimates_are_asked_up_to_the_l
 
 @pytest.mark.parametrize(("asked", "rules"), [(True, RULES), (False, replace(RULES, unresolved=False))])
 def test_of_an_epoch_without_resolved_integers_as_set(asked, rules):
-    assert (question_for(unresolved(), rules) is not None) == asked
+    assert (estimates_request(unresolved(), rules) is not None) == asked
 
 
 @pytest.mark.parametrize(
     "judgement",
     [
-        Judgement(fix(0, **ENGINE), "confirmed", "height_agrees"),
-        Judgement(fix(0, **ENGINE), "confirmed_after_verification", "height_disagrees"),
-        Judgement(fix(0, **ENGINE), "unknown", "height_unverified"),
-        Judgement(fix(0, **ENGINE), "unknown", "pose_missing"),
+        FixJudgement(fix(0, **ENGINE), "confirmed", "height_agrees"),
+        FixJudgement(fix(0, **ENGINE), "confirmed_after_verification", "height_disagrees"),
+        FixJudgement(fix(0, **ENGINE), "unknown", "height_unverified"),
+        FixJudgement(fix(0, **ENGINE), "unknown", "pose_missing"),
         unresolved(quality="single"),
         unresolved(quality="none"),
         unresolved(origin="receiver"),
@@ -87,11 +87,11 @@ def test_of_an_epoch_without_resolved_integers_as_set(asked, rules):
     ],
 )
 def test_of_no_other(judgement):
-    assert question_for(judgement, RULES) is None
+    assert estimates_request(judgement, RULES) is None
 
 
 def test_nothing_is_asked_where_it_is_switched_off():
-    assert question_for(erroneous(), replace(RULES, way="off")) is None
+    assert estimates_request(erroneous(), replace(RULES, way="off")) is None
 
 
 # --- by what they agree on ----------------------------------------------------------------------------------------
@@ -100,34 +100,36 @@ def test_nothing_is_asked_where_it_is_switched_off():
 @pytest.mark.parametrize("first", [erroneous(), unresolved()], ids=["erroneous", "unresolved"])
 def test_the_estimate_that_the_others_agree_on_is_judged_once_and_taken_if_it_passes(first):
     judged = Judged("confirmed")
-    found = concluded(first, answer(*right()), judged, RULES)
+    result = conclude_re_estimation(first, answer(*right()), judged, RULES)
     ((other, trials),) = judged.seen
-    assert trials == found.trials == 21
-    assert (found.word, found.reason, found.evidence) == (
+    assert trials == result.trials == 21
+    assert (result.verdict, result.reason, result.evidence) == (
         "confirmed",
         "height_agrees",
         ("height", "estimates"),
     )
-    assert found.fix == other
+    assert result.fix == other
     assert (other.fix_id, other.time_ns) == (first.fix.fix_id, first.fix.time_ns)
-    assert found.detail == "of 20 other estimates, 3 agree; this one without G01"
+    assert result.detail == "of 20 other estimates, 3 agree; this one without G01"
 
 
 def test_what_does_not_pass_leaves_the_first_judgement_final_with_all_that_was_tried():
     judged = Judged("erroneous")
-    found = concluded(erroneous(), answer(*right()), judged, RULES)
-    assert (found.word, found.reason, found.fix) == ("erroneous", "height_disagrees", erroneous().fix)
-    assert found.trials == 21
-    assert found.detail == "height +1.00 m; 20 other estimates: 3 agree, height_disagrees: as told"
+    result = conclude_re_estimation(erroneous(), answer(*right()), judged, RULES)
+    assert (result.verdict, result.reason, result.fix) == ("erroneous", "height_disagrees", erroneous().fix)
+    assert result.trials == 21
+    assert result.detail == "height +1.00 m; 20 other estimates: 3 agree, height_disagrees: as told"
 
 
-@pytest.mark.parametrize("word", ["unknown", "confirmed_after_verification", "erroneous"])
-def test_only_what_height_and_position_confirm_passes(word):
-    assert concluded(erroneous(), answer(*right()), Judged(word), RULES).word == "erroneous"
+@pytest.mark.parametrize("verdict", ["unknown", "confirmed_after_verification", "erroneous"])
+def test_only_what_height_and_position_confirm_passes(verdict):
+    assert (
+        conclude_re_estimation(erroneous(), answer(*right()), Judged(verdict), RULES).verdict == "erroneous"
+    )
 
 
 @pytest.mark.parametrize(
-    ("agree", "evidence", "word"),
+    ("agree", "evidence", "verdict"),
     [
         (3, ("height",), "confirmed"),
         (2, ("height",), "erroneous"),
@@ -135,33 +137,33 @@ def test_only_what_height_and_position_confirm_passes(word):
         (1, ("height", "phase_residuals"), "erroneous"),
     ],
 )
-def test_few_that_agree_need_a_position_that_could_have_contradicted_them(agree, evidence, word):
-    found = answer(*right(agree, success_rate=0.99))
-    judgement = concluded(erroneous(), found, Judged("confirmed", evidence=evidence), RULES)
-    assert judgement.word == word
-    assert word == "confirmed" or "3 are needed where only the height speaks" in judgement.detail
+def test_few_that_agree_need_a_position_that_could_have_contradicted_them(agree, evidence, verdict):
+    result = answer(*right(agree, success_rate=0.99))
+    judgement = conclude_re_estimation(erroneous(), result, Judged("confirmed", evidence=evidence), RULES)
+    assert judgement.verdict == verdict
+    assert verdict == "confirmed" or "3 are needed where only the height speaks" in judgement.detail
 
 
 def test_height_does_not_choose_between_places():
     """The place that would pass is named by one estimate, another one by three: nothing is confirmed."""
     wrong = [candidate(up_m=2.0, east_m=0.01 * k) for k in range(3)]
     judged = Judged("erroneous")
-    found = concluded(erroneous(), answer(candidate(), *wrong), judged, RULES)
-    assert found.word == "erroneous"
+    result = conclude_re_estimation(erroneous(), answer(candidate(), *wrong), judged, RULES)
+    assert result.verdict == "erroneous"
     assert [round(other.height_m - fix(0).height_m) for other, _ in judged.seen] == [2]
 
 
 def test_without_agreement_nothing_is_judged():
     judged = Judged()
-    found = concluded(unresolved(), answer(candidate(), candidate(up_m=2.0)), judged, RULES)
-    assert (found.word, found.reason, found.trials, judged.seen) == ("unknown", "not_a_fix", 21, [])
-    assert found.detail == "20 other estimates: 1 estimates name one place, 1 another"
+    result = conclude_re_estimation(unresolved(), answer(candidate(), candidate(up_m=2.0)), judged, RULES)
+    assert (result.verdict, result.reason, result.trials, judged.seen) == ("unknown", "not_a_fix", 21, [])
+    assert result.detail == "20 other estimates: 1 estimates name one place, 1 another"
 
 
 def test_of_a_wrong_fix_whose_other_estimates_name_several_places_that_is_the_reason():
-    found = concluded(erroneous(), answer(candidate(), candidate(up_m=2.0)), Judged(), RULES)
-    assert (found.word, found.reason, found.trials) == ("erroneous", "estimates_disagree", 21)
-    assert found.detail.startswith("height_disagrees: height +1.00 m; 20 other estimates: 1 estimates name")
+    result = conclude_re_estimation(erroneous(), answer(candidate(), candidate(up_m=2.0)), Judged(), RULES)
+    assert (result.verdict, result.reason, result.trials) == ("erroneous", "estimates_disagree", 21)
+    assert result.detail.startswith("height_disagrees: height +1.00 m; 20 other estimates: 1 estimates name")
 
 
 def test_an_estimate_brings_nothing_of_the_fix_that_failed():
@@ -203,23 +205,25 @@ def test_one_after_the_other_is_judged_until_one_passes():
         candidate(excluded=("G03",)),
         candidate(),
     ]
-    found = concluded(erroneous(), answer(*candidates), judged, LOOP)
+    result = conclude_re_estimation(erroneous(), answer(*candidates), judged, LOOP)
     assert len(judged.seen) == 3
-    assert found.word == "confirmed"
-    assert found.trials == 21
-    assert found.detail == "of 20 other estimates, one after the other; this one without G03"
+    assert result.verdict == "confirmed"
+    assert result.trials == 21
+    assert result.detail == "of 20 other estimates, one after the other; this one without G03"
 
 
 def test_all_satellites_that_were_left_out_are_named():
-    found = concluded(erroneous(), answer(candidate(excluded=("G05", "E11"))), Judged("confirmed"), LOOP)
-    assert found.detail.endswith("this one without G05, E11")
+    result = conclude_re_estimation(
+        erroneous(), answer(candidate(excluded=("G05", "E11"))), Judged("confirmed"), LOOP
+    )
+    assert result.detail.endswith("this one without G05, E11")
 
 
 def test_at_the_limit_the_error_is_final():
     judged = Judged("erroneous", "erroneous")
-    found = concluded(erroneous(), answer(*right(2)), judged, LOOP)
-    assert (found.word, found.trials) == ("erroneous", 21)
-    assert found.detail == "height +1.00 m; 20 other estimates: none passes"
+    result = conclude_re_estimation(erroneous(), answer(*right(2)), judged, LOOP)
+    assert (result.verdict, result.trials) == ("erroneous", 21)
+    assert result.detail == "height +1.00 m; 20 other estimates: none passes"
 
 
 # --- no answer ----------------------------------------------------------------------------------------------------
@@ -227,38 +231,40 @@ def test_at_the_limit_the_error_is_final():
 
 @pytest.mark.parametrize("status", ["unavailable", "forgotten"])
 def test_where_gnss_has_no_estimates_the_judgement_is_as_it_was_and_says_so(status):
-    found = concluded(erroneous(), answer(status=status, reason="not among the last"), Judged(), RULES)
-    assert found == replace(
+    result = conclude_re_estimation(
+        erroneous(), answer(status=status, reason="not among the last"), Judged(), RULES
+    )
+    assert result == replace(
         erroneous(), detail="height +1.00 m; no other estimates: not among the last", trials=1
     )
 
 
 def test_an_answer_about_another_fix_is_none():
-    found = concluded(erroneous(), answer(*right(), fix_id=1), Judged(), RULES)
-    assert (found.word, found.trials) == ("erroneous", 1)
+    result = conclude_re_estimation(erroneous(), answer(*right(), fix_id=1), Judged(), RULES)
+    assert (result.verdict, result.trials) == ("erroneous", 1)
 
 
 def test_a_detail_is_never_longer_than_a_message_takes():
-    found = unanswered(replace(erroneous(), detail="x" * 500), "y" * 500)
-    assert verdict_of(found, TrueSigma()).detail == found.detail
-    assert len(found.detail) == 512
+    result = without_estimates(replace(erroneous(), detail="x" * 500), "y" * 500)
+    assert verdict_of(result, TrueSigma()).detail == result.detail
+    assert len(result.detail) == 512
 
 
 def test_after_silence_gnss_is_left_alone_for_two_seconds():
-    answering = Answering()
-    assert answering.may_be_asked(at(0))
-    answering.fell_silent(at(0))
-    assert not answering.may_be_asked(at(0))
-    assert not answering.may_be_asked(at(9.9))
-    assert answering.may_be_asked(at(10))
-    assert answering.may_be_asked(at(-1))  # the clock was set back
+    answering = QueryBackoff()
+    assert answering.is_ready(at(0))
+    answering.register_timeout(at(0))
+    assert not answering.is_ready(at(0))
+    assert not answering.is_ready(at(9.9))
+    assert answering.is_ready(at(10))
+    assert answering.is_ready(at(-1))  # the clock was set back
 
 
 # --- what every trial costs ---------------------------------------------------------------------------------------
 
 
 def test_the_more_trials_the_narrower_the_limits_of_agreement_and_those_of_contradiction_stay():
-    rules = DeterminationRules()
+    rules = ConsistencyParameters()
     assert limits_after(rules, 1) == rules.limits()
     last = rules.limits()
     for trials in (2, 5, 21, 100):
@@ -273,18 +279,18 @@ def test_the_more_trials_the_narrower_the_limits_of_agreement_and_those_of_contr
 
 def ready():
     judge = Judge(Rules())
-    judge.heard.hear_pose(pose(0))
-    judge.heard.hear_antenna(antenna(0))
+    judge.heard.add_pose(pose(0))
+    judge.heard.set_antenna_height(antenna(0))
     return judge
 
 
 def test_an_estimate_at_the_edge_passes_as_a_fix_and_not_as_one_of_many():
     limit_m = 0.0
-    while ready().examine(fix(0, up_m=limit_m), ALL).word == "confirmed":
+    while ready().examine(fix(0, up_m=limit_m), ALL).verdict == "confirmed":
         limit_m += 0.005
     edge = fix(0, up_m=limit_m - 0.005)
-    assert ready().examine(edge, ALL, 1).word == "confirmed"
-    assert ready().examine(edge, ALL, 21).word == "unknown"
+    assert ready().examine(edge, ALL, 1).verdict == "confirmed"
+    assert ready().examine(edge, ALL, 21).verdict == "unknown"
     assert ready().examine(edge, ALL, 21).trials == 21
 
 
@@ -293,13 +299,15 @@ def test_the_judge_settles_what_another_estimate_became():
     wrong, other = fix(0, up_m=1.0, **ENGINE), candidate()
 
     def others(first):
-        assert (first.word, first.fix) == ("erroneous", wrong)
-        return concluded(first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES)
+        assert (first.verdict, first.fix) == ("erroneous", wrong)
+        return conclude_re_estimation(
+            first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES
+        )
 
-    found = judge.judge(wrong, at(0), ALL, others)
-    assert found is not None
-    assert found.word == "confirmed"
-    assert found.fix.height_m == other.height_m
+    result = judge.judge(wrong, at(0), ALL, others)
+    assert result is not None
+    assert result.verdict == "confirmed"
+    assert result.fix.height_m == other.height_m
     assert judge.judge(wrong, at(0), ALL, others) is None
 
 
@@ -310,25 +318,31 @@ def test_the_integers_after_another_estimate_are_not_compared_with_its():
         fix(0, up_m=1.0, **ENGINE),
         at(0),
         ALL,
-        lambda first: concluded(first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES),
+        lambda first: conclude_re_estimation(
+            first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES
+        ),
     )
-    judge.heard.hear_pose(pose(1))
-    judge.heard.hear_antenna(antenna(1))
-    found = judge.judge(
+    judge.heard.add_pose(pose(1))
+    judge.heard.set_antenna_height(antenna(1))
+    result = judge.judge(
         fix(1, **ENGINE, ambiguity_continuity="broken", continuous_since_ns=at(1)), at(1), ALL
     )
-    assert found is not None
-    assert found.word == "confirmed"
+    assert result is not None
+    assert result.verdict == "confirmed"
 
 
 def test_an_unresolved_epoch_with_other_estimates_is_settled_only_if_one_passes():
     judge = ready()
     float_ = fix(0, quality="float", **ENGINE)
-    found = judge.judge(float_, at(0), ALL, lambda first: unanswered(first, "gone"))
-    assert found is not None
-    assert (found.word, found.reason, found.detail) == ("unknown", "not_a_fix", "no other estimates: gone")
+    result = judge.judge(float_, at(0), ALL, lambda first: without_estimates(first, "gone"))
+    assert result is not None
+    assert (result.verdict, result.reason, result.detail) == (
+        "unknown",
+        "not_a_fix",
+        "no other estimates: gone",
+    )
 
 
 def test_rules_of_agreement_are_part_of_the_rules():
     strict = replace(RULES, agreement=AgreementRules(least_ambiguities=11))
-    assert concluded(erroneous(), answer(*right()), Judged(), strict).word == "erroneous"
+    assert conclude_re_estimation(erroneous(), answer(*right()), Judged(), strict).verdict == "erroneous"

@@ -24,16 +24,16 @@ def trio(east_m=0.0, up_m=0.0, **changes):
 
 
 def test_without_estimates_there_is_no_agreement():
-    found = agreement_of([], RULES)
-    assert found.candidate is None
-    assert found.why == "no other estimate passes"
+    result = agreement_of([], RULES)
+    assert result.candidate is None
+    assert result.why == "no other estimate passes"
 
 
 def test_three_that_name_one_place_agree_on_the_one_with_most_ambiguities():
     best = candidate(east_m=0.05, ambiguities=14, success_rate=0.7, excluded=("E05",))
-    found = agreement_of([*trio(success_rate=0.9), best], RULES)
-    assert found.candidate is best
-    assert found.subsets == 4
+    result = agreement_of([*trio(success_rate=0.9), best], RULES)
+    assert result.candidate is best
+    assert result.subsets == 4
 
 
 def test_of_as_many_ambiguities_the_surer_one_is_judged():
@@ -56,15 +56,15 @@ def test_the_fewer_agree_the_surer_the_surest_has_to_be(subsets, enough, too_lit
 
 def test_the_very_same_position_counts_once():
     same = [candidate(success_rate=0.9, excluded=(f"G{k:02d}",)) for k in range(1, 6)]
-    found = agreement_of(same, RULES)
-    assert (found.candidate, found.subsets) == (None, 1)
+    result = agreement_of(same, RULES)
+    assert (result.candidate, result.subsets) == (None, 1)
 
 
 def test_places_apart_are_not_one():
-    found = agreement_of([candidate(success_rate=0.9), candidate(up_m=0.11, success_rate=0.9)], RULES)
-    assert found.candidate is None
-    assert (found.subsets, found.disputed) == (1, True)
-    assert found.why == "1 estimates name one place, 1 another"
+    result = agreement_of([candidate(success_rate=0.9), candidate(up_m=0.11, success_rate=0.9)], RULES)
+    assert result.candidate is None
+    assert (result.subsets, result.disputed) == (1, True)
+    assert result.why == "1 estimates name one place, 1 another"
 
 
 def test_what_is_linked_by_others_is_one_place():
@@ -75,9 +75,9 @@ def test_what_is_linked_by_others_is_one_place():
 @pytest.mark.parametrize(("rivals", "named", "agrees"), [(1, 3, True), (2, 3, False), (1, 2, True)])
 def test_a_place_must_be_named_twice_as_often_as_any_other(rivals, named, agrees):
     others = [candidate(east_m=3.0 + 0.01 * k) for k in range(rivals)]
-    found = agreement_of([*others, *trio()[:named]], RULES)
-    assert (found.candidate is not None) == agrees
-    assert found.disputed == (not agrees)
+    result = agreement_of([*others, *trio()[:named]], RULES)
+    assert (result.candidate is not None) == agrees
+    assert result.disputed == (not agrees)
 
 
 def test_many_places_of_one_each_do_not_add_up_against_it():
@@ -87,9 +87,9 @@ def test_many_places_of_one_each_do_not_add_up_against_it():
 
 @pytest.mark.parametrize(("ambiguities", "agrees"), [(6, True), (5, False)])
 def test_few_ambiguities_make_no_estimate(ambiguities, agrees):
-    found = agreement_of(trio(ambiguities=ambiguities), RULES)
-    assert (found.candidate is not None, found.subsets) == (agrees, 3)
-    assert ("5 ambiguities" in found.why) == (not agrees)
+    result = agreement_of(trio(ambiguities=ambiguities), RULES)
+    assert (result.candidate is not None, result.subsets) == (agrees, 3)
+    assert ("5 ambiguities" in result.why) == (not agrees)
 
 
 def test_the_rules_can_ask_for_more():

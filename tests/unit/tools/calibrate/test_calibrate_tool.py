@@ -12,7 +12,7 @@ import pytest
 
 from camber import cli
 from camber.geodesy.local_frame import LocalFrame
-from camber.integrity.learning.residuals import Key
+from camber.integrity.learning.residuals import ReferenceKey
 from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import Fix
@@ -93,7 +93,7 @@ def test_of_roads_that_are_not_known_or_of_another_datum_no_height_is_told() -> 
 
 
 def test_a_stretch_belongs_to_no_antenna_or_base() -> None:
-    assert {cell.key for cell in pair(*drive(20.0)).cells} == {Key()}
+    assert {cell.key for cell in pair(*drive(20.0)).cells} == {ReferenceKey()}
 
 
 # The command

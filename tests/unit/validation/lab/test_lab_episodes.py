@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from camber.integrity.checks.determination import DeterminationRules
+from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
 from camber.validation.lab.baselines import ALL, CONTROLS, JUDGE, Controls
@@ -91,7 +91,7 @@ def test_a_wrong_fix_moves_with_its_rate_and_faults_move_what_they_concern() -> 
 
 
 def test_height_alone_misses_as_often_as_the_normal_distribution_says() -> None:
-    rules = Rules(determination=DeterminationRules(tolerance="fixed", tolerance_m=0.2))
+    rules = Rules(determination=ConsistencyParameters(tolerance="fixed", tolerance_m=0.2))
     assumed = Assumptions(reference_m=0.0, slope_sigma=0.0)
     n = 200_000
     shapes = _shapes(n, (0.0, 5.0, 0.35))

@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS, UNVERIFIED
-from camber.integrity.checks.determination import ALL_TESTS, REASONS, DeterminationRules, determine
+from camber.integrity.checks.consistency import (
+    ALL_TESTS,
+    REASONS,
+    ConsistencyParameters,
+    consistency_of_arrays,
+)
 
 SIGMA_M = np.array([0.1, 0.1, 0.08])
 metres = st.floats(-3.0, 3.0)
@@ -24,8 +29,10 @@ def reason(d, sigma_m=SIGMA_M, **rules):
 def reasons(d, sigma_m=SIGMA_M, **rules):
     d = np.array(d, np.float64)
     covariance_m2 = np.repeat(np.diag(np.square(sigma_m))[None], len(d), axis=0)
-    found = determine(d, covariance_m2, covariance_m2[:, :2, :2], DeterminationRules(**rules).limits())
-    return [REASONS[i] for i in found.outcome]
+    result = consistency_of_arrays(
+        d, covariance_m2, covariance_m2[:, :2, :2], ConsistencyParameters(**rules).limits()
+    )
+    return [REASONS[i] for i in result.outcome]
 
 
 @pytest.mark.parametrize(
@@ -52,12 +59,12 @@ def test_each_outcome_has_its_reason(d, expected):
 @pytest.mark.parametrize(("tests", "axes"), [(("height",), 1), (("position",), 2), (("joint",), 3)])
 def test_one_test_alone_spends_the_whole_rate(tests, axes):
     within, beyond = chi2.isf([1e-3, 1e-6], axes)
-    limits = getattr(DeterminationRules(tests=tests).limits(), tests[0])
+    limits = getattr(ConsistencyParameters(tests=tests).limits(), tests[0])
     assert limits == (pytest.approx(within), pytest.approx(beyond))
 
 
 def test_three_tests_share_it():
-    limits = DeterminationRules().limits()
+    limits = ConsistencyParameters().limits()
     assert limits.height == (pytest.approx(chi2.isf(1e-3 / 3, 1)), pytest.approx(chi2.isf(1e-6 / 3, 1)))
     assert limits.joint[1] == pytest.approx(chi2.isf(1e-6 / 3, 3))
 
@@ -65,13 +72,13 @@ def test_three_tests_share_it():
 def test_right_fixes_contradict_and_are_held_back_no_oftener_than_the_rates():
     n, rng = 400_000, np.random.default_rng(7)
     root = np.linalg.cholesky([[0.01, 0.004, 0.001], [0.004, 0.02, 0.0], [0.001, 0.0, 0.0036]])
-    rules = DeterminationRules(false_alarm_rate=1e-3, hold_back_rate=1e-2)
+    rules = ConsistencyParameters(false_alarm_rate=1e-3, hold_back_rate=1e-2)
     covariance_m2 = np.repeat((root @ root.T)[None], n, axis=0)
-    found = determine(
+    result = consistency_of_arrays(
         rng.normal(size=(n, 3)) @ root.T, covariance_m2, covariance_m2[:, :2, :2], rules.limits()
     )
-    contradicts = np.mean(found.outcome >= REASONS.index("height_disagrees"))
-    held = np.mean(found.outcome > 0)
+    contradicts = np.mean(result.outcome >= REASONS.index("height_disagrees"))
+    held = np.mean(result.outcome > 0)
     assert 0.5e-3 < contradicts < 1e-3
     assert 0.5e-2 < held < 1e-2
 
@@ -124,15 +131,15 @@ def test_without_the_height_a_wide_pose_confirms_nothing():
 def test_tolerance_and_reach_are_where_agreement_ends():
     covariance_m2 = np.array([[[0.02, 0.01, 0.0], [0.01, 0.02, 0.0], [0.0, 0.0, 0.06**2]]])
     pose_m2 = covariance_m2[:, :2, :2]
-    found = determine(
-        np.zeros((1, 3)), covariance_m2, pose_m2, DeterminationRules(tests=("height", "position")).limits()
+    result = consistency_of_arrays(
+        np.zeros((1, 3)), covariance_m2, pose_m2, ConsistencyParameters(tests=("height", "position")).limits()
     )
-    assert found.tolerance_m[0] == pytest.approx(0.06 * math.sqrt(chi2.isf(5e-4, 1)))
-    assert found.reach_m[0] == pytest.approx(math.sqrt(0.03 * chi2.isf(5e-4, 2)))
-    at_reach = found.reach_m[0] * math.sqrt(0.5)
-    limits = DeterminationRules(tests=("position",), hold_back_rate=5e-4).limits()
+    assert result.tolerance_m[0] == pytest.approx(0.06 * math.sqrt(chi2.isf(5e-4, 1)))
+    assert result.acceptance_radius_m[0] == pytest.approx(math.sqrt(0.03 * chi2.isf(5e-4, 2)))
+    at_reach = result.acceptance_radius_m[0] * math.sqrt(0.5)
+    limits = ConsistencyParameters(tests=("position",), hold_back_rate=5e-4).limits()
     near, far = (
-        determine(np.array([[k * at_reach, k * at_reach, 0.0]]), covariance_m2, pose_m2, limits)
+        consistency_of_arrays(np.array([[k * at_reach, k * at_reach, 0.0]]), covariance_m2, pose_m2, limits)
         for k in (0.999, 1.001)
     )
     assert (REASONS[near.outcome[0]], REASONS[far.outcome[0]]) == ("height_agrees", "position_unverified")
@@ -141,13 +148,13 @@ def test_tolerance_and_reach_are_where_agreement_ends():
 @pytest.mark.parametrize("tests", [("position",), ("joint",), ALL_TESTS])
 def test_a_fix_that_claims_to_be_wide_agrees_only_as_near_to_a_sharp_pose_as_a_right_one_is(tests):
     pose_m2 = np.diag([0.05**2, 0.2**2])[None]
-    limits = DeterminationRules(tests=tests).limits()
+    limits = ConsistencyParameters(tests=tests).limits()
     nearest_m = math.sqrt(limits.position[0]) * np.hypot([0.05, 0.2], 0.06)
 
     def said(east_m, north_m, fix_sigma_m):
         covariance_m2 = np.diag([0.05**2 + fix_sigma_m**2, 0.2**2 + fix_sigma_m**2, 0.01])[None]
-        found = determine(np.array([[east_m, north_m, 0.0]]), covariance_m2, pose_m2, limits)
-        return REASONS[found.outcome[0]], found.reach_m[0]
+        result = consistency_of_arrays(np.array([[east_m, north_m, 0.0]]), covariance_m2, pose_m2, limits)
+        return REASONS[result.outcome[0]], result.acceptance_radius_m[0]
 
     wide_m = 0.3
     assert said(0.9 * nearest_m[0], 0.0, wide_m)[0] == "height_agrees"
@@ -164,38 +171,42 @@ def test_how_near_to_the_pose_a_wide_fix_agrees_is_that_of_another_implementatio
     """In every direction of errors of the pose that belong together."""
     en = correlation * 0.2 * 0.1
     pose_m2 = np.array([[0.2**2, en], [en, 0.1**2]])
-    limits = DeterminationRules().limits()
+    limits = ConsistencyParameters().limits()
     turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-    aside = np.column_stack((np.cos(turn), np.sin(turn)))
+    horizontal_outcome = np.column_stack((np.cos(turn), np.sin(turn)))
     near_m2 = pose_m2 + 0.06**2 * np.eye(2)
-    squared = np.sum(aside * np.linalg.solve(near_m2, aside.T).T, axis=1)
-    edge_m = np.sqrt(limits.position[0] / squared)[:, None] * aside
+    squared = np.sum(horizontal_outcome * np.linalg.solve(near_m2, horizontal_outcome.T).T, axis=1)
+    edge_m = np.sqrt(limits.position[0] / squared)[:, None] * horizontal_outcome
     covariance_m2 = np.diag([0.0, 0.0, 0.01])
     covariance_m2[:2, :2] = pose_m2 + 0.3**2 * np.eye(2)
-    for share, word in ((0.99, AGREES), (1.01, UNVERIFIED)):
+    for share, verdict in ((0.99, AGREES), (1.01, UNVERIFIED)):
         d = np.column_stack((share * edge_m, np.zeros(32)))
-        found = determine(d, np.tile(covariance_m2, (32, 1, 1)), np.tile(pose_m2, (32, 1, 1)), limits)
-        assert found.position.tolist() == [word] * 32
+        result = consistency_of_arrays(
+            d, np.tile(covariance_m2, (32, 1, 1)), np.tile(pose_m2, (32, 1, 1)), limits
+        )
+        assert result.position.tolist() == [verdict] * 32
 
 
 def test_where_the_position_is_not_asked_no_pose_holds_a_fix_back():
-    limits = DeterminationRules(tests=("height",)).limits()
+    limits = ConsistencyParameters(tests=("height",)).limits()
     for d, pose_m2 in (((9.0, 0.0, 0.1), np.eye(2) * 1e-4), ((0.0, 0.0, 0.1), np.full((2, 2), math.nan))):
-        found = determine(np.array([d]), np.eye(3)[None] * 0.01, pose_m2[None], limits)
-        assert REASONS[found.outcome[0]] == "height_agrees"
+        result = consistency_of_arrays(np.array([d]), np.eye(3)[None] * 0.01, pose_m2[None], limits)
+        assert REASONS[result.outcome[0]] == "height_agrees"
 
 
 @pytest.mark.parametrize("pose_m2", [np.full((2, 2), math.nan), -np.eye(2)])
 def test_a_pose_covariance_that_is_none_lets_nothing_agree(pose_m2):
-    found = determine(np.zeros((1, 3)), np.eye(3)[None] * 0.01, pose_m2[None], DeterminationRules().limits())
-    assert REASONS[found.outcome[0]] == "position_unverified"
+    result = consistency_of_arrays(
+        np.zeros((1, 3)), np.eye(3)[None] * 0.01, pose_m2[None], ConsistencyParameters().limits()
+    )
+    assert REASONS[result.outcome[0]] == "position_unverified"
 
 
 def test_a_pose_that_claims_to_be_exact_has_no_reach_and_lets_nothing_agree():
-    limits = DeterminationRules(fix_sigma_cap_m=0.0).limits()
-    found = determine(np.zeros((1, 3)), np.eye(3)[None] * 0.01, np.zeros((1, 2, 2)), limits)
-    assert REASONS[found.outcome[0]] == "position_unverified"
-    assert math.isnan(found.reach_m[0])
+    limits = ConsistencyParameters(fix_sigma_cap_m=0.0).limits()
+    result = consistency_of_arrays(np.zeros((1, 3)), np.eye(3)[None] * 0.01, np.zeros((1, 2, 2)), limits)
+    assert REASONS[result.outcome[0]] == "position_unverified"
+    assert math.isnan(result.acceptance_radius_m[0])
 
 
 @pytest.mark.parametrize(
@@ -210,7 +221,7 @@ def test_a_pose_that_claims_to_be_exact_has_no_reach_and_lets_nothing_agree():
 )
 def test_rules_by_which_nothing_can_be_judged_are_refused(changes, named):
     with pytest.raises(ValueError, match=f"^{named}: expected"):
-        DeterminationRules(**changes)
+        ConsistencyParameters(**changes)
 
 
 RANK = {"height_agrees": 2, "height_unverified": 1, "position_unverified": 1}
@@ -255,17 +266,19 @@ def test_many_at_once_are_judged_as_each_alone(d, sigma_m):
 def test_the_words_of_many_are_small_numbers_one_each():
     d = np.array([(0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.0, 0.6, 0.0)])
     covariance_m2 = np.repeat(np.diag(np.square(SIGMA_M))[None], 3, axis=0)
-    found = determine(d, covariance_m2, covariance_m2[:, :2, :2], DeterminationRules().limits())
-    assert found.position.tolist() == [AGREES, UNVERIFIED, CONTRADICTS]
-    assert found.outcome.dtype == found.position.dtype == np.int8
+    result = consistency_of_arrays(
+        d, covariance_m2, covariance_m2[:, :2, :2], ConsistencyParameters().limits()
+    )
+    assert result.position.tolist() == [AGREES, UNVERIFIED, CONTRADICTS]
+    assert result.outcome.dtype == result.position.dtype == np.int8
 
 
 def test_it_is_said_which_tests_speak_for_a_fix():
     speak = "height, position, joint, phase_residuals, subset_agreement"
     with pytest.raises(ValueError, match=f"^tests: expected one at least of {speak}$"):
-        DeterminationRules(tests=("continuity", "receiver"))
+        ConsistencyParameters(tests=("continuity", "receiver"))
 
 
 def test_both_rates_may_be_the_same_and_then_nothing_is_between():
-    limits = DeterminationRules(false_alarm_rate=1e-3, hold_back_rate=1e-3).limits()
+    limits = ConsistencyParameters(false_alarm_rate=1e-3, hold_back_rate=1e-3).limits()
     assert limits.height[0] == limits.height[1] < math.inf

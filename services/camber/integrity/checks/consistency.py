@@ -24,14 +24,21 @@ from camber.integrity.checks.chi2_test import (
     UNVERIFIED,
     Distances,
     Floats,
-    Upper,
-    Words,
+    TestOutcomes,
+    UpperTriangle,
     chi2_limit,
     distances,
-    upper,
-    words,
+    outcome_of,
+    upper_triangle,
 )
-from camber.integrity.scalar_or_array import Either, larger_eigenvalue, negated, positive, root, where
+from camber.integrity.scalar_or_array import (
+    FloatOrArray,
+    larger_eigenvalue,
+    logical_not,
+    positive_or_nan,
+    sqrt,
+    where,
+)
 from camber.schemas.integrity import Reason
 
 Test = Literal["height", "position", "joint", "phase_residuals", "subset_agreement", "continuity", "receiver"]
@@ -64,7 +71,7 @@ REASONS: tuple[Reason, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class DeterminationRules:
+class ConsistencyParameters:
     """Which tests are asked, and by which limits.
 
     `height_cap_m` is for tolerances from covariances: 0.3 m is the gate below which map and antenna of σ 0.1 m let a
@@ -106,7 +113,7 @@ class DeterminationRules:
         """No difference beyond it agrees; a height that is known worse than it says nothing."""
         return self.tolerance_m if self.tolerance == "fixed" else self.height_cap_m
 
-    def limits(self) -> Limits:
+    def limits(self) -> ConsistencyLimits:
         """The squared distances of these rates."""
         asked = sum(test in self.tests for test in _DEGREES)
 
@@ -119,7 +126,7 @@ class DeterminationRules:
             )
             return within, beyond
 
-        return Limits(
+        return ConsistencyLimits(
             self,
             pair("height", "height" in self.tests),
             pair("position", self.asks_position),
@@ -128,37 +135,38 @@ class DeterminationRules:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ConsistencyLimits:
     """Of each test the squared distance up to which a fix agrees, and that beyond which it contradicts.
 
     Infinite, both, for a test that is not asked; the position's are there for the joint test too.
     """
 
-    rules: DeterminationRules
+    rules: ConsistencyParameters
     height: tuple[float, float]
     position: tuple[float, float]
     joint: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Determination(Generic[Said]):
+class Consistency(Generic[Said]):
     """What the tests say of fixes: one outcome each, the words of the tests, and what they rest on; each one number or
     (n,), a tolerance that is fixed always one.
 
-    `tolerance_m` is the largest height difference that would agree, `reach_m` how far from the pose a fix may be and
-    agree in any direction. `position` is the word of the horizontal position where it or the joint test is asked.
+    `tolerance_m` is the largest height difference that would agree, `acceptance_radius_m` how far from the pose a fix
+    may be and agree in any direction. `position` is the outcome of the horizontal position where it or the joint test
+    is asked.
     """
 
     outcome: Said
     position: Said
     distances: Distances
-    tolerance_m: Either
-    reach_m: Either
+    tolerance_m: FloatOrArray
+    acceptance_radius_m: FloatOrArray
 
 
-def determine(
-    difference_m: Floats, covariance_m2: Floats, pose_covariance_m2: Floats, limits: Limits
-) -> Determination[Words]:
+def consistency_of_arrays(
+    difference_m: Floats, covariance_m2: Floats, pose_covariance_m2: Floats, limits: ConsistencyLimits
+) -> Consistency[TestOutcomes]:
     """What differences (n, 3) say, if those of right fixes have the covariances (n, 3, 3); see `joint_test`.
 
     `pose_covariance_m2` (n, 2, 2) is the part of the pose in that.
@@ -166,55 +174,62 @@ def determine(
     pose = pose_covariance_m2[:, 0, 0], pose_covariance_m2[:, 0, 1], pose_covariance_m2[:, 1, 1]
     east_m, north_m, up_m = difference_m.T
     with np.errstate(all="ignore"):  # what is not finite agrees with nothing
-        found = determination_of((east_m, north_m, up_m), upper(covariance_m2), pose, limits)
-    return replace(found, outcome=found.outcome.astype(np.int8), position=found.position.astype(np.int8))
+        result = consistency_of((east_m, north_m, up_m), upper_triangle(covariance_m2), pose, limits)
+    return replace(result, outcome=result.outcome.astype(np.int8), position=result.position.astype(np.int8))
 
 
-def determination_of(
-    difference_m: tuple[Either, Either, Either],
-    covariance_m2: Upper,
-    pose_m2: tuple[Either, Either, Either],
-    limits: Limits,
-) -> Determination[Either]:
+def consistency_of(
+    difference_m: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
+    covariance_m2: UpperTriangle,
+    pose_m2: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
+    limits: ConsistencyLimits,
+) -> Consistency[FloatOrArray]:
     """The same of differences east, north, up, with `pose_m2` (ee, en, nn); each part a float or (n,)."""
-    rules, found = limits.rules, distances(difference_m, covariance_m2)
+    rules, result = limits.rules, distances(difference_m, covariance_m2)
     east_m, north_m, up_m = difference_m
     ee, en, _, nn, _, _ = covariance_m2
     off_m = abs(up_m)
-    tolerance_m = _tolerance_m(found.height_sigma_m, limits)
+    tolerance_m = _tolerance_m(result.height_sigma_m, limits)
     if rules.tolerance == "fixed" and "height" in rules.tests:
         height = where(off_m <= tolerance_m, AGREES, CONTRADICTS)
     else:
-        height = words(found.height, *limits.height)
-    aside, joint = words(found.position, *limits.position), words(found.joint, *limits.joint)
+        height = outcome_of(result.height, *limits.height)
+    horizontal_outcome, joint = (
+        outcome_of(result.position, *limits.position),
+        outcome_of(result.joint, *limits.joint),
+    )
     cap_m2 = rules.fix_sigma_cap_m**2
     near_m2 = pose_m2[0] + cap_m2, pose_m2[1], pose_m2[2] + cap_m2
-    reach_m, near_reach_m = _reach_m((ee, en, nn), limits), _reach_m(near_m2, limits)
-    reach_m = where(near_reach_m >= reach_m, reach_m, near_reach_m)
+    acceptance_radius_m, near_acceptance_radius_m = _reach_m((ee, en, nn), limits), _reach_m(near_m2, limits)
+    acceptance_radius_m = where(
+        near_acceptance_radius_m >= acceptance_radius_m, acceptance_radius_m, near_acceptance_radius_m
+    )
     near = _squared(east_m, north_m, near_m2) <= limits.position[0]
-    far = (aside == AGREES) & negated(near) & rules.asks_position
-    position = where(far, UNVERIFIED, aside)
+    far = (horizontal_outcome == AGREES) & logical_not(near) & rules.asks_position
+    position = where(far, UNVERIFIED, horizontal_outcome)
     # However wide σ is, no height agrees beyond the tolerance; and a test of the position alone has to have power.
-    tall = negated(off_m <= tolerance_m) & rules.asks_height
-    blunt = negated(reach_m <= rules.position_cap_m) & (rules.asks_position and not rules.asks_height)
-    aside = position if "position" in rules.tests else where(far, UNVERIFIED, AGREES)
-    outcome: Either = ALL_AGREE
+    exceeds_height_cap = logical_not(off_m <= tolerance_m) & rules.asks_height
+    insufficient_power = logical_not(acceptance_radius_m <= rules.position_cap_m) & (
+        rules.asks_position and not rules.asks_height
+    )
+    horizontal_outcome = position if "position" in rules.tests else where(far, UNVERIFIED, AGREES)
+    outcome: FloatOrArray = ALL_AGREE
     # What is said later overrides what was said before.
     for applies, said in (
         (joint == UNVERIFIED, POSITION_UNVERIFIED),
-        ((joint == UNVERIFIED) & (found.height >= found.position), HEIGHT_UNVERIFIED),
-        ((aside == UNVERIFIED) | blunt, POSITION_UNVERIFIED),
-        ((height == UNVERIFIED) | tall, HEIGHT_UNVERIFIED),
+        ((joint == UNVERIFIED) & (result.height >= result.position), HEIGHT_UNVERIFIED),
+        ((horizontal_outcome == UNVERIFIED) | insufficient_power, POSITION_UNVERIFIED),
+        ((height == UNVERIFIED) | exceeds_height_cap, HEIGHT_UNVERIFIED),
         (joint == CONTRADICTS, BOTH_CONTRADICT),
-        (aside == CONTRADICTS, POSITION_CONTRADICTS),
+        (horizontal_outcome == CONTRADICTS, POSITION_CONTRADICTS),
         (height == CONTRADICTS, HEIGHT_CONTRADICTS),
-        ((height == CONTRADICTS) & (aside == CONTRADICTS), BOTH_CONTRADICT),
+        ((height == CONTRADICTS) & (horizontal_outcome == CONTRADICTS), BOTH_CONTRADICT),
     ):
         outcome = where(applies, said, outcome)
-    return Determination(outcome, position, found, tolerance_m, reach_m)
+    return Consistency(outcome, position, result, tolerance_m, acceptance_radius_m)
 
 
-def _tolerance_m(sigma_m: Either, limits: Limits) -> Either:
+def _tolerance_m(sigma_m: FloatOrArray, limits: ConsistencyLimits) -> FloatOrArray:
     rules = limits.rules
     if rules.tolerance == "fixed":
         return rules.tolerance_m
@@ -222,13 +237,19 @@ def _tolerance_m(sigma_m: Either, limits: Limits) -> Either:
     return where(tolerance_m < rules.height_cap_m, tolerance_m, rules.height_cap_m)
 
 
-def _squared(east_m: Either, north_m: Either, covariance_m2: tuple[Either, Either, Either]) -> Either:
+def _squared(
+    east_m: FloatOrArray,
+    north_m: FloatOrArray,
+    covariance_m2: tuple[FloatOrArray, FloatOrArray, FloatOrArray],
+) -> FloatOrArray:
     """dᵀ C⁻¹ d; not a number where C is no covariance."""
     a, b, c = covariance_m2
-    determinant = where(a > 0.0, positive(a * c - b * b), math.nan)
+    determinant = where(a > 0.0, positive_or_nan(a * c - b * b), math.nan)
     return (c * east_m * east_m - 2.0 * b * east_m * north_m + a * north_m * north_m) / determinant
 
 
-def _reach_m(covariance_m2: tuple[Either, Either, Either], limits: Limits) -> Either:
+def _reach_m(
+    covariance_m2: tuple[FloatOrArray, FloatOrArray, FloatOrArray], limits: ConsistencyLimits
+) -> FloatOrArray:
     larger = larger_eigenvalue(*covariance_m2)
-    return root(where(larger > 0.0, limits.position[0] * larger, math.nan))
+    return sqrt(where(larger > 0.0, limits.position[0] * larger, math.nan))
