@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camber.integrity.checks.chi2_test import chi2_limit, distances, upper
+from camber.integrity.checks.chi2_test import chi2_limit, distances, upper_triangle
 from camber.integrity.rules import Rules
 from camber.validation.lab.error_model import Scene
 from camber.validation.lab.false_alarms import WeightedRate, alarms_block, drawn, rate_of
@@ -23,7 +23,7 @@ def test_the_tail_of_a_normal_difference_is_that_of_chi_squared(probability: flo
     rng = np.random.default_rng(SEED)
     s = _covariances(400_000, rng)
     d, weights = drawn(s, rng)
-    rate = rate_of(weights, distances(tuple(d.T), upper(s)).joint > chi2_limit(probability, 3))
+    rate = rate_of(weights, distances(tuple(d.T), upper_triangle(s)).joint > chi2_limit(probability, 3))
     assert rate.effective > 100.0
     sigma = np.sqrt(rate.squares) / rate.draws
     assert abs(rate.rate - probability) < 4.0 * sigma
@@ -35,10 +35,10 @@ def test_importance_sampling_and_plain_sampling_find_the_same_rate_of_a_thousand
     s = _covariances(500_000, rng)
     limit = chi2_limit(1e-3, 2)
     d, weights = drawn(s, rng)
-    by_weights = rate_of(weights, distances(tuple(d.T), upper(s)).position > limit)
+    by_weights = rate_of(weights, distances(tuple(d.T), upper_triangle(s)).position > limit)
     plain, ones = drawn(s, rng, 1.0)
     assert (ones == 1.0).all()
-    counted = rate_of(ones, distances(tuple(plain.T), upper(s)).position > limit)
+    counted = rate_of(ones, distances(tuple(plain.T), upper_triangle(s)).position > limit)
     sigma = np.hypot(np.sqrt(by_weights.squares) / by_weights.draws, np.sqrt(counted.squares) / counted.draws)
     assert abs(by_weights.rate - counted.rate) < 4.0 * sigma
     assert by_weights.effective > 3.0 * counted.effective
