@@ -11,7 +11,7 @@ PIP := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt \
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile
 OUT := out
 # The extras that images install.
-SHIPPED := engine,localizer,map,fleet,web,simulator
+SHIPPED := engine,localizer,map,fleet,plots,web,simulator
 # Tests start hundreds of processes: without byte code each of them compiles all that it imports, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -43,11 +43,11 @@ $(MADE):
 
 # What running needs; redone when the requirements change.
 .venv/.runtime: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[localizer,simulator]'
+	$(PIP) -e '.[localizer,plots,simulator]'
 	@touch $@
 
 .venv/.development: pyproject.toml constraints.txt $(MADE)
-	$(PIP) -e '.[engine,localizer,map,fleet,web,simulator,dev]'
+	$(PIP) -e '.[engine,localizer,map,fleet,plots,web,simulator,dev]'
 	@touch .venv/.runtime $@
 
 .venv/.mutation: pyproject.toml constraints.txt $(MADE) | .venv/.development

@@ -24,9 +24,10 @@ from camber.gnss.position.rtk_engine import Engine, EngineOptions
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
-from camber.tools.gnss.solve_plot import plot
+from camber.tools.gnss.solve_plot import solution_figure
 from camber.tools.options.error_report import in_words
 from camber.tools.options.number_options import number_from
+from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.truth import offset_of, truth_of
 
 _PROG = "camber gnss solve"
@@ -73,6 +74,7 @@ def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
 
     Raises ManifestError where the drive has no raw observations or none in its time, FormatError, OSError.
     """
+    require_matplotlib()
     if manifest.observations is None:
         raise ManifestError(f"{manifest.name}: no table observations, expected raw observations and a base")
     recording = load_raw(manifest.observations)
@@ -84,13 +86,16 @@ def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
     errors_m = _errors_m(manifest, solved, places)
     out.mkdir(parents=True, exist_ok=True)
     (out / "engine.pos").write_bytes(_pos_file(solved, places))
-    (out / "engine.svg").write_text(
-        plot(
-            manifest.name, solved.time_ns, places, solved.quality, solved.satellites, solved.ratio,
-            options.least_ratio,
-        ),
-        "utf-8",
-    )  # fmt: skip
+    figure = solution_figure(
+        manifest.name,
+        time_ns=solved.time_ns,
+        geodetic=places,
+        quality=solved.quality,
+        satellites=solved.satellites,
+        ratio=solved.ratio,
+        least_ratio=options.least_ratio,
+    )
+    (out / "engine.svg").write_text(svg_text(figure), "utf-8")
     lines = [_summary(manifest, recording, solved, errors_m, out), *recording.notes]
     return "\n".join(lines)
 

@@ -19,15 +19,16 @@ from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.pose import ScanMatch
 from camber.tools.localize.csv_files import matches_csv, poses_csv
 from camber.tools.localize.drive_anchors import Anchors, anchors_of, receiver_fixes
+from camber.tools.localize.drive_plot import drive_figure
 from camber.tools.localize.figures import paragraph
 from camber.tools.localize.local_map_queries import MapAtHand, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import LocalizedDrive, localize
-from camber.tools.localize.match_picture import picture
-from camber.tools.localize.plot import plot
+from camber.tools.localize.match_picture import match_figure
 from camber.tools.options.error_report import in_words
 from camber.tools.options.number_options import number_from
 from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors
+from camber.validation.plots import require_matplotlib, svg_text
 
 _PROG = "camber localize"
 _NEAR_NS = 500_000_000
@@ -63,6 +64,7 @@ def localize_drive(manifest: DriveManifest, out: Path, what: What, *, quiet: boo
 
     Raises ManifestError where the drive lacks what it takes, ConfigError, FormatError, OSError.
     """
+    require_matplotlib()
     out.mkdir(parents=True, exist_ok=True)
     inputs = prepare_drive(manifest, out / "work")
     settings = _settings(inputs, out, what)
@@ -165,12 +167,17 @@ def _write(
     texts = {
         "poses.csv": poses_csv(drive.poses, errors),
         "matches.csv": matches_csv(drive.matches),
-        "localize.svg": plot(inputs.manifest.name, poses, matches, errors, inputs.truth, release),
     }
+    name = inputs.manifest.name
+    figure = drive_figure(
+        name, poses=poses, matches=matches, errors=errors, truth=inputs.truth, release=release
+    )
+    texts["localize.svg"] = svg_text(figure)
+    pictures = {f"match-{at_s:g}s.svg": view for at_s, view in views.asked.items()}
     if views.worst is not None:
-        texts["match-worst.svg"] = picture(inputs.manifest.name, views.worst, views.start_ns)
-    for at_s, view in views.asked.items():
-        texts[f"match-{at_s:g}s.svg"] = picture(inputs.manifest.name, view, views.start_ns)
+        pictures = {"match-worst.svg": views.worst, **pictures}
+    for file, view in pictures.items():
+        texts[file] = svg_text(match_figure(name, view, start_ns=views.start_ns))
     for name, text in texts.items():
         (out / name).write_text(text, "utf-8")
     return [out / name for name in texts]

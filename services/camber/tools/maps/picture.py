@@ -8,28 +8,34 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from camber.formats.errors import FormatError
+from camber.formats.observations import Floats, Integers
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import Release, load_public_key, read_release
 from camber.road_map.release_files import write_file
 from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.tile_grid import Tile, tile_corners_rad
 from camber.schemas.road import LAYERS
-from camber.tools.localize.map_drawing import cloud_raster, plane_links
-from camber.tools.maps.importers.surfaces_along import Floats, Integers
+from camber.tools.localize.map_drawing import draw_clouds, link_lines
 from camber.tools.options.error_report import in_words
 from camber.tools.options.number_options import whole_from
-from camber.validation.plot_frame import Panel
-from camber.validation.raster import Colours, Raster
+from camber.validation.plots import draw_lines, plot_style, png_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _PROG = "camber map picture"
-_LINK = np.array([205, 60, 80], np.uint8)
-_EDGE = np.array([40, 44, 52], np.uint8)
-_SCALE = np.array([(48, 66, 160), (38, 140, 170), (90, 185, 110), (235, 215, 80)], np.float64)
+_LINK, _EDGE = "#cd3c50", "#282c34"
+_SCALE = ("#3042a0", "#268caa", "#5ab96e", "#ebd750")
+_DPI = 100.0
+_MARGIN_M = 5.0  # around the outermost surfaces; chosen: about a lane and a half
 
 
 def main(argv: Sequence[str]) -> int:
@@ -69,106 +75,113 @@ def picture(release: Release, name: str, tile: Tile | None, pixels: int) -> tupl
             name, "tiles", "one of the release's" if tiles else "at least one", actual=str(tile)
         )
     surfaces = release.road_surfaces()
-    frame, panel = _panel(surfaces, tiles if tile is None else [tile], tile is None, pixels)
-    raster = cloud_raster(release, frame, panel)
-    drawn, low_m, high_m = _paint_surfaces(raster, surfaces, frame, panel)
-    for line in plane_links(release, frame, panel):
-        _paint_line(raster, line, panel, _LINK)
-    heights = f", heights {low_m:.1f} to {high_m:.1f} m" if drawn else ""
-    size = f"{panel.x[1] - panel.x[0]:.0f} × {panel.y[1] - panel.y[0]:.0f} m"
-    return raster.png(), f"{size}, {drawn} surfaces{heights}"
+    frame, low_m, high_m = _extent(surfaces, tiles if tile is None else [tile], tile is None)
+    with plot_style():
+        figure, axes = _new_figure(low_m, high_m, pixels)
+        draw_clouds(axes, release, frame)
+        drawn, lowest_m, highest_m = _draw_surfaces(axes, surfaces, frame)
+        draw_lines(axes, link_lines(release, frame, axes), _LINK, 0.8, antialiased=False)
+        png = png_bytes(figure, _DPI)
+    heights = f", heights {lowest_m:.1f} to {highest_m:.1f} m" if drawn else ""
+    return png, f"{high_m[0] - low_m[0]:.0f} × {high_m[1] - low_m[1]:.0f} m, {drawn} surfaces{heights}"
 
 
-def _panel(surfaces: RoadSurfaces, tiles: list[Tile], whole: bool, pixels: int) -> tuple[LocalFrame, Panel]:
-    """What the picture shows: one scale for both directions."""
+def _extent(surfaces: RoadSurfaces, tiles: list[Tile], whole: bool) -> tuple[LocalFrame, Floats, Floats]:
+    """The plane of the picture, and its lower left and upper right corner [m]."""
     corners = np.array([tile_corners_rad(*tile) for tile in tiles])
     south, west = corners[:, :2].min(axis=0)
     north, east = corners[:, 2:].max(axis=0)
     frame = LocalFrame(0.5 * float(south + north), 0.5 * float(west + east), 0.0)
     if whole and len(surfaces):
-        places = frame.east_north_from_geodetic_array(
-            surfaces.latitude_rad, surfaces.longitude_rad, 0.0 * surfaces.latitude_rad
-        )
-        reach = np.hypot(surfaces.half_length_m, surfaces.half_width_m)[:, None] + 5.0
-        low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
-    else:
-        box = frame.east_north_from_geodetic_array(
-            np.array([south, north]), np.array([west, east]), np.zeros(2)
-        )
-        low, high = box
-    m_a_pixel = float((high - low).max()) / pixels
-    width, height = np.maximum(np.round((high - low) / m_a_pixel), 1.0).tolist()
-    return frame, Panel(0.0, height, (low[0], high[0]), (low[1], high[1]), "", left=0.0, width=width)
-
-
-def _paint_surfaces(
-    raster: Raster, surfaces: RoadSurfaces, frame: LocalFrame, panel: Panel
-) -> tuple[int, float, float]:
-    """Paint those within the panel, lower levels first; how many, and their lowest and highest height."""
-    places = frame.east_north_from_geodetic_array(
-        surfaces.latitude_rad, surfaces.longitude_rad, 0.0 * surfaces.latitude_rad
+        centre_m = _centres_m(surfaces, frame)
+        radius_m = np.hypot(surfaces.half_length_m, surfaces.half_width_m)[:, None] + _MARGIN_M
+        return frame, (centre_m - radius_m).min(axis=0), (centre_m + radius_m).max(axis=0)
+    low_m, high_m = frame.east_north_from_geodetic_array(
+        np.array([south, north]), np.array([west, east]), np.zeros(2)
     )
-    reach = np.hypot(surfaces.half_length_m, surfaces.half_width_m)
-    low, high = np.array([panel.x[0], panel.y[0]]), np.array([panel.x[1], panel.y[1]])
-    shown = np.flatnonzero((places + reach[:, None] > low).all(1) & (places - reach[:, None] < high).all(1))
+    return frame, low_m, high_m
+
+
+def _new_figure(low_m: Floats, high_m: Floats, pixels: int) -> tuple[Figure, Axes]:
+    """A figure with axes that fill it, whose longer side has so many pixels, with one scale for both directions."""
+    from matplotlib.figure import Figure
+
+    size_m = high_m - low_m
+    width, height = np.maximum(np.round(size_m / size_m.max() * pixels), 1.0).tolist()
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.axis("off")
+    axes.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+    return figure, axes
+
+
+def _draw_surfaces(axes: Axes, surfaces: RoadSurfaces, frame: LocalFrame) -> tuple[int, float, float]:
+    """Draw the surfaces within the axes, lower decks first; returns how many, and their lowest and highest height."""
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.tri import Triangulation
+
+    centre_m = _centres_m(surfaces, frame)
+    radius_m = np.hypot(surfaces.half_length_m, surfaces.half_width_m)[:, None]
+    low_m, high_m = np.array([axes.get_xlim(), axes.get_ylim()]).T
+    shown = np.flatnonzero((centre_m + radius_m > low_m).all(1) & (centre_m - radius_m < high_m).all(1))
     if not len(shown):
         return 0, 0.0, 0.0
-    middle_m = np.array([float(np.mean(surfaces.heights_m[row])) for row in shown.tolist()])
-    low_m, high_m = float(middle_m.min()), float(middle_m.max())
-    turn = (surfaces.longitude_rad - frame.longitude_rad) * np.sin(frame.latitude_rad)
-    step_m = 0.5 * (panel.x[1] - panel.x[0]) / panel.width
-    for row in shown[np.lexsort((middle_m, surfaces.level[shown]))].tolist():
-        _paint_surface(raster, surfaces, row, places[row], float(surfaces.yaw_rad[row] + turn[row]), step_m, panel,
-                       (low_m, max(high_m - low_m, 1e-3)))  # fmt: skip
-    return len(shown), low_m, high_m
+    mean_m = np.array([float(np.mean(surfaces.heights_m[row])) for row in shown.tolist()])
+    lowest_m, highest_m = float(mean_m.min()), float(mean_m.max())
+    colours = LinearSegmentedColormap.from_list("height", _SCALE)
+    ordered = shown[np.lexsort((mean_m, surfaces.level[shown]))]
+    for level in np.unique(surfaces.level[ordered]).tolist():
+        rows = ordered[surfaces.level[ordered] == level].tolist()
+        meshes = [_mesh(surfaces, row, centre_m[row], frame) for row in rows]
+        first = np.cumsum([0, *(len(mesh.points_m) for mesh in meshes)])
+        points_m = np.concatenate([mesh.points_m for mesh in meshes])
+        heights_m = np.concatenate([mesh.heights_m for mesh in meshes])
+        triangles = np.concatenate([mesh.triangles + n for mesh, n in zip(meshes, first[:-1], strict=True)])
+        axes.tripcolor(
+            Triangulation(points_m[:, 0], points_m[:, 1], triangles),
+            heights_m,
+            shading="gouraud",
+            cmap=colours,
+            vmin=lowest_m,
+            vmax=max(highest_m, lowest_m + 1e-3),
+        )
+        if level > 0:
+            draw_lines(axes, [side for mesh in meshes for side in mesh.sides_m], _EDGE, 1.0)
+    return len(shown), lowest_m, highest_m
 
 
-def _paint_surface(
-    raster: Raster,
-    surfaces: RoadSurfaces,
-    row: int,
-    centre_m: Floats,
-    yaw_rad: float,
-    step_m: float,
-    panel: Panel,
-    scale: tuple[float, float],
-) -> None:
-    """Dots as near to one another as half a pixel, by the grid's heights; at most some thousands a side."""
-    half = float(surfaces.half_length_m[row]), float(surfaces.half_width_m[row])
-    counts = [int(min(2.0 * side / step_m, 4000.0)) + 2 for side in half]
-    p, q = (a.ravel() for a in np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in counts), indexing="ij"))
-    height_m = _bilinear(surfaces.heights_m[row], p, q)
-    u, v = (2.0 * p - 1.0) * half[0], (2.0 * q - 1.0) * half[1]
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    colours = _colours((height_m - scale[0]) / scale[1])
-    if surfaces.level[row] > 0:
-        edge = np.abs(v) > half[1] - 2.0 * step_m
-        colours[edge] = _EDGE
-    x, y = centre_m[0] + c * u - s * v, centre_m[1] + s * u + c * v
-    raster.dots(panel.across(x), panel.down(y), colours)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Mesh:
+    """A surface's grid as triangles: points (n, 2), their heights (n,), rows of triangles (k, 3), its long sides."""
+
+    points_m: Floats
+    heights_m: Floats
+    triangles: Integers
+    sides_m: tuple[Floats, Floats]
 
 
-def _bilinear(grid_m: Floats, p: Floats, q: Floats) -> Floats:
-    """Heights at shares along and across of a surface's grid."""
-    rows, columns = grid_m.shape
-    i = np.minimum((p * (rows - 1)).astype(np.int64), rows - 2)
-    j = np.minimum((q * (columns - 1)).astype(np.int64), columns - 2)
-    a, b = p * (rows - 1) - i, q * (columns - 1) - j
-    lower = (1.0 - b) * grid_m[i, j] + b * grid_m[i, j + 1]
-    upper = (1.0 - b) * grid_m[i + 1, j] + b * grid_m[i + 1, j + 1]
-    heights: Floats = (1.0 - a) * lower + a * upper
-    return heights
+def _mesh(surfaces: RoadSurfaces, row: int, centre_m: Floats, frame: LocalFrame) -> _Mesh:
+    heights_m = surfaces.heights_m[row]
+    half_m = float(surfaces.half_length_m[row]), float(surfaces.half_width_m[row])
+    sides = [np.linspace(-half, half, n) for half, n in zip(half_m, heights_m.shape, strict=True)]
+    along, across = np.meshgrid(*sides, indexing="ij")
+    convergence_rad = (surfaces.longitude_rad[row] - frame.longitude_rad) * np.sin(frame.latitude_rad)
+    cos, sin = (
+        np.cos(surfaces.yaw_rad[row] + convergence_rad),
+        np.sin(surfaces.yaw_rad[row] + convergence_rad),
+    )
+    points_m = centre_m + np.stack((cos * along - sin * across, sin * along + cos * across), axis=-1)
+    index = np.arange(heights_m.size).reshape(heights_m.shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    return _Mesh(
+        points_m=points_m.reshape(-1, 2),
+        heights_m=heights_m.ravel(),
+        triangles=np.concatenate((np.column_stack((a, b, c)), np.column_stack((a, c, d)))),
+        sides_m=(points_m[:, 0], points_m[:, -1]),
+    )
 
 
-def _colours(share: Floats) -> Colours:
-    at = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
-    stops: Integers = np.arange(len(_SCALE))
-    return np.column_stack([np.interp(at, stops, _SCALE[:, k]) for k in range(3)]).astype(np.uint8)
-
-
-def _paint_line(raster: Raster, line_m: Floats, panel: Panel, colour: Colours) -> None:
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(line_m, axis=0).T)))
-    count = int(min(2.0 * along[-1] * panel.width / (panel.x[1] - panel.x[0]), 100_000.0)) + 2
-    at = np.linspace(0.0, along[-1], count)
-    x, y = (np.interp(at, along, line_m[:, axis]) for axis in (0, 1))
-    raster.dots(panel.across(x), panel.down(y), colour)
+def _centres_m(surfaces: RoadSurfaces, frame: LocalFrame) -> Floats:
+    return frame.east_north_from_geodetic_array(
+        surfaces.latitude_rad, surfaces.longitude_rad, np.zeros(len(surfaces))
+    )

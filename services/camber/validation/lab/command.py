@@ -13,6 +13,7 @@ from camber.tools.options.number_options import PROCESSES, SEED, whole_from
 from camber.validation.lab.charts import charts
 from camber.validation.lab.page import page
 from camber.validation.lab.run import Size, run
+from camber.validation.plots import require_matplotlib
 
 _PROG = "camber lab"
 TRIALS, QUICK_TRIALS = 1_000_000, 4_000
@@ -41,6 +42,7 @@ def _page_of(path: Path) -> str:
 
 
 def _write(options: argparse.Namespace) -> None:
+    require_matplotlib()
     trials = QUICK_TRIALS if options.quick else options.trials
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)

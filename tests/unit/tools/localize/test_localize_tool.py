@@ -121,7 +121,7 @@ def test_the_plot_and_the_pictures_are_whole(matched: tuple[Path, str]) -> None:
     for name in ("match-worst.svg", "match-1.5s.svg"):
         assert str(out / name) in said
         images = [e for e in ElementTree.parse(out / name).iter() if e.tag.endswith("image")]
-        assert len(images) == 2
+        assert len(images) >= 2
     assert "canyon: scan match at 1.5 s" in texts(out / "match-1.5s.svg")
     assert "No picture at 99 s: nothing was matched there." in said.splitlines()
     assert not (out / "match-99s.svg").exists()
