@@ -1,7 +1,7 @@
-"""`camber doctor`: is this deployment fit to drive? One line for each thing: ok, or a problem and what to do.
+"""`camber doctor`: check a deployment before a drive; one line for each check: ok, or a problem and its remedy.
 
-It reads the settings of a deployment as its services would, and tries what they will need: settings, ports, router,
-clock, disk, certificates, map, receiver, corrections. It changes nothing.
+The settings are read as the services read them. Checked are settings, ports, router, clock, disk, certificates, map,
+receiver and corrections. Nothing is changed.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from camber.tools.options.number_options import SECONDS
 
 _PROG = "camber doctor"
 _CLOUD = ("map_update",)
-_WAYS = ("listen", "connect")
+_DIRECTIONS = ("listen", "connect")
 _HELP = """\
-exit codes: 0 no problem was found; 1 one was; 2 wrong usage. What could not be checked is said, and is no problem.
+exit codes: 0 no problem; 1 at least one problem; 2 wrong usage. A check that is not possible here is no problem.
 """
 
 
 def main(argv: Sequence[str]) -> int:
-    """Check a deployment; returns the exit code."""
+    """Check a deployment; return the exit code."""
     args = _parser().parse_args(argv)
-    if not os.path.isdir(args.config):  # False also where we may not look
+    if not os.path.isdir(args.config):  # False also without permission
         print(f"{_PROG}: {args.config}: expected the folder of a deployment's settings", file=sys.stderr)
         return 2
     findings = []
@@ -58,28 +58,32 @@ def main(argv: Sequence[str]) -> int:
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings]))
     else:
-        print(f"\n{wrong} problem{'' if wrong == 1 else 's'}" if wrong else "\nno problem was found")
+        print(f"\n{wrong} problem{'' if wrong == 1 else 's'}" if wrong else "\nno problem")
     return 1 if wrong else 0
 
 
 def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> Iterator[Finding]:
-    """All findings in a deployment's folder of TOML files; `offline`: nothing that needs bus, receiver or caster."""
+    """Yield all findings of a folder of TOML files; `offline` leaves out bus, ports, receiver and caster."""
     yield from check_python()
     yield from check_clock(kernel_discipline(), time.time())
-    yield from _routers(folder)
+    yield from _check_routers(folder)
     known: dict[str, Any] = {}
     for path in sorted(folder.glob("*.toml")):
-        yield _settings(path, known)
+        yield _check_settings(path, known)
     if not known:
         yield problem(
             "settings", f"{folder}: no file of a service that can be read", "one TOML for each service"
         )
         return
-    yield _vehicles(known, folder)
-    yield from _of_a_vehicle(known, folder)
-    yield from _disks(known)
-    yield from _certificates(known)
-    guarded = [_map(known)] if offline else [_connections(known), _map(known), _receiver(known, receiver_s)]
+    yield _check_vehicle_names(known, folder)
+    yield from _check_vehicle(known, folder)
+    yield from _check_disks(known)
+    yield from _check_service_certificates(known)
+    guarded = (
+        [_check_maps(known)]
+        if offline
+        else [_check_connections(known), _check_maps(known), _check_receivers(known, receiver_s)]
+    )
     for checks in guarded:
         try:
             yield from checks
@@ -87,10 +91,10 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
             yield not_checked("map and receiver", f"{error.name} is not installed here")
 
 
-def _settings(path: Path, known: dict[str, Any]) -> Finding:
-    """Read one service's file as that service would, into `known`."""
+def _check_settings(path: Path, known: dict[str, Any]) -> Finding:
+    """Read one service's file as that service does, into `known`."""
     what, name = f"settings {path.name}", path.stem
-    nobody = problem(what, "no service has this name", "rename or remove it")
+    no_service = problem(what, "no service has this name", "rename or remove it")
     try:
         module = importlib.import_module(f"camber.{name}.settings")
     except ModuleNotFoundError as error:
@@ -98,14 +102,14 @@ def _settings(path: Path, known: dict[str, Any]) -> Finding:
             return not_checked(
                 what, f"{error.name} is not installed here; `camber {name} --check` where it is"
             )
-        return nobody
+        return no_service
     classes = [
         value
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, ServiceSettings) and name == value.SERVICE
     ]
     if not classes:
-        return nobody
+        return no_service
     try:
         known[name], _ = load(classes[0], ["--config", str(path)], prog=_PROG)
     except ConfigError as error:
@@ -113,7 +117,7 @@ def _settings(path: Path, known: dict[str, Any]) -> Finding:
     return ok(what, f"right, for {known[name].vehicle}")
 
 
-def _vehicles(known: dict[str, Any], folder: Path) -> Finding:
+def _check_vehicle_names(known: dict[str, Any], folder: Path) -> Finding:
     names = {name: settings.vehicle for name, settings in known.items() if name not in _CLOUD}
     for path in folder.glob("*router*.json5") if names else ():
         if (name := _name_of(path)) is not None:
@@ -121,23 +125,25 @@ def _vehicles(known: dict[str, Any], folder: Path) -> Finding:
     if len(set(names.values())) > 1:
         each = ", ".join(f"{name} {vehicle}" for name, vehicle in sorted(names.items()))
         return problem(
-            "vehicle", f"not the same in all files: {each}", "services of different names never meet"
+            "vehicle",
+            f"not the same in all files: {each}",
+            "services of different vehicles do not exchange messages",
         )
     return ok("vehicle", next(iter(names.values()), "none: services of the cloud"))
 
 
 def _name_of(router: Path) -> str | None:
-    """The vehicle for which a router's rules were made; None where they are of none, or of many."""
+    """Return the vehicle of a router's access rules; None without one, or with several."""
     from camber.runtime.access_probe import name_in
     from camber.runtime.session import BusError, router_rules
 
-    with contextlib.suppress(BusError):  # said where the file itself is looked at
+    with contextlib.suppress(BusError):  # reported with the file itself
         return name_in(router_rules(router))
     return None
 
 
-def _of_a_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
-    """Is there all without which nothing is confirmed?"""
+def _check_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
+    """Report what is missing that a verdict needs."""
     missing = [name for name in VEHICLE_SERVICES if not os.path.exists(folder / f"{name}.toml")]
     if missing and set(known) & set(VEHICLE_SERVICES):
         yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
@@ -145,12 +151,12 @@ def _of_a_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
     if height is not None and height.way == "fixed" and height.fixed_height_m is None:
         yield problem(
             "antenna height",
-            "way fixed, and fixed_height_m is not set: nothing will be confirmed",
+            "way = fixed without fixed_height_m: no fix will be confirmed",
             "measure it, or set another way: docs/services/antenna_height.md",
         )
 
 
-def _disks(known: dict[str, Any]) -> Iterator[Finding]:
+def _check_disks(known: dict[str, Any]) -> Iterator[Finding]:
     seen: set[Path] = set()
     for name, settings in known.items():
         store = getattr(settings, "store", None)
@@ -168,7 +174,7 @@ def _disks(known: dict[str, Any]) -> Iterator[Finding]:
             yield check_folder(f"disk of {name}", folder, least_free_bytes=least)
 
 
-def _certificates(known: dict[str, Any]) -> Iterator[Finding]:
+def _check_service_certificates(known: dict[str, Any]) -> Iterator[Finding]:
     now, seen = datetime.now(UTC), set()
     for name, settings in known.items():
         files = tuple(
@@ -182,8 +188,8 @@ def _certificates(known: dict[str, Any]) -> Iterator[Finding]:
                 yield from check_certificates(what, authority, certificate, key, now)
 
 
-def _routers(folder: Path) -> Iterator[Finding]:
-    """Of each router's file, the certificates that it shows and asks for."""
+def _check_routers(folder: Path) -> Iterator[Finding]:
+    """Check the certificates that each router's file names."""
     from camber.runtime.session import BusError, router_endpoints
 
     now = datetime.now(UTC)
@@ -194,7 +200,7 @@ def _routers(folder: Path) -> Iterator[Finding]:
         except BusError as error:
             yield problem(what, str(error), "docs/security.md")
             continue
-        pairs = {(tls.get(f"{way}_certificate"), tls.get(f"{way}_private_key")) for way in _WAYS}
+        pairs = {(tls.get(f"{side}_certificate"), tls.get(f"{side}_private_key")) for side in _DIRECTIONS}
         for pair in pairs - {(None, None)}:
             authority, certificate, key = (
                 Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair)
@@ -202,7 +208,7 @@ def _routers(folder: Path) -> Iterator[Finding]:
             yield from check_certificates(what, authority, certificate, key, now)
 
 
-def _connections(known: dict[str, Any]) -> Iterator[Finding]:
+def _check_connections(known: dict[str, Any]) -> Iterator[Finding]:
     from camber.tools.operate.doctor_connection_checks import check_bus, check_ports
 
     yield from check_ports(list(known.items()))
@@ -214,7 +220,7 @@ def _connections(known: dict[str, Any]) -> Iterator[Finding]:
             yield from check_bus(settings)
 
 
-def _map(known: dict[str, Any]) -> Iterator[Finding]:
+def _check_maps(known: dict[str, Any]) -> Iterator[Finding]:
     from camber.tools.operate.doctor_connection_checks import check_map, check_reference
 
     if "map_update" in known:
@@ -224,15 +230,15 @@ def _map(known: dict[str, Any]) -> Iterator[Finding]:
         yield from check_map(known["map_server"], None if gnss is None else gnss.datum)
 
 
-def _receiver(known: dict[str, Any], seconds: float) -> Iterator[Finding]:
+def _check_receivers(known: dict[str, Any], seconds: float) -> Iterator[Finding]:
     from camber.runtime.query import BusError, QueryClient
     from camber.tools.operate.doctor_connection_checks import check_receiver
 
     if "gnss" not in known:
         return
     settings, runs = known["gnss"], False
-    with contextlib.suppress(BusError), QueryClient(settings, timeout_s=1.0) as asker:
-        runs = "gnss" in asker.alive(settings.vehicle).get(settings.vehicle, ())
+    with contextlib.suppress(BusError), QueryClient(settings, timeout_s=1.0) as client:
+        runs = "gnss" in client.alive(settings.vehicle).get(settings.vehicle, ())
     yield from check_receiver(settings, seconds, gnss_runs=runs)
 
 

@@ -1,4 +1,4 @@
-"""Checks of what a deployment connects to, for `camber doctor`: bus, map, receiver, corrections."""
+"""Checks of a deployment's connections for `camber doctor`: bus, ports, map, receiver, corrections."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from camber.formats.receiver.frame_buffer import FrameBuffer
@@ -23,9 +24,10 @@ from camber.tools.operate.doctor_machine_checks import Finding, not_checked, ok,
 from camber.transport.byte_streams import open_stream
 from camber.transport.ntrip_client import NtripAccess
 
+# Chosen: an operator waits for the result; a router on a slow uplink answers within a second.
 _REACH_S = 3.0
 _VERIFY_S = 20.0
-# A receiver's message comes some tenths of a second after its epoch, and none comes before it.
+# A receiver's message arrives some tenths of a second after its epoch and never before it (measured on receiver logs).
 MOST_LATENCY_S, MOST_AHEAD_S = 0.5, 0.05
 
 
@@ -33,12 +35,12 @@ MOST_LATENCY_S, MOST_AHEAD_S = 0.5, 0.05
 
 
 def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
-    """Is there a router where this service looks for one, and does it let us in?"""
+    """Check that a router answers at the endpoints of a service, and that access rules allow us to publish."""
     zenoh = settings.zenoh
     for endpoint in zenoh.connect:
         host = re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)(?:[?#].*)?", endpoint)
         if host is None:
-            yield not_checked(f"bus {endpoint}", "only tcp/ and tls/ can be tried alone")
+            yield not_checked(f"bus {endpoint}", "only tcp/ and tls/ endpoints can be checked")
             continue
         try:
             socket.create_connection(_address(host[1], host[2]), timeout=_REACH_S).close()
@@ -46,60 +48,64 @@ def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
             yield problem(
                 f"bus {endpoint}",
                 f"{error.strerror or error}",
-                "is the router running, and is this its address?",
+                "start the router, or correct its address",
             )
             continue
-        yield ok(f"bus {endpoint}", "somebody listens there")
+        yield ok(f"bus {endpoint}", "a server listens")
     try:
-        with QueryClient(settings, timeout_s=_REACH_S) as asker:
-            alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
-        yield ok("bus", f"joined; of {settings.vehicle} is there: {', '.join(sorted(alive)) or 'nobody yet'}")
+        with QueryClient(settings, timeout_s=_REACH_S) as client:
+            alive = client.alive(settings.vehicle).get(settings.vehicle, frozenset())
+        yield ok("bus", f"joined; services of {settings.vehicle}: {', '.join(sorted(alive)) or 'none yet'}")
         if zenoh.over_tls and can_publish(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
             yield problem(
-                "bus, access", denial_message(zenoh, settings.vehicle), "`camber access cloud` anew"
+                "bus, access", denial_message(zenoh, settings.vehicle), "run `camber access cloud` again"
             )
     except (BusError, TlsError) as error:
         yield problem("bus", str(error), "router, certificates; `camber health router`")
 
 
 def check_ports(all_settings: Sequence[tuple[str, ServiceSettings]]) -> Iterator[Finding]:
-    """Ports on which services of this machine are to listen: free, or that service's already, and none twice."""
+    """Check that each port is free, or in use by that service already, and assigned once."""
     wanted: dict[tuple[str, int], str] = {}
     for name, settings in all_settings:
         ports = [] if settings.metrics_port is None else [(settings.metrics_host, settings.metrics_port)]
         if settings.zenoh.mode != "client":
-            found = (re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)", endpoint) for endpoint in settings.zenoh.listen)
-            ports += [(match[1].strip("[]"), int(match[2])) for match in found if match is not None]
+            matches = (
+                re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)", endpoint) for endpoint in settings.zenoh.listen
+            )
+            ports += [(match[1].strip("[]"), int(match[2])) for match in matches if match is not None]
         for host, port in ports:
             if port == 0:
                 continue
             what = f"port {host}:{port} of {name}"
-            others = (of for (place, number), of in wanted.items() if number == port and _meet(place, host))
+            others = (
+                of for (place, number), of in wanted.items() if number == port and _overlap(place, host)
+            )
             if (other := next(others, None)) is not None:
-                yield problem(what, f"also that of {other}", "a port of its own for each service")
+                yield problem(what, f"also assigned to {other}", "a different port for each service")
                 continue
             wanted[host, port] = name
-            yield _port(what, host, port)
+            yield _check_port(what, host, port)
 
 
-def _meet(one: str, other: str) -> bool:
-    """Can these two not have the same port? `::` stands for all addresses, 0.0.0.0 for all of IPv4."""
+def _overlap(one: str, other: str) -> bool:
+    """Whether two listen addresses cannot share a port: `::` is every address, 0.0.0.0 every IPv4 address."""
     return one == other or "::" in (one, other) or ("0.0.0.0" in (one, other) and ":" not in one + other)
 
 
 def _address(host: str, port: str | int) -> tuple[str, int]:
-    """As sockets take it, which raise all kinds of errors for what is none; here it is an OSError."""
+    """Return the address for a socket; OSError where host or port is invalid."""
     host, number = host.strip("[]"), int(port)
     try:
         host.encode("idna")
     except UnicodeError:
-        raise OSError(f"{host} is no name of a host") from None
+        raise OSError(f"{host} is not a valid host name") from None
     if number > 65_535:
-        raise OSError(f"{number} is no port: expected at most 65535")
+        raise OSError(f"port {number}: expected at most 65535")
     return host, number
 
 
-def _port(what: str, host: str, port: int) -> Finding:
+def _check_port(what: str, host: str, port: int) -> Finding:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.create_server(_address(host, port), family=family):
@@ -107,7 +113,9 @@ def _port(what: str, host: str, port: int) -> Finding:
     except OSError as error:
         if _is_ours(host, port):
             return ok(what, "in use by a running service of Camber")
-        return problem(what, f"{error.strerror or error}", "another port, or end what has it (`ss -ltnp`)")
+        return problem(
+            what, f"{error.strerror or error}", "another port, or stop the program that uses it (`ss -ltnp`)"
+        )
 
 
 def _is_ours(host: str, port: int) -> bool:
@@ -124,13 +132,15 @@ def _is_ours(host: str, port: int) -> bool:
 
 
 def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
-    """The release opens, is signed by the key that is trusted, is of the datum of the fixes, and can be read."""
+    """Check that the release opens, carries the trusted signature, has the datum of the fixes and can be read."""
     if settings.store is not None and settings.public_key is None and not settings.unsigned:
-        text = f"without public_key nothing is fetched into {settings.store}: newer releases do not come"
-        yield problem("map, signature", text, "public_key of map_server, the other half of the signing key")
+        text = f"without public_key no newer release is fetched into {settings.store}"
+        yield problem(
+            "map, signature", text, "set public_key of map_server to the public half of the signing key"
+        )
     if settings.release is None:
         yield not_checked(
-            "map", f"map_server fetches it into {settings.store}; `camber status` says which it uses"
+            "map", f"map_server fetches it into {settings.store}; `camber status` shows which it uses"
         )
         return
     try:
@@ -138,33 +148,29 @@ def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
         release = open_release(settings.release, public_key=key)
     except ReleaseError as error:
         yield problem(
-            "map", str(error), "`camber map inspect`; a release that is whole, and the key that signed it"
+            "map", str(error), "`camber map inspect`; a complete release and the key that signed it"
         )
         return
     manifest = release.manifest
-    signature = (
-        "not asked for a signature (public_key)" if key is None else f"signed by {settings.public_key}"
-    )
+    signature = "signature not checked (no public_key)" if key is None else f"signed by {settings.public_key}"
     yield ok("map", f"{settings.release}: {manifest.region}, version {manifest.map_version}, {signature}")
-    yield from _datums(manifest.datum, settings.datum, datum_of_fixes)
+    yield from _check_datums(manifest.datum, settings.datum, datum_of_fixes)
     age_ns = SystemClock().now_ns() - manifest.time_ns
     if settings.max_age_days is not None and not -NS_PER_DAY <= age_ns <= settings.max_age_days * NS_PER_DAY:
-        text = f"made {age_ns / NS_PER_DAY:.0f} days ago, at most {settings.max_age_days:g} are taken"
+        text = f"{age_ns / NS_PER_DAY:.0f} days old, expected at most {settings.max_age_days:g}"
         yield problem("map, age", text, "a newer release, or another max_age_days")
     if manifest.surrogate:
         yield problem(
             "map, origin", f"a surrogate: {manifest.surrogate}", "a surveyed map for a real vehicle"
         )
-    yield _verified(release)
+    yield _check_tiles(release)
 
 
 def check_reference(settings: Any) -> Iterator[Finding]:
-    """What map_update makes releases of, and the key that signs them."""
+    """Check the reference from which map_update makes releases, and the signing key."""
     if settings.reference is None:
         if settings.role != "receive":
-            yield not_checked(
-                "reference", "map_update has none: uploads are kept, no releases are made of them"
-            )
+            yield not_checked("reference", "map_update has none: uploads are stored, no release is made")
         return
     try:
         manifest = open_release(settings.reference).manifest
@@ -173,11 +179,11 @@ def check_reference(settings: Any) -> Iterator[Finding]:
     except ReleaseError as error:
         yield problem("reference", str(error), "reference and signing_key of map_update")
         return
-    signed = "signed" if settings.signing_key else "not signed: vehicles with a public_key take none"
-    yield ok("reference", f"{settings.reference}: {manifest.region}; releases of it will be {signed}")
+    signed = "signed" if settings.signing_key else "not signed: vehicles with a public_key refuse them"
+    yield ok("reference", f"{settings.reference}: {manifest.region}; its releases will be {signed}")
 
 
-def _datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Finding]:
+def _check_datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Finding]:
     for name, datum in (("map_server.toml", of_server), ("gnss.toml", of_fixes)):
         if datum is not None and datum != of_map:
             yield problem(
@@ -189,38 +195,38 @@ def _datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Findi
     yield ok("datum", f"{of_map}, as of fixes and map_server" if of_fixes else f"{of_map}, as of map_server")
 
 
-def _verified(release: Any) -> Finding:
+def _check_tiles(release: Any) -> Finding:
     deadline_s, tiles, size = time.monotonic() + _VERIFY_S, 0, 0
     try:
         for tile_bytes in release.check():
             tiles, size = tiles + 1, size + tile_bytes
             if time.monotonic() > deadline_s:
-                return ok("map, tiles", f"the first {tiles}, {size >> 20} MB, are right")
+                return ok("map, tiles", f"the first {tiles}, {size >> 20} MB, are intact")
     except ReleaseError as error:
-        return problem("map, tiles", str(error), "copy the release anew")
-    return ok("map, tiles", f"all {tiles}, {size / 1e6:.1f} MB, are right")
+        return problem("map, tiles", str(error), "copy the release again")
+    return ok("map, tiles", f"all {tiles}, {size / 1e6:.1f} MB, are intact")
 
 
 # -- receiver and corrections -----------------------------------------------------------------------------------------
 
 
 def check_receiver(settings: Any, seconds: float, *, gnss_runs: bool) -> Iterator[Finding]:
-    """Bytes come, in the protocol of the settings, of now; and so do corrections."""
+    """Check that receiver and corrections deliver current data in the protocol of the settings."""
     access = _access(settings)
     if settings.source == "bus":
-        yield not_checked("receiver", "its bytes come over the bus; `camber status` shows receiver_bytes")
+        yield not_checked("receiver", "its bytes arrive over the bus; `camber status` shows receiver_bytes")
     elif gnss_runs and settings.source.startswith("serial:"):
-        yield not_checked("receiver", f"gnss runs and has {settings.source}; `camber status`")
+        yield not_checked("receiver", f"the running gnss has opened {settings.source}; see `camber status`")
     else:
-        yield from _stream("receiver", settings.source, settings.protocol, access, seconds, with_time=True)
+        stream = _Stream(what="receiver", url=settings.source, protocol=settings.protocol)
+        yield from _check_stream(stream, access, seconds, with_time=True)
     if settings.base_source in (None, "bus"):
-        yield not_checked("corrections", "the receiver's own, or over the bus: no base_source")
+        yield not_checked("corrections", "no base_source: corrections go to the receiver or over the bus")
     elif gnss_runs and settings.base_source.startswith("serial:"):
-        yield not_checked("corrections", f"gnss runs and has {settings.base_source}")
+        yield not_checked("corrections", f"the running gnss has opened {settings.base_source}")
     else:
-        yield from _stream(
-            "corrections", settings.base_source, settings.base_protocol, access, seconds, with_time=False
-        )
+        stream = _Stream(what="corrections", url=settings.base_source, protocol=settings.base_protocol)
+        yield from _check_stream(stream, access, seconds, with_time=False)
 
 
 def _access(settings: Any) -> NtripAccess:
@@ -233,17 +239,25 @@ def _access(settings: Any) -> NtripAccess:
     )
 
 
-def _stream(
-    what: str, url: str, protocol: str, access: NtripAccess, seconds: float, *, with_time: bool
+@dataclass(frozen=True, kw_only=True)
+class _Stream:
+    what: str
+    url: str
+    protocol: str
+
+
+def _check_stream(
+    source: _Stream, access: NtripAccess, seconds: float, *, with_time: bool
 ) -> Iterator[Finding]:
-    where = (
-        "cable, address, rights of the device"
+    what, url, protocol = source.what, source.url, source.protocol
+    remedy = (
+        "cable, address, permissions of the device"
         if url.startswith(("serial", "tcp", "file"))
         else "caster, mount point, user"
     )
     clock = SystemClock()
     frames, decoder = FrameBuffer("ubx", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
-    found: Counter[str] = Counter()
+    frame_counts: Counter[str] = Counter()
     latencies_s: list[float] = []
     stream = open_stream(url, arrived=lambda: None, ntrip=access)
     size, deadline_s = 0, time.monotonic() + seconds
@@ -253,50 +267,47 @@ def _stream(
             data = stream.take()
             now_ns = clock.now_ns()
             size += len(data)
-            found.update(frame.protocol for frame in frames.feed(data))
-            said = (
-                [item for item in decoder.feed(data) if isinstance(item, ReceiverSolution)]
-                if with_time
-                else []
-            )
-            latencies_s += [(now_ns - solution.time_ns) / 1e9 for solution in said]
+            frame_counts.update(frame.protocol for frame in frames.feed(data))
+            if with_time:
+                solutions = [item for item in decoder.feed(data) if isinstance(item, ReceiverSolution)]
+                latencies_s += [(now_ns - solution.time_ns) / 1e9 for solution in solutions]
     finally:
         stream.close()
     if stream.failures and not size:
-        yield problem(what, f"{url}: {stream.last_failure}", where)
+        yield problem(what, f"{url}: {stream.last_failure}", remedy)
         return
     if not size:
-        yield problem(what, f"{url}: nothing came for {seconds:g} s", where)
+        yield problem(what, f"{url}: no data within {seconds:g} s", remedy)
         return
-    counts = ", ".join(f"{count} {name}" for name, count in found.most_common())
+    counts = ", ".join(f"{count} {name}" for name, count in frame_counts.most_common())
     if protocol in ("ubx", "nmea", "rtcm", "mixed"):
-        right = bool(found) if protocol == "mixed" else bool(found[protocol])
-        if not right:
+        has_protocol = bool(frame_counts) if protocol == "mixed" else bool(frame_counts[protocol])
+        if not has_protocol:
             yield problem(
                 what,
-                f"{url}: {size} bytes, of {protocol} nothing ({counts or 'no frame of any protocol'})",
+                f"{url}: {size} bytes without {protocol} ({counts or 'no frame of any protocol'})",
                 "protocol in gnss.toml, baud rate, output of the receiver",
             )
             return
-        if protocol != "mixed" and len(found) > 1:
-            yield problem(what, f"{url}: {counts}, but {protocol} alone is read", 'protocol = "mixed"')
+        if protocol != "mixed" and len(frame_counts) > 1:
+            yield problem(what, f"{url}: {counts}, but only {protocol} is read", 'protocol = "mixed"')
             return
     yield ok(what, f"{url}: {size} bytes in {seconds:g} s{f', {counts}' if counts else ''}")
     if with_time:
-        yield _offset(latencies_s)
+        yield _check_clock_offset(latencies_s)
 
 
-def _offset(latencies_s: list[float]) -> Finding:
-    """The clock against the receiver's, by the shortest time that a solution took."""
+def _check_clock_offset(latencies_s: list[float]) -> Finding:
+    """Compare the machine's clock with the receiver's by the smallest latency of a solution."""
     if not latencies_s:
-        return not_checked("clock against the receiver", "it gave no position with a date")
+        return not_checked("clock against the receiver", "no position with a date was received")
     least_s = min(latencies_s)
-    text = f"its positions come {least_s:+.3f} s after their time"
+    text = f"positions arrive {least_s:+.3f} s after their epoch"
     if -MOST_AHEAD_S <= least_s <= MOST_LATENCY_S:
         return ok("clock against the receiver", text)
-    whole = abs(least_s) > 0.9 and abs(least_s - round(least_s)) < 0.3
+    is_whole_second = abs(least_s) > 0.9 and abs(least_s - round(least_s)) < 0.3
     return problem(
         "clock against the receiver",
         text,
-        f"{'leap seconds, or ' if whole else ''}the machine's clock (NTP, PTP): fixes will be refused by their age",
+        f"{'leap seconds or ' if is_whole_second else ''}the machine's clock (NTP, PTP): fixes will be stale",
     )

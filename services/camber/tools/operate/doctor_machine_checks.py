@@ -27,16 +27,19 @@ from camber.runtime.tls import RENEW_BEFORE
 
 State = Literal["ok", "problem", "not checked"]
 
+# Chosen: a clock error of 50 ms moves a fix at 20 m/s by 1 m against the pose.
 MOST_CLOCK_ERROR_S = 0.05
+# Chosen: an hour of uploads and logs.
 LEAST_FREE_BYTES = 500 << 20
+# Chosen: each upload waits for one flush, and verdicts come five to ten times a second.
 SLOW_FSYNC_S = 0.5
-_EARLIEST_UNIX_S = 1_704_067_200  # 2024: a machine that is earlier has no clock of its own
-_TAI_MINUS_GPS_S = 19
+_EARLIEST_UNIX_S = 1_704_067_200  # 2024-01-01: an earlier time means that the clock was never set
+_TAI_MINUS_GPS_S = 19  # constant by definition of GPS time, IS-GPS-200
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line: what was looked at, how it is, and what to do where it is wrong."""
+    """The result of one check, with the remedy of a problem."""
 
     what: str
     state: State
@@ -48,26 +51,26 @@ class Finding:
 
 
 def ok(what: str, text: str) -> Finding:
-    """Well."""
-    return Finding(what, "ok", text)
+    """Return a passed check."""
+    return Finding(what=what, state="ok", text=text)
 
 
 def problem(what: str, text: str, todo: str) -> Finding:
-    """Wrong, and what to do."""
-    return Finding(what, "problem", text, todo)
+    """Return a problem with its remedy."""
+    return Finding(what=what, state="problem", text=text, todo=todo)
 
 
 def not_checked(what: str, why: str) -> Finding:
-    """Nobody can say from here."""
-    return Finding(what, "not checked", why)
+    """Return a check that is not possible here."""
+    return Finding(what=what, state="not checked", text=why)
 
 
 # -- clock ------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Discipline:
-    """What the kernel says of its clock: disciplined by NTP or PTP, its largest error, TAI − UTC (0: not told)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockDiscipline:
+    """The kernel's report on its clock: synchronised by NTP or PTP, largest error, TAI − UTC (0: not known)."""
 
     synchronised: bool
     most_error_s: float
@@ -90,12 +93,13 @@ class _Timex(ctypes.Structure):
     )
 
 
+# linux/timex.h
 _STA_UNSYNC = 0x0040
 _TIME_ERROR = 5
 
 
-def kernel_discipline() -> Discipline | None:
-    """None where the kernel does not tell."""
+def kernel_discipline() -> ClockDiscipline | None:
+    """Return the clock's discipline by adjtimex(2), or None where the kernel does not report it."""
     try:
         adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
     except (OSError, AttributeError):
@@ -105,35 +109,37 @@ def kernel_discipline() -> Discipline | None:
     if state < 0:
         return None
     synchronised = state != _TIME_ERROR and not timex.status & _STA_UNSYNC
-    return Discipline(synchronised, timex.maxerror / 1e6, timex.tai)
+    return ClockDiscipline(
+        synchronised=synchronised, most_error_s=timex.maxerror / 1e6, tai_minus_utc_s=timex.tai
+    )
 
 
-def check_clock(discipline: Discipline | None, unix_s: float) -> Iterator[Finding]:
-    """Plausible, disciplined, and with the leap seconds that Camber has."""
+def check_clock(discipline: ClockDiscipline | None, unix_s: float) -> Iterator[Finding]:
+    """Check that the clock is plausible and synchronised, and that leap seconds agree with Camber's table."""
     what = "clock"
     if unix_s < _EARLIEST_UNIX_S:
-        yield problem(what, f"it is {_date(unix_s)}", "set it; without a time nothing is judged")
+        yield problem(what, f"it is {_date(unix_s)}", "set it: without a time no fix is judged")
         return
     if discipline is None:
-        yield not_checked(what, "the kernel does not say whether it is synchronised")
+        yield not_checked(what, "the kernel does not report whether it is synchronised")
         return
     if not discipline.synchronised:
         yield problem(
             what,
             "not synchronised by NTP or PTP",
-            "start chrony, systemd-timesyncd or phc2sys; messages are refused by their age",
+            "start chrony, systemd-timesyncd or phc2sys; stale messages are refused",
         )
     elif discipline.most_error_s > MOST_CLOCK_ERROR_S:
         yield problem(
             what,
             f"synchronised, but up to {discipline.most_error_s:.3f} s off",
-            f"a nearer server: expected {MOST_CLOCK_ERROR_S} s or less",
+            f"a nearer time server: expected {MOST_CLOCK_ERROR_S} s or less",
         )
     else:
         yield ok(what, f"synchronised, at most {1e3 * discipline.most_error_s:.1f} ms off")
     known_s = gps_minus_utc_s(max(SystemClock().now_ns(), 0))
     if discipline.tai_minus_utc_s == 0:
-        yield ok("leap seconds", f"GPS − UTC is {known_s} s here; the kernel does not say")
+        yield ok("leap seconds", f"GPS − UTC is {known_s} s here; the kernel does not report it")
     elif discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S != known_s:
         kernel_s = discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S
         yield problem(
@@ -142,18 +148,18 @@ def check_clock(discipline: Discipline | None, unix_s: float) -> Iterator[Findin
             "update Camber, or the machine's leap second file (tzdata)",
         )
     else:
-        yield ok("leap seconds", f"GPS − UTC is {known_s} s, as the kernel has it")
+        yield ok("leap seconds", f"GPS − UTC is {known_s} s here and in the kernel")
 
 
 # -- disk -------------------------------------------------------------------------------------------------------------
 
 
 def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Finding:
-    """A folder that a service keeps its state in: there or to be made, writable, durable, with room."""
-    # Those of `os.path` say no where we may not look; what hinders us is said by the folder that we get to.
+    """Check a state folder: it exists or can be made, is writable, flushes quickly and has room."""
+    # os.path reports False without permission; the nearest accessible folder then gives the reason.
     place = next((path for path in (folder, *folder.parents) if os.path.exists(path)), Path("/"))
     if not os.path.isdir(place):
-        return problem(what, f"{place} is no folder", "remove it, or set another folder")
+        return problem(what, f"{place} is not a folder", "remove it, or set another folder")
     probe = place / f".camber-doctor-{uuid.uuid4().hex}"
     began_s = time.monotonic()
     try:
@@ -166,7 +172,7 @@ def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_
         return problem(
             what,
             f"{place}: {error.strerror or error} {owner}",
-            "owner, mount options and room of this folder",
+            "owner, mount options and free space of this folder",
         )
     finally:
         with suppress(OSError):
@@ -178,8 +184,8 @@ def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_
             what, f"{place}: {free >> 20} MB free", f"make room: expected {least_free_bytes >> 20} MB or more"
         )
     if took_s > SLOW_FSYNC_S:
-        return problem(what, f"{place}: a flush took {took_s:.1f} s", "another disk: uploads are as slow")
-    made = "" if place == folder else f", {folder} will be made"
+        return problem(what, f"{place}: a flush took {took_s:.1f} s", "a faster disk: uploads wait for it")
+    made = "" if place == folder else f", {folder} will be created"
     return ok(what, f"{place}: {free >> 20} MB free, a flush takes {1e3 * took_s:.0f} ms{made}")
 
 
@@ -189,21 +195,21 @@ def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_
 def check_certificates(
     what: str, authority: Path | None, certificate: Path | None, key: Path | None, now: datetime
 ) -> Iterator[Finding]:
-    """Readable, in force, signed by the authority, with its own key, which nobody else may read."""
+    """Check that certificates are readable, valid and signed by the authority, and that the key fits and is private."""
     authorities = _read(authority)
     if isinstance(authorities, str):
         yield problem(f"{what}, authority", authorities, "camber certs")
     elif authority is not None:
-        yield from (_in_force(f"{what}, authority", each, now) for each in authorities)
+        yield from (_check_validity(f"{what}, authority", each, now) for each in authorities)
     chain = _read(certificate)
     if isinstance(chain, str):
         yield problem(f"{what}, certificate", chain, "camber certs")
     elif chain:
-        yield _in_force(f"{what}, certificate", chain[0], now)
+        yield _check_validity(f"{what}, certificate", chain[0], now)
         if not isinstance(authorities, str) and authorities:
-            yield _signed_by(f"{what}, certificate", chain[0], authorities)
+            yield _check_issuer(f"{what}, certificate", chain[0], authorities)
     if key is not None:
-        yield _key(f"{what}, key", key, None if isinstance(chain, str) or not chain else chain[0])
+        yield _check_key(f"{what}, key", key, None if isinstance(chain, str) or not chain else chain[0])
 
 
 def _read(path: Path | None) -> list[x509.Certificate] | str:
@@ -217,19 +223,19 @@ def _read(path: Path | None) -> list[x509.Certificate] | str:
         return f"{path}: expected a certificate in PEM"
 
 
-def _in_force(what: str, certificate: x509.Certificate, now: datetime) -> Finding:
+def _check_validity(what: str, certificate: x509.Certificate, now: datetime) -> Finding:
     name = certificate.subject.rfc4514_string()
     begins, ends = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     if now < begins:
-        return problem(what, f"{name}: in force only from {begins:%Y-%m-%d %H:%M} UTC", "is the clock right?")
+        return problem(what, f"{name}: not valid before {begins:%Y-%m-%d %H:%M} UTC", "check the clock")
     if now >= ends:
-        return problem(what, f"{name}: expired {ends:%Y-%m-%d %H:%M} UTC", "camber certs: make a new one")
+        return problem(what, f"{name}: expired {ends:%Y-%m-%d %H:%M} UTC", "camber certs: issue a new one")
     if ends - now < RENEW_BEFORE:
-        return problem(what, f"{name}: expires {ends:%Y-%m-%d}", "camber certs: make a new one now")
+        return problem(what, f"{name}: expires {ends:%Y-%m-%d}", "camber certs: issue a new one now")
     return ok(what, f"{name}, until {ends:%Y-%m-%d}")
 
 
-def _signed_by(what: str, certificate: x509.Certificate, authorities: list[x509.Certificate]) -> Finding:
+def _check_issuer(what: str, certificate: x509.Certificate, authorities: list[x509.Certificate]) -> Finding:
     for authority in authorities:
         try:
             certificate.verify_directly_issued_by(authority)
@@ -241,7 +247,7 @@ def _signed_by(what: str, certificate: x509.Certificate, authorities: list[x509.
     )
 
 
-def _key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding:
+def _check_key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding:
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
         key = load_pem_private_key(path.read_bytes(), password=None)
@@ -255,7 +261,9 @@ def _key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding
     if certificate is not None and key.public_key().public_bytes(
         *form
     ) != certificate.public_key().public_bytes(*form):
-        return problem(what, f"{path}: not the key of the certificate", "the pair that was made together")
+        return problem(
+            what, f"{path}: not the key of the certificate", "certificate and key that were issued together"
+        )
     return ok(what, f"{path}: mode {mode:04o}{', of this certificate' if certificate is not None else ''}")
 
 
@@ -263,28 +271,28 @@ def _key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding
 
 
 def check_python() -> Iterator[Finding]:
-    """The interpreter, and where compiled functions are kept: without that every start compiles for a minute."""
+    """Check the interpreter and the cache of machine code, without which every start compiles for a minute."""
     version = ".".join(map(str, sys.version_info[:3]))
     yield ok("Python", version)
     if importlib.util.find_spec("numba") is None:
         yield not_checked("machine code", "numba is not installed; it comes with the services that need it")
         return
     spec = importlib.util.find_spec("camber.compiled")
-    beside = Path((spec.submodule_search_locations or ["/"])[0]) if spec is not None else Path("/")
+    package = Path((spec.submodule_search_locations or ["/"])[0]) if spec is not None else Path("/")
     named = os.environ.get("NUMBA_CACHE_DIR")
-    places = [Path(named)] if named else [beside, Path.home() / ".cache"]
+    places = [Path(named)] if named else [package, Path.home() / ".cache"]
     for place in places:
-        found = check_folder("machine code", place, least_free_bytes=50 << 20)
-        if found.state == "ok":
-            yield found
+        finding = check_folder("machine code", place, least_free_bytes=50 << 20)
+        if finding.state == "ok":
+            yield finding
             return
-    if next((beside / "__pycache__").glob("*.nbc"), None):
-        yield ok("machine code", f"brought along in {beside}")
+    if next((package / "__pycache__").glob("*.nbc"), None):
+        yield ok("machine code", f"shipped in {package}")
         return
     yield problem(
         "machine code",
-        f"none of {', '.join(map(str, places))} can be written: compiled anew at each start",
-        "set NUMBA_CACHE_DIR to a folder that can be",
+        f"none of {', '.join(map(str, places))} is writable: compiled again at each start",
+        "set NUMBA_CACHE_DIR to a writable folder",
     )
 
 
