@@ -133,12 +133,7 @@ class Fetching:
         data = reply.payload.tobytes()
         if supplier.may_be_old and self._is_old(data):
             return False
-        return self._store.accept(
-            data,
-            file=supplier.name,
-            region=region,
-            public_key=self._wishes.public_key,
-        )
+        return self._store.accept(data, file=supplier.name, region=region, public_key=self._wishes.public_key)
 
     def fetch(self, supplier: Supplier) -> Iterator[None]:
         """Fetch what is wanted, a step for each blob; a new release is in force when all of it is here.

@@ -31,12 +31,7 @@ from camber.road_map.release_files import (
 from camber.road_map.release_writer import write_release
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
-from camber.road_map.signing_keys import (
-    check_signature,
-    key_id,
-    load_public_key,
-    load_signing_key,
-)
+from camber.road_map.signing_keys import check_signature, key_id, load_public_key, load_signing_key
 from camber.road_map.tile_checks import wrong_in_tile
 from camber.road_map.tile_grid import TILES, Tile
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile

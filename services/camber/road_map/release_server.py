@@ -13,13 +13,7 @@ from camber.road_map.blob_delta import as_it_is, packed
 from camber.road_map.release import ReleaseError, ReleaseFolder
 from camber.road_map.release_files import PART_BYTES, decoded
 from camber.schemas.base import Message
-from camber.schemas.fleet import (
-    MapBlobReply,
-    MapBlobRequest,
-    MapRootReply,
-    MapRootRequest,
-    ReleaseHead,
-)
+from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest, ReleaseHead
 from camber.schemas.road import ReleaseRoot
 
 _KEPT_BYTES = 64 << 20

@@ -311,9 +311,7 @@ def test_no_height_has_a_say_in_the_choice_of_a_level() -> None:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
-    st.integers(0, 2**32),
-    st.lists(st.integers(0, 5), max_size=3),
-    st.one_of(st.none(), st.integers(0, 30)),
+    st.integers(0, 2**32), st.lists(st.integers(0, 5), max_size=3), st.one_of(st.none(), st.integers(0, 30))
 )
 def test_what_is_known_never_contradicts_the_topology(
     seed: int, link_ids: list[int], last_surface_id: int | None

@@ -152,10 +152,7 @@ def _boxes(surfaces: RoadSurfaces, rows: Integers, cell_rad: Floats) -> tuple[Fl
     reach_m = np.hypot(surfaces.half_length_m[rows], surfaces.half_width_m[rows])
     # Both radii of curvature are least at the equator.
     reach = 1.01 * np.column_stack(
-        (
-            reach_m / prime_vertical_radius_m(0.0) / np.cos(latitude),
-            reach_m / meridian_radius_m(0.0),
-        )
+        (reach_m / prime_vertical_radius_m(0.0) / np.cos(latitude), reach_m / meridian_radius_m(0.0))
     )
     centre = np.column_stack((longitude, latitude))
     return (centre - reach) / cell_rad, (centre + reach) / cell_rad

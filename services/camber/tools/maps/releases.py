@@ -38,17 +38,11 @@ def main(argv: Sequence[str]) -> int:
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument("--why", type=NUMBER, metavar="SURFACE", help="what a surface's height comes from")
     choice.add_argument(
-        "--roll-back",
-        type=NUMBER,
-        metavar="VERSION",
-        help="a new release as VERSION was (folder)",
+        "--roll-back", type=NUMBER, metavar="VERSION", help="a new release as VERSION was (folder)"
     )
     choice.add_argument("--go-back", action="store_true", help="the release before in force again (store)")
     choice.add_argument(
-        "--allow-from",
-        type=NUMBER,
-        metavar="VERSION",
-        help="let versions from this on come again (store)",
+        "--allow-from", type=NUMBER, metavar="VERSION", help="let versions from this on come again (store)"
     )
     parser.add_argument("--uploads", type=Path, help="with --why: uploads.sqlite, for the votes by pseudonym")
     parser.add_argument("--signing-key", type=Path, help="with --roll-back: the key that signs releases")

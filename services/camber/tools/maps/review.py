@@ -30,11 +30,7 @@ def main(argv: Sequence[str]) -> int:
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument("--accept", type=NUMBER, nargs="+", metavar="SURFACE", help="publish these changes")
     choice.add_argument(
-        "--reject",
-        type=NUMBER,
-        nargs="+",
-        metavar="SURFACE",
-        help="do not publish these changes",
+        "--reject", type=NUMBER, nargs="+", metavar="SURFACE", help="do not publish these changes"
     )
     choice.add_argument("--log", action="store_true", help="show what was decided so far")
     parser.add_argument("--who", default=user_name(), help="who decides (the user's name)")

@@ -45,11 +45,7 @@ def a_cloud(n: int = 5) -> PointCloud:
 def same(a: PointCloud, b: PointCloud) -> bool:
     return all(
         (x is None and y is None) or (x is not None and y is not None and x.tobytes() == y.tobytes())
-        for x, y in (
-            (a.points_m, b.points_m),
-            (a.intensity, b.intensity),
-            (a.offset_ns, b.offset_ns),
-        )
+        for x, y in ((a.points_m, b.points_m), (a.intensity, b.intensity), (a.offset_ns, b.offset_ns))
     )
 
 

@@ -178,10 +178,7 @@ def test_what_cannot_be_exported_is_one_clear_line(
         bare, region="test", map_version=1, datum="WGS84", epoch_year=2024.0, time_ns=NOW_NS,
         surfaces=surfaces, links=links,
     )  # fmt: skip
-    for folder, options in (
-        (bare, ("--to", "pcd")),
-        (tmp_path / "none", ("--to", "geojson")),
-    ):
+    for folder, options in ((bare, ("--to", "pcd")), (tmp_path / "none", ("--to", "geojson"))):
         assert main(["map", "export", str(folder), "--out", str(tmp_path / "x"), *options]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
 
