@@ -21,7 +21,7 @@ from figure import Figure, higher, lower, per_call_us
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import ElevationMap, RoadColumns
+from camber.map_server.elevation import ElevationMap, SelectedRoads
 from camber.road_map.release import read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.surface_heights import SurfaceHeights
@@ -193,10 +193,10 @@ def batches(city: City, folder: Path) -> list[Figure]:
     with rasterio.open(folder / "ground.tif") as raster:
         for order, drives in (("along drives", along), ("in random order", along.shuffled())):
 
-            def by_pose(d: Drives = drives) -> RoadColumns:
+            def by_pose(d: Drives = drives) -> SelectedRoads:
                 return roads.roads_each(d.latitude_rad, d.longitude_rad, d.link_ids, d.last_surface_id)
 
-            def alike(d: Drives = drives) -> RoadColumns:
+            def alike(d: Drives = drives) -> SelectedRoads:
                 return roads.roads(d.latitude_rad, d.longitude_rad)
 
             def by_id(d: Drives = drives) -> tuple[Floats, Floats]:

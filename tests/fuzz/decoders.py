@@ -61,12 +61,12 @@ from camber.map_update.queue.queue_messages import (
 )
 from camber.map_update.stores.store import Outcome
 from camber.replay.short_drive import write_short_drive
-from camber.road_map.blob_delta import packed, unpacked
+from camber.road_map.blob_delta import compress_blob, decompress_blob
 from camber.road_map.release import read_release
 from camber.road_map.release_files import decoded
 from camber.road_map.road_columns import ReleaseError
 from camber.road_map.road_tiles import surface_tiles
-from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import DecodeError, decode, encode
 from camber.schemas.lidar import Sweep
@@ -75,7 +75,7 @@ from camber.sensors.lidar_reader import LidarReader
 from camber.sensors.sensor_clock import SensorClock, TimeScale
 from camber.simulator.output.can_frames import DBC
 from camber.simulator.output.lidar_packets import PATTERNS, ouster_metadata, ouster_packets, velodyne_packets
-from camber.tools.maps.importers.lane_map import Known, road_map
+from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of as lanes_of_lanelets
 from camber.tools.maps.importers.opendrive_roads import LANE_TYPES
 from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roads
@@ -270,7 +270,7 @@ def _pcd(random: Random) -> list[list[bytes]]:
     rng = np.random.default_rng(random.getrandbits(32))
     points = rng.normal(0.0, 20.0, (20, 3)).astype(np.float32)
     intensity, offset = rng.random(20, np.float32), -np.arange(20, dtype=np.int32)
-    binary = pcd_bytes(PointCloud(points, intensity, offset))
+    binary = pcd_bytes(PointCloud(points_m=points, intensity=intensity, offset_ns=offset))
     header, body = binary.split(b"DATA binary\n")
     rows = np.frombuffer(body, np.uint8).reshape(20, -1, 4)
     columns = np.swapaxes(rows, 0, 1).tobytes()
@@ -281,7 +281,7 @@ def _pcd(random: Random) -> list[list[bytes]]:
         f"{x} {y} {z} {i} {t}\n" for (x, y, z), i, t in zip(points, intensity, offset, strict=True)
     )
     return [
-        [pcd_bytes(PointCloud(points))],
+        [pcd_bytes(PointCloud(points_m=points))],
         [binary],
         [header + b"DATA binary_compressed\n" + sizes + literal],
         [header + b"DATA ascii\n" + text.encode()],
@@ -329,7 +329,7 @@ def _read_tile(data: bytes) -> None:
     """As a release and the map server take it, but for the hash, which nobody can damage unseen."""
     named = [cls for cls in _TILES if cls.schema_name().encode() in data[:100]]
     tile = decoded((named or _TILES)[0], data, "tile")
-    wrong = wrong_in_tile(tile)
+    wrong = tile_defect(tile)
     if wrong is not None:
         raise ReleaseError("tile", *wrong)
     surfaces, links = (
@@ -363,19 +363,19 @@ def _newer_blobs(random: Random) -> list[bytes]:
 
 def _packed(random: Random) -> list[list[bytes]]:
     newer = _newer_blobs(random)
-    return [[packed(blob, _older_blob())] for blob in newer] + [
-        [packed(newer[0])],
-        [packed(b"other", b"others")],
+    return [[compress_blob(blob, _older_blob())] for blob in newer] + [
+        [compress_blob(newer[0])],
+        [compress_blob(b"other", b"others")],
     ]
 
 
 def _packed_numbers(random: Random) -> list[list[bytes]]:
     """What is inside a difference of surfaces."""
-    small = [packed(blob, _older_blob()) for blob in _newer_blobs(random)]
+    small = [compress_blob(blob, _older_blob()) for blob in _newer_blobs(random)]
     return [[zstandard.decompress(each[1:])] for each in small if each[:1] == b"s"]
 
 
-_KNOWN = Known(sigma_m=0.05, link_sigma_m=0.5, seen_ns=START_NS)
+_KNOWN = LaneSurvey(sigma_m=0.05, link_sigma_m=0.5, seen_ns=START_NS)
 _FLAT_EARTH = Projection(lambda x, y: (np.clip(1e-7 * y, -1.4, 1.4), np.clip(1e-7 * x, -3.0, 3.0)), None)
 
 
@@ -543,11 +543,13 @@ DECODERS: tuple[Target, ...] = (
     Target("opendrive", _drives, read=_read_drive, refusal=FormatError),
     Target("ply", _ply, read=lambda data: points_from_ply(data, "fuzz"), refusal=FormatError),
     Target("map_tiles", _tiles, read=_read_tile, refusal=ReleaseError),
-    Target("map_delta", _packed, read=lambda data: unpacked(data, _older_blob()), refusal=ReleaseError),
+    Target(
+        "map_delta", _packed, read=lambda data: decompress_blob(data, _older_blob()), refusal=ReleaseError
+    ),
     Target(
         "map_delta_numbers",
         _packed_numbers,
-        read=lambda data: unpacked(data, _older_blob()),
+        read=lambda data: decompress_blob(data, _older_blob()),
         refusal=ReleaseError,
         sealed=lambda data: b"s" + zstandard.compress(data),
     ),

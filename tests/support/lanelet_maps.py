@@ -43,14 +43,30 @@ class _Maker:
         return ids
 
     def lanelet(
-        self, identity: int, left: tuple[int, ...], right: tuple[int, ...], ways: tuple[int, int]
+        self, identity: int, left: tuple[int, ...], right: tuple[int, ...], border_ids: tuple[int, int]
     ) -> None:
-        self.lanelets.append(Lanelet(identity, left, right, *ways, {"type": "lanelet", "subtype": "road"}))
+        self.lanelets.append(
+            Lanelet(
+                lanelet_id=identity,
+                left=left,
+                right=right,
+                left_border_id=border_ids[0],
+                right_border_id=border_ids[1],
+                tags={"type": "lanelet", "subtype": "road"},
+            )
+        )
 
     def map(self) -> LaneletMap:
         plane = np.array(self.points)
         latitude, longitude, _ = FRAME.geodetic_from_east_north_array(plane[:, :2], np.zeros(len(plane)))
-        return LaneletMap(self.rows, latitude, longitude, plane[:, 2], self.lanelets, {})
+        return LaneletMap(
+            row_of=self.rows,
+            latitude_rad=latitude,
+            longitude_rad=longitude,
+            height_m=plane[:, 2],
+            lanelets=self.lanelets,
+            left_out={},
+        )
 
 
 def town() -> LaneletMap:

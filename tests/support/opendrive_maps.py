@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.map_exchange.opendrive import (
-    Connection,
-    DriveLane,
-    Geometry,
+    JunctionConnection,
     LaneSection,
     OpenDrive,
-    Road,
+    OpenDriveLane,
+    OpenDriveRoad,
+    PlanViewGeometry,
     RoadEnd,
 )
 from camber.formats.map_exchange.opendrive_geometry import reference_line
@@ -32,19 +32,30 @@ def cubics(*rows: tuple[float, ...]) -> Floats:
 
 def lane(
     lane_id: int, width_m: float = 3.5, before: int | None = None, after: int | None = None
-) -> DriveLane:
-    return DriveLane(lane_id, "driving", cubics((0.0, width_m, 0.0, 0.0, 0.0)), NO_ROWS, before, after)
+) -> OpenDriveLane:
+    return OpenDriveLane(
+        lane_id=lane_id,
+        kind="driving",
+        widths=cubics((0.0, width_m, 0.0, 0.0, 0.0)),
+        borders=NO_ROWS,
+        predecessor=before,
+        successor=after,
+    )
 
 
-def road(identity: str, geometries: list[Geometry], sections: list[LaneSection], **more: object) -> Road:
+def road(
+    identity: str, geometries: list[PlanViewGeometry], sections: list[LaneSection], **more: object
+) -> OpenDriveRoad:
     names = ("elevation", "superelevation", "crossfall_left", "crossfall_right", "lane_offset")
     profiles: dict[str, object] = dict.fromkeys(names, NO_ROWS)
     length_m = geometries[-1].s_m + geometries[-1].length_m
     values = profiles | {"shape": np.zeros((0, 6))} | more
-    return Road(identity, length_m, geometries, sections, **values)  # type: ignore[arg-type]
+    return OpenDriveRoad(
+        identity=identity, length_m=length_m, geometries=geometries, sections=sections, **values
+    )  # type: ignore[arg-type]
 
 
-def street_geometries() -> list[Geometry]:
+def street_geometries() -> list[PlanViewGeometry]:
     """100 m straight, a clothoid of 40 m to the left, 60 m of arc, a clothoid out of it, 30 m straight."""
     k = 1.0 / RADIUS_M
     parts: list[tuple[str, float, tuple[float, ...]]] = [
@@ -56,16 +67,49 @@ def street_geometries() -> list[Geometry]:
 
 def chained(
     x_m: float, y_m: float, heading: float, parts: list[tuple[str, float, tuple[float, ...]]]
-) -> list[Geometry]:
+) -> list[PlanViewGeometry]:
     """Geometries one after the other."""
-    found: list[Geometry] = []
+    found: list[PlanViewGeometry] = []
     s = 0.0
     for shape, length, numbers in parts:
-        found.append(Geometry(s, x_m, y_m, heading, length, shape, numbers))
-        piece = road("", [Geometry(0.0, x_m, y_m, heading, length, shape, numbers)], [])
+        found.append(
+            PlanViewGeometry(
+                s_m=s, x_m=x_m, y_m=y_m, heading_rad=heading, length_m=length, shape=shape, numbers=numbers
+            )
+        )
+        piece = road(
+            "",
+            [
+                PlanViewGeometry(
+                    s_m=0.0,
+                    x_m=x_m,
+                    y_m=y_m,
+                    heading_rad=heading,
+                    length_m=length,
+                    shape=shape,
+                    numbers=numbers,
+                )
+            ],
+            [],
+        )
         x_m, y_m, heading = reference_line(piece, np.array([length]))[0].tolist()
         s += length
     return found
+
+
+def _from_end(end: Floats, length_m: float, shape: str, numbers: tuple[float, ...]) -> PlanViewGeometry:
+    """A reference line that begins where another ends: at x, y, heading."""
+    x_m, y_m, heading_rad = end.tolist()
+    return PlanViewGeometry(
+        s_m=0.0,
+        x_m=x_m,
+        y_m=y_m,
+        heading_rad=heading_rad,
+        length_m=length_m,
+        shape=shape,
+        numbers=numbers,
+        normalised=shape == "paramPoly3",
+    )
 
 
 def town() -> OpenDrive:
@@ -83,44 +127,46 @@ def town() -> OpenDrive:
             (100.0, 0.0, 0.0015, 0.0, 0.0), (140.0, 0.06, 0.0, 0.0, 0.0),
             (200.0, 0.06, -0.0015, 0.0, 0.0), (240.0, 0.0, 0.0, 0.0, 0.0),
         ),
-        successor=RoadEnd("junction", "9"),
+        successor=RoadEnd(kind="junction", identity="9"),
     )  # fmt: skip
     middle = reference_line(street_road, np.array([50.0]))[0]
     across = middle[2] + 0.5 * math.pi
     x, y = middle[0] - 60.0 * math.cos(across), middle[1] - 60.0 * math.sin(across)
     bridge = road(
         "2",
-        [Geometry(0.0, x, y, across, 120.0, "line")],
+        [PlanViewGeometry(s_m=0.0, x_m=x, y_m=y, heading_rad=across, length_m=120.0, shape="line")],
         [LaneSection(0.0, [lane(1, before=None, after=1), lane(-1, after=-1)])],
         elevation=cubics((0.0, 525.0, 0.08, -0.08 / 120.0, 0.0)),
-        successor=RoadEnd("road", "3", "start"),
+        successor=RoadEnd(kind="road", identity="3", contact="start"),
     )
     end = reference_line(bridge, np.array([120.0]))[0]
     bend = (0.0, 80.0, 0.0, 0.0, 0.0, 0.0, 20.0, -10.0)
     ramp = road(
         "3",
-        [Geometry(0.0, *end.tolist(), 81.2, "paramPoly3", bend, normalised=True)],
+        [_from_end(end, 81.2, "paramPoly3", bend)],
         [LaneSection(0.0, [lane(1, before=1), lane(-1, before=-1)])],
         elevation=cubics((0.0, 525.0, -0.05, 0.0, 0.0)),
-        predecessor=RoadEnd("road", "2", "end"),
+        predecessor=RoadEnd(kind="road", identity="2", contact="end"),
     )
     last = reference_line(street_road, np.array([street_road.length_m]))[0]
     turn = road(
         "4",
-        [Geometry(0.0, *last.tolist(), 25.0, "arc", (-0.05,))],
+        [_from_end(last, 25.0, "arc", (-0.05,))],
         [LaneSection(0.0, [lane(-1, before=-1)])],
         elevation=cubics((0.0, *_rise(street_road), 0.0, 0.0)),
-        predecessor=RoadEnd("road", "1", "end"),
+        predecessor=RoadEnd(kind="road", identity="1", contact="end"),
     )
     return OpenDrive(
-        GEOREFERENCE,
-        (0.0, 0.0, 0.0),
-        [street_road, bridge, ramp, turn],
-        [Connection("9", "1", "4", "start", [(-1, -1)])],
+        georeference=GEOREFERENCE,
+        offset_m=(0.0, 0.0, 0.0),
+        roads=[street_road, bridge, ramp, turn],
+        connections=[
+            JunctionConnection(junction="9", incoming="1", connecting="4", contact="start", lanes=[(-1, -1)])
+        ],
     )
 
 
-def _rise(own: Road) -> tuple[float, float]:
+def _rise(own: OpenDriveRoad) -> tuple[float, float]:
     """Height and slope at the end of a road."""
     s, a, b, c, d = own.elevation[-1].tolist()
     ds = own.length_m - s

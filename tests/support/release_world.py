@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.map_server.release_download import NoAnswer
+from camber.map_server.release_download import SupplierUnavailableError
 from camber.map_update.fusion.corrections import CORRECTION, Corrections
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.road_map.release import open_release
-from camber.road_map.release_server import ReleaseServing
+from camber.road_map.release_server import ReleaseServer
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from support.small_map import MADE_NS, link, surface, write
 
@@ -50,7 +50,7 @@ class Cloud:
         self.spoil: Callable[[bytes], bytes] = lambda data: data
         self.spoil_more = self.spoil
         self.change: dict[str, Any] = {}
-        self._serving = ReleaseServing(folder)
+        self._serving = ReleaseServer(folder)
 
     def region(self) -> str | None:
         return None
@@ -60,7 +60,7 @@ class Cloud:
 
     def blob(self, request: MapBlobRequest) -> MapBlobReply:
         if self.cut_after is not None and len(self.asked) >= self.cut_after:
-            raise NoAnswer("the connection is cut")
+            raise SupplierUnavailableError("the connection is cut")
         self.asked.append(request)
         reply = self._serving.blob(request, time_ns=MADE_NS)
         payload = np.frombuffer(self.spoil(reply.payload.tobytes()), np.uint8)

@@ -15,16 +15,16 @@ from camber.map_server.point_groups import group_rows, members, sort_by_tile, ti
 from camber.map_server.road_selection import (
     KNOWN,
     UNDECIDED,
-    FoundRoads,
-    find_roads,
-    nothing_found,
+    RoadArrays,
+    empty_roads,
+    select_roads,
     topologies,
 )
 from camber.map_server.road_selection import LEVELS_AMBIGUOUS as AMBIGUOUS
 from camber.map_server.road_selection import NO_SURFACE as NO_SURFACE_HERE
-from camber.map_server.road_selection_by_links import find_by_links, put_back
+from camber.map_server.road_selection_by_links import restore_order, select_roads_by_links
 from camber.map_server.tile_index import TileIndex
-from camber.map_server.topology import Topology, choose
+from camber.map_server.topology import Topology, select_surface
 from camber.road_map.tile_grid import TILES, Tile, tile_of
 from camber.schemas.pose import Road, RoadPatch, RoadReason
 from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
@@ -47,7 +47,7 @@ _Points: TypeAlias = tuple[Floats, Floats, Integers, Integers]
 """Columns of latitude, longitude, candidate links and last surface."""
 
 REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
-"""What the numbers of `RoadColumns.reason` say."""
+"""What the numbers of `SelectedRoads.reason` say."""
 NO_SURFACE = Road(status="unknown", reason="no_surface")
 LEVELS_AMBIGUOUS = Road(status="unknown", reason="levels_ambiguous")
 
@@ -67,7 +67,7 @@ class _Links:
 
 
 @dataclass(frozen=True, slots=True)
-class RoadColumns:
+class SelectedRoads:
     """Roads under n points: what is known as columns (k,), for the points numbered in `known`, ascending.
 
     `reason` (n,) says of each point why its road is not known, as an index into REASONS, 0 where it is known.
@@ -131,7 +131,7 @@ class ElevationMap:
         hits = index.hits(*index.frame.east_north_from_geodetic(latitude_rad, longitude_rad, 0.0))
         if not hits:
             return NO_SURFACE
-        hit = choose(hits, self._topology(tile, frozenset(link_ids), last_surface_id))
+        hit = select_surface(hits, self._topology(tile, frozenset(link_ids), last_surface_id))
         if hit is None:
             return LEVELS_AMBIGUOUS
         return Road(
@@ -189,7 +189,7 @@ class ElevationMap:
             road = self._beside(patch, found)
         return road.model_copy(update={"patch": patch})
 
-    def _beside(self, patch: RoadPatch, found: RoadColumns) -> Road:
+    def _beside(self, patch: RoadPatch, found: SelectedRoads) -> Road:
         """The road nearest to a point beside it, as its plane goes on."""
         k = int(np.argmin(np.hypot(patch.east_m, patch.north_m)))
         slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
@@ -237,7 +237,7 @@ class ElevationMap:
         longitude_rad: ArrayLike,
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
-    ) -> RoadColumns:
+    ) -> SelectedRoads:
         """The roads under n points given as two arrays (n,), all by the same links and last surface: n times `road`."""
         latitude, longitude = _columns(latitude_rad, longitude_rad)
         links = np.array([*link_ids], np.int64)
@@ -250,7 +250,7 @@ class ElevationMap:
         longitude_rad: ArrayLike,
         link_ids: ArrayLike,
         last_surface_id: ArrayLike,
-    ) -> RoadColumns:
+    ) -> SelectedRoads:
         """`roads`, each point by its own candidate links (n, c) and last surface (n,); −1 stands for none.
 
         The poses of a drive, in any order.
@@ -266,12 +266,12 @@ class ElevationMap:
 
     def _roads(
         self, latitude_rad: Floats, longitude_rad: Floats, links: Integers, last: Integers
-    ) -> RoadColumns:
+    ) -> SelectedRoads:
         """Most points by their candidate links alone, the others by all that is known of where the vehicle can be."""
         number = tile_numbers(latitude_rad, longitude_rad)
-        found = nothing_found(len(number))
+        found = empty_roads(len(number))
         points = latitude_rad, longitude_rad, links, last
-        sorted_roads = nothing_found(min(_BLOCK, len(number)))
+        sorted_roads = empty_roads(min(_BLOCK, len(number)))
         for begin in range(0, len(number), _BLOCK):
             tiles, rows, start, gone_to = sort_by_tile(number[begin : begin + _BLOCK])
             rows += begin
@@ -280,16 +280,16 @@ class ElevationMap:
                 if index is None:
                     sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = NO_SURFACE_HERE, False
                 else:
-                    find_by_links(index.table, rows[first:end], *points, sorted_roads, first)
-            put_back(gone_to, sorted_roads, found, begin)
+                    select_roads_by_links(index.table, rows[first:end], *points, sorted_roads, first)
+            restore_order(gone_to, sorted_roads, found, begin)
         undecided = np.flatnonzero(found.reason == UNDECIDED)
         if len(undecided):
             self._by_topology(undecided, number, points, found)
         known = np.flatnonzero(found.reason == KNOWN)
         columns = found[2:] if len(known) == len(number) else (column[known] for column in found[2:])
-        return RoadColumns(found.reason, found.elsewhere, known, *columns)
+        return SelectedRoads(found.reason, found.elsewhere, known, *columns)
 
-    def _by_topology(self, rows: Integers, number: Integers, points: _Points, found: FoundRoads) -> None:
+    def _by_topology(self, rows: Integers, number: Integers, points: _Points, found: RoadArrays) -> None:
         """Points of the same tile, last surface and links have the same topology, which is looked up once."""
         _, _, links, last = points
         keys = np.column_stack((number[rows], last[rows], links[rows]))
@@ -309,7 +309,7 @@ class ElevationMap:
             place[groups] = np.arange(len(groups))
             index = self._index(tile)
             assert index is not None, "without surfaces it would have been decided"
-            find_roads(index.table, rows[here], *points[:2], place[group[here]], topologies(known), found)
+            select_roads(index.table, rows[here], *points[:2], place[group[here]], topologies(known), found)
 
     def _index(self, tile: int) -> TileIndex | None:
         return self._surfaces(divmod(tile, TILES)) if tile >= 0 else None

@@ -1,8 +1,7 @@
-"""Brings releases into the vehicle's store: asks for the newest root, then for the blobs that are not here yet.
+"""Download releases into the vehicle's store: request the newest root, then the blobs that are missing.
 
-Nothing that comes is believed: a root by its signature and version, a blob by its hash, a tile by what a map can be.
-Whoever gives the bytes, the cloud over the bus or a folder, is asked the same questions. A fetch that is cut off goes
-on where it was.
+All data are untrusted input: a root is verified by signature and version, a blob by its hash, a tile by its contents.
+The supplier, map_update over the bus or a folder, answers the same queries. An interrupted download resumes.
 """
 
 from __future__ import annotations
@@ -17,109 +16,117 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from numpy.typing import NDArray
 
-from camber.road_map.blob_delta import unpacked
-from camber.road_map.release import Release, ReleaseError, checked_tile
-from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissing, ReleaseFolder
-from camber.road_map.release_server import ReleaseServing
-from camber.road_map.store import Kept, MapStore
+from camber.road_map.blob_delta import decompress_blob
+from camber.road_map.release import Release, ReleaseError, decode_tile
+from camber.road_map.release_files import MAX_BLOB_BYTES, PART_BYTES, BlobMissingError, ReleaseFolder
+from camber.road_map.release_server import ReleaseServer
+from camber.road_map.store import MapStore, StoredRelease
 from camber.road_map.tile_grid import TILES, Tile, tile_of, tiles_around
 from camber.schemas.base import EARLIEST_NS
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
-from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
+from camber.schemas.road import LAYERS, Layer, Manifest, ReleaseRoot
 
 Integers = NDArray[np.int64]
 
-_MORE = 32
-"""Blobs that are asked for along with another."""
-_KEPT_FACTOR = 2.0
-"""Tiles stay in the store until they are this many times as far away as those that are fetched."""
+_MORE = 32  # chosen: blobs requested along with another; as many as fit into 256 kB are returned
+_KEPT_FACTOR = (
+    2.0  # chosen: tiles are deleted beyond this multiple of the download radius, so that none alternates
+)
+
+_BlobName = tuple[str, str | None]
+"""SHA-256 of a blob and of the blob that it is compressed against, None for none."""
 
 
-class NoAnswer(RuntimeError):  # noqa: N818 (the name says what is the matter)
-    """Whoever was asked for a release does not answer now."""
+class SupplierUnavailableError(RuntimeError):
+    """The supplier of releases does not answer now."""
 
 
-class Supplier(Protocol):
-    """Who has releases; both methods raise NoAnswer where there is no reply."""
+class ReleaseSupplier(Protocol):
+    """Supplier of releases; both queries raise SupplierUnavailableError without a reply."""
 
     name: str
     may_be_old: bool
-    """A release older than one that was here before is nothing to speak of: a folder from the factory."""
+    """Whether an older release than before is ignored without an error, as in a folder from the factory."""
 
     def region(self) -> str | None:
-        """The region it has releases of, where it has only one."""
+        """Return the region of its releases, if it has only one."""
 
     def root(self, request: MapRootRequest) -> MapRootReply:
-        """The newest root of a region."""
+        """Return the newest root of a region."""
 
     def blob(self, request: MapBlobRequest) -> MapBlobReply:
-        """A part of a packed blob."""
+        """Return a part of a compressed blob."""
 
 
-@dataclass(frozen=True)
-class Wishes:
-    """What is to be fetched. `around_m` None: all of the map; else what comes within it of the vehicle."""
+@dataclass(frozen=True, kw_only=True)
+class FetchRequest:
+    """What to download. `around_m`: radius around the vehicle; None: the whole map."""
 
     region: str | None
     public_key: Ed25519PublicKey | None
     around_m: float | None
     acceptable: Callable[[Release], None] = lambda release: None
-    """Raises ReleaseError for a release that is not to be used here."""
+    """Raises ReleaseError for a release that must not be used here."""
 
 
 @dataclass
-class Where:
-    """Where the vehicle is, by the questions it asks; None: nobody has asked yet."""
+class VehiclePosition:
+    """Position of the vehicle from its elevation requests; None before the first."""
 
     point_rad: tuple[float, float] | None = None
 
 
 class FolderSupplier:
-    """A folder of releases, from the factory or on a stick."""
+    """A folder of releases, from the factory or on a USB stick."""
 
     may_be_old = True
 
     def __init__(self, folder: Path) -> None:
         self.name = str(folder)
-        self._serving = ReleaseServing(folder, near=True)
+        self._server = ReleaseServer(folder, compress=False)
         self._folder = ReleaseFolder(folder)
 
     def stamp(self) -> object | None:
-        """Another one after the folder's root has changed."""
+        """Return a value that differs after the folder's root has changed."""
         return self._folder.stamp()
 
     def region(self) -> str | None:
-        """That of the folder's release."""
+        """Return the region of the folder's release."""
         try:
-            return self._serving.head(time_ns=EARLIEST_NS).region
+            return self._server.head(time_ns=EARLIEST_NS).region
         except ReleaseError:
             return None
 
     def root(self, request: MapRootRequest) -> MapRootReply:
-        """The folder's root."""
-        return self._serving.root(request, time_ns=request.time_ns)
+        """Return the folder's root."""
+        return self._server.root(request, time_ns=request.time_ns)
 
     def blob(self, request: MapBlobRequest) -> MapBlobReply:
-        """A part of one of the folder's blobs."""
-        return self._serving.blob(request, time_ns=request.time_ns)
+        """Return a part of one of the folder's blobs."""
+        return self._server.blob(request, time_ns=request.time_ns)
 
 
-class Fetching:
-    """Fetches step by step. `in_use` is the version that a reader of the store has open."""
+class ReleaseDownload:
+    """Stepwise download into a store. `in_use` is the version that a reader of the store has open."""
 
-    def __init__(self, store: MapStore, wishes: Wishes, where: Where, *, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, store: MapStore, request: FetchRequest, position: VehiclePosition, *, now_ns: Callable[[], int]
+    ) -> None:
         self.fetched_bytes = 0
         self.fetched_blobs = 0
         self.in_use: int | None = None
         self._store = store
-        self._wishes = wishes
-        self._where = where
+        self._wishes = request
+        self._position = position
         self._now_ns = now_ns
         self._ahead: dict[tuple[str, str | None], bytes] = {}
 
-    def ask(self, supplier: Supplier) -> bool:
-        """Ask for the newest root; True where its release is new. NoAnswer; ReleaseError for one that is refused."""
+    def ask(self, supplier: ReleaseSupplier) -> bool:
+        """Request the newest root; True if its release is new.
+
+        Raises SupplierUnavailableError, and ReleaseError for a root that is refused.
+        """
         newest = self._store.coming() or self._store.current()
         region = self._wishes.region or (supplier.region() if newest is None else newest.region)
         if region is None:
@@ -135,11 +142,11 @@ class Fetching:
             return False
         return self._store.accept(data, file=supplier.name, region=region, public_key=self._wishes.public_key)
 
-    def fetch(self, supplier: Supplier) -> Iterator[None]:
-        """Fetch what is wanted, a step for each blob; a new release is in force when all of it is here.
+    def fetch(self, supplier: ReleaseSupplier) -> Iterator[None]:
+        """Download what is missing, a step for each blob, then activate the new release.
 
-        Ends when nothing is missing. NoAnswer, StoreFull, and ReleaseError for what is refused: the release in force
-        stays. It may be left at any step.
+        Raises SupplierUnavailableError, StoreFullError, and ReleaseError for what is refused; the active release
+        remains. The iteration may be abandoned at any step.
         """
         coming = self._store.coming()
         for kept in (coming, self._store.current()) if coming is not None else (self._store.current(),):
@@ -156,13 +163,13 @@ class Fetching:
         self._store.collect(() if self.in_use is None else (self.in_use,), self._kept_tiles())
 
     def drop_damaged(self) -> None:
-        """Forget the blobs of the release in force that are not as they were written; they are fetched again."""
+        """Delete the damaged blobs of the active release, so that they are downloaded again."""
         kept, current = self._store.current(), self._current()
         digests = set() if current is None else set(current.hashes())
         for digest in digests | ({kept.manifest_sha256} if kept is not None else set()):
             try:
                 self._store.blob(digest, None)
-            except BlobMissing:
+            except BlobMissingError:
                 pass
             except ReleaseError:
                 self._store.drop(digest)
@@ -175,21 +182,21 @@ class Fetching:
         return version < (self._store.highest() or 0)
 
     def lacks(self) -> bool:
-        """Is something wanted that is not here?"""
+        """Whether a requested blob is missing."""
         if self._store.coming() is not None:
             return True
         current = self._current()
         return current is not None and bool(self._store.missing(self._wanted(current)))
 
-    def _manifest(self, kept: Kept, supplier: Supplier) -> Iterator[None]:
+    def _manifest(self, kept: StoredRelease, supplier: ReleaseSupplier) -> Iterator[None]:
         if self._store.missing([kept.manifest_sha256]):
             current = self._store.current()
             base = None if current is None else current.manifest_sha256
-            self._store.put(kept.manifest_sha256, self._blob(supplier, kept.manifest_sha256, None, base))
+            self._store.put(kept.manifest_sha256, self._blob(supplier, (kept.manifest_sha256, base)))
             yield
 
-    def _tiles(self, release: Release, supplier: Supplier) -> Iterator[None]:
-        """Until nothing is missing of what is wanted, which may become more while the vehicle drives."""
+    def _tiles(self, release: Release, supplier: ReleaseSupplier) -> Iterator[None]:
+        """Download tiles until none is missing; the selection changes while the vehicle drives."""
         manifest, before = release.manifest, self._current()
         rows = {manifest.sha256[row].tobytes().hex(): row for row in range(len(manifest.layer))}
         while missing := self._store.missing(self._wanted(release)):
@@ -197,42 +204,43 @@ class Fetching:
             names = [_name(manifest, rows[digest]) for digest in missing]
             bases = [None if before is None else before.sha256(*name) for name in names]
             wanted = list(zip(missing, bases, strict=True))
-            for n, ((digest, base), (layer, x, y)) in enumerate(zip(wanted, names, strict=True)):
+            for n, (blob, (layer, x, y)) in enumerate(zip(wanted, names, strict=True)):
+                digest, more = blob[0], wanted[n + 1 : n + 1 + _MORE]
                 size = int(manifest.size_bytes[rows[digest]])
-                data = self._blob(supplier, digest, size, base, wanted[n + 1 : n + 1 + _MORE])
-                _check(data, f"{supplier.name}: blob {digest}", layer, x, y)
+                data = self._blob(supplier, blob, limit=min(size, MAX_BLOB_BYTES), more=more)
+                decode_tile(layer, data, file=f"{supplier.name}: blob {digest}", tile=(x, y))
                 self._store.put(digest, data)
                 yield
                 if self.tile() != begun_at:  # other tiles are nearer now
                     break
 
     def tile(self) -> Tile | None:
-        """The tile that the vehicle is in, as far as is known."""
-        point = self._where.point_rad
+        """Return the tile of the vehicle, None if unknown."""
+        point = self._position.point_rad
         return None if point is None else tile_of(*point)
 
     def _blob(
         self,
-        supplier: Supplier,
-        digest: str,
-        size: int | None,
-        base_digest: str | None,
-        more: Sequence[tuple[str, str | None]] = (),
+        supplier: ReleaseSupplier,
+        blob_name: _BlobName,
+        *,
+        limit: int = MAX_BLOB_BYTES,
+        more: Sequence[_BlobName] = (),
     ) -> bytes:
-        """A blob, verified: against one that is here, where that does not lead to it as a whole.
+        """Download and verify a blob, first as a difference, then as a whole.
 
-        `more`: what is wanted next, (hash, base); what of it comes along waits in `_ahead`.
+        `more`: blobs needed next; those that arrive along are kept in `_ahead`.
         """
-        limit = MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES)
-        for base_name in dict.fromkeys((base_digest, None)):
-            base = self._base(base_name)
-            if base_name is not None and base is None:
+        digest = blob_name[0]
+        for base_digest in dict.fromkeys((blob_name[1], None)):
+            base = self._base(base_digest)
+            if base_digest is not None and base is None:
                 continue
-            data = self._ahead.pop((digest, base_name), None)
+            data = self._ahead.pop((digest, base_digest), None)
             if data is None:
-                data = self._parts(supplier, digest, base_name, limit, more)
+                data = self._parts(supplier, (digest, base_digest), limit=limit, more=more)
             try:
-                blob = unpacked(data, base, limit=limit)
+                blob = decompress_blob(data, base, limit=limit)
             except ReleaseError as error:
                 self._store.drop(digest)
                 refusal = error
@@ -251,17 +259,13 @@ class Fetching:
             return None
 
     def _parts(
-        self,
-        supplier: Supplier,
-        digest: str,
-        base: str | None,
-        limit: int,
-        more: Sequence[tuple[str, str | None]],
+        self, supplier: ReleaseSupplier, blob_name: _BlobName, *, limit: int, more: Sequence[_BlobName]
     ) -> bytes:
+        digest, base = blob_name
         parts, count = self._store.parts(digest, base), None
         if not parts:
             self._store.drop(digest)  # parts against another base
-        most = -(-(limit + limit // 100 + 1024) // PART_BYTES) + 1  # packing never adds more
+        most = -(-(limit + limit // 100 + 1024) // PART_BYTES) + 1  # compression never adds more
         while count is None or len(parts) < count:
             lacking = set(self._store.missing([of for _, of in more if of is not None]))
             request = MapBlobRequest(
@@ -274,7 +278,7 @@ class Fetching:
             )
             reply = supplier.blob(request)
             if reply.status != "known":
-                raise NoAnswer(f"{supplier.name}: blob {digest}: {reply.reason}")
+                raise SupplierUnavailableError(f"{supplier.name}: blob {digest}: {reply.reason}")
             if not 0 < reply.parts <= most:
                 raise ReleaseError(
                     supplier.name, f"parts of blob {digest}", f"1 to {most}", actual=str(reply.parts)
@@ -287,8 +291,8 @@ class Fetching:
                 self._store.put_part(digest, base, len(parts) - 1, parts[-1])
         return b"".join(parts)
 
-    def _keep_ahead(self, supplier: Supplier, request: MapBlobRequest, reply: MapBlobReply) -> None:
-        """What has come of the blobs wanted next; of the reply before nothing is left."""
+    def _keep_ahead(self, supplier: ReleaseSupplier, request: MapBlobRequest, reply: MapBlobReply) -> None:
+        """Keep the further blobs of a reply, in place of those of the reply before."""
         sizes, data = reply.more_bytes.tolist(), reply.more_payload.tobytes()
         names = list(zip(request.more_sha256, request.more_base_sha256, strict=True))
         if len(sizes) > len(names) or any(size <= 0 for size in sizes) or sum(sizes) != len(data):
@@ -308,22 +312,22 @@ class Fetching:
             return None
 
     def _wanted(self, release: Release) -> list[str]:
-        """Hashes of the tiles that must be here, in the order in which they are wanted."""
+        """Return the hashes of the required tiles, nearest first."""
         manifest, around_m = release.manifest, self._wishes.around_m
-        point = self._where.point_rad
+        point = self._position.point_rad
         x, y = manifest.tile_x.astype(np.int64), manifest.tile_y.astype(np.int64)
         if around_m is None:
             chosen = np.ones(len(x), bool)
         else:
             near = set() if point is None else set(tiles_around(*point, around_m))
-            chosen = _among(x, y, near | self._places_here(release))
+            chosen = _among(x, y, near | self._downloaded_tiles(release))
         rows = np.flatnonzero(chosen)
         if point is not None:
             rows = rows[np.argsort(_steps_from(point, x[rows], y[rows]), kind="stable")]
         return [manifest.sha256[row].tobytes().hex() for row in rows.tolist()]
 
-    def _places_here(self, release: Release) -> set[Tile]:
-        """The tiles that the release in force has here: a newer one must not know less."""
+    def _downloaded_tiles(self, release: Release) -> set[Tile]:
+        """Return the tiles downloaded of the active release: a newer one must have them too."""
         current = self._current()
         if current is None or current.root == release.root:
             return set()
@@ -334,7 +338,7 @@ class Fetching:
         return {(x, y) for digest, x, y in places if digest not in missing}
 
     def _kept_tiles(self) -> Callable[[Release], set[str]] | None:
-        around_m, point = self._wishes.around_m, self._where.point_rad
+        around_m, point = self._wishes.around_m, self._position.point_rad
         if around_m is None or point is None:
             return None
         near = set(tiles_around(*point, _KEPT_FACTOR * around_m))
@@ -351,23 +355,12 @@ def _name(manifest: Manifest, row: int) -> tuple[Layer, int, int]:
     return LAYERS[manifest.layer[row]], int(manifest.tile_x[row]), int(manifest.tile_y[row])
 
 
-def _check(data: bytes, file: str, layer: Layer, x: int, y: int) -> None:
-    """Raise ReleaseError unless these bytes are a tile of a map, this one."""
-    match layer:
-        case "surfaces":
-            checked_tile(SurfaceTile, data, file, layer, x, y)
-        case "links":
-            checked_tile(LinkTile, data, file, layer, x, y)
-        case _:
-            checked_tile(CloudTile, data, file, layer, x, y)
-
-
 def _among(x: Integers, y: Integers, tiles: set[Tile]) -> NDArray[np.bool_]:
     return np.isin(x * TILES + y, np.array([a * TILES + b for a, b in tiles], np.int64))
 
 
 def _steps_from(point: tuple[float, float], x: Integers, y: Integers) -> Integers:
-    """How many tiles away, the short way round the earth."""
+    """Return the distance in tiles, in the shorter direction around the earth."""
     here = tile_of(*point)
     if here is None:
         return np.zeros(len(x), np.int64)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from camber.map_server.elevation import ElevationMap
 from camber.map_server.links import links_around
 from camber.map_server.tile_parts import tile_part, unknown_tile
-from camber.road_map.release import BlobMissing, Release
+from camber.road_map.release import BlobMissingError, Release
 from camber.road_map.tile_grid import tiles_around
 from camber.schemas.pose import Road
 from camber.schemas.road import (
@@ -21,10 +21,10 @@ from camber.schemas.road import (
 )
 
 
-class ReleaseAnswers:
+class ReleaseQueries:
     """Answers of one release. Each raises ReleaseError where a tile can no longer be read as it was written.
 
-    Where a tile that is needed has not been fetched they raise BlobMissing: it is not known what is there.
+    Where a tile that is needed has not been fetched they raise BlobMissingError: it is not known what is there.
     """
 
     def __init__(self, release: Release, *, tiles_kept: int = 256) -> None:
@@ -46,7 +46,7 @@ class ReleaseAnswers:
         road: Road = self._elevation.road_around(*point, request.radius_m, *topology)
         ahead: RoadsAhead | None = None
         if request.ahead is not None and road.status == "known":
-            with suppress(BlobMissing):
+            with suppress(BlobMissingError):
                 ahead = self._elevation.roads_ahead(*point, request.ahead, *topology)
         return ElevationReply(time_ns=time_ns, road=road, ahead=ahead)
 

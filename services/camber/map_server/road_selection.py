@@ -1,4 +1,4 @@
-"""The road under each of many points of a tile, in one pass over the points: `topology.choose`, compiled."""
+"""Compiled selection of the road under each of many points of a tile, as `topology.select_surface` for one point."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 KNOWN, NO_SURFACE, LEVELS_AMBIGUOUS, UNDECIDED = 0, 1, 2, 3
-"""Codes of why a road is not known; the last: not yet."""
+"""Codes of the reason; the last: not decided yet."""
 
 
 class Topologies(NamedTuple):
-    """Topologies one after the other: of number t the candidates are `names[bounds[t, 0] : bounds[t, 1]]`, from there
+    """Topologies as tables: the candidates of topology t are `names[bounds[t, 0] : bounds[t, 1]]`, from there
     to `bounds[t, 2]` the connected links, and to `bounds[t, 3]` the levels."""
 
     names: Integers
     bounds: Integers
 
 
-class FoundRoads(NamedTuple):
-    """The roads under n points, each as a column (n,); where `reason` is not KNOWN, only the first two say anything.
+class RoadArrays(NamedTuple):
+    """The roads under n points as columns (n,); only the first two are valid if `reason` is not KNOWN.
 
-    `elsewhere`: all surfaces there are on levels that no candidate is on: by topology the vehicle is not there.
+    `elsewhere`: all surfaces there are on levels without candidates: by topology the vehicle is not there.
     """
 
     reason: NDArray[np.uint8]
@@ -47,9 +47,9 @@ class FoundRoads(NamedTuple):
     extent_m: Floats
 
 
-def nothing_found(count: int) -> FoundRoads:
-    """No surface at any of n points."""
-    return FoundRoads(
+def empty_roads(count: int) -> RoadArrays:
+    """Return arrays for n points, each with the reason NO_SURFACE."""
+    return RoadArrays(
         reason=np.full(count, NO_SURFACE, np.uint8),
         elsewhere=np.zeros(count, np.bool_),
         surface_id=np.empty(count, np.int64),
@@ -63,7 +63,7 @@ def nothing_found(count: int) -> FoundRoads:
 
 
 def topologies(each: Sequence[Topology]) -> Topologies:
-    """Topologies as tables."""
+    """Return topologies as tables."""
     names = [name for one in each for names in (one.candidates, one.connected, one.levels) for name in names]
     sizes = np.array(
         [[0, len(one.candidates), len(one.connected), len(one.levels)] for one in each], np.int64
@@ -74,90 +74,73 @@ def topologies(each: Sequence[Topology]) -> Topologies:
 
 
 @compiled
-def find_roads(
+def select_roads(
     table: SurfaceTable,
     points: Integers,
     latitude_rad: Floats,
     longitude_rad: Floats,
     topology: Integers,
     known: Topologies,
-    found: FoundRoads,
+    roads: RoadArrays,
 ) -> None:
-    """Fill the rows `points` (k,) of `found`, all of them points of the table's tile, each by its topology (k,).
+    """Fill the rows `points` (k,) of `roads`, all of them points of the table's tile, each by its topology (k,).
 
-    Positions are columns (n,), as those of `found`.
+    Positions are columns (n,), as those of `roads`.
     """
-    # Of the surfaces at a point: their rows, where on them it is, and what of them is still to be chosen from.
+    # Surfaces at a point: rows, coordinates of the point on them, and whether they are still candidates.
     row, at = np.empty(table.most_in_cell, np.int64), np.empty((table.most_in_cell, 2))
     inside, left = np.empty(table.most_in_cell, np.bool_), np.empty(table.most_in_cell, np.bool_)
     on_candidate, is_connected = left.copy(), left.copy()
     for place in range(len(points)):
         i = points[place]
-        hits = _hits(table, latitude_rad[i], longitude_rad[i], row, at, inside)
+        hits = _hits(table, (latitude_rad[i], longitude_rad[i]), row=row, at=at, inside=inside)
         if hits == 0:
             continue
-        reason, found.elsewhere[i] = _left_by_topology(
-            table.names,
-            row,
-            hits,
-            known.names,
-            known.bounds[topology[place]],
-            left,
-            on_candidate,
-            is_connected,
+        reason, roads.elsewhere[i] = _left_by_topology(
+            names=table.names,
+            row=row,
+            hits=hits,
+            known=known.names,
+            bounds=known.bounds[topology[place]],
+            left=left,
+            on_candidate=on_candidate,
+            is_connected=is_connected,
         )
-        found.reason[i] = reason
+        roads.reason[i] = reason
         if reason != KNOWN:
             continue
         best = _nearest(at, inside, left, hits)
         k = row[best]
-        height_m, slope_u, slope_v = grid_plane(
-            table.heights_m,
-            table.grid[k, 0],
-            table.grid[k, 1],
-            table.grid[k, 2],
-            table.shape[k, 4],
-            table.shape[k, 5],
-            at[best, 0],
-            at[best, 1],
-        )
+        height_m, slope_u, slope_v = _plane(table, k, at[best, 0], at[best, 1])
         agree = True
         for h in range(hits):
             if left[h] and h != best:
                 other = row[h]
-                other_m, _, _ = grid_plane(
-                    table.heights_m,
-                    table.grid[other, 0],
-                    table.grid[other, 1],
-                    table.grid[other, 2],
-                    table.shape[other, 4],
-                    table.shape[other, 5],
-                    at[h, 0],
-                    at[h, 1],
-                )
+                other_m, _, _ = _plane(table, other, at[h, 0], at[h, 1])
                 agree &= abs(other_m - height_m) <= table.shape[other, 6] + table.shape[k, 6]
         if not agree:
-            found.reason[i] = LEVELS_AMBIGUOUS
+            roads.reason[i] = LEVELS_AMBIGUOUS
             continue
         cos, sin = table.shape[k, 2], table.shape[k, 3]
-        found.surface_id[i], found.level[i] = table.names[k, 0], table.names[k, 2]
-        found.elevation_m[i], found.sigma_m[i] = height_m, table.shape[k, 6]
-        found.slope_east[i] = slope_u * cos - slope_v * sin
-        found.slope_north[i] = slope_u * sin + slope_v * cos
-        found.extent_m[i] = table.shape[k, 7]
+        roads.surface_id[i], roads.level[i] = table.names[k, 0], table.names[k, 2]
+        roads.elevation_m[i], roads.sigma_m[i] = height_m, table.shape[k, 6]
+        roads.slope_east[i] = slope_u * cos - slope_v * sin
+        roads.slope_north[i] = slope_u * sin + slope_v * cos
+        roads.extent_m[i] = table.shape[k, 7]
+
+
+@compiled
+def _plane(table: SurfaceTable, k: int, u: float, v: float) -> tuple[float, float, float]:
+    grid = table.grid[k, 0], table.grid[k, 1], table.grid[k, 2]
+    return grid_plane(table.heights_m, grid, (table.shape[k, 4], table.shape[k, 5]), (u, v))
 
 
 @compiled
 def _hits(
-    table: SurfaceTable,
-    latitude_rad: float,
-    longitude_rad: float,
-    row: Integers,
-    at: Floats,
-    inside: NDArray[np.bool_],
+    table: SurfaceTable, point: tuple[float, float], row: Integers, at: Floats, inside: NDArray[np.bool_]
 ) -> int:
-    """How many surfaces are at a point; their rows, where on them it is, and whether within their rectangle."""
-    east_m, north_m = east_north_near(table.series, table.origin, latitude_rad, longitude_rad)
+    """Return the number of surfaces at a point; fills their rows, the point on them, and whether it is inside."""
+    east_m, north_m = east_north_near(table.series, table.origin, point[0], point[1])
     if east_m == math.inf:
         return 0
     column = math.floor((east_m - table.west_m) / CELL_M)
@@ -169,12 +152,9 @@ def _hits(
     for nth in range(table.cell_start[cell], table.cell_start[cell + 1]):
         k = table.cell_rows[nth]
         u, v, near, within = on_surface(
-            east_m - table.shape[k, 0],
-            north_m - table.shape[k, 1],
-            table.shape[k, 2],
-            table.shape[k, 3],
-            table.shape[k, 4],
-            table.shape[k, 5],
+            (east_m - table.shape[k, 0], north_m - table.shape[k, 1]),
+            (table.shape[k, 2], table.shape[k, 3]),
+            (table.shape[k, 4], table.shape[k, 5]),
         )
         if not near:
             continue
@@ -185,9 +165,13 @@ def _hits(
 
 @compiled
 def on_surface(
-    east_m: float, north_m: float, cos: float, sin: float, half_length: float, half_width: float
+    offset_m: tuple[float, float], direction: tuple[float, float], half_size: tuple[float, float]
 ) -> tuple[float, float, bool, bool]:
-    """Where on a surface a point is, given from its centre (u, v), whether near enough to count, and whether inside."""
+    """Return u and v of a point on a surface, whether it is within the tolerance, and whether inside.
+
+    `offset_m`: east and north from the surface's centre; `direction`: cosine and sine of its yaw.
+    """
+    (east_m, north_m), (cos, sin), (half_length, half_width) = offset_m, direction, half_size
     u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
     beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
     near = (beyond_u <= TOLERANCE_M) & (beyond_v <= TOLERANCE_M)
@@ -207,7 +191,7 @@ def _left_by_topology(
     on_candidate: NDArray[np.bool_],
     is_connected: NDArray[np.bool_],
 ) -> tuple[int, bool]:
-    """KNOWN with the surfaces `left` to choose from, or LEVELS_AMBIGUOUS; and whether all are `elsewhere`."""
+    """Mark the surfaces `left` by topology; returns KNOWN or LEVELS_AMBIGUOUS, and whether all are `elsewhere`."""
     begin, connected, levels, end = bounds
     plausible, both, elsewhere = False, False, False
     for h in range(hits):
@@ -227,8 +211,8 @@ def _left_by_topology(
         elsewhere = True
         for h in range(hits):
             elsewhere &= not _holds(known, levels, end, names[row[h], 2])
-    clear = _on_one_level(names, row, left, is_connected, hits) and (
-        plausible or _all_there(known, levels, end, names, row, hits)
+    clear = _on_one_level(names, row, left=left, is_connected=is_connected, hits=hits) and (
+        plausible or _all_levels_present(known[levels:end], names, row, hits)
     )
     return KNOWN if clear else LEVELS_AMBIGUOUS, elsewhere
 
@@ -245,34 +229,34 @@ def _holds(names: Integers, begin: int, end: int, name: int) -> bool:
 def _on_one_level(
     names: Integers, row: Integers, left: NDArray[np.bool_], is_connected: NDArray[np.bool_], hits: int
 ) -> bool:
-    """Are the surfaces left on one level, or all connected to the last surface?"""
-    several, strange, level = False, False, np.int64(0)
+    """Whether the surfaces left are on one level, or all connected to the last surface."""
+    several, unconnected, level = False, False, np.int64(0)
     first = True
     for h in range(hits):
         if left[h]:
             several |= not first and names[row[h], 2] != level
-            strange |= not is_connected[h]
+            unconnected |= not is_connected[h]
             level, first = names[row[h], 2], False
-    return not (several and strange)
+    return not (several and unconnected)
 
 
 @compiled
-def _all_there(names: Integers, begin: int, end: int, of_rows: Integers, row: Integers, hits: int) -> bool:
-    """Is each of the levels known by topology that of a surface here?"""
-    for k in range(begin, end):
-        there = False
+def _all_levels_present(levels: Integers, names: Integers, row: Integers, hits: int) -> bool:
+    """Whether each level known by topology is that of a surface at the point."""
+    for level in levels:
+        present = False
         for h in range(hits):
-            there |= of_rows[row[h], 2] == names[k]
-        if not there:
+            present |= names[row[h], 2] == level
+        if not present:
             return False
     return True
 
 
 @compiled
 def _nearest(at: Floats, inside: NDArray[np.bool_], left: NDArray[np.bool_], hits: int) -> int:
-    """Of the surfaces left that with the nearest centre line; where one contains the point only such are left.
+    """Return the surface left with the nearest centre line, of those that contain the point if any does.
 
-    Rows are in the order of surface ids, so the first of those equally near has the smallest.
+    Rows are in the order of surface ids, so the first of equally near ones has the smallest id.
     """
     contained = False
     for h in range(hits):

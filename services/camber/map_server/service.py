@@ -1,4 +1,4 @@
-"""Wires the release on disk to the questions on the bus, and newer releases in the cloud to the disk."""
+"""Connects the release on disk to the queries on the bus, and newer releases in the cloud to the disk."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, ClassVar, TypeVar
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.geodesy.gps_time import NS_PER_DAY
-from camber.map_server.download_thread import FetchThread, Times
+from camber.map_server.download_thread import DownloadIntervals, DownloadThread
 from camber.map_server.links import unknown_links
-from camber.map_server.release_download import FolderSupplier, NoAnswer, Wishes
-from camber.map_server.release_queries import ReleaseAnswers
+from camber.map_server.release_download import FetchRequest, FolderSupplier, SupplierUnavailableError
+from camber.map_server.release_queries import ReleaseQueries
 from camber.map_server.settings import MapServerSettings
 from camber.map_server.tile_parts import unknown_tile
 from camber.map_server.warm_up import warm_up
-from camber.road_map.release import BlobMissing, Release, ReleaseError, load_public_key
+from camber.road_map.release import BlobMissingError, Release, ReleaseError, load_public_key
 from camber.road_map.release_watch import ReleaseWatch
 from camber.road_map.store import MapStore
 from camber.runtime.bus import Bus, QueryFailed
@@ -39,41 +39,41 @@ MessageT = TypeVar("MessageT", bound=Message)
 
 
 class _DatumMismatchError(ReleaseError):
-    """A good release whose datum is not the one expected."""
+    """A valid release with another datum than expected."""
 
 
 class MapServerService(Service[MapServerSettings]):
-    """Answers elevation, links and tile; *unknown* wherever the map does not say."""
+    """Answers elevation, links and tile; *unknown* where the map has no data."""
 
     NAME: ClassVar[str] = "map_server"
     SETTINGS: ClassVar[type[MapServerSettings]] = MapServerSettings
 
     @classmethod
     def prepare(cls, settings: MapServerSettings) -> None:
-        """Compile what questions will need."""
+        """Compile the road selection."""
         warm_up()
 
     def __init__(self, settings: MapServerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
         key = None if settings.public_key is None else load_public_key(settings.public_key)
         self._store: MapStore | None = None if settings.store is None else self._open_store(settings.store)
-        # Where a store cannot be used, the release beside it still can; without one there is no map.
+        # Without a usable store the folder `release` is served, if there is one.
         source = self._store or settings.release or settings.store
         assert source is not None, "the settings have seen to it"
         self._watch = ReleaseWatch(source, public_key=key, acceptable=self._check_datum)
-        self._answers: ReleaseAnswers | None = None
+        self._answers: ReleaseQueries | None = None
         self._unreadable = False
-        self._fetched = (0, 0)
-        self._fetch: FetchThread | None = None
+        self._counts = (0, 0)
+        self._download: DownloadThread | None = None
         self._looked_ns = self._tried_ns = bus.now_ns()
         self._look()
         self._verify(float("inf"))
-        # In a replay nothing comes from outside: the map is what is here.
+        # A replay downloads nothing.
         if self._store is not None and settings.clock == "system":
-            self._fetch = self._fetcher(key)
+            self._download = self._start_download(key)
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
-        """The three questions."""
+        """Return the handlers of the three queries."""
         return {
             "elevation": lambda requests: [self.elevation(request) for request in requests],
             "links": lambda requests: [self.links(request) for request in requests],
@@ -81,15 +81,15 @@ class MapServerService(Service[MapServerSettings]):
         }
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Notices of new releases."""
+        """Return the handler of notices of new releases."""
         return {"release": self.on_release}
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
-        """The road under a point."""
-        if self._fetch is not None:
-            self._fetch.near(request.latitude_rad, request.longitude_rad)
+        """Answer the road under a point."""
+        if self._download is not None:
+            self._download.near(request.latitude_rad, request.longitude_rad)
         now_ns = self.bus.now_ns()
-        answers, reply = self._in_force(now_ns), None
+        answers, reply = self._queries_now(now_ns), None
         if answers is not None:
             try:
                 reply = answers.elevation(request, time_ns=now_ns)
@@ -103,9 +103,9 @@ class MapServerService(Service[MapServerSettings]):
         return reply
 
     def links(self, request: LinksRequest) -> LinksReply:
-        """The links around a point."""
+        """Answer the links around a point."""
         now_ns = self.bus.now_ns()
-        answers = self._in_force(now_ns)
+        answers = self._queries_now(now_ns)
         if answers is not None:
             try:
                 return answers.links(request, time_ns=now_ns)
@@ -116,9 +116,9 @@ class MapServerService(Service[MapServerSettings]):
         return unknown_links(self._why_unknown(now_ns) or "map_missing", map_version=version, time_ns=now_ns)
 
     def tile(self, request: TileRequest) -> TileReply:
-        """A part of a tile's blob."""
+        """Answer a part of a tile's blob."""
         now_ns = self.bus.now_ns()
-        answers = self._in_force(now_ns)
+        answers = self._queries_now(now_ns)
         if answers is not None:
             try:
                 return answers.tile(request, time_ns=now_ns)
@@ -127,9 +127,9 @@ class MapServerService(Service[MapServerSettings]):
         return unknown_tile(self._why_unknown(now_ns) or "map_missing", time_ns=now_ns)
 
     def on_release(self, head: ReleaseHead) -> None:
-        """There is a release somewhere: it is fetched, or else is what an operator should know of."""
-        if self._fetch is not None:
-            self._fetch.notice()
+        """Handle the notice of a new release: download it, or report an issue without a store."""
+        if self._download is not None:
+            self._download.notice()
             return
         release = self._watch.current
         here = None if release is None or release.root.region != head.region else release.root.map_version
@@ -139,15 +139,15 @@ class MapServerService(Service[MapServerSettings]):
             )
 
     def advance(self, now_ns: int) -> None:
-        """Look for a new release now and then; verify a part of it in each round."""
+        """Look for a new release at intervals; verify a part of it in each iteration of the work loop."""
         if _due(now_ns, self._tried_ns, self.settings.retry_every_s):
             self._tried_ns = now_ns
             self._unreadable = False
             if self._watch.problem is not None:
                 self._watch.forget()
-        self._hear_of_fetching()
-        fetched = self._fetch is not None and self._fetch.has_changed()
-        if fetched or _due(now_ns, self._looked_ns, self.settings.look_every_s):
+        self._report_download()
+        changed = self._download is not None and self._download.take_change()
+        if changed or _due(now_ns, self._looked_ns, self.settings.look_every_s):
             self._looked_ns = now_ns
             self._look()
             if self._why_unknown(now_ns) == "map_stale":
@@ -156,13 +156,14 @@ class MapServerService(Service[MapServerSettings]):
             self._verify(self.settings.verify_bytes)
 
     def healthy(self) -> bool:
-        """A map is in use, what the disk holds is that map, its tiles could be read, and newer ones can come."""
+        """Whether a map is in use, is the one on disk, is readable, and can be updated."""
         usable = self._why_unknown(self.bus.now_ns()) is None
-        troubled = self._storeless() or (self._fetch is not None and self._fetch.troubled())
+        no_store = self.settings.store is not None and self._store is None
+        troubled = no_store or (self._download is not None and self._download.troubled())
         return usable and self._watch.problem is None and not self._unreadable and not troubled
 
     def facts(self) -> dict[str, str]:
-        """The release in use."""
+        """Return the release in use."""
         release = self._watch.current
         if release is None:
             return {}
@@ -170,15 +171,11 @@ class MapServerService(Service[MapServerSettings]):
         return {"map_release": f"{manifest.region} {manifest.map_version}", "datum": manifest.datum}
 
     def close(self) -> None:
-        """Fetch no more."""
-        if self._fetch is not None:
-            self._fetch.close()
+        """Stop the download."""
+        if self._download is not None:
+            self._download.close()
         if self._store is not None:
             self._store.close()
-
-    def _storeless(self) -> bool:
-        """It should keep releases, and cannot."""
-        return self.settings.store is not None and self._store is None
 
     def _open_store(self, path: Path) -> MapStore | None:
         try:
@@ -190,46 +187,55 @@ class MapServerService(Service[MapServerSettings]):
             self.bus.issue("store_damaged", store.notice)
         return store
 
-    def _fetcher(self, key: Ed25519PublicKey | None) -> FetchThread:
+    def _start_download(self, key: Ed25519PublicKey | None) -> DownloadThread:
         settings, bus = self.settings, self.bus
         path = settings.store
         assert path is not None
         around_m = None if settings.around_km is None else 1000.0 * settings.around_km
-        fetch = FetchThread(
+        download = DownloadThread(
             lambda: MapStore(path, limit_bytes=settings.store_limit_bytes),
-            Wishes(settings.region, key, around_m, self._check_datum),
+            FetchRequest(
+                region=settings.region,
+                public_key=key,
+                around_m=around_m,
+                acceptable=self._check_datum,
+            ),
             cloud=_Cloud(bus, trusted=key is not None or settings.unsigned),
             folder=None if settings.release is None else FolderSupplier(settings.release),
-            times=Times(settings.ask_every_s, settings.ask_spread_s, settings.retry_every_s),
+            times=DownloadIntervals(
+                ask_every_s=settings.ask_every_s,
+                spread_s=settings.ask_spread_s,
+                retry_every_s=settings.retry_every_s,
+            ),
             now_ns=bus.now_ns,
             monotonic_s=time.monotonic,
             wake=bus.wake,
         )
-        fetch.start(None if self._watch.current is None else self._watch.current.manifest.map_version)
-        return fetch
+        download.start(None if self._watch.current is None else self._watch.current.manifest.map_version)
+        return download
 
-    def _hear_of_fetching(self) -> None:
-        if self._fetch is None:
+    def _report_download(self) -> None:
+        if self._download is None:
             return
-        for code, text in self._fetch.problems():
+        for code, text in self._download.take_problems():
             self.bus.issue(code, text)
-        before, self._fetched = self._fetched, self._fetch.counts()
-        for name, was, now in zip(("fetched_bytes", "fetched_blobs"), before, self._fetched, strict=True):
-            if now > was:
-                self.bus.count(f"release.{name}", now - was)
+        before, self._counts = self._counts, self._download.counts()
+        for name, previous, now in zip(("fetched_bytes", "fetched_blobs"), before, self._counts, strict=True):
+            if now > previous:
+                self.bus.count(f"release.{name}", now - previous)
 
-    def _in_force(self, now_ns: int) -> ReleaseAnswers | None:
-        """The answers of the release in use; None where nothing can be answered now."""
+    def _queries_now(self, now_ns: int) -> ReleaseQueries | None:
+        """Return the queries of the release in use; None if nothing can be answered now."""
         return self._answers if self._why_unknown(now_ns) is None else None
 
     def _why_unknown(self, now_ns: int) -> RoadReason | None:
-        """Why nothing can be answered now; None: something can."""
+        """Return why nothing can be answered now; None if the map is usable."""
         if self._watch.current is None:
             return "datum_mismatch" if isinstance(self._watch.problem, _DatumMismatchError) else "map_missing"
         if self.settings.max_age_days is None:
             return None
         age_ns = now_ns - self._watch.current.manifest.time_ns
-        # A release from the future has no age that could be judged: one of the two clocks is wrong.
+        # More than a day in the future: one of the two clocks is wrong.
         return None if -NS_PER_DAY <= age_ns <= self.settings.max_age_days * NS_PER_DAY else "map_stale"
 
     def _look(self) -> None:
@@ -245,10 +251,10 @@ class MapServerService(Service[MapServerSettings]):
 
     def _use(self, release: Release) -> None:
         manifest = release.manifest
-        self._answers = ReleaseAnswers(release, tiles_kept=self.settings.tiles_kept)
+        self._answers = ReleaseQueries(release, tiles_kept=self.settings.tiles_kept)
         self._unreadable = False
-        if self._fetch is not None:
-            self._fetch.uses(manifest.map_version)
+        if self._download is not None:
+            self._download.uses(manifest.map_version)
         self.bus.count("release.loaded")
         if manifest.surrogate:
             self.bus.issue("surrogate_map", manifest.surrogate)
@@ -265,17 +271,17 @@ class MapServerService(Service[MapServerSettings]):
             self.bus.issue(code, str(problem))
 
     def _report_unreadable(self, error: ReleaseError) -> None:
-        if isinstance(error, BlobMissing):  # this part of the map is not here, or not yet
+        if isinstance(error, BlobMissingError):  # not downloaded, or not yet
             self.bus.count("tile.not_fetched")
             return
         self._unreadable = True
-        if self._fetch is not None:
-            self._fetch.repair()
+        if self._download is not None:
+            self._download.repair()
         self.bus.issue("tile_unreadable", str(error))
 
 
 class _Cloud:
-    """map_update, over the bus; asked from the thread that fetches."""
+    """map_update as supplier, over the bus; called from the download thread."""
 
     name = "map_update"
     may_be_old = False
@@ -295,17 +301,17 @@ class _Cloud:
 
     def _ask(self, name: str, request: Message, reply: type[MessageT]) -> MessageT:
         if not self._trusted:
-            raise ReleaseError(self.name, "public_key", "a key of what is taken over the bus", actual="none")
+            raise ReleaseError(self.name, "public_key", "a key for releases from the bus", actual="none")
         try:
             return decode(reply, *self._bus.ask_bytes(name, encode(request, source="map_server"))).message
         except QueryFailed as error:
-            raise NoAnswer(f"{self.name}: {error}") from None
+            raise SupplierUnavailableError(f"{self.name}: {error}") from None
         except DecodeError as error:
             raise ReleaseError(self.name, name, f"a reply ({error})") from None
 
 
 def _due(now_ns: int, last_ns: int, every_s: float) -> bool:
-    """Has the time passed, or the clock been set back?"""
+    """Whether the interval has passed or the clock was set back."""
     return not 0 <= now_ns - last_ns < every_s * 1e9
 
 

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Hit(NamedTuple):
+class SurfaceHit(NamedTuple):
     """A surface at a point: where on it (u, v), and the plane there."""
 
     row: int
@@ -131,7 +131,7 @@ class TileIndex:
         """Row of a surface; None: it is not in this tile."""
         return self._row_of.get(surface_id)
 
-    def hits(self, east_m: float, north_m: float) -> list[Hit]:
+    def hits(self, east_m: float, north_m: float) -> list[SurfaceHit]:
         """The surfaces at a point of the tile, by surface id."""
         found = []
         for row in self._plain_cell(east_m, north_m):
@@ -145,7 +145,7 @@ class TileIndex:
                 surface_id, link_id, level, sigma, extent = self._plain[row]
                 slope_east, slope_north = slope_u * cos - slope_v * sin, slope_u * sin + slope_v * cos
                 found.append(
-                    Hit(
+                    SurfaceHit(
                         row,
                         surface_id,
                         link_id,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camber.map_server.tile_index import Hit
+from camber.map_server.tile_index import SurfaceHit
 
 TIE_M = 1e-6
 """Centre lines this near to one another are equally near: the smaller id is taken."""
@@ -24,7 +24,7 @@ class Topology:
     levels: frozenset[int] = frozenset()
 
 
-def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
+def select_surface(hits: Sequence[SurfaceHit], topology: Topology) -> SurfaceHit | None:
     """The surface among those at one point, or None where it is ambiguous.
 
     1. Surfaces of candidate links; among them, or where no candidates were given, those connected to the last surface.
@@ -49,5 +49,5 @@ def choose(hits: Sequence[Hit], topology: Topology) -> Hit | None:
     return chosen if _agree(left, chosen) else None
 
 
-def _agree(hits: Sequence[Hit], with_hit: Hit) -> bool:
+def _agree(hits: Sequence[SurfaceHit], with_hit: SurfaceHit) -> bool:
     return all(abs(hit.height_m - with_hit.height_m) <= hit.sigma_m + with_hit.sigma_m for hit in hits)

@@ -25,7 +25,7 @@ from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import Outcome, OvertakenError, Store, StoreError
 from camber.map_update.warm_up import warm_up
 from camber.road_map.release import ReleaseError, load_signing_key, read_release
-from camber.road_map.release_server import ReleaseServing
+from camber.road_map.release_server import ReleaseServer
 from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -80,7 +80,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         self._rounds: FusionCycle | None = None
         self._serving = None
         if settings.reference is not None and self._store is not None:
-            self._serving = ReleaseServing(_releases(settings))
+            self._serving = ReleaseServer(_releases(settings))
             self._begin_fusion(settings.reference, self._store)
         self._told_version = -1
 

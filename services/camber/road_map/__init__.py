@@ -1,1 +1,1 @@
-"""The road map as a domain: releases, tiles, deltas and the vehicle's store."""
+"""The road map: releases, tiles, differences between blobs, and the vehicle's store of releases."""

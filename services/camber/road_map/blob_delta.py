@@ -1,17 +1,18 @@
-"""Blobs of a release as they travel: packed, where the receiver has an older blob as a difference against it.
+"""Compress the blobs of a release for transfer, as a difference when the receiver has an older blob.
 
-    r   as it is
-    z   zstd (RFC 8878) of the whole
-    p   zstd with the older blob as dictionary, so that what is in both costs nothing
-    s   surfaces of a tile that have other heights, σ, vehicles or times, and nothing else: zstd of numbers (below)
+The first byte names the encoding:
 
-The numbers of `s` are variable-length integers (LEB128; zigzag where they may be negative), one column behind the
-other: number of surfaces; by how much the tile's time grows in ns; the greatest common divisor of the times; then of
-each surface the step to its row from the one before; what changes (bits of `_Change`); height in steps of 0.1 mm, once
-or for each node; σ in steps of 0.1 mm; vehicles; how long before the tile's time it was seen, in divisors.
+    r   raw
+    z   zstd (RFC 8878)
+    p   zstd with the older blob as dictionary
+    s   a surface tile in which only heights, σ, vehicles or times have changed: zstd of integers
 
-A difference is a wish of the sender that comes true or not: the receiver compares the hash of what comes out, and asks
-for the whole blob where it is another.
+The integers of `s` are LEB128 (zigzag where they may be negative), column by column: number of surfaces; increase of
+the tile's time [ns]; greatest common divisor of the ages; then for each surface the step from the row before; what
+changes (bits of `_ChangeFlags`); height in steps of 0.1 mm, once or per node; σ in steps of 0.1 mm; vehicles; age in
+divisors.
+
+The receiver verifies the hash of the result and asks for the whole blob if it differs.
 """
 
 from __future__ import annotations
@@ -31,65 +32,54 @@ from camber.schemas.road import SurfaceTile
 
 Integers = NDArray[np.int64]
 
+# Resolution of heights in a tile: `road_tiles` rounds them to 0.1 mm.
 _STEPS_PER_M = 10_000
 _HEIGHT_DECIMALS = 4
-_LARGE_BYTES = 1 << 20  # beyond it the highest level takes seconds
-_MAX_WINDOW_LOG = 27
-_SAME = (
-    *(
-        "x",
-        "y",
-        "base_height_m",
-        "surface_id",
-        "link_id",
-        "level",
-        "centre_east_m",
-        "centre_north_m",
-        "yaw_rad",
-    ),
-    *("half_length_m", "half_width_m", "rows", "columns", "first_height"),
+_LARGE_BYTES = 1 << 20  # larger blobs take seconds at the highest compression level
+_MAX_WINDOW_LOG = 27  # largest window that zstd decoders accept by default (RFC 8878: 128 MiB)
+_UNCHANGED_FIELDS = (
+    *("x", "y", "base_height_m", "surface_id", "link_id", "level", "centre_east_m", "centre_north_m"),
+    *("yaw_rad", "half_length_m", "half_width_m", "rows", "columns", "first_height"),
 )
 
 
-class _Change(enum.IntFlag):
-    SHIFT = 1  # all nodes by the same
-    NODES = 2  # each node by its own
+class _ChangeFlags(enum.IntFlag):
+    SHIFT = 1  # all nodes by the same height
+    NODES = 2  # each node by a height of its own
     SIGMA = 4
     VEHICLES = 8
     SEEN = 16
 
 
-def packed(blob: bytes, base: bytes | None = None) -> bytes:
-    """The fewest bytes that `unpacked` makes the blob of again, by whoever has `base`."""
-    ways = [as_it_is(blob), b"z" + _compressed(blob, None)]
+def compress_blob(blob: bytes, base: bytes | None = None) -> bytes:
+    """Compress a blob in the shortest encoding; `base` is an older blob that the receiver has."""
+    encodings = [uncompressed_blob(blob), b"z" + _compressed(blob, None)]
     if base is not None:
-        ways.append(b"p" + _compressed(blob, base))
+        encodings.append(b"p" + _compressed(blob, base))
         numbers = _surface_numbers(blob, base)
         if numbers is not None:
-            ways.append(b"s" + _compressed(_leb128(numbers), None))
-    return min(ways, key=len)
+            encodings.append(b"s" + _compressed(_leb128(numbers), None))
+    return min(encodings, key=len)
 
 
-def as_it_is(blob: bytes) -> bytes:
-    """The blob for `unpacked`, at no cost."""
+def uncompressed_blob(blob: bytes) -> bytes:
+    """Encode a blob without compression."""
     return b"r" + blob
 
 
-def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) -> bytes:
-    """The blob of `packed` bytes; ReleaseError where they are none, or make more than `limit` bytes.
+def decompress_blob(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) -> bytes:
+    """Reverse `compress_blob`; the caller verifies the hash of the result.
 
-    It need not be the blob that was asked for: the caller verifies its hash.
+    Raises ReleaseError for malformed bytes, and for a result of more than `limit` bytes.
     """
-    way = data[:1]
-    if way in (b"p", b"s") and base is None:
-        raise ReleaseError("packed blob", "way", "one without another blob", actual=way.decode())
-    if way == b"r" and len(data) - 1 <= limit:
+    encoding = data[:1]
+    if encoding in (b"p", b"s") and base is None:
+        raise ReleaseError("packed blob", "encoding", "one without another blob", actual=encoding.decode())
+    if encoding == b"r" and len(data) - 1 <= limit:
         return data[1:]
-    if way == b"z":
-        return _decompressed(data[1:], None, limit)
-    if way == b"p":
-        return _decompressed(data[1:], base, limit)
-    if way == b"s":
+    if encoding in (b"z", b"p"):
+        return _decompressed(data[1:], base if encoding == b"p" else None, limit)
+    if encoding == b"s":
         assert base is not None
         try:
             return _with_changes(base, _Numbers(_decompressed(data[1:], None, limit)))
@@ -97,7 +87,7 @@ def unpacked(data: bytes, base: bytes | None, *, limit: int = MAX_BLOB_BYTES) ->
             raise ReleaseError(
                 "packed blob", "surfaces", f"changes of surfaces of the tile ({error})"
             ) from None
-    raise ReleaseError("packed blob", "way", "r, z, p or s", actual=repr(way))
+    raise ReleaseError("packed blob", "encoding", "r, z, p or s", actual=repr(encoding))
 
 
 # -- zstd ------------------------------------------------------------------------------------------------------------
@@ -138,12 +128,12 @@ def _dictionary(base: bytes | None) -> zstandard.ZstdCompressionDict | None:
 
 
 def _surface_numbers(blob: bytes, base: bytes) -> list[int] | None:
-    """What has changed, as numbers; None: it is not a tile of surfaces, or more has changed than numbers say."""
+    """Return the changes of a surface tile as integers; None if the blobs are no such tiles or more has changed."""
     try:
         new, old = decode(SurfaceTile, blob).message, decode(SurfaceTile, base).message
     except DecodeError:
         return None
-    if any(not np.array_equal(getattr(new, name), getattr(old, name)) for name in _SAME):
+    if any(not np.array_equal(getattr(new, name), getattr(old, name)) for name in _UNCHANGED_FIELDS):
         return None
     if len(new.grid_m) != len(old.grid_m):
         return None
@@ -162,26 +152,26 @@ def _numbers(new: SurfaceTile, old: SurfaceTile) -> list[int]:
     for row in range(len(sizes)):
         first = int(new.first_height[row])
         mine = height[first : first + int(sizes[row])]
-        what = _Change(0)
+        what = _ChangeFlags(0)
         if mine.any():
-            what |= _Change.SHIFT if (mine == mine[0]).all() else _Change.NODES
-        what |= _Change.SIGMA if new.sigma_m[row] != old.sigma_m[row] else _Change(0)
-        what |= _Change.VEHICLES if new.vehicles[row] != old.vehicles[row] else _Change(0)
-        what |= _Change.SEEN if new.last_seen_ns[row] != old.last_seen_ns[row] else _Change(0)
+            what |= _ChangeFlags.SHIFT if (mine == mine[0]).all() else _ChangeFlags.NODES
+        what |= _ChangeFlags.SIGMA if new.sigma_m[row] != old.sigma_m[row] else _ChangeFlags(0)
+        what |= _ChangeFlags.VEHICLES if new.vehicles[row] != old.vehicles[row] else _ChangeFlags(0)
+        what |= _ChangeFlags.SEEN if new.last_seen_ns[row] != old.last_seen_ns[row] else _ChangeFlags(0)
         if what:
             changed.append((row, what))
-        if what & _Change.SHIFT:
+        if what & _ChangeFlags.SHIFT:
             shifts.append(int(mine[0]))
-        elif what & _Change.NODES:
+        elif what & _ChangeFlags.NODES:
             nodes += mine.tolist()
     rows = np.array([row for row, _ in changed], np.int64)
 
-    def of(flag: _Change) -> Integers:
+    def of(flag: _ChangeFlags) -> Integers:
         return np.array([row for row, what in changed if what & flag], np.int64)
 
-    ages = new.time_ns - new.last_seen_ns[of(_Change.SEEN)]
+    ages = new.time_ns - new.last_seen_ns[of(_ChangeFlags.SEEN)]
     divisor = max(math.gcd(*ages.tolist()), 1) if len(ages) else 1
-    sigma = np.round(new.sigma_m[of(_Change.SIGMA)].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
+    sigma = np.round(new.sigma_m[of(_ChangeFlags.SIGMA)].astype(np.float64) * _STEPS_PER_M).astype(np.int64)
     return [
         len(changed),
         _zigzag(new.time_ns - old.time_ns),
@@ -191,13 +181,13 @@ def _numbers(new: SurfaceTile, old: SurfaceTile) -> list[int]:
         *map(_zigzag, shifts),
         *map(_zigzag, nodes),
         *sigma.tolist(),
-        *new.vehicles[of(_Change.VEHICLES)].tolist(),
+        *new.vehicles[of(_ChangeFlags.VEHICLES)].tolist(),
         *(_zigzag(age // divisor) for age in ages.tolist()),
     ]
 
 
 def _with_changes(base: bytes, numbers: _Numbers) -> bytes:
-    """The blob of a tile with what the numbers say; ValueError where they say nothing of this tile."""
+    """Apply changes to a tile's blob; ValueError if they do not fit the tile."""
     try:
         old = decode(SurfaceTile, base).message
     except DecodeError as error:
@@ -211,21 +201,21 @@ def _with_changes(base: bytes, numbers: _Numbers) -> bytes:
     if count and (rows[0] < 0 or (np.diff(rows) <= 0).any() or rows[-1] >= len(old.rows)):
         raise ValueError("rows beyond the tile")
 
-    def of(flag: _Change) -> Integers:
+    def of(flag: _ChangeFlags) -> Integers:
         chosen: Integers = rows[(what & int(flag)) != 0]
         return chosen
 
     grid_m, sigma_m = old.grid_m.copy(), old.sigma_m.copy()
     vehicles, last_seen_ns = old.vehicles.copy(), old.last_seen_ns.copy()
     sizes = old.rows.astype(np.int64) * old.columns
-    shifted, bent = of(_Change.SHIFT), of(_Change.NODES)
+    shifted, bent = of(_ChangeFlags.SHIFT), of(_ChangeFlags.NODES)
     steps = np.repeat(_signed_column(numbers.take(len(shifted))), sizes[shifted])
     at = np.concatenate((_nodes(old, shifted), _nodes(old, bent)))
     steps = np.concatenate((steps, _signed_column(numbers.take(int(sizes[bent].sum())))))
     heights_m = np.round(old.base_height_m + grid_m[at].astype(np.float64), _HEIGHT_DECIMALS)
     heights_m = np.round(heights_m + steps / _STEPS_PER_M, _HEIGHT_DECIMALS)
     grid_m[at] = (heights_m - old.base_height_m).astype(np.float32)
-    surer, counted, seen = of(_Change.SIGMA), of(_Change.VEHICLES), of(_Change.SEEN)
+    surer, counted, seen = of(_ChangeFlags.SIGMA), of(_ChangeFlags.VEHICLES), of(_ChangeFlags.SEEN)
     sigma_m[surer] = (np.array(numbers.take(len(surer)), np.float64) / _STEPS_PER_M).astype(np.float32)
     vehicles[counted] = np.array(numbers.take(len(counted)), np.int32)
     ages = [time_ns - _signed(age) * divisor for age in numbers.take(len(seen))]
@@ -274,7 +264,7 @@ def _leb128(numbers: Iterable[int]) -> bytes:
 
 
 class _Numbers:
-    """Numbers taken one after the other from the bytes of `_leb128`; ValueError where there are no more."""
+    """Reader of LEB128 integers; ValueError at the end of the data."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data

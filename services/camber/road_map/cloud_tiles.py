@@ -1,4 +1,4 @@
-"""Points of a map as tiles: quantised, each in every tile that it comes within MARGIN_M of."""
+"""Divide a map's point cloud into tiles of quantised points; a point is in every tile within MARGIN_M of it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 RESOLUTION_M = 0.005
-_NODES_M = 25.0
-_KEY_HALF = 1 << 20
+"""Quantisation step of stored points; chosen: below the range noise of LiDAR sensors of about 2 cm."""
+_NODES_M = 25.0  # interpolation error 25² / 8 R = 12 µm, see `_NodeGrid`
+_KEY_HALF = 1 << 20  # offset that makes voxel indices of 21 bits positive
 
 
 def first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
-    """Rows of the first point in each voxel, ascending."""
+    """Return the rows of the first point in each voxel, ascending."""
     cell = np.floor(points_m / voxel_m).astype(np.int64) + _KEY_HALF
     key = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
     _, first = np.unique(key, return_index=True)
@@ -30,9 +31,9 @@ def first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
 
 
 def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int) -> list[CloudTile]:
-    """The tiles of points (n, 3): east, north in the frame's tangent plane, and *ellipsoidal height*.
+    """Make the tiles of points (n, 3): east, north in the frame's tangent plane, and *ellipsoidal height*.
 
-    `seen_ns`: when the newest of them was seen. The frame must not be at the antimeridian.
+    `seen_ns`: time of the newest observation. The frame must not be at the antimeridian.
     """
     if not len(points_m):
         return []
@@ -42,7 +43,6 @@ def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int)
     at_latitude, at_longitude = nodes.between(latitude, everything), nodes.between(longitude, everything)
     tiles = []
     for tile_x, tile_y in _tiles_near(latitude, longitude):
-        # What comes within the margin of a tile stands in it too.
         south, west, north, east = tile_corners_rad(tile_x, tile_y)
         margin_north = MARGIN_M / meridian_radius_m(0.0)
         margin_east = MARGIN_M / (prime_vertical_radius_m(0.0) * math.cos(max(abs(south), abs(north))))
@@ -54,8 +54,9 @@ def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int)
         )
         if not len(rows):
             continue
-        own = tile_frame(tile_x, tile_y)
-        plane = own.east_north_from_geodetic_array(latitude, longitude, np.zeros(len(latitude)))
+        plane = tile_frame(tile_x, tile_y).east_north_from_geodetic_array(
+            latitude, longitude, np.zeros(len(latitude))
+        )
         height = points_m[rows, 2]
         base = float(np.round(np.median(height)))
         about = np.column_stack(
@@ -76,17 +77,17 @@ def cloud_tiles(points_m: Floats, frame: LocalFrame, layer: Layer, seen_ns: int)
 
 
 def _tiles_near(latitude: Floats, longitude: Floats) -> list[Tile]:
-    """Tiles that come within two node spacings of the nodes, in order."""
+    """Return the tiles within two node spacings of the nodes, in order."""
     reach = np.full(len(latitude), 2.0 * _NODES_M)
     _, x, y = tiles_of_boxes(latitude, longitude, reach, reach)
     return [divmod(tile, TILES) for tile in np.unique(x * TILES + y).tolist()]
 
 
 class _NodeGrid:
-    """Nodes every 25 m under some points (not at the antimeridian): what is known there is bilinear between them.
+    """Grid of nodes every 25 m for bilinear interpolation of coordinates (not at the antimeridian).
 
-    From one tangent plane to another the second derivatives are those of the earth's curvature, 1 / R, so that this
-    misses by 25² / 8 R = 12 µm, for a fraction of the time.
+    The second derivatives between two tangent planes are those of the earth's curvature, 1 / R, so that the
+    interpolation error is 25² / 8 R = 12 µm.
     """
 
     def __init__(self, points_m: Floats) -> None:
@@ -99,7 +100,7 @@ class _NodeGrid:
         self.plane_m: Floats = low + _NODES_M * np.column_stack((e.ravel(), n.ravel()))
 
     def between(self, at_nodes: Floats, rows: Integers) -> Floats:
-        """Values (k,) at some of the points, from those at the nodes."""
+        """Interpolate values at the nodes to the points `rows` (k,)."""
         value = at_nodes.reshape(self._columns, self._rows)
         i, j = self._cell[rows].T
         u, v = self._share[rows].T

@@ -1,14 +1,13 @@
-"""Releases of the map: written at once or not at all, and never read where a byte is not as it was written.
+"""Open and verify releases of the map.
 
     root.msgpack            ReleaseRoot: version, SHA-256 of the manifest, Ed25519 signature
     blobs/<2 hex>/<sha256>  Manifest and tiles, as `codec.encode` writes them
 
-The trust goes from the signature over the root to the manifest's hash, and from there to that of every tile. Without a
-configured key the hashes still find every fault of disk and transport, but not a forger.
+The signature covers the root, the root holds the hash of the manifest, and the manifest the hash of every tile. Without
+a public key the hashes still detect every fault of disk and transport, but not a forgery.
 
-A newer release may be written into the folder of its predecessor: equal tiles are there already, the root changes last,
-and readers of the old one keep what they have. Blobs of older releases stay. A vehicle has the same bytes in its store
-(`map_store.py`), of which some tiles may be missing: these are known to be.
+A newer release may be written into the folder of its predecessor: equal tiles exist already, the root is replaced last,
+and blobs of older releases stay. A vehicle has the same bytes in its store (`store.py`), possibly without some tiles.
 """
 
 from __future__ import annotations
@@ -16,14 +15,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.road_map.release_files import (
     MAX_BLOB_BYTES,
     ROOT_NAME,
-    BlobMissing,
+    BlobMissingError,
     BlobSource,
     ReleaseFolder,
     decoded,
@@ -32,19 +30,19 @@ from camber.road_map.release_writer import write_release
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.road_map.signing_keys import check_signature, key_id, load_public_key, load_signing_key
-from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import TILES, Tile
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
-TileT = TypeVar("TileT", SurfaceTile, LinkTile, CloudTile)
+AnyTile = SurfaceTile | LinkTile | CloudTile
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Release:
-    """One release; tiles are read when asked for, and verified each time.
+    """One release; tiles are read and verified on each access.
 
-    Every method that gives a tile raises ReleaseError where the tile is not the one that the manifest names, and of
-    these BlobMissing where it has not been fetched.
+    Methods that return a tile raise ReleaseError if the tile is not the one that the manifest names, and
+    BlobMissingError, one of these, if it has not been downloaded.
     """
 
     source: BlobSource
@@ -53,62 +51,63 @@ class Release:
     _rows: dict[tuple[Layer, int, int], int] = field(repr=False)
 
     def tiles(self, layer: Layer) -> list[Tile]:
-        """The tiles of a layer, in the order of their numbers."""
+        """Return the tiles of a layer, in the order of their numbers."""
         return sorted((x, y) for name, x, y in self._rows if name == layer)
 
     def sha256(self, layer: Layer, x: int, y: int) -> str | None:
-        """The hash of a tile; None: the release has no such tile."""
+        """Return the hash of a tile; None if the release has no such tile."""
         row = self._rows.get((layer, x, y))
         return None if row is None else self.manifest.sha256[row].tobytes().hex()
 
     def blob(self, layer: Layer, x: int, y: int) -> bytes | None:
-        """The bytes of a tile; None: the release has no such tile."""
+        """Return the bytes of a tile; None if the release has no such tile."""
         row = self._rows.get((layer, x, y))
         return None if row is None else self._read(row)
 
     def surface_tile(self, x: int, y: int) -> SurfaceTile | None:
-        """The road surfaces of a tile; None: the release has none there."""
-        return self._tile(SurfaceTile, "surfaces", x, y)
+        """Return the road surfaces of a tile; None if the release has none there."""
+        tile = self.tile("surfaces", x, y)
+        assert tile is None or isinstance(tile, SurfaceTile)
+        return tile
 
     def link_tile(self, x: int, y: int) -> LinkTile | None:
-        """The links of a tile; None: the release has none there."""
-        return self._tile(LinkTile, "links", x, y)
+        """Return the links of a tile; None if the release has none there."""
+        tile = self.tile("links", x, y)
+        assert tile is None or isinstance(tile, LinkTile)
+        return tile
 
     def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
-        """The points of a tile; None: the release has none there."""
-        return self._tile(CloudTile, layer, x, y)
+        """Return the points of a tile; None if the release has none there."""
+        tile = self.tile(layer, x, y)
+        assert tile is None or isinstance(tile, CloudTile)
+        return tile
 
-    def road_surfaces(self) -> RoadSurfaces:
-        """All road surfaces, each once, in the order of their ids."""
-        return surfaces_from_tiles(tile for xy in self.tiles("surfaces") if (tile := self.surface_tile(*xy)))
-
-    def road_links(self) -> RoadLinks:
-        """All links, each once, in the order of their ids."""
-        return links_from_tiles(tile for xy in self.tiles("links") if (tile := self.link_tile(*xy)))
-
-    def check(self, known: Collection[str] = ()) -> Iterator[int]:
-        """Verify tile after tile, but for those whose hash is `known` to be right; yields the size of each."""
-        for (layer, x, y), row in self._rows.items():
-            digest = self.manifest.sha256[row].tobytes().hex()
-            if digest not in known and self.source.to_verify(digest):
-                match layer:
-                    case "surfaces":
-                        self.surface_tile(x, y)
-                    case "links":
-                        self.link_tile(x, y)
-                    case _:
-                        self.cloud_tile(layer, x, y)
-                yield int(self.manifest.size_bytes[row])
-
-    def hashes(self) -> frozenset[str]:
-        """The hashes of all tiles."""
-        return frozenset(row.tobytes().hex() for row in self.manifest.sha256)
-
-    def _tile(self, cls: type[TileT], layer: Layer, x: int, y: int) -> TileT | None:
+    def tile(self, layer: Layer, x: int, y: int) -> AnyTile | None:
+        """Return a tile of any layer; None if the release has no such tile."""
         row = self._rows.get((layer, x, y))
         if row is None:
             return None
-        return checked_tile(cls, self._read(row), self.source.name(self._digest(row)), layer, x, y)
+        return decode_tile(layer, self._read(row), file=self.source.name(self._digest(row)), tile=(x, y))
+
+    def road_surfaces(self) -> RoadSurfaces:
+        """Return all road surfaces, each once, in the order of their ids."""
+        return surfaces_from_tiles(tile for xy in self.tiles("surfaces") if (tile := self.surface_tile(*xy)))
+
+    def road_links(self) -> RoadLinks:
+        """Return all links, each once, in the order of their ids."""
+        return links_from_tiles(tile for xy in self.tiles("links") if (tile := self.link_tile(*xy)))
+
+    def check(self, known: Collection[str] = ()) -> Iterator[int]:
+        """Verify tile after tile, except those whose hash is in `known`; yields the size of each."""
+        for name, row in self._rows.items():
+            digest = self._digest(row)
+            if digest not in known and self.source.to_verify(digest):
+                self.tile(*name)
+                yield int(self.manifest.size_bytes[row])
+
+    def hashes(self) -> frozenset[str]:
+        """Return the hashes of all tiles."""
+        return frozenset(row.tobytes().hex() for row in self.manifest.sha256)
 
     def _read(self, row: int) -> bytes:
         return self.source.blob(self._digest(row), int(self.manifest.size_bytes[row]))
@@ -117,21 +116,24 @@ class Release:
         return str(self.manifest.sha256[row].tobytes().hex())
 
 
-def checked_tile(cls: type[TileT], data: bytes, file: str, layer: Layer, x: int, y: int) -> TileT:
-    """The tile in these bytes, which must be the one of the manifest and possible as a map; else ReleaseError."""
-    tile = decoded(cls, data, file)
-    if (tile.x, tile.y) != (x, y):
-        raise ReleaseError(file, "x, y", f"tile {x}, {y} as in the manifest", actual=f"{tile.x}, {tile.y}")
-    if isinstance(tile, CloudTile) and tile.layer != layer:
-        raise ReleaseError(file, "layer", f"{layer} as in the manifest", actual=tile.layer)
-    wrong = wrong_in_tile(tile)
-    if wrong is not None:
-        raise ReleaseError(file, *wrong)
-    return tile
+def decode_tile(layer: Layer, data: bytes, *, file: str, tile: Tile) -> AnyTile:
+    """Decode a tile of a layer; ReleaseError if it is not the tile `tile` or its contents are impossible."""
+    cls = SurfaceTile if layer == "surfaces" else LinkTile if layer == "links" else CloudTile
+    decoded_tile = decoded(cls, data, file)
+    assert isinstance(decoded_tile, cls)
+    x, y = decoded_tile.x, decoded_tile.y
+    if (x, y) != tile:
+        raise ReleaseError(file, "x, y", f"tile {tile[0]}, {tile[1]} as in the manifest", actual=f"{x}, {y}")
+    if isinstance(decoded_tile, CloudTile) and decoded_tile.layer != layer:
+        raise ReleaseError(file, "layer", f"{layer} as in the manifest", actual=decoded_tile.layer)
+    defect = tile_defect(decoded_tile)
+    if defect is not None:
+        raise ReleaseError(file, *defect)
+    return decoded_tile
 
 
 def open_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
-    """The release in a folder or store with only root and manifest verified; each tile is verified when it is read.
+    """Open the release in a folder or store; verifies root and manifest, and each tile when it is read.
 
     With `public_key` a release that is unsigned or signed with another key is refused. Raises ReleaseError only.
     """
@@ -144,18 +146,18 @@ def open_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | No
 
 
 def release_of(source: BlobSource, root: ReleaseRoot, file: str) -> Release:
-    """The release that a root names, whose own trust is settled; `file` is what to call the root."""
+    """Open the release of a root that has been verified; `file` names the root in errors."""
     manifest_file = source.name(root.manifest_sha256)
     manifest = decoded(Manifest, source.blob(root.manifest_sha256, None), manifest_file)
     for name in ("region", "map_version", "time_ns"):
         if getattr(root, name) != getattr(manifest, name):
-            found = str(getattr(root, name))
-            raise ReleaseError(file, name, f"{getattr(manifest, name)} as in the manifest", actual=found)
-    return Release(source, root, manifest, _rows_of(manifest, manifest_file))
+            expected = f"{getattr(manifest, name)} as in the manifest"
+            raise ReleaseError(file, name, expected, actual=str(getattr(root, name)))
+    return Release(source=source, root=root, manifest=manifest, _rows=_rows_of(manifest, manifest_file))
 
 
 def read_release(source: Path | BlobSource, *, public_key: Ed25519PublicKey | None = None) -> Release:
-    """The release in a folder, every byte of it verified: `open_release`, and each tile read once."""
+    """Open a release and verify every tile."""
     release = open_release(source, public_key=public_key)
     for _ in release.check():
         pass
@@ -178,14 +180,14 @@ def _rows_of(manifest: Manifest, file: str) -> dict[tuple[Layer, int, int], int]
 __all__ = [
     "MAX_BLOB_BYTES",
     "ROOT_NAME",
-    "BlobMissing",
+    "BlobMissingError",
     "BlobSource",
     "Release",
     "ReleaseError",
     "ReleaseFolder",
     "RoadLinks",
     "RoadSurfaces",
-    "checked_tile",
+    "decode_tile",
     "key_id",
     "load_public_key",
     "load_signing_key",

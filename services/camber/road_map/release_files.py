@@ -1,4 +1,4 @@
-"""Files of a release: plain files read up to a limit, blobs verified, and all written at once or not at all."""
+"""Files of a release: bounded reads, verified blobs, atomic writes."""
 
 from __future__ import annotations
 
@@ -15,45 +15,44 @@ from camber.schemas.base import Message
 from camber.schemas.codec import DecodeError, decode, encode
 
 ROOT_NAME = "root.msgpack"
-MAX_ROOT_BYTES = 1 << 14
-MAX_BLOB_BYTES = 64 << 20
-PART_BYTES = 250_000
-"""Of a blob in one reply: with the header below the 256 kB that a reply may have."""
+MAX_ROOT_BYTES = 1 << 14  # chosen: a root has about 300 bytes
+MAX_BLOB_BYTES = 64 << 20  # chosen: bounds memory; `write_release` makes tiles of a few hundred kB
+PART_BYTES = 250_000  # with the header below the 256 kB of a reply (docs/conventions, delivery)
 
 MessageT = TypeVar("MessageT", bound=Message)
 
 
 class BlobSource(Protocol):
-    """Where the bytes of releases are: a folder, or a vehicle's store. What cannot be read raises ReleaseError."""
+    """Source of a release's bytes, a folder or a vehicle's store; raises ReleaseError for what cannot be read."""
 
     def stamp(self) -> object | None:
-        """Something that is another after the root has changed, found at little cost; None: there is no root."""
+        """Return a cheap value that differs after the root has changed; None without a root."""
 
     def root(self) -> bytes:
-        """The bytes of the root that is in force."""
+        """Return the bytes of the active root."""
 
     def blob(self, digest: str, size: int | None) -> bytes:
-        """The bytes of a blob, verified against its hash and, where it is known, its size."""
+        """Return the bytes of a blob, verified against its hash and, if known, its size."""
 
     def name(self, digest: str | None) -> str:
-        """What to call a blob, or for None the root, where something is wrong with it."""
+        """Return the name of a blob, or for None of the root, for error texts."""
 
     def to_verify(self, digest: str) -> bool:
-        """Must this blob be read through before its release is used? Not where it was verified when it came."""
+        """Whether this blob must be verified before its release is used; not if it was verified on arrival."""
 
 
-class BlobMissing(ReleaseError):  # noqa: N818 (the name says what is the matter)
-    """A blob that its manifest names is not here, and need not be: what it holds is not known."""
+class BlobMissingError(ReleaseError):
+    """A blob of the manifest has not been downloaded; its contents are unknown."""
 
 
 class ReleaseFolder:
-    """The folder of a release as a source of its blobs."""
+    """The folder of a release as BlobSource."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def stamp(self) -> object | None:
-        """One `stat` of the root."""
+        """Return inode, time and size of the root."""
         try:
             status = (self.folder / ROOT_NAME).stat()
         except (OSError, ValueError):
@@ -61,24 +60,24 @@ class ReleaseFolder:
         return status.st_ino, status.st_mtime_ns, status.st_size
 
     def root(self) -> bytes:
-        """The bytes of the root file."""
+        """Return the bytes of the root file."""
         return read_file(self.folder / ROOT_NAME, MAX_ROOT_BYTES)
 
     def blob(self, digest: str, size: int | None) -> bytes:
-        """The bytes of a blob's file, verified."""
+        """Return the bytes of a blob's file, verified."""
         return read_blob(self.folder, digest, size)
 
     def name(self, digest: str | None) -> str:
-        """The path of a file."""
+        """Return the path of a file."""
         return str(self.folder / ROOT_NAME if digest is None else blob_path(self.folder, digest))
 
     def to_verify(self, digest: str) -> bool:
-        """Every file: nobody has looked at it before."""
+        """Every file of a folder."""
         return True
 
 
 def decoded(cls: type[MessageT], data: bytes, file: str) -> MessageT:
-    """The message in the bytes of a file; ReleaseError where it is not one of `cls`."""
+    """Decode a file as a message of type `cls`; ReleaseError if it is none."""
     try:
         return decode(cls, data).message
     except DecodeError as error:
@@ -87,7 +86,7 @@ def decoded(cls: type[MessageT], data: bytes, file: str) -> MessageT:
 
 
 def read_blob(folder: Path, digest: str, size: int | None) -> bytes:
-    """The bytes of a blob, which have the hash and, where it is known, the size that they must have."""
+    """Read a blob and verify its hash and, if known, its size."""
     path = blob_path(folder, digest)
     data = read_file(path, MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES))
     if size is not None and len(data) != size:
@@ -98,10 +97,10 @@ def read_blob(folder: Path, digest: str, size: int | None) -> bytes:
 
 
 def read_file(path: Path, limit: int) -> bytes:
-    """The bytes of a plain file, no more than `limit` of them."""
+    """Read a regular file of at most `limit` bytes."""
     try:
         status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for ever
+        if not stat.S_ISREG(status.st_mode):  # opening a pipe would block
             raise ReleaseError(str(path), "file", "a plain file")
         if status.st_size > limit:
             raise ReleaseError(str(path), "size", f"at most {limit} bytes", actual=str(status.st_size))
@@ -115,12 +114,12 @@ def read_file(path: Path, limit: int) -> bytes:
 
 
 def blob_path(folder: Path, digest: str) -> Path:
-    """Where a blob is in the folder of a release."""
+    """Return the path of a blob in the folder of a release."""
     return folder / "blobs" / digest[:2] / digest
 
 
 def encoded(message: Message, name: str) -> bytes:
-    """The bytes of a message; ReleaseError where it is too large for a file."""
+    """Encode a message; ReleaseError if it is too large for a file."""
     try:
         return encode(message)
     except ValueError as error:
@@ -128,7 +127,7 @@ def encoded(message: Message, name: str) -> bytes:
 
 
 def write_blob(folder: Path, digest: str, data: bytes) -> None:
-    """Write a blob unless it is there; one that is there and damaged is replaced."""
+    """Write a blob unless it exists; a damaged one is replaced."""
     try:
         read_blob(folder, digest, len(data))
     except ReleaseError:
@@ -136,14 +135,14 @@ def write_blob(folder: Path, digest: str, data: bytes) -> None:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """All of the bytes under this name, or what was there before: temporary name, fsync, rename."""
+    """Replace a file atomically: temporary name, fsync, rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:16]}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
-            os.fchmod(stream.fileno(), 0o644)  # mkstemp's is for one user, and services run as others
+            os.fchmod(stream.fileno(), 0o644)  # mkstemp restricts it to one user, but services run as others
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except BaseException:
@@ -154,7 +153,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk."""
+    """fsync a folder, so that the names in it survive a power cut."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,4 +1,4 @@
-"""Releases for whoever asks: the newest root of a region, and blobs by their hash, whole or as differences."""
+"""Serve releases over the bus: the newest root of a region, and blobs by hash, whole or as differences."""
 
 from __future__ import annotations
 
@@ -9,44 +9,43 @@ from typing import Any
 
 import numpy as np
 
-from camber.road_map.blob_delta import as_it_is, packed
+from camber.road_map.blob_delta import compress_blob, uncompressed_blob
 from camber.road_map.release import ReleaseError, ReleaseFolder
 from camber.road_map.release_files import PART_BYTES, decoded
 from camber.schemas.base import Message
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest, ReleaseHead
 from camber.schemas.road import ReleaseRoot
 
-_KEPT_BYTES = 64 << 20
+_KEPT_BYTES = 64 << 20  # chosen: memory for compressed differences
 _NOTHING = np.zeros(0, np.uint8)
 
 
-class ReleaseServing:
-    """Answers from a folder of releases. What is signed and hashed needs no trust in who serves it.
+class ReleaseServer:
+    """Answers queries from a folder of releases; clients verify signature and hashes themselves.
 
     map_update adds `answers` to its own, and publishes `head()` on the channel `release` after each new release. A
-    vehicle takes a folder into its store through the same answers; `near`: the asker is in this process, and what
-    need not travel is not packed.
+    vehicle imports a folder into its store through the same answers. `compress`: not needed within one process.
     """
 
-    def __init__(self, folder: Path, *, near: bool = False, kept_bytes: int = _KEPT_BYTES) -> None:
+    def __init__(self, folder: Path, *, compress: bool = True, kept_bytes: int = _KEPT_BYTES) -> None:
         self._source = ReleaseFolder(folder)
-        self._near = near
+        self._compress = compress
         self._kept_bytes = kept_bytes
-        # All vehicles ask for the same few differences: each is made once.
-        self._packed: OrderedDict[tuple[str, str | None], bytes] = OrderedDict()
+        # All vehicles request the same few differences: each is computed once.
+        self._compressed: OrderedDict[tuple[str, str | None], bytes] = OrderedDict()
         self._size = 0
 
     def answers(
         self, now_ns: Callable[[], int]
     ) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
-        """The two questions, as a service answers them."""
+        """Return the handlers of the two queries."""
         return {
             "map_root": lambda requests: [self.root(request, time_ns=now_ns()) for request in requests],
             "map_blob": lambda requests: [self.blob(request, time_ns=now_ns()) for request in requests],
         }
 
     def head(self, *, time_ns: int) -> ReleaseHead:
-        """The notice of the newest release; ReleaseError where there is none."""
+        """Return the notice of the newest release; ReleaseError if there is none."""
         root = decoded(ReleaseRoot, self._source.root(), self._source.name(None))
         return ReleaseHead(
             time_ns=time_ns,
@@ -56,7 +55,7 @@ class ReleaseServing:
         )
 
     def root(self, request: MapRootRequest, *, time_ns: int) -> MapRootReply:
-        """The newest root, unless the asker has it."""
+        """Return the newest root, unless the client has it."""
         try:
             data = self._source.root()
             root = decoded(ReleaseRoot, data, self._source.name(None))
@@ -70,9 +69,12 @@ class ReleaseServing:
         return MapRootReply(time_ns=time_ns, status="known", payload=np.frombuffer(data, np.uint8))
 
     def blob(self, request: MapBlobRequest, *, time_ns: int) -> MapBlobReply:
-        """A part of a packed blob, and after its only part others; as a whole where its base is not here."""
+        """Return a part of a compressed blob; after an only part also the blobs requested next.
+
+        Compressed without difference if the base blob does not exist here.
+        """
         try:
-            data = self._in_few_bytes(request.sha256, request.base_sha256)
+            data = self._compressed_blob(request.sha256, request.base_sha256)
         except ReleaseError:
             return _unknown_blob("no such blob", time_ns)
         parts = -(-len(data) // PART_BYTES)
@@ -90,12 +92,12 @@ class ReleaseServing:
         )
 
     def _more(self, request: MapBlobRequest, room: int) -> list[bytes]:
-        """The first of the blobs wanted next, as many as fit."""
+        """Return the first of the blobs requested next, as many as fit."""
         more: list[bytes] = []
         for digest, base in zip(request.more_sha256, request.more_base_sha256, strict=False):
             try:
-                data = self._in_few_bytes(digest, base)
-            except ReleaseError:  # asked for by itself it is told so
+                data = self._compressed_blob(digest, base)
+            except ReleaseError:  # the client is informed when it requests this blob itself
                 break
             room -= len(data)
             if room < 0:
@@ -103,24 +105,24 @@ class ReleaseServing:
             more.append(data)
         return more
 
-    def _in_few_bytes(self, digest: str, base_digest: str | None) -> bytes:
+    def _compressed_blob(self, digest: str, base_digest: str | None) -> bytes:
         key = digest, base_digest
-        if key in self._packed:
-            self._packed.move_to_end(key)
-            return self._packed[key]
+        if key in self._compressed:
+            self._compressed.move_to_end(key)
+            return self._compressed[key]
         blob = self._source.blob(digest, None)
-        if self._near:
-            return as_it_is(blob)
+        if not self._compress:
+            return uncompressed_blob(blob)
         base: bytes | None = None
         if base_digest is not None:
             try:
                 base = self._source.blob(base_digest, None)
-            except ReleaseError:  # an older release than those that are kept, or of another folder
+            except ReleaseError:  # of a release that was deleted, or of another folder
                 base = None
-        data = self._packed[key] = packed(blob, base)
+        data = self._compressed[key] = compress_blob(blob, base)
         self._size += len(data)
-        while self._size > self._kept_bytes and len(self._packed) > 1:
-            self._size -= len(self._packed.popitem(last=False)[1])
+        while self._size > self._kept_bytes and len(self._compressed) > 1:
+            self._size -= len(self._compressed.popitem(last=False)[1])
         return data
 
 

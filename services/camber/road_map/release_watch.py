@@ -1,4 +1,4 @@
-"""The release that a folder or a store holds in force, followed while it is in use."""
+"""Follow the active release of a folder or a store."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from camber.road_map.release import BlobSource, Release, ReleaseError, ReleaseFo
 
 
 class ReleaseWatch:
-    """Notices a new root, verifies what is new of its release piece by piece, and only then puts it in place.
+    """Detects a new root, verifies the new tiles of its release incrementally, then makes the release current.
 
-    `current` is the release to use, None while there was none. `problem` says why what the source holds now is not in
-    use; None: it is, or it is being verified. `acceptable` may refuse a release by raising ReleaseError.
+    `current` is the release to use, None before the first. `problem` is why the release of the source is not used, None
+    if it is used or being verified. `acceptable` may refuse a release by raising ReleaseError.
     """
 
     def __init__(
@@ -34,15 +34,15 @@ class ReleaseWatch:
 
     @property
     def busy(self) -> bool:
-        """Is a release being verified?"""
+        """Whether a release is being verified."""
         return self._pending is not None
 
     def look(self) -> None:
-        """Where the root's stamp is another than the last time, begin to verify its release."""
+        """Start to verify the release if the root's stamp has changed."""
         stamp = self._source.stamp()
         if stamp is not None and stamp == self._seen:
             return
-        # The stamp is taken before the root is read: a change in between shows as another stamp the next time.
+        # Taken before the root is read: a change in between shows as another stamp the next time.
         self._seen = stamp
         self._pending = None
         try:
@@ -58,7 +58,7 @@ class ReleaseWatch:
         self._pending = (release, release.check(known))
 
     def verify(self, max_bytes: float) -> bool:
-        """Go on verifying for about `max_bytes` (at least one tile); True where a new release is now in place."""
+        """Verify about `max_bytes` more (at least one tile); True once the new release is current."""
         if self._pending is None:
             return False
         release, sizes = self._pending
@@ -74,5 +74,5 @@ class ReleaseWatch:
         return False
 
     def forget(self) -> None:
-        """Take the root for changed at the next look: its blobs may have come meanwhile."""
+        """Treat the root as changed at the next look: missing blobs may have arrived."""
         self._seen = None

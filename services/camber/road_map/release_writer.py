@@ -16,18 +16,18 @@ from camber.road_map.release_files import ROOT_NAME, encoded, sync_folder, write
 from camber.road_map.road_columns import ReleaseError, RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import link_tiles, surface_tiles
 from camber.road_map.signing_keys import signed
-from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.tile_checks import tile_defect
 from camber.schemas.road import LAYERS, CloudTile, Layer, LinkTile, Manifest, ReleaseRoot, SurfaceTile
 
 _CLOUD_LAYERS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
 
 AnyTile = SurfaceTile | LinkTile | CloudTile
-Place = tuple[int, int, int]
+TileKey = tuple[int, int, int]
 """Index of a layer in LAYERS, tile x, tile y."""
 
 
-class Known(NamedTuple):
-    """A blob that is in the folder already: its SHA-256 and its size in bytes."""
+class StoredBlob(NamedTuple):
+    """A blob that the folder contains already: its SHA-256 and its size in bytes."""
 
     digest: bytes
     size: int
@@ -49,17 +49,16 @@ def write_release(
     previous: ReleaseRoot | None = None,
     signing_key: Ed25519PrivateKey | None = None,
 ) -> ReleaseRoot:
-    """Write a release and return its root. The same arguments give the same bytes, on every machine.
+    """Write a release atomically and return its root. The same arguments give the same bytes, on every machine.
 
-    `lineage`: pairs of a surface here and one of an earlier release that it was split or merged from. `surrogate`: not
-    empty where the map was not surveyed, and says how it was made. `time_ns`: when it was made. Whoever reads the
-    folder meanwhile sees the old release or the new one. Raises ReleaseError for what cannot be a release and OSError
-    where the disk fails; the old release is then still there.
+    `lineage`: pairs of a surface and the surface of an earlier release that it was split or merged from. `surrogate`:
+    how the map was made if it was not surveyed, else empty. `time_ns`: time of making. Raises ReleaseError for invalid
+    contents and OSError if the disk fails; the old release then remains.
     """
     tiles: list[tuple[Layer, AnyTile]] = [("surfaces", tile) for tile in surface_tiles(surfaces)]
     tiles += [("links", tile) for tile in link_tiles(links)]
     tiles += [(cloud.layer, cloud) for cloud in clouds]
-    blobs: dict[Place, bytes] = {}
+    blobs: dict[TileKey, bytes] = {}
     for layer, tile in tiles:
         blobs[_place_of(layer, tile, blobs)] = encoded(tile, f"{layer} of tile {tile.x}, {tile.y}")
     known = set(surfaces.surface_id.tolist())
@@ -67,13 +66,21 @@ def write_release(
     missing = {child for child, _ in pairs} - known
     if missing:
         raise ReleaseError("lineage", "surface", "a surface of this release", actual=str(min(missing)))
-    heading = Heading(region, map_version, datum, epoch_year, time_ns, surrogate, pairs)
-    return seal_release(folder, heading, blobs, previous=previous, signing_key=signing_key)
+    metadata = ReleaseMetadata(
+        region=region,
+        map_version=map_version,
+        datum=datum,
+        epoch_year=epoch_year,
+        time_ns=time_ns,
+        surrogate=surrogate,
+        lineage=pairs,
+    )
+    return write_tiles_and_manifest(folder, metadata, blobs, previous=previous, signing_key=signing_key)
 
 
-@dataclass(frozen=True)
-class Heading:
-    """What a manifest says of a release beside its tiles; names as in Manifest."""
+@dataclass(frozen=True, kw_only=True)
+class ReleaseMetadata:
+    """Fields of a manifest besides its tiles; names as in Manifest."""
 
     region: str
     map_version: int
@@ -86,19 +93,19 @@ class Heading:
     corrections_sha256: str | None = None
 
 
-def seal_release(
+def write_tiles_and_manifest(
     folder: Path,
-    heading: Heading,
-    blobs: Mapping[Place, bytes | Known],
+    metadata: ReleaseMetadata,
+    blobs: Mapping[TileKey, bytes | StoredBlob],
     *,
     previous: ReleaseRoot | None,
     signing_key: Ed25519PrivateKey | None,
 ) -> ReleaseRoot:
-    """Write the blobs that are not in the folder yet, then manifest and root; as `write_release`.
+    """Write the blobs that the folder does not contain yet, then manifest and root; as `write_release`.
 
-    A blob is its bytes, or where it is in the folder already its hash and size.
+    A blob is given as bytes, or, if the folder contains it already, as hash and size.
     """
-    region, map_version, time_ns = heading.region, heading.map_version, heading.time_ns
+    region, map_version, time_ns = metadata.region, metadata.map_version, metadata.time_ns
     if previous is not None and (previous.region != region or previous.map_version >= map_version):
         expected = f"region {previous.region} and more than {previous.map_version}"
         raise ReleaseError("release", "region and map_version", expected, actual=f"{region}, {map_version}")
@@ -109,19 +116,19 @@ def seal_release(
             time_ns=time_ns,
             region=region,
             map_version=map_version,
-            datum=heading.datum,
-            epoch_year=heading.epoch_year,
-            surrogate=heading.surrogate,
+            datum=metadata.datum,
+            epoch_year=metadata.epoch_year,
+            surrogate=metadata.surrogate,
             previous_sha256=None if previous is None else previous.manifest_sha256,
-            reference_sha256=heading.reference_sha256,
-            corrections_sha256=heading.corrections_sha256,
+            reference_sha256=metadata.reference_sha256,
+            corrections_sha256=metadata.corrections_sha256,
             tile_x=np.array([x for _, x, _ in places], np.int32),
             tile_y=np.array([y for _, _, y in places], np.int32),
             layer=np.array([layer for layer, _, _ in places], np.uint8),
             sha256=np.frombuffer(b"".join(entry.digest for entry in entries), np.uint8).reshape(-1, 32),
             size_bytes=np.array([entry.size for entry in entries], np.int64),
-            lineage_surface_id=np.array([child for child, _ in heading.lineage], np.int64),
-            lineage_parent_id=np.array([parent for _, parent in heading.lineage], np.int64),
+            lineage_surface_id=np.array([child for child, _ in metadata.lineage], np.int64),
+            lineage_parent_id=np.array([parent for _, parent in metadata.lineage], np.int64),
         )
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
@@ -135,24 +142,24 @@ def seal_release(
         if isinstance(data, bytes):
             write_blob(folder, entry.digest.hex(), data)
     write_blob(folder, digest, head)
-    # The folders of the blobs may be new: their names must be on the disk before a root counts on them.
+    # The folders of the blobs may be new: their names must be durable before a root refers to them.
     sync_folder(folder / "blobs")
     sync_folder(folder)
     write_file(folder / ROOT_NAME, encoded(root, "root"))
     return root
 
 
-def _entry(blob: bytes | Known) -> Known:
-    return blob if isinstance(blob, Known) else Known(hashlib.sha256(blob).digest(), len(blob))
+def _entry(blob: bytes | StoredBlob) -> StoredBlob:
+    return blob if isinstance(blob, StoredBlob) else StoredBlob(hashlib.sha256(blob).digest(), len(blob))
 
 
-def _place_of(layer: Layer, tile: AnyTile, blobs: Collection[Place]) -> Place:
+def _place_of(layer: Layer, tile: AnyTile, blobs: Collection[TileKey]) -> TileKey:
     name, place = f"{layer} of tile {tile.x}, {tile.y}", (LAYERS.index(layer), tile.x, tile.y)
     if isinstance(tile, CloudTile) and layer not in _CLOUD_LAYERS:
         raise ReleaseError(name, "layer", " or ".join(_CLOUD_LAYERS), actual=layer)
     if place in blobs:
         raise ReleaseError(name, "tile", "each tile of a layer once")
-    wrong = wrong_in_tile(tile)
-    if wrong is not None:
-        raise ReleaseError(name, *wrong)
+    defect = tile_defect(tile)
+    if defect is not None:
+        raise ReleaseError(name, *defect)
     return place

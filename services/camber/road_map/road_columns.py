@@ -1,4 +1,4 @@
-"""Road surfaces and links of a map as columns: what a release of the map is made of, and made into."""
+"""Road surfaces and links of a map as validated columns."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Integers = NDArray[np.int64]
 
 
 class ReleaseError(FormatError):
-    """A map release, or what is to become one, is not as it must be: file, field and what was expected, in one line."""
+    """A map release, or the input of one, is invalid: file, field and expectation in one line."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RoadSurfaces:
     """Road surfaces: oriented rectangles with a grid of heights each; columns (n,), in any order.
 
     `yaw_rad` is counter-clockwise from east at the centre. `heights_m[i]` is (rows, columns), ellipsoidal: rows along
     from the rear to the front end, columns across from the right to the left side, each at least two; bilinear
-    between. `sigma_m` is of the heights. Lists are taken too; ReleaseError where a column is not as it must be.
+    between. `sigma_m` is of the heights. Accepts lists; ReleaseError for an invalid column.
     """
 
     surface_id: Integers
@@ -71,11 +71,11 @@ class RoadSurfaces:
         return len(self.surface_id)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RoadLinks:
     """Links between nodes; columns (n,), in any order; `vertices[i]` is (k, 2), latitude and longitude in radians.
 
-    Lists are taken too; ReleaseError where a column is not as it must be.
+    Accepts lists; ReleaseError for an invalid column.
     """
 
     link_id: Integers
@@ -102,7 +102,7 @@ class RoadLinks:
 
 
 def _set_columns(table: RoadSurfaces | RoadLinks, name: str, *, ragged: str) -> None:
-    """Make arrays of all columns; raise ReleaseError where lengths differ or something is not a finite number."""
+    """Convert all columns to arrays; ReleaseError for different lengths or values that are not finite."""
     length = None
     for field in fields(table):
         value = getattr(table, field.name)
@@ -114,7 +114,7 @@ def _set_columns(table: RoadSurfaces | RoadLinks, name: str, *, ragged: str) -> 
             else:
                 column = np.asarray(value)
                 if kind is np.int64 and len(column) and column.dtype.kind not in "iu":
-                    raise _wrong(name, field.name, "whole numbers")
+                    raise _wrong(name, field.name, "integers")
                 column = column.astype(kind)
                 finite = column.ndim == 1 and bool(np.isfinite(column).all())
         except (TypeError, ValueError, OverflowError) as error:

@@ -1,7 +1,7 @@
-"""Tiles of road surfaces and links, made from columns and made into columns again.
+"""Convert columns of road surfaces and links to tiles and back.
 
 Positions are rounded to 1e-11 rad (0.06 mm), heights to 0.1 mm, yaws to 1e-9 rad: a map that was read and is written
-again gives the same bytes, so tiles that did not change stay the same blobs. Sizes and σ are kept as 32-bit floats.
+again gives the same bytes, so unchanged tiles stay the same blobs. Sizes and σ are 32-bit floats.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _PLANE_DECIMALS = 6  # of metres: the last bits of sines differ between machines
 
 
 def surface_tiles(surfaces: RoadSurfaces) -> list[SurfaceTile]:
-    """The tiles of all surfaces; a surface that comes within MARGIN_M of several tiles stands whole in each.
+    """Make the tiles of all surfaces; a surface within MARGIN_M of several tiles is whole in each.
 
-    A tile's time is the newest at which one of its surfaces was seen, so it owes nothing to the release it is in.
+    A tile's time is the newest observation of its surfaces, so that it does not depend on the release.
     """
     cos, sin = np.abs(np.cos(surfaces.yaw_rad)), np.abs(np.sin(surfaces.yaw_rad))
     half_east_m = cos * surfaces.half_length_m + sin * surfaces.half_width_m + MARGIN_M
@@ -75,19 +75,19 @@ def _surface_tile(tile: Tile, rows: Integers, surfaces: RoadSurfaces) -> Surface
 
 
 def link_tiles(links: RoadLinks) -> list[LinkTile]:
-    """The tiles of all links; a link that comes within MARGIN_M of several tiles stands whole in each.
+    """Make the tiles of all links; a link within MARGIN_M of several tiles is whole in each.
 
-    Links have no time of their own: their tiles carry the earliest there is.
+    Links have no time: their tiles have the earliest valid one.
     """
     if not len(links):
         return []
     count = np.array([len(line) for line in links.vertices])
     points = _rounded(np.concatenate(list(links.vertices)))
     begins = np.ones(len(points), bool)
-    begins[np.cumsum(count) - 1] = False  # the last vertex of a link begins no segment
+    begins[np.cumsum(count) - 1] = False  # a link's last vertex starts no segment
     first = np.flatnonzero(begins)
     a, b = points[first], points[first + 1]
-    # A step over the antimeridian is the short way round.
+    # A step over the antimeridian takes the shorter direction.
     step = b - a
     step[:, 1] = (step[:, 1] + math.pi) % (2.0 * math.pi) - math.pi
     half_m = np.abs(step) * 0.5 * 6.4e6 + MARGIN_M  # more than the larger radius of curvature
@@ -117,7 +117,7 @@ def _link_tile(tile: Tile, rows: Integers, links: RoadLinks) -> LinkTile:
 
 
 def _by_tile(row: Integers, x: Integers, y: Integers, ids: Integers) -> Iterable[tuple[Tile, Integers]]:
-    """Rows of each tile in the order of their ids, each once; tiles in the order of their numbers."""
+    """Return the rows of each tile in the order of their ids, each once; tiles in the order of their numbers."""
     if not len(row):
         return
     triples = np.unique(np.column_stack((x, y, ids[row], row)), axis=0)
@@ -130,7 +130,7 @@ def _by_tile(row: Integers, x: Integers, y: Integers, ids: Integers) -> Iterable
 
 
 def surfaces_from_tiles(tiles: Iterable[SurfaceTile]) -> RoadSurfaces:
-    """All surfaces of some tiles, each once, in the order of their ids."""
+    """Return all surfaces of some tiles, each once, in the order of their ids."""
     parts = [_tile_columns(tile) for tile in tiles]
     names = [field.name for field in fields(RoadSurfaces)]
     empty: dict[str, Any] = {name: [] for name in names}
@@ -159,16 +159,16 @@ def _tile_columns(tile: SurfaceTile) -> dict[str, Any]:
 
 
 def links_from_tiles(tiles: Iterable[LinkTile]) -> RoadLinks:
-    """All links of some tiles, each once, in the order of their ids."""
-    found: dict[int, list[Any]] = {}
+    """Return all links of some tiles, each once, in the order of their ids."""
+    by_id: dict[int, list[Any]] = {}
     for tile in tiles:
         points = np.column_stack(_geodetic(tile_frame(tile.x, tile.y), tile.east_m, tile.north_m))
         lines = np.split(points, tile.first_vertex[1:-1])
         columns = (tile.start_node, tile.end_node, tile.level, tile.sigma_m)
         rows = zip(tile.link_id.tolist(), *(c.tolist() for c in columns), lines, strict=False)
         for link_id, *rest in rows:
-            found.setdefault(link_id, rest)
-    ordered = sorted(found.items())
+            by_id.setdefault(link_id, rest)
+    ordered = sorted(by_id.items())
     return RoadLinks(
         link_id=np.array([link_id for link_id, _ in ordered], np.int64),
         start_node=np.array([link[0] for _, link in ordered], np.int64),
@@ -189,7 +189,9 @@ def _rounded(angle_rad: Floats) -> Floats:
 
 def _plane(frame: LocalFrame, latitude_rad: Floats, longitude_rad: Floats) -> Floats:
     plane_m = frame.east_north_from_geodetic_array(latitude_rad, longitude_rad, np.zeros(len(latitude_rad)))
-    rounded: Floats = np.round(plane_m, _PLANE_DECIMALS) + 0.0  # no −0.0: one value has one form in bytes
+    rounded: Floats = (
+        np.round(plane_m, _PLANE_DECIMALS) + 0.0
+    )  # no −0.0, so that equal values have equal bytes
     return rounded
 
 
@@ -203,6 +205,6 @@ def _geodetic(frame: LocalFrame, east_m: Floats, north_m: Floats) -> tuple[Float
 
 
 def _convergence(frame: LocalFrame, longitude_rad: Floats) -> Floats:
-    """By how much north at a longitude is turned, counter-clockwise, against north at the frame's origin."""
+    """Return the meridian convergence: rotation of local north against the frame's, counter-clockwise."""
     step = (longitude_rad - frame.longitude_rad + math.pi) % (2.0 * math.pi) - math.pi
     return step * math.sin(frame.latitude_rad)

@@ -1,6 +1,6 @@
-"""Keys that sign releases of the map: Ed25519 (RFC 8032), in PEM files as OpenSSL writes them.
+"""Sign and verify releases of the map: Ed25519 (RFC 8032), in PEM files as OpenSSL writes them.
 
-    openssl genpkey -algorithm ed25519 -out release.key              # stays with who makes the map
+    openssl genpkey -algorithm ed25519 -out release.key              # stays with the map's producer
     openssl pkey -in release.key -pubout -out release.pub            # goes to every vehicle
 
 A key's id is the first 16 hexadecimal digits of the SHA-256 of its 32 public bytes.
@@ -21,7 +21,7 @@ from camber.schemas.road import ReleaseRoot, signed_bytes
 
 
 def load_public_key(path: Path) -> Ed25519PublicKey:
-    """The public key in a PEM file; ReleaseError where there is none."""
+    """Load the public key of a PEM file; ReleaseError if there is none."""
     try:
         key = load_pem_public_key(path.read_bytes())
     except (OSError, ValueError, UnsupportedAlgorithm) as error:
@@ -32,7 +32,7 @@ def load_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def load_signing_key(path: Path) -> Ed25519PrivateKey:
-    """The private key in a PEM file without a passphrase; ReleaseError where there is none."""
+    """Load the private key of a PEM file without passphrase; ReleaseError if there is none."""
     try:
         key = load_pem_private_key(path.read_bytes(), password=None)
     except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
@@ -45,12 +45,12 @@ def load_signing_key(path: Path) -> Ed25519PrivateKey:
 
 
 def key_id(key: Ed25519PublicKey) -> str:
-    """Name of a key, as it stands in the roots it signed."""
+    """Return the id of a key, as in the roots it signed."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:16]
 
 
 def signed(root: ReleaseRoot, key: Ed25519PrivateKey) -> ReleaseRoot:
-    """The root with its signature."""
+    """Return the root with its signature."""
     signature = np.frombuffer(key.sign(signed_bytes(root)), np.uint8)
     return ReleaseRoot(**root.__dict__ | {"key_id": key_id(key.public_key()), "signature": signature})
 

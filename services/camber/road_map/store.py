@@ -1,17 +1,14 @@
-"""A vehicle's map on its disk: releases and their blobs in one SQLite file, of which a cut or a kill leaves all that
-was there.
+"""A vehicle's store: releases and their blobs in one SQLite file, safe against power cuts.
 
-    blob      what a release is made of, by the SHA-256 of its bytes; verified when it comes and when it is read
-    part      parts of a packed blob that has not come whole yet
-    release   roots whose signature held; one is in force, the one before it is kept, one may be on its way
-    fact      which ones these are, and the highest version that was ever accepted
+    blob      manifests and tiles by SHA-256; verified on arrival and when read
+    part      parts of a compressed blob that has not arrived completely
+    release   roots with a valid signature: the active one, the previous one, possibly one being downloaded
+    fact      versions of the active and the previous release, and the highest version ever accepted
 
-A release is put in force by one row in one transaction, when all of it that is wanted is here. Versions go one way: a
-root with a version below the highest that was accepted is refused, and so is another root under the same version.
-Only the operator goes back (`go_back`), and then the release that was left does not come again by itself. Times of
-day play no part in it, so a vehicle with a wrong clock is not led astray.
-
-The file is a copy of what the cloud has: one that is damaged is moved aside, and begun anew.
+A release becomes active in one transaction, once all its required blobs are here. Versions only increase: a root with a
+version below the highest accepted is refused, and so is another root of the same version. Only the operator goes back
+(`go_back`); the release that was left does not return by itself. The time of day is not used, so a wrong clock does no
+harm. The file is a copy of what the cloud has: a damaged one is renamed and a new one started.
 """
 
 from __future__ import annotations
@@ -26,7 +23,7 @@ from typing import Literal, NamedTuple, TypeVar
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.road_map.release import Release, release_of
-from camber.road_map.release_files import BlobMissing, decoded
+from camber.road_map.release_files import BlobMissingError, decoded
 from camber.road_map.road_columns import ReleaseError
 from camber.road_map.signing_keys import check_signature
 from camber.schemas.road import ReleaseRoot
@@ -34,11 +31,11 @@ from camber.schemas.road import ReleaseRoot
 T = TypeVar("T")
 
 State = Literal["coming", "here", "left"]
-"""Of a release: on its way; was in force; the operator went back from it."""
+"""State of a release: being downloaded; was or is active; left by the operator."""
 
-FORMAT = 1
-_PAGE_BYTES = 4096
-_WAIT_S = 2.0
+FORMAT = 1  # version of the tables below
+_PAGE_BYTES = 4096  # page size of SQLite and of common file systems
+_WAIT_S = 2.0  # chosen: time to wait for another writer; transactions take milliseconds
 _SCHEMA = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE IF NOT EXISTS blob (sha256 TEXT PRIMARY KEY, data BLOB NOT NULL);
@@ -62,12 +59,12 @@ COMMIT;
 """
 
 
-class StoreFull(ReleaseError):  # noqa: N818 (the name says what is the matter)
-    """The disk, or the limit, is full: nothing was changed."""
+class StoreFullError(ReleaseError):
+    """Disk or limit is full; nothing was changed."""
 
 
-class Kept(NamedTuple):
-    """A release in the store, and what it is there."""
+class StoredRelease(NamedTuple):
+    """A release in the store and its state."""
 
     map_version: int
     region: str
@@ -76,34 +73,35 @@ class Kept(NamedTuple):
 
 
 class MapStore:
-    """The file, for one thread; another thread or process opens its own. A BlobSource of the release in force.
+    """The store for one thread; other threads and processes open their own. A BlobSource of the active release.
 
-    Every method raises ReleaseError where the file cannot be used, StoreFull where there is no room; then nothing was
-    changed. `limit_bytes` bounds the file.
+    Every method raises ReleaseError if the file cannot be used, StoreFullError without space; nothing is changed then.
+    `limit_bytes` bounds the file. `read_only`: for inspection; a damaged file is an error.
     """
 
-    def __init__(self, path: Path, *, limit_bytes: int = 1 << 40) -> None:
+    def __init__(self, path: Path, *, limit_bytes: int = 1 << 40, read_only: bool = False) -> None:
         self.path = path
         self.notice: str | None = None
         self._limit_bytes = limit_bytes
+        self._read_only = read_only
         self._db = self._open()
 
     # -- as a source of blobs ----------------------------------------------------------------------------------------
 
     def stamp(self) -> object | None:
-        """Version and manifest of the release in force."""
+        """Return version and manifest of the active release."""
         kept = self.current()
         return None if kept is None else (kept.map_version, kept.manifest_sha256)
 
     def root(self) -> bytes:
-        """The root of the release in force."""
+        """Return the root of the active release."""
         return self._root_of(self._fact("current"))
 
     def blob(self, digest: str, size: int | None) -> bytes:
-        """The bytes of a blob, verified; BlobMissing where it is not here."""
+        """Return the bytes of a blob, verified; BlobMissingError if it has not been downloaded."""
         row = self._run(lambda db: db.execute("SELECT data FROM blob WHERE sha256 = ?", (digest,)).fetchone())
         if row is None:
-            raise BlobMissing(self.name(digest), "blob", "one that has been fetched")
+            raise BlobMissingError(self.name(digest), "blob", "one that has been fetched")
         data = bytes(row[0])
         if size is not None and len(data) != size:
             raise ReleaseError(self.name(digest), "size", f"{size} bytes", actual=str(len(data)))
@@ -112,50 +110,50 @@ class MapStore:
         return data
 
     def name(self, digest: str | None) -> str:
-        """The file, and in it the blob."""
+        """Return the name of the file, or of a blob in it."""
         return str(self.path) if digest is None else f"{self.path}: blob {digest}"
 
     def to_verify(self, digest: str) -> bool:
-        """None: each was verified when it came, and is again whenever it is read."""
+        """No blob: each was verified on arrival, and is again whenever it is read."""
         return False
 
     # -- releases ----------------------------------------------------------------------------------------------------
 
-    def current(self) -> Kept | None:
-        """The release in force."""
+    def current(self) -> StoredRelease | None:
+        """Return the active release."""
         return self._kept(self._fact("current"))
 
-    def previous(self) -> Kept | None:
-        """The release that was in force before it."""
+    def previous(self) -> StoredRelease | None:
+        """Return the release that was active before."""
         return self._kept(self._fact("previous"))
 
-    def coming(self) -> Kept | None:
-        """The newest release that is accepted and not yet in force."""
+    def coming(self) -> StoredRelease | None:
+        """Return the newest release that is accepted and not yet active."""
         row = self._run(
             lambda db: db.execute("SELECT max(map_version) FROM release WHERE state = 'coming'").fetchone()
         )
         return self._kept(row[0])
 
-    def releases(self) -> list[Kept]:
-        """All that are kept, the newest first."""
+    def releases(self) -> list[StoredRelease]:
+        """Return all releases, the newest first."""
         rows = self._run(
             lambda db: db.execute(
                 "SELECT map_version, region, manifest, state FROM release ORDER BY map_version DESC"
             ).fetchall()
         )
-        return [Kept(*row) for row in rows]
+        return [StoredRelease(*row) for row in rows]
 
     def highest(self) -> int | None:
-        """The highest version that was ever accepted."""
+        """Return the highest version ever accepted."""
         return self._fact("highest")
 
     def accept(
         self, data: bytes, *, file: str, region: str | None, public_key: Ed25519PublicKey | None
     ) -> bool:
-        """Take in a root; True where its release is new and is now to be fetched.
+        """Accept a root; True if its release is new and must be downloaded.
 
-        ReleaseError, which calls it `file`, where it is not signed with the key, of another region than `region` or
-        the one that is in force, of a lower version than the highest accepted, or another one of the same version.
+        Raises ReleaseError, with the name `file`, for a root that is not signed with the key, is of another region than
+        `region` or the active release, has a version below the highest accepted, or differs from one of its version.
         """
         root = decoded(ReleaseRoot, data, file)
         if public_key is not None:
@@ -184,12 +182,12 @@ class MapStore:
         return True
 
     def open(self, map_version: int) -> Release:
-        """A release that is kept, its manifest verified; BlobMissing where that has not been fetched."""
+        """Open a release of the store and verify its manifest; BlobMissingError if that has not been downloaded."""
         data = self._root_of(map_version)
         return release_of(self, decoded(ReleaseRoot, data, self.name(None)), self.name(None))
 
     def put_in_force(self, map_version: int) -> None:
-        """From now on this release; the one in force until now is kept."""
+        """Make this release active; the one before is kept."""
 
         def work(db: sqlite3.Connection) -> None:
             current = _get(db, "current")
@@ -200,8 +198,8 @@ class MapStore:
 
         self._run(work, writes=True)
 
-    def go_back(self) -> Kept:
-        """The release before comes in force again, for the operator; the one that was does not return by itself."""
+    def go_back(self) -> StoredRelease:
+        """Return to the previous release, for the operator; the one left does not return by itself."""
         current, previous = self.current(), self.previous()
         if previous is None:
             raise ReleaseError(str(self.path), "release", "one before the one in force")
@@ -218,7 +216,7 @@ class MapStore:
         return previous
 
     def allow_from(self, map_version: int) -> None:
-        """Roots from this version on may come again, for the operator: the cloud's versions have begun anew."""
+        """Accept roots from this version on again, for the operator, after the cloud's versions started anew."""
 
         def work(db: sqlite3.Connection) -> None:
             current = _get(db, "current")
@@ -232,11 +230,11 @@ class MapStore:
     # -- blobs and parts of them -------------------------------------------------------------------------------------
 
     def missing(self, digests: Iterable[str]) -> list[str]:
-        """Those that are not here, in their order."""
+        """Return the missing ones, in their order."""
         return self._run(lambda db: [digest for digest in digests if not _has(db, digest)])
 
     def put(self, digest: str, data: bytes) -> None:
-        """Keep a blob; ReleaseError where the bytes are not those of its name."""
+        """Store a blob; ReleaseError if its hash is wrong."""
         if hashlib.sha256(data).hexdigest() != digest:
             raise ReleaseError(self.name(digest), "SHA-256 of the bytes", "the blob's name")
 
@@ -247,12 +245,12 @@ class MapStore:
         self._run(work, writes=True)
 
     def put_part(self, digest: str, base: str | None, number: int, data: bytes) -> None:
-        """Keep a part of a packed blob for a fetch that goes on later."""
+        """Store a part of a compressed blob for a download that continues later."""
         row = (digest, base or "", number, data)
         self._run(lambda db: db.execute("INSERT OR REPLACE INTO part VALUES (?, ?, ?, ?)", row), writes=True)
 
     def parts(self, digest: str, base: str | None) -> list[bytes]:
-        """The first parts that are here of a blob packed against `base`."""
+        """Return the leading parts of a blob compressed against `base`."""
         rows = self._run(
             lambda db: db.execute(
                 "SELECT number, data FROM part WHERE sha256 = ? AND base = ? ORDER BY number",
@@ -262,7 +260,7 @@ class MapStore:
         return [bytes(data) for place, (number, data) in enumerate(rows) if number == place]
 
     def drop(self, digest: str) -> None:
-        """Forget a blob, which proved to be damaged, and its parts: it is fetched again."""
+        """Delete a damaged blob and its parts, so that it is downloaded again."""
 
         def work(db: sqlite3.Connection) -> None:
             db.execute("DELETE FROM blob WHERE sha256 = ?", (digest,))
@@ -271,16 +269,16 @@ class MapStore:
         self._run(work, writes=True)
 
     def collect(self, in_use: Collection[int] = (), keep: Callable[[Release], set[str]] | None = None) -> int:
-        """Delete what no release that is kept needs; returns how many blobs went.
+        """Delete the blobs that no kept release needs; returns their number.
 
-        Kept are those in force, before it, and on its way, and those `in_use` by a reader; of a release `keep` says
-        which tiles, all without it. What the operator left stays known by its root, without blobs.
+        Kept are the active release, the previous one, the one being downloaded and those `in_use` by a reader; `keep`
+        returns the tiles to keep of a release, by default all. Of releases left by the operator only the root remains.
         """
         kept = [kept for kept in (self.current(), self.previous(), self.coming()) if kept is not None]
         versions = {kept.map_version for kept in kept} | set(in_use)
         needed: set[str] = set()
         for version in versions:
-            with suppress(BlobMissing):
+            with suppress(BlobMissingError):
                 release = self.open(version)
                 needed |= {release.root.manifest_sha256}
                 needed |= release.hashes() if keep is None else keep(release)
@@ -309,6 +307,9 @@ class MapStore:
 
     def _open(self) -> sqlite3.Connection:
         try:
+            if self._read_only:
+                uri = f"{self.path.resolve().as_uri()}?mode=ro"
+                return sqlite3.connect(uri, uri=True, timeout=_WAIT_S)
             self.path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 return self._connect()
@@ -318,11 +319,11 @@ class MapStore:
                     sqlite3.SQLITE_NOTADB,
                 ):
                     raise
-            aside = self.path.with_name(f"{self.path.name}.corrupt")
-            self.path.replace(aside)
+            renamed = self.path.with_name(f"{self.path.name}.corrupt")
+            self.path.replace(renamed)
             for ending in ("-wal", "-shm"):
                 self.path.with_name(self.path.name + ending).unlink(missing_ok=True)
-            self.notice = f"{self.path} was damaged: moved to {aside.name}; the map is fetched again"
+            self.notice = f"{self.path} was damaged: renamed to {renamed.name}; the map is downloaded again"
             return self._connect()
         except (sqlite3.Error, OSError) as error:
             raise self._error(error) from None
@@ -338,11 +339,11 @@ class MapStore:
             db.execute(f"PRAGMA journal_size_limit = {256 * _PAGE_BYTES}")
             db.execute("PRAGMA cell_size_check = ON")
             db.execute(f"PRAGMA max_page_count = {max(self._limit_bytes // _PAGE_BYTES, 16)}")
-            (found,) = db.execute("PRAGMA user_version").fetchone()
-            if found > FORMAT:
+            (version,) = db.execute("PRAGMA user_version").fetchone()
+            if version > FORMAT:
                 expected = f"at most {FORMAT}: made by a later version of this program"
-                raise ReleaseError(str(self.path), "format", expected, actual=str(found))
-            if found < FORMAT:
+                raise ReleaseError(str(self.path), "format", expected, actual=str(version))
+            if version < FORMAT:
                 db.executescript(_SCHEMA)
         except BaseException:
             db.close()
@@ -350,7 +351,7 @@ class MapStore:
         return db
 
     def _run(self, work: Callable[[sqlite3.Connection], T], *, writes: bool = False) -> T:
-        """`work` in one transaction where it writes; all of it or nothing."""
+        """Run `work`, in one transaction if it writes."""
         try:
             if not writes:
                 return work(self._db)
@@ -368,20 +369,20 @@ class MapStore:
 
     def _error(self, error: Exception) -> ReleaseError:
         if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
-            return StoreFull(str(self.path), "store", "room on the disk and below the limit")
-        return ReleaseError(str(self.path), "store", f"a file that can be used ({error})")
+            return StoreFullError(str(self.path), "store", "free space on the disk and below the limit")
+        return ReleaseError(str(self.path), "store", f"a readable store of the map ({error})")
 
     def _fact(self, name: str) -> int | None:
         return self._run(lambda db: _get(db, name))
 
-    def _kept(self, map_version: int | None) -> Kept | None:
+    def _kept(self, map_version: int | None) -> StoredRelease | None:
         row = self._run(
             lambda db: db.execute(
                 "SELECT map_version, region, manifest, state FROM release WHERE map_version = ?",
                 (map_version,),
             ).fetchone()
         )
-        return None if row is None else Kept(*row)
+        return None if row is None else StoredRelease(*row)
 
     def _root_of(self, map_version: int | None) -> bytes:
         row = self._run(

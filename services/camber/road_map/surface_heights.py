@@ -1,6 +1,6 @@
-"""Heights of road surfaces that are named by their ids: for whoever has a whole map at hand and asks it by the million.
+"""Heights of road surfaces given by id, for millions of points on a whole map.
 
-Which surface is under a point is map_server's question; here it is known. A surface's own axes: u along (yaw,
+Which surface a point is on is selected in map_server; here it is known. A surface's axes: u along (yaw,
 counter-clockwise from east), v across (positive to the left), metres from its centre in the tangent plane there.
 """
 
@@ -17,7 +17,7 @@ from camber.road_map.road_columns import Floats, Integers, RoadSurfaces
 
 
 class SurfaceHeights:
-    """The grids of all surfaces of a map, ready for questions by row; rows are those of the `RoadSurfaces` given."""
+    """Height grids of all surfaces of a map; rows are those of the `RoadSurfaces` given."""
 
     def __init__(self, surfaces: RoadSurfaces) -> None:
         self._order = np.argsort(surfaces.surface_id, kind="stable")
@@ -40,22 +40,21 @@ class SurfaceHeights:
         return len(self._sorted_id)
 
     def rows_of(self, surface_id: ArrayLike) -> Integers:
-        """Rows (n,) of surfaces; −1 where the map has no such surface."""
+        """Return the rows (n,) of surfaces; −1 for unknown ids."""
         wanted = np.asarray(surface_id, np.int64)
         if not len(self):
             return np.full(wanted.shape, -1)
-        place = np.minimum(np.searchsorted(self._sorted_id, wanted), len(self) - 1)
-        return np.where(self._sorted_id[place] == wanted, self._order[place], -1)
+        at = np.minimum(np.searchsorted(self._sorted_id, wanted), len(self) - 1)
+        return np.where(self._sorted_id[at] == wanted, self._order[at], -1)
 
     def heights_m(
         self, row: ArrayLike, latitude_rad: ArrayLike, longitude_rad: ArrayLike
     ) -> tuple[Floats, Floats]:
-        """Ellipsoidal heights (n,) [m] of surfaces at n points, and how far outside its surface each point is (n,) [m].
+        """Return ellipsoidal heights (n,) [m] of surfaces at n points, and the distance of each point to its surface.
 
-        Outside its rectangle a surface goes on with the slope at its edge: how far that is to be believed is the
-        caller's affair. Where the row is −1, and where a point is not a number or 100 km off, nothing is known: the
-        distance is infinite and the height no number. Raises ValueError for columns that differ in length and for a
-        row that is none.
+        Outside its rectangle a surface is extrapolated with the slope at its edge; the caller decides how far. For row
+        −1, and for a point that is NaN or 100 km away, the distance is infinite and the height NaN. Raises ValueError
+        for columns of different length and invalid rows.
         """
         rows = np.ascontiguousarray(row, np.int64)
         latitude = np.ascontiguousarray(latitude_rad, np.float64)
@@ -65,7 +64,15 @@ class SurfaceHeights:
             raise ValueError(f"row, latitude_rad, longitude_rad: expected three of (n,), got {shapes}")
         if len(rows) and not -1 <= rows.min() <= rows.max() < len(self):
             raise ValueError(f"row: expected −1 to {len(self) - 1}, got {rows.min()} to {rows.max()}")
-        return _heights(self._origin, self._shape, self._grid, self._heights_m, rows, latitude, longitude)
+        return _heights(
+            origin=self._origin,
+            shape=self._shape,
+            grid=self._grid,
+            heights_m=self._heights_m,
+            row=rows,
+            latitude_rad=latitude,
+            longitude_rad=longitude,
+        )
 
 
 @compiled
@@ -90,27 +97,22 @@ def _heights(
         u, v = cos * east_m + sin * north_m, cos * north_m - sin * east_m
         beyond_u, beyond_v = max(abs(u) - half_length, 0.0), max(abs(v) - half_width, 0.0)
         outside_m[i] = math.sqrt(beyond_u * beyond_u + beyond_v * beyond_v)
-        height_m[i], _, _ = grid_plane(
-            heights_m, grid[k, 0], grid[k, 1], grid[k, 2], half_length, half_width, u, v
-        )
+        shape_of_grid = grid[k, 0], grid[k, 1], grid[k, 2]
+        height_m[i], _, _ = grid_plane(heights_m, shape_of_grid, (half_length, half_width), (u, v))
     return height_m, outside_m
 
 
 @compiled
 def grid_plane(
-    heights_m: Floats,
-    first: int,
-    rows: int,
-    columns: int,
-    half_length: float,
-    half_width: float,
-    u: float,
-    v: float,
+    heights_m: Floats, grid: tuple[int, int, int], half_size: tuple[float, float], uv: tuple[float, float]
 ) -> tuple[float, float, float]:
-    """Height [m], slope along and slope across of a surface at (u, v); beyond its edge it goes on with the slope there.
+    """Return height [m], slope along and slope across of a surface at `uv`, extrapolated beyond its edge.
 
-    Its heights begin at `first` of `heights_m`, `rows` of them along and `columns` across. Bilinear between them.
+    `grid`: index of the first height in `heights_m`, number of rows along and of columns across; bilinear between.
     """
+    first, rows, columns = grid
+    half_length, half_width = half_size
+    u, v = uv
     at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
     step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
     p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v

@@ -1,4 +1,4 @@
-"""What a tile of a map must hold beyond what its message says, and the slopes of its surfaces."""
+"""Validity of a tile's contents beyond its message's schema, and the slopes of its surfaces."""
 
 from __future__ import annotations
 
@@ -7,31 +7,33 @@ from numpy.typing import NDArray
 
 from camber.schemas.road import CloudTile, LinkTile, SurfaceTile
 
-MAX_ID = 2**62
-MAX_LEVEL = 20
-LOWEST_M, HIGHEST_M = -19_000.0, 99_000.0  # what messages allow, less what a slope may add beyond an edge
-MAX_SLOPE = 2.0
-"""No road is steeper; a grid that is was made of something else."""
-_MAX_REACH_M = 100_000.0  # of geometry from its tile's centre
+MAX_ID = 2**62  # chosen: two bits below the range of int64
+MAX_LEVEL = 20  # chosen: more decks than any road interchange has
+LOWEST_M, HIGHEST_M = (
+    -19_000.0,
+    99_000.0,
+)  # range of the schema less what extrapolation beyond an edge may add
+MAX_SLOPE = 2.0  # chosen: no road is steeper, the steepest streets have 0.35
+_MAX_REACH_M = 100_000.0  # chosen: distance of geometry from its tile's centre, far beyond any tile
 
 _Check = tuple[str, str, NDArray[np.bool_]]
 
 
-def wrong_in_tile(tile: SurfaceTile | LinkTile | CloudTile) -> tuple[str, str] | None:
-    """Field and what was expected of it, where a tile holds what no map has; None: nothing is wrong."""
+def tile_defect(tile: SurfaceTile | LinkTile | CloudTile) -> tuple[str, str] | None:
+    """Return the field and its expected value of the first invalid entry of a tile; None for a valid tile."""
     match tile:
         case SurfaceTile():
-            return _wrong_in_surfaces(tile)
+            return _surface_defect(tile)
         case LinkTile():
-            return _wrong_in_links(tile)
+            return _link_defect(tile)
         case _:
             return None
 
 
 def surface_slopes(tile: SurfaceTile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """For each surface of a tile the steepest slope of its grid, and by how much slopes in it differ at most.
+    """Return the steepest slope and the largest difference of slopes of each surface's grid.
 
-    Both are bounds from the edges of the grid's cells: a bilinear cell has its extreme slopes there.
+    Both are bounds from the edges of the grid's cells, where a bilinear cell has its extreme slopes.
     """
     steepest, spread = np.zeros(len(tile.rows)), np.zeros(len(tile.rows))
     shapes = np.column_stack((tile.rows, tile.columns)).astype(np.int64)
@@ -48,8 +50,8 @@ def surface_slopes(tile: SurfaceTile) -> tuple[NDArray[np.float64], NDArray[np.f
     return steepest, spread
 
 
-def _wrong_in_surfaces(tile: SurfaceTile) -> tuple[str, str] | None:
-    wrong = _first_wrong(
+def _surface_defect(tile: SurfaceTile) -> tuple[str, str] | None:
+    defect = _first_defect(
         tile.surface_id,
         ("surface_id", "0 to 2⁶²", (tile.surface_id >= 0) & (tile.surface_id <= MAX_ID)),
         ("link_id", "0 to 2⁶²", (tile.link_id >= 0) & (tile.link_id <= MAX_ID)),
@@ -60,14 +62,14 @@ def _wrong_in_surfaces(tile: SurfaceTile) -> tuple[str, str] | None:
         ("half_length_m", "more than 0, at most 100 km", _is_length(tile.half_length_m)),
         ("half_width_m", "more than 0, at most 100 km", _is_length(tile.half_width_m)),
     )
-    if wrong is not None:
-        return wrong
+    if defect is not None:
+        return defect
     if len(np.unique(tile.surface_id)) != len(tile.surface_id):
         return "surface_id", "each id once"
     heights_m = tile.base_height_m + tile.grid_m.astype(np.float64)
     if not ((heights_m >= LOWEST_M) & (heights_m <= HIGHEST_M)).all():
         return "grid_m", "heights of −19,000 to 99,000 m"
-    return _first_wrong(
+    return _first_defect(
         tile.surface_id,
         ("grid_m", f"slopes of at most {MAX_SLOPE:.0f}", surface_slopes(tile)[0] <= MAX_SLOPE),
     )
@@ -78,13 +80,13 @@ def _is_length(half_m: NDArray[np.float32]) -> NDArray[np.bool_]:
     return right
 
 
-def _wrong_in_links(tile: LinkTile) -> tuple[str, str] | None:
+def _link_defect(tile: LinkTile) -> tuple[str, str] | None:
     near = (np.abs(tile.east_m) <= _MAX_REACH_M) & (np.abs(tile.north_m) <= _MAX_REACH_M)
     if not near.all():
         return f"vertex {np.argmin(near)}", "at most 100 km from the tile"
     if len(np.unique(tile.link_id)) != len(tile.link_id):
         return "link_id", "each id once"
-    return _first_wrong(
+    return _first_defect(
         tile.link_id,
         ("link_id", "0 to 2⁶²", (tile.link_id >= 0) & (tile.link_id <= MAX_ID)),
         ("level", "-20 to 20", np.abs(tile.level.astype(np.int64)) <= MAX_LEVEL),
@@ -92,7 +94,7 @@ def _wrong_in_links(tile: LinkTile) -> tuple[str, str] | None:
     )
 
 
-def _first_wrong(ids: NDArray[np.int64], *checks: _Check) -> tuple[str, str] | None:
+def _first_defect(ids: NDArray[np.int64], *checks: _Check) -> tuple[str, str] | None:
     for field, expected, right in checks:
         if not right.all():
             return f"{field} of {ids[np.argmin(right)]}", expected

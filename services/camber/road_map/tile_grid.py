@@ -1,4 +1,4 @@
-"""Web-Mercator tiles of the map: which tile holds a point, and the local frame of a tile.
+"""Web-Mercator tiles of the map: tile of a point, tiles around it, and the local frame of a tile.
 
 Tiles are numbered z/x/y as in OGC 17-083r4 (Two Dimensional Tile Matrix Set), annex D.1, "WebMercatorQuad": x from
 the antimeridian eastwards, y from 85.05° north southwards. The projection serves to *name* tiles only; geometry is
@@ -22,17 +22,18 @@ TILES = 1 << ZOOM
 LIMIT_LATITUDE_RAD = math.atan(math.sinh(math.pi))
 """Beyond this latitude (85.05°) there are no tiles."""
 MARGIN_M = 1.0
-"""What comes within this distance of a tile is stored in it, so that a search in one tile finds all that is near."""
+"""Geometry within this distance of a tile is stored in it, so that one tile suffices for a search; chosen: larger
+than the 0.5 m tolerance of a surface (`TOLERANCE_M`)."""
 
 Tile = tuple[int, int]
 """Numbers x, y of a tile at ZOOM."""
 
-# The sides of a box of some kilometres are taken for straight; what that misses is far below a thousandth of it.
+# Margin for taking the sides of a box of some kilometres as straight; the error is far below a thousandth.
 _BOX_FACTOR = 1.001
 
 
 def tile_of(latitude_rad: float, longitude_rad: float) -> Tile | None:
-    """The tile that holds a point, None beyond 85.05° of latitude. A point on a border belongs to the larger number."""
+    """Return the tile of a point, None beyond 85.05° of latitude. A point on a border has the larger number."""
     if not abs(latitude_rad) < LIMIT_LATITUDE_RAD:
         return None
     x = math.floor((longitude_rad + math.pi) / (2.0 * math.pi) * TILES)
@@ -43,7 +44,7 @@ def tile_of(latitude_rad: float, longitude_rad: float) -> Tile | None:
 def tiles_of(
     latitude_rad: ArrayLike, longitude_rad: ArrayLike
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tile numbers x, y (n,) of n points, as `tile_of`; both are −1 beyond 85.05° of latitude."""
+    """Return tile numbers x, y (n,) of n points, as `tile_of`; both are −1 beyond 85.05° of latitude."""
     latitude, longitude = np.asarray(latitude_rad, np.float64), np.asarray(longitude_rad, np.float64)
     there = np.abs(latitude) < LIMIT_LATITUDE_RAD
     x = np.floor(_column(longitude)).astype(np.int64) % TILES
@@ -53,19 +54,19 @@ def tiles_of(
 
 @lru_cache(maxsize=4096)
 def tile_frame(x: int, y: int) -> LocalFrame:
-    """The frame of a tile's geometry: tangent at ellipsoidal height zero to the tile's centre (in the projection)."""
+    """Return the frame of a tile: tangent at ellipsoidal height zero to its centre (in the projection)."""
     latitude_rad = math.atan(math.sinh(math.pi * (1.0 - 2.0 * (y + 0.5) / TILES)))
     return LocalFrame(latitude_rad, 2.0 * math.pi * (x + 0.5) / TILES - math.pi, 0.0)
 
 
 def tile_corners_rad(x: int, y: int) -> tuple[float, float, float, float]:
-    """South, west, north, east of a tile in radians."""
+    """Return south, west, north, east of a tile in radians."""
     north, south = (math.atan(math.sinh(math.pi * (1.0 - 2.0 * row / TILES))) for row in (y, y + 1))
     return south, 2.0 * math.pi * x / TILES - math.pi, north, 2.0 * math.pi * (x + 1) / TILES - math.pi
 
 
 def tiles_around(latitude_rad: float, longitude_rad: float, radius_m: float) -> list[Tile]:
-    """The tiles that come within `radius_m` of a point, and perhaps some more; empty beyond 85.05° of latitude."""
+    """Return the tiles within `radius_m` of a point, possibly some more; none beyond 85.05° of latitude."""
     if not abs(latitude_rad) < LIMIT_LATITUDE_RAD:
         return []
     latitude, longitude, radius = (np.array([value]) for value in (latitude_rad, longitude_rad, radius_m))
@@ -79,9 +80,9 @@ def tiles_of_boxes(
     half_east_m: NDArray[np.float64],
     half_north_m: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Tiles that boxes about n centres touch: (box, x, y), one row for each pair, by box, then y, then x.
+    """Return the tiles that boxes about n centres touch: (box, x, y), one row per pair, by box, then y, then x.
 
-    Boxes reach `half_east_m`, `half_north_m` to each side; what is north or south of all tiles is cut off.
+    Boxes extend `half_east_m`, `half_north_m` to each side, and are cut off north and south of all tiles.
     """
     # Both radii of curvature are least at the equator, so a box is never taken for too small.
     d_latitude = half_north_m * _BOX_FACTOR / meridian_radius_m(0.0)

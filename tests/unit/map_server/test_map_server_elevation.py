@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.map_server.elevation import REASONS, ElevationMap, RoadColumns
+from camber.map_server.elevation import REASONS, ElevationMap, SelectedRoads
 from camber.road_map.release import read_release
 from camber.road_map.road_tiles import link_tiles, surface_tiles
 from camber.road_map.tile_grid import tile_corners_rad, tile_of
@@ -426,7 +426,7 @@ def _points(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return latitude, longitude
 
 
-def _assert_each_as_if_alone(columns: RoadColumns, alone: list[Road]) -> None:
+def _assert_each_as_if_alone(columns: SelectedRoads, alone: list[Road]) -> None:
     assert [REASONS[code] for code in columns.reason] == [found.reason for found in alone]
     assert columns.known.tolist() == [i for i, found in enumerate(alone) if found.status == "known"]
     assert not (columns.elsewhere & ~columns.ambiguous).any()

@@ -11,12 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_server.download_thread import Rounds, Times
-from camber.map_server.release_download import Fetching, FolderSupplier, NoAnswer, Where, Wishes
+from camber.map_server.download_thread import DownloadIntervals, DownloadScheduler
+from camber.map_server.release_download import (
+    FetchRequest,
+    FolderSupplier,
+    ReleaseDownload,
+    SupplierUnavailableError,
+    VehiclePosition,
+)
 from camber.map_update.fusion.corrections import NONE
 from camber.map_update.release.release_builder import history
-from camber.road_map.release import BlobMissing, Release, ReleaseError, open_release, read_release
-from camber.road_map.store import MapStore, StoreFull
+from camber.road_map.release import BlobMissingError, Release, ReleaseError, open_release, read_release
+from camber.road_map.store import MapStore, StoreFullError
 from camber.schemas.road import CloudTile
 from support.release_world import KEY, OTHER_KEY, STEP_M, Cloud, making, offsets
 from support.small_map import MADE_NS, at, surface, write
@@ -25,12 +31,14 @@ from support.small_map import MADE_NS, at, surface, write
 class Vehicle:
     """A store, and what fetches into it."""
 
-    def __init__(self, folder: Path, cloud: Any, *, limit_bytes: int = 1 << 30, **wishes: Any) -> None:
+    def __init__(self, folder: Path, cloud: Any, *, limit_bytes: int = 1 << 30, **request: Any) -> None:
         self.store = MapStore(folder / "map.sqlite", limit_bytes=limit_bytes)
         self.cloud = cloud
-        self.where = Where()
-        wished = {"region": "test", "public_key": KEY.public_key(), "around_m": None, **wishes}
-        self.fetching = Fetching(self.store, Wishes(**wished), self.where, now_ns=lambda: MADE_NS)
+        self.where = VehiclePosition()
+        wished = {"region": "test", "public_key": KEY.public_key(), "around_m": None, **request}
+        self.fetching = ReleaseDownload(
+            self.store, FetchRequest(**wished), self.where, now_ns=lambda: MADE_NS
+        )
 
     def bring(self, *, steps: int | None = None) -> None:
         self.fetching.ask(self.cloud)
@@ -82,7 +90,7 @@ def test_a_fetch_that_is_cut_goes_on_where_it_was(tmp_path: Path) -> None:
         vehicle.cloud.cut_after = cut
         try:
             vehicle.bring()
-        except NoAnswer:
+        except SupplierUnavailableError:
             vehicle = Vehicle(tmp_path, vehicle.cloud)  # the process is started anew, too
         else:
             break
@@ -149,7 +157,7 @@ def test_a_large_blob_goes_on_at_the_part_that_is_missing(tmp_path: Path) -> Non
         try:
             vehicle.bring()
             break
-        except NoAnswer:
+        except SupplierUnavailableError:
             vehicle = Vehicle(tmp_path, vehicle.cloud)
     asked = [(request.sha256, request.part) for request in vehicle.cloud.asked]
     assert len(asked) == len(set(asked))
@@ -235,7 +243,7 @@ def test_a_full_store_keeps_the_old_release(tmp_path: Path) -> None:
     ]
     write(tmp_path / "out", [surface(1)], map_version=20, clouds=clouds, signing_key=KEY)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), limit_bytes=300_000)
-    with pytest.raises(StoreFull):
+    with pytest.raises(StoreFullError):
         vehicle.bring()
     assert vehicle.version == 8
     assert len(read_release(vehicle.store).road_surfaces()) == 8
@@ -267,7 +275,7 @@ def known_surfaces(release: Release) -> set[int]:
     for xy in release.tiles("surfaces"):
         try:
             tile = release.surface_tile(*xy)
-        except BlobMissing:
+        except BlobMissingError:
             continue
         assert tile is not None
         found |= set(tile.surface_id.tolist())
@@ -323,20 +331,20 @@ def test_a_damaged_blob_is_fetched_again(tmp_path: Path) -> None:
 # -- when ------------------------------------------------------------------------------------------------------------
 
 
-def rounds(vehicle: Vehicle, **times: float) -> Rounds:
+def rounds(vehicle: Vehicle, **times: float) -> DownloadScheduler:
     limits = {"ask_every_s": 600.0, "spread_s": 10.0, "retry_every_s": 60.0, **times}
-    return Rounds(
+    return DownloadScheduler(
         vehicle.store,
         vehicle.fetching,
         vehicle.where,
         cloud=vehicle.cloud,
         folder=None,
-        times=Times(**limits),
+        times=DownloadIntervals(**limits),
         rng=random.Random(1),
     )
 
 
-def run(each: Rounds, from_s: float, until_s: float) -> list[str]:
+def run(each: DownloadScheduler, from_s: float, until_s: float) -> list[str]:
     """Steps of a second; returns the codes of what went wrong."""
     for second in np.arange(from_s, until_s):
         each.step(float(second), lambda: True, lambda: None)

@@ -178,7 +178,7 @@ def swept(folder: Path) -> Path:
     manifest = write_short_drive(folder)
     (folder / "sweeps").mkdir()
     for k in (1, 2, 3):
-        cloud = PointCloud(np.full((1, 3), k, np.float32))
+        cloud = PointCloud(points_m=np.full((1, 3), k, np.float32))
         write_pcd(folder / "sweeps" / f"{START_NS + k * STEP_NS}.pcd", cloud)
     manifest.write_text(manifest.read_text() + '\n[sweeps]\nfolder = "sweeps"\n')
     return manifest
@@ -190,7 +190,7 @@ def test_sweeps_come_at_the_time_of_their_end_and_are_not_read_before(tmp_path: 
     at = {tick.time_ns: tick.sweeps for tick in inputs.ticks() if tick.sweeps}
     assert list(at) == [START_NS + k * STEP_NS for k in (1, 2, 3)]
     (file,) = at[START_NS + 2 * STEP_NS]
-    write_pcd(file.path, PointCloud(np.full((1, 3), 9.0, np.float32)))
+    write_pcd(file.path, PointCloud(points_m=np.full((1, 3), 9.0, np.float32)))
     assert file.read().points_m.tolist() == [[9.0, 9.0, 9.0]]
 
 

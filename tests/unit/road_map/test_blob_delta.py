@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from camber.road_map.blob_delta import packed, unpacked
+from camber.road_map.blob_delta import compress_blob, decompress_blob
 from camber.road_map.release import ReleaseError
 from camber.road_map.road_tiles import surface_tiles
 from camber.schemas.codec import encode
@@ -57,9 +57,9 @@ def test_what_was_packed_comes_back(bent: bool) -> None:
     for seed in range(5):
         rows = sorted(random.Random(seed).sample(range(len(old.rows)), 4 * seed + 1))
         new = encode(changed(old, rows, seed, bent=bent))
-        small = packed(new, base)
+        small = compress_blob(new, base)
         assert small[:1] == b"s"
-        assert unpacked(small, base) == new
+        assert decompress_blob(small, base) == new
 
 
 def test_twenty_surfaces_of_a_thousand_in_a_tile_travel_in_a_few_hundred_bytes() -> None:
@@ -67,7 +67,7 @@ def test_twenty_surfaces_of_a_thousand_in_a_tile_travel_in_a_few_hundred_bytes()
     rows = random.Random(1).sample(range(len(old.rows)), 20)
     base, new = encode(old), encode(changed(old, rows))
     assert len(old.rows) >= 1000
-    assert len(packed(new, base)) < 300 < len(packed(new)) / 100
+    assert len(compress_blob(new, base)) < 300 < len(compress_blob(new)) / 100
 
 
 def test_a_change_that_the_numbers_cannot_say_travels_as_a_difference_of_bytes() -> None:
@@ -76,10 +76,10 @@ def test_a_change_that_the_numbers_cannot_say_travels_as_a_difference_of_bytes()
     odd = changed(old, [3], sigma_m=old.sigma_m + np.float32(1e-7))
     moved = changed(old, [3], yaw_rad=old.yaw_rad + 0.1)
     for new in (odd, moved, a_tile(200)):
-        small = packed(encode(new), base)
+        small = compress_blob(encode(new), base)
         assert small[:1] == b"p"
-        assert unpacked(small, base) == encode(new)
-        assert len(small) < len(packed(encode(new)))
+        assert decompress_blob(small, base) == encode(new)
+        assert len(small) < len(compress_blob(encode(new)))
 
 
 def test_any_bytes_travel_with_and_without_a_base() -> None:
@@ -87,17 +87,17 @@ def test_any_bytes_travel_with_and_without_a_base() -> None:
     for size in (0, 1, 1000, 300_000, 1_500_000):
         base = chance.randbytes(size)
         blob = base[: size // 2] + b"new" + base[size // 2 :]
-        assert unpacked(packed(blob), None) == blob
-        assert unpacked(packed(blob, base), base) == blob
-        assert size < 1000 or len(packed(blob, base)) < 200
+        assert decompress_blob(compress_blob(blob), None) == blob
+        assert decompress_blob(compress_blob(blob, base), base) == blob
+        assert size < 1000 or len(compress_blob(blob, base)) < 200
 
 
 def test_the_wrong_base_never_gives_the_blob_in_silence() -> None:
     old = a_tile()
     base, new = encode(old), encode(changed(old, [1, 2]))
-    for small in (packed(new, base), b"p" + packed(new, new[:-1])[1:]):
+    for small in (compress_blob(new, base), b"p" + compress_blob(new, new[:-1])[1:]):
         try:
-            other = unpacked(small, encode(a_tile(300, 9)))
+            other = decompress_blob(small, encode(a_tile(300, 9)))
         except ReleaseError:
             continue
         assert other != new
@@ -108,20 +108,20 @@ def test_the_wrong_base_never_gives_the_blob_in_silence() -> None:
 )
 def test_bytes_that_are_none_are_refused(data: bytes) -> None:
     with pytest.raises(ReleaseError):
-        unpacked(data, encode(a_tile(20)))
+        decompress_blob(data, encode(a_tile(20)))
 
 
 def test_a_difference_without_its_base_is_refused() -> None:
     old = a_tile(20)
     with pytest.raises(ReleaseError, match="without another blob"):
-        unpacked(packed(encode(changed(old, [1])), encode(old)), None)
+        decompress_blob(compress_blob(encode(changed(old, [1])), encode(old)), None)
 
 
 def test_no_more_is_unpacked_than_the_blob_may_have() -> None:
-    bomb = packed(bytes(10_000_000))
+    bomb = compress_blob(bytes(10_000_000))
     assert len(bomb) < 2000
     with pytest.raises(ReleaseError, match="at most 1000 bytes"):
-        unpacked(bomb, None, limit=1000)
+        decompress_blob(bomb, None, limit=1000)
 
 
 def test_damage_on_the_way_gives_an_error_or_other_bytes() -> None:
@@ -129,14 +129,14 @@ def test_damage_on_the_way_gives_an_error_or_other_bytes() -> None:
     chance = random.Random(seed)
     old = a_tile(60)
     base, new = encode(old), encode(changed(old, [2, 5, 11]))
-    small = packed(new, base)
+    small = compress_blob(new, base)
     outcomes = set()
     for _ in range(300):
         bad = bytearray(small)
         for _ in range(chance.randint(1, 3)):
             bad[chance.randrange(len(bad))] ^= 1 << chance.randrange(8)
         try:
-            outcomes.add(unpacked(bytes(bad[: chance.randint(1, len(bad))]), base) == new)
+            outcomes.add(decompress_blob(bytes(bad[: chance.randint(1, len(bad))]), base) == new)
         except ReleaseError:
             outcomes.add(None)
     assert None in outcomes, seed

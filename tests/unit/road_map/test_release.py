@@ -446,7 +446,7 @@ def test_a_write_that_is_interrupted_leaves_the_old_release(
     ("changed", "message"),
     [
         ({"surface_id": -1}, r"surfaces: surface_id\[0\], expected 0 to"),
-        ({"surface_id": 1.5}, "surface_id, expected whole numbers"),
+        ({"surface_id": 1.5}, "surface_id, expected numbers"),
         ({"level": 21}, "level"),
         ({"latitude_rad": 1.5}, "latitude_rad"),
         ({"longitude_rad": 3.2}, "longitude_rad"),

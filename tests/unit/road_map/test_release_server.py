@@ -10,9 +10,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from camber.map_update.fusion.corrections import CORRECTION
 from camber.map_update.release.release_builder import ReleaseBuilder
-from camber.road_map.blob_delta import unpacked
+from camber.road_map.blob_delta import decompress_blob
 from camber.road_map.release import open_release
-from camber.road_map.release_server import ReleaseServing
+from camber.road_map.release_server import ReleaseServer
 from camber.schemas.codec import decode, encode
 from camber.schemas.fleet import MapBlobReply, MapBlobRequest, MapRootReply, MapRootRequest
 from camber.schemas.road import CloudTile, ReleaseRoot
@@ -21,11 +21,11 @@ from support.small_map import MADE_NS, surface, write
 KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
 
 
-def root_of(serving: ReleaseServing, region: str = "test", have: str | None = None) -> MapRootReply:
+def root_of(serving: ReleaseServer, region: str = "test", have: str | None = None) -> MapRootReply:
     return serving.root(MapRootRequest(time_ns=MADE_NS, region=region, have_sha256=have), time_ns=MADE_NS)
 
 
-def fetched(serving: ReleaseServing, sha256: str, base: str | None = None) -> list[MapBlobReply]:
+def fetched(serving: ReleaseServer, sha256: str, base: str | None = None) -> list[MapBlobReply]:
     replies = list[MapBlobReply]()
     while not replies or len(replies) < replies[0].parts:
         request = MapBlobRequest(time_ns=MADE_NS, sha256=sha256, base_sha256=base, part=len(replies))
@@ -34,11 +34,11 @@ def fetched(serving: ReleaseServing, sha256: str, base: str | None = None) -> li
 
 
 def put_together(replies: list[MapBlobReply], base: bytes | None = None) -> bytes:
-    return unpacked(b"".join(reply.payload.tobytes() for reply in replies), base)
+    return decompress_blob(b"".join(reply.payload.tobytes() for reply in replies), base)
 
 
 def test_the_newest_root_is_given_once(tmp_path: Path) -> None:
-    serving = ReleaseServing(tmp_path)
+    serving = ReleaseServer(tmp_path)
     assert root_of(serving).status == "unknown"
     root = write(tmp_path, [surface(1)])
     reply = root_of(serving)
@@ -57,7 +57,7 @@ def test_a_large_blob_comes_in_parts_that_fit_into_replies(tmp_path: Path) -> No
     write(tmp_path, [surface(1)], clouds=[tile])
     digest = open_release(tmp_path).sha256("road_cloud", 1, 2)
     assert digest is not None
-    replies = fetched(ReleaseServing(tmp_path), digest)
+    replies = fetched(ReleaseServer(tmp_path), digest)
     assert len(replies) > 2
     assert max(len(encode(reply)) for reply in replies) <= 256_000
     assert hashlib.sha256(put_together(replies)).hexdigest() == digest
@@ -71,7 +71,7 @@ def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
     old = open_release(tmp_path / "out")
     making.make(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)
     new = open_release(tmp_path / "out")
-    serving = ReleaseServing(tmp_path / "out")
+    serving = ReleaseServer(tmp_path / "out")
     for xy in new.tiles("surfaces"):
         digest, base = new.sha256("surfaces", *xy), old.sha256("surfaces", *xy)
         assert digest is not None
@@ -86,7 +86,7 @@ def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
 
 
 def test_what_is_not_here_is_unknown(tmp_path: Path) -> None:
-    serving = ReleaseServing(tmp_path)
+    serving = ReleaseServer(tmp_path)
     root = write(tmp_path, [surface(1)])
     assert fetched(serving, "0" * 64)[0].status == "unknown"
     request = MapBlobRequest(time_ns=MADE_NS, sha256=root.manifest_sha256, part=1)
@@ -95,7 +95,7 @@ def test_what_is_not_here_is_unknown(tmp_path: Path) -> None:
 
 def test_differences_are_kept_within_their_room(tmp_path: Path) -> None:
     write(tmp_path, [surface(k, 400.0 * k) for k in range(8)])
-    release, serving = open_release(tmp_path), ReleaseServing(tmp_path, kept_bytes=1000)
+    release, serving = open_release(tmp_path), ReleaseServer(tmp_path, kept_bytes=1000)
     for _ in range(2):
         for xy in release.tiles("surfaces"):
             digest = release.sha256("surfaces", *xy)

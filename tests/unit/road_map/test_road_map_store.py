@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.road_map.release import BlobMissing, ReleaseError, open_release, read_release
+from camber.road_map.release import BlobMissingError, ReleaseError, open_release, read_release
 from camber.road_map.release_files import ROOT_NAME
 from camber.road_map.release_watch import ReleaseWatch
-from camber.road_map.store import MapStore, StoreFull
+from camber.road_map.store import MapStore, StoreFullError
 from support.release_world import KEY, OTHER_KEY
 from support.small_map import surface, write
 
@@ -79,7 +79,7 @@ def test_a_tile_that_was_not_fetched_is_missing_and_not_empty(tmp_path: Path) ->
         xy for xy in release.tiles("surfaces") if store.missing([release.sha256("surfaces", *xy) or ""])
     ]
     assert len(missing) == 1
-    with pytest.raises(BlobMissing):
+    with pytest.raises(BlobMissingError):
         release.surface_tile(*missing[0])
     assert release.surface_tile(1, 1) is None
 
@@ -170,7 +170,7 @@ def test_a_full_store_refuses_and_keeps_what_it_has(tmp_path: Path) -> None:
         for seed in range(100):
             store.put_part("0" * 64, None, seed, np.random.default_rng(seed).bytes(20_000))
 
-    with pytest.raises(StoreFull, match="room"):
+    with pytest.raises(StoreFullError, match="free space"):
         fill()
     assert len(read_release(store).road_surfaces()) == 1
     store.drop("0" * 64)

@@ -79,7 +79,7 @@ def test_a_damaged_store_is_one_line_and_stays_where_it_is(
     path.write_bytes(b"SQLite format 3\x00" + bytes(500))
     assert cli.main(["map", "inspect", str(path)]) == 2
     assert capsys.readouterr().err.startswith(
-        f"camber map inspect: {path}: file, expected a store of the map"
+        f"camber map inspect: {path}: store, expected a readable store of the map"
     )
     assert [entry.name for entry in tmp_path.iterdir()] == ["map.sqlite"]
 

@@ -15,8 +15,8 @@ from camber.formats.errors import FormatError
 from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
 from camber.road_map.release import read_release
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
-from camber.tools.maps.importers.lane_map import Known, road_map
-from camber.tools.maps.importers.lane_pieces import Piece, pieces_of
+from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
+from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Lane
 from support.lanelet_maps import FRAME, town
 
@@ -51,7 +51,7 @@ def straight(
     return lane(name, along(begin, end), np.full(41, height_m), **more)
 
 
-def corners(piece: Piece, points_m: Floats) -> Floats:
+def corners(piece: LanePiece, points_m: Floats) -> Floats:
     """Points in the axes of a piece, in units of its half sizes."""
     c, s = math.cos(piece.yaw_rad), math.sin(piece.yaw_rad)
     return (
@@ -95,7 +95,9 @@ def test_where_heights_make_a_step_the_surface_is_as_unsure_as_that_and_the_lane
     stepped = np.insert(line, 21, line[20] + (0.01, 0.0), axis=0)
     height_m = np.where(np.arange(42) > 20, 0.4, 0.0)
     own = lane("kerb", stepped, height_m)
-    surfaces, _, remarks = road_map([own], FRAME, Known(0.02, 0.5, 0), "map")
+    surfaces, _, remarks = road_map(
+        [own], FRAME, LaneSurvey(sigma_m=0.02, link_sigma_m=0.5, seen_ns=0), "map"
+    )
     assert remarks == ["map: kerb: heights make a step, σ of a surface is up to 0.20 m"]
     assert (surfaces.sigma_m > 0.1).sum() == 1
     assert np.isclose(np.sort(surfaces.sigma_m)[:-1], 0.02, atol=1e-3).all()
@@ -152,7 +154,9 @@ def test_a_helix_becomes_links_of_their_own_on_rising_levels() -> None:
     turn = np.linspace(0.0, 6.0 * math.pi, 400)
     line = 15.0 * np.column_stack((np.cos(turn), np.sin(turn)))
     helix = lane("helix", line, 5.0 * turn / (2.0 * math.pi), link_id=77)
-    surfaces, links, _ = road_map([helix], FRAME, Known(0.02, 0.5, 0), "map")
+    surfaces, links, _ = road_map(
+        [helix], FRAME, LaneSurvey(sigma_m=0.02, link_sigma_m=0.5, seen_ns=0), "map"
+    )
     assert links.level.tolist() == sorted(links.level.tolist())
     # Where a part has gone all the way round it is over its own beginning: three turns are four parts.
     assert set(links.level.tolist()) == {0, 1, 2, 3}

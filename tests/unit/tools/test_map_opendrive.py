@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camber import cli
-from camber.formats.map_exchange.opendrive import OpenDrive, Road, opendrive_bytes
+from camber.formats.map_exchange.opendrive import OpenDrive, OpenDriveRoad, opendrive_bytes
 from camber.formats.map_exchange.opendrive_geometry import cubics_at, reference_line
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
@@ -42,7 +42,7 @@ def link(road: str, section: int, lane: int) -> int:
     return named_id("link", f"road {road}, section {section}, lane {lane}")
 
 
-def off_m(release: Release, road: Road, section: int, lane: int, s: Floats, t: Floats) -> float:
+def off_m(release: Release, road: OpenDriveRoad, section: int, lane: int, s: Floats, t: Floats) -> float:
     """How far elevations of the release are at most from the formulas, at points (s, t) of a road."""
     line, roll = reference_line(road, s), cubics_at(road.superelevation, s)
     x = line[:, 0] - np.sin(line[:, 2]) * t * np.cos(roll)

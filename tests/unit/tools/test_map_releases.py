@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from camber.map_server.release_download import Fetching, Where, Wishes
+from camber.map_server.release_download import FetchRequest, ReleaseDownload, VehiclePosition
 from camber.map_update.fusion.publication import DECISION, DECISIONS, Decisions
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import open_release, read_release
@@ -98,8 +98,13 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
 
 def test_a_vehicle_goes_back_by_its_operator_only(folder: Path, capsys: Any) -> None:
     path = folder.parent / "map.sqlite"
-    store, where = MapStore(path), Where()
-    fetching = Fetching(store, Wishes("test", KEY.public_key(), None), where, now_ns=lambda: MADE_NS)
+    store, where = MapStore(path), VehiclePosition()
+    fetching = ReleaseDownload(
+        store,
+        FetchRequest(region="test", public_key=KEY.public_key(), around_m=None),
+        where,
+        now_ns=lambda: MADE_NS,
+    )
     cloud = Cloud(folder)
     make = making(folder.parent)
     for step in (1, 2):

@@ -60,7 +60,7 @@ def _column(array: Any) -> NDArray[Any]:
     return np.concatenate([np.asarray(part.buffer(1)) for part in array.iter_chunks()])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LidarSweep:
     """Points (n, 3) [m] in egovehicle, numbers of their lasers (n,), and where egovehicle was (4, 4)."""
 
@@ -75,7 +75,7 @@ class LidarSweep:
         return own
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GroundRaster:
     """Heights (rows, columns) [m], NaN beyond the roads; cell (0, 0) begins at `corner_m` (2,) in city."""
 
@@ -112,8 +112,8 @@ class GroundRaster:
         return np.column_stack((places[near], self.height_m[rows[near], columns[near]]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lane:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LaneSegment:
     """A lane segment; boundaries (k, 3) in city, in the direction of travel, of any number of points."""
 
     lane_id: int
@@ -123,7 +123,7 @@ class Lane:
     successors: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ArgoverseLog:
     """What of a log is at hand; `egovehicle_from_sensor` by name (4, 4), empty where there is no calibration."""
 
@@ -134,7 +134,7 @@ class ArgoverseLog:
     """(n, 4, 4) at `time_ns`."""
     egovehicle_from_sensor: dict[str, Floats]
     ground: GroundRaster
-    lanes: tuple[Lane, ...]
+    lanes: tuple[LaneSegment, ...]
     sweeps: tuple[LidarSweep, ...]
 
 
@@ -154,11 +154,24 @@ def read_log(folder: Path) -> ArgoverseLog:
         if len(at) != 1:
             raise FormatError(path.name, "name", "the time of one of the poses in ns")
         points_m = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
-        sweeps.append(LidarSweep(int(path.stem), points_m, columns["laser_number"], motions[at[0]]))
+        sweeps.append(
+            LidarSweep(
+                time_ns=int(path.stem),
+                points_m=points_m,
+                laser=columns["laser_number"],
+                city_from_egovehicle=motions[at[0]],
+            )
+        )
     raster = _only(folder / "map", "*_ground_height_surface____*.npy")
     city = raster.stem.rsplit("____", 1)[1]
     return ArgoverseLog(
-        city, time_ns, motions, sensors, _ground(raster), _lanes(folder / "map"), tuple(sweeps)
+        city=city,
+        time_ns=time_ns,
+        city_from_egovehicle=motions,
+        egovehicle_from_sensor=sensors,
+        ground=_ground(raster),
+        lanes=_lanes(folder / "map"),
+        sweeps=tuple(sweeps),
     )
 
 
@@ -191,20 +204,20 @@ def _ground(path: Path) -> GroundRaster:
     if turn != [1.0, 0.0, 0.0, 1.0] or shift.shape != (2,) or not scale > 0.0 or heights.ndim != 2:
         expected = "R the identity, t of two numbers, s above 0 and a raster of two axes"
         raise FormatError(similarity.name, "R, t, s", expected, actual=str(said))
-    return GroundRaster(heights, -shift, 1.0 / scale)
+    return GroundRaster(height_m=heights, corner_m=-shift, cell_m=1.0 / scale)
 
 
-def _lanes(folder: Path) -> tuple[Lane, ...]:
+def _lanes(folder: Path) -> tuple[LaneSegment, ...]:
     path = _only(folder, "log_map_archive_*.json")
     try:
         segments = _read_json(path)["lane_segments"]
         return tuple(
-            Lane(
-                int(lane["id"]),
-                str(lane["lane_type"]),
-                _line(lane["left_lane_boundary"]),
-                _line(lane["right_lane_boundary"]),
-                tuple(int(other) for other in lane["successors"]),
+            LaneSegment(
+                lane_id=int(lane["id"]),
+                kind=str(lane["lane_type"]),
+                left_m=_line(lane["left_lane_boundary"]),
+                right_m=_line(lane["right_lane_boundary"]),
+                successors=tuple(int(other) for other in lane["successors"]),
             )
             for _, lane in sorted(segments.items(), key=lambda item: int(item[0]))
         )

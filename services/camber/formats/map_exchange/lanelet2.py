@@ -32,19 +32,19 @@ ROADS = frozenset({"road", "highway", "play_street", "emergency_lane", "bus_lane
 _LOWEST_M, _HIGHEST_M = -12_000.0, 12_000.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Lanelet:
     """One lanelet: ids of the points of its borders, in its direction, and its tags."""
 
     lanelet_id: int
     left: tuple[int, ...]
     right: tuple[int, ...]
-    left_way: int
-    right_way: int
+    left_border_id: int
+    right_border_id: int
     tags: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LaneletMap:
     """Points (n,) and lanelets; `row_of` has the row of a point's id. Heights are as the map has them."""
 
@@ -66,9 +66,9 @@ def read_lanelet2(path: Path, subtypes: frozenset[str] = ROADS) -> LaneletMap:
 
 def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> LaneletMap:
     """`read_lanelet2` of bytes."""
-    nodes: dict[int, _Element] = {}
-    ways: dict[int, _Element] = {}
-    relations: dict[int, _Element] = {}
+    nodes: dict[int, _OsmElement] = {}
+    ways: dict[int, _OsmElement] = {}
+    relations: dict[int, _OsmElement] = {}
     tables = {"node": nodes, "way": ways, "relation": relations}
     for element in _elements(data, file):
         if element.identity in tables[element.kind]:
@@ -89,7 +89,7 @@ def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> Lan
     row_of: dict[int, int] = {}
     borders = []
     for relation in chosen:
-        sides = tuple(_way_of(relation, role, ways, file) for role in ("left", "right"))
+        sides = tuple(_border_of(relation, role, ways, file) for role in ("left", "right"))
         for way in sides:
             for ref in way.refs:
                 if ref not in nodes:
@@ -98,10 +98,17 @@ def lanelet_map(data: bytes, file: str, subtypes: frozenset[str] = ROADS) -> Lan
         borders.append(sides)
     places = np.array([_place(nodes[ref], file) for ref in row_of]).reshape(-1, 3)
     lanelets = [
-        _aligned(relation, left, right, places, row_of, file)
+        _aligned(relation, left, right, places=places, row_of=row_of, file=file)
         for relation, (left, right) in zip(chosen, borders, strict=True)
     ]
-    return LaneletMap(row_of, places[:, 0], places[:, 1], places[:, 2], lanelets, left_out)
+    return LaneletMap(
+        row_of=row_of,
+        latitude_rad=places[:, 0],
+        longitude_rad=places[:, 1],
+        height_m=places[:, 2],
+        lanelets=lanelets,
+        left_out=left_out,
+    )
 
 
 def lanelet2_bytes(lanelets: LaneletMap) -> bytes:
@@ -114,15 +121,15 @@ def lanelet2_bytes(lanelets: LaneletMap) -> bytes:
         out.write(f'    <tag k="ele" v="{lanelets.height_m[row]:.5f}"/>\n  </node>\n')
     ways: dict[int, tuple[int, ...]] = {}
     for lanelet in lanelets.lanelets:
-        ways.setdefault(lanelet.left_way, lanelet.left)
-        ways.setdefault(lanelet.right_way, lanelet.right)
+        ways.setdefault(lanelet.left_border_id, lanelet.left)
+        ways.setdefault(lanelet.right_border_id, lanelet.right)
     for identity, refs in ways.items():
         out.write(f'  <way id="{identity}">\n')
         out.writelines(f'    <nd ref="{ref}"/>\n' for ref in refs)
         out.write('    <tag k="type" v="line_thin"/>\n  </way>\n')
     for lanelet in lanelets.lanelets:
         out.write(f'  <relation id="{lanelet.lanelet_id}">\n')
-        for role, way in (("left", lanelet.left_way), ("right", lanelet.right_way)):
+        for role, way in (("left", lanelet.left_border_id), ("right", lanelet.right_border_id)):
             out.write(f'    <member type="way" ref="{way}" role="{role}"/>\n')
         tags = {"subtype": "road", **lanelet.tags, "type": "lanelet"}
         out.writelines(f"    <tag k={quoteattr(k)} v={quoteattr(v)}/>\n" for k, v in tags.items())
@@ -134,8 +141,8 @@ def lanelet2_bytes(lanelets: LaneletMap) -> bytes:
 # -- elements --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class _Element:
+@dataclass(slots=True, kw_only=True)
+class _OsmElement:
     kind: str
     identity: int
     attributes: Mapping[str, str]
@@ -148,7 +155,7 @@ class _Element:
         return f"{'lanelet' if self.tags.get('type') == 'lanelet' else self.kind} {self.identity}"
 
 
-def _elements(data: bytes, file: str) -> Iterator[_Element]:
+def _elements(data: bytes, file: str) -> Iterator[_OsmElement]:
     """Nodes, ways and relations, one after the other. Documents with entities of their own are refused."""
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise FormatError(file, "XML", "a document without a DOCTYPE")
@@ -169,7 +176,7 @@ def _elements(data: bytes, file: str) -> Iterator[_Element]:
         raise FormatError(file, "XML", f"a whole document ({error})") from None
 
 
-def _element(element: ElementTree.Element, file: str) -> _Element:
+def _element(element: ElementTree.Element, file: str) -> _OsmElement:
     identity = _id(element.get("id"), file, f"{element.tag} id")
     name = f"{element.tag} {identity}"
     tags = {tag.get("k", ""): tag.get("v", "") for tag in element.findall("tag")}
@@ -178,7 +185,14 @@ def _element(element: ElementTree.Element, file: str) -> _Element:
         (m.get("role", ""), m.get("type", ""), _id(m.get("ref"), file, f"{name}, member"))
         for m in element.findall("member")
     ]
-    return _Element(element.tag, identity, dict(element.attrib), tags, refs, members)
+    return _OsmElement(
+        kind=element.tag,
+        identity=identity,
+        attributes=dict(element.attrib),
+        tags=tags,
+        refs=refs,
+        members=members,
+    )
 
 
 def _id(text: str | None, file: str, field_name: str) -> int:
@@ -191,24 +205,25 @@ def _id(text: str | None, file: str, field_name: str) -> int:
     return identity
 
 
-def _place(node: _Element, file: str) -> tuple[float, float, float]:
-    height_m = _number(node, "ele", node.tags.get("ele"), _LOWEST_M, _HIGHEST_M, file)
+def _place(node: _OsmElement, file: str) -> tuple[float, float, float]:
+    height_m = _number(node, "ele", node.tags.get("ele"), low=_LOWEST_M, high=_HIGHEST_M, file=file)
     lat, lon = node.attributes.get("lat"), node.attributes.get("lon")
     if not lat and not lon and "mgrs_code" in node.tags:
         x_m, y_m = (
-            _number(node, name, node.tags.get(name), -1e5, 2e5, file) for name in ("local_x", "local_y")
+            _number(node, name, node.tags.get(name), low=-1e5, high=2e5, file=file)
+            for name in ("local_x", "local_y")
         )
         return *geodetic_from_mgrs(
-            node.tags["mgrs_code"], x_m, y_m, file, f"{node.name}, mgrs_code"
+            node.tags["mgrs_code"], x_m, y_m, file=file, field=f"{node.name}, mgrs_code"
         ), height_m
     latitude, longitude = (
-        _number(node, "lat", lat, -85.0, 85.0, file),
-        _number(node, "lon", lon, -180.0, 180.0, file),
+        _number(node, "lat", lat, low=-85.0, high=85.0, file=file),
+        _number(node, "lon", lon, low=-180.0, high=180.0, file=file),
     )
     return math.radians(latitude), math.radians(longitude), height_m
 
 
-def _number(node: _Element, name: str, text: str | None, low: float, high: float, file: str) -> float:
+def _number(node: _OsmElement, name: str, text: str | None, low: float, high: float, file: str) -> float:
     try:
         number = float(text or "")
     except ValueError:
@@ -219,7 +234,7 @@ def _number(node: _Element, name: str, text: str | None, low: float, high: float
     return number
 
 
-def _way_of(relation: _Element, role: str, ways: Mapping[int, _Element], file: str) -> _Element:
+def _border_of(relation: _OsmElement, role: str, ways: Mapping[int, _OsmElement], file: str) -> _OsmElement:
     refs = [ref for own, kind, ref in relation.members if own == role and kind == "way"]
     if len(refs) != 1:
         raise FormatError(file, f"{relation.name}, {role}", "one way", actual=str(len(refs)))
@@ -235,7 +250,12 @@ def _way_of(relation: _Element, role: str, ways: Mapping[int, _Element], file: s
 
 
 def _aligned(
-    relation: _Element, left: _Element, right: _Element, places: Floats, row_of: Mapping[int, int], file: str
+    relation: _OsmElement,
+    left: _OsmElement,
+    right: _OsmElement,
+    places: Floats,
+    row_of: Mapping[int, int],
+    file: str,
 ) -> Lanelet:
     """The lanelet with borders in its direction: what is right of the left border is the right one."""
     lines = [_plane([row_of[ref] for ref in way.refs], places, row_of[left.refs[0]]) for way in (left, right)]
@@ -245,12 +265,12 @@ def _aligned(
     turn_left = _side(lines[0], _middle(lines[1])) > 0.0
     turn_right = _side(lines[1], _middle(lines[0])) < 0.0
     return Lanelet(
-        relation.identity,
-        left.refs[::-1] if turn_left else left.refs,
-        right.refs[::-1] if turn_right else right.refs,
-        left.identity,
-        right.identity,
-        relation.tags,
+        lanelet_id=relation.identity,
+        left=left.refs[::-1] if turn_left else left.refs,
+        right=right.refs[::-1] if turn_right else right.refs,
+        left_border_id=left.identity,
+        right_border_id=right.identity,
+        tags=relation.tags,
     )
 
 

@@ -32,8 +32,8 @@ _CUBIC = ("a", "b", "c", "d")
 _PARAMETRIC = ("aU", "bU", "cU", "dU", "aV", "bV", "cV", "dV")
 
 
-@dataclass(frozen=True)
-class Geometry:
+@dataclass(frozen=True, kw_only=True)
+class PlanViewGeometry:
     """One part of a reference line: where it begins, and its shape.
 
     `shape` is line, arc (curvature), spiral (curvature at begin and end), poly3 (a, b, c, d) or paramPoly3 (eight
@@ -50,8 +50,8 @@ class Geometry:
     normalised: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class DriveLane:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpenDriveLane:
     """A lane of a section: cubics (n, 5) of its width or its outer border, by the distance from the section's begin."""
 
     lane_id: int
@@ -67,10 +67,10 @@ class LaneSection:
     """Lanes from `s_m` on, without the middle one, which has no width."""
 
     s_m: float
-    lanes: Sequence[DriveLane]
+    lanes: Sequence[OpenDriveLane]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RoadEnd:
     """What a road goes on to: kind road (with the end where they meet, start or end) or junction."""
 
@@ -79,13 +79,13 @@ class RoadEnd:
     contact: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Road:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpenDriveRoad:
     """One road. Profiles are cubics (n, 5): s, a, b, c, d with a + b·ds + c·ds² + d·ds³ from s on."""
 
     identity: str
     length_m: float
-    geometries: Sequence[Geometry]
+    geometries: Sequence[PlanViewGeometry]
     sections: Sequence[LaneSection]
     elevation: Floats
     superelevation: Floats
@@ -99,8 +99,8 @@ class Road:
     successor: RoadEnd | None = None
 
 
-@dataclass(frozen=True)
-class Connection:
+@dataclass(frozen=True, kw_only=True)
+class JunctionConnection:
     """In a junction: lanes (from, to) of an incoming road and of the connecting road at that of its ends.
 
     In a direct junction, which has no roads of its own, the road behind it stands for the connecting road.
@@ -113,14 +113,14 @@ class Connection:
     lanes: Sequence[tuple[int, int]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class OpenDrive:
     """A map. Without a geoReference its place on earth is not known. The offset (x, y, z) is added to coordinates."""
 
     georeference: str | None
     offset_m: tuple[float, float, float]
-    roads: Sequence[Road]
-    connections: Sequence[Connection] = ()
+    roads: Sequence[OpenDriveRoad]
+    connections: Sequence[JunctionConnection] = ()
 
 
 def read_opendrive(path: Path) -> OpenDrive:
@@ -159,19 +159,19 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
     header = root.find("header")
     georeference = None if header is None else (header.findtext("geoReference") or "").strip() or None
     offset = None if header is None else header.find("offset")
-    if offset is not None and abs(_number(offset, "hdg", file, "header, offset", 0.0)) > 0.0:
+    if offset is not None and abs(_number(offset, "hdg", file, "header, offset", default=0.0)) > 0.0:
         raise FormatError(file, "header, offset, hdg", "0", actual=offset.get("hdg"))
     x, y, z = (
-        0.0 if offset is None else _number(offset, name, file, "header, offset", 0.0)
+        0.0 if offset is None else _number(offset, name, file, "header, offset", default=0.0)
         for name in ("x", "y", "z")
     )
-    return OpenDrive(georeference, (x, y, z), roads, connections)
+    return OpenDrive(georeference=georeference, offset_m=(x, y, z), roads=roads, connections=connections)
 
 
 # -- read ------------------------------------------------------------------------------------------------------------
 
 
-def _road(element: Element, file: str) -> Road:
+def _road(element: Element, file: str) -> OpenDriveRoad:
     identity = element.get("id", "")
     name = f"road {identity}"
     length_m = _number(element, "length", file, name)
@@ -195,7 +195,7 @@ def _road(element: Element, file: str) -> Road:
         [_number(part, key, file, f"{where}, shape") for key in ("s", "t", *_CUBIC)]
         for part in element.findall("lateralProfile/shape")
     ]
-    return Road(
+    return OpenDriveRoad(
         identity=identity,
         length_m=length_m,
         geometries=geometries,
@@ -214,7 +214,7 @@ def _road(element: Element, file: str) -> Road:
     )
 
 
-def _geometry(element: Element, file: str, road: str) -> Geometry:
+def _geometry(element: Element, file: str, road: str) -> PlanViewGeometry:
     name = f"{road}, geometry at s {element.get('s', '')[:20]}"
     s, x, y, heading, length = (_number(element, key, file, name) for key in ("s", "x", "y", "hdg", "length"))
     if not 0.0 <= length <= MOST_ROAD_M or s < 0.0:
@@ -238,7 +238,16 @@ def _geometry(element: Element, file: str, road: str) -> Geometry:
             file, f"{name}, {tag}", "curvatures of at most 10 per metre", actual=str(max(numbers, key=abs))
         )
     normalised = tag == "paramPoly3" and shapes[0].get("pRange", "normalized") == "normalized"
-    return Geometry(s, x, y, heading, length, tag, numbers, normalised)
+    return PlanViewGeometry(
+        s_m=s,
+        x_m=x,
+        y_m=y,
+        heading_rad=heading,
+        length_m=length,
+        shape=tag,
+        numbers=numbers,
+        normalised=normalised,
+    )
 
 
 def _section(element: Element, file: str, road: str) -> LaneSection:
@@ -256,7 +265,7 @@ def _section(element: Element, file: str, road: str) -> LaneSection:
     return LaneSection(s_m, lanes)
 
 
-def _lane(element: Element, file: str, section: str) -> DriveLane:
+def _lane(element: Element, file: str, section: str) -> OpenDriveLane:
     lane_id = _whole(element, "id", file, f"{section}, lane")
     name = f"{section}, lane {lane_id}"
     raised = element.findall("height") if element.get("type") == "driving" else []
@@ -268,18 +277,27 @@ def _lane(element: Element, file: str, section: str) -> DriveLane:
     before, after = (None if link is None else _whole(link, "id", file, f"{name}, link") for link in links)
     widths = _cubics(element.findall("width"), "sOffset", file, f"{name}, width")
     borders = _cubics(element.findall("border"), "sOffset", file, f"{name}, border")
-    return DriveLane(lane_id, element.get("type", ""), widths, borders, before, after)
+    return OpenDriveLane(
+        lane_id=lane_id,
+        kind=element.get("type", ""),
+        widths=widths,
+        borders=borders,
+        predecessor=before,
+        successor=after,
+    )
 
 
 def _end(element: Element | None) -> RoadEnd | None:
     if element is None:
         return None
     return RoadEnd(
-        element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint")
+        kind=element.get("elementType", "road"),
+        identity=element.get("elementId", ""),
+        contact=element.get("contactPoint"),
     )
 
 
-def _connection(junction: str, element: Element, file: str) -> Connection:
+def _connection(junction: str, element: Element, file: str) -> JunctionConnection:
     name = f"junction {junction}, connection {element.get('id', '')}"
     contact = element.get("contactPoint", "")
     if contact not in ("start", "end"):
@@ -288,7 +306,13 @@ def _connection(junction: str, element: Element, file: str) -> Connection:
         (_whole(link, "from", file, f"{name}, laneLink"), _whole(link, "to", file, f"{name}, laneLink"))
         for link in element.findall("laneLink")
     ]
-    return Connection(junction, element.get("incomingRoad", ""), _connected(element) or "", contact, lanes)
+    return JunctionConnection(
+        junction=junction,
+        incoming=element.get("incomingRoad", ""),
+        connecting=_connected(element) or "",
+        contact=contact,
+        lanes=lanes,
+    )
 
 
 def _connected(element: Element) -> str | None:
@@ -358,7 +382,7 @@ def opendrive_bytes(drive: OpenDrive) -> bytes:
     return out.getvalue().encode()
 
 
-def _write_road(out: io.StringIO, road: Road) -> None:
+def _write_road(out: io.StringIO, road: OpenDriveRoad) -> None:
     rule = "LHT" if road.left_hand_traffic else "RHT"
     out.write(
         f'<road id={quoteattr(road.identity)} length="{float(road.length_m)!r}" junction="-1" rule="{rule}">\n<link>\n'
@@ -388,7 +412,7 @@ def _write_road(out: io.StringIO, road: Road) -> None:
     out.write("</lanes>\n</road>\n")
 
 
-def _shape(part: Geometry) -> str:
+def _shape(part: PlanViewGeometry) -> str:
     keys = {
         "arc": ("curvature",),
         "spiral": ("curvStart", "curvEnd"),
@@ -418,7 +442,7 @@ def _write_section(out: io.StringIO, section: LaneSection) -> None:
     out.write("</laneSection>\n")
 
 
-def _write_lane(out: io.StringIO, lane: DriveLane) -> None:
+def _write_lane(out: io.StringIO, lane: OpenDriveLane) -> None:
     out.write(f'<lane id="{lane.lane_id}" type={quoteattr(lane.kind)} level="false">\n<link>')
     for tag, other in (("predecessor", lane.predecessor), ("successor", lane.successor)):
         if other is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.opendrive import DriveLane, Geometry, LaneSection, Road
+from camber.formats.map_exchange.opendrive import LaneSection, OpenDriveLane, OpenDriveRoad, PlanViewGeometry
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ _ACROSS = 9
 _STEEPEST_RAD = 1.0
 
 
-def reference_line(road: Road, s_m: Floats) -> Floats:
+def reference_line(road: OpenDriveRoad, s_m: Floats) -> Floats:
     """x, y [m] and heading [rad] (n, 3) of the reference line at distances (n,) along it, ascending."""
     starts = np.array([part.s_m for part in road.geometries])
     which = np.clip(np.searchsorted(starts, s_m, "right") - 1, 0, len(starts) - 1)
@@ -51,13 +51,13 @@ def cubics_at(table: Floats, s_m: Floats) -> Floats:
     return values
 
 
-def section_span(road: Road, number: int) -> tuple[float, float]:
+def section_span(road: OpenDriveRoad, number: int) -> tuple[float, float]:
     """From where to where a lane section goes."""
     end = road.sections[number + 1].s_m if number + 1 < len(road.sections) else road.length_m
     return road.sections[number].s_m, end
 
 
-def stations(road: Road, number: int, file: str) -> Floats:
+def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
     """Distances along the road at which a section is cut across: its breaks, and as many between as curves ask for."""
     begin, end = section_span(road, number)
     name = f"road {road.identity}, laneSection at s {begin:g}"
@@ -86,7 +86,7 @@ def stations(road: Road, number: int, file: str) -> Floats:
     return np.concatenate([*pieces, at[-1:]])
 
 
-def lane_points(road: Road, number: int, s_m: Floats, file: str) -> dict[int, Floats]:
+def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dict[int, Floats]:
     """For each lane of a section points (n, k, 3): x, y, z [m] at stations (n,), from its right to its left border in
     the direction of the road."""
     section = road.sections[number]
@@ -103,7 +103,7 @@ def lane_points(road: Road, number: int, s_m: Floats, file: str) -> dict[int, Fl
         for lane in sorted(
             (own for own in section.lanes if own.lane_id * side > 0), key=lambda own: abs(own.lane_id)
         ):
-            outer = _outer(road, section, lane, inner, offset_m, s_m, file)
+            outer = _outer(road, section, lane=lane, inner=inner, offset_m=offset_m, s_m=s_m, file=file)
             right, left = (inner, outer) if side > 0 else (outer, inner)
             share = np.linspace(0.0, 1.0, 2 if flat else _ACROSS)
             found[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
@@ -112,7 +112,13 @@ def lane_points(road: Road, number: int, s_m: Floats, file: str) -> dict[int, Fl
 
 
 def _outer(
-    road: Road, section: LaneSection, lane: DriveLane, inner: Floats, offset_m: Floats, s_m: Floats, file: str
+    road: OpenDriveRoad,
+    section: LaneSection,
+    lane: OpenDriveLane,
+    inner: Floats,
+    offset_m: Floats,
+    s_m: Floats,
+    file: str,
 ) -> Floats:
     """t of the outer border of a lane (n,)."""
     name = f"road {road.identity}, laneSection at s {section.s_m:g}, lane {lane.lane_id}"
@@ -131,7 +137,7 @@ def _outer(
     return inner + side * np.maximum(width_m, 0.0)
 
 
-def _points(road: Road, line: Floats, s_m: Floats, t_m: Floats) -> Floats:
+def _points(road: OpenDriveRoad, line: Floats, s_m: Floats, t_m: Floats) -> Floats:
     """x, y, z (n, k, 3) of points at t (n, k) beside the reference line (n, 3).
 
     With superelevation the cross-section is turned about the reference line: left side up where it is positive.
@@ -145,7 +151,7 @@ def _points(road: Road, line: Floats, s_m: Floats, t_m: Floats) -> Floats:
     return np.stack((x, y, z), axis=2)
 
 
-def _crossfall_heights(road: Road, s_m: Floats, t_m: Floats) -> Floats:
+def _crossfall_heights(road: OpenDriveRoad, s_m: Floats, t_m: Floats) -> Floats:
     """The road falls from the reference line to its sides by these angles."""
     falls = [cubics_at(table, s_m)[:, None] for table in (road.crossfall_left, road.crossfall_right)]
     left, right = (np.tan(np.clip(fall, -_STEEPEST_RAD, _STEEPEST_RAD)) for fall in falls)
@@ -176,7 +182,7 @@ def _over_t(rows: Floats, t_m: Floats) -> Floats:
     return np.asarray(a + dt * (b + dt * (c + dt * d))).reshape(t_m.shape)
 
 
-def _step(road: Road, begin: float, end: float) -> float:
+def _step(road: OpenDriveRoad, begin: float, end: float) -> float:
     """How far apart cross-sections may be for chords to leave the road by _CHORD_M at most."""
     middle = 0.5 * (begin + end)
     starts = [part.s_m for part in road.geometries]
@@ -190,7 +196,7 @@ def _step(road: Road, begin: float, end: float) -> float:
     return float(np.clip(math.sqrt(8.0 * _CHORD_M / max(bend, 1e-9)), _SHORTEST_STEP_M, _LONGEST_STEP_M))
 
 
-def _bend(part: Geometry) -> float:
+def _bend(part: PlanViewGeometry) -> float:
     """The greatest curvature of a geometry, roughly for polynomials."""
     if part.shape in ("arc", "spiral"):
         return max(map(abs, part.numbers))
@@ -204,7 +210,7 @@ def _bend(part: Geometry) -> float:
 # -- geometries ------------------------------------------------------------------------------------------------------
 
 
-def _along(part: Geometry, s: Floats) -> Floats:
+def _along(part: PlanViewGeometry, s: Floats) -> Floats:
     """x, y, heading (n, 3) at distances s (n,), ascending, from the geometry's begin."""
     match part.shape:
         case "line" | "arc" | "spiral":

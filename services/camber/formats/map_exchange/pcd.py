@@ -26,7 +26,7 @@ from camber.schemas.lidar import Sweep
 _Array = NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PointCloud:
     """Points (n, 3) [m]; `intensity` and `offset_ns` (n,), None where the file has no such field."""
 
@@ -79,7 +79,7 @@ def read_pcd(path: Path) -> PointCloud:
 def write_sweep(folder: Path, sweep: Sweep) -> Path:
     """Write a sweep to `<time_ns>.pcd` in a folder and return the file's path."""
     path = folder / f"{sweep.time_ns}.pcd"
-    write_pcd(path, PointCloud(sweep.points_m, sweep.intensity, sweep.offset_ns))
+    write_pcd(path, PointCloud(points_m=sweep.points_m, intensity=sweep.intensity, offset_ns=sweep.offset_ns))
     return path
 
 
@@ -123,16 +123,16 @@ def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
     for axis, name in enumerate("xyz"):
         points[:, axis] = _narrowed(columns[header.names.index(name)], np.float32)
     intensity = _column(columns, header, "intensity", np.float32)
-    offset = _column(columns, header, "t", np.int32, source_name)
+    offset = _column(columns, header, "t", np.int32, source_name=source_name)
     if np.isfinite(points).all():
-        return PointCloud(points, intensity, offset)
+        return PointCloud(points_m=points, intensity=intensity, offset_ns=offset)
     if np.isinf(points).any():
         raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
     kept = ~np.isnan(points).any(axis=1)
     return PointCloud(
-        np.ascontiguousarray(points[kept]),
-        None if intensity is None else intensity[kept],
-        None if offset is None else offset[kept],
+        points_m=np.ascontiguousarray(points[kept]),
+        intensity=None if intensity is None else intensity[kept],
+        offset_ns=None if offset is None else offset[kept],
     )
 
 
@@ -216,7 +216,9 @@ def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Ar
     columns: list[_Array] = []
     for name, kind, text in zip(header.names, header.kinds, texts, strict=True):
         used = name in USED
-        columns.append(_parsed(name, kind, text, header, source_name) if used else np.zeros(0))
+        columns.append(
+            _parsed(name, kind, text, header=header, source_name=source_name) if used else np.zeros(0)
+        )
     return columns
 
 

@@ -21,7 +21,7 @@ USED = ("x", "y", "z", "intensity", "t")
 """The fields that are read; each holds one number a point."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PcdHeader:
     """`kinds` are numpy's codes, `counts` numbers a point of each field; the data begins at byte `begin`, after
     `lines` lines."""
@@ -73,13 +73,13 @@ def read_header(data: bytes, source_name: str) -> PcdHeader:
     counts = tuple(int(word) for word in entries["COUNT"])
     kinds = tuple(_TYPES[kind + size] for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=True))
     return PcdHeader(
-        tuple(entries["FIELDS"]),
-        kinds,
-        counts,
-        int(entries["POINTS"][0]),
-        entries["DATA"][0],
-        begin,
-        line_number,
+        names=tuple(entries["FIELDS"]),
+        kinds=kinds,
+        counts=counts,
+        points=int(entries["POINTS"][0]),
+        data=entries["DATA"][0],
+        begin=begin,
+        lines=line_number,
     )
 
 

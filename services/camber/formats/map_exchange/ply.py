@@ -29,8 +29,8 @@ _MOST_ROWS = 200_000_000
 _MOST_PROPERTIES = 1_024
 
 
-@dataclass(frozen=True, slots=True)
-class _Element:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PlyElement:
     """`kinds` are numpy's codes without the order of bytes, None for a list."""
 
     name: str
@@ -39,12 +39,12 @@ class _Element:
     kinds: list[str | None]
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PlyHeader:
     """The data begins at byte `begin`, after `lines` lines."""
 
     order: str
-    elements: list[_Element]
+    elements: list[_PlyElement]
     begin: int
     lines: int
 
@@ -59,18 +59,18 @@ def points_from_ply(data: bytes, source_name: str) -> Floats:
     header = _read_header(data, source_name)
     before, vertex = _up_to_vertex(header, source_name)
     if header.order:
-        points = _binary_points(data, header, before, vertex, source_name)
+        points = _binary_points(data, header, before=before, vertex=vertex, source_name=source_name)
     else:
-        points = _ascii_points(data, header, before, vertex, source_name)
+        points = _ascii_points(data, header, before=before, vertex=vertex, source_name=source_name)
     if np.isinf(points).any():
         raise FormatError(source_name, "x y z", "finite numbers, or NaN for a point that was not measured")
     kept: Floats = points[~np.isnan(points).any(axis=1)]
     return kept
 
 
-def _read_header(data: bytes, source_name: str) -> _Header:
+def _read_header(data: bytes, source_name: str) -> _PlyHeader:
     order: str | None = None
-    elements: list[_Element] = []
+    elements: list[_PlyElement] = []
     begin, number = 0, 0
     while True:
         number += 1
@@ -90,7 +90,7 @@ def _read_header(data: bytes, source_name: str) -> _Header:
         elif words[0] == "format" and len(words) == 3 and words[1] in _ORDERS and words[2] == "1.0":
             order = _ORDERS[words[1]]
         elif words[0] == "element" and len(words) == 3 and _is_count(words[2]):
-            elements.append(_Element(words[1], int(words[2]), [], []))
+            elements.append(_PlyElement(name=words[1], count=int(words[2]), names=[], kinds=[]))
         elif words[0] == "property" and elements and len(elements[-1].names) < _MOST_PROPERTIES:
             _add_property(elements[-1], words, source_name, number)
         else:
@@ -98,14 +98,14 @@ def _read_header(data: bytes, source_name: str) -> _Header:
             raise FormatError(source_name, "header", expected, actual=" ".join(words), line_number=number)
     if order is None:
         raise FormatError(source_name, "header", "a format")
-    return _Header(order, elements, begin, number)
+    return _PlyHeader(order=order, elements=elements, begin=begin, lines=number)
 
 
 def _is_count(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 12 and int(text) <= _MOST_ROWS
 
 
-def _add_property(element: _Element, words: list[str], source_name: str, number: int) -> None:
+def _add_property(element: _PlyElement, words: list[str], source_name: str, number: int) -> None:
     is_list = len(words) == 5 and words[1] == "list" and words[2] in _KINDS and words[3] in _KINDS
     if not is_list and not (len(words) == 3 and words[1] in _KINDS):
         expected = "property TYPE NAME or property list TYPE TYPE NAME"
@@ -114,7 +114,7 @@ def _add_property(element: _Element, words: list[str], source_name: str, number:
     element.kinds.append(None if is_list else _KINDS[words[1]])
 
 
-def _up_to_vertex(header: _Header, source_name: str) -> tuple[list[_Element], _Element]:
+def _up_to_vertex(header: _PlyHeader, source_name: str) -> tuple[list[_PlyElement], _PlyElement]:
     names = [element.name for element in header.elements]
     if "vertex" not in names:
         raise FormatError(source_name, "header", "an element vertex")
@@ -128,7 +128,7 @@ def _up_to_vertex(header: _Header, source_name: str) -> tuple[list[_Element], _E
 
 
 def _binary_points(
-    data: bytes, header: _Header, before: list[_Element], vertex: _Element, source_name: str
+    data: bytes, header: _PlyHeader, before: list[_PlyElement], vertex: _PlyElement, source_name: str
 ) -> Floats:
     begin = header.begin + sum(element.count * _row(element, header).itemsize for element in before)
     row = _row(vertex, header)
@@ -141,12 +141,12 @@ def _binary_points(
     return np.column_stack(columns)
 
 
-def _row(element: _Element, header: _Header) -> np.dtype[Any]:
+def _row(element: _PlyElement, header: _PlyHeader) -> np.dtype[Any]:
     return np.dtype([(f"{k}", f"{header.order}{kind}") for k, kind in enumerate(element.kinds)])
 
 
 def _ascii_points(
-    data: bytes, header: _Header, before: list[_Element], vertex: _Element, source_name: str
+    data: bytes, header: _PlyHeader, before: list[_PlyElement], vertex: _PlyElement, source_name: str
 ) -> Floats:
     first = sum(element.count for element in before)
     lines = data[header.begin :].decode("latin-1").split("\n")

@@ -30,7 +30,7 @@ CONSTANT_REACH_M = 10_000.0
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VerticalDatum:
     """Heights of a kind, and what makes ellipsoidal heights of them.
 
@@ -73,7 +73,7 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
     different places: `ellipsoidal_m` then raises FormatError that names the missing file and where PROJ looks for it.
     """
     if name.strip().lower() == ELLIPSOIDAL:
-        return VerticalDatum("ellipsoidal heights", lambda latitude, longitude, height: height)
+        return VerticalDatum(how="ellipsoidal heights", _convert=lambda latitude, longitude, height: height)
     vertical = crs_of(name, file, FIELD, "ellipsoidal or a vertical CRS (EPSG:7837, EGM2008 height, …)")
     if not vertical.is_vertical:
         raise FormatError(file, FIELD, "a vertical CRS", actual=f"{name} ({vertical.type_name})")
@@ -81,11 +81,18 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
 
     def convert(latitude_rad: Floats, longitude_rad: Floats, height_m: Floats) -> Floats:
         longitude_deg, latitude_deg = np.degrees(longitude_rad), np.degrees(latitude_rad)
-        step = _step(vertical, horizontal, datum, file, longitude_deg, latitude_deg)
+        step = _step(
+            vertical,
+            horizontal,
+            datum=datum,
+            file=file,
+            longitude_deg=longitude_deg,
+            latitude_deg=latitude_deg,
+        )
         _, _, converted = step.transform(longitude_deg, latitude_deg, height_m)
         return np.asarray(converted, np.float64)
 
-    return VerticalDatum(vertical.name, convert)
+    return VerticalDatum(how=vertical.name, _convert=convert)
 
 
 def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> VerticalDatum:
@@ -103,8 +110,8 @@ def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> Ver
         raise ValueError("the undulation's source is not said, expected where it is from")
     how = f"geoid taken as {undulation_m:+.3f} ± {sigma_m:.3f} m above the ellipsoid everywhere ({source.strip()})"
     return VerticalDatum(
-        how,
-        lambda latitude, longitude, height: height + undulation_m,
+        how=how,
+        _convert=lambda latitude, longitude, height: height + undulation_m,
         surrogate=f"heights: {how}",
         sigma_m=sigma_m,
         reach_m=CONSTANT_REACH_M,

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, rows_of, settled, to_bytes
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
-from camber.road_map.release_writer import Heading, Known, Place, seal_release
-from camber.road_map.tile_checks import wrong_in_tile
+from camber.road_map.release_writer import ReleaseMetadata, StoredBlob, TileKey, write_tiles_and_manifest
+from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import Tile
 from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
 
@@ -96,7 +96,7 @@ class ReleaseBuilder:
         kept = to_bytes(rows, time_ns)
         digest = hashlib.sha256(kept).hexdigest()
         write_blob(self.folder, digest, kept)
-        heading = Heading(
+        heading = ReleaseMetadata(
             region=reference.manifest.region,
             map_version=version,
             datum=reference.manifest.datum,
@@ -107,14 +107,16 @@ class ReleaseBuilder:
             reference_sha256=reference.root.manifest_sha256,
             corrections_sha256=digest,
         )
-        return seal_release(self.folder, heading, blobs, previous=previous, signing_key=self._signing_key)
+        return write_tiles_and_manifest(
+            self.folder, heading, blobs, previous=previous, signing_key=self._signing_key
+        )
 
-    def _kept_blobs(self) -> dict[Place, bytes | Known]:
+    def _kept_blobs(self) -> dict[TileKey, bytes | StoredBlob]:
         """The reference's tiles, which are in the folder already."""
         manifest = self.reference.manifest
         columns = (manifest.layer.tolist(), manifest.tile_x.tolist(), manifest.tile_y.tolist())
         return {
-            place: Known(manifest.sha256[row].tobytes(), int(manifest.size_bytes[row]))
+            place: StoredBlob(manifest.sha256[row].tobytes(), int(manifest.size_bytes[row]))
             for row, place in enumerate(zip(*columns, strict=True))
         }
 
@@ -149,7 +151,7 @@ class ReleaseBuilder:
         assert original is not None
         changed = corrected_tile(original, rows)
         name = f"surfaces of tile {tile[0]}, {tile[1]}"
-        wrong = wrong_in_tile(changed)
+        wrong = tile_defect(changed)
         if wrong is not None:
             raise ReleaseError(name, *wrong)
         return encoded(changed, name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from camber.map_server.release_queries import ReleaseAnswers
+from camber.map_server.release_queries import ReleaseQueries
 from camber.road_map.release import ROOT_NAME, Release, ReleaseError, read_release
 from camber.schemas.road import (
     ElevationReply,
@@ -20,7 +20,7 @@ class MapAtHand:
     """Answers at the time of the question. Raises ReleaseError where a tile has gone since `release_for` saw it."""
 
     def __init__(self, release: Release) -> None:
-        self._answers = ReleaseAnswers(release)
+        self._answers = ReleaseQueries(release)
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
         """The road under a point."""

@@ -183,7 +183,9 @@ def export_pcd(release: Release, name: str, out: Path, cell_m: float | None) -> 
     metadata = [f"x_resolution: {side_m}", f"y_resolution: {side_m}"]
     for (x, y), part in zip((cells * side_m).tolist(), np.split(plane[order], first[1:]), strict=True):
         cell_name = f"{x:g}_{y:g}.pcd"
-        write_file(out / "pointcloud_map" / cell_name, pcd_bytes(PointCloud(part.astype(np.float32))))
+        write_file(
+            out / "pointcloud_map" / cell_name, pcd_bytes(PointCloud(points_m=part.astype(np.float32)))
+        )
         metadata.append(f"{cell_name}: [{x:g}, {y:g}]")
     projector = [
         "projector_type: LocalCartesianUTM",

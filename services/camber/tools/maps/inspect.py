@@ -17,7 +17,7 @@ from camber.formats.map_exchange.lanelet2 import LaneletMap, read_lanelet2
 from camber.formats.map_exchange.opendrive import read_opendrive
 from camber.geodesy.gps_time import gpst_from_gps_ns, text_from_calendar
 from camber.road_map.release import Release, load_public_key
-from camber.road_map.release_files import BlobMissing
+from camber.road_map.release_files import BlobMissingError
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
@@ -64,7 +64,7 @@ def inspected(path: Path, public_key: Path | None = None) -> Report:
 def _release(release: Release, *, checked: bool) -> Report:
     root, manifest = release.root, release.manifest
     signature = "none" if root.key_id is None else f"by key {root.key_id}"
-    tiles, lacking = _tiles(release)
+    tiles, missing = _tiles(release)
     surfaces = surfaces_from_tiles(tiles["surfaces"])
     links = links_from_tiles(tiles["links"])
     points = {
@@ -89,26 +89,20 @@ def _release(release: Release, *, checked: bool) -> Report:
         "points": points,
         "lineage": len(manifest.lineage_surface_id),
     }
-    return report | ({"tiles not fetched": lacking} if lacking else {})
+    return report | ({"tiles not fetched": missing} if missing else {})
 
 
 def _tiles(release: Release) -> tuple[dict[str, list[Any]], int]:
-    """All tiles that are here, by their layer, and how many are not, as in a vehicle that keeps only what is near."""
-    found: dict[str, list[Any]] = {layer: [] for layer in LAYERS}
-    lacking = 0
+    """Return all tiles by layer, and the number of tiles not downloaded, in a store of the area around a vehicle."""
+    tiles: dict[str, list[Any]] = {layer: [] for layer in LAYERS}
+    missing = 0
     for layer in LAYERS:
         for x, y in release.tiles(layer):
             try:
-                match layer:
-                    case "surfaces":
-                        found[layer].append(release.surface_tile(x, y))
-                    case "links":
-                        found[layer].append(release.link_tile(x, y))
-                    case _:
-                        found[layer].append(release.cloud_tile(layer, x, y))
-            except BlobMissing:
-                lacking += 1
-    return found, lacking
+                tiles[layer].append(release.tile(layer, x, y))
+            except BlobMissingError:
+                missing += 1
+    return tiles, missing
 
 
 def _surfaces(surfaces: RoadSurfaces) -> Report:

@@ -94,7 +94,7 @@ def test_squares_of_the_grid_are_where_a_recorded_map_says() -> None:
         pytest.skip("CAMBER_DATA does not name a folder with lanelet2")
     found = read_lanelet2(Path(data) / "lanelet2" / "monza.osm")
     # Node 186 of the map has both: 45.62358179353931 N 9.28174112541207 E and 32TNR, 21963.326 m, 52264.8289 m.
-    place = geodetic_from_mgrs("32TNR219522", 21963.326, 52264.8289, "monza.osm", "mgrs_code")
+    place = geodetic_from_mgrs("32TNR219522", 21963.326, 52264.8289, file="monza.osm", field="mgrs_code")
     np.testing.assert_allclose(np.degrees(place), (45.62358179353931, 9.28174112541207), atol=1e-9)
     assert len(found.lanelets) == 30
 
@@ -104,7 +104,7 @@ def test_squares_of_the_grid_are_where_a_recorded_map_says() -> None:
     [("54SUE00", 35.2, 138.8), ("56HLH00", -34.3, 150.8), ("31NAA00", 0.0, -0.6), ("18TWL00", 40.6, -75.0)],
 )
 def test_squares_of_the_grid_all_over_the_world(code: str, latitude_deg: float, longitude_deg: float) -> None:
-    latitude, longitude = np.degrees(geodetic_from_mgrs(code, 0.0, 0.0, "a.osm", "mgrs_code"))
+    latitude, longitude = np.degrees(geodetic_from_mgrs(code, 0.0, 0.0, file="a.osm", field="mgrs_code"))
     assert (latitude, longitude) == (
         pytest.approx(latitude_deg, abs=0.2),
         pytest.approx(longitude_deg, abs=0.2),

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.opendrive import Geometry, LaneSection, opendrive_bytes, opendrive_map
+from camber.formats.map_exchange.opendrive import (
+    LaneSection,
+    PlanViewGeometry,
+    opendrive_bytes,
+    opendrive_map,
+)
 from camber.formats.map_exchange.opendrive_geometry import lane_points, reference_line, stations
 from support.opendrive_maps import NO_ROWS, RADIUS_M, cubics, lane, road, street_geometries, town
 
@@ -34,8 +39,24 @@ def test_a_map_comes_back_from_a_round_trip_to_the_last_digit() -> None:
 
 def test_what_is_not_in_that_map_comes_back_as_well() -> None:
     rng = np.random.default_rng(3)
-    poly = Geometry(0.0, 1.0, 2.0, 0.3, 10.0, "poly3", (0.0, 0.1, 0.01, -0.001))
-    arc_length = Geometry(10.0, 1.0, 2.0, 0.3, 10.0, "paramPoly3", tuple(rng.normal(size=8)))
+    poly = PlanViewGeometry(
+        s_m=0.0,
+        x_m=1.0,
+        y_m=2.0,
+        heading_rad=0.3,
+        length_m=10.0,
+        shape="poly3",
+        numbers=(0.0, 0.1, 0.01, -0.001),
+    )
+    arc_length = PlanViewGeometry(
+        s_m=10.0,
+        x_m=1.0,
+        y_m=2.0,
+        heading_rad=0.3,
+        length_m=10.0,
+        shape="paramPoly3",
+        numbers=tuple(rng.normal(size=8)),
+    )
     with_border = dataclasses.replace(lane(-1), widths=NO_ROWS, borders=cubics((0.0, -3.5, 0.0, 0.0, 0.0)))
     made = dataclasses.replace(
         town(),
@@ -80,7 +101,9 @@ def test_a_spiral_is_the_clothoid_of_fresnel() -> None:
 
 
 def test_an_arc_is_a_circle() -> None:
-    arc = Geometry(0.0, 100.0, 50.0, 0.7, 150.0, "arc", (-0.02,))
+    arc = PlanViewGeometry(
+        s_m=0.0, x_m=100.0, y_m=50.0, heading_rad=0.7, length_m=150.0, shape="arc", numbers=(-0.02,)
+    )
     s = np.linspace(0.0, 150.0, 40)
     found = reference_line(road("1", [arc], []), s)
     centre = np.array([100.0 + 50.0 * math.sin(0.7), 50.0 - 50.0 * math.cos(0.7)])
@@ -89,7 +112,15 @@ def test_an_arc_is_a_circle() -> None:
 
 
 def test_a_cubic_is_walked_by_its_length() -> None:
-    poly = Geometry(0.0, 0.0, 0.0, 0.0, 30.0, "poly3", (0.0, 0.0, 0.02, 0.0))
+    poly = PlanViewGeometry(
+        s_m=0.0,
+        x_m=0.0,
+        y_m=0.0,
+        heading_rad=0.0,
+        length_m=30.0,
+        shape="poly3",
+        numbers=(0.0, 0.0, 0.02, 0.0),
+    )
     s = np.linspace(0.0, 30.0, 200)
     found = reference_line(road("1", [poly], []), s)
     np.testing.assert_allclose(found[:, 1], 0.02 * found[:, 0] ** 2, atol=1e-9)
@@ -102,7 +133,16 @@ def test_a_cubic_is_walked_by_its_length() -> None:
 def test_a_parametric_cubic_has_its_parameter_straight_along(normalised: bool) -> None:
     scale = 1.0 if normalised else 1.0 / 20.0
     numbers = (0.0, 20.0 * scale, 0.0, 0.0, 0.0, 0.0, 3.0 * scale**2, 0.0)
-    part = Geometry(0.0, 0.0, 0.0, 0.0, 20.0, "paramPoly3", numbers, normalised)
+    part = PlanViewGeometry(
+        s_m=0.0,
+        x_m=0.0,
+        y_m=0.0,
+        heading_rad=0.0,
+        length_m=20.0,
+        shape="paramPoly3",
+        numbers=numbers,
+        normalised=normalised,
+    )
     found = reference_line(road("1", [part], []), np.array([0.0, 10.0, 20.0]))
     np.testing.assert_allclose(found[:, :2], [(0.0, 0.0), (10.0, 0.75), (20.0, 3.0)], atol=1e-12)
     assert found[2, 2] == pytest.approx(math.atan2(6.0, 20.0))
@@ -114,7 +154,7 @@ def borders(own: Any, lane_id: int, s: float) -> Floats:
     return lane_points(own, 0, at, "a.xodr")[lane_id][np.argmin(np.abs(at - s))]
 
 
-STRAIGHT = [Geometry(0.0, 0.0, 0.0, 0.0, 100.0, "line")]
+STRAIGHT = [PlanViewGeometry(s_m=0.0, x_m=0.0, y_m=0.0, heading_rad=0.0, length_m=100.0, shape="line")]
 BOTH = [LaneSection(0.0, [lane(1), lane(-1)])]
 
 
@@ -189,7 +229,10 @@ def test_a_map_that_is_not_as_it_must_be_is_one_line(data: bytes, said: str) -> 
 @pytest.mark.parametrize(
     ("own", "said"),
     [
-        (road("7", [*STRAIGHT, Geometry(100.0, 101.0, 9.0, 0.0, 9.0, "line")], BOTH), "road 7, planView, expected no"),
+        (
+            road("7", [*STRAIGHT, dataclasses.replace(STRAIGHT[0], s_m=100.0, x_m=101.0, y_m=9.0)], BOTH),
+            "road 7, planView, expected no",
+        ),
         (road("7", STRAIGHT, [LaneSection(200.0, [lane(1)])]), "road 7, laneSection at s 200, s, expected less than"),
         (road("7", STRAIGHT, [LaneSection(0.0, [lane(1, -2.0)])]), "road 7, laneSection at s 0, lane 1, width is '-2'"),
         (

@@ -33,13 +33,15 @@ def clouds(draw: st.DrawFn) -> PointCloud:
     points = draw(arrays.arrays(np.float32, (n, 3), elements=FINITE))
     intensity = draw(st.none() | arrays.arrays(np.float32, n, elements=FINITE))
     offset = draw(st.none() | arrays.arrays(np.int32, n))
-    return PointCloud(points, intensity, offset)
+    return PointCloud(points_m=points, intensity=intensity, offset_ns=offset)
 
 
 def a_cloud(n: int = 5) -> PointCloud:
     rng = np.random.default_rng(4)
     points = rng.normal(0.0, 20.0, (n, 3)).astype(np.float32)
-    return PointCloud(points, np.arange(n, dtype=np.float32), np.arange(-n, 0, dtype=np.int32))
+    return PointCloud(
+        points_m=points, intensity=np.arange(n, dtype=np.float32), offset_ns=np.arange(-n, 0, dtype=np.int32)
+    )
 
 
 def same(a: PointCloud, b: PointCloud) -> bool:
@@ -82,7 +84,11 @@ def test_clouds_survive_bit_by_bit(cloud: PointCloud) -> None:
 
 def test_the_bytes_are_those_of_the_format() -> None:
     data = pcd_bytes(
-        PointCloud(np.array([[1, 2, 3]], np.float32), np.array([7], np.float32), np.array([-9], np.int32))
+        PointCloud(
+            points_m=np.array([[1, 2, 3]], np.float32),
+            intensity=np.array([7], np.float32),
+            offset_ns=np.array([-9], np.int32),
+        )
     )
     head, tail = data[:-20].decode(), data[-20:]
     assert struct.unpack("<ffffi", tail) == (1.0, 2.0, 3.0, 7.0, -9)
@@ -204,9 +210,9 @@ def test_a_header_that_promises_too_much_costs_no_memory() -> None:
 
 def test_text_and_binary_hold_the_same() -> None:
     expected = PointCloud(
-        np.array([[1, 2, 3], [4, 5, 6]], np.float32),
-        np.array([9, 8], np.float32),
-        np.array([-5, -4], np.int32),
+        points_m=np.array([[1, 2, 3], [4, 5, 6]], np.float32),
+        intensity=np.array([9, 8], np.float32),
+        offset_ns=np.array([-5, -4], np.int32),
     )
     assert same(cloud_from_pcd((a_header() + TWO_POINTS).encode(), "a.pcd"), expected)
     crlf = (a_header() + TWO_POINTS).replace("\n", "\r\n")
@@ -307,4 +313,4 @@ def test_columns_that_do_not_fit_are_not_written() -> None:
         pcd_bytes(dataclasses.replace(a_cloud(), intensity=np.zeros(4, np.float32)))
     points = np.array([[np.nan, 0.0, 0.0]], np.float32)
     with pytest.raises(ValueError, match="finite"):
-        pcd_bytes(PointCloud(points))
+        pcd_bytes(PointCloud(points_m=points))

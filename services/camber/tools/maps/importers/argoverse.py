@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.argoverse import ArgoverseLog, Lane, read_log
+from camber.formats.map_exchange.argoverse import ArgoverseLog, LaneSegment, read_log
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadLinks
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lane_map import lineage
-from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import (
     HEIGHT,
     HEIGHT_SIGMA,
@@ -139,15 +139,15 @@ def build(args: argparse.Namespace) -> BuiltMap:
     )
     surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m{own}"
     return BuiltMap(
-        surfaces,
-        roads.links,
+        surfaces=surfaces,
+        links=roads.links,
         lineage=lineage(surfaces, args.previous_release),
         surrogate=surrogate,
         remarks=remarks,
     )
 
 
-def centre_line(lane: Lane) -> tuple[Floats, float]:
+def centre_line(lane: LaneSegment) -> tuple[Floats, float]:
     """Places (k, 3) halfway between a lane's boundaries, and half of its median width [m]."""
     count = max(2, 1 + int(max(_length_m(lane.left_m), _length_m(lane.right_m)) / _STEP_M))
     left_m, right_m = (_points_along(side, count) for side in (lane.left_m, lane.right_m))
@@ -165,7 +165,7 @@ def _points_along(line_m: Floats, count: int) -> Floats:
     return np.column_stack([np.interp(at, along, column) for column in line_m.T])
 
 
-def _on_the_raster(log: ArgoverseLog) -> tuple[list[Lane], int]:
+def _on_the_raster(log: ArgoverseLog) -> tuple[list[LaneSegment], int]:
     """Lanes for vehicles whose own heights are near the raster's, and how many are not: over or under what it is of."""
     lanes = [lane for lane in log.lanes if lane.kind in _KINDS]
     off_m = []
@@ -177,7 +177,7 @@ def _on_the_raster(log: ArgoverseLog) -> tuple[list[Lane], int]:
     return kept, len(lanes) - len(kept)
 
 
-def _roads(lanes: list[Lane], city: CityFrame) -> Roads:
+def _roads(lanes: list[LaneSegment], city: CityFrame) -> RoadCentreLines:
     lines = [centre_line(lane) for lane in lanes]
     vertices = [np.column_stack(city.to_geodetic(line_m[:, 0], line_m[:, 1])) for line_m, _ in lines]
     start, end = _nodes(lanes)
@@ -190,10 +190,10 @@ def _roads(lanes: list[Lane], city: CityFrame) -> Roads:
         sigma_m=np.full(n, 0.3),
         vertices=vertices,
     )
-    return Roads(links, np.array([max(half_m, 0.5) for _, half_m in lines]))
+    return RoadCentreLines(links, np.array([max(half_m, 0.5) for _, half_m in lines]))
 
 
-def _nodes(lanes: list[Lane]) -> tuple[Integers, Integers]:
+def _nodes(lanes: list[LaneSegment]) -> tuple[Integers, Integers]:
     """Node ids at the start and the end of each lane; where one succeeds another they share a node.
 
     An end is numbered `2 · lane id` (start) or one more (end), and a node bears the least number of its ends.

@@ -9,7 +9,7 @@ from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.schemas.road import CloudTile
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BuiltMap:
     """Columns and tiles for `write_release`.
 

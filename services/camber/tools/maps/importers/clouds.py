@@ -37,7 +37,7 @@ from camber.tools.maps.importers.height_options import add_height_arguments, sig
 from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.maps.importers.rasters import horizontal_and_vertical, to_horizontal
 from camber.tools.maps.importers.surfaces_along import Floats, Integers, surfaces_along
-from camber.tools.maps.importers.survey_drive import DriveRoads, Track, drive_roads
+from camber.tools.maps.importers.survey_drive import DriveRoads, RoadTrack, drive_roads
 from camber.tools.options.number_options import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from
 
 _REACH_M = 4.0
@@ -133,8 +133,8 @@ def build(args: argparse.Namespace) -> BuiltMap:
     how = "" if vertical is None else f"; heights: {vertical.how}"
     remark = f"{len(files)} clouds, {len(points_m)} points, {int(on_road.sum())} of them road{how}"
     return BuiltMap(
-        surfaces,
-        roads.roads.links,
+        surfaces=surfaces,
+        links=roads.roads.links,
         clouds=tiles,
         lineage=lineage(surfaces, args.previous_release),
         surrogate="" if vertical is None else vertical.surrogate,
@@ -160,7 +160,7 @@ def _files(paths: list[Path]) -> list[Path]:
 # -- poses -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Poses:
     """Poses (n, 4, 4) in the tangent frame `frame`, east, north, up; `time_ns` (n,) where they have times."""
 
@@ -182,7 +182,8 @@ class Poses:
                 raise FormatError(file, "poses", "at least two")
             place = [float(np.median(a)) for a in (truth.latitude_rad, truth.longitude_rad, truth.height_m)]
             frame = LocalFrame(*place)
-            return cls(file, frame, _matrices(truth, frame), truth.time_ns, truth)
+            poses = _matrices(truth, frame)
+            return cls(file=file, frame=frame, frame_from_pose=poses, time_ns=truth.time_ns, truth=truth)
         if args.origin is None:
             raise FormatError(file, "poses", "--origin LAT LON H, to which they are")
         frame = _at(args.origin)
@@ -196,14 +197,20 @@ class Poses:
             raise FormatError(file, "poses", "two rows of 12 numbers or more", actual=f"{rows.shape}")
         poses = np.tile(np.eye(4), (len(rows), 1, 1))
         poses[:, :3] = rows.reshape(-1, 3, 4)
-        return cls(file, frame, poses, None)
+        return cls(file=file, frame=frame, frame_from_pose=poses, time_ns=None)
 
-    def track(self, above_road_m: float) -> Track:
+    def track(self, above_road_m: float) -> RoadTrack:
         """The road under the poses: as far below each as its own up says."""
         below = self.frame_from_pose[:, :3, 3] - above_road_m * self.frame_from_pose[:, :3, 2]
         latitude, longitude, height_m = self.frame.geodetic_from_enu_array(below)
         last_ns = 0 if self.time_ns is None else int(self.time_ns[-1])
-        return Track(latitude, longitude, height_m, np.full(len(below), 0.05), last_ns)
+        return RoadTrack(
+            latitude_rad=latitude,
+            longitude_rad=longitude,
+            road_height_m=height_m,
+            sigma_m=np.full(len(below), 0.05),
+            last_ns=last_ns,
+        )
 
     def of_sweep(self, path: Path, number: int, count: int) -> Floats:
         """The pose (4, 4) of a sweep: at the time in its name, or of its number. Raises FormatError where none is."""

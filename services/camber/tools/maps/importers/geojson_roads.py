@@ -25,4 +25,4 @@ def build(args: argparse.Namespace) -> BuiltMap:
     stray = set(surfaces.link_id.tolist()) - set(links.link_id.tolist())
     if stray:
         raise FormatError(str(args.file), "link_id", "a link of the file", actual=str(min(stray)))
-    return BuiltMap(surfaces, links, lineage=lineage(surfaces, args.previous_release))
+    return BuiltMap(surfaces=surfaces, links=links, lineage=lineage(surfaces, args.previous_release))

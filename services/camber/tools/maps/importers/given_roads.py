@@ -12,9 +12,9 @@ from camber.formats.map_exchange.lanelet2 import ROADS, read_lanelet2
 from camber.road_map.release import open_release
 from camber.road_map.road_columns import RoadLinks
 from camber.tools.maps.geojson import read_geojson
-from camber.tools.maps.importers.lane_map import Known, road_map
+from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lanelets import lanes_of
-from camber.tools.maps.importers.surfaces_along import Roads
+from camber.tools.maps.importers.surfaces_along import RoadCentreLines
 from camber.tools.options.number_options import number_from
 
 
@@ -42,12 +42,12 @@ def add_road_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def given_roads(args: argparse.Namespace) -> Roads:
+def given_roads(args: argparse.Namespace) -> RoadCentreLines:
     """The links and widths that `args` name. Raises FormatError where there are none."""
     links, width_m = _links(args.roads, args.width_m)
     if not len(links):
         raise FormatError(str(args.roads), "links", "at least one")
-    return Roads(links, 0.5 * np.array(width_m))
+    return RoadCentreLines(links, 0.5 * np.array(width_m))
 
 
 def _links(path: Path, width_m: float) -> tuple[RoadLinks, list[float]]:
@@ -58,7 +58,7 @@ def _links(path: Path, width_m: float) -> tuple[RoadLinks, list[float]]:
         lanelets = read_lanelet2(path, ROADS)
         frame, lanes = lanes_of(lanelets, lanelets.height_m)
         # Heights serve to tell levels apart only, which no datum changes.
-        links = road_map(lanes, frame, Known(1.0, 0.5, 0), str(path))[1]
+        links = road_map(lanes, frame, LaneSurvey(sigma_m=1.0, link_sigma_m=0.5, seen_ns=0), str(path))[1]
         return links, [width_m] * len(links)
     if path.suffix in (".geojson", ".json"):
         _, links, widths = read_geojson(path)

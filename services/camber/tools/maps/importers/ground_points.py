@@ -102,7 +102,7 @@ def _stretches(path_m: Floats, level: Integers) -> list[Integers]:
     return [*joined, parts[-1]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GroundHeights:
     """Means of the road's points in square cells, by level: sorted keys, number, means (n, 3), variance of heights."""
 
@@ -121,7 +121,13 @@ class GroundHeights:
             [np.bincount(inverse, points_m[:, axis], len(key)) / count for axis in range(3)]
         )
         off2 = (points_m[:, 2] - mean[inverse, 2]) ** 2
-        return cls(cell_m, key, count.astype(np.float64), mean, np.bincount(inverse, off2, len(key)) / count)
+        return cls(
+            cell_m=cell_m,
+            key=key,
+            count=count.astype(np.float64),
+            mean_m=mean,
+            variance_m2=np.bincount(inverse, off2, len(key)) / count,
+        )
 
     def at(self, places_m: Floats, level: Integers) -> tuple[Floats, Floats]:
         """Heights at places (m, 2) by a plane through the nine cells around, and how far points are off it (m,).

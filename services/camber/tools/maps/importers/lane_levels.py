@@ -15,7 +15,7 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.road_map.tile_checks import MAX_LEVEL
-from camber.tools.maps.importers.lane_pieces import Piece
+from camber.tools.maps.importers.lane_pieces import LanePiece
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane
 
 APART_M = 3.0
@@ -26,7 +26,7 @@ Pair = tuple[int, int]
 
 
 def cuts_and_levels(
-    lanes: Sequence[Lane], pieces: Sequence[Sequence[Piece]], file: str
+    lanes: Sequence[Lane], pieces: Sequence[Sequence[LanePiece]], file: str
 ) -> tuple[list[list[int]], list[list[int]]]:
     """For each lane the pieces at which it is cut (none, but where it lies over itself), and the levels of its parts.
 
@@ -56,7 +56,7 @@ def cuts_and_levels(
     return cuts, [levels[a:b] for a, b in pairwise(starts.tolist())]
 
 
-def _over_one_another(pieces: Sequence[Piece]) -> set[Pair]:
+def _over_one_another(pieces: Sequence[LanePiece]) -> set[Pair]:
     """Pairs (lower, upper) of pieces that are at one place more than APART_M apart, nothing between them."""
     if not pieces:
         return set()
@@ -77,7 +77,7 @@ def _over_one_another(pieces: Sequence[Piece]) -> set[Pair]:
     return pairs
 
 
-def _samples(piece: Piece) -> Floats:
+def _samples(piece: LanePiece) -> Floats:
     """Points (n, 3) all over a piece, no farther apart than _SAMPLE_M."""
     n, m = (int(2.0 * half / _SAMPLE_M) + 2 for half in (piece.half_length_m, piece.half_width_m))
     p, q = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij"))

@@ -13,15 +13,15 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
-from camber.tools.maps.importers.lane_pieces import Piece, pieces_of
+from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Floats, Lane, named_id
 
 _STEP_M = 0.01
 """How far a lane may be off its surfaces before that is said."""
 
 
-@dataclass(frozen=True)
-class Known:
+@dataclass(frozen=True, kw_only=True)
+class LaneSurvey:
     """How well the lanes are known: σ of heights, σ of links across, and when they were seen (GPS time)."""
 
     sigma_m: float
@@ -30,7 +30,7 @@ class Known:
 
 
 def road_map(
-    lanes: Sequence[Lane], frame: LocalFrame, known: Known, file: str
+    lanes: Sequence[Lane], frame: LocalFrame, known: LaneSurvey, file: str
 ) -> tuple[RoadSurfaces, RoadLinks, list[str]]:
     """Surfaces and links of lanes given in the plane of a frame, and remarks on lanes that no surface can follow.
 
@@ -39,7 +39,7 @@ def road_map(
     """
     pieces = [pieces_of(lane, file) for lane in lanes]
     cuts, levels = cuts_and_levels(lanes, pieces, file)
-    links: list[_Link] = []
+    links: list[_LaneLink] = []
     link_of, level_of, id_of = [], [], []
     for lane, own, cut, level in zip(lanes, pieces, cuts, levels, strict=True):
         parts = _links(lane, own, cut, level)
@@ -101,15 +101,17 @@ def _is_on(a: RoadSurfaces, i: int, b: RoadSurfaces, j: int) -> bool:
     return bool(abs(u) <= a.half_length_m[i] and abs(v) <= a.half_width_m[i])
 
 
-@dataclass(frozen=True, eq=False)
-class _Link:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _LaneLink:
     link_id: int
     nodes: tuple[int, int]
     level: int
     line_m: Floats
 
 
-def _links(lane: Lane, pieces: Sequence[Piece], cuts: Sequence[int], levels: Sequence[int]) -> list[_Link]:
+def _links(
+    lane: Lane, pieces: Sequence[LanePiece], cuts: Sequence[int], levels: Sequence[int]
+) -> list[_LaneLink]:
     """One link, or as many as the lane is cut into: then with ids and nodes of their own between."""
     nodes = [named_id("node", lane.nodes[0])]
     nodes += [named_id("node", lane.name, lane.plan, cut) for cut in cuts]
@@ -123,7 +125,7 @@ def _links(lane: Lane, pieces: Sequence[Piece], cuts: Sequence[int], levels: Seq
         at = np.concatenate(([begin], along_m[(along_m > begin + 1e-3) & (along_m < end - 1e-3)], [end]))
         part_m = np.column_stack([np.interp(at, along_m, line_m[:, axis]) for axis in (0, 1)])
         own = lane.link_id if not cuts else named_id("link", lane.name, k)
-        links.append(_Link(own, (nodes[k], nodes[k + 1]), levels[k], part_m))
+        links.append(_LaneLink(link_id=own, nodes=(nodes[k], nodes[k + 1]), level=levels[k], line_m=part_m))
     return links
 
 
@@ -131,16 +133,16 @@ def _along(line_m: Floats) -> Floats:
     return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))))
 
 
-def _nearest(line_m: Floats, along_m: Floats, pieces: Sequence[Piece], cut: int) -> float:
+def _nearest(line_m: Floats, along_m: Floats, pieces: Sequence[LanePiece], cut: int) -> float:
     """How far along a line the beginning of a piece is."""
     length_m = np.array([2.0 * piece.half_length_m for piece in pieces])
     return float(along_m[-1] * length_m[:cut].sum() / length_m.sum())
 
 
 def _surfaces(
-    pieces: Sequence[Piece],
+    pieces: Sequence[LanePiece],
     frame: LocalFrame,
-    known: Known,
+    known: LaneSurvey,
     ids: Sequence[int],
     links: Sequence[int],
     levels: Sequence[int],
@@ -169,7 +171,7 @@ def _surfaces(
     )
 
 
-def _road_links(links: Sequence[_Link], frame: LocalFrame, known: Known) -> RoadLinks:
+def _road_links(links: Sequence[_LaneLink], frame: LocalFrame, known: LaneSurvey) -> RoadLinks:
     count = [len(link.line_m) for link in links]
     points = np.concatenate([link.line_m for link in links] + [np.zeros((0, 2))])
     latitude, longitude, _ = frame.geodetic_from_east_north_array(points, np.zeros(len(points)))

@@ -34,8 +34,8 @@ MOST_LENGTH_M, MOST_WIDTH_M = 20_000.0, 100.0
 """No lane is larger; a map in which one is has a point somewhere else on earth."""
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LanePiece:
     """A rectangle in the plane and its grid (rows, columns): rear to front, right to left.
 
     `off_m`: how far the lane's points are off the grid at most.
@@ -49,7 +49,7 @@ class Piece:
     off_m: float
 
 
-def pieces_of(lane: Lane, file: str) -> list[Piece]:
+def pieces_of(lane: Lane, file: str) -> list[LanePiece]:
     """The pieces of a lane from its beginning to its end; FormatError for a lane that is no road."""
     sections = _dense(lane, file)
     return [_piece(lane, sections, first, last, file) for first, last in _cuts(sections)]
@@ -98,7 +98,7 @@ def _cuts(sections: Floats) -> Iterator[tuple[int, int]]:
         first = last
 
 
-def _piece(lane: Lane, sections: Floats, first: int, last: int, file: str) -> Piece:
+def _piece(lane: Lane, sections: Floats, first: int, last: int, file: str) -> LanePiece:
     part = sections[first : last + 1]
     ends_m = 0.5 * (part[[0, -1], 0, :2] + part[[0, -1], -1, :2])
     yaw_rad = math.atan2(ends_m[1, 1] - ends_m[0, 1], ends_m[1, 0] - ends_m[0, 0])
@@ -114,10 +114,17 @@ def _piece(lane: Lane, sections: Floats, first: int, last: int, file: str) -> Pi
     if math.hypot(*slope) > MAX_SLOPE:
         place = f"{lane.name}, {sum(slope):.1f} steep"
         raise FormatError(file, "heights", f"a road of slopes up to {MAX_SLOPE:.0f}", actual=place)
-    return Piece(axes @ centre_uv, yaw_rad, float(half[0]), float(half[1]), heights_m, off_m)
+    return LanePiece(
+        centre_m=axes @ centre_uv,
+        yaw_rad=yaw_rad,
+        half_length_m=float(half[0]),
+        half_width_m=float(half[1]),
+        heights_m=heights_m,
+        off_m=off_m,
+    )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class _Line:
     """One border (or a line between borders) in the axes of a piece: u ascending, v and height there."""
 
@@ -163,7 +170,7 @@ def _lines(
         rows = np.arange(a, b + 1)
         # A border that turns back within the piece, as the inner one of a tight corner, is taken in the order of u.
         rows = rows[np.argsort(u[rows], kind="stable")]
-        lines.append(_Line(u[rows], uv[rows, k, 1], around[rows, k, 2]))
+        lines.append(_Line(u=u[rows], v=uv[rows, k, 1], height_m=around[rows, k, 2]))
     return lines
 
 

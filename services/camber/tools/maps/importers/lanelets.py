@@ -15,7 +15,7 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.tile_checks import MAX_ID
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.lane_map import Known, lineage, road_map
+from camber.tools.maps.importers.lane_map import LaneSurvey, lineage, road_map
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane, named_id
 from camber.tools.options.number_options import number_from
 
@@ -45,14 +45,16 @@ def build(args: argparse.Namespace) -> BuiltMap:
     vertical = vertical_of(args, file)
     height_m = vertical.ellipsoidal_m(found.latitude_rad, found.longitude_rad, found.height_m, file)
     frame, lanes = lanes_of(found, height_m)
-    known = Known(sigma_of(args, vertical), args.link_sigma_m, args.surveyed_ns)
+    known = LaneSurvey(
+        sigma_m=sigma_of(args, vertical), link_sigma_m=args.link_sigma_m, seen_ns=args.surveyed_ns
+    )
     surfaces, links, steps = road_map(lanes, frame, known, file)
     remarks = [
         f"{file}: {count} lanelets of subtype {name} left out" for name, count in found.left_out.items()
     ]
     return BuiltMap(
-        surfaces,
-        links,
+        surfaces=surfaces,
+        links=links,
         lineage=lineage(surfaces, args.previous_release),
         surrogate=vertical.surrogate,
         remarks=[f"{file}: {len(lanes)} lanelets; heights: {vertical.how}", *remarks, *steps],
@@ -83,7 +85,7 @@ def _lane(own: Lanelet, lanelets: LaneletMap, points: Floats, places: Integers) 
         link_id=own.lanelet_id if 0 <= own.lanelet_id <= MAX_ID else named_id("link", name),
         sections=_sections(points[right], points[left]),
         nodes=(f"{own.left[0]} {own.right[0]}", f"{own.left[-1]} {own.right[-1]}"),
-        borders=(str(own.right_way), str(own.left_way)),
+        borders=(str(own.right_border_id), str(own.left_border_id)),
         level=int(level) if level.lstrip("-").isdecimal() and abs(int(level)) <= 20 else None,
     )
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.opendrive import (
-    Connection,
-    DriveLane,
+    JunctionConnection,
     OpenDrive,
-    Road,
+    OpenDriveLane,
+    OpenDriveRoad,
     RoadEnd,
     read_opendrive,
 )
@@ -26,7 +26,7 @@ from camber.formats.map_exchange.vertical_datum import VerticalDatum
 from camber.geodesy.local_frame import LocalFrame
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
-from camber.tools.maps.importers.lane_map import Known, lineage, road_map
+from camber.tools.maps.importers.lane_map import LaneSurvey, lineage, road_map
 from camber.tools.maps.importers.lanes import Floats, Lane, named_id
 from camber.tools.options.number_options import number_from
 
@@ -73,11 +73,13 @@ def build(args: argparse.Namespace) -> BuiltMap:
     projection = projection_of(text, args.datum, file, "header, geoReference")
     vertical = vertical_of(args, file, projection.vertical)
     frame, lanes = lanes_of(drive, projection, vertical, frozenset(args.lane_types.split(",")), file)
-    known = Known(sigma_of(args, vertical), args.link_sigma_m, args.surveyed_ns)
+    known = LaneSurvey(
+        sigma_m=sigma_of(args, vertical), link_sigma_m=args.link_sigma_m, seen_ns=args.surveyed_ns
+    )
     surfaces, links, steps = road_map(lanes, frame, known, file)
     return BuiltMap(
-        surfaces,
-        links,
+        surfaces=surfaces,
+        links=links,
         lineage=lineage(surfaces, args.previous_release),
         surrogate=vertical.surrogate,
         remarks=[f"{file}: {len(lanes)} lanes of {len(drive.roads)} roads; heights: {vertical.how}", *steps],
@@ -111,8 +113,8 @@ def lanes_of(
 
 
 def _lanes_of(
-    road: Road, number: int, types: frozenset[str], file: str
-) -> Iterator[tuple[DriveLane, Floats]]:
+    road: OpenDriveRoad, number: int, types: frozenset[str], file: str
+) -> Iterator[tuple[OpenDriveLane, Floats]]:
     wanted = [lane for lane in road.sections[number].lanes if lane.kind in types]
     if not wanted:
         return
@@ -129,7 +131,7 @@ def _lanes_of(
 
 
 def _lane(
-    road: Road, number: int, lane: DriveLane, points: Floats, node_of: dict[End, str], place: str
+    road: OpenDriveRoad, number: int, lane: OpenDriveLane, points: Floats, node_of: dict[End, str], place: str
 ) -> Lane:
     name = f"road {road.identity}, section {number}, lane {lane.lane_id}"
     ends = [node_of.get(end, " ".join(map(str, end))) for end in _ends(road, number, lane.lane_id)]
@@ -156,7 +158,7 @@ def _lane(
 # -- what goes on to what --------------------------------------------------------------------------------------------
 
 
-def _ends(road: Road, number: int, lane: int) -> tuple[End, End]:
+def _ends(road: OpenDriveRoad, number: int, lane: int) -> tuple[End, End]:
     return (road.identity, number, lane, "start"), (road.identity, number, lane, "end")
 
 
@@ -197,12 +199,16 @@ def _meetings(drive: OpenDrive) -> Iterator[tuple[End, End]]:
         yield from _in_junction(connection, roads)
 
 
-def _to_road(end: End, to: RoadEnd | None, lane: int, roads: dict[str, Road]) -> Iterator[tuple[End, End]]:
+def _to_road(
+    end: End, to: RoadEnd | None, lane: int, roads: dict[str, OpenDriveRoad]
+) -> Iterator[tuple[End, End]]:
     if to is not None and to.kind == "road" and to.identity in roads and to.contact is not None:
         yield end, _contact(roads[to.identity], to.contact, lane)
 
 
-def _in_junction(connection: Connection, roads: dict[str, Road]) -> Iterator[tuple[End, End]]:
+def _in_junction(
+    connection: JunctionConnection, roads: dict[str, OpenDriveRoad]
+) -> Iterator[tuple[End, End]]:
     incoming, connecting = roads.get(connection.incoming), roads.get(connection.connecting)
     if incoming is None or connecting is None:
         return
@@ -212,6 +218,6 @@ def _in_junction(connection: Connection, roads: dict[str, Road]) -> Iterator[tup
                 yield _contact(incoming, contact, a), _contact(connecting, connection.contact, b)
 
 
-def _contact(road: Road, contact: str, lane: int) -> End:
+def _contact(road: OpenDriveRoad, contact: str, lane: int) -> End:
     start, end = _ends(road, 0, lane)[0], _ends(road, len(road.sections) - 1, lane)[1]
     return start if contact == "start" else end

@@ -24,7 +24,7 @@ from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.given_roads import add_road_arguments, given_roads
 from camber.tools.maps.importers.height_options import add_height_arguments, sigma_of, vertical_of
 from camber.tools.maps.importers.lane_map import lineage
-from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.options.number_options import whole_from
 
 _WINDOW = 1024
@@ -76,29 +76,24 @@ def build(args: argparse.Namespace) -> BuiltMap:
     if bare:
         remarks.append(f"{bare} links lie where the raster has no data: no surfaces")
     return BuiltMap(
-        surfaces,
-        roads.links,
+        surfaces=surfaces,
+        links=roads.links,
         lineage=lineage(surfaces, args.previous_release),
         surrogate=vertical.surrogate,
         remarks=remarks,
     )
 
 
-def _of_level(roads: Roads, level: int) -> Roads:
-    rows = np.flatnonzero(roads.links.level == level)
-    links = roads.links
-    own = RoadLinks(
-        links.link_id[rows],
-        links.start_node[rows],
-        links.end_node[rows],
-        links.level[rows],
-        links.sigma_m[rows],
-        [links.vertices[row] for row in rows.tolist()],
-    )
-    return Roads(own, roads.half_width_m[rows])
+def _of_level(roads: RoadCentreLines, level: int) -> RoadCentreLines:
+    links, rows = roads.links, np.flatnonzero(roads.links.level == level)
+    columns = {
+        name: getattr(links, name)[rows] for name in ("link_id", "start_node", "end_node", "level", "sigma_m")
+    }
+    selected = RoadLinks(**columns, vertices=[links.vertices[row] for row in rows.tolist()])
+    return RoadCentreLines(selected, roads.half_width_m[rows])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class HeightRaster:
     """A band of an open file; `vertical` names what its heights are above, None where the file does not say it."""
 
@@ -130,12 +125,12 @@ class HeightRaster:
             crs = crs_of(dataset.crs.to_wkt(version="WKT2_2019"), file, "CRS", "one that PROJ knows")
             horizontal, vertical = horizontal_and_vertical(crs, file)
             yield cls(
-                file,
-                vertical,
-                _cell_m(dataset, horizontal),
-                dataset,
-                band,
-                to_horizontal(horizontal, datum, file),
+                file=file,
+                vertical=vertical,
+                cell_m=_cell_m(dataset, horizontal),
+                _dataset=dataset,
+                _band=band,
+                _to_raster=to_horizontal(horizontal, datum, file),
             )
 
     def heights_m(self, latitude_rad: Floats, longitude_rad: Floats) -> Floats:

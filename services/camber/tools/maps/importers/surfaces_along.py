@@ -42,7 +42,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Roads:
+class RoadCentreLines:
     """Links whose vertices are the middles of roads, and how wide each road is to either side (n,)."""
 
     links: RoadLinks
@@ -50,7 +50,7 @@ class Roads:
 
 
 def surfaces_along(
-    roads: Roads, ground: Ground, *, spacing_m: float, seen_ns: int, vehicles: int = 0
+    roads: RoadCentreLines, ground: Ground, *, spacing_m: float, seen_ns: int, vehicles: int = 0
 ) -> RoadSurfaces:
     """Surfaces of all links, heights every `spacing_m`.
 
@@ -59,8 +59,8 @@ def surfaces_along(
     """
     links = roads.links
     pieces = [piece for row in range(len(links)) for piece in _pieces(roads, row, spacing_m)]
-    at_nodes = _asked(ground, pieces, [piece.nodes() for piece in pieces])
-    between = _asked(ground, pieces, [piece.between() for piece in pieces])
+    at_nodes = _sample_ground(ground, pieces, [piece.nodes() for piece in pieces])
+    between = _sample_ground(ground, pieces, [piece.between() for piece in pieces])
     parts = [
         part
         for piece, (height_m, sigma_m), (between_m, _) in zip(pieces, at_nodes, between, strict=True)
@@ -84,8 +84,8 @@ def surfaces_along(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Piece:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _RoadPiece:
     """A rectangle in a plane, the `number`th of the link `row`; nodes at `along_m` (n,) and `across_m` (m,)."""
 
     row: int
@@ -121,7 +121,7 @@ class _Piece:
         return points
 
 
-def _pieces(roads: Roads, row: int, spacing_m: float) -> Iterator[_Piece]:
+def _pieces(roads: RoadCentreLines, row: int, spacing_m: float) -> Iterator[_RoadPiece]:
     vertices, half_width_m = roads.links.vertices[row], float(roads.half_width_m[row])
     tile = tile_of(float(vertices[0, 0]), float(vertices[0, 1]))
     assert tile is not None  # RoadLinks holds no others
@@ -133,14 +133,14 @@ def _pieces(roads: Roads, row: int, spacing_m: float) -> Iterator[_Piece]:
         a, b = line_m[first], line_m[last]
         half_length_m = 0.5 * math.hypot(*(b - a)) + _OVERLAP_M
         rows = max(2, math.ceil(2.0 * half_length_m / spacing_m - 1e-6) + 1)
-        yield _Piece(
-            row,
-            number,
-            frame,
-            0.5 * (a + b),
-            math.atan2(b[1] - a[1], b[0] - a[0]),
-            np.linspace(-half_length_m, half_length_m, rows),
-            np.linspace(-half_width_m, half_width_m, columns),
+        yield _RoadPiece(
+            row=row,
+            number=number,
+            frame=frame,
+            centre_m=0.5 * (a + b),
+            yaw_rad=math.atan2(b[1] - a[1], b[0] - a[0]),
+            along_m=np.linspace(-half_length_m, half_length_m, rows),
+            across_m=np.linspace(-half_width_m, half_width_m, columns),
         )
 
 
@@ -178,7 +178,9 @@ def _bow_m(line_m: Floats) -> float:
     return float(np.abs(off[:, 0] * chord[1] - off[:, 1] * chord[0]).max() / length)
 
 
-def _asked(ground: Ground, pieces: list[_Piece], points_m: list[Floats]) -> list[tuple[Floats, Floats]]:
+def _sample_ground(
+    ground: Ground, pieces: list[_RoadPiece], points_m: list[Floats]
+) -> list[tuple[Floats, Floats]]:
     """Heights and σ of the points of each piece, asked for at once."""
     if not pieces:
         return []
@@ -193,11 +195,11 @@ def _asked(ground: Ground, pieces: list[_Piece], points_m: list[Floats]) -> list
     return list(zip(np.split(height_m, cuts), np.split(sigma_m, cuts), strict=True))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _KnownPatch:
     """The part of a piece where the ground is known; `centre_m` along and across within the piece."""
 
-    piece: _Piece
+    piece: _RoadPiece
     centre_m: tuple[float, float]
     half_length_m: float
     half_width_m: float
@@ -223,7 +225,9 @@ class _Part:
         return named_id("surface", link_id, line, self.piece.number, int(begin_m + 1e-6))
 
 
-def _known_parts(piece: _Piece, height_m: Floats, sigma_m: Floats, between_m: Floats) -> Iterator[_Part]:
+def _known_parts(
+    piece: _RoadPiece, height_m: Floats, sigma_m: Floats, between_m: Floats
+) -> Iterator[_KnownPatch]:
     n, m = len(piece.along_m), len(piece.across_m)
     height_m, sigma_m = height_m.reshape(n, m), sigma_m.reshape(n, m)
     u, v = piece.shares()[0][:, None], piece.shares()[1]
@@ -237,17 +241,17 @@ def _known_parts(piece: _Piece, height_m: Floats, sigma_m: Floats, between_m: Fl
         off = off[np.isfinite(off)]
         roughness_m2 = float(np.mean(off)) if len(off) else 0.0
         inner = slice(first, last), slice(left, right)
-        yield _Part(
-            piece,
-            (0.5 * float(along_m[0] + along_m[-1]), 0.5 * float(across_m[0] + across_m[-1])),
-            0.5 * float(along_m[-1] - along_m[0]),
-            0.5 * float(across_m[-1] - across_m[0]),
-            height_m[inner].copy(),
-            math.sqrt(float(np.mean(sigma_m[inner] ** 2)) + roughness_m2),
+        yield _KnownPatch(
+            piece=piece,
+            centre_m=(0.5 * float(along_m[0] + along_m[-1]), 0.5 * float(across_m[0] + across_m[-1])),
+            half_length_m=0.5 * float(along_m[-1] - along_m[0]),
+            half_width_m=0.5 * float(across_m[-1] - across_m[0]),
+            heights_m=height_m[inner].copy(),
+            sigma_m=math.sqrt(float(np.mean(sigma_m[inner] ** 2)) + roughness_m2),
         )
 
 
-def _walls(piece: _Piece, height_m: Floats) -> Mask:
+def _walls(piece: _RoadPiece, height_m: Floats) -> Mask:
     """Nodes (n, m) from which it is too steep to a neighbour."""
     walls = np.zeros(height_m.shape, bool)
     along = np.abs(np.diff(height_m, axis=0)) > _STEEPEST * np.diff(piece.along_m)[:, None]
@@ -259,7 +263,7 @@ def _walls(piece: _Piece, height_m: Floats) -> Mask:
     return walls
 
 
-def _known_blocks(piece: _Piece, known: Mask) -> Iterator[tuple[int, int, int, int]]:
+def _known_blocks(piece: _RoadPiece, known: Mask) -> Iterator[tuple[int, int, int, int]]:
     """First and last + 1 of rows and of columns, about the middle, within which every height is known."""
     spans = [_about_the_middle(row) for row in known]
     there = np.array([right - left >= 2 for left, right in spans])

@@ -24,7 +24,7 @@ from camber.schemas.antenna import AntennaHeight
 from camber.tools.maps.importers.built_map import BuiltMap
 from camber.tools.maps.importers.lane_map import lineage
 from camber.tools.maps.importers.lanes import named_id
-from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 from camber.tools.maps.importers.track_heights import TrackHeights
 from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 
@@ -35,8 +35,8 @@ _STEP_M = 0.1
 _LINK_SIGMA_M = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoadTrack:
     """Places of the antenna (n,) [rad], ellipsoidal heights of the road there and their σ [m], in the order driven."""
 
     latitude_rad: Floats
@@ -100,15 +100,18 @@ def build(args: argparse.Namespace) -> BuiltMap:
         )
     remarks = [f"{args.drive}: {len(track)} positions, {roads.lines.distance_m[-1]:.0f} m"]
     return BuiltMap(
-        surfaces, roads.roads.links, lineage=lineage(surfaces, args.previous_release), remarks=remarks
+        surfaces=surfaces,
+        links=roads.roads.links,
+        lineage=lineage(surfaces, args.previous_release),
+        remarks=remarks,
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DriveRoads:
     """The roads of a track in the plane of a frame, and what says how high they are."""
 
-    roads: Roads
+    roads: RoadCentreLines
     lines: RoadLines
     frame: LocalFrame
     heights: TrackHeights
@@ -131,7 +134,7 @@ class DriveRoads:
         return self.heights.at(plane, about_m)
 
 
-def drive_roads(track: Track, file: str, width_m: float, reach_m: float) -> DriveRoads:
+def drive_roads(track: RoadTrack, file: str, width_m: float, reach_m: float) -> DriveRoads:
     """Raises FormatError for a track that does not move."""
     frame = LocalFrame(float(np.median(track.latitude_rad)), float(np.median(track.longitude_rad)), 0.0)
     plane = frame.east_north_from_geodetic_array(
@@ -144,15 +147,19 @@ def drive_roads(track: Track, file: str, width_m: float, reach_m: float) -> Driv
         raise FormatError(file, "track", str(error)) from None
     moved = _moved(plane)
     heights = TrackHeights(
-        plane[moved], track.road_height_m[moved], track.sigma_m[moved], reach_m, 0.5 * width_m
+        plane_m=plane[moved],
+        height_m=track.road_height_m[moved],
+        sigma_m=track.sigma_m[moved],
+        reach_m=reach_m,
+        half_width_m=0.5 * width_m,
     )
     road_links = _road_links(links, frame)
     return DriveRoads(
-        Roads(road_links, np.full(len(road_links), 0.5 * width_m)),
-        lines,
-        frame,
-        heights,
-        links.link_of_sample - 1,
+        roads=RoadCentreLines(road_links, np.full(len(road_links), 0.5 * width_m)),
+        lines=lines,
+        frame=frame,
+        heights=heights,
+        link_row=links.link_of_sample - 1,
     )
 
 
@@ -181,23 +188,23 @@ def _road_links(links: PlaneLinks, frame: LocalFrame) -> RoadLinks:
     )
 
 
-def _csv_track(args: argparse.Namespace) -> Track:
+def _csv_track(args: argparse.Namespace) -> RoadTrack:
     truth = read_truth(args.drive, "camber")
     if args.antenna_height_m is None:
         raise FormatError(str(args.drive), "antenna", "--antenna-height-m: a truth.csv does not say it")
     if len(truth) < 2:
         raise FormatError(str(args.drive), "track", "at least two positions", actual=str(len(truth)))
     sigma = math.hypot(args.position_sigma_m, args.antenna_sigma_m)
-    return Track(
-        truth.latitude_rad,
-        truth.longitude_rad,
-        truth.height_m - args.antenna_height_m,
-        np.full(len(truth), sigma),
-        int(truth.time_ns[-1]),
+    return RoadTrack(
+        latitude_rad=truth.latitude_rad,
+        longitude_rad=truth.longitude_rad,
+        road_height_m=truth.height_m - args.antenna_height_m,
+        sigma_m=np.full(len(truth), sigma),
+        last_ns=int(truth.time_ns[-1]),
     )
 
 
-def _replay_track(args: argparse.Namespace) -> Track:
+def _replay_track(args: argparse.Namespace) -> RoadTrack:
     """Raises FormatError where nothing was confirmed, or the antenna's height is not known beside it."""
     path = args.drive / "recording.mcap" if args.drive.is_dir() else args.drive
     found, _ = load_recording(path, ("verdict", "antenna_height"))
@@ -233,7 +240,13 @@ def _replay_track(args: argparse.Namespace) -> Track:
         raise FormatError(str(path), "verdicts", expected, actual=str(len(rows)))
     columns = np.array(rows)
     latitude, longitude, height_m, sigma_m = columns[:, 1:].T
-    return Track(latitude, longitude, height_m, sigma_m, int(rows[-1][0]))
+    return RoadTrack(
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        road_height_m=height_m,
+        sigma_m=sigma_m,
+        last_ns=int(rows[-1][0]),
+    )
 
 
 def _antenna_at(

@@ -22,7 +22,7 @@ _AT_ONCE = 512
 _TINY = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TrackHeights:
     """Points (n, 2) in a plane, road heights and σ (n,) under them.
 

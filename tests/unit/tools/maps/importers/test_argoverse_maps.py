@@ -11,7 +11,7 @@ import pytest
 
 from camber.cli import main
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.argoverse import Floats, Lane, read_log
+from camber.formats.map_exchange.argoverse import Floats, LaneSegment, read_log
 from camber.road_map.release import read_release
 from camber.schemas.road import ElevationRequest
 from camber.tools.localize.local_map_queries import MapAtHand
@@ -110,10 +110,10 @@ def test_a_log_whose_files_are_damaged_is_one_clear_line(
         assert len(capsys.readouterr().err.splitlines()) == 1, name
 
 
-def lane(lane_id: int, *successors: int) -> Lane:
+def lane(lane_id: int, *successors: int) -> LaneSegment:
     left = np.array([[0.0, 2.0, 5.0], [10.0, 2.0, 6.0]])
     right = np.array([[0.0, -2.0, 5.0], [4.0, -2.0, 5.0], [10.0, -2.0, 6.0]])
-    return Lane(lane_id, "VEHICLE", left, right, successors)
+    return LaneSegment(lane_id=lane_id, kind="VEHICLE", left_m=left, right_m=right, successors=successors)
 
 
 def test_lanes_that_follow_one_another_meet_in_a_node() -> None:

@@ -84,7 +84,7 @@ def at(surfaces: RoadSurfaces, x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 def test_the_road_is_where_it_was_and_not_where_nothing_was_measured(tmp_path: Path) -> None:
     points = scene()
-    write_pcd(tmp_path / "cloud.pcd", PointCloud(points.astype(np.float32)))
+    write_pcd(tmp_path / "cloud.pcd", PointCloud(points_m=points.astype(np.float32)))
     assert build(tmp_path, tmp_path / "cloud.pcd") == 0
     release = read_release(tmp_path / "map")
     surfaces = release.road_surfaces()
@@ -114,7 +114,7 @@ def test_sweeps_at_their_times_las_and_ply_give_the_same_road(tmp_path: Path) ->
     for k in range(5, 30, 10):
         pose = map_from_vehicle(*enu[k].tolist(), 0.0, float(truth.pitch_rad[k]), 0.0)
         near = np.abs(points[:, 0] - enu[k, 0]) < 6.0
-        cloud = PointCloud(transform_points(invert(pose), points[near]).astype(np.float32))
+        cloud = PointCloud(points_m=transform_points(invert(pose), points[near]).astype(np.float32))
         write_pcd(sweeps / f"{truth.time_ns[k]}.pcd", cloud)
     latitude, longitude, height = FRAME.geodetic_from_enu_array(points)
     utm = pyproj.Proj(32653)
@@ -147,7 +147,7 @@ def test_sweeps_at_their_times_las_and_ply_give_the_same_road(tmp_path: Path) ->
 
 
 def test_what_cannot_be_a_cloud_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_pcd(tmp_path / "whole.pcd", PointCloud(scene()[:100].astype(np.float32)))
+    write_pcd(tmp_path / "whole.pcd", PointCloud(points_m=scene()[:100].astype(np.float32)))
     (tmp_path / "cut.pcd").write_bytes((tmp_path / "whole.pcd").read_bytes()[:-200])
     (tmp_path / "cut.laz").write_bytes(b"LASF" + bytes(90))
     (tmp_path / "cut.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
@@ -175,7 +175,7 @@ def test_where_open3d_lacks_a_library_one_line_names_it(
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without_libusb)
-    write_pcd(tmp_path / "whole.pcd", PointCloud(scene()[:100].astype(np.float32)))
+    write_pcd(tmp_path / "whole.pcd", PointCloud(points_m=scene()[:100].astype(np.float32)))
     assert build(tmp_path, tmp_path / "whole.pcd") == 2
     said = capsys.readouterr().err
     assert "libusb-1.0-0" in said

@@ -16,7 +16,7 @@ from camber.road_map.cloud_tiles import cloud_tiles
 from camber.road_map.release import Release, read_release, write_release
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.surface_heights import SurfaceHeights
-from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 NOW_NS = 1_400_000_000 * 10**9
@@ -46,7 +46,7 @@ def road_and_bridge() -> tuple[RoadSurfaces, RoadLinks]:
         plane = FRAME.east_north_from_geodetic_array(latitude, longitude, 0.0 * latitude)
         return hill(*plane.T) + BRIDGE_M * row, np.full(len(row), 0.03)
 
-    roads = Roads(links, np.array([2.0, 2.0]))
+    roads = RoadCentreLines(links, np.array([2.0, 2.0]))
     return surfaces_along(roads, ground, spacing_m=1.0, seen_ns=NOW_NS - 10**9, vehicles=4), links
 
 

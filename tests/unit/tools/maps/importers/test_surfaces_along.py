@@ -9,13 +9,13 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import surface_tiles, surfaces_from_tiles
 from camber.road_map.surface_heights import SurfaceHeights
-from camber.tools.maps.importers.surfaces_along import Floats, Integers, Roads, surfaces_along
+from camber.tools.maps.importers.surfaces_along import Floats, Integers, RoadCentreLines, surfaces_along
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 SEEN_NS = 1_400_000_000 * 10**9
 
 
-def roads(*lines_m: Floats, half_width_m: float = 2.0, link_id: int = 7) -> Roads:
+def roads(*lines_m: Floats, half_width_m: float = 2.0, link_id: int = 7) -> RoadCentreLines:
     vertices = [
         np.column_stack(FRAME.geodetic_from_east_north_array(np.asarray(line), 0.0)[:2]) for line in lines_m
     ]
@@ -28,7 +28,7 @@ def roads(*lines_m: Floats, half_width_m: float = 2.0, link_id: int = 7) -> Road
         sigma_m=np.zeros(n),
         vertices=vertices,
     )
-    return Roads(links, np.full(n, half_width_m))
+    return RoadCentreLines(links, np.full(n, half_width_m))
 
 
 def hill(east_m: Floats, north_m: Floats) -> Floats:

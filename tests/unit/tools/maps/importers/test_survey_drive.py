@@ -23,7 +23,7 @@ from camber.schemas.codec import encode
 from camber.schemas.integrity import Verdict
 from camber.tools.maps.importers.argoverse import CityFrame
 from camber.tools.maps.importers.surfaces_along import Floats, surfaces_along
-from camber.tools.maps.importers.survey_drive import Track, drive_roads
+from camber.tools.maps.importers.survey_drive import RoadTrack, drive_roads
 
 FRAME = LocalFrame(math.radians(35.1), math.radians(137.0), 0.0)
 START_NS = 1_400_000_000 * 10**9
@@ -53,7 +53,13 @@ def test_half_of_the_poses_predict_the_other_half(name: str, block_m: float) -> 
     latitude, longitude = CityFrame.of_city(log.city).to_geodetic(places_m[:, 0], places_m[:, 1])
     along_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(places_m[:, :2], axis=0).T)))
     half = (along_m // block_m if block_m else np.arange(len(places_m))) % 2 == 0
-    track = Track(latitude[half], longitude[half], places_m[half, 2], np.full(half.sum(), 0.02), START_NS)
+    track = RoadTrack(
+        latitude_rad=latitude[half],
+        longitude_rad=longitude[half],
+        road_height_m=places_m[half, 2],
+        sigma_m=np.full(half.sum(), 0.02),
+        last_ns=START_NS,
+    )
     roads = drive_roads(track, name, 3.0, 4.0)
     surfaces = surfaces_along(roads.roads, roads.ground, spacing_m=2.0, seen_ns=START_NS, vehicles=1)
     off_m = heights(surfaces, latitude[~half], longitude[~half]) - places_m[~half, 2]
