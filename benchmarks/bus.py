@@ -36,6 +36,7 @@ def replay(drive: Path, out: Path, *options: str) -> dict[str, Any]:
         "camber.cli",
         "replay",
         str(drive),
+        "--processes",
         "--out",
         str(out),
         "--quiet",

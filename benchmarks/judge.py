@@ -24,7 +24,7 @@ from camber.formats.drive.recording import load_recording
 from camber.integrity.service import IntegrityService
 from camber.integrity.settings import IntegritySettings
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import drive_through
+from camber.replay.one_process import replay_in_one_process
 from camber.runtime.bus import QueryFailed
 from camber.runtime.inbox import Inbox
 from camber.schemas.base import Message
@@ -82,7 +82,7 @@ def heard_by_the_judge(drive: Path, folder: Path) -> list[Wake]:
     """All that `integrity` hears of a drive, by wake, with its time: as bytes."""
     inputs = prepare_drive(load_manifest(drive), folder / "work")
     channels = [channel.name for channel in inputs_of("integrity")]
-    recorded = drive_through(inputs, folder, channels=channels).recorded
+    recorded = replay_in_one_process(inputs, folder, channels=channels).recorded
     by_time: dict[int, dict[str, bytes]] = {}
     for name, items in recorded.items():
         for item in items:
@@ -165,7 +165,18 @@ def latencies_ms(rows: list[Judged]) -> list[float]:
 
 def latency(drive: Path, out: Path) -> list[Figure]:
     """Of all verdicts, and of those after other estimates."""
-    command = [sys.executable, "-m", "camber.cli", "replay", str(drive), "--speed", "1", "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "camber.cli",
+        "replay",
+        str(drive),
+        "--processes",
+        "--speed",
+        "1",
+        "--out",
+        str(out),
+    ]
     options = ["--set", "positions=engine", "--set", f"end_s={LIVE_S}", "--quiet"]
     subprocess.run([*command, *options], check=True, stdin=subprocess.DEVNULL, timeout=LIVE_S + 240.0)
     messages, _ = load_recording(out / "recording.mcap")

@@ -60,7 +60,8 @@ def test_every_input_and_every_question_is_attacked_in_every_way():
 def replay(manifest: Path, out: Path, speed: object):
     end_s = 54.0 + REPLAY_S
     return started(
-        "-m", "camber.cli", "replay", manifest, "--out", out, "--set", f"end_s={end_s}", "--speed", speed, "--quiet"
+        "-m", "camber.cli", "replay", manifest, "--processes", "--out", out, "--quiet",
+        "--set", f"end_s={end_s}", "--speed", speed,
     )  # fmt: skip
 
 

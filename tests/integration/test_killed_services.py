@@ -120,6 +120,7 @@ def test_without_a_service_the_judge_says_unknown_and_why_and_confirms_again_whe
             "camber.cli",
             "replay",
             drive,
+            "--processes",
             "--out",
             out,
             "--speed",
@@ -189,6 +190,7 @@ def test_a_frozen_service_is_left_behind_and_returns_when_it_goes_on(tmp_path):
             "camber.cli",
             "replay",
             drive,
+            "--processes",
             "--out",
             out,
             "--speed",
@@ -222,7 +224,18 @@ def test_a_pose_given_for_the_start_is_not_believed_by_a_localizer_that_returns_
     out = tmp_path / "out"
     with (
         started(
-            "-m", "camber.cli", "replay", drive, "--out", out, "--speed", 3, "--set", "end_s=63", "--quiet"
+            "-m",
+            "camber.cli",
+            "replay",
+            drive,
+            "--processes",
+            "--out",
+            out,
+            "--speed",
+            3,
+            "--set",
+            "end_s=63",
+            "--quiet",
         ) as replay,
         Subscription("verdict", vehicle="demo", connect=[endpoint_of(out)], live=False) as listener,
     ):

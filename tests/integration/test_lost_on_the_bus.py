@@ -14,11 +14,10 @@ from random import Random
 
 import pytest
 
-from camber.runtime import feeder as feeding
-from camber.runtime.bus import Bus
+from camber.replay.lock_step import feeder as feeding
+from camber.replay.lock_step.feeder import Feeder
+from camber.replay.lock_step.service_loop import LockStepBus, LockStepLoop
 from camber.runtime.clock import ReplayClock
-from camber.runtime.feeder import Feeder
-from camber.runtime.run import Loop
 from camber.runtime.service import Service
 from camber.runtime.session import open_session
 from camber.runtime.settings import ServiceSettings, ZenohSettings
@@ -73,7 +72,7 @@ class Loss:
         return time.monotonic() < self.since + LOST_S
 
 
-class Lossy(Bus):
+class Lossy(LockStepBus):
     """A bus on which something is lost."""
 
     loss = None
@@ -84,7 +83,11 @@ class Lossy(Bus):
             return item
         if name == "tick" or name.startswith("done."):
             return None if self.loss.takes(said(item.data)) else item
-        return item._replace(rider=None) if item.rider and self.loss.takes(said(item.rider)) else item
+        return (
+            item._replace(attachment=None)
+            if item.attachment and self.loss.takes(said(item.attachment))
+            else item
+        )
 
 
 def said(data):
@@ -109,7 +112,7 @@ def replay(endpoint, receiver="", loss=None):
     settings = settings_of(endpoint)
     with ExitStack() as stack:
         feeder = stack.enter_context(
-            Feeder(settings, FED, observer=lambda key, data, _encoding, _ns: recording[key].append(data))
+            Feeder(settings, FED, observer=lambda key, data, _ns: recording[key].append(data))
         )
         if receiver == FEEDER:
             add = feeder._add_done
@@ -119,8 +122,9 @@ def replay(endpoint, receiver="", loss=None):
             stack.callback(bus.close)
             if name == receiver:
                 bus.loss = loss
-            loop = Loop(PassOn(name, bus), bus, bus._clock)
-            thread = threading.Thread(target=loop.replay)
+            loop = LockStepLoop(PassOn(name, bus), bus, bus._clock)
+            loop.declare()
+            thread = threading.Thread(target=loop.work)
             stack.callback(thread.join)
             stack.callback(bus.wake)
             stack.callback(setattr, loop, "stopping", True)
@@ -169,7 +173,7 @@ def undisturbed(endpoint):
 def test_what_was_lost_is_said_again_and_the_bytes_are_the_same(
     endpoint, undisturbed, monkeypatch, receiver, sender, index
 ):
-    monkeypatch.setattr(feeding, "_ASK_AGAIN_S", 0.3)
+    monkeypatch.setattr(feeding, "RESEND_S", 0.3)
     loss = Loss(sender, index)
     assert replay(endpoint, receiver, loss) == undisturbed
     assert loss.since is not None, "nothing was lost"

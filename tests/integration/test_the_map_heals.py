@@ -82,7 +82,7 @@ def replay(folder: Path, vehicle: int, days_ago: int, release: str) -> Path:
     )
     out = folder / f"out{vehicle}"
     sets = "--set", f"vehicle=car{vehicle}", "--set", f'map.release="../{release}"'
-    done = camber("replay", manifest, "--out", out, "--quiet", *sets, timeout_s=300.0)
+    done = camber("replay", manifest, "--processes", "--out", out, "--quiet", *sets, timeout_s=300.0)
     assert done.returncode == 0, done.stderr
     return out
 

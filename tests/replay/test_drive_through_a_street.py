@@ -134,7 +134,7 @@ def test_fixes_that_only_the_lidar_can_contradict_are_not_confirmed(out: Path) -
 
 
 def test_the_same_drive_gives_the_same_bytes_at_any_speed(manifest: Path, out: Path, tmp_path: Path) -> None:
-    slow = payloads(replayed(manifest, tmp_path / "slow", "--speed", "1.5"))
+    slow = payloads(replayed(manifest, tmp_path / "slow", "--processes", "--speed", "1.5"))
     fast = payloads(out)
     for kind in ("localizer/pose", "localizer/match", "antenna_height/height"):
         (key,) = (key for key in fast if key.endswith(kind))

@@ -36,7 +36,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path.write_bytes(path.read_bytes()[:1000])
     manifest.write_text(manifest.read_text() + '\n[sweeps]\nfolder = "sweeps"\n')
     out = folder / "out"
-    done = camber("replay", manifest, "--out", out, "--set", END, timeout_s=120.0)
+    done = camber("replay", manifest, "--processes", "--out", out, "--set", END, timeout_s=120.0)
     assert done.returncode == 0, done.stderr
     (out / "said.txt").write_text(done.stderr)
     return out

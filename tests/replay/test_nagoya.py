@@ -22,9 +22,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def out(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("nagoya")
-    done = camber(
-        "replay", DRIVE, "--speed", "max", "--seed", 1, "--out", out, "--quiet", timeout_s=TIMEOUT_S
-    )
+    done = camber("replay", DRIVE, "--processes", "--seed", 1, "--out", out, "--quiet", timeout_s=TIMEOUT_S)
     assert done.returncode == 0, done.stderr
     return out
 

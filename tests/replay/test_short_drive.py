@@ -24,7 +24,15 @@ def outs(manifest, tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("replayed")
     for speed in SPEEDS:
         done = camber(
-            "replay", manifest, "--speed", speed, "--out", folder / speed, "--quiet", timeout_s=120.0
+            "replay",
+            manifest,
+            "--processes",
+            "--speed",
+            speed,
+            "--out",
+            folder / speed,
+            "--quiet",
+            timeout_s=120.0,
         )
         assert done.returncode == 0, done.stderr
     return {speed: folder / speed for speed in SPEEDS}

@@ -62,7 +62,7 @@ def test_a_process_that_the_scenario_drops_is_killed_and_comes_back(tmp_path: Pa
     scenario = load_scenario("open-sky", ["duration_s=40.0", f"faults=[{fault}]"])
     manifest = simulate(scenario, tmp_path / "drive", quiet=True)
     # At twice its own speed, so that there is time to come back.
-    done = camber("replay", manifest, "--out", tmp_path / "out", "--speed", 2, timeout_s=150.0)
+    done = camber("replay", manifest, "--processes", "--out", tmp_path / "out", "--speed", 2, timeout_s=150.0)
     assert done.returncode == 0, done.stderr
     first_ns = scenario.start_ns
     verdicts = [item.message for item in recorded(tmp_path / "out")["verdict"]]
@@ -99,7 +99,15 @@ def test_after_a_jump_of_the_receivers_clock_fixes_are_confirmed_at_once(tmp_pat
 def test_the_engine_solves_the_same_drive_and_is_judged_as_a_receiver_is(out: Path, tmp_path: Path) -> None:
     manifest = out.parent / "drive" / "drive.toml"
     done = camber(
-        "replay", manifest, "--set", "positions=engine", "--out", tmp_path, "--quiet", timeout_s=400.0
+        "replay",
+        manifest,
+        "--processes",
+        "--set",
+        "positions=engine",
+        "--out",
+        tmp_path,
+        "--quiet",
+        timeout_s=400.0,
     )
     assert done.returncode == 0, done.stderr
     messages, of_receiver = recorded(tmp_path), recorded(out)

@@ -32,9 +32,9 @@ from camber.antenna_height.settings import AntennaHeightSettings
 from camber.formats.drive.recording import load_recording
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.localizer.settings import LocalizerSettings
-from camber.replay.command import antenna_height_config
 from camber.replay.drive_inputs import Arrival, prepare_drive
 from camber.replay.run_folder import RunFolder
+from camber.replay.service_settings import antenna_height_settings
 from camber.schemas.antenna import AntennaHeight, HeightByMethod
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
@@ -284,7 +284,7 @@ def of_drive(path: Path, ways: Sequence[str]) -> dict[str, object]:
     matched = Counter(match.status for match in localized.matches)
     results: dict[str, object] = {"matches": dict(matched)}
     for way in ways:
-        settings = AntennaHeightSettings(**{**antenna_height_config(manifest), "way": way})
+        settings = AntennaHeightSettings(**{**antenna_height_settings(manifest), "way": way})
         said = run_over(heard, settings)
         words = Counter(f"{one.way}: {one.reason}"[:200] for one in said if one.reason)
         results[way] = against(inputs.truth, said) | {"reasons": dict(words.most_common(5))}

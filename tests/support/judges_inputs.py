@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import drive_through
+from camber.replay.one_process import replay_in_one_process
 from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.schemas.integrity import Verdict
@@ -19,12 +19,8 @@ def recorded_inputs(folder: Path, duration_s: float) -> list[tuple[float, str, A
     """What a judge hears in the first seconds of the short drive, with when it is said, seconds from the start."""
     manifest = load_manifest(write_short_drive(folder / "drive"), [f"end_s={duration_s}"])
     inputs = prepare_drive(manifest, folder / "drive")
-    driven = drive_through(inputs, folder, channels=tuple(AFTER_S))
+    driven = replay_in_one_process(inputs, folder, channels=tuple(AFTER_S))
     said = [(item.message, name) for name in AFTER_S for item in driven.recorded.get(name, [])]
-    if not driven.recorded.get("motion"):
-        said += [
-            (message, name) for tick in inputs.ticks() for name, message in tick.messages if name == "motion"
-        ]
     first_ns = min(message.time_ns for message, _ in said)
     return sorted(
         (((message.time_ns - first_ns) / 1e9 + AFTER_S[name], name, message) for message, name in said),

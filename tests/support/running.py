@@ -19,10 +19,9 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 
 from camber.formats.drive.recording import Recorded, load_recording
-from camber.replay.command import facts_of
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import Reported, drive_through
-from camber.replay.run_folder import RunFacts
+from camber.replay.one_process import ReportedIssue, replay_in_one_process
+from camber.replay.run_folder import RunFacts, drive_facts
 from camber.replay.short_drive import START_NS
 from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
@@ -164,16 +163,16 @@ class Drive:
 
     recorded: dict[str, list[Recorded[Any]]]
     summary: dict[str, Any]
-    issues: list[Reported]
+    issues: list[ReportedIssue]
 
 
 def in_one_process(manifest: Path, folder: Path, *overrides: str) -> Drive:
     """What `camber replay` would record and sum up, at a fifth of the cost."""
     drive = load_manifest(manifest, overrides)
     inputs = prepare_drive(drive, folder / "work")
-    driven = drive_through(inputs, folder)
+    driven = replay_in_one_process(inputs, folder)
     truth = None if inputs.truth is None else truth_of(inputs.truth)
-    summary = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth).summary
+    summary = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth).summary
     return Drive(driven.recorded, summary, driven.issues)
 
 

@@ -23,7 +23,7 @@ from camber.replay.receiver_file import receive_times
 from camber.replay.receiver_streams import read_streams, whole_files
 from camber.replay.surrogate_map import make_map
 from camber.replay.surrogates import make_initial_pose, make_motion
-from camber.replay.sweep_files import SweepFile, sweep_files
+from camber.replay.sweep_files import SweepFile, SweepReader, sweep_files
 from camber.replay.truth_interpolation import interpolate_truth
 from camber.road_map.release import write_release
 from camber.schemas.base import Message
@@ -60,6 +60,18 @@ class Tick:
     ranging: tuple[Ranging, ...]
     sweeps: tuple[SweepFile, ...] = ()
 
+    def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
+        """Yield what arrives, each message with the name of its channel, in the order of the table."""
+        for name, messages in (
+            ("receiver_bytes", self.receiver),
+            ("motion", self.motion),
+            ("suspension", self.suspension),
+            ("ranging", self.ranging),
+            ("sweep", reader.read(self.sweeps)),
+        ):
+            for message in messages:
+                yield name, message
+
 
 @dataclass(frozen=True, slots=True)
 class DriveInputs:
@@ -93,6 +105,11 @@ class DriveInputs:
             "sweep": self.sweeps,
         }
         return tuple(name for name, arrivals in columns.items() if arrivals)
+
+    def greeting_at(self, time_ns: int) -> Iterator[ReceiverBytes]:
+        """Yield what the receiver sends first to a `gnss` that connects at this time."""
+        for message in self.greeting:
+            yield message.model_copy(update={"time_ns": time_ns})
 
     def ticks(self) -> Iterator[Tick]:
         """The drive, tick by tick."""

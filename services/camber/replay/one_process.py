@@ -1,52 +1,51 @@
-"""A drive through all services in one process: no bus, no bytes, as fast as it goes.
+"""A replay in one process: the services' own step functions, without bus and without bytes, as fast as possible.
 
-The services are the same objects that the processes of a replay run, fed in the same order (`runtime/barrier.py`): in
-each tick those that something has reached, in the order of the table, each with what was published for it so far, by
-time, table and sequence; what is looped arrives at the next tick. So verdicts and positions are those of a replay.
-What services keep over a restart is in the drive's folder; nothing is uploaded. A service that the drive kills is
-missing for `RESTART_S` of the drive; in a replay it takes what a process takes to start.
+The services are the objects that the processes run, and get the same messages in the same order as in lock step
+(`lock_step/barrier.py`): at each tick those work that something has reached, in the order of the table of channels,
+each with what was published for it so far, by time, table and sequence; a looped channel is delivered one tick later.
+So all published messages are those of the processes, bit for bit. What differs: nothing is uploaded, an exception in a
+service ends the replay, and a service that the drive kills is absent for `RESTART_S` of the drive instead of the time
+that a process takes to start.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from pydantic import ValidationError
+
 from camber.formats.drive.recording import Recorded
-from camber.replay.command import messages_of, service_configs
-from camber.replay.drive_inputs import DriveInputs
+from camber.replay.drive_inputs import DriveInputs, Tick
+from camber.replay.run_recorder import RunRecorder
+from camber.replay.service_settings import service_settings
 from camber.replay.sweep_files import SweepReader
+from camber.replay.work_schedule import WorkSchedule
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.clock import ReplayClock
-from camber.runtime.feeder import HEARTBEAT_NS
 from camber.runtime.inbox import Inbox
 from camber.runtime.service import Service
+from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, CHANNELS, VEHICLE_SERVICES, inputs_of
 from camber.schemas.codec import Received
+from camber.schemas.drive import ManifestError
 from camber.validation.evaluation import CHANNELS as EVALUATED
 
 RESTART_S = 2.0
-_FEEDER = "vehicle"
-_ORDER = {channel.name: place for place, channel in enumerate(CHANNELS)}
-_SOURCES = {
-    service: {
-        channel.name if channel.producers == (_FEEDER,) else channel.producers[0]
-        for channel in inputs_of(service)
-        if not channel.looped
-    }
-    for service in VEHICLE_SERVICES
-}
+"""How long a killed service is absent. Chosen: what a process of the vehicle takes to start, 1 to 3 s."""
+_ORDER = {channel.name: position for position, channel in enumerate(CHANNELS)}
 Settings = Mapping[str, Mapping[str, Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class Reported:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportedIssue:
     """An issue that a service has reported, at the time of its tick."""
 
     time_ns: int
@@ -55,36 +54,40 @@ class Reported:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """What was said on the channels asked for, in the order of saying, as a recording gives it, and what was amiss."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveOutput:
+    """The messages of the channels asked for, in the order of publishing, and all reported issues."""
 
     recorded: dict[str, list[Recorded[Any]]]
-    issues: list[Reported]
+    issues: list[ReportedIssue]
+    notes: tuple[str, ...] = ()
 
 
-def drive_through(
+def replay_in_one_process(
     inputs: DriveInputs,
     folder: Path,
     *,
     settings: Settings | None = None,
     channels: Collection[str] = EVALUATED,
-    progress: Callable[[], None] = lambda: None,
-) -> Driven:
-    """Run a drive; `settings` are added to those of a replay, by service; services keep their state in `folder`.
+    recorder: RunRecorder | None = None,
+    progress: Callable[[], object] = lambda: None,
+) -> DriveOutput:
+    """Run a drive; `settings` are added to those of the drive, by service; services keep their state in `folder`.
 
     What a service raises is raised here. `progress` is called once a tick.
     """
-    vehicle = _Vehicle(inputs, folder, settings or {}, channels)
+    vehicle = _Vehicle(inputs, folder, settings=settings or {}, channels=channels, recorder=recorder)
     for tick in inputs.ticks():
-        vehicle.tick(tick.time_ns, messages_of(tick, vehicle.sweeps))
+        vehicle.work_on(tick)
+        if recorder is not None:
+            recorder.tick_done(tick.time_ns)
         progress()
-    return vehicle.driven()
+    return vehicle.output()
 
 
-@dataclass(slots=True)
-class _Here:
-    """A service that runs, and what waits for it."""
+@dataclass(slots=True, kw_only=True)
+class _RunningService:
+    """A service, and the messages that wait for it."""
 
     service: Service[Any]
     handlers: dict[str, Callable[[Any], None]]
@@ -97,119 +100,152 @@ class _Vehicle:
     """The services of one vehicle, and what goes between them."""
 
     def __init__(
-        self, inputs: DriveInputs, folder: Path, settings: Settings, channels: Collection[str]
+        self,
+        inputs: DriveInputs,
+        folder: Path,
+        *,
+        settings: Settings,
+        channels: Collection[str],
+        recorder: RunRecorder | None,
     ) -> None:
         self.clock = ReplayClock()
-        self.sweeps = SweepReader()
-        self.issues: list[Reported] = []
-        self._greeting = inputs.greeting
-        configs = service_configs(inputs.manifest, inputs, folder, "tcp/127.0.0.1:0")
+        self.issues: list[ReportedIssue] = []
+        self._inputs = inputs
+        self._sweeps = SweepReader()
+        self._recorder = recorder
         shutil.rmtree(
             folder / "state", ignore_errors=True
-        )  # what an earlier drive has learnt is not this one's
-        self._configs = {name: {**configs[name], **settings.get(name, {})} for name in VEHICLE_SERVICES}
-        self._configs["integrity"] |= {"upload": False}
+        )  # what an earlier run has learnt would change this one
+        tables = service_settings(inputs, folder)
+        self._settings = {name: {**tables[name], **settings.get(name, {})} for name in VEHICLE_SERVICES}
+        self._settings["integrity"] |= {"upload": False}
         self._recorded: dict[str, list[Recorded[Any]]] = {name: [] for name in channels}
         self._sequence: Counter[tuple[str, str]] = Counter()
-        self._fed: set[str] = set()
-        self._beat_ns = 0
-        self._last_ns = inputs.tick_times_ns[-1]
-        self._here: dict[str, _Here] = {}
-        self._away: dict[str, int] = {}
+        self._schedule = WorkSchedule()
+        self._running: dict[str, _RunningService] = {}
+        self._returns_ns: dict[str, int] = {}
         first_ns = inputs.tick_times_ns[0]
         self._kills = [(first_ns + round(kill.at_s * 1e9), kill.service) for kill in inputs.manifest.kills]
         for name in VEHICLE_SERVICES:
             self._start(name)
 
-    def tick(self, time_ns: int, messages: Any) -> None:
-        """One tick: kill and start, feed, work."""
-        self._kill_and_start(time_ns)
-        for name, message in messages:
-            self.say(_FEEDER, name, message)
-        beat = time_ns == self._last_ns or time_ns - self._beat_ns >= HEARTBEAT_NS
-        if beat:
-            self._beat_ns = time_ns
-        touched, self._fed = self._fed, set()
+    def work_on(self, tick: Tick) -> None:
+        """Restart and kill services, publish what arrives at the tick, let the services work."""
+        time_ns = tick.time_ns
+        self._restart(time_ns)
+        self._kill(time_ns)
+        self._feed(tick.messages(self._sweeps))
+        working = self._schedule.next_tick(time_ns, last=time_ns == self._inputs.tick_times_ns[-1])
         for name in VEHICLE_SERVICES:
-            if beat or _SOURCES[name] & touched:
-                touched.add(name)
-                if name in self._here:
-                    self._work(name, time_ns)
+            if name in working and name in self._running:
+                self._work(self._running[name], time_ns)
 
-    def say(self, source: str, name: str, message: Message) -> None:
-        """Hand a message to those who consume it, and keep it if it was asked for."""
-        channel = BY_NAME[name]
+    def publish(self, source: str, name: str, message: Message) -> None:
+        """Hand a message to those that consume it, and record it."""
         sequence = self._sequence[source, name]
         self._sequence[source, name] += 1
-        if source == _FEEDER:
-            self._fed.add(name)
+        if self._recorder is not None:
+            self._recorder.add_message(name, message, source, sequence)
         if name in self._recorded:
-            self._recorded[name].append(Recorded(name, name, message, source, sequence, message.time_ns))
+            self._recorded[name].append(
+                Recorded(
+                    channel=name,
+                    key=name,
+                    message=message,
+                    source=source,
+                    sequence=sequence,
+                    arrival_ns=message.time_ns,
+                )
+            )
         received = Received(message, source, sequence)
-        for consumer in channel.consumers:
-            here = self._here.get(consumer)
-            if here is not None and name in here.handlers:
-                here.waiting.append((message.time_ns, _ORDER[name], sequence, name, received))
+        for consumer in BY_NAME[name].consumers:
+            running = self._running.get(consumer)
+            if running is not None and name in running.handlers:
+                running.waiting.append((message.time_ns, _ORDER[name], sequence, name, received))
 
     def ask(self, name: str, request: Message) -> Any:
-        """The answer at the asker's time."""
-        channel = BY_NAME[name]
-        (answerer,) = channel.consumers
-        here = self._here.get(answerer)
-        if here is None:
-            raise QueryFailed("absent", f"{answerer} is not there")
+        """Return the answer at the time of the request."""
+        (answerer,) = BY_NAME[name].consumers
+        running = self._running.get(answerer)
+        if running is None:
+            raise QueryFailed("absent", f"{answerer} does not run")
         now_ns = self.clock.now_ns()
         self.clock.set(request.time_ns)
-        (reply,) = here.answers[name]([request])
+        (reply,) = running.answers[name]([request])
         self.clock.set(now_ns)
         if reply is None:
             raise QueryFailed("refused")
         return reply
 
-    def is_here(self, name: str) -> bool:
+    def is_running(self, name: str) -> bool:
         """Does this service run?"""
-        return name in self._here or name == "map_update"
+        return name in self._running or name == "map_update"
 
-    def driven(self) -> Driven:
-        """What came of it."""
-        return Driven(self._recorded, self.issues)
+    def output(self) -> DriveOutput:
+        """Return all that was published and reported."""
+        return DriveOutput(recorded=self._recorded, issues=self.issues, notes=tuple(self._sweeps.notes()))
+
+    def _feed(self, messages: Iterable[tuple[str, Message]]) -> None:
+        for name, message in messages:
+            self._schedule.add(name)
+            self.publish("vehicle", name, message)
 
     def _start(self, name: str) -> None:
-        module = importlib.import_module(f"camber.{name}.service")
-        kind: type[Service[Any]] = module.SERVICE
-        settings: Any = kind.SETTINGS
-        service = kind(settings(**self._configs[name]), cast(Bus, _BusAtHand(self, name)))
+        kind: type[Service[Any]] = importlib.import_module(f"camber.{name}.service").SERVICE
+        settings = _validated(name, kind.SETTINGS, self._settings[name])
+        service = kind(settings, cast(Bus, _ServiceBus(self, name)))
         handlers = service.handlers()
-        inboxes = {c.name: Inbox(c) for c in inputs_of(name) if c.name in handlers}
-        self._here[name] = _Here(service, handlers, service.answers(), inboxes)
+        self._running[name] = _RunningService(
+            service=service,
+            handlers=handlers,
+            answers=service.answers(),
+            inboxes={c.name: Inbox(c) for c in inputs_of(name) if c.name in handlers},
+        )
 
-    def _kill_and_start(self, time_ns: int) -> None:
-        for name in [name for name, back_ns in self._away.items() if time_ns >= back_ns]:
-            del self._away[name]
+    def _restart(self, time_ns: int) -> None:
+        for name in [name for name, at_ns in self._returns_ns.items() if time_ns >= at_ns]:
+            del self._returns_ns[name]
             self._start(name)
-            self._beat_ns = 0  # the next tick is everybody's
+            self._schedule.wake_all()
             if name == "gnss":
-                for said in self._greeting:
-                    self.say(_FEEDER, "receiver_bytes", said.model_copy(update={"time_ns": time_ns}))
+                self._feed(("receiver_bytes", message) for message in self._inputs.greeting_at(time_ns))
+
+    def _kill(self, time_ns: int) -> None:
         for at_ns, name in [kill for kill in self._kills if time_ns >= kill[0]]:
             self._kills.remove((at_ns, name))
-            self._here.pop(name, None)
-            self._away[name] = time_ns + round(RESTART_S * 1e9)
-            self.issues.append(Reported(time_ns, name, "killed", f"for {RESTART_S:g} s"))
+            self._running.pop(name, None)
+            self._returns_ns[name] = time_ns + round(RESTART_S * 1e9)
+            self.issues.append(
+                ReportedIssue(time_ns=time_ns, service=name, code="killed", text=f"for {RESTART_S:g} s")
+            )
 
-    def _work(self, name: str, time_ns: int) -> None:
-        here = self._here[name]
+    def _work(self, running: _RunningService, time_ns: int) -> None:
         self.clock.set(time_ns)
-        waiting, here.waiting = here.waiting, []
+        waiting, running.waiting = running.waiting, []
         waiting.sort(key=lambda item: item[:3])
         for _, _, _, channel, received in waiting:
-            message = here.inboxes[channel].accept(received, time_ns, judge_age=False)
+            message = running.inboxes[channel].accept(received, time_ns, judge_age=False)
             if message is not None:
-                here.handlers[channel](message)
-        here.service.advance(time_ns)
+                running.handlers[channel](message)
+        running.service.advance(time_ns)
 
 
-class _BusAtHand:
+def _validated(service: str, kind: type[ServiceSettings], table: Mapping[str, Any]) -> ServiceSettings:
+    """Return a service's settings, from the drive alone: the user's environment must not change a replay."""
+    environment = {name: os.environ.pop(name) for name in list(os.environ) if name.startswith("CAMBER_")}
+    try:
+        return kind(**table)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        setting = ".".join(str(part) for part in first["loc"])
+        raise ManifestError(
+            f"{service}: {setting}: {first['msg']} (got {str(first['input'])[:60]!r})"
+        ) from None
+    finally:
+        os.environ.update(environment)
+
+
+class _ServiceBus:
     """What a service uses of `runtime.bus.Bus`, within one process."""
 
     def __init__(self, vehicle: _Vehicle, service: str) -> None:
@@ -218,32 +254,34 @@ class _BusAtHand:
         self._vehicle = vehicle
 
     def now_ns(self) -> int:
-        """The tick's time."""
+        """Return the tick's time."""
         return self._vehicle.clock.now_ns()
 
     def publish(self, name: str, message: Message) -> None:
-        """To whom it concerns."""
-        self._vehicle.say(self.service, name, message)
+        """Hand the message to its consumers."""
+        self._vehicle.publish(self.service, name, message)
 
     def ask(self, name: str, request: Message) -> Any:
-        """Raises QueryFailed as the bus does."""
+        """Return the answer; raises QueryFailed as the bus does."""
         return self._vehicle.ask(name, request)
 
     def ask_bytes(self, name: str, data: bytes) -> tuple[bytes, str]:
-        """Nobody takes uploads."""
+        """Raise QueryFailed: nobody takes uploads."""
         raise QueryFailed("absent", name)
 
     def is_alive(self, service: str) -> bool:
-        """Does it run?"""
-        return self._vehicle.is_here(service)
+        """Does this service run?"""
+        return self._vehicle.is_running(service)
 
     def issue(self, code: str, text: str) -> None:
-        """Kept, with its time."""
-        self._vehicle.issues.append(Reported(self.now_ns(), self.service, code, text))
+        """Keep an issue with its time."""
+        self._vehicle.issues.append(
+            ReportedIssue(time_ns=self.now_ns(), service=self.service, code=code, text=text)
+        )
 
     def count(self, name: str, n: int = 1) -> None:
-        """Counted."""
+        """Add to a counter."""
         self.counters[name] += n
 
     def wake(self) -> None:
-        """Nobody sleeps."""
+        """Do nothing: no service waits."""

@@ -24,8 +24,9 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from camber.formats.errors import FormatError
+from camber.replay.drive_inputs import DriveInputs
 from camber.schemas.base import Model, Sigma
-from camber.validation.truth import Truth
+from camber.validation.truth import Truth, offset_of
 
 # All that np.load has raised on files that are no archive of arrays, or a damaged one.
 _NO_ARRAYS = (
@@ -59,6 +60,18 @@ class DriveFacts(Model):
     )
     fixed_tolerance_m: Annotated[float, Field(gt=0.0, le=1e3)] = Field(
         default=0.3, description="of the control that knows the height only"
+    )
+
+
+def drive_facts(inputs: DriveInputs) -> DriveFacts:
+    """Return the facts of a drive that is about to be replayed."""
+    manifest = inputs.manifest
+    return DriveFacts(
+        drive=manifest.name,
+        surrogates=manifest.surrogate_notes(),
+        truth=inputs.truth is not None,
+        offset_enu_m=offset_of(manifest),
+        alert_limit_m=manifest.alert_limit_m,
     )
 
 

@@ -1,4 +1,4 @@
-"""How a service lives: settings, bus, inboxes, replay barrier, health, an orderly end. Alone in importing zenoh."""
+"""How a service lives: settings, bus, inboxes, health, an orderly end. Alone in importing zenoh."""
 
 import os
 

@@ -10,18 +10,18 @@ import queue
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Set
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import zenoh
 
-from camber.runtime.clock import Clock, ReplayClock, SystemClock
+from camber.runtime.clock import Clock, SystemClock
 from camber.runtime.health.issue_log import IssueLog
 from camber.runtime.log import TemporaryLogLevel, make_logger
 from camber.runtime.settings import ServiceSettings
 from camber.schemas.base import Message
-from camber.schemas.channels import BY_NAME, FEEDER, Channel, outputs_of
+from camber.schemas.channels import BY_NAME, Channel, outputs_of
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 from camber.schemas.health import ChannelUse, Issue, LogLevel
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
 _QUERY_LIMIT = 256
-_REPLAY_QUERY_TIMEOUT_S = 10.0
+_LOSSLESS_QUERY_TIMEOUT_S = 10.0
 _AT_ONCE_S = 0.05
 _LOG_EVERY_S = 10.0
 
@@ -64,11 +64,18 @@ class QueryFailed(RuntimeError):  # noqa: N818 (the name says what is the matter
 
 
 class Arrived(NamedTuple):
-    """A message as it came: its bytes, its encoding, and in a replay what the barrier has to say with it."""
+    """A message as it came: its bytes, its encoding and its attachment (in lock step a tick or a done)."""
 
     data: bytes
     encoding: str
-    rider: bytes | None
+    attachment: bytes | None
+
+
+def _arrived(sample: zenoh.Sample) -> Arrived:
+    attachment = sample.attachment
+    return Arrived(
+        sample.payload.to_bytes(), str(sample.encoding), None if attachment is None else attachment.to_bytes()
+    )
 
 
 def _can_be_read(channel: Channel, item: Arrived) -> bool:
@@ -77,14 +84,6 @@ def _can_be_read(channel: Channel, item: Arrived) -> bool:
     except DecodeError:
         return False
     return True
-
-
-class _Held(NamedTuple):
-    """A message that waits for the end of the tick."""
-
-    channel: Channel
-    publisher: zenoh.Publisher
-    data: bytes
 
 
 @dataclass(slots=True)
@@ -103,6 +102,9 @@ class _Port:
 class Bus:
     """Everything a service needs of the outside; made and closed by `run`, used from the work loop only."""
 
+    LOSSLESS: ClassVar[bool] = False
+    """Wait where the bus is congested, and for answers, in place of dropping: so in a replay in lock step."""
+
     def __init__(self, session: zenoh.Session, settings: ServiceSettings, service: str, clock: Clock) -> None:
         self.service = service
         self.settings = settings
@@ -110,18 +112,15 @@ class Bus:
         self._level = TemporaryLogLevel(settings.log_level)
         self._ledger = IssueLog()
         self.published: dict[str, int] = {channel.name: 0 for channel in outputs_of(service)}
-        self.participants: frozenset[str] = frozenset()
-        self.feeder_gone = False
         self._session = session
         self._clock = clock
         self._link_s = 0.0
-        self._blocking = self._replay = isinstance(clock, ReplayClock)
+        self._blocking = self.LOSSLESS
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._queriers: dict[str, zenoh.Querier] = {}
         self._entities: list[Any] = []
         self._ports: dict[str, _Port] = {}
         self._queries: dict[str, deque[zenoh.Query]] = {}
-        self._held: list[_Held] = []
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._logged: dict[str, float] = {}
         self._alive: set[str] = set()
@@ -150,41 +149,21 @@ class Bus:
     def publish(self, name: str, message: Message, *, to: str | None = None) -> bytes:
         """Send on a channel that the table gives this service; `to` one service, where there is a key for each.
 
-        In a replay it goes with `flush`, at the end of the tick. Returns the bytes.
+        Returns the bytes.
         """
         port = name if to is None else f"{name}.{to}"
         sequence = self.published[port]
         data = encode(message, source=self.service, sequence=sequence)
         channel = BY_NAME[name]
         publisher = self._publishers.get(port) or self._declare_publisher(channel, to)
-        if self._replay and channel.delivery != "barrier":
-            self._held.append(_Held(channel, publisher, data))
-        else:
-            publisher.put(data)
+        self.send(channel, publisher, data)
         self.published[port] = sequence + 1
         self._ledger.used("out", port)
         return data
 
-    def flush(self, rider: Message, wanted_by: Set[str]) -> set[str]:
-        """Send what was published in this tick of a replay, and `rider` with it.
-
-        The rider travels with the last message of as many channels as it takes to reach those it is wanted by, and
-        with the very last one for the feeder: when it has that, it has them all. Returns those that it does not reach.
-        """
-        held, self._held = self._held, []
-        unreached, attachment = set(wanted_by), encode(rider, source=self.service)
-        last = {item.channel.name: position for position, item in enumerate(held)}
-        of_vehicle = [position for position, item in enumerate(held) if "{vehicle}" in item.channel.key]
-        for position, (channel, publisher, data) in enumerate(held):
-            hear = set(channel.consumers) & unreached if last[channel.name] == position else set()
-            if of_vehicle[-1:] == [position]:
-                hear |= {FEEDER} & unreached
-            if hear:
-                publisher.put(data, attachment=attachment)
-                unreached -= hear
-            else:
-                publisher.put(data)
-        return unreached
+    def send(self, channel: Channel, publisher: zenoh.Publisher, data: bytes) -> None:
+        """Send the bytes of a message."""
+        publisher.put(data)
 
     def ask(self, name: str, request: Message) -> Any:
         """Ask over a query channel and return the reply.
@@ -219,9 +198,7 @@ class Bus:
         raise QueryFailed("timeout" if timed_out else "refused", detail)
 
     def is_alive(self, service: str) -> bool:
-        """Is this service on the bus? Live by its liveliness token, in a replay by the tick's list."""
-        if self._replay:
-            return service in self.participants
+        """Is this service on the bus, by its liveliness token?"""
         with self._alive_lock:
             return service in self._alive
 
@@ -280,17 +257,14 @@ class Bus:
 
         The oldest goes when the queue is full. The port is called as the channel, or `channel.service`.
         """
-        limit = _QUEUE_LIMIT["barrier"] if self._replay else _QUEUE_LIMIT[channel.delivery]
+        limit = _QUEUE_LIMIT["barrier" if self.LOSSLESS else channel.delivery]
         name = channel.name if of is None else f"{channel.name}.{of}"
         port = self._ports[name] = _Port(channel, deque(maxlen=limit))
         self._ledger.declare("in", name)
         events, items = self._events, port.items
 
         def arrived(sample: zenoh.Sample) -> None:
-            rider = sample.attachment
-            item = Arrived(
-                sample.payload.to_bytes(), str(sample.encoding), None if rider is None else rider.to_bytes()
-            )
+            item = _arrived(sample)
             # What cannot be read must not push out the only one that waits.
             may_push_out = limit > 1 or not items or _can_be_read(channel, item)
             with port.lock:
@@ -324,26 +298,40 @@ class Bus:
 
     def announce(self) -> None:
         """Declare this service alive, and watch who else is."""
-        prefix = f"camber/v1/{self.settings.vehicle}"
-
-        def changed(sample: zenoh.Sample) -> None:
-            name = str(sample.key_expr).split("/")[-2]
-            with self._alive_lock:
-                if sample.kind == zenoh.SampleKind.PUT:
-                    self._alive.add(name)
-                else:
-                    self._alive.discard(name)
-                    if name == FEEDER:
-                        self.feeder_gone = True
-            self._events.put(("wake", name))
-
-        liveliness = self._session.liveliness()
-        self._entities.append(liveliness.declare_subscriber(f"{prefix}/*/alive", changed, history=True))
-        self._entities.append(liveliness.declare_token(f"{prefix}/{self.service}/alive"))
+        self.watch_liveliness(self.liveliness_changed)
+        self.declare_alive(self.service)
         if self.settings.zenoh.over_tls:  # elsewhere nobody has a name that could be denied
             from camber.runtime.access_probe import AccessProbe
 
             self._heard = AccessProbe(self.settings.zenoh, self.settings.vehicle)
+
+    def liveliness_changed(self, name: str, alive: bool) -> None:
+        """A process of this vehicle has joined the bus, or left it; called in the receiving thread."""
+        with self._alive_lock:
+            (self._alive.add if alive else self._alive.discard)(name)
+        self._events.put(("wake", name))
+
+    def listen(self, key: str, callback: Callable[[str, Arrived], None]) -> None:
+        """Call back, in the receiving thread, with the key and the bytes of all that arrives on a key expression."""
+
+        def arrived(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), _arrived(sample))
+
+        self._entities.append(self._session.declare_subscriber(key, direct(arrived)))
+
+    def watch_liveliness(self, callback: Callable[[str, bool], None]) -> None:
+        """Call back, in the receiving thread, with the name of each process of this vehicle and whether it is alive."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr).split("/")[-2], sample.kind == zenoh.SampleKind.PUT)
+
+        key = f"camber/v1/{self.settings.vehicle}/*/alive"
+        self._entities.append(self._session.liveliness().declare_subscriber(key, changed, history=True))
+
+    def declare_alive(self, name: str) -> None:
+        """Declare a process of this vehicle alive, until this session ends."""
+        key = f"camber/v1/{self.settings.vehicle}/{name}/alive"
+        self._entities.append(self._session.liveliness().declare_token(key))
 
     def check_access(self) -> None:
         """Report what the router denies: Zenoh itself never says so."""
@@ -409,7 +397,7 @@ class Bus:
         timeout_s += 2.0 * self._link_s
         querier = self._session.declare_querier(
             channel.key_for(self.settings.vehicle),
-            timeout=_REPLAY_QUERY_TIMEOUT_S if self._replay and channel.delivery == "query" else timeout_s,
+            timeout=_LOSSLESS_QUERY_TIMEOUT_S if self.LOSSLESS and channel.delivery == "query" else timeout_s,
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=_PRIORITY[channel.delivery],
             express=True,

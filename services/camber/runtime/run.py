@@ -7,13 +7,13 @@ SIGALRM: the work loop did not end within two seconds of being asked to.
 from __future__ import annotations
 
 import gc
+import importlib
 import os
 import signal
 import sys
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from camber.runtime.barrier import Barrier
-from camber.runtime.bus import Arrived, Bus
+from camber.runtime.bus import Bus
 from camber.runtime.clock import ReplayClock, SystemClock
 from camber.runtime.health.report import HealthReporter
 from camber.runtime.inbox import Inbox
@@ -33,21 +32,21 @@ from camber.runtime.settings import ServiceSettings, load_or_exit
 from camber.runtime.uploads.received import ReceivedUpload
 from camber.schemas.channels import BY_NAME, Channel, inputs_of
 from camber.schemas.codec import DecodeError, decode
-from camber.schemas.health import Done, Health, LogLevelReply, LogLevelRequest, Tick
+from camber.schemas.health import Health, LogLevelReply, LogLevelRequest
 
 if TYPE_CHECKING:
     from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
 STOP_LIMIT_S = 2.0
-_STUCK_S = 5.0
 _SAY_EVERY_S = 1.0
-_FEEDER_WAIT_S = 60.0
 _JOINING_S, _WAITS_AGAIN_S = 2.0, 60.0
-_SAID = 8  # dones that are said again: of all ticks that may be under way, and the one before, that loops wait for
 
 
 class Loop:
-    """The one thread in which a service works."""
+    """The one thread in which a service works, by the machine's clock.
+
+    A replay in lock step derives from it (`camber.replay.lock_step`) and works by the ticks of a feeder instead.
+    """
 
     def __init__(
         self,
@@ -62,37 +61,32 @@ class Loop:
         self._clock = clock
         self._handlers = service.handlers()
         self._answers = service.answers()
-        # In a replay the barrier's ticks and dones travel with the messages of all channels that the table gives this
-        # service, so it hears those too that it has no use for.
-        hears_all = isinstance(clock, ReplayClock)
-        self._inboxes = {
-            c.name: Inbox(c) for c in inputs_of(service.NAME) if hears_all or c.name in self._handlers
-        }
+        self._inboxes = {c.name: Inbox(c) for c in self.inputs()}
         self._report = HealthReporter(service, bus)
         self._of_itself = {"health": self._healths, "log_level": self._log_levels}
         self._spoken = spoken
         self._say_at_s = 0.0
-        self._said: deque[Done] = deque(maxlen=_SAID)
 
-    def declare(self, barrier: Barrier | None = None) -> None:
-        """Subscribe to all inputs, answer all questions, then say that this service is here.
+    def inputs(self) -> tuple[Channel, ...]:
+        """Return the channels to subscribe to: those that the service handles."""
+        return tuple(c for c in inputs_of(self.service.NAME) if c.name in self._handlers)
 
-        The barrier's own keys come after the inputs: who is heard on them knows of the inputs too.
-        """
+    def subscribe(self) -> None:
+        """Subscribe to all inputs."""
         for name in self._inboxes:
             self.bus.subscribe(BY_NAME[name])
-        if barrier is not None:
-            self.bus.subscribe(BY_NAME["tick"])
-            for producer in barrier.producers:
-                self.bus.subscribe(BY_NAME["done"], of=producer)
+
+    def declare(self) -> None:
+        """Subscribe to all inputs, answer all queries, then declare this service alive."""
+        self.subscribe()
         for name in self._answers:
             self.bus.answer(BY_NAME[name])
         for name in self._of_itself:
             self.bus.answer(BY_NAME[name])
         self.bus.announce()
 
-    def live(self) -> None:
-        """Work by the clock: handle what arrives, advance at least every period."""
+    def work(self) -> None:
+        """Work by the clock until stopped: handle what arrives, advance at least every period."""
         period_s = self.service.settings.period_s
         deadline = time.monotonic() + period_s
         while not self.stopping:
@@ -167,15 +161,7 @@ class Loop:
                     self.bus.issue("reply_failed", str(error))
 
     def _replies(self, name: str, requests: list[Any]) -> Any:
-        """In a replay at the asker's time: a service before it may not have reached that tick, or be beyond it."""
-        if not isinstance(self._clock, ReplayClock):
-            return self._guard(self._answers[name], requests)
-        tick_ns = self._clock.now_ns()
-        asked = [request.message if isinstance(request, ReceivedUpload) else request for request in requests]
-        self._clock.set(max(request.time_ns for request in asked))
-        replies = self._guard(self._answers[name], requests)
-        self._clock.set(tick_ns)
-        return replies
+        return self._guard(self._answers[name], requests)
 
     def _request(self, channel: Channel, query: zenoh.Query) -> Any:
         payload = query.payload
@@ -218,106 +204,6 @@ class Loop:
             for request in requests
         ]
 
-    def replay(self) -> None:
-        """Work by the feeder's ticks."""
-        barrier = Barrier(
-            self.service.NAME, tuple(c for c in inputs_of(self.service.NAME) if c.name in self._inboxes)
-        )
-        self.bus.published.setdefault("done", 0)
-        self.declare(barrier)
-        waiting_since = time.monotonic()
-        while not self.stopping and not self.bus.feeder_gone:
-            event = self.bus.next_event(_STUCK_S)
-            if event is None:
-                if barrier.index < 0 and self._report.uptime_s > _FEEDER_WAIT_S:
-                    self.bus.log.error(
-                        "no_feeder", detail=f"nobody has fed this replay for {_FEEDER_WAIT_S:.0f} s"
-                    )
-                    return
-                if barrier.ticks:
-                    waited = time.monotonic() - waiting_since
-                    self.bus.issue("barrier_waits", f"{waited:.0f} s for {', '.join(barrier.missing())}")
-                continue
-            self._replay_event(barrier, event)
-            while barrier.ticks and not self.stopping:
-                if not barrier.participates():
-                    tick = barrier.ticks[0]
-                    barrier.skip()
-                    self._say_done(tick, -1, barrier)
-                elif barrier.ready():
-                    self._work(barrier)
-                    waiting_since = time.monotonic()
-                else:
-                    break
-            self._round_ended()
-
-    def _replay_event(self, barrier: Barrier, event: tuple[str, str]) -> None:
-        kind, name = event
-        if kind == "query":
-            self.answer(name)
-        item = self.bus.pop(name) if kind == "message" else None
-        if item is None:
-            return
-        try:
-            self._take_in(barrier, name, item)
-        except DecodeError as error:  # the barrier's own: of somebody who does not belong here
-            self.bus.issue("refused_input", f"{name}: {error}")
-
-    def _take_in(self, barrier: Barrier, name: str, item: Arrived) -> None:
-        data, encoding, rider = item
-        if name == "tick":
-            if barrier.add_tick(decode(Tick, data, encoding).message):
-                for done in self._said:
-                    self.bus.publish("done", done)
-            return
-        if name.startswith("done."):
-            barrier.add_done(decode(Done, data, encoding).message)
-            return
-        received = self._inboxes[name].open(data, encoding)
-        if received is None:
-            self.refused(self._inboxes[name])
-        else:
-            barrier.add_message(name, received)
-        if rider is None:
-            return
-        if BY_NAME[name].producers == ("vehicle",):
-            barrier.add_tick(decode(Tick, rider).message)
-        else:
-            barrier.add_done(decode(Done, rider).message)
-
-    def _work(self, barrier: Barrier) -> None:
-        tick, messages = barrier.take()
-        assert isinstance(self._clock, ReplayClock)
-        self._clock.set(tick.time_ns)
-        self.bus.participants = frozenset(tick.participants)
-        for name, received in messages:
-            inbox = self._inboxes[name]
-            # The barrier is what makes a replay fresh; only repeated and out-of-order messages are refused here.
-            message = inbox.accept(received, tick.time_ns, judge_age=False)
-            if message is None:
-                self.refused(inbox)
-            elif name in self._handlers:
-                self._guard(self._handlers[name], message)
-        self._guard(self.service.advance, tick.time_ns)
-        self._say_done(tick, tick.index, barrier)
-        barrier.left(tick)
-
-    def _say_done(self, tick: Tick, index: int, barrier: Barrier) -> None:
-        """It travels with what was published in this tick, and on its own to whom that does not reach."""
-        done = Done(
-            time_ns=tick.time_ns,
-            service=self.service.NAME,
-            index=index,
-            published={name: n for name, n in self.bus.published.items() if name != "done"},
-            heard=tuple(sorted(barrier.heard)),
-        )
-        if index < 0:
-            self._said.clear()
-        else:
-            self._said.append(done)
-        if self.bus.flush(done, barrier.waiting_for_done(tick)) or index < 0:
-            self.bus.publish("done", done)
-
     def _guard(self, function: Any, argument: Any) -> Any:
         """A fault while working on one input must not end the service; it makes it `failing`, visibly."""
         try:
@@ -346,7 +232,8 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     except BusError as error:
         print(f"{prog}: {error}", file=sys.stderr)
         return 3
-    bus = Bus(session, settings, service_class.NAME, clock)
+    bus_class, loop_class = _host_classes(settings)
+    bus = bus_class(session, settings, service_class.NAME, clock)
     if hindrance:
         bus.issue("metrics_not_served", hindrance)
     if metrics is not None:
@@ -354,17 +241,14 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     code = 70
     loop: Loop | None = None
     try:
-        loop = Loop(service_class(settings, bus), bus, clock, spoken)
+        loop = loop_class(service_class(settings, bus), bus, clock, spoken)
         # What is there now stays as long as the process; to look through it all would stop the work for some 50 ms.
         gc.collect()
         gc.freeze()
         _stop_on_signal(loop)
         bus.log.info("started", clock=settings.clock, vehicle=settings.vehicle)
-        if settings.clock == "replay":
-            loop.replay()
-        else:
-            loop.declare()
-            loop.live()
+        loop.declare()
+        loop.work()
         code = 0
     except Exception:
         bus.log.error("work_loop_failed", trace=traceback.format_exc())
@@ -384,6 +268,14 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         bus.log.info("stopped", code=code, cpu_s=round(time.process_time(), 2))
         bus.close()
     return code
+
+
+def _host_classes(settings: ServiceSettings) -> tuple[type[Bus], type[Loop]]:
+    """Return the bus and the work loop; those of a replay in lock step are loaded only where it is asked for."""
+    if settings.clock != "replay":
+        return Bus, Loop
+    lock_step = importlib.import_module("camber.replay.lock_step")
+    return lock_step.LockStepBus, lock_step.LockStepLoop
 
 
 @contextmanager

@@ -1,13 +1,12 @@
-"""`camber demo`: two minutes through a simulated city, replayed through all processes."""
+"""`camber demo`: two minutes through a simulated city, replayed through all services."""
 
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from camber.replay.command import replay, speed_factor
+from camber.replay.command import add_speed_options, check_speed, replay
 from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
 from camber.tools.options.error_report import in_words
@@ -21,20 +20,19 @@ def main(argv: Sequence[str]) -> int:
         "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where everything goes"
     )
     parser.add_argument("--seed", type=SEED, help="seed of the drive")
-    parser.add_argument(
-        "--speed", type=speed_factor, default=math.inf, help="times real time, or max (default)"
-    )
+    add_speed_options(parser)
     parser.add_argument(
         "--short",
         action="store_true",
         help="instead of the city a street with wrong fixes at known times: made in a second, without numba",
     )
     args = parser.parse_args(argv)
+    check_speed(parser, args)
 
     def work() -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         manifest = (_short if args.short else _city)(args.out, args.seed)
-        return replay(load_manifest(manifest), args.out, speed=args.speed)
+        return replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
 
     return in_words("camber demo", args.out, work)
 

@@ -14,8 +14,8 @@ from camber.formats.nmea.epochs import format_gga, format_gst, format_rmc
 from camber.formats.receiver.rtklib_pos import PosDecoder, read_pos
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.formats.rinex.writer import StationHeader, observation_text
-from camber.replay.command import _Greeting
 from camber.replay.drive_inputs import Arrival, DriveInputs, prepare_drive
+from camber.replay.lock_step.drive import ReceiverGreeting
 from camber.replay.receiver_file import read_receiver_file, receive_times
 from camber.replay.short_drive import START_NS, write_short_drive
 from camber.replay.sweep_files import SweepReader
@@ -281,14 +281,14 @@ def test_who_connects_later_is_told_headers_and_ephemerides(tmp_path: Path) -> N
     }  # fmt: skip
     assert told["rover", "rinex"].splitlines()[-1].rstrip().endswith(b"END OF HEADER")
     assert told["rover", "pos"].startswith(b"%")
-    greeting = _Greeting(inputs)
+    greeting = ReceiverGreeting(inputs)
     everybody, nobody = frozenset({"gnss"}), frozenset[str]()
-    assert list(greeting.now(START_NS, everybody)) == []
-    assert list(greeting.now(START_NS, nobody)) == []
-    again = list(greeting.now(START_NS + 7, everybody))
+    assert list(greeting.messages(START_NS, everybody)) == []
+    assert list(greeting.messages(START_NS, nobody)) == []
+    again = list(greeting.messages(START_NS + 7, everybody))
     assert [m.payload.tobytes() for m in again] == [m.payload.tobytes() for m in inputs.greeting]
     assert {m.time_ns for m in again} == {START_NS + 7}
-    assert list(greeting.now(START_NS + 8, everybody)) == []
+    assert list(greeting.messages(START_NS + 8, everybody)) == []
 
 
 def noted(folder: Path, rows: list[str]) -> DriveManifest:

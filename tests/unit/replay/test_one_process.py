@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.one_process import RESTART_S, drive_through
+from camber.replay.one_process import RESTART_S, replay_in_one_process
 from camber.replay.short_drive import START_NS, write_short_drive
 from camber.schemas.drive import load_manifest
 
@@ -23,7 +23,7 @@ def inputs_of(drive: Path, *overrides: str) -> DriveInputs:
 
 def test_a_service_that_is_killed_is_missing_until_it_has_started_again(drive: Path) -> None:
     inputs = inputs_of(drive, 'kills=[{service="localizer", at_s=15.0}]')
-    driven = drive_through(inputs, drive.parent)
+    driven = replay_in_one_process(inputs, drive.parent)
     poses_s = [(item.message.time_ns - START_NS) / 1e9 for item in driven.recorded["pose"]]
     assert not [t for t in poses_s if 15.0 <= t < 15.0 + RESTART_S]
     assert [t for t in poses_s if t >= 15.0 + RESTART_S]
@@ -36,7 +36,7 @@ def test_a_service_that_is_killed_is_missing_until_it_has_started_again(drive: P
 
 
 def test_settings_of_a_service_are_added_to_those_of_the_drive(drive: Path) -> None:
-    fixed = drive_through(
+    fixed = replay_in_one_process(
         inputs_of(drive), drive.parent, settings={"antenna_height": {"fixed_height_m": 9.0}}
     )
     words = {item.message.verdict for item in fixed.recorded["verdict"]}
@@ -44,4 +44,4 @@ def test_settings_of_a_service_are_added_to_those_of_the_drive(drive: Path) -> N
 
 
 def test_only_the_channels_asked_for_are_kept(drive: Path) -> None:
-    assert set(drive_through(inputs_of(drive), drive.parent, channels=("pose",)).recorded) == {"pose"}
+    assert set(replay_in_one_process(inputs_of(drive), drive.parent, channels=("pose",)).recorded) == {"pose"}

@@ -17,7 +17,9 @@ import pytest
 from camber.antenna_height.settings import AntennaHeightSettings, Place
 from camber.replay import command as replay
 from camber.replay.drive_inputs import DriveInputs, Tick, prepare_drive
-from camber.replay.processes import Processes
+from camber.replay.lock_step.drive import process_settings
+from camber.replay.lock_step.processes import Processes
+from camber.replay.service_settings import antenna_height_settings, service_settings
 from camber.replay.short_drive import write_short_drive
 from camber.replay.sweep_files import SweepReader
 from camber.runtime.settings import load
@@ -53,7 +55,7 @@ def test_the_settings_of_a_drive_are_settings_of_the_service(
     service: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / 'a folder "with" späces'
-    configs = replay.service_configs(*drive, out, "tcp/127.0.0.1:7999")
+    configs = process_settings(drive[1], out, "tcp/127.0.0.1:7999")
     assert set(configs) == set(SERVICES)
     monkeypatch.setattr(Processes, "_spawn", lambda self, name: Ended())
     Processes(out, configs).start()
@@ -69,7 +71,7 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
     drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
     manifest, inputs = drive
-    configs = replay.service_configs(manifest, inputs, tmp_path, "tcp/127.0.0.1:7999")
+    configs = service_settings(inputs, tmp_path)
     assert configs["localizer"]["antenna_x_m"] == manifest.lever_arms.antenna.x_m
     assert configs["antenna_height"]["way"] == manifest.antenna_height.way
     assert configs["integrity"]["alert_limit_m"] == manifest.alert_limit_m
@@ -81,7 +83,7 @@ def test_the_antenna_and_the_start_of_a_drive_reach_the_services(
 def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
     way: str, drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
-    manifest, inputs = drive
+    manifest, _ = drive
     arms = LeverArms.model_validate(
         {name: {"x_m": 1.0, "z_m": 1.5} for name in ("antenna", "lidar", "ranging", "suspension")}
     )
@@ -103,9 +105,7 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
         "sweeps": Sweeps.model_construct(folder=tmp_path),
         "lever_arms": arms,
     }
-    told = replay.service_configs(
-        manifest.model_copy(update={"antenna_height": height, **there}), inputs, tmp_path, "tcp/x:1"
-    )["antenna_height"]
+    told = antenna_height_settings(manifest.model_copy(update={"antenna_height": height, **there}))
     settings = AntennaHeightSettings(**told)
     assert (settings.way, settings.fixed_height_m, settings.fixed_sigma_m) == (way, 1.58, 0.02)
     assert (settings.suspension_to_antenna_m, settings.tyre_radius_m) == (0.9, 0.3)
@@ -117,7 +117,7 @@ def test_all_that_a_vehicle_has_to_know_its_antennas_height_by_is_told(
 def test_a_sensor_that_a_drive_has_not_got_is_not_waited_for(
     drive: tuple[DriveManifest, DriveInputs], tmp_path: Path
 ) -> None:
-    told = replay.service_configs(*drive, tmp_path, "tcp/x:1")["antenna_height"]
+    told = antenna_height_settings(drive[0])
     assert told.keys() & {"antenna", "lidar", "ranging", "suspension"} == {"antenna"}
 
 
@@ -130,7 +130,7 @@ def test_the_messages_of_a_tick_come_in_the_order_of_the_table() -> None:
         (Suspension(time_ns=NS, stroke_height_m=0.4, stroke_sigma_m=0.01),),
         (Ranging(time_ns=NS, distance_m=2.0, beam_angle_rad=1.0, distance_sigma_m=0.02),),
     )
-    names = [name for name, _ in replay.messages_of(tick, SweepReader())]
+    names = [name for name, _ in tick.messages(SweepReader())]
     assert names == ["receiver_bytes", "motion", "motion", "suspension", "ranging"]
 
 
@@ -163,7 +163,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest
 
 @pytest.mark.parametrize(("text", "speed"), [("max", math.inf), ("1", 1.0), ("0.5", 0.5), ("1e3", 1000.0)])
 def test_a_speed_is_max_or_a_number_above_zero(text: str, speed: float) -> None:
-    assert replay._parser().parse_args(["drive.toml", "--speed", text]).speed == speed
+    assert replay.argument_parser().parse_args(["drive.toml", "--processes", "--speed", text]).speed == speed
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf", "fast", ""])
@@ -215,11 +215,11 @@ def test_a_process_that_ends_unasked_is_started_again_and_noted(
     processes = Processes(tmp_path, {"gnss": {}, "localizer": {}})
     processes.start()
     try:
-        processes.supervise()
+        processes.restart_ended()
         assert processes.notes == []
         spawned[0].send_signal(signal.SIGKILL)
         spawned[0].wait(PATIENCE_S)
-        processes.supervise()
+        processes.restart_ended()
         assert processes.notes == ["gnss ended (signal SIGKILL) and was started again"]
         assert str(spawned[2].pid) in (tmp_path / "processes.json").read_text()
         assert spawned[2].poll() is None
@@ -235,7 +235,7 @@ def test_a_process_that_ends_again_and_again_is_left_alone_at_last(
     processes = Processes(tmp_path, {"gnss": {}})
     processes.start()
     for _ in range(50):
-        processes.supervise()
+        processes.restart_ended()
     assert processes.notes == ["gnss ended (exit code 3) and was started again"] * 20
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from camber.runtime import bus as module
 from camber.runtime.bus import Bus
-from camber.runtime.clock import Clock, ReplayClock, SystemClock
+from camber.runtime.clock import Clock, SystemClock
 from camber.runtime.inbox import Inbox
 from camber.runtime.run import Loop
 from camber.runtime.service import Service
@@ -42,7 +42,7 @@ class Plain(Service[ServiceSettings]):
 def make_bus(clock: Clock | None = None) -> Bus:
     """A bus that has not joined anything."""
     settings = ServiceSettings(log_level="error")
-    return Bus(cast(zenoh.Session, None), settings, "gnss", clock or ReplayClock())
+    return Bus(cast(zenoh.Session, None), settings, "gnss", clock or SystemClock())
 
 
 def health_of(bus: Bus, state: Any = True) -> Health:
@@ -137,60 +137,6 @@ def test_status_is_the_services_own_word_and_a_fault_is_failing() -> None:
     failed = health_of(make_bus(), state=RuntimeError("boom"))
     assert failed.status == "failing"
     assert [issue.code for issue in failed.issues] == ["internal_error"]
-
-
-def test_in_a_replay_who_is_alive_is_what_the_tick_says() -> None:
-    bus = make_bus(ReplayClock())
-    assert not bus.is_alive("map_server")
-    bus.participants = frozenset({"map_server"})
-    assert bus.is_alive("map_server")
-    assert not bus.is_alive("localizer")
-
-
-class Wire:
-    """What goes out: key, and whom the rider would reach."""
-
-    def __init__(self) -> None:
-        self.sent: list[tuple[str, bool]] = []
-
-    def declare_publisher(self, key: str, **_: Any) -> Any:
-        return SimpleNamespace(
-            put=lambda data, attachment=None: self.sent.append((key, attachment is not None))
-        )
-
-
-def flushed(
-    service: str, published: list[str], wanted_by: set[str]
-) -> tuple[list[tuple[str, bool]], set[str]]:
-    wire = Wire()
-    bus = Bus(cast(Any, wire), ServiceSettings(log_level="error"), service, ReplayClock())
-    for name in published:
-        bus.publish(name, HealthRequest(time_ns=10**18))
-    assert wire.sent == [], "before the end of the tick nothing goes"
-    rider = HealthRequest(time_ns=10**18)
-    left = bus.flush(rider, wanted_by)
-    assert bus.flush(rider, set()) == set()
-    return [(key.rsplit("/", 1)[-1], ridden) for key, ridden in wire.sent], left
-
-
-def test_the_rider_travels_with_the_last_message_of_as_few_channels_as_reach_all() -> None:
-    sent, left = flushed("gnss", ["fix", "fix", "velocity"], {"localizer", "integrity"})
-    assert sent == [("fix", False), ("fix", True), ("velocity", False)]
-    assert left == set()
-
-
-def test_for_the_feeder_it_travels_with_the_very_last_message() -> None:
-    sent, left = flushed("integrity", ["verdict", "position"], {"localizer", "feeder"})
-    assert sent == [("verdict", True), ("position", True)]
-    assert left == set()
-
-
-def test_whom_it_does_not_reach_is_told() -> None:
-    assert flushed("localizer", ["pose"], {"integrity", "map_server", "feeder"})[1] == {"map_server"}
-    assert flushed("localizer", [], {"integrity", "feeder"})[1] == {"integrity", "feeder"}
-    # A fleet's key is not among those that the feeder of a vehicle hears.
-    sent, left = flushed("map_update", ["release"], {"map_server", "feeder"})
-    assert (sent, left) == ([("release", True)], {"feeder"})
 
 
 def test_what_went_over_a_channel_is_counted_with_its_age() -> None:

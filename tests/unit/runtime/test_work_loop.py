@@ -42,7 +42,7 @@ def service() -> Any:
     bus = Bus(cast(zenoh.Session, None), settings, "gnss", SystemClock())
     service = Ports(settings, bus)
     loop = Loop(service, bus, SystemClock())
-    thread = threading.Thread(target=loop.live)
+    thread = threading.Thread(target=loop.work)
     thread.start()
     yield service
     loop.stopping = True
@@ -71,7 +71,7 @@ def test_what_is_due_by_the_clock_is_done_however_much_comes(monkeypatch: pytest
         return False
 
     monkeypatch.setattr(loop, "_event", more_comes)
-    thread = threading.Thread(target=loop.live)
+    thread = threading.Thread(target=loop.work)
     bus.wake()
     thread.start()
     try:
@@ -156,7 +156,7 @@ def test_where_a_round_takes_longer_than_its_period_what_has_come_does_not_pile_
     loop = Loop(service, bus, SystemClock())
     for _ in range(40):
         bus.wake()
-    loop.live()
+    loop.work()
     waiting = 0
     while bus.next_event(0.0) is not None:
         waiting += 1

@@ -13,7 +13,7 @@ from camber.formats.errors import FormatError
 from camber.integrity.learning.common_offset import CommonOffset
 from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.processes import config_text
+from camber.replay.lock_step.processes import config_text
 from camber.runtime.settings import ConfigError, load
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.motion import LeverArm

@@ -12,7 +12,7 @@ from camber.localizer.matching.match_view import MatchView
 from camber.localizer.matching.scan_matcher import ScanMatcher
 from camber.localizer.settings import LocalizerSettings
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
-from camber.replay.processes import config_text
+from camber.replay.lock_step.processes import config_text
 from camber.road_map.release import Release
 from camber.runtime.settings import load
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest

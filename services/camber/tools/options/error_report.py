@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from camber.formats.errors import FormatError
-from camber.runtime.feeder import ReplayStuck
+from camber.replay.lock_step.feeder import ReplayStuckError
 from camber.runtime.session import BusError
 from camber.runtime.settings import ConfigError
 from camber.schemas.toml_file import FileError
@@ -24,7 +24,7 @@ def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
     except OSError as error:
         print(f"{prog}: {error.filename or out}: {error.strerror or error}", file=sys.stderr)
         return 2
-    except (ReplayStuck, BusError) as error:
+    except (ReplayStuckError, BusError) as error:
         print(f"{prog}: {error}; see {out / 'logs'}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

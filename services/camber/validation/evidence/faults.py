@@ -13,10 +13,9 @@ import numpy as np
 
 from camber.formats.drive.recording import Recorded
 from camber.formats.drive.truth_csv import WRONG_M, TruthTable
-from camber.replay.command import facts_of
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import Driven, drive_through
-from camber.replay.run_folder import RunFacts
+from camber.replay.one_process import DriveOutput, replay_in_one_process
+from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.base import Int64
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
@@ -92,7 +91,7 @@ class Said:
     surface_id: int = NO_SURFACE
 
 
-def said_of(driven: Driven) -> list[Said]:
+def said_of(driven: DriveOutput) -> list[Said]:
     """All that may name a fault: words of verdicts, causes, matches, antenna heights, poses, issues."""
     said: list[Said] = []
     for item in driven.recorded.get("verdict", ()):
@@ -157,10 +156,10 @@ def run_faults(
         made = made.model_copy(update={"lidar": None, "faults": there})
     drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
     inputs = prepare_drive(drive, folder / "work")
-    driven = drive_through(inputs, folder)
+    driven = replay_in_one_process(inputs, folder)
     truth = inputs.truth
     assert truth is not None  # a simulated drive has one
-    evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(truth))
+    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(truth))
     said, start_ns = said_of(driven), inputs.tick_times_ns[0]
     windows = windows_of(truth)
     last_ns = int(truth.time_ns[-1])

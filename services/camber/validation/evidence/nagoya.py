@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from camber.formats.drive.truth_csv import WRONG_M
-from camber.replay.command import facts_of
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import drive_through
-from camber.replay.run_folder import RunFacts
+from camber.replay.one_process import replay_in_one_process
+from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.drive import load_manifest
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.truth import truth_of
@@ -39,9 +38,9 @@ def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> 
     overrides = [f"surrogates.seed={seed}", f"surrogates.map_sigma_m={map_sigma_m}"]
     drive = load_manifest(manifest, overrides)
     inputs = prepare_drive(drive, folder / "work")
-    driven = drive_through(inputs, folder)
+    driven = replay_in_one_process(inputs, folder)
     assert inputs.truth is not None  # the manifest has one
-    evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(inputs.truth))
+    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(inputs.truth))
     summary = evaluation.summary
     return {
         "seed": seed,

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from camber.replay.command import facts_of
 from camber.replay.drive_inputs import prepare_drive
-from camber.replay.one_process import drive_through
-from camber.replay.run_folder import RunFacts
+from camber.replay.one_process import replay_in_one_process
+from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.base import Float64, Int64
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
@@ -62,9 +61,9 @@ def run_drive(
     made = load_scenario(scenario, [*overrides, f"seed={seed}"])
     drive = load_manifest(simulate(made, folder / "drive", quiet=True), [f'positions="{positions}"'])
     inputs = prepare_drive(drive, folder / "work")
-    driven = drive_through(inputs, folder, settings={"integrity": {"re_estimation": re_estimation}})
+    driven = replay_in_one_process(inputs, folder, settings={"integrity": {"re_estimation": re_estimation}})
     assert inputs.truth is not None  # a simulated drive has one
-    evaluation = evaluate(driven.recorded, facts_of(drive, inputs), RunFacts(), truth_of(inputs.truth))
+    evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(inputs.truth))
     summary = evaluation.summary
     return {
         "scenario": scenario,

@@ -39,7 +39,7 @@ def bus(endpoint: str) -> Iterator[Bus]:
     bus = Bus(open_session(settings.zenoh), settings, "gnss", SystemClock())
     loop = Loop(Plain(settings, bus), bus, SystemClock())
     loop.declare()
-    thread = threading.Thread(target=loop.live)
+    thread = threading.Thread(target=loop.work)
     thread.start()
     yield bus
     loop.stopping = True

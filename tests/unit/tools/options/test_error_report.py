@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from camber.formats.errors import FormatError
-from camber.replay.command import _Stopped
-from camber.runtime.feeder import ReplayStuck
+from camber.replay.command import StoppedBySignal
+from camber.replay.lock_step.feeder import ReplayStuckError
 from camber.runtime.session import BusError
 from camber.runtime.settings import ConfigError
 from camber.schemas.drive import ManifestError
@@ -23,9 +23,9 @@ from camber.tools.options.error_report import in_words
         (ConfigError("way: unknown"), 2),
         (OSError(28, "No space left on device"), 2),
         (OSError("no number"), 2),
-        (ReplayStuck("tick 7 not done"), 1),
+        (ReplayStuckError("tick 7 not done"), 1),
         (BusError("cannot join"), 1),
-        (_Stopped(), 130),
+        (StoppedBySignal(), 130),
         (KeyboardInterrupt(), 130),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.truth_csv import TruthTable
-from camber.replay.one_process import Driven, Reported
+from camber.replay.one_process import DriveOutput, ReportedIssue
 from camber.simulator.faults.schedule import Fault
 from camber.validation.evidence import command as evidence
 from camber.validation.evidence.faults import (
@@ -138,7 +138,8 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
         "antenna_height": [at(4, status="disagreement"), at(6, status="known")],
         "pose": [at(7, reason="no speed; no rotation"), at(8, reason="")],
     }
-    driven = Driven(recorded, [Reported(0, "gnss", "repeated_epoch", "")])
+    issue = ReportedIssue(time_ns=0, service="gnss", code="repeated_epoch", text="")
+    driven = DriveOutput(recorded=recorded, issues=[issue])
     assert [word.text for word in said_of(driven)] == [
         "gnss repeated_epoch",
         "match lost",
@@ -161,8 +162,9 @@ def test_a_fault_may_be_named_until_one_begins_that_the_same_words_name() -> Non
 
 def test_a_road_is_named_by_the_surfaces_that_are_said_to_have_changed() -> None:
     verdict = SimpleNamespace(time_ns=5, reason="height_agrees", cause="road", surface_id=7)
-    issues = [Reported(6, "integrity", "road_changed", "surface 8 lies +0.30 m from map version 1")]
-    driven = Driven({"verdict": [SimpleNamespace(message=verdict)]}, issues)
+    text = "surface 8 lies +0.30 m from map version 1"
+    issue = ReportedIssue(time_ns=6, service="integrity", code="road_changed", text=text)
+    driven = DriveOutput(recorded={"verdict": [SimpleNamespace(message=verdict)]}, issues=[issue])
     assert said_of(driven) == [
         Said(5, "cause road", 7),
         Said(5, "verdict height_agrees"),

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from camber.runtime.barrier import Barrier, producers_for
+from camber.replay.lock_step.barrier import Barrier, producers_for
 from camber.schemas.channels import SERVICES, inputs_of
 from camber.schemas.codec import Received
 from camber.schemas.gnss import Fix

@@ -43,7 +43,7 @@ class Processes:
             self._children[name] = _Child(self._spawn(name))
         self._write_pids()
 
-    def supervise(self) -> None:
+    def restart_ended(self) -> None:
         """Start again what has ended without being asked to, and note it."""
         for name, child in self._children.items():
             code = child.process.poll()
@@ -55,12 +55,12 @@ class Processes:
             self._write_pids()
 
     def kill(self, name: str) -> None:
-        """SIGKILL, as a crash is; `supervise` starts it again."""
+        """SIGKILL, as a crash is; `restart_ended` starts it again."""
         child = self._children[name]
         if child.process.poll() is None:
             child.process.kill()
 
-    def complain(self) -> None:
+    def raise_refused_settings(self) -> None:
         """Raise ManifestError with the last words of a service that cannot use its settings, if there is one."""
         for name, child in self._children.items():
             if child.process.poll() == _REFUSES:

@@ -162,7 +162,7 @@ class Barrier:
         taken.sort(key=lambda item: (item[1].message.time_ns, _ORDER[item[0]], item[1].sequence))
         return tick, taken
 
-    def left(self, tick: Tick) -> None:
+    def forget_absent(self, tick: Tick) -> None:
         """Forget having heard those who are not on the tick's list: they must be heard anew when they return."""
         self.heard &= set(tick.participants)
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.runtime.barrier import Barrier, producers_for
+from camber.replay.lock_step.barrier import Barrier, producers_for
 from camber.schemas.channels import BY_NAME, CHANNELS, SERVICES, Channel, inputs_of
 from camber.schemas.codec import Received
 from camber.schemas.health import Done, HealthRequest, Tick
@@ -204,7 +204,7 @@ def test_a_service_that_is_not_on_the_list_must_be_heard_anew() -> None:
     barrier.add_done(done("gnss", -1))
     barrier.add_done(done("integrity", -1))
     assert barrier.heard == {"gnss", "integrity"}
-    barrier.left(tick(0, {"localizer": -1, "integrity": -1}, ("localizer",)))
+    barrier.forget_absent(tick(0, {"localizer": -1, "integrity": -1}, ("localizer",)))
     assert barrier.heard == {"integrity"}
 
 

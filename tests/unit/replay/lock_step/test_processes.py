@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from camber.replay.processes import Processes
+from camber.replay.lock_step.processes import Processes
 from camber.schemas.drive import ManifestError
 
 ENDPOINT = "tcp/127.0.0.1:9"  # nobody listens there; a service waits for it and does nothing else
@@ -67,7 +67,7 @@ def test_a_killed_service_is_started_again_and_noted(tmp_path, processes):
     processes.start()
     (pid,) = pids(tmp_path).values()
     os.kill(pid, signal.SIGKILL)
-    wait_for(lambda: processes.supervise() or pids(tmp_path)["map_update"] != pid)
+    wait_for(lambda: processes.restart_ended() or pids(tmp_path)["map_update"] != pid)
     assert is_running(pids(tmp_path)["map_update"])
     assert processes.notes == ["map_update ended (signal SIGKILL) and was started again"]
 
@@ -75,7 +75,7 @@ def test_a_killed_service_is_started_again_and_noted(tmp_path, processes):
 def test_one_that_runs_is_left_alone(tmp_path, processes):
     processes.start()
     before = pids(tmp_path)
-    processes.supervise()
+    processes.restart_ended()
     assert pids(tmp_path) == before
     assert processes.notes == []
 
@@ -86,9 +86,9 @@ def test_a_service_with_wrong_settings_says_so_and_is_not_tried_again(tmp_path):
     log = tmp_path / "logs" / "map_update.log"
     wait_for(lambda: "colour: unknown setting" in log.read_text())
     with pytest.raises(ManifestError, match="colour: unknown setting"):
-        wait_for(processes.complain)
+        wait_for(processes.raise_refused_settings)
     (pid,) = pids(tmp_path).values()
-    processes.supervise()
+    processes.restart_ended()
     assert (list(pids(tmp_path).values()), processes.notes) == ([pid], [])
     processes.stop()
 

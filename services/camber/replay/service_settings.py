@@ -1,0 +1,80 @@
+"""The settings that each service gets for a drive, from the drive's manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from camber.replay.drive_inputs import DriveInputs
+from camber.schemas.channels import SERVICES
+from camber.schemas.drive import DriveManifest
+from camber.tools.localize.localizer_config import localizer_config
+
+EPHEMERIDES_OF_SATELLITE = 150
+"""A replay reads the navigation files of a whole day at its first tick: 24 h of ephemerides, at most one in 10 minutes
+(BeiDou, Galileo; RINEX 3.04 navigation files)."""
+
+ServiceTables = dict[str, Mapping[str, Any]]
+"""Service → its settings as a table."""
+
+
+def service_settings(inputs: DriveInputs, folder: Path) -> ServiceTables:
+    """Return the settings of all services; they keep their state in `folder`/state."""
+    manifest, raw = inputs.manifest, inputs.manifest.observations
+    base = {} if raw is None or raw.base_ecef_m is None else {"base_ecef_m": list(raw.base_ecef_m)}
+    of_drive: ServiceTables = {
+        "gnss": {
+            "source": "bus",
+            "datum": manifest.datum,
+            "positions": manifest.judged_positions,
+            "engine": {"ephemerides_of_satellite": EPHEMERIDES_OF_SATELLITE},
+            **base,
+        },
+        "map_server": {
+            "release": (inputs.map_release or folder / "work" / "no-map").resolve(),
+            "datum": manifest.datum,
+        },
+        "localizer": {
+            "match_sweeps": manifest.sweeps is not None,
+            **localizer_config(manifest, inputs.initial_pose),
+        },
+        "antenna_height": antenna_height_settings(manifest),
+        "integrity": {"alert_limit_m": manifest.alert_limit_m},
+    }
+    return {
+        name: {
+            "vehicle": manifest.vehicle,
+            "clock": "replay",
+            "state_dir": folder / "state" / name,
+            **of_drive.get(name, {}),
+        }
+        for name in SERVICES
+    }
+
+
+def antenna_height_settings(manifest: DriveManifest) -> dict[str, Any]:
+    """Return all by which the antenna's height can be determined on this drive, so that the methods are compared."""
+    height, lever_arms = manifest.antenna_height, manifest.lever_arms.said
+    equipped = {
+        "antenna": True,
+        "suspension": manifest.suspension is not None,
+        "ranging": manifest.ranging is not None,
+        "lidar": manifest.sweeps is not None,
+    }
+    settings = {
+        "fixed_height_m": height.height_m,
+        "fixed_sigma_m": height.sigma_m,
+        "suspension_to_antenna_m": height.suspension_to_antenna_m,
+        "tyre_radius_m": height.tyre_radius_m,
+        **{
+            name: lever_arms[name].model_dump()
+            for name, has in equipped.items()
+            if has and name in lever_arms
+        },
+    }
+    return {
+        "way": height.way,
+        "beam_azimuth_deg": height.beam_azimuth_deg,
+        **{name: value for name, value in settings.items() if value is not None},
+    }
