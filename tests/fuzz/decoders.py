@@ -23,8 +23,8 @@ from camber.formats.lidar_can.ouster import OusterDecoder
 from camber.formats.lidar_can.ouster_metadata import read_ouster_metadata
 from camber.formats.lidar_can.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
 from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
-from camber.formats.map_exchange.lanelet2 import lanelet2_bytes, lanelet_map
-from camber.formats.map_exchange.opendrive import opendrive_bytes, opendrive_map
+from camber.formats.map_exchange.lanelet2 import lanelet_map
+from camber.formats.map_exchange.opendrive import opendrive_map
 from camber.formats.map_exchange.pcd import PointCloud, cloud_from_pcd, pcd_bytes
 from camber.formats.map_exchange.ply import points_from_ply
 from camber.formats.map_exchange.projection import Projection
@@ -82,7 +82,9 @@ from camber.tools.maps.importers.opendrive_roads import lanes_of as lanes_of_roa
 from fuzz.target import Target
 from support import lanelet_maps, opendrive_maps
 from support.contributions import contribution, random_batch
+from support.lanelet_maps import lanelet2_bytes
 from support.messages import build, message_classes
+from support.opendrive_maps import opendrive_bytes
 from support.random_observations import COMMON, WEEK_NS, random_ephemeris, random_epoch
 from support.small_map import surface, surfaces
 

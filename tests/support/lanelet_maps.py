@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,3 +126,30 @@ def ramp_height_m(turn_rad: Floats) -> Floats:
         bridge_height_m(np.full(np.shape(turn_rad), 60.0), np.zeros(np.shape(turn_rad))) - 2.4 * turn_rad
     )
     return height
+
+
+def lanelet2_bytes(lanelets: LaneletMap) -> bytes:
+    """A map as OSM XML that is read as the same: positions to 1e-11 degrees, heights to 1e-5 m."""
+    root = Element("osm", version="0.6", generator="Camber")
+    latitude, longitude = np.degrees(lanelets.latitude_rad), np.degrees(lanelets.longitude_rad)
+    for identity, row in lanelets.row_of.items():
+        place = {"lat": f"{latitude[row]:.11f}", "lon": f"{longitude[row]:.11f}"}
+        node = SubElement(root, "node", id=str(identity), **place)
+        SubElement(node, "tag", k="ele", v=f"{lanelets.height_m[row]:.5f}")
+    borders: dict[int, tuple[int, ...]] = {}
+    for lanelet in lanelets.lanelets:
+        borders.setdefault(lanelet.left_border_id, lanelet.left)
+        borders.setdefault(lanelet.right_border_id, lanelet.right)
+    for identity, refs in borders.items():
+        border = SubElement(root, "way", id=str(identity))
+        for ref in refs:
+            SubElement(border, "nd", ref=str(ref))
+        SubElement(border, "tag", k="type", v="line_thin")
+    for lanelet in lanelets.lanelets:
+        relation = SubElement(root, "relation", id=str(lanelet.lanelet_id))
+        for role, border_id in (("left", lanelet.left_border_id), ("right", lanelet.right_border_id)):
+            SubElement(relation, "member", type="way", ref=str(border_id), role=role)
+        for key, value in {"subtype": "road", **lanelet.tags, "type": "lanelet"}.items():
+            SubElement(relation, "tag", k=key, v=value)
+    indent(root)
+    return tostring(root, "UTF-8")

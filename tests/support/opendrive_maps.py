@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camber.formats.map_exchange.opendrive import (
+    SHAPES,
     JunctionConnection,
     LaneSection,
     OpenDrive,
@@ -171,3 +174,78 @@ def _rise(own: OpenDriveRoad) -> tuple[float, float]:
     s, a, b, c, d = own.elevation[-1].tolist()
     ds = own.length_m - s
     return a + ds * (b + ds * (c + ds * d)), b + ds * (2.0 * c + 3.0 * d * ds)
+
+
+def opendrive_bytes(drive: OpenDrive) -> bytes:
+    """A map as OpenDRIVE 1.7 that is read as the same, to the last digit."""
+    root = Element("OpenDRIVE")
+    header = SubElement(root, "header", revMajor="1", revMinor="7")
+    if drive.georeference is not None:
+        SubElement(header, "geoReference").text = drive.georeference
+    if any(drive.offset_m):
+        SubElement(header, "offset", _numbers(("x", "y", "z", "hdg"), (*drive.offset_m, 0.0)))
+    for each in drive.roads:
+        _write_road(root, each)
+    for name in dict.fromkeys(connection.junction for connection in drive.connections):
+        junction = SubElement(root, "junction", id=name, name=name)
+        of_junction = [connection for connection in drive.connections if connection.junction == name]
+        for k, connection in enumerate(of_junction):
+            ends = {"incomingRoad": connection.incoming, "connectingRoad": connection.connecting}
+            element = SubElement(junction, "connection", id=str(k), **ends, contactPoint=connection.contact)
+            for first, second in connection.lanes:
+                SubElement(element, "laneLink", {"from": str(first), "to": str(second)})
+    return tostring(root, "UTF-8")
+
+
+def _write_road(root: Element, each: OpenDriveRoad) -> None:
+    rule = "LHT" if each.left_hand_traffic else "RHT"
+    length = repr(float(each.length_m))
+    element = SubElement(root, "road", id=each.identity, length=length, junction="-1", rule=rule)
+    link = SubElement(element, "link")
+    for tag, end in (("predecessor", each.predecessor), ("successor", each.successor)):
+        if end is not None:
+            contact = {} if end.contact is None else {"contactPoint": end.contact}
+            SubElement(link, tag, elementType=end.kind, elementId=end.identity, **contact)
+    plan_view = SubElement(element, "planView")
+    for part in each.geometries:
+        start = (part.s_m, part.x_m, part.y_m, part.heading_rad, part.length_m)
+        geometry = SubElement(plan_view, "geometry", _numbers(("s", "x", "y", "hdg", "length"), start))
+        shape = SubElement(geometry, part.shape, _numbers(SHAPES[part.shape], part.numbers))
+        if part.shape == "paramPoly3":
+            shape.set("pRange", "normalized" if part.normalised else "arcLength")
+    _write_cubics(SubElement(element, "elevationProfile"), "elevation", each.elevation)
+    lateral = SubElement(element, "lateralProfile")
+    _write_cubics(lateral, "superelevation", each.superelevation)
+    _write_cubics(lateral, "crossfall", each.crossfall_left, side="left")
+    _write_cubics(lateral, "crossfall", each.crossfall_right, side="right")
+    for row in each.shape.tolist():
+        SubElement(lateral, "shape", _numbers(("s", "t", "a", "b", "c", "d"), row))
+    lanes = SubElement(element, "lanes")
+    _write_cubics(lanes, "laneOffset", each.lane_offset)
+    for section in each.sections:
+        section_element = SubElement(lanes, "laneSection", _numbers(("s",), (section.s_m,)))
+        for side, sign in (("left", 1), ("right", -1)):
+            of_side = [other_lane for other_lane in section.lanes if other_lane.lane_id * sign > 0]
+            if of_side:
+                side_element = SubElement(section_element, side)
+                for one in sorted(of_side, key=lambda other_lane: -other_lane.lane_id):
+                    _write_lane(side_element, one)
+
+
+def _write_lane(parent: Element, one: OpenDriveLane) -> None:
+    element = SubElement(parent, "lane", id=str(one.lane_id), type=one.kind, level="false")
+    link = SubElement(element, "link")
+    for tag, other in (("predecessor", one.predecessor), ("successor", one.successor)):
+        if other is not None:
+            SubElement(link, tag, id=str(other))
+    _write_cubics(element, "width", one.widths, "sOffset")
+    _write_cubics(element, "border", one.borders, "sOffset")
+
+
+def _write_cubics(parent: Element, tag: str, table: Floats, at: str = "s", **more: str) -> None:
+    for row in table.tolist():
+        SubElement(parent, tag, more | _numbers((at, "a", "b", "c", "d"), row))
+
+
+def _numbers(keys: Sequence[str], numbers: Sequence[float]) -> dict[str, str]:
+    return {key: repr(float(number)) for key, number in zip(keys, numbers, strict=True)}

@@ -11,8 +11,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from camber import cli
-from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
-from camber.formats.map_exchange.opendrive import opendrive_bytes
 from camber.road_map.release import read_release
 from camber.road_map.release_files import ROOT_NAME
 from camber.road_map.store import MapStore
@@ -20,6 +18,8 @@ from camber.tools.maps.diff import compared
 from camber.tools.maps.inspect import inspected
 from camber.tools.maps.release_at import release_at
 from support import lanelet_maps, opendrive_maps
+from support.lanelet_maps import lanelet2_bytes
+from support.opendrive_maps import opendrive_bytes
 from support.small_map import link, surface, write
 
 LINE = [(-10.0, 0.0), (10.0, 0.0)]

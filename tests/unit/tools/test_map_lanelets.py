@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camber import cli
-from camber.formats.map_exchange.lanelet2 import LaneletMap, lanelet2_bytes, read_lanelet2
+from camber.formats.map_exchange.lanelet2 import LaneletMap, read_lanelet2
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
 from support.lanelet_maps import (
@@ -23,6 +23,7 @@ from support.lanelet_maps import (
     STREET_EAST,
     STREET_WEST,
     bridge_height_m,
+    lanelet2_bytes,
     ramp_height_m,
     street_height_m,
     town,

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from camber import cli
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
 from camber.road_map.release import read_release
 from camber.tools.maps.importers.lane_levels import cuts_and_levels
 from camber.tools.maps.importers.lane_map import LaneSurvey, road_map
 from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Lane
-from support.lanelet_maps import FRAME, town
+from support.lanelet_maps import FRAME, lanelet2_bytes, town
 
 Floats = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from camber import cli
-from camber.formats.map_exchange.opendrive import OpenDrive, OpenDriveRoad, opendrive_bytes
+from camber.formats.map_exchange.opendrive import OpenDrive, OpenDriveRoad
 from camber.formats.map_exchange.opendrive_geometry import cubics_at, reference_line
 from camber.map_server.elevation import ElevationMap
 from camber.road_map.release import Release, read_release
 from camber.tools.maps.importers.lanes import named_id
-from support.opendrive_maps import cubics, town
+from support.opendrive_maps import cubics, opendrive_bytes, town
 
 pyproj = pytest.importorskip("pyproj")
 

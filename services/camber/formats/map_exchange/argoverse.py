@@ -1,10 +1,10 @@
-"""A log of Argoverse 2 (the sensor data set): poses, calibration, sweeps, the raster of the ground's height, lanes.
+"""Read a log of Argoverse 2 (the sensor data set): poses, calibration, sweeps, ground height raster, lanes.
 
 Frames, by the data set's own documents (github.com/argoverse/av2-api: guide/src/datasets/sensor.md and
 src/av2/map/README.md): *egovehicle* has its origin at the middle of the rear axle, x forward, y left, z up; *city* is
-flat metres, z up. A sweep holds the returns of two LiDARs, `up_lidar` and `down_lidar`, which hangs upside down; its
-points are in egovehicle already, moved to the pose of the sweep's time, which is the file's name. The raster has cells
-of 0.3 m, each counting from its corner; a height is kept in half precision, which at 70 m is a grid of 6 cm.
+flat metres, z up. A sweep holds the returns of two LiDARs, `up_lidar` and `down_lidar`, which is mounted upside down;
+its points are deskewed to egovehicle at the sweep's time, which is the file's name. The raster has cells of 0.3 m,
+counted from their corners, with heights in half precision: a resolution of 6 cm at 70 m.
 
 Feather is read by nanoarrow, which comes with the extra `map` and is imported when a file is read.
 """
@@ -32,9 +32,9 @@ _SWEEP_COLUMNS = ("x", "y", "z", "laser_number")
 
 
 def read_feather(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """These columns (n,) of a Feather file (version 2) without gaps: numbers, and texts as objects.
+    """Read columns (n,) without missing values of a Feather file (version 2): numbers, and texts as objects.
 
-    Raises FormatError for what is no such file or lacks one of them, OSError if it cannot be read.
+    Raises FormatError for an invalid file or a missing column, OSError if it cannot be read.
     """
     import nanoarrow
     from nanoarrow import ipc
@@ -70,9 +70,9 @@ class LidarSweep:
     city_from_egovehicle: Floats
 
     def of_sensor(self, name: str) -> NDArray[np.bool_]:
-        """Which points (n,) are of `up_lidar` or `down_lidar`."""
-        own: NDArray[np.bool_] = (self.laser < _UP_LASERS) == (name == "up_lidar")
-        return own
+        """Return which points (n,) are of `up_lidar` or `down_lidar`."""
+        mask: NDArray[np.bool_] = (self.laser < _UP_LASERS) == (name == "up_lidar")
+        return mask
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,15 +84,14 @@ class GroundRaster:
     cell_m: float
 
     def height(self, city_m: Floats) -> Floats:
-        """Of the cell that each place (n, 2 or 3) is in (n,); NaN where none is known."""
+        """Return the height (n,) of the cell of each place (n, 2 or 3); NaN if unknown."""
         column, row = np.floor((city_m[:, :2] - self.corner_m) / self.cell_m).astype(np.int64).T
         rows, columns = self.height_m.shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        found = self.height_m[np.where(inside, row, 0), np.where(inside, column, 0)]
-        return np.where(inside, found, np.nan)
+        return np.where(inside, self.height_m[row * inside, column * inside], np.nan)
 
     def height_between(self, city_m: Floats) -> Floats:
-        """Bilinear between the middles of cells (n,); NaN where one of the four is not known."""
+        """Interpolate bilinearly between cell centres (n,); NaN if one of the four is unknown."""
         at = (city_m[:, :2] - self.corner_m) / self.cell_m - 0.5
         first = np.floor(at).astype(np.int64)
         rows, columns = self.height_m.shape
@@ -105,7 +104,7 @@ class GroundRaster:
         return np.where(inside, (1.0 - v) * lower + v * upper, np.nan)
 
     def points_near(self, city_m: Floats, reach_m: float) -> Floats:
-        """Middles of the cells within a square around a place: (n, 3) in city, only those with a height."""
+        """Return the centres (n, 3) in city of the known cells within a square around a place."""
         rows, columns = np.nonzero(np.isfinite(self.height_m))
         places = self.corner_m + self.cell_m * (np.column_stack((columns, rows)) + 0.5)
         near = (np.abs(places - city_m[:2]) < reach_m).all(axis=1)
@@ -125,7 +124,7 @@ class LaneSegment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArgoverseLog:
-    """What of a log is at hand; `egovehicle_from_sensor` by name (4, 4), empty where there is no calibration."""
+    """Contents of a log; `egovehicle_from_sensor` (4, 4) by name, empty without a calibration."""
 
     city: str
     """The abbreviation in the names of the files of its map, e.g. PIT."""
@@ -139,14 +138,14 @@ class ArgoverseLog:
 
 
 def read_log(folder: Path) -> ArgoverseLog:
-    """Read a log's folder. Raises FormatError for what is not as the data set has it, OSError for a missing file."""
+    """Read a log's folder. Raises FormatError for invalid contents, OSError for a missing file."""
     poses = read_feather(folder / "city_SE3_egovehicle.feather", ("timestamp_ns", *_POSE_COLUMNS))
     time_ns, motions = poses["timestamp_ns"], _motions(poses, "city_SE3_egovehicle.feather")
     calibration = folder / "calibration" / "egovehicle_SE3_sensor.feather"
     sensors: dict[str, Floats] = {}
     if calibration.exists():
-        found = read_feather(calibration, ("sensor_name", *_POSE_COLUMNS))
-        sensors = dict(zip(found["sensor_name"], _motions(found, calibration.name), strict=True))
+        columns = read_feather(calibration, ("sensor_name", *_POSE_COLUMNS))
+        sensors = dict(zip(columns["sensor_name"], _motions(columns, calibration.name), strict=True))
     sweeps = []
     for path in sorted((folder / "sensors" / "lidar").glob("*.feather")):
         columns = read_feather(path, _SWEEP_COLUMNS)
@@ -176,7 +175,7 @@ def read_log(folder: Path) -> ArgoverseLog:
 
 
 def _motions(columns: Mapping[str, NDArray[Any]], source_name: str) -> Floats:
-    """Unit quaternions qw, qx, qy, qz and translations of rows, as (n, 4, 4)."""
+    """Convert rows of unit quaternions and translations to poses (n, 4, 4)."""
     w, x, y, z = (columns[name] for name in _POSE_COLUMNS[:4])
     rotations = np.array(
         [
@@ -193,17 +192,17 @@ def _motions(columns: Mapping[str, NDArray[Any]], source_name: str) -> Floats:
 
 
 def _ground(path: Path) -> GroundRaster:
-    """Raster and `Sim2`: array = scale (R city + t), and R is the identity in all logs."""
+    """Read the raster and its `Sim2`: array = s (R city + t), where R is the identity in all logs."""
     similarity = _only(path.parent, "*___img_Sim2_city.json")
-    said = _read_json(similarity)
+    sim2 = _read_json(similarity)
     try:
-        turn, shift, scale = said["R"], np.array(said["t"], np.float64), float(said["s"])
+        turn, shift, scale = sim2["R"], np.array(sim2["t"], np.float64), float(sim2["s"])
         heights = np.load(path, allow_pickle=False).astype(np.float64)
     except (KeyError, TypeError, ValueError, EOFError) as error:
-        raise FormatError(path.name, "raster", f"heights, and R, t, s beside them ({error})") from None
+        raise FormatError(path.name, "raster", f"heights, and R, t, s of their position ({error})") from None
     if turn != [1.0, 0.0, 0.0, 1.0] or shift.shape != (2,) or not scale > 0.0 or heights.ndim != 2:
         expected = "R the identity, t of two numbers, s above 0 and a raster of two axes"
-        raise FormatError(similarity.name, "R, t, s", expected, actual=str(said))
+        raise FormatError(similarity.name, "R, t, s", expected, actual=str(sim2))
     return GroundRaster(height_m=heights, corner_m=-shift, cell_m=1.0 / scale)
 
 
@@ -234,10 +233,10 @@ def _line(points: Any) -> Floats:
 
 
 def _only(folder: Path, pattern: str) -> Path:
-    found = sorted(folder.glob(pattern))
-    if len(found) != 1:
-        raise FormatError(str(folder), "files", f"one {pattern}", actual=f"{len(found)} of them")
-    return found[0]
+    paths = sorted(folder.glob(pattern))
+    if len(paths) != 1:
+        raise FormatError(str(folder), "files", f"one {pattern}", actual=f"{len(paths)} of them")
+    return paths[0]
 
 
 def _read_json(path: Path) -> Any:

@@ -17,29 +17,29 @@ from camber.formats.errors import FormatError
 
 Floats = NDArray[np.float64]
 
-_MOST_POINTS = 500_000_000
+_MAX_POINTS = 500_000_000  # chosen: 12 GB of coordinates, more than a map build can hold
 _NOISE_CLASSES = (7, 18)
-"""Low and high noise, by the specification's table of classes."""
+"""Low and high noise (ASPRS LAS 1.4 R15, table 17)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LasCloud:
-    """Points (n, 3) in the file's own reference system; `crs_wkt` is that, None where the file does not say it."""
+    """Points (n, 3) in the file's reference system; `crs_wkt` is None if the file does not state it."""
 
     points: Floats
     crs_wkt: str | None
 
 
 def read_las(path: Path) -> LasCloud:
-    """Raises FormatError for what is no such file or breaks off, OSError if it cannot be read."""
+    """Read a file. Raises FormatError for an invalid or truncated file, OSError if it cannot be read."""
     return cloud_from_las(path.read_bytes(), path.name)
 
 
 def cloud_from_las(data: bytes, source_name: str) -> LasCloud:
-    """The points of a file's bytes but for those classed as noise or withheld. Raises FormatError."""
+    """Parse a file's bytes; without points classified as noise or withheld. Raises FormatError."""
     import laspy
 
-    expected_points = _points_said(data, source_name)
+    expected_points = _declared_points(data, source_name)
     try:
         file = laspy.read(io.BytesIO(data))
         points = np.asarray(file.xyz, np.float64)
@@ -50,7 +50,7 @@ def cloud_from_las(data: bytes, source_name: str) -> LasCloud:
         raise FormatError(source_name, "LAS", "a file that memory can hold") from None
     except (
         BaseException
-    ) as error:  # for damaged files laspy raises nearly anything, and lazrs' panics are no Exception
+    ) as error:  # laspy raises many types for damaged files, lazrs panics outside Exception
         if isinstance(error, (KeyboardInterrupt, SystemExit)):
             raise
         why = " ".join(str(error).split())[:120] or type(error).__name__
@@ -63,8 +63,8 @@ def cloud_from_las(data: bytes, source_name: str) -> LasCloud:
     return LasCloud(points[~dropped], None if crs is None else crs.to_wkt())
 
 
-def _points_said(data: bytes, source_name: str) -> int:
-    """The number of points by the public header block; what laspy would allocate for is checked before it does."""
+def _declared_points(data: bytes, source_name: str) -> int:
+    """Return the point count of the public header block; checks it before laspy allocates memory."""
     if data[:4] != b"LASF":
         raise FormatError(source_name, "signature", "LASF", actual=data[:4], byte_offset=0)
     if len(data) < 227:
@@ -78,19 +78,18 @@ def _points_said(data: bytes, source_name: str) -> int:
     point_format, point_size = struct.unpack_from("<BH", data, 104)
     if not 227 <= header_size <= begin <= len(data):
         raise FormatError(source_name, "header", "points that begin within the file", actual=str(begin))
-    # A record's header has 54 bytes, an extended one's 60; laspy would go on reading beyond the end.
+    # Headers of records have 54 bytes, of extended ones 60; laspy would read beyond the end of the file.
     if records > len(data) // 54 or further > len(data) // 60:
-        found = f"{records} and {further}"
-        raise FormatError(source_name, "header", "as many records as fit into the file", actual=found)
-    if count > _MOST_POINTS or point_size < 20:
-        raise FormatError(source_name, "header", f"at most {_MOST_POINTS} points", actual=str(count))
+        expected = "as many records as fit into the file"
+        raise FormatError(source_name, "header", expected, actual=f"{records} and {further}")
+    if count > _MAX_POINTS or point_size < 20:
+        raise FormatError(source_name, "header", f"at most {_MAX_POINTS} points", actual=str(count))
     compressed = bool(point_format & 0x80)
     if not compressed and begin + count * point_size > len(data):
         expected = f"{count} points of {point_size} bytes, as the header says"
-        found = f"{len(data) - begin} bytes"
-        raise FormatError(source_name, "data", expected, actual=found, byte_offset=begin)
-    if compressed and count > 1_000 * (
-        len(data) - begin
-    ):  # LAZ does not pack a point into less than some bits
+        raise FormatError(
+            source_name, "data", expected, actual=f"{len(data) - begin} bytes", byte_offset=begin
+        )
+    if compressed and count > 1_000 * (len(data) - begin):  # LAZ needs some bits for each point
         raise FormatError(source_name, "data", f"{count} points", actual=f"{len(data) - begin} bytes")
     return int(count)

@@ -1,19 +1,19 @@
-"""LZF, the compression of `binary_compressed` point clouds: only taking apart.
+"""Decompress LZF, the compression of `binary_compressed` point clouds.
 
-The stream is a row of pieces (M. Lehmann, "LibLZF", the format as described in its header): a byte below 32 is
-followed by that many bytes plus one, as they are; any other says in its upper three bits how many bytes to repeat,
-less two (seven: more in the next byte), and in its lower five with the next byte how far back they begin, less one.
+Format (M. Lehmann, "LibLZF", described in its header): a control byte below 32 is followed by that many literal bytes
+plus one; any other has in its upper three bits the length of a back reference less two (seven: more in the next byte),
+and in its lower five, with the next byte, its distance less one.
 """
 
 from __future__ import annotations
 
 
 class LzfError(ValueError):
-    """The stream is damaged; the text says what was expected."""
+    """The stream is damaged; the text is what was expected."""
 
 
 def lzf_decompressed(data: bytes, length: int) -> bytes:
-    """The `length` bytes of a whole stream. Raises LzfError if it holds more, fewer, or points before its beginning."""
+    """Decompress a stream to exactly `length` bytes; LzfError for another length or an invalid reference."""
     out = bytearray()
     at, end = 0, len(data)
     while at < end:
@@ -23,11 +23,11 @@ def lzf_decompressed(data: bytes, length: int) -> bytes:
             out += data[at : at + control + 1]
             at += control + 1
             if at > end:
-                raise LzfError("a compressed stream that does not end within a piece")
+                raise LzfError("a complete compressed stream")
         else:
             count = control >> 5
             if at + 1 + (count == 7) > end:
-                raise LzfError("a compressed stream that does not end within a piece")
+                raise LzfError("a complete compressed stream")
             if count == 7:
                 count += data[at]
                 at += 1
@@ -36,13 +36,13 @@ def lzf_decompressed(data: bytes, length: int) -> bytes:
             at += 1
             begin = len(out) - back
             if begin < 0:
-                raise LzfError("a compressed stream that repeats only what it has said")
+                raise LzfError("back references within the decompressed data")
             piece = out[begin : begin + count]
-            while len(piece) < count:  # it repeats what it is just writing
+            while len(piece) < count:  # an overlapping reference repeats itself
                 piece += piece[: count - len(piece)]
             out += piece
         if len(out) > length:
-            raise LzfError(f"{length} bytes once taken apart")
+            raise LzfError(f"{length} bytes after decompression")
     if len(out) != length:
-        raise LzfError(f"{length} bytes once taken apart")
+        raise LzfError(f"{length} bytes after decompression")
     return bytes(out)

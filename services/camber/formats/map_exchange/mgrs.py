@@ -1,4 +1,4 @@
-"""Places given by an MGRS code and metres within its 100 km square, as Autoware's local coordinates are.
+"""Latitude and longitude of metres within the 100 km square of an MGRS code, as Autoware's local coordinates.
 
 Source: NGA.SIG.0012_2.0.0_UTMUPS, "The Universal Grids and the Transverse Mercator and Polar Stereographic Map
 Projections" (2014), chapter 10: letters of columns repeat every three zones from A, J, S; letters of rows every
@@ -16,14 +16,15 @@ from camber.formats.errors import FormatError
 
 _CODE = re.compile(r"(\d{1,2})([C-HJ-NP-X])([A-HJ-NP-Z])([A-HJ-NP-V])(\d*)$")
 _COLUMNS, _ROWS, _BANDS = "ABCDEFGHJKLMNPQRSTUVWXYZ", "ABCDEFGHJKLMNPQRSTUV", "CDEFGHJKLMNPQRSTUVWX"
+# NGA.SIG.0012, chapter 10: side of a square, and distance after which the letters of rows repeat.
 _SQUARE_M = 100_000.0
 _CYCLE_M = 2_000_000.0
 
 
 def geodetic_from_mgrs(code: str, x_m: float, y_m: float, file: str, field: str) -> tuple[float, float]:
-    """Latitude and longitude [rad, WGS 84] of a point `x_m`, `y_m` from the south-west corner of the square of a code.
+    """Return latitude and longitude [rad, WGS 84] of a point `x_m`, `y_m` from the south-west corner of a square.
 
-    Digits of the code are not looked at. FormatError where the code names no square.
+    Ignores the digits of the code. FormatError for an invalid code.
     """
     expected = "a code of the Military Grid Reference System, as 54SUE815501"
     match = _CODE.match(code.strip().upper())
@@ -36,7 +37,7 @@ def geodetic_from_mgrs(code: str, x_m: float, y_m: float, file: str, field: str)
     row = (_ROWS.index(match[4]) - 5 * (zone % 2 == 0)) % 20
     easting_m, northing_m = (column + 1) * _SQUARE_M + x_m, row * _SQUARE_M + y_m
     inverse = _inverse(zone)
-    # Rows repeat every 2,000 km: the cycle is that whose latitude is in the band, which is 8° = 890 km high.
+    # Rows repeat every 2,000 km: the latitude band, 8° = 890 km high, selects the cycle.
     lowest_deg = -80.0 + 8.0 * band
     height_deg = 12.0 if match[2] == "X" else 8.0
     for cycle in range(-5, 5):

@@ -1,21 +1,18 @@
-"""OpenDRIVE maps (.xodr): what stands in the XML, as plain values; read and written.
+"""Read OpenDRIVE maps (.xodr) as plain values; `opendrive_geometry` computes with them.
 
 Source: ASAM OpenDRIVE 1.8.0, and 1.4H for `poly3` and `crossfall`, which later editions dropped. Read are: header with
 geoReference and offset; of roads the plan view (line, arc, spiral, poly3, paramPoly3), elevation, superelevation,
 crossfall, lateral shape, lane offset, lane sections with widths or borders, links; of junctions the connections.
-`camber.formats.map_exchange.opendrive_geometry` computes with it.
 """
 
 from __future__ import annotations
 
-import io
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +20,29 @@ from numpy.typing import NDArray
 from camber.formats.errors import FormatError
 
 Floats = NDArray[np.float64]
-Element = ElementTree.Element
 
+# Chosen: bounds that no real map reaches, so that a damaged file is refused before it fills the memory.
 MAX_BYTES = 1 << 30
-MOST_ROAD_M = 100_000.0
-_MOST = 1e9
+MAX_ROAD_M = 100_000.0
+_MAX_NUMBER = 1e9
+_MAX_CURVATURE_PER_M = 10.0
 _CUBIC = ("a", "b", "c", "d")
-_PARAMETRIC = ("aU", "bU", "cU", "dU", "aV", "bV", "cV", "dV")
+SHAPES: dict[str, tuple[str, ...]] = {
+    "line": (),
+    "arc": ("curvature",),
+    "spiral": ("curvStart", "curvEnd"),
+    "poly3": _CUBIC,
+    "paramPoly3": ("aU", "bU", "cU", "dU", "aV", "bV", "cV", "dV"),
+}
+"""Elements of a planView geometry and their attributes (ASAM OpenDRIVE 1.8.0, chapter 9)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanViewGeometry:
-    """One part of a reference line: where it begins, and its shape.
+    """One part of a reference line: its start and its shape.
 
-    `shape` is line, arc (curvature), spiral (curvature at begin and end), poly3 (a, b, c, d) or paramPoly3 (eight
-    coefficients; `normalised`: its parameter goes from 0 to 1, else it is the length along).
+    `shape` is a key of SHAPES and `numbers` its attributes; `normalised`: the parameter of a paramPoly3 goes from 0 to
+    1, else it is the arc length.
     """
 
     s_m: float
@@ -52,7 +57,7 @@ class PlanViewGeometry:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OpenDriveLane:
-    """A lane of a section: cubics (n, 5) of its width or its outer border, by the distance from the section's begin."""
+    """A lane of a section: cubics (n, 5) of width or outer border, over the distance from the section's start."""
 
     lane_id: int
     kind: str
@@ -64,7 +69,7 @@ class OpenDriveLane:
 
 @dataclass(frozen=True)
 class LaneSection:
-    """Lanes from `s_m` on, without the middle one, which has no width."""
+    """Lanes from `s_m` on, without the centre lane, which has no width."""
 
     s_m: float
     lanes: Sequence[OpenDriveLane]
@@ -72,7 +77,7 @@ class LaneSection:
 
 @dataclass(frozen=True, kw_only=True)
 class RoadEnd:
-    """What a road goes on to: kind road (with the end where they meet, start or end) or junction."""
+    """Predecessor or successor of a road: a road (with the end where they meet, start or end) or a junction."""
 
     kind: str
     identity: str
@@ -92,7 +97,7 @@ class OpenDriveRoad:
     crossfall_left: Floats
     crossfall_right: Floats
     shape: Floats
-    """(n, 6): s, t, a, b, c, d: heights over t, straight from one s to the next."""
+    """(n, 6): s, t, a, b, c, d: heights over t, linear between values of s."""
     lane_offset: Floats
     left_hand_traffic: bool = False
     predecessor: RoadEnd | None = None
@@ -101,9 +106,9 @@ class OpenDriveRoad:
 
 @dataclass(frozen=True, kw_only=True)
 class JunctionConnection:
-    """In a junction: lanes (from, to) of an incoming road and of the connecting road at that of its ends.
+    """Connection in a junction: lanes (from, to) of an incoming road and of the connecting road at its end `contact`.
 
-    In a direct junction, which has no roads of its own, the road behind it stands for the connecting road.
+    In a direct junction, which contains no roads, the linked road takes the place of the connecting road.
     """
 
     junction: str
@@ -115,7 +120,7 @@ class JunctionConnection:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OpenDrive:
-    """A map. Without a geoReference its place on earth is not known. The offset (x, y, z) is added to coordinates."""
+    """A map. Without a geoReference its position on earth is unknown. The offset (x, y, z) is added to coordinates."""
 
     georeference: str | None
     offset_m: tuple[float, float, float]
@@ -124,14 +129,14 @@ class OpenDrive:
 
 
 def read_opendrive(path: Path) -> OpenDrive:
-    """The map in a file; FormatError where something in it is not as it must be."""
+    """Read a map; FormatError for invalid contents."""
     if path.stat().st_size > MAX_BYTES:
         raise FormatError(str(path), "size", f"at most {MAX_BYTES >> 30} GiB")
     return opendrive_map(path.read_bytes(), str(path))
 
 
 def opendrive_map(data: bytes, file: str) -> OpenDrive:
-    """`read_opendrive` of bytes."""
+    """Parse the bytes of a file; as `read_opendrive`."""
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise FormatError(file, "XML", "a document without a DOCTYPE")
     try:
@@ -139,105 +144,130 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FormatError(file, "XML", f"a whole document ({error})") from None
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[
-            2
-        ]  # editions differ in their namespaces, not in their names
+        element.tag = element.tag.rpartition("}")[2]  # namespaces differ between editions, names do not
     if root.tag != "OpenDRIVE":
         raise FormatError(file, "XML", "a document <OpenDRIVE>", actual=f"<{root.tag}>")
-    roads = [_road(element, file) for element in root.findall("road")]
+    roads = [_road(_Node(element, file, f"road {element.get('id', '')}")) for element in root.findall("road")]
     if not roads:
         raise FormatError(file, "road", "at least one")
-    names = [road.identity for road in roads]
-    if len(set(names)) != len(names):
+    if len({road.identity for road in roads}) != len(roads):
         raise FormatError(file, "road id", "each once")
     connections = [
         _connection(junction.get("id", ""), element, file)
         for junction in root.findall("junction")
         for element in junction.findall("connection")
-        if _connected(element) is not None and element.get("incomingRoad") is not None
+        if _connecting_road(element) and element.get("incomingRoad") is not None
     ]
-    header = root.find("header")
-    georeference = None if header is None else (header.findtext("geoReference") or "").strip() or None
-    offset = None if header is None else header.find("offset")
-    if offset is not None and abs(_number(offset, "hdg", file, "header, offset", default=0.0)) > 0.0:
-        raise FormatError(file, "header, offset, hdg", "0", actual=offset.get("hdg"))
-    x, y, z = (
-        0.0 if offset is None else _number(offset, name, file, "header, offset", default=0.0)
-        for name in ("x", "y", "z")
-    )
+    offset = _Node(root.find("header/offset"), file, "header, offset")
+    if abs(offset.number("hdg", default=0.0)) > 0.0:
+        raise offset.error("hdg", "0", actual=offset.get("hdg"))
+    x, y, z = (offset.number(name, default=0.0) for name in ("x", "y", "z"))
+    georeference = (root.findtext("header/geoReference") or "").strip() or None
     return OpenDrive(georeference=georeference, offset_m=(x, y, z), roads=roads, connections=connections)
 
 
-# -- read ------------------------------------------------------------------------------------------------------------
+class _Node:
+    """An XML element, or None for a missing one, with its file and name for error texts."""
 
+    def __init__(self, element: ElementTree.Element | None, file: str, name: str) -> None:
+        self.element = ElementTree.Element("missing") if element is None else element
+        self.file = file
+        self.name = name
 
-def _road(element: Element, file: str) -> OpenDriveRoad:
-    identity = element.get("id", "")
-    name = f"road {identity}"
-    length_m = _number(element, "length", file, name)
-    if not 0.0 < length_m <= MOST_ROAD_M:
-        raise FormatError(
-            file, f"{name}, length", f"more than 0, at most {MOST_ROAD_M:.0f}", actual=element.get("length")
+    def get(self, key: str) -> str:
+        return self.element.get(key, "")
+
+    def nodes(self, path: str, name: str = "") -> list[_Node]:
+        """Return the elements at a path; `name` is appended to the name of this one."""
+        full_name = f"{self.name}, {name}" if name else self.name
+        return [_Node(element, self.file, full_name) for element in self.element.findall(path)]
+
+    def error(self, field: str, expected: str, actual: str | None = None) -> FormatError:
+        return FormatError(
+            self.file, f"{self.name}, {field}" if field else self.name, expected, actual=actual
         )
-    geometries = [_geometry(part, file, name) for part in element.findall("planView/geometry")]
+
+    def number(self, key: str, default: float | None = None) -> float:
+        text = self.element.get(key)
+        if text is None and default is not None:
+            return default
+        try:
+            number = float(text or "")
+        except ValueError:
+            number = math.nan
+        if not abs(number) <= _MAX_NUMBER:
+            raise self.error(key, "a number of at most 1e9", actual=text)
+        return number
+
+    def integer(self, key: str) -> int:
+        try:
+            number = int(self.get(key))
+        except ValueError:
+            number = 1 << 32
+        if abs(number) > 1000:
+            raise self.error(key, "an integer of at most 1000", actual=self.get(key))
+        return number
+
+    def cubics(self, path: str, name: str = "", at: str = "s") -> Floats:
+        """Return the cubics (n, 5) at a path: where each begins and its coefficients."""
+        return _cubics(self.nodes(path, name or path.rpartition("/")[2]), at)
+
+
+def _cubics(nodes: Sequence[_Node], at: str = "s") -> Floats:
+    table = np.array([[node.number(key) for key in (at, *_CUBIC)] for node in nodes]).reshape(-1, 5)
+    if (np.diff(table[:, 0]) < 0.0).any():
+        raise nodes[0].error(at, "values ascending")
+    return table
+
+
+def _road(node: _Node) -> OpenDriveRoad:
+    length_m = node.number("length")
+    if not 0.0 < length_m <= MAX_ROAD_M:
+        raise node.error("length", f"more than 0, at most {MAX_ROAD_M:.0f}", actual=node.get("length"))
+    geometries = [_geometry(part) for part in node.nodes("planView/geometry")]
     if not geometries or any(a.s_m >= b.s_m for a, b in pairwise(geometries)):
-        raise FormatError(file, f"{name}, planView", "geometries with s ascending")
-    sections = [_section(part, file, name) for part in element.findall("lanes/laneSection")]
+        raise node.error("planView", "geometries with s ascending")
+    sections = [_section(part) for part in node.nodes("lanes/laneSection", "laneSection")]
     if not sections or any(a.s_m >= b.s_m for a, b in pairwise(sections)):
-        raise FormatError(file, f"{name}, lanes", "laneSections with s ascending")
-    crossfalls = element.findall("lateralProfile/crossfall")
+        raise node.error("lanes", "laneSections with s ascending")
+    crossfalls = node.nodes("lateralProfile/crossfall", "lateralProfile, crossfall")
     left, right = (
-        [part for part in crossfalls if part.get("side", "both") in (side, "both")]
+        [part for part in crossfalls if part.element.get("side", "both") in (side, "both")]
         for side in ("left", "right")
     )
-    where = f"{name}, lateralProfile"
-    shape = [
-        [_number(part, key, file, f"{where}, shape") for key in ("s", "t", *_CUBIC)]
-        for part in element.findall("lateralProfile/shape")
-    ]
+    shapes = node.nodes("lateralProfile/shape", "lateralProfile, shape")
+    shape = [[part.number(key) for key in ("s", "t", *_CUBIC)] for part in shapes]
     return OpenDriveRoad(
-        identity=identity,
+        identity=node.get("id"),
         length_m=length_m,
         geometries=geometries,
         sections=sections,
-        elevation=_cubics(element.findall("elevationProfile/elevation"), "s", file, f"{name}, elevation"),
-        superelevation=_cubics(
-            element.findall("lateralProfile/superelevation"), "s", file, f"{where}, superelevation"
-        ),
-        crossfall_left=_cubics(left, "s", file, f"{where}, crossfall"),
-        crossfall_right=_cubics(right, "s", file, f"{where}, crossfall"),
+        elevation=node.cubics("elevationProfile/elevation"),
+        superelevation=node.cubics("lateralProfile/superelevation", "lateralProfile, superelevation"),
+        crossfall_left=_cubics(left),
+        crossfall_right=_cubics(right),
         shape=np.array(sorted(shape)).reshape(-1, 6),
-        lane_offset=_cubics(element.findall("lanes/laneOffset"), "s", file, f"{name}, laneOffset"),
-        left_hand_traffic=element.get("rule") == "LHT",
-        predecessor=_end(element.find("link/predecessor")),
-        successor=_end(element.find("link/successor")),
+        lane_offset=node.cubics("lanes/laneOffset"),
+        left_hand_traffic=node.get("rule") == "LHT",
+        predecessor=_road_end(node.element.find("link/predecessor")),
+        successor=_road_end(node.element.find("link/successor")),
     )
 
 
-def _geometry(element: Element, file: str, road: str) -> PlanViewGeometry:
-    name = f"{road}, geometry at s {element.get('s', '')[:20]}"
-    s, x, y, heading, length = (_number(element, key, file, name) for key in ("s", "x", "y", "hdg", "length"))
-    if not 0.0 <= length <= MOST_ROAD_M or s < 0.0:
-        raise FormatError(file, f"{name}, length", f"0 to {MOST_ROAD_M:.0f}", actual=element.get("length"))
-    keys = {
-        "line": (),
-        "arc": ("curvature",),
-        "spiral": ("curvStart", "curvEnd"),
-        "poly3": _CUBIC,
-        "paramPoly3": _PARAMETRIC,
-    }
-    shapes = [child for child in element if child.tag in keys]
+def _geometry(node: _Node) -> PlanViewGeometry:
+    node = _Node(node.element, node.file, f"{node.name}, geometry at s {node.get('s')[:20]}")
+    s, x, y, heading, length = (node.number(key) for key in ("s", "x", "y", "hdg", "length"))
+    if not 0.0 <= length <= MAX_ROAD_M or s < 0.0:
+        raise node.error("length", f"0 to {MAX_ROAD_M:.0f}", actual=node.get("length"))
+    shapes = [child for child in node.element if child.tag in SHAPES]
     if len(shapes) != 1:
-        raise FormatError(
-            file, name, f"one of {', '.join(keys)}", actual=",".join(child.tag for child in element)
-        )
+        tags = ",".join(child.tag for child in node.element)
+        raise node.error("", f"one of {', '.join(SHAPES)}", actual=tags)
     tag = shapes[0].tag
-    numbers = tuple(_number(shapes[0], key, file, f"{name}, {tag}") for key in keys[tag])
-    if tag in ("arc", "spiral") and max(map(abs, numbers)) > 10.0:
-        raise FormatError(
-            file, f"{name}, {tag}", "curvatures of at most 10 per metre", actual=str(max(numbers, key=abs))
-        )
-    normalised = tag == "paramPoly3" and shapes[0].get("pRange", "normalized") == "normalized"
+    shape = _Node(shapes[0], node.file, f"{node.name}, {tag}")
+    numbers = tuple(shape.number(key) for key in SHAPES[tag])
+    if tag in ("arc", "spiral") and max(map(abs, numbers)) > _MAX_CURVATURE_PER_M:
+        raise shape.error("", "curvatures of at most 10 per metre", actual=str(max(numbers, key=abs)))
     return PlanViewGeometry(
         s_m=s,
         x_m=x,
@@ -246,216 +276,61 @@ def _geometry(element: Element, file: str, road: str) -> PlanViewGeometry:
         length_m=length,
         shape=tag,
         numbers=numbers,
-        normalised=normalised,
+        normalised=tag == "paramPoly3" and shapes[0].get("pRange", "normalized") == "normalized",
     )
 
 
-def _section(element: Element, file: str, road: str) -> LaneSection:
-    s_m = _number(element, "s", file, f"{road}, laneSection")
-    name = f"{road}, laneSection at s {s_m:g}"
-    lanes = [
-        _lane(part, file, name) for side in ("left", "right") for part in element.findall(f"{side}/lane")
-    ]
+def _section(node: _Node) -> LaneSection:
+    s_m = node.number("s")
+    node = _Node(node.element, node.file, f"{node.name} at s {s_m:g}")
+    lanes = [_lane(part) for side in ("left", "right") for part in node.nodes(f"{side}/lane", "lane")]
     ids = sorted(lane.lane_id for lane in lanes)
     right, left = sum(i < 0 for i in ids), sum(i > 0 for i in ids)
     if ids != [*range(-right, 0), *range(1, left + 1)]:
-        raise FormatError(
-            file, f"{name}, lane id", "1, 2, … on the left, −1, −2, … on the right", actual=str(ids)
-        )
+        raise node.error("lane id", "1, 2, … on the left, −1, −2, … on the right", actual=str(ids))
     return LaneSection(s_m, lanes)
 
 
-def _lane(element: Element, file: str, section: str) -> OpenDriveLane:
-    lane_id = _whole(element, "id", file, f"{section}, lane")
-    name = f"{section}, lane {lane_id}"
-    raised = element.findall("height") if element.get("type") == "driving" else []
-    if any(
-        _number(part, key, file, f"{name}, height") != 0.0 for part in raised for key in ("inner", "outer")
-    ):
-        raise FormatError(file, f"{name}, height", "none of a driving lane")
-    links = [element.find(f"link/{key}") for key in ("predecessor", "successor")]
-    before, after = (None if link is None else _whole(link, "id", file, f"{name}, link") for link in links)
-    widths = _cubics(element.findall("width"), "sOffset", file, f"{name}, width")
-    borders = _cubics(element.findall("border"), "sOffset", file, f"{name}, border")
+def _lane(node: _Node) -> OpenDriveLane:
+    lane_id = node.integer("id")
+    node = _Node(node.element, node.file, f"{node.name} {lane_id}")
+    heights = node.nodes("height", "height") if node.get("type") == "driving" else []
+    if any(part.number(key) != 0.0 for part in heights for key in ("inner", "outer")):
+        raise node.error("height", "none of a driving lane")
+    links = [node.nodes(f"link/{key}", "link") for key in ("predecessor", "successor")]
+    predecessor, successor = (link[0].integer("id") if link else None for link in links)
     return OpenDriveLane(
         lane_id=lane_id,
-        kind=element.get("type", ""),
-        widths=widths,
-        borders=borders,
-        predecessor=before,
-        successor=after,
+        kind=node.get("type"),
+        widths=node.cubics("width", at="sOffset"),
+        borders=node.cubics("border", at="sOffset"),
+        predecessor=predecessor,
+        successor=successor,
     )
 
 
-def _end(element: Element | None) -> RoadEnd | None:
+def _road_end(element: ElementTree.Element | None) -> RoadEnd | None:
     if element is None:
         return None
-    return RoadEnd(
-        kind=element.get("elementType", "road"),
-        identity=element.get("elementId", ""),
-        contact=element.get("contactPoint"),
-    )
+    kind, identity = element.get("elementType", "road"), element.get("elementId", "")
+    return RoadEnd(kind=kind, identity=identity, contact=element.get("contactPoint"))
 
 
-def _connection(junction: str, element: Element, file: str) -> JunctionConnection:
-    name = f"junction {junction}, connection {element.get('id', '')}"
-    contact = element.get("contactPoint", "")
+def _connection(junction: str, element: ElementTree.Element, file: str) -> JunctionConnection:
+    node = _Node(element, file, f"junction {junction}, connection {element.get('id', '')}")
+    contact = node.get("contactPoint")
     if contact not in ("start", "end"):
-        raise FormatError(file, f"{name}, contactPoint", "start or end", actual=contact)
-    lanes = [
-        (_whole(link, "from", file, f"{name}, laneLink"), _whole(link, "to", file, f"{name}, laneLink"))
-        for link in element.findall("laneLink")
-    ]
+        raise node.error("contactPoint", "start or end", actual=contact)
+    lanes = [(link.integer("from"), link.integer("to")) for link in node.nodes("laneLink", "laneLink")]
     return JunctionConnection(
         junction=junction,
-        incoming=element.get("incomingRoad", ""),
-        connecting=_connected(element) or "",
+        incoming=node.get("incomingRoad"),
+        connecting=_connecting_road(element),
         contact=contact,
         lanes=lanes,
     )
 
 
-def _connected(element: Element) -> str | None:
-    """The road that a connection leads to: one within the junction, or in a direct junction the one behind it."""
-    return element.get("connectingRoad") or element.get("linkedRoad")
-
-
-def _cubics(elements: Sequence[Element], at: str, file: str, name: str) -> Floats:
-    rows = [[_number(part, key, file, name) for key in (at, *_CUBIC)] for part in elements]
-    table = np.array(rows).reshape(-1, 5)
-    if (np.diff(table[:, 0]) < 0.0).any():
-        raise FormatError(file, f"{name}, {at}", "values ascending")
-    return table
-
-
-def _number(element: Element, key: str, file: str, name: str, default: float | None = None) -> float:
-    text = element.get(key)
-    if text is None and default is not None:
-        return default
-    try:
-        number = float(text or "")
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= _MOST:
-        raise FormatError(file, f"{name}, {key}", "a number of at most a milliard", actual=text)
-    return number
-
-
-def _whole(element: Element, key: str, file: str, name: str) -> int:
-    text = element.get(key, "")
-    try:
-        number = int(text)
-    except ValueError:
-        number = 1 << 32
-    if abs(number) > 1000:
-        raise FormatError(file, f"{name}, {key}", "a whole number of at most 1000", actual=text)
-    return number
-
-
-# -- write -----------------------------------------------------------------------------------------------------------
-
-
-def opendrive_bytes(drive: OpenDrive) -> bytes:
-    """A map as OpenDRIVE 1.7 that reads as the same, to the last digit."""
-    out = io.StringIO()
-    out.write('<?xml version="1.0" encoding="UTF-8"?>\n<OpenDRIVE>\n<header revMajor="1" revMinor="7">\n')
-    if drive.georeference is not None:
-        out.write(f"<geoReference>{escape(drive.georeference)}</geoReference>\n")
-    if any(drive.offset_m):
-        x, y, z = map(repr, map(float, drive.offset_m))
-        out.write(f'<offset x="{x}" y="{y}" z="{z}" hdg="0.0"/>\n')
-    out.write("</header>\n")
-    for road in drive.roads:
-        _write_road(out, road)
-    for junction in dict.fromkeys(connection.junction for connection in drive.connections):
-        own = [connection for connection in drive.connections if connection.junction == junction]
-        out.write(f"<junction id={quoteattr(junction)} name={quoteattr(junction)}>\n")
-        for k, connection in enumerate(own):
-            out.write(
-                f'<connection id="{k}" incomingRoad={quoteattr(connection.incoming)} '
-                f'connectingRoad={quoteattr(connection.connecting)} contactPoint="{connection.contact}">\n'
-            )
-            out.writelines(f'<laneLink from="{a}" to="{b}"/>\n' for a, b in connection.lanes)
-            out.write("</connection>\n")
-        out.write("</junction>\n")
-    out.write("</OpenDRIVE>\n")
-    return out.getvalue().encode()
-
-
-def _write_road(out: io.StringIO, road: OpenDriveRoad) -> None:
-    rule = "LHT" if road.left_hand_traffic else "RHT"
-    out.write(
-        f'<road id={quoteattr(road.identity)} length="{float(road.length_m)!r}" junction="-1" rule="{rule}">\n<link>\n'
-    )
-    for tag, end in (("predecessor", road.predecessor), ("successor", road.successor)):
-        if end is not None:
-            contact = "" if end.contact is None else f' contactPoint="{end.contact}"'
-            out.write(f'<{tag} elementType="{end.kind}" elementId={quoteattr(end.identity)}{contact}/>\n')
-    out.write("</link>\n<planView>\n")
-    for part in road.geometries:
-        place = (part.s_m, part.x_m, part.y_m, part.heading_rad, part.length_m)
-        out.write(
-            f"<geometry {_attributes(('s', 'x', 'y', 'hdg', 'length'), place)}>{_shape(part)}</geometry>\n"
-        )
-    out.write("</planView>\n<elevationProfile>\n")
-    _write_cubics(out, "elevation", "s", road.elevation)
-    out.write("</elevationProfile>\n<lateralProfile>\n")
-    _write_cubics(out, "superelevation", "s", road.superelevation)
-    _write_cubics(out, 'crossfall side="left"', "s", road.crossfall_left)
-    _write_cubics(out, 'crossfall side="right"', "s", road.crossfall_right)
-    for row in road.shape.tolist():
-        out.write(f"<shape {_attributes(('s', 't', *_CUBIC), row)}/>\n")
-    out.write("</lateralProfile>\n<lanes>\n")
-    _write_cubics(out, "laneOffset", "s", road.lane_offset)
-    for section in road.sections:
-        _write_section(out, section)
-    out.write("</lanes>\n</road>\n")
-
-
-def _shape(part: PlanViewGeometry) -> str:
-    keys = {
-        "arc": ("curvature",),
-        "spiral": ("curvStart", "curvEnd"),
-        "poly3": _CUBIC,
-        "paramPoly3": _PARAMETRIC,
-    }
-    extra = (
-        f' pRange="{"normalized" if part.normalised else "arcLength"}"' if part.shape == "paramPoly3" else ""
-    )
-    return f"<{part.shape} {_attributes(keys.get(part.shape, ()), part.numbers)}{extra}/>"
-
-
-def _write_section(out: io.StringIO, section: LaneSection) -> None:
-    out.write(f'<laneSection s="{float(section.s_m)!r}">\n')
-    sides = {
-        "left": [lane for lane in section.lanes if lane.lane_id > 0],
-        "right": [lane for lane in section.lanes if lane.lane_id < 0],
-    }
-    for side, lanes in (("left", sides["left"]), ("center", None), ("right", sides["right"])):
-        if lanes is None:
-            out.write('<center><lane id="0" type="none" level="false"/></center>\n')
-        elif lanes:
-            out.write(f"<{side}>\n")
-            for lane in sorted(lanes, key=lambda lane: -lane.lane_id):
-                _write_lane(out, lane)
-            out.write(f"</{side}>\n")
-    out.write("</laneSection>\n")
-
-
-def _write_lane(out: io.StringIO, lane: OpenDriveLane) -> None:
-    out.write(f'<lane id="{lane.lane_id}" type={quoteattr(lane.kind)} level="false">\n<link>')
-    for tag, other in (("predecessor", lane.predecessor), ("successor", lane.successor)):
-        if other is not None:
-            out.write(f'<{tag} id="{other}"/>')
-    out.write("</link>\n")
-    _write_cubics(out, "width", "sOffset", lane.widths)
-    _write_cubics(out, "border", "sOffset", lane.borders)
-    out.write("</lane>\n")
-
-
-def _write_cubics(out: io.StringIO, tag: str, at: str, table: Floats) -> None:
-    out.writelines(f"<{tag} {_attributes((at, *_CUBIC), row)}/>\n" for row in table.tolist())
-
-
-def _attributes(keys: Sequence[str], numbers: Sequence[float]) -> str:
-    return " ".join(f'{key}="{float(number)!r}"' for key, number in zip(keys, numbers, strict=True))
+def _connecting_road(element: ElementTree.Element) -> str:
+    """Return the road of a connection: within the junction, or beyond a direct junction."""
+    return element.get("connectingRoad") or element.get("linkedRoad") or ""

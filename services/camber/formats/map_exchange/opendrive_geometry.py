@@ -1,8 +1,8 @@
-"""Where the lanes of an OpenDRIVE road are: reference line, borders of lanes, heights.
+"""Geometry of OpenDRIVE roads: reference line, lane borders, heights.
 
 Source: ASAM OpenDRIVE 1.8.0, chapters 9 (geometries), 10.4–10.5 (elevation, superelevation, lateral shape), 11 (lanes);
-1.4H, 5.3.6.2 (crossfall). Spirals are integrated by Gauss and Legendre's rule from one point asked for to the next,
-with eight nodes for at most half a metre: exact to the last digits for every curvature a road can have.
+1.4H, 5.3.6.2 (crossfall). Spirals are integrated by Gauss-Legendre quadrature from station to station, with
+eight nodes for at most half a metre: exact to rounding for every curvature of a road.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from camber.formats.map_exchange.opendrive import LaneSection, OpenDriveLane, Op
 Floats = NDArray[np.float64]
 
 MOST_POINTS = 400_000
-"""Cross-sections of one road."""
-_CHORD_M = 2.5e-4
+"""Cross-sections of one lane section; chosen: 20 km at 0.05 m."""
+_CHORD_M = 2.5e-4  # chosen: half the 0.5 mm within which the grids of `lane_pieces` follow a lane
 _LONGEST_STEP_M, _SHORTEST_STEP_M = 1.0, 0.05
-_GAP_M = 0.5
+_GAP_M = 0.5  # chosen: published maps have gaps of centimetres from rounding; a larger one is an error
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_ACROSS = 9
-_STEEPEST_RAD = 1.0
+_ACROSS = 9  # chosen: points across a lane whose cross-section is curved
+_STEEPEST_RAD = 1.0  # chosen: bounds the tangent; no road has such a crossfall
 
 
 def reference_line(road: OpenDriveRoad, s_m: Floats) -> Floats:
-    """x, y [m] and heading [rad] (n, 3) of the reference line at distances (n,) along it, ascending."""
+    """Return x, y [m] and heading [rad] (n, 3) of the reference line at ascending distances (n,)."""
     starts = np.array([part.s_m for part in road.geometries])
     which = np.clip(np.searchsorted(starts, s_m, "right") - 1, 0, len(starts) - 1)
-    found = np.zeros((len(s_m), 3))
+    line = np.zeros((len(s_m), 3))
     for k in np.unique(which).tolist():
         rows = which == k
-        found[rows] = _along(road.geometries[k], s_m[rows] - starts[k])
-    return found
+        line[rows] = _along(road.geometries[k], s_m[rows] - starts[k])
+    return line
 
 
 def cubics_at(table: Floats, s_m: Floats) -> Floats:
-    """Values (n,) at distances (n,) of cubics (k, 5), 0 before the first."""
+    """Evaluate cubics (k, 5) at distances (n,); 0 before the first."""
     if not len(table):
         return np.zeros(len(s_m))
     which = np.searchsorted(table[:, 0], s_m, "right") - 1
@@ -52,13 +52,13 @@ def cubics_at(table: Floats, s_m: Floats) -> Floats:
 
 
 def section_span(road: OpenDriveRoad, number: int) -> tuple[float, float]:
-    """From where to where a lane section goes."""
+    """Return start and end of a lane section."""
     end = road.sections[number + 1].s_m if number + 1 < len(road.sections) else road.length_m
     return road.sections[number].s_m, end
 
 
 def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
-    """Distances along the road at which a section is cut across: its breaks, and as many between as curves ask for."""
+    """Return the distances of a section's cross-sections: its breakpoints, and more between them in curves."""
     begin, end = section_span(road, number)
     name = f"road {road.identity}, laneSection at s {begin:g}"
     if not 0.0 <= begin < end <= road.length_m + _GAP_M:
@@ -87,8 +87,8 @@ def stations(road: OpenDriveRoad, number: int, file: str) -> Floats:
 
 
 def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dict[int, Floats]:
-    """For each lane of a section points (n, k, 3): x, y, z [m] at stations (n,), from its right to its left border in
-    the direction of the road."""
+    """Return for each lane of a section the points (n, k, 3), x, y, z [m], at stations (n,), from its right to its left
+    border in the direction of the road."""
     section = road.sections[number]
     line = reference_line(road, s_m)
     gap_m = np.hypot(*np.diff(line[:, :2], axis=0).T) - np.diff(s_m)
@@ -97,62 +97,54 @@ def lane_points(road: OpenDriveRoad, number: int, s_m: Floats, file: str) -> dic
         raise FormatError(file, f"road {road.identity}, planView", f"no gap after s {at:.2f}")
     offset_m = cubics_at(road.lane_offset, s_m)
     flat = not (len(road.shape) or len(road.crossfall_left) or len(road.crossfall_right))
-    found: dict[int, Floats] = {}
+    points: dict[int, Floats] = {}
     for side in (1, -1):
         inner = offset_m
-        for lane in sorted(
-            (own for own in section.lanes if own.lane_id * side > 0), key=lambda own: abs(own.lane_id)
-        ):
-            outer = _outer(road, section, lane=lane, inner=inner, offset_m=offset_m, s_m=s_m, file=file)
+        lanes = [lane for lane in section.lanes if lane.lane_id * side > 0]
+        for lane in sorted(lanes, key=lambda lane: abs(lane.lane_id)):
+            width_m = _width_m(lane, s_m - section.s_m, side * (inner - offset_m))
+            if width_m is None:
+                raise FormatError(file, _lane_name(road, section, lane), "a width or a border")
+            if not ((width_m > -0.05) & (width_m < 500.0)).all():
+                field = f"{_lane_name(road, section, lane)}, width"
+                worst_m = width_m[np.argmax(np.abs(width_m))]
+                raise FormatError(file, field, "0 to 500", actual=f"{worst_m:.3g}")
+            outer = inner + side * np.maximum(width_m, 0.0)
             right, left = (inner, outer) if side > 0 else (outer, inner)
             share = np.linspace(0.0, 1.0, 2 if flat else _ACROSS)
-            found[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
+            points[lane.lane_id] = _points(road, line, s_m, right[:, None] + (left - right)[:, None] * share)
             inner = outer
-    return found
+    return points
 
 
-def _outer(
-    road: OpenDriveRoad,
-    section: LaneSection,
-    lane: OpenDriveLane,
-    inner: Floats,
-    offset_m: Floats,
-    s_m: Floats,
-    file: str,
-) -> Floats:
-    """t of the outer border of a lane (n,)."""
-    name = f"road {road.identity}, laneSection at s {section.s_m:g}, lane {lane.lane_id}"
-    ds = s_m - section.s_m
-    side = 1.0 if lane.lane_id > 0 else -1.0
+def _width_m(lane: OpenDriveLane, ds: Floats, inner_m: Floats) -> Floats | None:
+    """Return the width (n,) of a lane, `inner_m` being the distance of its inner border from the lane offset."""
     if len(lane.widths):
-        width_m = cubics_at(lane.widths, ds)
-    elif len(lane.borders):
-        width_m = side * (cubics_at(lane.borders, ds) + offset_m - inner)
-    else:
-        raise FormatError(file, name, "a width or a border")
-    if not ((width_m > -0.05) & (width_m < 500.0)).all():
-        raise FormatError(
-            file, f"{name}, width", "0 to 500", actual=f"{width_m[np.argmax(np.abs(width_m))]:.3g}"
-        )
-    return inner + side * np.maximum(width_m, 0.0)
+        return cubics_at(lane.widths, ds)
+    side = 1.0 if lane.lane_id > 0 else -1.0
+    return side * cubics_at(lane.borders, ds) - inner_m if len(lane.borders) else None
+
+
+def _lane_name(road: OpenDriveRoad, section: LaneSection, lane: OpenDriveLane) -> str:
+    return f"road {road.identity}, laneSection at s {section.s_m:g}, lane {lane.lane_id}"
 
 
 def _points(road: OpenDriveRoad, line: Floats, s_m: Floats, t_m: Floats) -> Floats:
-    """x, y, z (n, k, 3) of points at t (n, k) beside the reference line (n, 3).
+    """Return x, y, z (n, k, 3) of points at offsets t (n, k) from the reference line (n, 3).
 
-    With superelevation the cross-section is turned about the reference line: left side up where it is positive.
+    Superelevation turns the cross-section about the reference line; positive: left side up.
     """
     above_m = _shape_heights(road.shape, s_m, t_m) + _crossfall_heights(road, s_m, t_m)
     roll = np.clip(cubics_at(road.superelevation, s_m), -_STEEPEST_RAD, _STEEPEST_RAD)[:, None]
-    beside_m = t_m * np.cos(roll) - above_m * np.sin(roll)
+    lateral_m = t_m * np.cos(roll) - above_m * np.sin(roll)
     z = cubics_at(road.elevation, s_m)[:, None] + t_m * np.sin(roll) + above_m * np.cos(roll)
-    x = line[:, :1] - np.sin(line[:, 2:]) * beside_m
-    y = line[:, 1:2] + np.cos(line[:, 2:]) * beside_m
+    x = line[:, :1] - np.sin(line[:, 2:]) * lateral_m
+    y = line[:, 1:2] + np.cos(line[:, 2:]) * lateral_m
     return np.stack((x, y, z), axis=2)
 
 
 def _crossfall_heights(road: OpenDriveRoad, s_m: Floats, t_m: Floats) -> Floats:
-    """The road falls from the reference line to its sides by these angles."""
+    """Return heights of the crossfall, which descends from the reference line to both sides."""
     falls = [cubics_at(table, s_m)[:, None] for table in (road.crossfall_left, road.crossfall_right)]
     left, right = (np.tan(np.clip(fall, -_STEEPEST_RAD, _STEEPEST_RAD)) for fall in falls)
     heights: Floats = np.where(t_m >= 0.0, -left, right) * t_m
@@ -175,7 +167,7 @@ def _shape_heights(shape: Floats, s_m: Floats, t_m: Floats) -> Floats:
 
 
 def _over_t(rows: Floats, t_m: Floats) -> Floats:
-    """Heights at t (n, k) of the polynomials over t at one s; the first holds also before it begins."""
+    """Evaluate the polynomials over t (n, k) at one s; the first also before its start."""
     which = np.maximum(np.searchsorted(rows[:, 1], t_m.ravel(), "right") - 1, 0)
     _, t, a, b, c, d = rows[which].T
     dt = t_m.ravel() - t
@@ -183,7 +175,7 @@ def _over_t(rows: Floats, t_m: Floats) -> Floats:
 
 
 def _step(road: OpenDriveRoad, begin: float, end: float) -> float:
-    """How far apart cross-sections may be for chords to leave the road by _CHORD_M at most."""
+    """Return the distance of cross-sections at which chords deviate from the road by at most _CHORD_M."""
     middle = 0.5 * (begin + end)
     starts = [part.s_m for part in road.geometries]
     part = road.geometries[max(int(np.searchsorted(starts, middle, "right")) - 1, 0)]
@@ -197,7 +189,7 @@ def _step(road: OpenDriveRoad, begin: float, end: float) -> float:
 
 
 def _bend(part: PlanViewGeometry) -> float:
-    """The greatest curvature of a geometry, roughly for polynomials."""
+    """Return the largest curvature of a geometry, approximately for polynomials."""
     if part.shape in ("arc", "spiral"):
         return max(map(abs, part.numbers))
     if part.shape == "line" or part.length_m <= 0.0:
@@ -211,7 +203,7 @@ def _bend(part: PlanViewGeometry) -> float:
 
 
 def _along(part: PlanViewGeometry, s: Floats) -> Floats:
-    """x, y, heading (n, 3) at distances s (n,), ascending, from the geometry's begin."""
+    """Return x, y, heading (n, 3) at ascending distances s (n,) from the geometry's start."""
     match part.shape:
         case "line" | "arc" | "spiral":
             c0 = part.numbers[0] if part.numbers else 0.0
@@ -236,7 +228,7 @@ def _along(part: PlanViewGeometry, s: Floats) -> Floats:
 
 
 def _integrated(s: Floats, c0: float, rate: float) -> tuple[Floats, Floats]:
-    """u, v (n,) at distances s (n,), ascending, along a curve whose curvature is c0 + rate · s."""
+    """Return u, v (n,) at ascending distances s (n,) along a clothoid of curvature c0 + rate · s."""
     stops = np.concatenate(([0.0], s))
     pieces = np.maximum(np.ceil(np.abs(np.diff(stops)) / 0.5), 1.0).astype(int)
     edges = np.concatenate(
@@ -255,7 +247,7 @@ def _integrated(s: Floats, c0: float, rate: float) -> tuple[Floats, Floats]:
 
 
 def _abscissa(numbers: Sequence[float], s: Floats, length_m: float) -> Floats:
-    """u (n,) of a cubic v(u) at lengths s (n,) along it."""
+    """Return u (n,) of a cubic v(u) at arc lengths s (n,)."""
     _, b, c, d = numbers
     u = np.linspace(0.0, max(length_m, 1e-9), int(min(max(length_m / 0.01, 16.0), 1e5)) + 1)
     slope = b + u * (2.0 * c + 3.0 * d * u)
@@ -265,6 +257,6 @@ def _abscissa(numbers: Sequence[float], s: Floats, length_m: float) -> Floats:
 
 
 def _parametric(numbers: Sequence[float], p: Floats) -> tuple[Floats, Floats]:
-    """Value and derivative of a cubic."""
+    """Return value and derivative of a cubic."""
     a, b, c, d = numbers
     return a + p * (b + p * (c + p * d)), b + p * (2.0 * c + 3.0 * d * p)

@@ -1,9 +1,9 @@
-"""Point clouds as PCD files, version 0.7 (the Point Cloud Library's "PCD file format" page).
+"""Read and write point clouds as PCD files, version 0.7 (the Point Cloud Library's "PCD file format" page).
 
 Written: `binary`, little-endian, the fields x y z intensity (F4) and, for a sweep, t (I4): nanoseconds against the
 sweep's end, not above zero. Read: `ascii`, `binary` and `binary_compressed`, the fields in any order and of any of the
-format's types; x, y and z must be there, what is neither of the five is passed over. A point whose coordinates are
-NaN, which organised clouds are filled up with, is left out.
+format's types; x, y and z are required, fields besides the five are ignored. Points with NaN coordinates, the padding
+of organised clouds, are left out.
 
 A sweep's file is named after the time of its end, `<time_ns>.pcd`.
 """
@@ -28,7 +28,7 @@ _Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PointCloud:
-    """Points (n, 3) [m]; `intensity` and `offset_ns` (n,), None where the file has no such field."""
+    """Points (n, 3) [m]; `intensity` and `offset_ns` (n,), None if the file has no such field."""
 
     points_m: Float32
     intensity: Float32 | None = None
@@ -36,7 +36,7 @@ class PointCloud:
 
 
 def pcd_bytes(cloud: PointCloud) -> bytes:
-    """A binary file. Raises ValueError for columns of different lengths or numbers that are not finite."""
+    """Return a binary file. Raises ValueError for columns of different lengths or numbers that are not finite."""
     n = len(cloud.points_m)
     columns: list[tuple[str, str, _Array]] = [
         (name, "<f4", cloud.points_m[:, axis]) for axis, name in enumerate("xyz")
@@ -67,12 +67,12 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
 
 
 def write_pcd(path: Path, cloud: PointCloud) -> None:
-    """As `pcd_bytes`; the same cloud gives the same bytes."""
+    """Write a cloud as `pcd_bytes`."""
     path.write_bytes(pcd_bytes(cloud))
 
 
 def read_pcd(path: Path) -> PointCloud:
-    """Raises FormatError for what is no such file, OSError if it cannot be read."""
+    """Read a cloud. Raises FormatError for an invalid file, OSError if it cannot be read."""
     return cloud_from_pcd(path.read_bytes(), path.name)
 
 
@@ -84,7 +84,7 @@ def write_sweep(folder: Path, sweep: Sweep) -> Path:
 
 
 def sweep_time_ns(path: Path) -> int:
-    """The time of a sweep's end, by its file's name. Raises FormatError for another name."""
+    """Return the time of a sweep's end from its file name. Raises FormatError for another name."""
     time_ns = int(path.stem) if path.stem.isascii() and path.stem.isdecimal() and len(path.stem) < 20 else -1
     if not EARLIEST_NS <= time_ns <= LATEST_NS:
         raise FormatError(path.name, "name", "the GPS time of the sweep's end in ns, then .pcd")
@@ -92,7 +92,7 @@ def sweep_time_ns(path: Path) -> int:
 
 
 def read_sweep(path: Path, sensor: str) -> Sweep:
-    """A sweep by the time in its file's name. Without intensities they are zero; without times it was made at once.
+    """Read a sweep. Missing intensities and time offsets are zero.
 
     Raises FormatError for another name, a damaged file or offsets above zero, OSError if it cannot be read.
     """
@@ -111,7 +111,7 @@ def read_sweep(path: Path, sensor: str) -> Sweep:
 
 
 def cloud_from_pcd(data: bytes, source_name: str) -> PointCloud:
-    """The cloud of a file's bytes. Raises FormatError."""
+    """Parse a file's bytes. Raises FormatError."""
     header = read_header(data, source_name)
     if header.data == "ascii":
         columns = _ascii_columns(data, header, source_name)
@@ -161,11 +161,11 @@ def _binary_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_A
     row = header.row()
     _check_length(len(data) - header.begin, row.itemsize * header.points, header, source_name)
     rows = np.frombuffer(data, row, header.points, header.begin)
-    return [rows[f"{k}"][:, 0] if count else _nothing(rows) for k, count in enumerate(header.counts)]
+    return [rows[f"{k}"][:, 0] if count else np.zeros(len(rows)) for k, count in enumerate(header.counts)]
 
 
 def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
-    """Two lengths (U4: compressed, not compressed), then LZF; within it field after field instead of point by point."""
+    """Parse two lengths (U4: compressed, uncompressed), then LZF data with field after field."""
     if len(data) - header.begin < 8:
         raise FormatError(source_name, "data", "eight bytes of lengths", byte_offset=header.begin)
     packed, plain = (int(n) for n in np.frombuffer(data, "<u4", 2, header.begin))
@@ -174,12 +174,12 @@ def _compressed_columns(data: bytes, header: PcdHeader, source_name: str) -> lis
         expected = f"{header.row().itemsize * header.points} bytes, as the header says"
         raise FormatError(source_name, "data", expected, actual=str(plain), byte_offset=header.begin + 4)
     try:
-        unpacked = lzf_decompressed(data[header.begin + 8 :], plain)
+        plain_data = lzf_decompressed(data[header.begin + 8 :], plain)
     except LzfError as error:
         raise FormatError(source_name, "data", str(error), byte_offset=header.begin + 8) from None
     columns, at = [], 0
     for kind, count in zip(header.kinds, header.counts, strict=True):
-        columns.append(np.frombuffer(unpacked, kind, header.points * count, at)[:: max(count, 1)])
+        columns.append(np.frombuffer(plain_data, kind, header.points * count, at)[:: max(count, 1)])
         at += np.dtype(kind).itemsize * count * header.points
     return columns
 
@@ -190,10 +190,6 @@ def _check_length(have: int, want: int, header: PcdHeader, source_name: str) -> 
         raise FormatError(source_name, "data", expected, actual=f"{have} bytes", byte_offset=header.begin)
 
 
-def _nothing(rows: _Array) -> _Array:
-    return np.zeros(len(rows))
-
-
 def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Array]:
     lines = data[header.begin :].decode("latin-1").split("\n")
     while lines and not lines[-1].strip():
@@ -201,34 +197,30 @@ def _ascii_columns(data: bytes, header: PcdHeader, source_name: str) -> list[_Ar
     width = sum(header.counts)
     if len(lines) != header.points:
         expected = f"{header.points} lines, as POINTS says"
-        raise FormatError(
-            source_name, "data", expected, actual=f"{len(lines)} lines", line_number=header.lines + 1
-        )
+        actual = f"{len(lines)} lines"
+        raise FormatError(source_name, "data", expected, actual=actual, line_number=header.lines + 1)
     starts = np.append(0, np.cumsum(header.counts))[:-1].tolist()
     texts: list[list[str]] = [[] for _ in header.names]
     for number, line in enumerate(lines, start=header.lines + 1):
         words = line.split()
         if len(words) != width:
-            expected = f"{width} numbers, one a field"
+            expected = f"{width} numbers, one per field"
             raise FormatError(source_name, "data", expected, actual=line, line_number=number)
         for text, start in zip(texts, starts, strict=True):
             text.append(words[start] if start < width else "0")
-    columns: list[_Array] = []
-    for name, kind, text in zip(header.names, header.kinds, texts, strict=True):
-        used = name in USED
-        columns.append(
-            _parsed(name, kind, text, header=header, source_name=source_name) if used else np.zeros(0)
-        )
-    return columns
+    return [
+        _parsed(name, kind, text, header=header, source_name=source_name) if name in USED else np.zeros(0)
+        for name, kind, text in zip(header.names, header.kinds, texts, strict=True)
+    ]
 
 
 def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_name: str) -> _Array:
-    """One field of every line. Numbers are read one by one, so that the bad one can be named."""
+    """Parse one field of every line, number by number, so that an error names its line."""
     dtype = np.dtype(kind)
     values: list[float] = []
     for number, text in enumerate(texts, start=header.lines + 1):
         try:
-            if "_" in text:  # Python's own way of writing numbers
+            if "_" in text:  # Python's notation, not the format's
                 raise ValueError
             if dtype.kind == "f":
                 values.append(float(text))
@@ -239,7 +231,7 @@ def _parsed(name: str, kind: str, texts: list[str], header: PcdHeader, source_na
                     raise ValueError
                 values.append(whole)
         except ValueError:
-            expected = "a number" if dtype.kind == "f" else f"a whole number of {dtype.itemsize} bytes"
+            expected = "a number" if dtype.kind == "f" else f"an integer of {dtype.itemsize} bytes"
             raise FormatError(source_name, name, expected, actual=text, line_number=number) from None
     with np.errstate(over="ignore"):
         return np.array(values, dtype)

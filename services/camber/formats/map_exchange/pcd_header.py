@@ -14,16 +14,17 @@ _TYPES = {f"{kind}{size}": f"<{kind.lower()}{size}" for kind in "IU" for size in
     "F4": "<f4",
     "F8": "<f8",
 }
-_LONGEST_HEADER_BYTES = 65_536
-_MOST_POINTS = 200_000_000
-_MOST_COUNT = 65_536
+# Chosen: bounds that no real cloud reaches, so that a damaged header is refused before it fills the memory.
+_MAX_HEADER_BYTES = 65_536
+_MAX_POINTS = 200_000_000
+_MAX_COUNT = 65_536
 USED = ("x", "y", "z", "intensity", "t")
-"""The fields that are read; each holds one number a point."""
+"""The fields that are read; each has one number per point."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PcdHeader:
-    """`kinds` are numpy's codes, `counts` numbers a point of each field; the data begins at byte `begin`, after
+    """`kinds` are numpy's codes, `counts` the numbers per point of each field; the data begin at byte `begin`, after
     `lines` lines."""
 
     names: tuple[str, ...]
@@ -35,30 +36,25 @@ class PcdHeader:
     lines: int
 
     def row(self) -> np.dtype[Any]:
-        """One point as it lies in a binary file."""
-        return np.dtype(
-            [
-                (f"{k}", kind, (count,))
-                for k, (kind, count) in enumerate(zip(self.kinds, self.counts, strict=True))
-            ]
-        )
+        """Return the layout of one point in a binary file."""
+        fields = enumerate(zip(self.kinds, self.counts, strict=True))
+        return np.dtype([(f"{k}", kind, (count,)) for k, (kind, count) in fields])
 
 
 def read_header(data: bytes, source_name: str) -> PcdHeader:
-    """All ten entries, once each, in the format's order; comments and empty lines between them are passed over.
+    """Parse the ten entries, each once, in the format's order; ignores comments and empty lines.
 
-    Raises FormatError for the first entry that is not as it should be.
+    Raises FormatError for the first invalid entry.
     """
     entries: dict[str, list[str]] = {}
     begin = line_number = 0
     while "DATA" not in entries:
         line_number += 1
-        end = data.find(b"\n", begin, begin + _LONGEST_HEADER_BYTES)
+        end = data.find(b"\n", begin, begin + _MAX_HEADER_BYTES)
         if end < 0:
-            expected = f"the header to go on with {_KEYS[len(entries)]}"
-            raise FormatError(
-                source_name, "header", expected, actual=data[begin : begin + 40], line_number=line_number
-            )
+            expected = f"the header to continue with {_KEYS[len(entries)]}"
+            actual = data[begin : begin + 40]
+            raise FormatError(source_name, "header", expected, actual=actual, line_number=line_number)
         line, begin = data[begin:end], end + 1
         words = line.decode("latin-1").split()
         if not words or words[0].startswith("#"):
@@ -84,7 +80,7 @@ def read_header(data: bytes, source_name: str) -> PcdHeader:
 
 
 def _check(entries: dict[str, list[str]], key: str, line_number: int, source_name: str) -> None:
-    """Raise FormatError unless the newest entry is what the format and the ones before allow."""
+    """Raise FormatError for an entry that the format or the entries before do not allow."""
     words = entries[key]
     expected = ""
     if key == "VERSION" and words not in (["0.7"], [".7"]):
@@ -94,27 +90,27 @@ def _check(entries: dict[str, list[str]], key: str, line_number: int, source_nam
         if not {"x", "y", "z"} <= set(words) or len(set(wanted)) != len(wanted):
             expected = "x, y and z, each once"
     elif key in ("SIZE", "TYPE", "COUNT") and len(words) != len(entries["FIELDS"]):
-        expected = f"{len(entries['FIELDS'])} entries, one a field"
+        expected = f"{len(entries['FIELDS'])} entries, one per field"
     elif key == "SIZE" and not set(words) <= {"1", "2", "4", "8"}:
         expected = "1, 2, 4 or 8"
     elif key == "TYPE" and not all(
         kind + size in _TYPES for kind, size in zip(words, entries["SIZE"], strict=True)
     ):
-        expected = "I, U or F of a size that there is"
+        expected = "I, U or F of a valid size"
     elif key == "COUNT":
-        if not all(_whole(word, _MOST_COUNT) for word in words) or any(
+        if not all(_whole(word, _MAX_COUNT) for word in words) or any(
             int(word) != 1 for name, word in zip(entries["FIELDS"], words, strict=True) if name in USED
         ):
-            expected = "whole numbers, 1 for x y z intensity t"
-        elif sum(int(word) for word in words) > _MOST_COUNT:
-            expected = f"no more than {_MOST_COUNT} values a point"
-    elif key in ("WIDTH", "HEIGHT") and not (len(words) == 1 and _whole(words[0], _MOST_POINTS)):
-        expected = "a whole number"
+            expected = "integers, 1 for x y z intensity t"
+        elif sum(int(word) for word in words) > _MAX_COUNT:
+            expected = f"no more than {_MAX_COUNT} values per point"
+    elif key in ("WIDTH", "HEIGHT") and not (len(words) == 1 and _whole(words[0], _MAX_POINTS)):
+        expected = "an integer"
     elif key == "VIEWPOINT" and not (len(words) == 7 and all(_is_number(word) for word in words)):
         expected = "seven numbers"
     elif key == "POINTS":
         points = int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0])
-        if not (len(words) == 1 and _whole(words[0], _MOST_POINTS) and int(words[0]) == points):
+        if not (len(words) == 1 and _whole(words[0], _MAX_POINTS) and int(words[0]) == points):
             expected = f"WIDTH × HEIGHT, {points}"
     elif key == "DATA" and words not in (["ascii"], ["binary"], ["binary_compressed"]):
         expected = "ascii, binary or binary_compressed"

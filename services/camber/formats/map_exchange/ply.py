@@ -1,7 +1,8 @@
-"""Points of PLY files: `ascii`, `binary_little_endian` and `binary_big_endian`, version 1.0.
+"""Read the points of PLY files: `ascii`, `binary_little_endian` and `binary_big_endian`, version 1.0.
 
-Read are x, y and z of the element `vertex`; other properties and the elements after it are passed over. Elements before
-it must be of a fixed size. A point whose coordinates are NaN is left out. Source: Greg Turk, "The PLY Polygon File
+Read are x, y and z of the element `vertex`; other properties and later elements are ignored. Elements before it must
+have a fixed size. Points with NaN coordinates are left out. Open3D is not used here: of a truncated file it returns
+uninitialised points without an error. Source: Greg Turk, "The PLY Polygon File
 Format" (1994).
 """
 
@@ -24,14 +25,15 @@ _KINDS = {
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_LONGEST_HEADER_BYTES = 65_536
-_MOST_ROWS = 200_000_000
-_MOST_PROPERTIES = 1_024
+# Chosen: bounds that no real cloud reaches, so that a damaged header is refused before it fills the memory.
+_MAX_HEADER_BYTES = 65_536
+_MAX_ROWS = 200_000_000
+_MAX_PROPERTIES = 1_024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _PlyElement:
-    """`kinds` are numpy's codes without the order of bytes, None for a list."""
+    """`kinds` are numpy's codes without byte order, None for a list."""
 
     name: str
     count: int
@@ -41,7 +43,7 @@ class _PlyElement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _PlyHeader:
-    """The data begins at byte `begin`, after `lines` lines."""
+    """The data begin at byte `begin`, after `lines` lines."""
 
     order: str
     elements: list[_PlyElement]
@@ -50,12 +52,12 @@ class _PlyHeader:
 
 
 def read_ply(path: Path) -> Floats:
-    """Points (n, 3) of a file. Raises FormatError for what is no such file, OSError if it cannot be read."""
+    """Read points (n, 3). Raises FormatError for an invalid file, OSError if it cannot be read."""
     return points_from_ply(path.read_bytes(), path.name)
 
 
 def points_from_ply(data: bytes, source_name: str) -> Floats:
-    """Points (n, 3) of a file's bytes. Raises FormatError."""
+    """Parse points (n, 3) of a file's bytes. Raises FormatError."""
     header = _read_header(data, source_name)
     before, vertex = _up_to_vertex(header, source_name)
     if header.order:
@@ -75,9 +77,9 @@ def _read_header(data: bytes, source_name: str) -> _PlyHeader:
     while True:
         number += 1
         end = data.find(b"\n", begin, begin + 4_096)
-        if end < 0 or end > _LONGEST_HEADER_BYTES:
-            found = data[begin : begin + 40]
-            raise FormatError(source_name, "header", "end_header", actual=found, line_number=number)
+        if end < 0 or end > _MAX_HEADER_BYTES:
+            actual = data[begin : begin + 40]
+            raise FormatError(source_name, "header", "end_header", actual=actual, line_number=number)
         words = data[begin:end].decode("latin-1").split()
         begin = end + 1
         if number == 1:
@@ -91,7 +93,7 @@ def _read_header(data: bytes, source_name: str) -> _PlyHeader:
             order = _ORDERS[words[1]]
         elif words[0] == "element" and len(words) == 3 and _is_count(words[2]):
             elements.append(_PlyElement(name=words[1], count=int(words[2]), names=[], kinds=[]))
-        elif words[0] == "property" and elements and len(elements[-1].names) < _MOST_PROPERTIES:
+        elif words[0] == "property" and elements and len(elements[-1].names) < _MAX_PROPERTIES:
             _add_property(elements[-1], words, source_name, number)
         else:
             expected = "a format of version 1.0, an element with its count, or a property"
@@ -102,7 +104,7 @@ def _read_header(data: bytes, source_name: str) -> _PlyHeader:
 
 
 def _is_count(text: str) -> bool:
-    return text.isascii() and text.isdecimal() and len(text) < 12 and int(text) <= _MOST_ROWS
+    return text.isascii() and text.isdecimal() and len(text) < 12 and int(text) <= _MAX_ROWS
 
 
 def _add_property(element: _PlyElement, words: list[str], source_name: str, number: int) -> None:
@@ -134,8 +136,8 @@ def _binary_points(
     row = _row(vertex, header)
     want = row.itemsize * vertex.count
     if len(data) - begin < want:
-        found = f"{max(len(data) - begin, 0)} bytes"
-        raise FormatError(source_name, "data", f"{want} bytes of vertices", actual=found, byte_offset=begin)
+        actual = f"{max(len(data) - begin, 0)} bytes"
+        raise FormatError(source_name, "data", f"{want} bytes of vertices", actual=actual, byte_offset=begin)
     rows = np.frombuffer(data, row, vertex.count, begin)
     columns = [rows[f"{vertex.names.index(axis)}"].astype(np.float64) for axis in "xyz"]
     return np.column_stack(columns)
@@ -152,18 +154,18 @@ def _ascii_points(
     lines = data[header.begin :].decode("latin-1").split("\n")
     rows = lines[first : first + vertex.count]
     if len(rows) < vertex.count or (rows and not rows[-1].strip()):
-        found = f"{sum(bool(row.strip()) for row in rows)} lines"
-        raise FormatError(source_name, "data", f"{vertex.count} lines of vertices", actual=found)
+        actual = f"{sum(bool(row.strip()) for row in rows)} lines"
+        raise FormatError(source_name, "data", f"{vertex.count} lines of vertices", actual=actual)
     columns = [vertex.names.index(axis) for axis in "xyz"]
     points = np.empty((vertex.count, 3))
     for number, line in enumerate(rows):
         words = line.split()
         try:
-            if len(words) != len(vertex.names) or "_" in line:  # Python's own way of writing numbers
+            if len(words) != len(vertex.names) or "_" in line:  # Python's notation, not the format's
                 raise ValueError
             points[number] = [float(words[column]) for column in columns]
         except ValueError:
-            expected = f"{len(vertex.names)} numbers, one a property"
+            expected = f"{len(vertex.names)} numbers, one per property"
             at = header.lines + first + number + 1
             raise FormatError(source_name, "data", expected, actual=line, line_number=at) from None
     return points

@@ -1,4 +1,4 @@
-"""Latitude and longitude of coordinates in a projection that a map names, without changing their datum."""
+"""Convert coordinates in a map's projection to latitude and longitude, without changing the datum."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _VERTICAL_OF_GRID = {
 
 @dataclass(frozen=True)
 class Projection:
-    """What takes x, y [m] to latitude and longitude [rad], and the vertical datum where the text says it."""
+    """Conversion of x, y [m] to latitude and longitude [rad], and the vertical datum if the text names it."""
 
     geodetic: Callable[[Floats, Floats], tuple[Floats, Floats]]
     vertical: str | None
 
 
 def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
-    """The projection in a text of PROJ or WKT; its datum must be the `datum` of the map that is made.
+    """Parse a projection in PROJ or WKT notation, whose datum must be the release's `datum`.
 
-    FormatError where the text says none, or another datum: positions are not moved from one to the other here. Of a
-    text that says only an ellipsoid the datum is taken to be that of the map.
+    FormatError for an invalid text or another datum: positions are not transformed between datums. A text with only an
+    ellipsoid is taken to be in the release's datum.
     """
     import pyproj
 
@@ -52,14 +52,14 @@ def projection_of(text: str, datum: str, file: str, field: str) -> Projection:
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
     if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
         raise FormatError(file, field, "a projection in metres", actual=text)
-    own = flat.geodetic_crs
+    geodetic_crs = flat.geodetic_crs
     of_map = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
-    said = own.name if own.name != "unknown" else own.datum.name
-    said = "WGS 84" if said == "World Geodetic System 1984" else said
-    same = said == of_map.name or (aligned_to_wgs84(said) and aligned_to_wgs84(of_map.name))
-    if not same and not said.lower().startswith("unknown"):
-        raise FormatError(file, f"{field}, datum", f"{datum}, the map's (--datum)", actual=said)
-    inverse = pyproj.Transformer.from_crs(flat, own, always_xy=True)
+    name = geodetic_crs.name if geodetic_crs.name != "unknown" else geodetic_crs.datum.name
+    name = "WGS 84" if name == "World Geodetic System 1984" else name
+    same = name == of_map.name or (aligned_to_wgs84(name) and aligned_to_wgs84(of_map.name))
+    if not same and not name.lower().startswith("unknown"):
+        raise FormatError(file, f"{field}, datum", f"{datum}, the map's (--datum)", actual=name)
+    inverse = pyproj.Transformer.from_crs(flat, geodetic_crs, always_xy=True)
 
     def geodetic(x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:
         longitude, latitude = inverse.transform(x_m, y_m)

@@ -1,10 +1,10 @@
-"""Ellipsoidal heights from the heights that maps have, or a refusal: never a height that is nearly right.
+"""Convert heights of a vertical datum to ellipsoidal heights, or refuse: never an approximate height.
 
-Two geoid models of one country differ by up to 24 cm, and PROJ, asked without care, answers without a grid as if
-heights were ellipsoidal. So a height is converted only where PROJ has the very grid that ties the vertical datum to the
-horizontal datum of the map, in one step and offline (PROJ's "ballpark" answers are off, and so are detours over other
-datums, whose metres are lost in a null transformation). Source: EPSG guidance note 373-7-2, 2.2.7; PROJ,
-`proj_create_operations` with `ALLOW_BALLPARK=NO` and `ONLY_BEST=YES`.
+Two geoid models of one country differ by up to 24 cm, and by default PROJ returns heights unchanged without a grid. So
+a height is converted only with the exact grid that relates the vertical datum to the map's horizontal datum, in one
+step and offline; "ballpark" operations and detours over other datums, which lose metres in null transformations, are
+refused. Source: EPSG guidance note 373-7-2, 2.2.7; PROJ, `proj_create_operations` with `ALLOW_BALLPARK=NO` and
+`ONLY_BEST=YES`.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from camber.formats.errors import FormatError
 
 ELLIPSOIDAL = "ellipsoidal"
 FIELD = "vertical datum"
-MOST_UNDULATION_M = 110.0
-"""No geoid is farther from the ellipsoid (EGM2008: −107 m to +86 m)."""
-CONSTANT_REACH_M = 10_000.0
-"""A constant undulation serves a map of this extent at most; geoids slope by some centimetres a kilometre."""
+MAX_UNDULATION_M = 110.0
+"""Largest distance of the geoid from the ellipsoid (EGM2008: −107 m to +86 m)."""
+MAX_EXTENT_M = 10_000.0
+"""Largest map with a constant undulation; chosen: geoids slope by some centimetres per kilometre."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class VerticalDatum:
-    """Heights of a kind, and what makes ellipsoidal heights of them.
+    """Conversion of heights of a vertical datum to ellipsoidal heights.
 
-    `how` says it to people. `surrogate` is not empty where the user answers for the conversion. `sigma_m` is what the
-    conversion adds to the σ of heights. `reach_m` is the extent of a map that it serves.
+    `how`: description. `surrogate`: not empty if the user is responsible for the conversion. `sigma_m`: σ that the
+    conversion adds. `max_extent_m`: largest extent of a map.
     """
 
     how: str
     _convert: Callable[[Floats, Floats, Floats], Floats]
     surrogate: str = ""
     sigma_m: float = 0.0
-    reach_m: float = math.inf
+    max_extent_m: float = math.inf
 
     def ellipsoidal_m(
         self, latitude_rad: Floats, longitude_rad: Floats, height_m: Floats, file: str
     ) -> Floats:
-        """Ellipsoidal heights (n,) [m]; FormatError where a place is beyond the grid, or a map beyond `reach_m`."""
+        """Return ellipsoidal heights (n,) [m]; FormatError beyond the grid, or for a map larger than `max_extent_m`."""
         if not len(height_m):
             return np.asarray(height_m, np.float64)
         extent_m = 6.4e6 * math.hypot(
             np.ptp(latitude_rad), np.ptp(longitude_rad) * math.cos(float(np.mean(latitude_rad)))
         )
-        if extent_m > self.reach_m:
-            expected = f"a map of at most {self.reach_m / 1e3:.0f} km for one undulation"
+        if extent_m > self.max_extent_m:
+            expected = f"a map of at most {self.max_extent_m / 1e3:.0f} km for one undulation"
             raise FormatError(file, "extent", expected, actual=f"{extent_m / 1e3:.1f} km")
         converted = self._convert(latitude_rad, longitude_rad, height_m)
         wrong = ~np.isfinite(converted)
@@ -66,11 +66,11 @@ class VerticalDatum:
 
 
 def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
-    """Heights above what `name` says, in a map whose positions are of `datum` (as EPSG names it: WGS84, ETRS89, …).
+    """Return the conversion from a vertical datum in a map with positions in `datum` (EPSG name: WGS84, ETRS89, …).
 
-    `name` is `ellipsoidal`, or a vertical CRS as PROJ knows it ("EPSG:7837", "EGM2008 height"). Raises FormatError
-    where it is not known. Whether the grid is there shows when heights are converted, as grids of one datum serve
-    different places: `ellipsoidal_m` then raises FormatError that names the missing file and where PROJ looks for it.
+    `name` is `ellipsoidal` or a vertical CRS known to PROJ ("EPSG:7837", "EGM2008 height"); FormatError for others.
+    Grids of one datum cover different areas, so a missing grid is detected at the conversion: `ellipsoidal_m` then
+    raises FormatError with the missing file and the folders that PROJ searches.
     """
     if name.strip().lower() == ELLIPSOIDAL:
         return VerticalDatum(how="ellipsoidal heights", _convert=lambda latitude, longitude, height: height)
@@ -96,30 +96,30 @@ def vertical_datum(name: str, datum: str, file: str) -> VerticalDatum:
 
 
 def constant_undulation(undulation_m: float, sigma_m: float, source: str) -> VerticalDatum:
-    """Heights above a geoid that is everywhere `undulation_m` above the ellipsoid; the user answers for it.
+    """Return the conversion with a constant geoid undulation, for which the user is responsible.
 
-    Raises ValueError for what no geoid is, for a σ that is not positive, and without a source.
+    Raises ValueError for an impossible undulation or σ, and without a source.
     """
-    if not abs(undulation_m) <= MOST_UNDULATION_M:
+    if not abs(undulation_m) <= MAX_UNDULATION_M:
         raise ValueError(
-            f"undulation is {undulation_m} m, expected −{MOST_UNDULATION_M} to {MOST_UNDULATION_M}"
+            f"undulation is {undulation_m} m, expected −{MAX_UNDULATION_M} to {MAX_UNDULATION_M}"
         )
     if not 0.0 < sigma_m < 10.0:
         raise ValueError(f"σ of the undulation is {sigma_m} m, expected more than 0, less than 10")
     if not source.strip():
-        raise ValueError("the undulation's source is not said, expected where it is from")
+        raise ValueError("the undulation has no source, expected its origin")
     how = f"geoid taken as {undulation_m:+.3f} ± {sigma_m:.3f} m above the ellipsoid everywhere ({source.strip()})"
     return VerticalDatum(
         how=how,
         _convert=lambda latitude, longitude, height: height + undulation_m,
         surrogate=f"heights: {how}",
         sigma_m=sigma_m,
-        reach_m=CONSTANT_REACH_M,
+        max_extent_m=MAX_EXTENT_M,
     )
 
 
 def crs_of(text: str, file: str, field: str, expected: str) -> Any:
-    """The coordinate reference system that a text names (pyproj.CRS); FormatError where it names none."""
+    """Return the coordinate reference system (pyproj.CRS) of a text; FormatError if unknown."""
     import pyproj
 
     try:
@@ -131,15 +131,19 @@ def crs_of(text: str, file: str, field: str, expected: str) -> Any:
 
 
 def _horizontal(datum: str, file: str) -> Any:
-    """Two-dimensional geographic system of a datum; WGS 84 where it is aligned to that, as grids are tied to that."""
-    own = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
-    if own is None:
+    """Return the two-dimensional geographic system of a datum; WGS 84 if aligned to it, as grids refer to that."""
+    geodetic_crs = crs_of(
+        datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)"
+    ).geodetic_crs
+    if geodetic_crs is None:
         raise FormatError(file, "datum", "one of positions (WGS84, ITRF2014, ETRS89, …)", actual=datum)
-    return crs_of("WGS84", file, "datum", "WGS84") if aligned_to_wgs84(own.name) else own.to_2d()
+    if aligned_to_wgs84(geodetic_crs.name):
+        return crs_of("WGS84", file, "datum", "WGS84")
+    return geodetic_crs.to_2d()
 
 
 def aligned_to_wgs84(name: str) -> bool:
-    """Is this the International Terrestrial Reference Frame or a realisation of WGS 84? They agree to centimetres."""
+    """Whether a datum is a realisation of ITRF or WGS 84, which agree to centimetres."""
     plain = "".join(letter for letter in name.upper() if letter.isalnum())
     return plain.startswith(("ITRF", "WGS84"))
 
@@ -147,7 +151,7 @@ def aligned_to_wgs84(name: str) -> bool:
 def _step(
     vertical: Any, horizontal: Any, datum: str, file: str, longitude_deg: Floats, latitude_deg: Floats
 ) -> Any:
-    """The operation of the best grid that covers the places, or FormatError."""
+    """Return the operation with the best grid that covers the places, or raise FormatError."""
     import pyproj
     from pyproj.aoi import AreaOfInterest
     from pyproj.crs import CompoundCRS
@@ -155,7 +159,7 @@ def _step(
 
     area = AreaOfInterest(*(float(f(a)) for f in (np.min, np.max) for a in (longitude_deg, latitude_deg)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the best one is missing is said below
+        warnings.simplefilter("ignore")  # a missing grid is reported below
         group = TransformerGroup(
             CompoundCRS("heights", [horizontal, vertical]),
             horizontal.to_3d(),
@@ -179,6 +183,6 @@ def _step(
 
 
 def _is_one_step(description: str) -> bool:
-    """Nothing but the grid: no way round over another datum."""
+    """Whether an operation uses only the grid, without a detour over another datum."""
     steps = [step for step in description.split(" + ") if not step.startswith("axis order change")]
     return len(steps) == 1 and " using " not in description

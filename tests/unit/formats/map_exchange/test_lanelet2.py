@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.lanelet2 import lanelet2_bytes, lanelet_map, read_lanelet2
+from camber.formats.map_exchange.lanelet2 import lanelet_map, read_lanelet2
 from camber.formats.map_exchange.mgrs import geodetic_from_mgrs
-from support.lanelet_maps import FRAME, ONCOMING, town
+from support.lanelet_maps import FRAME, ONCOMING, lanelet2_bytes, town
 
 NODES = """
   <node id="1" lat="48.1" lon="11.6"><tag k="ele" v="500.0"/></node>
@@ -126,7 +126,7 @@ def test_squares_of_the_grid_all_over_the_world(code: str, latitude_deg: float, 
         (osm(lanelets=LANELET.replace('ref="5"', 'ref="77"')), "a.osm: lanelet 7, left is '77', expected a way"),
         (osm(lanelets=LANELET * 2), "a.osm: lanelet 7, expected each id once"),
         (osm(lanelets=""), "a.osm: lanelets, expected at least one"),
-        (osm(nodes=NODES.replace('id="1"', 'id="1e3"')), "a.osm: node id is '1e3', expected a whole number"),
+        (osm(nodes=NODES.replace('id="1"', 'id="1e3"')), "a.osm: node id is '1e3', expected an integer"),
         (osm()[:-20], "a.osm: XML, expected a whole document"),
         (b"", "a.osm: XML, expected a whole document"),
         (b"<gpx></gpx>", "a.osm: XML is '<gpx>', expected a document <osm>"),

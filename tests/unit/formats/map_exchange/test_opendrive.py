@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 from scipy.special import fresnel
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.opendrive import (
-    LaneSection,
-    PlanViewGeometry,
-    opendrive_bytes,
-    opendrive_map,
-)
+from camber.formats.map_exchange.opendrive import LaneSection, PlanViewGeometry, opendrive_map
 from camber.formats.map_exchange.opendrive_geometry import lane_points, reference_line, stations
-from support.opendrive_maps import NO_ROWS, RADIUS_M, cubics, lane, road, street_geometries, town
+from support.opendrive_maps import (
+    NO_ROWS,
+    RADIUS_M,
+    cubics,
+    lane,
+    opendrive_bytes,
+    road,
+    street_geometries,
+    town,
+)
 
 Floats = NDArray[np.float64]
 

@@ -163,7 +163,7 @@ def test_what_is_no_cloud_is_a_format_error(data: bytes) -> None:
         ({"TYPE": "F F F Q I"}, "TYPE", "I, U or F"),
         ({"SIZE": "2 4 4 4 4"}, "TYPE", "size"),
         ({"COUNT": "1 1 2 1 1"}, "COUNT", "1 for x"),
-        ({"WIDTH": "-2"}, "WIDTH", "whole number"),
+        ({"WIDTH": "-2"}, "WIDTH", "integer"),
         ({"VIEWPOINT": "0 0 0"}, "VIEWPOINT", "seven"),
         ({"POINTS": "3"}, "POINTS", "2"),
         ({"DATA": "zipped"}, "DATA", "binary_compressed"),

@@ -8,7 +8,7 @@ import math
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.vertical_datum import (
     FIELD,
-    MOST_UNDULATION_M,
+    MAX_UNDULATION_M,
     VerticalDatum,
     constant_undulation,
     vertical_datum,
@@ -26,7 +26,7 @@ def add_height_arguments(parser: argparse.ArgumentParser) -> None:
     )
     heights.add_argument(
         "--geoid-undulation-m",
-        type=number_from(-MOST_UNDULATION_M, MOST_UNDULATION_M, "m"),
+        type=number_from(-MAX_UNDULATION_M, MAX_UNDULATION_M, "m"),
         metavar="N",
         help="instead of --vertical-datum: one height of the geoid above the ellipsoid for all of a small map",
     )

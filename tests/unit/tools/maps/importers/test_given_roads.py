@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from camber.formats.errors import FormatError
-from camber.formats.map_exchange.lanelet2 import lanelet2_bytes
 from camber.tools.maps.geojson import read_geojson
 from camber.tools.maps.importers.given_roads import given_roads
 from support import lanelet_maps
@@ -46,7 +45,7 @@ def test_lines_that_say_nothing_meet_where_they_end_and_are_as_wide_as_asked(tmp
 
 def test_of_lanelets_the_middles_are_taken(tmp_path: Path) -> None:
     town = lanelet_maps.town()
-    (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town))
+    (tmp_path / "town.osm").write_bytes(lanelet_maps.lanelet2_bytes(town))
     given = roads(tmp_path / "town.osm")
     assert len(given.links) >= len(town.lanelets) > 0
     assert (given.half_width_m == 1.5).all()
