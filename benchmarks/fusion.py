@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from camber.map_update.fusion.biweight import (
     PRIOR_VOTES,
     TUNING,
-    ChangeRule,
+    VoteColumns,
     biweight,
-    heights_of,
+    estimate_heights,
 )
-from camber.map_update.fusion.surface_shape import shapes_of, votes_shape_m2
-from camber.map_update.fusion.vehicle_bias import BiasModel, biases_of
+from camber.map_update.fusion.surface_shape import shape_spread, shape_variance_m2
+from camber.map_update.fusion.vehicle_bias import estimate_biases
 
 Floats = NDArray[np.float64]
 
@@ -63,12 +63,20 @@ def figures() -> list[Figure]:
     ones, sigma_m = np.ones(len(voter)), np.full(len(voter), 0.02)
 
     def whole() -> None:
-        shape_m2 = votes_shape_m2(shapes_of(begins, np.full(len(voter), 1e-4)))
-        biases = biases_of(begins, surface // 40, voter, session, value_m, sigma_m, shape_m2, BiasModel())
-        heights_of(
-            begins, voter, session, value_m - biases.bias_m, biases.weight, biases.known,
-            biases.components.vote_m, ChangeRule(),
-        )  # fmt: skip
+        shape_m2 = shape_variance_m2(shape_spread(begins, np.full(len(voter), 1e-4)))
+        biases = estimate_biases(
+            begins,
+            block=surface // 40,
+            voter=voter,
+            session=session,
+            value_m=value_m,
+            sigma_m=sigma_m,
+            shape_m2=shape_m2,
+        )
+        votes = VoteColumns(
+            voter=voter, session=session, value_m=value_m - biases.bias_m, weight=biases.weight
+        )
+        estimate_heights(begins, votes, known=biases.known, vote_sigma_m=biases.components.vote_m)
 
     ours_m, _ = biweight(value_m, ones, begins, VOTE_M)
     took = min(_cpu_s(lambda: biweight(value_m, ones, begins, VOTE_M)) for _ in range(5))

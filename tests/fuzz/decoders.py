@@ -54,10 +54,10 @@ from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
     QueuedContribution,
     QueueMessageError,
+    pack_contributions,
     pack_outcomes,
-    pack_parcels,
+    unpack_contributions,
     unpack_outcomes,
-    unpack_parcels,
 )
 from camber.map_update.stores.store import Outcome
 from camber.replay.short_drive import write_short_drive
@@ -426,7 +426,7 @@ def _queue(random: Random) -> list[list[bytes]]:
         QueuedContribution(random_batch("b1", 5, rng), None),
         QueuedContribution(contribution("u1"), refusal),
     ]
-    return [[pack_parcels("_INBOX.a.1", parcels)], [pack_parcels("_INBOX.a.2", parcels[:1])]]
+    return [[pack_contributions("_INBOX.a.1", parcels)], [pack_contributions("_INBOX.a.2", parcels[:1])]]
 
 
 def _queue_answers(_: Random) -> list[list[bytes]]:
@@ -566,6 +566,6 @@ DECODERS: tuple[Target, ...] = (
         read=lambda data: read_ouster_metadata(data.decode("utf-8", "replace"), "fuzz"),
         refusal=FormatError,
     ),
-    Target("queue", _queue, read=unpack_parcels, refusal=QueueMessageError),
+    Target("queue", _queue, read=unpack_contributions, refusal=QueueMessageError),
     Target("queue_answers", _queue_answers, read=unpack_outcomes, refusal=QueueMessageError),
 )

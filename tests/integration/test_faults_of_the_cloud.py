@@ -73,11 +73,11 @@ class Uploads:
 
 @pytest.fixture
 def processes(tmp_path: Path) -> Iterator[Processes]:
-    found = Processes(tmp_path)
+    result = Processes(tmp_path)
     try:
-        yield found
+        yield result
     finally:
-        found.end()
+        result.end()
 
 
 @needs_postgres
@@ -143,8 +143,8 @@ class Fleet:
 
     def stored(self) -> list[str]:
         with closing(SqliteStore(self.state / "uploads.sqlite")) as store:
-            found = store.observations_after(0, 1_000_000)
-        return [found.headings[heading].id for heading in found.heading_of.tolist()]
+            result = store.observations_after(0, 1_000_000)
+        return [result.headings[heading].id for heading in result.heading_of.tolist()]
 
     def renew(self, days: float = 20.0, *, renew: bool = True) -> None:
         self.authority.issue(VEHICLE, "vehicle", days=days, now=datetime.now(UTC), renew=renew)

@@ -102,8 +102,8 @@ def cloud_has(here: Here) -> int:
 def stored_ids(here: Here) -> list[str]:
     """Of all uploads, each as often as it is stored."""
     with closing(SqliteStore(here.store)) as store:
-        found = store.observations_after(0, 1_000_000)
-    return [found.headings[heading].id for heading in found.heading_of.tolist()]
+        result = store.observations_after(0, 1_000_000)
+    return [result.headings[heading].id for heading in result.heading_of.tolist()]
 
 
 def put(here: Here) -> int:

@@ -14,9 +14,9 @@ SEED = 7
 @needs_postgres
 def test_what_is_acknowledged_is_stored_once_through_kills_of_all_that_store(tmp_path):
     """A million, and ten kills of each: `python -m support.killed_uploads`."""
-    found = run(tmp_path, uploads=UPLOADS, kills=1, seed=SEED, shards=[""])
-    assert found.problems == []
-    assert (found.acknowledged, found.stored, found.observations) == (UPLOADS,) * 3
-    assert {"postgres", "nats"} < set(found.kills)
-    assert sum(found.kills.values()) == 3
-    assert not [who for who in found.kills if who.endswith(" ended")], "nobody ended but who was killed"
+    result = run(tmp_path, uploads=UPLOADS, kills=1, seed=SEED, shards=[""])
+    assert result.problems == []
+    assert (result.acknowledged, result.stored, result.observations) == (UPLOADS,) * 3
+    assert {"postgres", "nats"} < set(result.kills)
+    assert sum(result.kills.values()) == 3
+    assert not [who for who in result.kills if who.endswith(" ended")], "nobody ended but who was killed"

@@ -222,7 +222,7 @@ def swaps(folder: Path, *, releases: int, rate_hz: float, every_s: float) -> dic
         steps: dict[int, float] = {}
 
         def make(step_m: float) -> None:
-            steps[here.making.make(corrections(step_m), time_ns=MADE_NS + len(steps)).map_version] = step_m
+            steps[here.making.build(corrections(step_m), time_ns=MADE_NS + len(steps)).map_version] = step_m
 
         make(0.0)
         here.start_cloud(folder / "out")
@@ -257,7 +257,7 @@ def swaps(folder: Path, *, releases: int, rate_hz: float, every_s: float) -> dic
 def killed(folder: Path, *, delay_s: float) -> dict[str, int]:
     """SIGKILL of the vehicle's map_server in the middle of a fetch; how many blobs it had to be sent in all."""
     with world(folder) as here:
-        here.making.make(corrections(0.0), time_ns=MADE_NS)
+        here.making.build(corrections(0.0), time_ns=MADE_NS)
         here.start_cloud(folder / "out", delay_s=delay_s)
         here.start_vehicle()
         lacked = wait_until(lambda: lacking(here.store), timeout_s=90.0, why="a manifest")
@@ -307,10 +307,10 @@ def test_a_fetch_that_was_killed_goes_on_where_it_was(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_vehicle_without_a_key_takes_what_it_was_given_and_nothing_over_the_bus(tmp_path: Path) -> None:
     with world(tmp_path) as here:
-        here.making.make(corrections(0.0), time_ns=MADE_NS)
+        here.making.build(corrections(0.0), time_ns=MADE_NS)
         here.start_cloud(tmp_path / "out")
         shutil.copytree(tmp_path / "out", tmp_path / "given")
-        here.making.make(corrections(0.1), time_ns=MADE_NS + 1)
+        here.making.build(corrections(0.1), time_ns=MADE_NS + 1)
         here.start_vehicle(**{"public-key": None, "release": tmp_path / "given"})
         wait_until(lambda: here.version() == 8, timeout_s=90.0, why="the release that was given")
         wait_until(
@@ -328,10 +328,10 @@ def test_a_vehicle_without_a_key_takes_what_it_was_given_and_nothing_over_the_bu
 @pytest.mark.slow
 def test_what_is_forged_is_named_and_never_in_force(tmp_path: Path) -> None:
     with world(tmp_path) as here:
-        here.making.make(corrections(0.0), time_ns=MADE_NS)
+        here.making.build(corrections(0.0), time_ns=MADE_NS)
         other = making(tmp_path / "other", SURFACES, key=OTHER_KEY)
         for step in range(3):
-            other.make(corrections(1.0 + step), time_ns=MADE_NS + step)
+            other.build(corrections(1.0 + step), time_ns=MADE_NS + step)
         here.start_cloud(tmp_path / "out")
         here.start_vehicle()
         wait_until(lambda: here.version() == 8, timeout_s=90.0, why="the first release")
@@ -344,7 +344,7 @@ def test_what_is_forged_is_named_and_never_in_force(tmp_path: Path) -> None:
         assert here.version() == 8
         # A root that is right, and tiles cut short on the cloud's disk.
         before = open_release(tmp_path / "out").hashes()
-        here.making.make(corrections(0.1), time_ns=MADE_NS + 1)
+        here.making.build(corrections(0.1), time_ns=MADE_NS + 1)
         for digest in open_release(tmp_path / "out").hashes() - before:
             path = blob_path(tmp_path / "out", digest)
             path.write_bytes(path.read_bytes()[:-9])
@@ -355,7 +355,7 @@ def test_what_is_forged_is_named_and_never_in_force(tmp_path: Path) -> None:
             why="what the cloud itself does not give away any more",
         )
         assert here.version() == 8
-        here.making.make(corrections(0.2), time_ns=MADE_NS + 2)
+        here.making.build(corrections(0.2), time_ns=MADE_NS + 2)
         wait_until(lambda: here.version() == 10, timeout_s=90.0, why="the next release, which is whole")
 
 

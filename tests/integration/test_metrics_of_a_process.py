@@ -47,12 +47,12 @@ class Process:
         """Each metric without its labels, and those with a status or an event with these."""
         with urllib.request.urlopen(f"http://127.0.0.1:{self.port}/metrics", timeout=timeout_s) as answer:
             text = answer.read().decode()
-        found = {}
+        result = {}
         for family in text_string_to_metric_families(text):
             for sample in family.samples:
                 word = sample.labels.get("status") or sample.labels.get("event") or ""
-                found[f"{sample.name}{f'.{word}' if word else ''}"] = sample.value
-        return found
+                result[f"{sample.name}{f'.{word}' if word else ''}"] = sample.value
+        return result
 
     def try_read(self) -> dict[str, float]:
         with suppress(OSError):

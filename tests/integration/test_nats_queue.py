@@ -10,7 +10,7 @@ import pytest
 from camber.map_update.admission import Refusal
 from camber.map_update.queue import nats_queue
 from camber.map_update.queue.nats_queue import QueueReceiver, QueueSender
-from camber.map_update.queue.queue_messages import QueuedContribution, QueueError, pack_parcels
+from camber.map_update.queue.queue_messages import QueuedContribution, QueueError, pack_contributions
 from camber.map_update.stores.shards import Shards
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import Outcome
@@ -30,7 +30,7 @@ def server():
         yield server
 
 
-def sender(server, shards=WHOLE, limit_s=5.0):
+def open_sender(server, shards=WHOLE, limit_s=5.0):
     return closing(QueueSender(server.address, shards, limit_s=limit_s))
 
 
@@ -46,28 +46,30 @@ class Worker(threading.Thread):
 
     def run(self):
         with (
-            closing(QueueReceiver(self.server.address, self.shard, limit_s=5.0)) as taking,
+            closing(QueueReceiver(self.server.address, self.shard, limit_s=5.0)) as receiver,
             closing(SqliteStore(self.path)) as store,
         ):
             while not self.over.is_set():
                 try:
-                    self.round(taking, store)
+                    self.round(receiver, store)
                 except QueueError:
                     self.over.wait(0.05)
 
-    def round(self, taking, store):
-        deliveries = taking.take(0.05)
+    def round(self, receiver, store):
+        deliveries = receiver.take(0.05)
         if not deliveries:
             return
         if self.fails:
             self.fails -= 1
-            taking.again(deliveries)
+            receiver.redeliver(deliveries)
             return
         self.rounds += 1
-        parcels = [parcel for delivery in deliveries for parcel in delivery.parcels]
-        refusals = {id(parcel.contribution): parcel.refusal for parcel in parcels}
-        outcomes = iter(store.commit([p.contribution for p in parcels], NOW_NS, lambda c: refusals[id(c)]))
-        taking.stored(deliveries, [[next(outcomes) for _ in d.parcels] for d in deliveries])
+        queued = [item for delivery in deliveries for item in delivery.contributions]
+        refusals = {id(item.contribution): item.refusal for item in queued}
+        outcomes = iter(
+            store.commit([item.contribution for item in queued], NOW_NS, lambda c: refusals[id(c)])
+        )
+        receiver.acknowledge(deliveries, [[next(outcomes) for _ in d.contributions] for d in deliveries])
 
 
 @contextmanager
@@ -82,13 +84,13 @@ def storing(server, folder, *shards):
         yield workers
 
 
-def sent(sending, *contributions, refused=None):
+def sent(sender, *contributions, refused=None):
     """What became of each; the queue is asked again while it is not there."""
-    parcels = [QueuedContribution(c, refused) for c in contributions]
+    queued = [QueuedContribution(c, refused) for c in contributions]
 
     def heard():
         try:
-            outcomes = sending.send(parcels)
+            outcomes = sender.send(queued)
         except QueueError:
             return None
         return None if None in outcomes else [outcome.status for outcome in outcomes]
@@ -97,53 +99,53 @@ def sent(sending, *contributions, refused=None):
 
 
 def test_what_is_sent_is_answered_after_its_commit_and_again_it_is_a_duplicate(server, tmp_path):
-    with sender(server) as sending, storing(server, tmp_path, "world"):
+    with open_sender(server) as sender, storing(server, tmp_path, "world"):
         uploads = [contribution(f"u{n}") for n in range(300)]
-        assert Counter(sent(sending, *uploads)) <= Counter({"stored": 300, "duplicate": 300})
-        assert sent(sending, *uploads) == ["duplicate"] * 300
-        assert sent(sending, contribution("u0", height_m=41.0)) == ["refused"]
+        assert Counter(sent(sender, *uploads)) <= Counter({"stored": 300, "duplicate": 300})
+        assert sent(sender, *uploads) == ["duplicate"] * 300
+        assert sent(sender, contribution("u0", height_m=41.0)) == ["refused"]
     with closing(SqliteStore(tmp_path / "world.sqlite")) as store:
         assert store.counts() == (300, 300)
 
 
 def test_what_its_receiver_refuses_is_refused_unless_it_is_known(server, tmp_path):
     refusal = Refusal("datum", "datum Tokyo, expected WGS84")
-    with sender(server) as sending, storing(server, tmp_path, "world"):
-        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
-        assert sent(sending, contribution("u1"), contribution("u2"), refused=refusal) == [
+    with open_sender(server) as sender, storing(server, tmp_path, "world"):
+        assert sent(sender, contribution("u1"))[0] in ("stored", "duplicate")
+        assert sent(sender, contribution("u1"), contribution("u2"), refused=refusal) == [
             "duplicate",
             "refused",
         ]
-        assert sent(sending, contribution("u2"))[0] in ("stored", "duplicate")
+        assert sent(sender, contribution("u2"))[0] in ("stored", "duplicate")
 
 
 def test_a_batch_across_shards_is_stored_in_each_and_acknowledged_once_all_have_it(server, tmp_path):
     batch = contribution("b1", kind="batch", records=10)
     batch.observations["latitude_rad"][3:] *= -1.0
-    with sender(server, QUARTERS, limit_s=1.5) as sending:
+    with open_sender(server, QUARTERS, limit_s=1.5) as sender:
         with storing(server, tmp_path, "1"):
-            assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
-            assert sending.send([QueuedContribution(batch, None)]) == [None]
+            assert sent(sender, contribution("u1"))[0] in ("stored", "duplicate")
+            assert sender.send([QueuedContribution(batch, None)]) == [None]
         with storing(server, tmp_path, "1", "3"):
-            assert sent(sending, batch)[0] in ("stored", "duplicate")
-            assert sent(sending, batch) == ["duplicate"]
+            assert sent(sender, batch)[0] in ("stored", "duplicate")
+            assert sent(sender, batch) == ["duplicate"]
     for shard, rows in (("1", batch.observations[:3]), ("3", batch.observations[3:])):
         with closing(SqliteStore(tmp_path / f"{shard}.sqlite")) as store:
-            found = store.observations_after(0, 100)
-            heading = [h.id for h in found.headings].index("b1")
-            assert found.rows[found.heading_of == heading].tobytes() == rows.tobytes()
+            result = store.observations_after(0, 100)
+            entry = [h.id for h in result.entries].index("b1")
+            assert result.rows[result.entry_of == entry].tobytes() == rows.tobytes()
 
 
 def test_nobody_who_stores_means_no_acknowledgement(server):
-    with sender(server, limit_s=0.3) as sending:
-        assert sending.send([QueuedContribution(contribution("u1"), None)]) == [None]
+    with open_sender(server, limit_s=0.3) as sender:
+        assert sender.send([QueuedContribution(contribution("u1"), None)]) == [None]
 
 
 def test_what_could_not_be_stored_comes_again_without_its_sender(server, tmp_path):
-    with sender(server, limit_s=5.0) as sending, storing(server, tmp_path, "world") as workers:
-        assert sent(sending, contribution("u0"))[0] in ("stored", "duplicate")
+    with open_sender(server, limit_s=5.0) as sender, storing(server, tmp_path, "world") as workers:
+        assert sent(sender, contribution("u0"))[0] in ("stored", "duplicate")
         workers["world"].fails = 1
-        (outcome,) = sending.send([QueuedContribution(contribution("u1"), None)])
+        (outcome,) = sender.send([QueuedContribution(contribution("u1"), None)])
         assert outcome is not None
         assert outcome.status == "stored"
 
@@ -151,16 +153,16 @@ def test_what_could_not_be_stored_comes_again_without_its_sender(server, tmp_pat
 @pytest.mark.parametrize("emptied", [False, True], ids=["killed", "killed and emptied"])
 def test_a_server_that_is_killed_loses_nothing_acknowledged(server, tmp_path, emptied):
     uploads = [contribution(f"u{n}") for n in range(40)]
-    with sender(server) as sending, storing(server, tmp_path, "world"):
-        sent(sending, *uploads[:20])
+    with open_sender(server) as sender, storing(server, tmp_path, "world"):
+        sent(sender, *uploads[:20])
         server.end()
         with pytest.raises(QueueError, match=r"nats://127\.0\.0\.1:\d+: "):
-            sending.send([QueuedContribution(uploads[20], None)])
+            sender.send([QueuedContribution(uploads[20], None)])
         if emptied:
             shutil.rmtree(server.folder / "data")
         server.start()
-        sent(sending, *uploads)
-        assert sent(sending, *uploads) == ["duplicate"] * 40
+        sent(sender, *uploads)
+        assert sent(sender, *uploads) == ["duplicate"] * 40
 
 
 def test_what_is_no_message_is_dropped_and_does_not_stop_the_others(server, tmp_path):
@@ -171,23 +173,21 @@ def test_what_is_no_message_is_dropped_and_does_not_stop_the_others(server, tmp_
         await client.jetstream().publish("camber.uploads.world", data)
         await client.close()
 
-    with sender(server) as sending, storing(server, tmp_path, "world") as workers:
-        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+    with open_sender(server) as sender, storing(server, tmp_path, "world") as workers:
+        assert sent(sender, contribution("u1"))[0] in ("stored", "duplicate")
         in_a_loop(publish(b"no message"))
-        in_a_loop(publish(pack_parcels("x", [QueuedContribution(contribution("u2"), None)])[:-7]))
-        assert sent(sending, contribution("u3"))[0] in ("stored", "duplicate")
+        in_a_loop(publish(pack_contributions("x", [QueuedContribution(contribution("u2"), None)])[:-7]))
+        assert sent(sender, contribution("u3"))[0] in ("stored", "duplicate")
         assert workers["world"].rounds >= 2
 
 
 def test_a_contribution_beyond_the_servers_limit_is_not_acknowledged_and_the_others_are(server, tmp_path):
-    with sender(server) as sending, storing(server, tmp_path, "world"):
-        assert sent(sending, contribution("u1"))[0] in ("stored", "duplicate")
+    with open_sender(server) as sender, storing(server, tmp_path, "world"):
+        assert sent(sender, contribution("u1"))[0] in ("stored", "duplicate")
         huge = contribution("b1", kind="batch", records=120_000)
-        outcomes = sending.send(
-            [QueuedContribution(contribution("u2"), None), QueuedContribution(huge, None)]
-        )
+        outcomes = sender.send([QueuedContribution(contribution("u2"), None), QueuedContribution(huge, None)])
         assert [outcome and outcome.status for outcome in outcomes] == ["stored", None]
-        assert sending.too_large == 1
+        assert sender.too_large == 1
 
 
 def test_how_many_wait_in_the_server_is_known_where_they_are_taken(server):
@@ -195,19 +195,21 @@ def test_how_many_wait_in_the_server_is_known_where_they_are_taken(server):
     large = contribution("u", kind="batch", records=1)
     records = nats_queue._MESSAGE_BYTES // large.observations.nbytes
     messages = nats_queue._IN_FLIGHT + beyond
-    with sender(server, limit_s=3.0) as sending:
-        wait_until(lambda: not raises(lambda: sending.send([])), timeout_s=30.0, why="it is connected")
+    with open_sender(server, limit_s=3.0) as sender:
+        wait_until(lambda: not raises(lambda: sender.send([])), timeout_s=30.0, why="it is connected")
         batches = [contribution(f"u{n}", kind="batch", records=records) for n in range(messages)]
-        assert set(sending.send([QueuedContribution(batch, None) for batch in batches])) == {None}
-    with closing(QueueReceiver(server.address, "world", limit_s=5.0)) as taking:
-        assert taking.waiting is None
-        deliveries = wait_until(lambda: taken(taking), timeout_s=30.0, why="something waits")
-        assert taking.waiting is not None
-        assert taking.waiting >= beyond, "no more than some are given out before they are settled"
+        assert set(sender.send([QueuedContribution(batch, None) for batch in batches])) == {None}
+    with closing(QueueReceiver(server.address, "world", limit_s=5.0)) as receiver:
+        assert receiver.waiting is None
+        deliveries = wait_until(lambda: taken(receiver), timeout_s=30.0, why="something waits")
+        assert receiver.waiting is not None
+        assert receiver.waiting >= beyond, "no more than some are given out before they are settled"
         while deliveries:
-            taking.stored(deliveries, [[Outcome("stored")] * len(each.parcels) for each in deliveries])
-            deliveries = taking.take(1.0)
-        assert taking.waiting == 0
+            receiver.acknowledge(
+                deliveries, [[Outcome("stored")] * len(each.contributions) for each in deliveries]
+            )
+            deliveries = receiver.take(1.0)
+        assert receiver.waiting == 0
 
 
 def raises(work):
@@ -218,8 +220,8 @@ def raises(work):
     return False
 
 
-def taken(taking):
+def taken(receiver):
     try:
-        return taking.take(0.5)
+        return receiver.take(0.5)
     except QueueError:
         return []

@@ -52,11 +52,11 @@ def test_a_reader_that_follows_several_writers_leaves_none_out(address):
         cursor, numbers, seen = 0, [], []
         while True:
             over = not any(thread.is_alive() for thread in threads)
-            found = reader.observations_after(cursor, 7)
-            cursor = found.cursor
-            numbers += [heading.number for heading in found.headings]
-            seen += [heading.id for heading in found.headings]
-            if over and not found.headings:
+            result = reader.observations_after(cursor, 7)
+            cursor = result.cursor
+            numbers += [entry.number for entry in result.entries]
+            seen += [entry.id for entry in result.entries]
+            if over and not result.entries:
                 break
         for thread in threads:
             thread.join()
@@ -90,8 +90,8 @@ def test_groups_across_partitions_are_read_whole_and_a_forgotten_partition_is_go
     with opened(address) as store:
         assert committed(store, *sent[:3]) == ["stored"] * 3
         assert committed(store, *sent[3:]) == ["stored"] * 8
-        found = store.observations_after(0, 1000)
-        assert found.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
+        result = store.observations_after(0, 1000)
+        assert result.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
         store.advance(store.progress(), FusionStep(cursor=9))
         assert store.forget(NOW_NS + 1) == 9
         assert [h.id for h in names(store)] == ["b9", "b10"]
@@ -102,8 +102,8 @@ def test_groups_across_partitions_are_read_whole_and_a_forgotten_partition_is_go
 
 
 def names(store):
-    found = store.observations_after(0, 1000)
-    return [found.headings[n] for n in np.unique(found.heading_of)]
+    result = store.observations_after(0, 1000)
+    return [result.entries[n] for n in np.unique(result.entry_of)]
 
 
 def test_a_server_that_is_killed_acknowledges_nothing_loses_nothing_and_is_found_again():
@@ -130,8 +130,8 @@ def test_a_server_that_is_killed_acknowledges_nothing_loses_nothing_and_is_found
                 except StoreError:
                     return None
 
-            found = wait_until(stored, timeout_s=20.0, why="the store does not come back")
-            assert found == ["duplicate", "stored"]
+            result = wait_until(stored, timeout_s=20.0, why="the store does not come back")
+            assert result == ["duplicate", "stored"]
 
 
 def test_a_server_that_is_not_there_yet_is_waited_for():
@@ -170,8 +170,8 @@ def test_a_full_disk_acknowledges_nothing_of_the_group_and_keeps_what_was_stored
             assert done > 0
             server.end()
             server.start()
-            found = wait_until(lambda: again(store, batches), timeout_s=20.0, why="no room after all")
-            assert found == ["duplicate"] * done + ["stored"] * (16 - done)
+            result = wait_until(lambda: again(store, batches), timeout_s=20.0, why="no room after all")
+            assert result == ["duplicate"] * done + ["stored"] * (16 - done)
             assert store.counts() == (16, 16 * 20_000)
 
 

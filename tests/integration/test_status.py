@@ -145,7 +145,7 @@ def test_a_service_whose_interpreter_hangs_is_not_answering_though_it_is_on_the_
         wait_until(lambda: status(endpoint, *of_it)[0] == 0, timeout_s=30.0, why="it is well at first")
         hang.touch()
         _, view = wait_until(
-            lambda: next((found for found in [status(endpoint, *of_it)] if found[0] == 1), None),
+            lambda: next((result for result in [status(endpoint, *of_it)] if result[0] == 1), None),
             timeout_s=30.0,
             why="it hangs",
         )

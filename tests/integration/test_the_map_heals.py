@@ -210,10 +210,10 @@ def test_vehicles_that_find_a_changed_road_correct_it_for_the_next_one(tmp_path:
         for out in outs:
             for batch in batches_in(out):
                 upload(endpoint, batch)
-        found = wait_until(
+        result = wait_until(
             lambda: raised(tmp_path, changed), timeout_s=60.0, why="no corrected release in the vehicle"
         )
-    offset_m = np.array(found)
+    offset_m = np.array(result)
     ids = read_release(tmp_path / "survey").road_surfaces().surface_id
     print(dict(zip(ids.tolist(), np.round(offset_m, 3).tolist(), strict=True)))
     is_changed = np.isin(ids, changed)

@@ -146,12 +146,12 @@ def test_every_upload_is_stored_once_through_kills_of_router_store_and_vehicle(t
                 fleet.restart("vehicle")
         fleet.wait_for(UPLOADS, deadline_s)
     with closing(SqliteStore(fleet.store)) as store:
-        found = store.observations_after(0, 2 * UPLOADS)
+        result = store.observations_after(0, 2 * UPLOADS)
     rows = sorted(
-        (time_ns, found.headings[heading].id, surface_id, height_m)
+        (time_ns, result.headings[heading].id, surface_id, height_m)
         for heading, time_ns, surface_id, height_m in zip(
-            found.heading_of.tolist(),
-            *(found.rows[name].tolist() for name in ("time_ns", "surface_id", "road_height_m")),
+            result.heading_of.tolist(),
+            *(result.rows[name].tolist() for name in ("time_ns", "surface_id", "road_height_m")),
             strict=True,
         )
     )

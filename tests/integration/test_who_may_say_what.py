@@ -144,10 +144,10 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
     folder = tmp_path_factory.mktemp("fleet")
     certificates, endpoint = make_certificates(folder), tls_endpoint()
     with router(cloud_file(certificates, endpoint, folder / "cloud.json5")), ExitStack() as stack:
-        found = Fleet(certificates, endpoint, {}, {})
-        stack.callback(lambda: [session.close() for session in found.sessions.values()])
-        found.session("cloud")
-        yield found
+        result = Fleet(certificates, endpoint, {}, {})
+        stack.callback(lambda: [session.close() for session in result.sessions.values()])
+        result.session("cloud")
+        yield result
 
 
 class Got:
@@ -240,9 +240,9 @@ def test_whoever_speaks_in_its_own_name_is_heard(fleet: Fleet, who: str, name: s
 
 def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
     watch = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-2", again_s=600.0)
-    found: list[str] = []
-    wait_until(lambda: found.extend(watch.problems()) or found, timeout_s=30.0, why="nothing was said")
-    assert "car-1 says as car-2: not in its access list" in found[0]
+    result: list[str] = []
+    wait_until(lambda: result.extend(watch.problems()) or result, timeout_s=30.0, why="nothing was said")
+    assert "car-1 says as car-2: not in its access list" in result[0]
     right = AccessProbe(fleet.certificates.settings("car-1", fleet.endpoint), "car-1")
     time.sleep(2.0)
     assert right.problems() == []
@@ -251,8 +251,8 @@ def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:
 def test_the_doctor_says_whose_certificate_is_in_no_access_list(fleet: Fleet) -> None:
     def problems(who: str, vehicle: str) -> list[str]:
         zenoh_settings = fleet.certificates.settings(who, fleet.endpoint)
-        found = check_bus(ServiceSettings(vehicle=vehicle, zenoh=zenoh_settings))
-        return [finding.text for finding in found if finding.state == "problem"]
+        result = check_bus(ServiceSettings(vehicle=vehicle, zenoh=zenoh_settings))
+        return [finding.text for finding in result if finding.state == "problem"]
 
     assert problems("car-1", "car-1") == []
     (said,) = problems("revoked", "revoked")

@@ -67,4 +67,4 @@ def committed(store: Store, *contributions: Contribution, judge: Judge = take_al
 
 def names_in(store: Store) -> list[tuple[str, str, str]]:
     """Of all contributions, in the order of commits."""
-    return [(h.vehicle, h.kind, h.id) for h in store.observations_after(0, 1 << 40).headings]
+    return [(h.vehicle, h.kind, h.id) for h in store.observations_after(0, 1 << 40).entries]

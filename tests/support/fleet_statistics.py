@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import REASONS, Decisions
-from camber.map_update.fusion.votes import SAMPLES, Votes, session_of, values_of
+from camber.map_update.fusion.votes import SAMPLES, Votes, merge_votes, session_of, vote_values
 from camber.road_map.surface_heights import SurfaceHeights
 from support.fleet_votes import DAY_NS, FleetWorld, Record, fusion_of, record_of, votes_of, world_of
 
@@ -48,7 +48,7 @@ class Run:
     deviation_m: Floats
     votes: Votes
     true_m: Floats
-    """(surfaces,) in the order of the fusion's surroundings, as all that follows."""
+    """(surfaces,) in the order of the fusion's neighbourhood, as all that follows."""
     changed: NDArray[np.bool_]
 
     @property
@@ -80,7 +80,7 @@ def run_of(seed: int, *overrides: str) -> Run:
         np.ascontiguousarray(record.observations["longitude_rad"]),
     )
     order = np.argsort(world.surfaces.surface_id)
-    changed = np.isin(fusion.surroundings.link_id, list(world.changed_roads))
+    changed = np.isin(fusion.neighbourhood.link_id, list(world.changed_roads))
     return Run(
         world,
         fusion,
@@ -97,13 +97,13 @@ def honest(run: Run, vehicles: int) -> dict[str, Any]:
     voters = [run.fusion.voter_of(f"car{n:05d}") for n in range(vehicles)]
     votes = run.votes[np.isin(run.votes["voter"], voters)]
     decisions = run.decide(votes)
-    found = decisions.surfaces
-    row = run.fusion.surroundings.rows_of(found["surface_id"])
+    result = decisions.surfaces
+    row = run.fusion.neighbourhood.rows_of(result["surface_id"])
     true_m, changed = run.true_m[row], run.changed[row]
-    error_m = found["offset_m"] - true_m
-    enough = found["vehicles"] >= 5
-    published = np.isin(found["surface_id"], decisions.of("publish")["surface_id"])
-    ready = changed & (np.abs(true_m) >= LARGE_M) & enough & _ready(votes, found, true_m)
+    error_m = result["offset_m"] - true_m
+    enough = result["vehicles"] >= 5
+    published = np.isin(result["surface_id"], decisions.of("publish")["surface_id"])
+    ready = changed & (np.abs(true_m) >= LARGE_M) & enough & _ready(votes, result, true_m)
     missed = ready & ~published
     mean_m, mean_error_m, cars = _means(run, run.record.vehicle < vehicles)
     mean_m, mean_error_m, cars = mean_m[row], mean_error_m[row], cars[row]
@@ -115,16 +115,16 @@ def honest(run: Run, vehicles: int) -> dict[str, Any]:
         "rmse_unchanged_mm": _rms_mm(error_m[unchanged]),
         "rmse_changed_mm": _rms_mm(error_m[changed & enough]),
         "error_p99_mm": _quantile_mm(np.abs(error_m[enough]), 0.99),
-        "floor_median_mm": 3.3 * _quantile_mm(found["standard_error_m"][enough], 0.5),
-        "floor_p95_mm": 3.3 * _quantile_mm(found["standard_error_m"][enough], 0.95),
-        "error_over_se": float(np.std(error_m[enough] / found["standard_error_m"][enough])) if enough.any() else 0.0,
+        "floor_median_mm": 3.3 * _quantile_mm(result["standard_error_m"][enough], 0.5),
+        "floor_p95_mm": 3.3 * _quantile_mm(result["standard_error_m"][enough], 0.95),
+        "error_over_se": float(np.std(error_m[enough] / result["standard_error_m"][enough])) if enough.any() else 0.0,
         "large_changes": int((changed & (np.abs(true_m) >= LARGE_M)).sum()),
         "ready": int(ready.sum()),
         "missed": int(missed.sum()),
-        "missed_why": dict(Counter(REASONS[k] for k in found["reason"][missed])),
+        "missed_why": dict(Counter(REASONS[k] for k in result["reason"][missed])),
         "published": int(published.sum()),
         "false": int((published & (np.abs(true_m) < THRESHOLD_M)).sum()),
-        "published_off": int((published & (np.abs(error_m) > np.maximum(WRONG_M, 3.3 * found["sigma_m"]))).sum()),
+        "published_off": int((published & (np.abs(error_m) > np.maximum(WRONG_M, 3.3 * result["sigma_m"]))).sum()),
         "held": len(decisions.of("hold")),
         "alarms": len(decisions.alarms),
         "mean_rmse_unchanged_mm": _rms_mm(mean_m[unchanged] - true_m[unchanged]),
@@ -134,12 +134,12 @@ def honest(run: Run, vehicles: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _ready(votes: Votes, found: NDArray[np.void], true_m: Floats) -> NDArray[np.bool_]:
+def _ready(votes: Votes, result: NDArray[np.void], true_m: Floats) -> NDArray[np.bool_]:
     """Where n votes of spread σ reach 3.3 σ / √n < change − 3 cm; σ by the median absolute deviation."""
-    value_m, _, _ = values_of(votes)
-    ready = np.zeros(len(found), bool)
-    begins = np.searchsorted(votes["surface_id"], found["surface_id"])
-    ends = np.searchsorted(votes["surface_id"], found["surface_id"], side="right")
+    value_m, _, _ = vote_values(votes)
+    ready = np.zeros(len(result), bool)
+    begins = np.searchsorted(votes["surface_id"], result["surface_id"])
+    ends = np.searchsorted(votes["surface_id"], result["surface_id"], side="right")
     for k, (a, b) in enumerate(zip(begins, ends, strict=True)):
         spread_m = 1.4826 * float(np.median(np.abs(value_m[a:b] - np.median(value_m[a:b]))))
         ready[k] = 3.3 * spread_m / np.sqrt(b - a) < abs(true_m[k]) - THRESHOLD_M
@@ -150,7 +150,7 @@ def _means(
     run: Run, of: NDArray[np.bool_], lie_m: Floats | None = None
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """The mean of records, its standard error and how many vehicles: what a plain server would do."""
-    row = run.fusion.surroundings.rows_of(run.record.observations["surface_id"])
+    row = run.fusion.neighbourhood.rows_of(run.record.observations["surface_id"])
     size = len(run.true_m)
     value_m = run.deviation_m if lie_m is None else run.deviation_m + lie_m
     of = of & (row >= 0)
@@ -165,14 +165,14 @@ def _means(
 
 def street_of(run: Run) -> Street:
     """The unchanged link with most votes, its surfaces that at least twenty vehicles have seen."""
-    surroundings = run.fusion.surroundings
+    neighbourhood = run.fusion.neighbourhood
     seen = run.decide(run.votes).surfaces
-    row = surroundings.rows_of(seen["surface_id"])
+    row = neighbourhood.rows_of(seen["surface_id"])
     good = ~run.changed[row] & (seen["vehicles"] >= 20)
-    links, votes = np.unique(surroundings.link_id[row[good]], return_inverse=True)
+    links, votes = np.unique(neighbourhood.link_id[row[good]], return_inverse=True)
     best = links[np.argmax(np.bincount(votes, seen["votes"][good]))]
     today = int(session_of(np.array([run.now_ns]), run.world.surfaces.longitude_rad[:1])[0])
-    return Street(run, seen["surface_id"][good & (surroundings.link_id[row] == best)], today)
+    return Street(run, seen["surface_id"][good & (neighbourhood.link_id[row] == best)], today)
 
 
 def _lied(votes: Votes, lie_m: Floats | float) -> Votes:
@@ -197,7 +197,7 @@ def _against_the_map(size_m: float) -> Lie:
 
     def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
         lied = votes.copy()
-        row = street.run.fusion.surroundings.rows_of(votes["surface_id"][theirs])
+        row = street.run.fusion.neighbourhood.rows_of(votes["surface_id"][theirs])
         lied[theirs] = _lied(votes[theirs], np.sign(street.run.true_m[row]) * size_m)
         return lied
 
@@ -215,7 +215,7 @@ def _daily(size_m: float) -> Lie:
             one = lied[first].copy()
             one["session"] = street.today - 1 - day
             days.append(one)
-        return street.run.fusion.merge(votes[~theirs], *days)
+        return merge_votes(votes[~theirs], *days)
 
     return lie
 
@@ -226,7 +226,7 @@ def _sybils(size_m: float) -> Lie:
     def lie(street: Street, votes: Votes, theirs: NDArray[np.bool_], rng: np.random.Generator) -> Votes:
         lied = _lied(votes[theirs], size_m)
         lied["voter"] = lied["voter"] ^ 0x5A5A5A5A5A5A
-        return street.run.fusion.merge(votes, lied)
+        return merge_votes(votes, lied)
 
     return lie
 
@@ -239,7 +239,7 @@ def _lately(size_m: float, days: int) -> Lie:
         _, first = np.unique(lied[["surface_id", "voter"]], return_index=True)
         lied = lied[first]
         lied["session"] = street.today - 1 - rng.integers(0, days, len(lied))
-        return street.run.fusion.merge(votes[~theirs], lied)
+        return merge_votes(votes[~theirs], lied)
 
     return lie
 
@@ -263,7 +263,7 @@ def attacked(run: Run, seed: int, shares: tuple[float, ...] = SHARES) -> list[di
     rng = np.random.default_rng(seed)
     street = street_of(run)
     on_street = np.isin(run.votes["surface_id"], street.surface_id)
-    row = run.fusion.surroundings.rows_of(street.surface_id)
+    row = run.fusion.neighbourhood.rows_of(street.surface_id)
     true_m = run.true_m[row]
     before = _of_street(run.decide(run.votes), street)
     voters = np.unique(run.votes["voter"][on_street])
@@ -322,7 +322,7 @@ def changes_under_way(run: Run, by_m: float = 0.08, on_day: int = 11) -> dict[st
     street = street_of(run)
     begin = street.today - 21 + on_day
     on_street = np.isin(run.votes["surface_id"], street.surface_id)
-    row = run.fusion.surroundings.rows_of(street.surface_id)
+    row = run.fusion.neighbourhood.rows_of(street.surface_id)
     upward = np.where(run.true_m[row] >= 0.0, by_m, -by_m)
     later = on_street & (run.votes["session"] >= begin)
     votes = run.votes.copy()

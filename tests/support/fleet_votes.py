@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camber.map_server.elevation import ElevationMap
 from camber.map_update.contribution import OBSERVATION, from_batch
-from camber.map_update.fusion.pipeline import Fusion, Rules
+from camber.map_update.fusion.pipeline import Fusion, FusionSettings
 from camber.map_update.fusion.votes import Votes
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadSurfaces
@@ -130,11 +130,11 @@ def record_of(world: FleetWorld, vehicles: range | None = None, *, drives: int |
     return Record(np.concatenate(pieces), np.concatenate(who), np.concatenate(when))
 
 
-def fusion_of(world: FleetWorld, rules: Rules | None = None) -> Fusion:
-    return Fusion(world.surfaces, SECRET, rules)
+def fusion_of(world: FleetWorld, settings: FusionSettings | None = None) -> Fusion:
+    return Fusion(world.surfaces, SECRET, settings)
 
 
 def votes_of(fusion: Fusion, record: Record) -> Votes:
     """Votes of a record, as if it had all come at once."""
     names = np.array([fusion.voter_of(f"car{n:05d}") for n in range(int(record.vehicle.max(initial=0)) + 1)])
-    return fusion.votes_of_voters(record.observations, names[record.vehicle])
+    return fusion.votes_from(record.observations, names[record.vehicle])

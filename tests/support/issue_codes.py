@@ -10,7 +10,7 @@ from camber.gnss.candidates.receiver_candidates import Refusal
 from camber.gnss.position.rtk_engine import Warning_
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.localizer.matching.sweep_preparation import SweepProblem
-from camber.map_update.service import _UNAVAILABLE
+from camber.map_update.service import UNAVAILABLE_ISSUES
 from camber.runtime.health.issue_log import _OTHERS
 from support.tree import ROOT
 
@@ -46,7 +46,7 @@ ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
     ),
     ("map_server/download_thread.py", "code"): ("store_full", "release_refused"),
     ("map_server/service.py", "code"): ("datum_mismatch", "release_refused"),
-    ("map_update/service.py", "_UNAVAILABLE[name]"): tuple(_UNAVAILABLE.values()),
+    ("map_update/service.py", "UNAVAILABLE_ISSUES[name]"): tuple(UNAVAILABLE_ISSUES.values()),
     ("runtime/bus.py", "code"): (_OTHERS,),
     ("runtime/uploads/uploader.py", "code"): (
         "outbox_damaged",

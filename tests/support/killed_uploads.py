@@ -237,7 +237,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # and with it what it has started
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
-        found = run(
+        result = run(
             Path(name),
             uploads=args.uploads,
             kills=args.kills,
@@ -247,8 +247,8 @@ def main() -> int:
             limit_s=60.0 * args.minutes,
             say=True,
         )
-    print(found)
-    return 1 if found.problems else 0
+    print(result)
+    return 1 if result.problems else 0
 
 
 if __name__ == "__main__":

@@ -107,7 +107,7 @@ class Link:
 
     def dropped(self) -> int:
         """Packets that the rules in force have taken out so far."""
-        found = 0
+        result = 0
         for name in self.ends:
             listed = subprocess.run(
                 ["ip", "netns", "exec", name, "iptables", "-w", "-nvxL", "INPUT"],
@@ -116,12 +116,12 @@ class Link:
                 text=True,
                 check=True,
             )
-            found += sum(int(line.split()[0]) for line in listed.stdout.splitlines() if " DROP " in line)
-        return found
+            result += sum(int(line.split()[0]) for line in listed.stdout.splitlines() if " DROP " in line)
+        return result
 
     def held_back(self) -> int:
         """How often the slow link has made a packet wait."""
-        found = 0
+        result = 0
         for name, letter in zip(self.ends, "vc", strict=True):
             listed = subprocess.run(
                 ["tc", "-n", name, "-s", "-j", "qdisc", "show", "dev", f"{letter}{self.tag}"],
@@ -130,8 +130,10 @@ class Link:
                 text=True,
                 check=True,
             )
-            found += sum(qdisc["overlimits"] for qdisc in json.loads(listed.stdout) if qdisc["kind"] == "tbf")
-        return found
+            result += sum(
+                qdisc["overlimits"] for qdisc in json.loads(listed.stdout) if qdisc["kind"] == "tbf"
+            )
+        return result
 
     def _drop(self, *which: str) -> None:
         for name, letter in zip(self.ends, "vc", strict=True):

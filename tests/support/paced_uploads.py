@@ -27,10 +27,10 @@ _PERIOD_S = 0.05
 def progress(folder: Path) -> dict[str, int]:
     """As it was last written."""
     path = folder / "progress.json"
-    found: dict[str, int] = (
+    result: dict[str, int] = (
         json.loads(path.read_text()) if path.exists() else {"put": 0, "waiting": 0, "dead": 0}
     )
-    return found
+    return result
 
 
 def main(endpoint: str, folder: Path, rate_hz: float) -> None:

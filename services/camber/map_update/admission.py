@@ -1,7 +1,7 @@
-"""What the store takes in: beyond the schema, an observation must be possible and its datum a known one.
+"""Admission of uploads: beyond the schema, an observation must be possible and its datum known.
 
-A refusal is for ever: the vehicle files the upload away and does not send it again. So this judges only what no later
-knowledge can put right, generously; whether a possible height is *true* is the business of the fusion.
+A refusal is final: the vehicle moves the upload to its dead letters. Only what no later knowledge can correct is
+refused; whether a possible height is *true* is decided by the fusion.
 """
 
 from __future__ import annotations
@@ -12,81 +12,95 @@ from math import pi
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, Field
 
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import Contribution
-from camber.schemas.base import EARLIEST_NS
+from camber.schemas.base import EARLIEST_NS, Name
 
-_LARGEST_ID = 2**62
+_LARGEST_ID = 2**62  # as `Count` in camber.schemas.base
 
 
-@dataclass(frozen=True, slots=True)
-class Rules:
-    """Bounds of what is possible; see `settings.py` for each."""
+class AdmissionLimits(BaseModel):
+    """Bounds of possible uploads."""
 
-    datums: frozenset[str]
-    future_limit_s: float
-    lowest_road_m: float
-    highest_road_m: float
-    least_sigma_m: float
-    largest_sigma_m: float
-    highest_antenna_m: float
-    most_records: int
-    oldest_s: float | None = None
+    datums: list[Name] = Field(
+        default_factory=lambda: ["WGS84", "ITRF2014", "ITRF2020", "JGD2011"],
+        min_length=1,
+        description="datums of positions and ellipsoidal heights that the fusion can combine",
+    )
+    future_limit_s: float = Field(
+        3600.0, ge=0.0, description="how far a positioning time may be ahead of this machine's clock"
+    )
+    lowest_road_m: float = Field(-600.0, description="lowest ellipsoidal height of a road")
+    highest_road_m: float = Field(7000.0, description="highest ellipsoidal height of a road")
+    least_sigma_m: float = Field(0.001, gt=0.0, description="smallest accepted σ of a road height")
+    largest_sigma_m: float = Field(10.0, gt=0.0, description="largest accepted σ of a road height")
+    highest_antenna_m: float = Field(20.0, gt=0.0, description="highest antenna above the road")
+    most_records: int = Field(20_000, ge=1, description="most records in one batch")
+    oldest_upload_days: float | None = Field(
+        None,
+        gt=0.0,
+        le=36500.0,
+        description="older observations are refused, and their ledger rows deleted in time; unset: any age is accepted "
+        "and the ledger is kept for ever",
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why not: a code to count by, and a line that names the field, its value and what was expected."""
+    """Why an upload is refused: a code to count by, and a line with the field, its value and what was expected."""
 
     code: str
     text: str
 
 
-def refusal(contribution: Contribution, now_ns: int, rules: Rules) -> Refusal | None:
-    """Why `contribution` cannot be taken in at GPS time `now_ns`, or None."""
-    return _heading(contribution, rules) or _observations(contribution.observations, now_ns, rules)
-
-
-def refusals(contributions: Sequence[Contribution], now_ns: int, rules: Rules) -> list[Refusal | None]:
-    """`refusal` of each of a group; the usual one, of which nothing is refused, is looked through as a whole."""
+def check(
+    contributions: Sequence[Contribution], now_ns: int, limits: AdmissionLimits
+) -> list[Refusal | None]:
+    """Return for each contribution why it cannot be accepted at GPS time `now_ns`, or None."""
     rows = [contribution.observations for contribution in contributions]
-    if rows and _observations(np.concatenate(rows), now_ns, rules) is None:
-        return [_heading(contribution, rules) for contribution in contributions]
-    return [refusal(contribution, now_ns, rules) for contribution in contributions]
+    # Checked together first: in general nothing is refused.
+    observations_valid = bool(rows) and _check_observations(np.concatenate(rows), now_ns, limits) is None
+    return [
+        _check_header(contribution, limits)
+        or (None if observations_valid else _check_observations(contribution.observations, now_ns, limits))
+        for contribution in contributions
+    ]
 
 
-def other_name(vehicle: str, contribution: Contribution) -> Refusal | None:
-    """Why what came under the key of `vehicle` cannot be taken in: it speaks for another one. None: it does not."""
-    if contribution.vehicle == vehicle:
+def check_vehicle(key_vehicle: str, contribution: Contribution) -> Refusal | None:
+    """Return a refusal if a contribution received under the key of `key_vehicle` names another vehicle."""
+    if contribution.vehicle == key_vehicle:
         return None
-    text = f"vehicle {contribution.vehicle} was uploaded under the key of {vehicle}, expected its own"
+    text = f"vehicle {contribution.vehicle} was uploaded under the key of {key_vehicle}, expected the same"
     return Refusal("vehicle", text)
 
 
-def _heading(contribution: Contribution, rules: Rules) -> Refusal | None:
+def _check_header(contribution: Contribution, limits: AdmissionLimits) -> Refusal | None:
     records = len(contribution.observations)
-    if not 1 <= records <= rules.most_records:
-        return Refusal("records", f"{records} records, expected 1 to {rules.most_records}")
-    if contribution.datum not in rules.datums:
-        known = ", ".join(sorted(rules.datums))
+    if not 1 <= records <= limits.most_records:
+        return Refusal("records", f"{records} records, expected 1 to {limits.most_records}")
+    if contribution.datum not in limits.datums:
+        known = ", ".join(sorted(limits.datums))
         return Refusal("datum", f"datum {contribution.datum}, expected one of {known}"[:512])
     return None
 
 
-def _observations(rows: npt.NDArray[np.void], now_ns: int, rules: Rules) -> Refusal | None:
+def _check_observations(rows: npt.NDArray[np.void], now_ns: int, limits: AdmissionLimits) -> Refusal | None:
     earliest_ns = EARLIEST_NS
-    if rules.oldest_s is not None:
-        earliest_ns = max(earliest_ns, now_ns - round(rules.oldest_s * 1e9))
+    if limits.oldest_upload_days is not None:
+        earliest_ns = max(earliest_ns, now_ns - round(limits.oldest_upload_days * NS_PER_DAY))
     bounds: tuple[tuple[str, float, float], ...] = (
-        ("time_ns", earliest_ns, now_ns + round(rules.future_limit_s * 1e9)),
+        ("time_ns", earliest_ns, now_ns + round(limits.future_limit_s * 1e9)),
         ("fix_id", 0, _LARGEST_ID),
         ("surface_id", 0, _LARGEST_ID),
         ("latitude_rad", -pi / 2, pi / 2),
         ("longitude_rad", -pi, pi),
-        ("horizontal_sigma_m", 0.0, rules.largest_sigma_m),
-        ("road_height_m", rules.lowest_road_m, rules.highest_road_m),
-        ("road_height_sigma_m", rules.least_sigma_m, rules.largest_sigma_m),
-        ("antenna_height_m", 0.0, rules.highest_antenna_m),
+        ("horizontal_sigma_m", 0.0, limits.largest_sigma_m),
+        ("road_height_m", limits.lowest_road_m, limits.highest_road_m),
+        ("road_height_sigma_m", limits.least_sigma_m, limits.largest_sigma_m),
+        ("antenna_height_m", 0.0, limits.highest_antenna_m),
     )
     for field, low, high in bounds:
         values = rows[field]
@@ -94,9 +108,8 @@ def _observations(rows: npt.NDArray[np.void], now_ns: int, rules: Rules) -> Refu
         if wrong.any():
             at = int(np.argmax(wrong))
             return Refusal(field, f"record {at}: {field} {values[at]}, expected {low} to {high}")
-    nowhere = (rows["latitude_rad"] == 0.0) & (rows["longitude_rad"] == 0.0)
-    if nowhere.any():
-        return Refusal(
-            "position", f"record {int(np.argmax(nowhere))}: latitude and longitude 0, expected a position"
-        )
+    unset = (rows["latitude_rad"] == 0.0) & (rows["longitude_rad"] == 0.0)
+    if unset.any():
+        at = int(np.argmax(unset))
+        return Refusal("position", f"record {at}: latitude and longitude 0, expected a position")
     return None

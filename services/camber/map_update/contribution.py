@@ -1,11 +1,11 @@
-"""What one upload or one batch of a vehicle brings: a heading, and its observations as rows of one kind."""
+"""A contribution: one upload or one batch of a vehicle, with its observations as rows of one dtype."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +15,9 @@ from camber.schemas.gnss import Quality
 from camber.schemas.integrity import VerdictValue
 
 VERDICTS: tuple[VerdictValue, ...] = get_args(VerdictValue)
-"""`verdict` of a row, and of UploadBatch, is an index into these."""
+"""`verdict` of a row, and of UploadBatch, is an index into this."""
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
-"""`fix_quality` likewise."""
+"""`fix_quality` of a row, and of UploadBatch, is an index into this."""
 
 OBSERVATION = np.dtype(
     [
@@ -34,16 +34,16 @@ OBSERVATION = np.dtype(
         ("antenna_height_m", "<f8"),
     ]
 )
-"""One observation of a road's height. Names are those of ElevationUpload; times are positioning times."""
+"""One observation of a road height. Names are those of ElevationUpload; times are positioning times."""
 
 Kind = Literal["upload", "batch"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Contribution:
-    """A heading, and observations as an array of OBSERVATION (n,). (vehicle, kind, id) names it once and for all.
+    """Observations (n,) of OBSERVATION with what they have in common; (vehicle, kind, id) identifies them.
 
-    What a batch does not carry is None: the covariances of its fixes, of which it has the largest horizontal σ.
+    A batch has no covariances of its fixes, only their largest horizontal σ.
     """
 
     vehicle: str
@@ -61,18 +61,13 @@ class Contribution:
         return self.vehicle, self.kind, self.id
 
     def digest(self) -> bytes:
-        """SHA-256 of everything but the name: equal when the same is sent again."""
-        heading: tuple[Any, ...] = (
-            self.datum,
-            self.map_version,
-            self.epoch_year,
-            self.position_covariance_enu_m2,
-        )
-        return hashlib.sha256(repr(heading).encode() + self.observations.tobytes()).digest()
+        """Return the SHA-256 of the content without the name: equal when the same content is sent again."""
+        header = (self.datum, self.map_version, self.epoch_year, self.position_covariance_enu_m2)
+        return hashlib.sha256(repr(header).encode() + self.observations.tobytes()).digest()
 
 
 def from_upload(upload: ElevationUpload) -> Contribution:
-    """The contribution of a single upload."""
+    """Return the contribution of a single upload."""
     ee, en, _, nn, _, _ = upload.position_covariance_enu_m2
     row = (
         upload.time_ns,
@@ -100,7 +95,7 @@ def from_upload(upload: ElevationUpload) -> Contribution:
 
 
 def from_batch(batch: UploadBatch) -> Contribution:
-    """The contribution of a batch."""
+    """Return the contribution of a batch."""
     rows = np.empty(len(batch.positioning_time_ns), OBSERVATION)
     rows["time_ns"] = batch.positioning_time_ns
     for name in OBSERVATION.names or ():

@@ -1,4 +1,4 @@
-"""Settings of the fleet's store: where, in which role of how many workers, and what is impossible."""
+"""Settings of map_update: storage, role among several workers, admission of uploads, fusion."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, ValidationInfo, field_validator, model_validator
 
-from camber.map_update.admission import Rules
-from camber.map_update.fusion.pipeline import Rules as FusionRules
-from camber.map_update.fusion.publication import PublicationRules
+from camber.map_update.admission import AdmissionLimits
+from camber.map_update.fusion.pipeline import FusionSettings
 from camber.map_update.stores.shards import Shards
 from camber.runtime.settings import ServiceSettings
-from camber.schemas.base import Name
 
-_DAY_S = 86_400.0
+_DAY_S = 86_400.0  # seconds of a day
 
 
-class MapUpdateSettings(ServiceSettings):
-    """Settings of map_update: where uploads are stored, and which are impossible."""
+class MapUpdateSettings(AdmissionLimits, FusionSettings, ServiceSettings):
+    """Settings of map_update: storage of uploads, admission limits, fusion."""
 
     SERVICE: ClassVar[str] = "map_update"
 
@@ -27,99 +25,58 @@ class MapUpdateSettings(ServiceSettings):
     busy_s: float = Field(
         0.5, ge=0.0, le=5.0, description="longest wait of a commit for another user of uploads.sqlite"
     )
-    datums: list[Name] = Field(
-        default_factory=lambda: ["WGS84", "ITRF2014", "ITRF2020", "JGD2011"],
-        min_length=1,
-        description="datums of positions and ellipsoidal heights that the fusion can bring together",
-    )
-    future_limit_s: float = Field(
-        3600.0, ge=0.0, description="how far a positioning time may lie ahead of this machine's clock"
-    )
-    lowest_road_m: float = Field(-600.0, description="lowest ellipsoidal height of a road")
-    highest_road_m: float = Field(7000.0, description="highest ellipsoidal height of a road")
-    least_sigma_m: float = Field(
-        0.001, gt=0.0, description="smallest standard deviation of a road height believed"
-    )
-    largest_sigma_m: float = Field(
-        10.0, gt=0.0, description="largest standard deviation of a road height of any use"
-    )
-    highest_antenna_m: float = Field(20.0, gt=0.0, description="highest antenna above the road")
-    most_records: int = Field(20_000, ge=1, description="most records in one batch")
-
     store: str | None = Field(
         None,
         description="database of uploads, `postgresql://user@host:port/database`; unset: uploads.sqlite in `state_dir`",
     )
     store_password: SecretStr | None = Field(
-        None, description="password of `store`; unset: PGPASSWORD or the file of passwords, as for psql"
+        None, description="password of `store`; unset: PGPASSWORD or the password file, as for psql"
     )
     queue: str | None = Field(
         None,
-        description="JetStream between workers that receive and that store, `nats://user@host:port`; unset: none",
+        description="JetStream between receiving and storing workers, `nats://user@host:port`; unset: none",
     )
     queue_password: SecretStr | None = Field(None, description="password of `queue`")
     role: Literal["all", "receive", "store", "fuse"] = Field(
         "all",
-        description="all: receive, store and fuse; receive: hand over to `queue`; store: take what is of `shard` "
-        "from it, and fuse; fuse: only fuse what others store in `store`",
+        description="all: receive, store and fuse; receive: forward to `queue`; store: store the uploads of `shard` "
+        "from the queue, and fuse; fuse: only fuse what others store in `store`",
     )
     shards: list[str] = Field(
         default_factory=lambda: [""],
-        description="parts of the world with a database each, by how the keys of their tiles begin; empty: all",
+        description="parts of the world with a database each, as prefixes of tile keys; empty: one for all",
     )
     shard: str = Field("", description="the one of `shards` that this worker stores")
     answer_s: float = Field(
-        2.0, gt=0.0, le=5.0, description="longest wait for an answer of `store` or `queue`; vehicles wait 5 s"
+        2.0,
+        gt=0.0,
+        le=5.0,
+        description="longest wait for a reply of `store` or `queue`; vehicles wait 5 s",
     )
     retention_days: float = Field(
         30.0,
         gt=0.0,
         le=36500.0,
-        description="observations are deleted this long after they came, once they are fused",
+        description="observations are deleted this long after they were received, once they are fused",
     )
     reference: Path | None = Field(
         None,
-        description="folder of the release that the fleet's corrections are against; unset: nothing is fused",
+        description="folder of the release that the fleet's corrections refer to; unset: no fusion",
     )
     releases: Path | None = Field(
-        None, description="folder where releases are made and served from; unset: `releases` in `state_dir`"
+        None, description="folder of the releases made and served; unset: `releases` in `state_dir`"
     )
     signing_key: Path | None = Field(
-        None, description="PEM file of the Ed25519 key that signs releases; unset: they are not signed"
+        None, description="PEM file of the Ed25519 key that signs releases; unset: releases are not signed"
     )
     voters_key: Path | None = Field(
         None,
-        description="file of 16 to 64 random bytes that vehicles' pseudonyms are made with; unset: voters.key in "
+        description="file of 16 to 64 random bytes, the key of the vehicles' pseudonyms; unset: voters.key in "
         "`state_dir`, made at the first start; all workers of a database need the same",
     )
-    fuse_every_s: float = Field(
-        60.0, gt=0.0, le=86_400.0, description="how often what has come is fused, and decided of"
-    )
+    fuse_every_s: float = Field(60.0, gt=0.0, le=86_400.0, description="period of the fusion")
     fuse_records: int = Field(
-        200_000, ge=1, description="about how many records are fused in a round of the work loop"
-    )
-    street_m: float = Field(
-        300.0,
-        ge=10.0,
-        le=10_000.0,
-        description="side of the squares that count as one street: a vehicle's bias there is told by the others",
-    )
-    publish_threshold_m: float = Field(0.03, gt=0.0, le=1.0, description="a smaller change is not published")
-    publish_standard_errors: float = Field(
-        3.3, ge=2.0, le=10.0, description="by so many standard errors a change exceeds the threshold"
-    )
-    publish_vehicles: int = Field(5, ge=2, description="fewest vehicles that have seen a change")
-    publish_days: int = Field(2, ge=1, le=56, description="fewest days on which it was seen")
-    publish_largest_m: float = Field(0.5, gt=0.0, le=10.0, description="a larger change waits for review")
-    false_discovery_rate: float = Field(
-        0.01, gt=0.0, le=0.2, description="bound of the share of false ones among published changes"
-    )
-    oldest_upload_days: float | None = Field(
-        None,
-        gt=0.0,
-        le=36500.0,
-        description="observations older than this are refused, and their rows of the ledger deleted in time; unset: "
-        "any age is taken, and the ledger kept for ever",
+        200_000, ge=1, description="approximate records fused in one iteration of the work loop"
     )
 
     @field_validator("store", "queue")
@@ -137,17 +94,15 @@ class MapUpdateSettings(ServiceSettings):
             raise ValueError(f"expected {schemes[0]}://user@host:port")
         if parts.password is not None or "password=" in parts.query:
             raise ValueError(
-                "no password in an address, which logs and the list of processes show;"
+                "no password in an address, which logs and the process list show;"
                 f" set CAMBER_MAP_UPDATE_{(info.field_name or '').upper()}_PASSWORD"
             )
         return address
 
     @model_validator(mode="after")
-    def _workers(self) -> Self:
+    def _roles_are_consistent(self) -> Self:
         if (self.queue is None) != (self.role in ("all", "fuse")):
-            raise ValueError(
-                "role: a worker that only receives or only stores needs a queue, and no other has one"
-            )
+            raise ValueError("role: receive and store need a queue, all and fuse have none")
         if self.role == "fuse" and self.reference is None:
             raise ValueError("reference: unset, expected a release's folder for a worker that fuses")
         if self.role == "receive" and self.reference is not None:
@@ -159,39 +114,11 @@ class MapUpdateSettings(ServiceSettings):
             raise ValueError("shards: a worker without a queue has one")
         return self
 
-    def fusion_rules(self) -> FusionRules:
-        """What is published, as the fusion wants it."""
-        return FusionRules(
-            street_m=self.street_m,
-            publication=PublicationRules(
-                threshold_m=self.publish_threshold_m,
-                standard_errors=self.publish_standard_errors,
-                false_discovery_rate=self.false_discovery_rate,
-                least_vehicles=self.publish_vehicles,
-                least_days=self.publish_days,
-                largest_m=self.publish_largest_m,
-            ),
-        )
-
-    def rules(self) -> Rules:
-        """The bounds as the admission wants them."""
-        return Rules(
-            datums=frozenset(self.datums),
-            future_limit_s=self.future_limit_s,
-            lowest_road_m=self.lowest_road_m,
-            highest_road_m=self.highest_road_m,
-            least_sigma_m=self.least_sigma_m,
-            largest_sigma_m=self.largest_sigma_m,
-            highest_antenna_m=self.highest_antenna_m,
-            most_records=self.most_records,
-            oldest_s=None if self.oldest_upload_days is None else self.oldest_upload_days * _DAY_S,
-        )
-
     @property
     def ledger_s(self) -> float | None:
-        """After so long what was received would be refused if it came again; None: never.
+        """Time after which a repeated upload would be refused for its age, so its ledger row can go; None: never.
 
-        Its times are at most `future_limit_s` after it was received, and clocks are set back by less than a day.
+        Positioning times are at most `future_limit_s` later than reception, and clocks are set back by less than a day.
         """
         if self.oldest_upload_days is None:
             return None

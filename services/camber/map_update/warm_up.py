@@ -1,25 +1,27 @@
-"""Compile the fusion before the first observations come: made-up ones go all the way to a decision.
+"""Compile the fusion before the first observations arrive, by taking synthetic ones through to a decision.
 
-The compiled code is kept on disk; where it is there already this takes a moment. `python -m camber.map_update.warm_up`
-does it ahead, for an image.
+The compiled code is cached on disk. `python -m camber.map_update.warm_up` fills the cache ahead, for an image.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
-from camber.map_update.fusion.votes import DAY_NS
+from camber.map_update.fusion.votes import merge_votes
 from camber.road_map.road_columns import RoadSurfaces
 
+# Any valid time and place.
 _TIME_NS = 1_400_000_000 * 10**9
-_LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
+_LATITUDE_RAD = 0.6
+_LONGITUDE_RAD = 2.4
 
 
 def warm_up() -> Decisions:
-    """Two vehicles on two days over two surfaces, twice each; returns what is decided of these."""
+    """Fuse two vehicles on two days over two surfaces, twice each; returns the decisions."""
     surfaces = RoadSurfaces(
         surface_id=np.array([1, 2]),
         link_id=np.array([1, 1]),
@@ -35,7 +37,7 @@ def warm_up() -> Decisions:
         heights_m=[np.full((2, 2), 50.0)] * 2,
     )
     rows = np.zeros(4, OBSERVATION)
-    rows["time_ns"] = _TIME_NS + DAY_NS * np.array([0, 0, 1, 1])
+    rows["time_ns"] = _TIME_NS + NS_PER_DAY * np.array([0, 0, 1, 1])
     rows["fix_quality"] = QUALITIES.index("fixed")
     rows["surface_id"] = [1, 2, 1, 2]
     rows["latitude_rad"] = _LATITUDE_RAD
@@ -46,8 +48,8 @@ def warm_up() -> Decisions:
     again["time_ns"] += 10**9
     rows = np.concatenate((rows, again))
     fusion = Fusion(surfaces, bytes(32))
-    votes = fusion.merge(*(fusion.votes_from(rows, vehicle) for vehicle in ("a", "b")))
-    return fusion.decide(votes, np.zeros(0, np.int64), np.zeros(0), _TIME_NS + 2 * DAY_NS)
+    votes = merge_votes(*(fusion.votes_from(rows, fusion.voter_of(vehicle)) for vehicle in ("a", "b")))
+    return fusion.decide(votes, np.zeros(0, np.int64), np.zeros(0), _TIME_NS + 2 * NS_PER_DAY)
 
 
 if __name__ == "__main__":

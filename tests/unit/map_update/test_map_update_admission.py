@@ -1,25 +1,21 @@
 """What is impossible is refused with a line that names the field, its value and what was expected."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from camber.map_update.admission import Rules, refusal, refusals
-from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS, from_batch, from_upload
+from camber.map_update.admission import AdmissionLimits, Refusal, check
+from camber.map_update.contribution import (
+    OBSERVATION,
+    QUALITIES,
+    VERDICTS,
+    Contribution,
+    from_batch,
+    from_upload,
+)
 from camber.schemas.fleet import ElevationUpload, UploadBatch
 
 NOW_NS = 1_400_000_000 * 1_000_000_000
-RULES = Rules(
-    datums=frozenset({"WGS84", "JGD2011"}),
-    future_limit_s=60.0,
-    lowest_road_m=-600.0,
-    highest_road_m=7000.0,
-    least_sigma_m=0.001,
-    largest_sigma_m=10.0,
-    highest_antenna_m=20.0,
-    most_records=10,
-)
+LIMITS = AdmissionLimits(datums=["WGS84", "JGD2011"], future_limit_s=60.0, most_records=10)
 UPLOAD = {
     "time_ns": NOW_NS - 5,
     "vehicle": "v1",
@@ -59,14 +55,19 @@ def batch(records=4, **changes) -> UploadBatch:
     return UploadBatch(**{**heading, **columns, **changes})
 
 
-def judged(**changes):
-    return refusal(from_upload(ElevationUpload(**{**UPLOAD, **changes})), NOW_NS, RULES)
+def refusal(contribution: Contribution, limits: AdmissionLimits = LIMITS) -> Refusal | None:
+    (result,) = check([contribution], NOW_NS, limits)
+    return result
+
+
+def refusal_of_upload(**changes):
+    return refusal(from_upload(ElevationUpload(**{**UPLOAD, **changes})))
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_an_upload_is_taken_in_whatever_the_verdict_was(verdict):
     # Uploads of confirmed heights alone would hide what has changed on the road.
-    assert judged(verdict=verdict) is None
+    assert refusal_of_upload(verdict=verdict) is None
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_an_upload_is_taken_in_whatever_the_verdict_was(verdict):
     ],
 )
 def test_an_impossible_upload_is_refused_by_field_value_and_expectation(field, value, expected):
-    found = judged(**{field: value})
+    found = refusal_of_upload(**{field: value})
     assert found is not None
     assert found.code == field
     assert f"{field} {value}, " in found.text
@@ -103,19 +104,19 @@ def test_an_impossible_upload_is_refused_by_field_value_and_expectation(field, v
     ],
 )
 def test_the_bounds_themselves_are_possible(field, value):
-    assert judged(**{field: value}) is None
+    assert refusal_of_upload(**{field: value}) is None
 
 
 def test_latitude_and_longitude_zero_are_no_position_but_one_of_them_may_be():
-    found = judged(latitude_rad=0.0, longitude_rad=0.0)
+    found = refusal_of_upload(latitude_rad=0.0, longitude_rad=0.0)
     assert found is not None
     assert found.code == "position"
-    assert judged(latitude_rad=0.0) is None
-    assert judged(longitude_rad=0.0) is None
+    assert refusal_of_upload(latitude_rad=0.0) is None
+    assert refusal_of_upload(longitude_rad=0.0) is None
 
 
 def test_a_possible_batch_is_taken_in():
-    assert refusal(from_batch(batch()), NOW_NS, RULES) is None
+    assert refusal(from_batch(batch())) is None
 
 
 @pytest.mark.parametrize(
@@ -137,7 +138,7 @@ def test_one_impossible_record_refuses_its_batch_and_is_named(field, value, code
     good = batch()
     column = getattr(good, field).copy()
     column[2] = value
-    found = refusal(from_batch(good.model_copy(update={field: column})), NOW_NS, RULES)
+    found = refusal(from_batch(good.model_copy(update={field: column})))
     assert found is not None
     assert found.code == code
     assert found.text.startswith(f"record 2: {code} {value}, expected ")
@@ -145,7 +146,7 @@ def test_one_impossible_record_refuses_its_batch_and_is_named(field, value, code
 
 @pytest.mark.parametrize("records", [0, 11])
 def test_a_batch_has_at_least_one_record_and_at_most_the_limit(records):
-    found = refusal(from_batch(batch(records)), NOW_NS, RULES)
+    found = refusal(from_batch(batch(records)))
     assert found is not None
     assert (found.code, found.text) == ("records", f"{records} records, expected 1 to 10")
 
@@ -198,15 +199,15 @@ def test_a_group_is_judged_as_each_of_it():
     high = from_upload(ElevationUpload(**{**UPLOAD, "road_height_m": 8000.0}))
     good = [from_upload(ElevationUpload(**UPLOAD)), from_batch(batch())]
     for group in (good, [*good, tokyo], [high, *good, tokyo], [from_batch(batch(11)), *good], []):
-        assert refusals(group, NOW_NS, RULES) == [refusal(one, NOW_NS, RULES) for one in group]
+        assert check(group, NOW_NS, LIMITS) == [refusal(one) for one in group]
 
 
-@pytest.mark.parametrize(("age_s", "taken"), [(3600.0, True), (3600.1, False)])
-def test_where_an_age_is_set_what_is_older_is_refused_in_batches_too(age_s, taken):
-    rules = replace(RULES, oldest_s=3600.0)
+@pytest.mark.parametrize(("age_s", "accepted"), [(86_400.0, True), (86_400.1, False)])
+def test_records_older_than_the_limit_are_refused(age_s, accepted):
+    limits = LIMITS.model_copy(update={"oldest_upload_days": 1.0})
     times = np.array([NOW_NS, NOW_NS - round(age_s * 1e9), NOW_NS, NOW_NS])
-    found = refusal(from_batch(batch(positioning_time_ns=times)), NOW_NS, rules)
-    assert (found is None) == taken
+    found = refusal(from_batch(batch(positioning_time_ns=times)), limits)
+    assert (found is None) == accepted
     if found is not None:
         assert found.code == "time_ns"
-        assert found.text.startswith(f"record 1: time_ns {times[1]}, expected {NOW_NS - 3600 * 10**9} to ")
+        assert found.text.startswith(f"record 1: time_ns {times[1]}, expected {NOW_NS - 86_400 * 10**9} to ")

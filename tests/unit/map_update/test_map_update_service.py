@@ -154,7 +154,7 @@ def test_what_comes_under_the_key_of_another_is_refused_and_leaves_the_true_one_
     forged = ReceivedUpload(key, upload("u1", road_height_m=99.0))
     (refused, stored) = service.answers()["upload"]([forged, ReceivedUpload("v1", upload("u2"))])
     assert (refused.status, stored.status) == ("refused", "stored")
-    assert refused.reason == f"vehicle v1 was uploaded under the key of {key}, expected its own"
+    assert refused.reason == f"vehicle v1 was uploaded under the key of {key}, expected the same"
     assert bus.counters["refused.vehicle"] == 1
     assert [r.status for r in asked(service, "upload", upload("u1"))] == ["stored"]
 

@@ -67,9 +67,9 @@ def test_a_blob_against_one_that_the_vehicle_has(tmp_path: Path) -> None:
     rows = [surface(k, 20.0 * k, heights_m=50.0 + np.arange(18).reshape(6, 3) / 100) for k in range(10)]
     write(tmp_path / "in", rows)
     making = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=KEY)
-    making.make(np.zeros(0, CORRECTION), time_ns=MADE_NS)
+    making.build(np.zeros(0, CORRECTION), time_ns=MADE_NS)
     old = open_release(tmp_path / "out")
-    making.make(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)
+    making.build(np.array([(3, 0.05, 0.01, 7, MADE_NS, 0)], CORRECTION), time_ns=MADE_NS)
     new = open_release(tmp_path / "out")
     serving = ReleaseServer(tmp_path / "out")
     for xy in new.tiles("surfaces"):

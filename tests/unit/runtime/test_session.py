@@ -14,10 +14,10 @@ def test_a_peer_that_is_there_before_its_router_finds_it() -> None:
     with open_session(ZenohSettings(connect=[endpoint])) as peer:
         assert list(peer.info.routers_zid()) == []
         with open_session(ZenohSettings(mode="router", connect=[], listen=[endpoint])) as router:
-            found = wait_until(
+            result = wait_until(
                 lambda: list(peer.info.routers_zid()), timeout_s=20.0, why="the router was not found"
             )
-            assert found == [router.info.zid()]
+            assert result == [router.info.zid()]
 
 
 def test_a_router_that_went_away_is_found_again() -> None:

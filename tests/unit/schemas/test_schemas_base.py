@@ -63,19 +63,19 @@ def variable_parts(annotation: Any, metadata: list[Any]) -> list[tuple[Any, list
     if origin is np.ndarray:
         return []
     here = [(annotation, metadata)] if origin is dict or (origin is tuple and Ellipsis in arguments) else []
-    return here + [found for argument in arguments for found in variable_parts(argument, [])]
+    return here + [result for argument in arguments for result in variable_parts(argument, [])]
 
 
 def models_within(cls: type[BaseModel]) -> set[type[BaseModel]]:
-    found = {cls}
+    result = {cls}
     for info in cls.model_fields.values():
         parts = [info.annotation]
         while parts:
             part = parts.pop()
             parts += typing.get_args(part)
             if isinstance(part, type) and issubclass(part, BaseModel):
-                found |= models_within(part)
-    return found
+                result |= models_within(part)
+    return result
 
 
 @every_message
@@ -95,8 +95,8 @@ def integers_within(annotation: Any, metadata: list[Any]) -> list[list[Any]]:
         inner = [part for item in arguments[1:] for part in getattr(item, "metadata", [item])]
         return integers_within(arguments[0], [*metadata, *inner])
     passed = metadata if origin in (typing.Union, types.UnionType) else []
-    found = [metadata] if annotation is int else []
-    return found + [limits for argument in arguments for limits in integers_within(argument, passed)]
+    result = [metadata] if annotation is int else []
+    return result + [limits for argument in arguments for limits in integers_within(argument, passed)]
 
 
 @every_message

@@ -23,9 +23,9 @@ from support.small_map import MADE_NS
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Three releases; of the last, surface 3 is 8 cm higher and surface 5 lower."""
-    make = making(tmp_path)
+    builder = making(tmp_path)
     for step, rows in enumerate((offsets(), offsets(s3=0.05), offsets(s3=0.08, s5=-0.04))):
-        make.make(rows, time_ns=MADE_NS + step)
+        builder.build(rows, time_ns=MADE_NS + step)
     (tmp_path / "key").write_bytes(KEY.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     return tmp_path / "out"
 
@@ -73,7 +73,7 @@ def test_a_roll_back_is_a_release_and_what_was_withdrawn_does_not_come_again(
     assert rolled.road_surfaces().heights_m[3][0, 0] == pytest.approx(50.05)
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 5, -0.04, DECISIONS.index("publish")
-    assert ReviewFolder(folder).judged(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
+    assert ReviewFolder(folder).apply(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
         "nothing"
     )
     assert "ann: rolled back to version 9: a ferry was mapped" in said(capsys, "releases", folder, "--why", 5)
@@ -86,13 +86,13 @@ def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
     assert said(capsys, "review", folder) == "nothing is held\n"
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
-    ReviewFolder(folder).judged(Decisions(rows), MADE_NS)
+    ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
     assert "+0.310 m" in said(capsys, "review", folder)
     assert "--why" in said(capsys, "review", folder, "--accept", 4, code=2)
     assert "one that is held" in said(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
     said(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
     assert "ben: new surface laid" in said(capsys, "review", folder, "--log")
-    judged = ReviewFolder(folder).judged(Decisions(rows), MADE_NS)
+    judged = ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
     assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
 
 
@@ -106,11 +106,11 @@ def test_a_vehicle_goes_back_by_its_operator_only(folder: Path, capsys: Any) -> 
         now_ns=lambda: MADE_NS,
     )
     cloud = Cloud(folder)
-    make = making(folder.parent)
+    builder = making(folder.parent)
     for step in (1, 2):
         fetching.ask(cloud)
         list(fetching.fetch(cloud))
-        make.make(offsets(s1=0.1 * step), time_ns=MADE_NS + 10 * step)
+        builder.build(offsets(s1=0.1 * step), time_ns=MADE_NS + 10 * step)
     lines = said(capsys, "releases", path).splitlines()
     assert [line.split()[0] for line in lines[:2]] == ["11", "10"]
     assert "version 10 is in force again" in said(capsys, "releases", path, "--go-back")

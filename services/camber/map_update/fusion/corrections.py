@@ -1,10 +1,10 @@
-"""Corrections: by how much the road's surfaces differ from the reference, as the fleet has found.
+"""Corrections: the offset of each road surface from the reference, as estimated from the fleet's votes.
 
-A reference (a survey, an import) never changes. A release is the reference and one row here for each surface that the
-fleet has corrected, so that any earlier state of the map is made again from a few bytes.
+A reference (a survey, an import) never changes. A release consists of the reference and one row here for each corrected
+surface, so that any earlier state of the map can be restored from a few bytes.
 
-What is kept of the fleet in a release is a count of vehicles and a day: `settled` cuts times to days, because the time
-at which one vehicle passed is nobody's business.
+Of the fleet a release holds a count of vehicles and a day: `normalize` truncates times to days, so that no release
+shows when a single vehicle passed.
 """
 
 from __future__ import annotations
@@ -30,26 +30,25 @@ CORRECTION = np.dtype(
         ("since_map_version", "<i8"),
     ]
 )
-"""One corrected surface: it lies `offset_m` above the reference, with `sigma_m`; each surface once, ids ascend.
+"""One corrected surface: it is `offset_m` above the reference, with `sigma_m`; each surface once, sorted by id.
 
-`since_map_version` is the release that first had this offset; `settled` fills it in.
+`since_map_version` is the release that first had this offset; `normalize` sets it.
 """
 
 NONE: Corrections = np.zeros(0, CORRECTION)
-"""No corrections: the release is the reference."""
+"""No corrections: the release equals the reference."""
 
 STEP_M = 1e-4
-"""Offsets and σ are whole multiples of it, as heights in tiles are."""
+"""Resolution of offsets and σ: that of heights in tiles."""
 LARGEST_M = 100.0
-"""A road that moved further is another road."""
+"""Chosen: a larger offset cannot be a change of the same road; also the bound of SurfaceCorrections.offset_m."""
 
 
-def settled(corrections: Corrections, before: Corrections, map_version: int) -> Corrections:
-    """The corrections as release `map_version` will have them: in order, in whole steps, with their `since`.
+def normalize(corrections: Corrections, before: Corrections, map_version: int) -> Corrections:
+    """Return the corrections as release `map_version` stores them: sorted, rounded, with their `since_map_version`.
 
-    σ is rounded up and never below one step: nobody may be told more than is known. `before` are those of the release
-    before: an offset that stands there keeps its `since_map_version`. Raises ReleaseError for a surface that stands
-    twice and for numbers that are none.
+    σ is rounded up and is at least one step. An offset equal to that in `before`, the previous release's corrections,
+    keeps its `since_map_version`. Raises ReleaseError for repeated surfaces and numbers out of range.
     """
     rows = np.sort(corrections.astype(CORRECTION), order="surface_id")
     if len(rows) and (np.diff(rows["surface_id"]) == 0).any():
@@ -65,28 +64,28 @@ def settled(corrections: Corrections, before: Corrections, map_version: int) -> 
     rows["last_seen_ns"] = np.maximum(days * NS_PER_DAY, EARLIEST_NS)
     rows["since_map_version"] = map_version
     at = rows_of(before, rows["surface_id"])
-    stays = np.flatnonzero(at >= 0)
-    stays = stays[np.abs(before["offset_m"][at[stays]] - rows["offset_m"][stays]) < 0.5 * STEP_M]
-    rows["since_map_version"][stays] = before["since_map_version"][at[stays]]
+    same = np.flatnonzero(at >= 0)
+    same = same[np.abs(before["offset_m"][at[same]] - rows["offset_m"][same]) < 0.5 * STEP_M]
+    rows["since_map_version"][same] = before["since_map_version"][at[same]]
     return rows
 
 
 def rows_of(corrections: Corrections, surface_id: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows (n,) of surfaces by their ids (n,) in corrections whose ids ascend; −1 where one has none."""
+    """Return the rows (n,) of surfaces by id (n,) in sorted corrections; −1 for surfaces without one."""
     at = np.searchsorted(corrections["surface_id"], surface_id)
-    there = at < len(corrections)
-    there[there] = corrections["surface_id"][at[there]] == surface_id[there]
-    return np.where(there, at, -1)
+    present = at < len(corrections)
+    present[present] = corrections["surface_id"][at[present]] == surface_id[present]
+    return np.where(present, at, -1)
 
 
 def to_bytes(corrections: Corrections, time_ns: int) -> bytes:
-    """The bytes of settled corrections: equal ones for equal values."""
+    """Encode normalized corrections; equal values give equal bytes."""
     columns = {name: np.ascontiguousarray(corrections[name]) for name in CORRECTION.names or ()}
     return encode(SurfaceCorrections(time_ns=time_ns, **columns))
 
 
 def from_bytes(data: bytes, name: str = "corrections") -> Corrections:
-    """The corrections in the bytes that `to_bytes` made; else ReleaseError, which calls them `name`."""
+    """Decode corrections; raises ReleaseError, which refers to them as `name`."""
     try:
         message = decode(SurfaceCorrections, data).message
     except DecodeError as error:

@@ -1,27 +1,24 @@
-"""What becomes of each surface's height: published, withdrawn, held for review, or nothing; and alarms of regions.
+"""Decision on each surface's height: publish, withdraw, hold for review, or nothing; alarms for regions.
 
-A correction is the offset of a surface against the reference. A change is what the votes say beyond the correction
-that the map has now. It is published when it is
+A correction is the offset of a surface from the reference. A change is the difference between the offset that the votes
+give and the correction in the map now. A change is published when it is
 
-* **significant**: |change| − 3.3 standard errors > 3 cm, in the Student sense: the errors' degrees of freedom count;
-* **not one of many**: its p-value for "|change| ≤ 3 cm" passes Benjamini & Hochberg's procedure (1995) over all the
-  surfaces looked at. It bounds the share of false ones among the published, also for p-values that depend positively
-  on one another (Benjamini & Yekutieli 2001), as those of neighbours do: they share vehicles. Bonferroni would bound
-  the chance of a single false one, and publish later the larger a region is; and since nearly all roads are well
-  within 3 cm, with p-values near 1 and not uniform, the share found is far below the bound anyhow;
-* **nobody's alone**: it is significant also without those who speak for it most, a fifth of the vehicles of the last
-  three weeks. What is left then is no more than what the others say, so no fifth brings one about, whatever they say;
+* **significant**: |change| − 3.3 standard errors > 3 cm, with Student's t for the degrees of freedom of the errors;
+* **not a false discovery**: its p-value for "|change| ≤ 3 cm" passes the procedure of Benjamini & Hochberg (1995) over
+  all surfaces considered. It bounds the share of false changes among the published, also for positively dependent
+  p-values (Benjamini & Yekutieli 2001) such as those of neighbours, which share vehicles;
+* **not supported by few only**: significant also without the fifth of the vehicles of the last three weeks that
+  supports it most, so that no fifth of the vehicles can bring about a change;
 * **agreed**: more than 0.6 of the vehicles are within three spreads of it;
-* **seen** on at least two days, by at least five vehicles whose bias is known from other streets;
-* **continuous**: a neighbour is moved by half as much or more, or none is known well enough to say it did not. A bump
-  of one surface that no neighbour shares is held;
-* **not of a region's common shift**: where most of a region's surfaces moved alike it is a base station, a datum, a
-  survey or a new kind of vehicle that is off. That is one alarm, and whatever would be published there is held.
+* **observed** on at least two days, by at least five vehicles whose bias is known from other streets;
+* **continuous**: a neighbour changed by at least half as much, or no neighbour is known well enough to contradict;
+* **not a common shift of a region**: where most surfaces of a region moved alike, a base station, a datum, a survey or
+  a new kind of vehicle is the cause. One alarm is raised and all changes of the region are held.
 
-A change back into the reference's 3 cm withdraws the correction. All others stay.
+A change back to within 3 cm of the reference withdraws the correction. All other corrections stay.
 
-σ of a height that is published, withdrawn, or confirmed by many is √(change left² + standard error² + shape²): what is
-now known of its error, with what one offset for the whole surface leaves. It does not fall below a centimetre.
+σ of a height that is published, withdrawn, or confirmed by many is √(remaining change² + standard error² + shape²),
+at least 1 cm: the shape term covers what one offset for the whole surface leaves.
 """
 
 from __future__ import annotations
@@ -32,15 +29,16 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field
 
 from camber.compiled.decorator import compiled
-from camber.map_update.fusion.biweight import Heights
-from camber.map_update.fusion.surface_neighbours import Surroundings
+from camber.map_update.fusion.biweight import MAD_TO_SIGMA, FusedHeights
+from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood
 from camber.map_update.fusion.votes import Floats, Integers
 
-DecisionWord = Literal["nothing", "publish", "withdraw", "hold"]
-DECISIONS: tuple[DecisionWord, ...] = get_args(DecisionWord)
-ReasonWord = Literal[
+Decision = Literal["nothing", "publish", "withdraw", "hold"]
+DECISIONS: tuple[Decision, ...] = get_args(Decision)
+DecisionReason = Literal[
     "within_threshold",
     "not_significant",
     "false_discovery",
@@ -55,7 +53,7 @@ ReasonWord = Literal[
     "regional_shift",
     "step",
 ]
-REASONS: tuple[ReasonWord, ...] = get_args(ReasonWord)
+REASONS: tuple[DecisionReason, ...] = get_args(DecisionReason)
 
 DECISION = np.dtype(
     [
@@ -78,8 +76,8 @@ DECISION = np.dtype(
         ("region", "<i8"),
     ]
 )
-"""One surface. `decision` and `reason` index DECISIONS and REASONS. `offset_m` is what the votes say against the
-reference, `correction_m` what the map is to have from now on, `sigma_m` its σ, NaN where it stays as it is."""
+"""One surface. `decision` and `reason` index DECISIONS and REASONS. `offset_m` is the votes' offset from the reference,
+`correction_m` the correction of the map from now on, `sigma_m` its σ, NaN where it does not change."""
 
 ALARM = np.dtype(
     [
@@ -92,144 +90,156 @@ ALARM = np.dtype(
         ("surfaces", "<i8"),
     ]
 )
-"""One region whose surfaces moved alike: by how much, which share of how many; `region` −1: all there are."""
+"""One region whose surfaces moved alike: by how much, which share of how many; `region` −1: all surfaces together."""
+
+# Chosen on the fleet scenario, seeds 1, 2 and 4 (docs/fusion.md).
+_LEAST_AGREEMENT = 0.6
+_STEP_SHARE = 0.5
+"""A neighbour confirms a change if it lags by at most this share of it."""
+_LEAST_SIGMA_M = 0.01
+"""Floor of a published σ."""
+_CONFIRMING_VEHICLES = 20
+"""Known vehicles that confirm a height that did not change."""
+_REGION_SHIFT_M = 0.01
+_REGION_SHARE = 0.6
+"""An alarm is raised when more than this share of a region's surfaces moved alike by more than _REGION_SHIFT_M."""
+_REGION_SURFACES = 30
+_REGION_LINKS = 5
+"""A region with fewer surfaces or links may be a single road and has no common shift."""
+_STANDARD_ERRORS_WITHOUT_FEW = 1.65
+"""Significance of a change without the vehicles that support it most: 95 % one-sided."""
+_MEDIAN_ERROR = 1.2533
+"""Standard error of a median over that of a mean, for normal errors: √(π / 2)."""
 
 
-@dataclass(frozen=True, slots=True)
-class PublicationRules:
+class PublicationSettings(BaseModel):
     """When a change is published."""
 
-    threshold_m: float = 0.03
-    """A change of less is not worth a new tile, nor told from what a lane's crossfall does."""
-    standard_errors: float = 3.3
-    """One false in two thousand at the threshold itself."""
-    false_discovery_rate: float = 0.01
-    """Bound of the share of false ones among the published."""
-    least_agreement: float = 0.6
-    least_vehicles: int = 5
-    least_days: int = 2
-    largest_m: float = 0.5
-    """A larger change is another road than the one surveyed: a person has to look."""
-    step_share: float = 0.5
-    """A neighbour shares a change if it stays behind it by at most this share of it."""
-    least_sigma_m: float = 0.01
-    confirming_vehicles: int = 20
-    """So many confirm a height that was not touched."""
-    region_shift_m: float = 0.01
-    region_share: float = 0.6
-    """Of a region's surfaces, so many move alike by more than region_shift_m: alarm."""
-    region_surfaces: int = 30
-    region_links: int = 5
-    """A region of fewer surfaces or links is too small for a shift of its own: it may be one road."""
-    few_standard_errors: float = 1.65
-    """How significant a change must be without those who speak for it most."""
+    publish_threshold_m: float = Field(0.03, gt=0.0, le=1.0, description="smaller changes are not published")
+    publish_standard_errors: float = Field(
+        3.3, ge=2.0, le=10.0, description="standard errors by which a change exceeds the threshold"
+    )
+    publish_vehicles: int = Field(5, ge=2, description="least vehicles that observed a change")
+    publish_days: int = Field(2, ge=1, le=56, description="least days on which it was observed")
+    publish_largest_m: float = Field(0.5, gt=0.0, le=10.0, description="larger changes are held for review")
+    false_discovery_rate: float = Field(
+        0.01, gt=0.0, le=0.2, description="bound of the share of false changes among the published"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decisions:
-    """Rows of DECISION (n,), in ascending order of surface ids, one for each surface with votes; and of ALARM."""
+    """Rows of DECISION (n,), sorted by surface id, one for each surface with votes; and rows of ALARM."""
 
     surfaces: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, DECISION))
     alarms: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, ALARM))
 
-    def of(self, word: DecisionWord) -> NDArray[np.void]:
-        """The surfaces of which this was decided."""
-        chosen: NDArray[np.void] = self.surfaces[self.surfaces["decision"] == DECISIONS.index(word)]
+    def of(self, decision: Decision) -> NDArray[np.void]:
+        """Return the surfaces with this decision."""
+        chosen: NDArray[np.void] = self.surfaces[self.surfaces["decision"] == DECISIONS.index(decision)]
         return chosen
 
 
-def decided(
+def decide(
     row: Integers,
-    heights: Heights,
+    heights: FusedHeights,
+    *,
     common_error_m: Floats,
     shape_m: Floats,
     correction_m: Floats,
-    surroundings: Surroundings,
-    rules: PublicationRules,
+    neighbourhood: SurfaceNeighbourhood,
+    settings: PublicationSettings,
 ) -> Decisions:
-    """Decide of surfaces (n,), in ascending rows `row` of the surroundings.
+    """Decide on surfaces (n,), given as ascending rows `row` of the neighbourhood.
 
-    `common_error_m` is what the biases of all their vehicles together leave open, `shape_m` how much the road's offset
-    varies within each surface, `correction_m` what the map has now.
+    `common_error_m` is the uncertainty of the common bias of a surface's vehicles, `shape_m` the spread of the offset
+    within each surface, `correction_m` the present correction.
     """
     surfaces = np.zeros(len(row), DECISION)
     error_m = np.hypot(heights.standard_error_m, common_error_m)
     change_m = heights.location_m - correction_m
-    surfaces["surface_id"] = surroundings.surface_id[row]
+    surfaces["surface_id"] = neighbourhood.surface_id[row]
     surfaces["offset_m"], surfaces["standard_error_m"] = heights.location_m, error_m
     surfaces["previous_correction_m"] = surfaces["correction_m"] = correction_m
     surfaces["agreement"] = heights.agreement
     surfaces["vehicles"], surfaces["known_vehicles"] = heights.voters, heights.known_voters
     surfaces["votes"], surfaces["days"] = heights.votes, heights.days
     surfaces["first_session"], surfaces["last_session"] = heights.first_session, heights.last_session
-    surfaces["region"] = surroundings.region[row]
-    looked_at = heights.voters > 0
+    surfaces["region"] = neighbourhood.region[row]
+    considered = heights.voters > 0
     without_few_m = np.where(
         change_m > 0.0,
         heights.without_highest_m - correction_m,
         correction_m - heights.without_lowest_m,
     )
-    z, few = (
-        normal_deviates((size_m - rules.threshold_m) / error_m, heights.degrees)
+    z, z_without_few = (
+        normal_deviates((size_m - settings.publish_threshold_m) / error_m, heights.degrees)
         for size_m in (np.abs(change_m), without_few_m)
     )
-    z[~looked_at] = -np.inf
+    z[~considered] = -np.inf
     surfaces["p_value"] = p_value = upper_tails(z)
-    discovered = benjamini_hochberg(p_value, rules.false_discovery_rate, int(np.count_nonzero(looked_at)))
+    discovered = benjamini_hochberg(p_value, settings.false_discovery_rate, int(np.count_nonzero(considered)))
 
-    enough = (heights.voters >= rules.least_vehicles) & (heights.days >= rules.least_days)
-    alarms, shifted = _regional_shifts(row, change_m, common_error_m, enough, surroundings, rules)
-    stepped = _stands_alone(row, heights.location_m, change_m, error_m, enough, surroundings, rules)
+    enough = (heights.voters >= settings.publish_vehicles) & (heights.days >= settings.publish_days)
+    changes = _Changes(
+        row=row, offset_m=heights.location_m, change_m=change_m, error_m=error_m, enough=enough
+    )
+    alarms, shifted = _regional_shifts(changes, common_error_m, neighbourhood, settings)
+    isolated = _isolated_steps(changes, neighbourhood, settings)
     returned = (correction_m != 0.0) & (
-        np.abs(heights.location_m) - rules.standard_errors * error_m <= rules.threshold_m
+        np.abs(heights.location_m) - settings.publish_standard_errors * error_m
+        <= settings.publish_threshold_m
     )
     # The first that is true decides.
-    cases: tuple[tuple[NDArray[np.bool_], DecisionWord, ReasonWord], ...] = (
-        (heights.voters < rules.least_vehicles, "nothing", "too_few_vehicles"),
-        (heights.days < rules.least_days, "nothing", "too_few_days"),
-        (~(np.abs(change_m) > rules.threshold_m), "nothing", "within_threshold"),
-        (z < rules.standard_errors, "nothing", "not_significant"),
+    cases: tuple[tuple[NDArray[np.bool_], Decision, DecisionReason], ...] = (
+        (heights.voters < settings.publish_vehicles, "nothing", "too_few_vehicles"),
+        (heights.days < settings.publish_days, "nothing", "too_few_days"),
+        (~(np.abs(change_m) > settings.publish_threshold_m), "nothing", "within_threshold"),
+        (z < settings.publish_standard_errors, "nothing", "not_significant"),
         (~discovered, "nothing", "false_discovery"),
-        (~(few >= rules.few_standard_errors), "nothing", "rests_on_few"),
-        (heights.known_voters < rules.least_vehicles, "hold", "vehicles_not_known"),
-        (~(heights.agreement > rules.least_agreement), "hold", "disagreed"),
-        (np.abs(change_m) > rules.largest_m, "hold", "too_large"),
+        (~(z_without_few >= _STANDARD_ERRORS_WITHOUT_FEW), "nothing", "rests_on_few"),
+        (heights.known_voters < settings.publish_vehicles, "hold", "vehicles_not_known"),
+        (~(heights.agreement > _LEAST_AGREEMENT), "hold", "disagreed"),
+        (np.abs(change_m) > settings.publish_largest_m, "hold", "too_large"),
         (shifted, "hold", "regional_shift"),
-        (stepped, "hold", "step"),
+        (isolated, "hold", "step"),
         (returned, "withdraw", "changed_back"),
         (np.ones(len(row), bool), "publish", "changed"),
     )
-    when = [case for case, _, _ in cases]
-    surfaces["decision"] = np.select(when, [DECISIONS.index(word) for _, word, _ in cases])
-    surfaces["reason"] = np.select(when, [REASONS.index(word) for _, _, word in cases])
+    conditions = [condition for condition, _, _ in cases]
+    surfaces["decision"] = np.select(conditions, [DECISIONS.index(decision) for _, decision, _ in cases])
+    surfaces["reason"] = np.select(conditions, [REASONS.index(reason) for _, _, reason in cases])
 
     publishes = surfaces["decision"] == DECISIONS.index("publish")
     withdraws = surfaces["decision"] == DECISIONS.index("withdraw")
     confirmed = (surfaces["decision"] == DECISIONS.index("nothing")) & enough
-    confirmed &= (heights.known_voters >= rules.confirming_vehicles) & ~shifted
-    confirmed &= heights.agreement > rules.least_agreement
+    confirmed &= (heights.known_voters >= _CONFIRMING_VEHICLES) & ~shifted
+    confirmed &= heights.agreement > _LEAST_AGREEMENT
     surfaces["correction_m"][publishes] = heights.location_m[publishes]
     surfaces["correction_m"][withdraws] = 0.0
-    left_m = np.sqrt((heights.location_m - surfaces["correction_m"]) ** 2 + error_m**2 + shape_m**2)
+    remaining_m = np.sqrt((heights.location_m - surfaces["correction_m"]) ** 2 + error_m**2 + shape_m**2)
     surfaces["sigma_m"] = np.where(
-        publishes | withdraws | confirmed, np.maximum(left_m, rules.least_sigma_m), np.nan
+        publishes | withdraws | confirmed, np.maximum(remaining_m, _LEAST_SIGMA_M), np.nan
     )
     return Decisions(surfaces, alarms)
 
 
-def benjamini_hochberg(p_value: Floats, rate: float, looked_at: int) -> NDArray[np.bool_]:
-    """Which of p-values (n,) are discoveries at a false-discovery rate, in a family of `looked_at` (their eq. 1)."""
+def benjamini_hochberg(p_value: Floats, rate: float, considered: int) -> NDArray[np.bool_]:
+    """Return which p-values (n,) are discoveries at a false-discovery rate, among `considered` tests (eq. 1)."""
     order = np.argsort(p_value, kind="stable")
-    passes = p_value[order] <= rate * np.arange(1, len(p_value) + 1) / max(looked_at, 1)
-    found = np.zeros(len(p_value), bool)
+    passes = p_value[order] <= rate * np.arange(1, len(p_value) + 1) / max(considered, 1)
+    discovered = np.zeros(len(p_value), bool)
     if passes.any():
-        found[order[: int(np.flatnonzero(passes)[-1]) + 1]] = True
-    return found
+        discovered[order[: int(np.flatnonzero(passes)[-1]) + 1]] = True
+    return discovered
 
 
 @compiled
 def normal_deviates(t: Floats, degrees: Floats) -> Floats:
-    """Normal deviates (n,) of the same tail as Student's t (n,), to 0.2 % from 3 degrees on (Wallace 1959, eq. 1)."""
+    """Return normal deviates (n,) of the same tail as Student's t (n,), to 0.2 % for 3 or more degrees of freedom.
+
+    Wallace 1959, "Bounds on normal approximations to Student's and the chi-square distributions", eq. 1.
+    """
     z = np.empty(len(t))
     for i in range(len(t)):
         v = degrees[i]
@@ -240,100 +250,104 @@ def normal_deviates(t: Floats, degrees: Floats) -> Floats:
 
 @compiled
 def upper_tails(z: Floats) -> Floats:
-    """Probabilities (n,) that a normal deviate exceeds each of z."""
+    """Return the probabilities (n,) that a normal deviate exceeds each z."""
     p = np.empty(len(z))
     for i in range(len(z)):
         p[i] = 0.5 * math.erfc(z[i] / math.sqrt(2.0))
     return p
 
 
-def _stands_alone(
-    row: Integers,
-    offset_m: Floats,
-    change_m: Floats,
-    error_m: Floats,
-    enough: NDArray[np.bool_],
-    surroundings: Surroundings,
-    rules: PublicationRules,
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Changes:
+    """Surfaces (n,): row in the neighbourhood, offset, change, its error, and whether enough vehicles observed it."""
+
+    row: Integers
+    offset_m: Floats
+    change_m: Floats
+    error_m: Floats
+    enough: NDArray[np.bool_]
+
+
+def _isolated_steps(
+    changes: _Changes, neighbourhood: SurfaceNeighbourhood, settings: PublicationSettings
 ) -> NDArray[np.bool_]:
-    """Surfaces (n,) that moved while no neighbour did, of those that enough vehicles have seen."""
-    total = len(surroundings.surface_id)
-    of_all_m, error_of_all_m = np.full(total, np.nan), np.full(total, np.nan)
-    of_all_m[row[enough]], error_of_all_m[row[enough]] = offset_m[enough], error_m[enough]
-    return _alone(
-        row,
-        change_m,
-        error_m,
-        offset_m,
-        of_all_m,
-        error_of_all_m,
-        surroundings.neighbour_begins,
-        surroundings.neighbour,
-        rules.step_share,
-        rules.standard_errors,
+    """Return which surfaces (n,) changed while no neighbour did, among those that enough vehicles observed."""
+    total = len(neighbourhood.surface_id)
+    observed = changes.row[changes.enough]
+    all_offset_m, all_error_m = np.full(total, np.nan), np.full(total, np.nan)
+    all_offset_m[observed] = changes.offset_m[changes.enough]
+    all_error_m[observed] = changes.error_m[changes.enough]
+    return _isolated(
+        changes.row,
+        change_m=changes.change_m,
+        error_m=changes.error_m,
+        offset_m=changes.offset_m,
+        all_offset_m=all_offset_m,
+        all_error_m=all_error_m,
+        begins=neighbourhood.neighbour_begins,
+        neighbour=neighbourhood.neighbour,
+        standard_errors=settings.publish_standard_errors,
     )
 
 
 @compiled
-def _alone(
+def _isolated(
     row: Integers,
     change_m: Floats,
     error_m: Floats,
     offset_m: Floats,
-    of_all_m: Floats,
-    error_of_all_m: Floats,
+    all_offset_m: Floats,
+    all_error_m: Floats,
     begins: Integers,
     neighbour: Integers,
-    share: float,
     standard_errors: float,
 ) -> NDArray[np.bool_]:
-    alone = np.zeros(len(row), np.bool_)
+    isolated = np.zeros(len(row), np.bool_)
     for i in range(len(row)):
         known = 0
         for k in range(begins[row[i]], begins[row[i] + 1]):
-            other_m, other_error_m = of_all_m[neighbour[k]], error_of_all_m[neighbour[k]]
+            other_m, other_error_m = all_offset_m[neighbour[k]], all_error_m[neighbour[k]]
             if np.isnan(other_m):
                 continue
             known += 1
-            behind_m = (offset_m[i] - other_m) * math.copysign(1.0, change_m[i])
-            unsure_m = standard_errors * math.sqrt(other_error_m**2 + error_m[i] ** 2)
-            if behind_m <= max(share * abs(change_m[i]), unsure_m):
+            lag_m = (offset_m[i] - other_m) * math.copysign(1.0, change_m[i])
+            uncertainty_m = standard_errors * math.sqrt(other_error_m**2 + error_m[i] ** 2)
+            if lag_m <= max(_STEP_SHARE * abs(change_m[i]), uncertainty_m):
                 known = -1
                 break
-        alone[i] = known > 0
-    return alone
+        isolated[i] = known > 0
+    return isolated
 
 
 def _regional_shifts(
-    row: Integers,
-    change_m: Floats,
+    changes: _Changes,
     common_error_m: Floats,
-    enough: NDArray[np.bool_],
-    surroundings: Surroundings,
-    rules: PublicationRules,
+    neighbourhood: SurfaceNeighbourhood,
+    settings: PublicationSettings,
 ) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
-    """Alarms, and which surfaces (n,) are of a region that has one; of each region, then of all together."""
-    region = surroundings.region[row]
-    latitude_rad, longitude_rad = surroundings.region_latitude_rad, surroundings.region_longitude_rad
-    places = [(int(k), region == k, latitude_rad[k], longitude_rad[k]) for k in np.unique(region[enough])]
-    if places:
+    """Return alarms, and which surfaces (n,) are in a region with one; each region, then all surfaces together."""
+    row, change_m, enough = changes.row, changes.change_m, changes.enough
+    region = neighbourhood.region[row]
+    latitude_rad, longitude_rad = neighbourhood.region_latitude_rad, neighbourhood.region_longitude_rad
+    areas = [(int(k), region == k, latitude_rad[k], longitude_rad[k]) for k in np.unique(region[enough])]
+    if areas:
         whole = np.ones(len(row), bool)
-        places.append((-1, whole, float(np.mean(latitude_rad)), float(np.mean(longitude_rad))))
+        areas.append((-1, whole, float(np.mean(latitude_rad)), float(np.mean(longitude_rad))))
     alarms, shifted = [], np.zeros(len(row), bool)
-    for number, inside, *middle in places:
+    for number, inside, *centre in areas:
         of = np.flatnonzero(inside & enough)
-        links = len(np.unique(surroundings.link_id[row[of]]))
-        if len(of) < rules.region_surfaces or links < rules.region_links:
+        links = len(np.unique(neighbourhood.link_id[row[of]]))
+        if len(of) < _REGION_SURFACES or links < _REGION_LINKS:
             continue
         shift_m = float(np.median(change_m[of]))
-        spread_m = 1.4826 * float(np.median(np.abs(change_m[of] - shift_m)))
-        # Surfaces of one link are not independent of one another: of 1.2533 σ / √n of a median, n is that of links.
-        error_m = math.hypot(1.2533 * spread_m / math.sqrt(links), float(np.median(common_error_m[of])))
+        spread_m = MAD_TO_SIGMA * float(np.median(np.abs(change_m[of] - shift_m)))
+        # Surfaces of one link are not independent: the n of the median's standard error is the number of links.
+        error_m = math.hypot(
+            _MEDIAN_ERROR * spread_m / math.sqrt(links), float(np.median(common_error_m[of]))
+        )
         alike = np.abs(change_m[of] - shift_m) < np.abs(change_m[of])
-        if (
-            abs(shift_m) - rules.standard_errors * error_m > rules.region_shift_m
-            and alike.mean() > rules.region_share
-        ):
-            alarms.append((number, *middle, shift_m, error_m, alike.mean(), len(of)))
+        significant = abs(shift_m) - settings.publish_standard_errors * error_m > _REGION_SHIFT_M
+        if significant and alike.mean() > _REGION_SHARE:
+            alarms.append((number, *centre, shift_m, error_m, alike.mean(), len(of)))
             shifted |= inside
     return np.array(alarms, ALARM), shifted

@@ -1,7 +1,7 @@
-"""How much the road departs from the reference's shape within a surface: what one offset cannot describe.
+"""How much the offset from the reference varies within a surface, which one offset per surface cannot describe.
 
-Where a resurfaced road ends the offset goes from all to nothing within a surface. The samples of each vote then differ,
-for every vehicle alike: that is told from vehicles which contradict one another.
+At the end of a resurfaced road the offset falls to zero within one surface. The samples of each vote then differ for
+every vehicle alike, which distinguishes this case from vehicles that contradict one another.
 """
 
 from __future__ import annotations
@@ -12,36 +12,36 @@ from camber.compiled.decorator import compiled_without_gil
 from camber.map_update.fusion.votes import Floats, Integers
 
 _MEDIAN_CHI2 = 0.839
-"""Median of χ² of 4 degrees of freedom, over 4."""
-_OF_MEDIANS = 0.4
-"""Variance of the median of five over that of one: 0.29 if normal, 0.43 if uniform (n = 5: r² / 28 over r² / 12)."""
+"""Median of χ² with 4 degrees of freedom (3.357), divided by 4: the variance of five samples has four."""
+_MEDIAN_VARIANCE_RATIO = 0.4
+"""Variance of the median of five over that of one: 0.29 for normal, 0.43 for uniform errors (r² / 28 over r² / 12)."""
 
 
-def shapes_of(begins: Integers, variance_m2: Floats) -> Floats:
-    """Spread (surfaces,) of the offset within each surface, from the variances (n,) of its votes' samples.
+def shape_spread(begins: Integers, variance_m2: Floats) -> Floats:
+    """Return the spread (surfaces,) of the offset within each surface, from the sample variances (n,) of its votes.
 
-    The median over the votes: one vehicle's noise is not the road's. The noise of a pass is in it.
+    The median over the votes rejects the noise of single vehicles; the noise of a pass is included.
     """
-    shape_m: Floats = np.sqrt(_medians_of_known(begins, variance_m2) / _MEDIAN_CHI2)
-    return shape_m
+    spread_m: Floats = np.sqrt(_finite_medians(begins, variance_m2) / _MEDIAN_CHI2)
+    return spread_m
 
 
-def votes_shape_m2(shape_m: Floats) -> Floats:
-    """What the shape adds to the variance of votes on each surface (surfaces,), beyond what is usual."""
-    if len(shape_m) == 0:
-        return shape_m
-    added: Floats = _OF_MEDIANS * np.maximum(shape_m**2 - np.median(shape_m) ** 2, 0.0)
+def shape_variance_m2(spread_m: Floats) -> Floats:
+    """Return what the shape adds to the variance of votes on each surface (surfaces,), beyond the usual spread."""
+    if len(spread_m) == 0:
+        return spread_m
+    added: Floats = _MEDIAN_VARIANCE_RATIO * np.maximum(spread_m**2 - np.median(spread_m) ** 2, 0.0)
     return added
 
 
 @compiled_without_gil
-def _medians_of_known(begins: Integers, value: Floats) -> Floats:
-    """Medians (groups,) of values that are numbers; 0 where none is."""
+def _finite_medians(begins: Integers, value: Floats) -> Floats:
+    """Return the median (groups,) of each group's values that are not NaN; 0 for groups without any."""
     n = len(begins) - 1
-    middle = np.zeros(n)
+    median = np.zeros(n)
     for i in range(n):
-        one = value[begins[i] : begins[i + 1]]
-        one = one[~np.isnan(one)]
-        if len(one) > 0:
-            middle[i] = np.median(one)
-    return middle
+        group = value[begins[i] : begins[i + 1]]
+        group = group[~np.isnan(group)]
+        if len(group) > 0:
+            median[i] = np.median(group)
+    return median

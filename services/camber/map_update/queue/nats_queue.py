@@ -1,16 +1,16 @@
-"""Uploads on their way from who receives them to who stores them, past one machine: a stream of NATS JetStream.
+"""The queue between receiving and storing workers: a stream of NATS JetStream.
 
     receive ──▶ camber.uploads.<shard> (stream, a work queue in files) ──▶ store ──▶ database of the shard
        ▲                                                                    │
-       └──────────── what became of each, after the database's commit ──────┘
+       └──────────── outcome of each, after the database's commit ──────────┘
 
-**Where the acknowledgement comes from.** From the commit of the shard's database, which the storing worker reports to
-the receiving one; not from JetStream's. JetStream acknowledges what it has written but not flushed (every two minutes;
-before 2.10 there is no `sync_interval: always`), and it cannot say whether a contribution is a duplicate or is refused.
-So nothing acknowledged is in the stream alone: it may lose all it holds, and the vehicles send again.
+**Acknowledgement.** Uploads are acknowledged after the commit of the shard's database, which the storing worker reports
+to the receiving one, not after JetStream's acknowledgement. JetStream acknowledges what is written but not flushed
+(every two minutes; `sync_interval: always` exists since 2.10), and cannot distinguish duplicates and refusals. So the
+stream never holds the only copy of an acknowledged upload: if it is lost, the vehicles send again.
 
-What is delivered again, because a worker or the server died, is a duplicate by the ledger. There is no `Nats-Msg-Id`: a
-stream that swallows a repetition would leave its vehicle without a receipt.
+Messages redelivered because a worker or the server died are duplicates by the ledger. No `Nats-Msg-Id` is set: a stream
+that drops a repetition would leave its vehicle without a receipt.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from camber.map_update.queue.queue_messages import (
     QueuedContribution,
     QueueError,
     QueueMessageError,
+    pack_contributions,
     pack_outcomes,
-    pack_parcels,
+    unpack_contributions,
     unpack_outcomes,
-    unpack_parcels,
 )
 from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
 from camber.map_update.stores.shards import Shards
@@ -48,58 +48,61 @@ T = TypeVar("T")
 
 STREAM = "CAMBER_UPLOADS"
 _SUBJECT = "camber.uploads"
+# Chosen: well below the server's default `max_payload` of 1 MB, and large enough that a message costs little a record.
 _MESSAGE_BYTES = 256 << 10
-_STREAM_BYTES = 1 << 30
-_IN_FLIGHT = 64
-_AGAIN_S = 1.0
-_LOST_S = 10.0
+_STREAM_BYTES = 1 << 30  # chosen: some minutes of uploads at full load
+_IN_FLIGHT = 64  # chosen: unacknowledged messages of a shard, enough to keep a storing worker busy
+# Chosen: a message is redelivered 1 s after a failed commit, and 10 s after its worker died: longer than any commit.
+_REDELIVER_S = 1.0
+_ACK_WAIT_S = 10.0
+_HEADER_BYTES = 512  # at most, of a contribution in a message
 
 
-@dataclass(slots=True)
-class _Connected:
+@dataclass(slots=True, kw_only=True)
+class _NatsConnection:
     client: Client
     inbox: str = ""
     waiting: dict[str, asyncio.Future[bytes]] = field(default_factory=dict)
     number: int = 0
     arrived: deque[Msg] = field(default_factory=deque)
-    some: asyncio.Event = field(default_factory=asyncio.Event)
+    has_arrivals: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class _Queue:
-    """The connection that both ends have: `address` is `nats://user@host:port`, `limit_s` how long to wait for it."""
+    """Connection of sender and receiver: `address` is `nats://user@host:port`, `limit_s` the longest wait for it."""
 
     def __init__(self, address: str, password: str | None, limit_s: float) -> None:
         parts = urlsplit(address)
         self._host = f"nats://{parts.hostname}:{parts.port or 4222}"
         self._user, self._password, self._limit_s = parts.username, password, limit_s
-        self._link: ReconnectingClient[_Connected] = ReconnectingClient(
-            self._host, self._connected, _ended, (nats.errors.Error,)
+        self._client: ReconnectingClient[_NatsConnection] = ReconnectingClient(
+            self._host, self._connect, _disconnect, (nats.errors.Error,)
         )
 
     def check(self) -> None:
-        """Answer the server's pings; connect again where the connection was lost. Raises QueueError."""
-        self._run(self._checked)
+        """Answer the server's pings; reconnect if the connection was lost. Raises QueueError."""
+        self._run(self._check)
 
     def close(self) -> None:
-        """Leave the queue."""
-        self._link.close()
+        """Disconnect from the queue."""
+        self._client.close()
 
-    def _run(self, work: Callable[[_Connected], Awaitable[T]]) -> T:
+    def _run(self, work: Callable[[_NatsConnection], Awaitable[T]]) -> T:
         try:
-            return self._link.run(work)
+            return self._client.run(work)
         except ConnectionFailedError as error:
             raise QueueError(str(error)) from error
 
-    async def _checked(self, connected: _Connected) -> None:
+    async def _check(self, connection: _NatsConnection) -> None:
         await asyncio.sleep(0)
-        if not connected.client.is_connected:
+        if not connection.client.is_connected:
             raise nats.errors.ConnectionClosedError
 
-    async def _connected(self) -> _Connected:
+    async def _connect(self) -> _NatsConnection:
         client = Client()
 
-        async def quiet(_: Exception) -> None:
-            """Whoever asks next is told; nats-py would log it."""
+        async def ignore(_: Exception) -> None:
+            """The next call reports it; nats-py would log it."""
 
         await asyncio.wait_for(
             client.connect(
@@ -107,22 +110,22 @@ class _Queue:
                 user=self._user,
                 password=self._password,
                 name="camber map_update",
-                allow_reconnect=False,  # a link that broke is made anew, with the stream that it needs
+                allow_reconnect=False,  # `ReconnectingClient` reconnects, and makes the stream again
                 connect_timeout=math.ceil(self._limit_s),
-                error_cb=quiet,
+                error_cb=ignore,
             ),
             self._limit_s,
         )
-        connected = _Connected(client)
+        connection = _NatsConnection(client=client)
         try:
-            await self._ready(connected)
+            await self._ready(connection)
         except BaseException:
-            await _ended(connected)
+            await _disconnect(connection)
             raise
-        return connected
+        return connection
 
-    async def _ready(self, connected: _Connected) -> None:
-        streams = connected.client.jetstream(timeout=self._limit_s)
+    async def _ready(self, connection: _NatsConnection) -> None:
+        streams = connection.client.jetstream(timeout=self._limit_s)
         try:
             await streams.stream_info(STREAM)
         except nats.js.errors.NotFoundError:
@@ -132,14 +135,14 @@ class _Queue:
                     subjects=[f"{_SUBJECT}.*"],
                     retention=RetentionPolicy.WORK_QUEUE,
                     storage=StorageType.FILE,
-                    discard=DiscardPolicy.NEW,  # full is full: the vehicles keep what nobody takes
+                    discard=DiscardPolicy.NEW,  # when full, new messages are refused and the vehicles keep them
                     max_bytes=_STREAM_BYTES,
                 )
             )
 
 
 class QueueSender(_Queue):
-    """The receiving worker's end."""
+    """The receiving worker's side."""
 
     def __init__(
         self, address: str, shards: Shards, *, password: str | None = None, limit_s: float = 1.0
@@ -147,87 +150,84 @@ class QueueSender(_Queue):
         super().__init__(address, password, limit_s)
         self._shards = shards
         self.too_large = 0
-        """Messages that were more than the server's `max_payload`, and were not sent."""
+        """Messages larger than the server's `max_payload`, which were not sent."""
 
-    def send(self, parcels: Sequence[QueuedContribution]) -> list[Outcome | None]:
-        """Hand over to the shards; returns what became of each, None where nothing was heard in time.
+    def send(self, queued: Sequence[QueuedContribution]) -> list[Outcome | None]:
+        """Send contributions to their shards; returns the outcomes, None without a reply in time.
 
-        Raises QueueError where the queue is not there.
+        Raises QueueError if the queue is not reached.
         """
         by_shard: dict[int, list[tuple[int, QueuedContribution]]] = {}
-        divided = self._shards.split([parcel.contribution for parcel in parcels])
-        for n, (parcel, parts_of) in enumerate(zip(parcels, divided, strict=True)):
-            for shard, part in parts_of:
-                by_shard.setdefault(shard, []).append((n, QueuedContribution(part, parcel.refusal)))
-        parts: list[list[Outcome | None]] = [[] for _ in parcels]
+        divided = self._shards.split([item.contribution for item in queued])
+        for n, (item, parts) in enumerate(zip(queued, divided, strict=True)):
+            for shard, part in parts:
+                by_shard.setdefault(shard, []).append((n, QueuedContribution(part, item.refusal)))
         messages = [(shard, chunk) for shard, items in by_shard.items() for chunk in _chunks(items)]
-        answers = self._run(
-            lambda connected: self._asked(
-                connected, [(shard, [parcel for _, parcel in chunk]) for shard, chunk in messages]
-            )
-        )
-        for (_, chunk), outcomes in zip(messages, answers, strict=True):
-            for (n, _), outcome in zip_longest(chunk, outcomes or ()):
-                parts[n].append(outcome)
-        return [_together(outcomes) for outcomes in parts]
+        requests = [(shard, [item for _, item in chunk]) for shard, chunk in messages]
+        replies = self._run(lambda connection: self._request(connection, requests))
+        outcomes: list[list[Outcome | None]] = [[] for _ in queued]
+        for (_, chunk), reply in zip(messages, replies, strict=True):
+            for (n, _), outcome in zip_longest(chunk, reply or ()):
+                outcomes[n].append(outcome)
+        return [_combine(of_parts) for of_parts in outcomes]
 
-    async def _ready(self, connected: _Connected) -> None:
-        await super()._ready(connected)
-        connected.inbox = connected.client.new_inbox()
+    async def _ready(self, connection: _NatsConnection) -> None:
+        await super()._ready(connection)
+        connection.inbox = connection.client.new_inbox()
 
-        async def answered(message: Msg) -> None:
-            waiting = connected.waiting.pop(message.subject.rpartition(".")[2], None)
+        async def on_reply(message: Msg) -> None:
+            waiting = connection.waiting.pop(message.subject.rpartition(".")[2], None)
             if waiting is not None and not waiting.done():
                 waiting.set_result(message.data)
 
-        await connected.client.subscribe(f"{connected.inbox}.*", cb=answered)
-        await connected.client.flush(timeout=math.ceil(self._limit_s))
+        await connection.client.subscribe(f"{connection.inbox}.*", cb=on_reply)
+        await connection.client.flush(timeout=math.ceil(self._limit_s))
 
-    async def _asked(
-        self, connected: _Connected, messages: Sequence[tuple[int, Sequence[QueuedContribution]]]
+    async def _request(
+        self, connection: _NatsConnection, messages: Sequence[tuple[int, Sequence[QueuedContribution]]]
     ) -> list[list[Outcome] | None]:
-        await self._checked(connected)
-        streams = connected.client.jetstream(timeout=self._limit_s)
+        await self._check(connection)
+        streams = connection.client.jetstream(timeout=self._limit_s)
         waiting: list[asyncio.Future[bytes]] = []
-        taken = []
-        for shard, parcels in messages:
-            connected.number += 1
-            token = str(connected.number)
-            answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-            waiting.append(answer)
-            data = pack_parcels(f"{connected.inbox}.{token}", parcels)
-            if len(data) > connected.client.max_payload:
+        published = []
+        for shard, queued in messages:
+            connection.number += 1
+            token = str(connection.number)
+            reply: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+            waiting.append(reply)
+            data = pack_contributions(f"{connection.inbox}.{token}", queued)
+            if len(data) > connection.client.max_payload:
                 self.too_large += 1
                 continue
-            connected.waiting[token] = answer
-            taken.append(
+            connection.waiting[token] = reply
+            published.append(
                 streams.publish(f"{_SUBJECT}.{self._shards.name(shard)}", data, timeout=self._limit_s)
             )
         try:
-            for error in await asyncio.gather(*taken, return_exceptions=True):
-                if isinstance(error, BaseException):  # there is no stream, or no room in it
+            for error in await asyncio.gather(*published, return_exceptions=True):
+                if isinstance(error, BaseException):  # no stream, or no room in it
                     raise error
-            if connected.waiting:
-                await asyncio.wait(connected.waiting.values(), timeout=self._limit_s)
+            if connection.waiting:
+                await asyncio.wait(connection.waiting.values(), timeout=self._limit_s)
         finally:
-            connected.waiting.clear()
-        found: list[list[Outcome] | None] = []
-        for answer, (_, parcels) in zip(waiting, messages, strict=True):
-            outcomes = unpack_outcomes(answer.result()) if answer.done() else []
-            found.append(outcomes if len(outcomes) == len(parcels) else None)
-        return found
+            connection.waiting.clear()
+        replies: list[list[Outcome] | None] = []
+        for reply, (_, queued) in zip(waiting, messages, strict=True):
+            outcomes = unpack_outcomes(reply.result()) if reply.done() else []
+            replies.append(outcomes if len(outcomes) == len(queued) else None)
+        return replies
 
 
 class QueueDelivery:
-    """A message of the queue: its parcels, where to report, and the message to be settled."""
+    """A message of the queue: its contributions, the reply subject, and the message to be acknowledged."""
 
     def __init__(self, message: Msg) -> None:
         self.message = message
-        self.reply, self.parcels = unpack_parcels(message.data)
+        self.reply, self.contributions = unpack_contributions(message.data)
 
 
 class QueueReceiver(_Queue):
-    """The storing worker's end, of one shard; any number of workers may share it."""
+    """The storing worker's side, for one shard; any number of workers may share it."""
 
     def __init__(
         self, address: str, shard: str, *, password: str | None = None, limit_s: float = 1.0
@@ -235,58 +235,58 @@ class QueueReceiver(_Queue):
         super().__init__(address, password, limit_s)
         self._shard = shard
         self.damaged = 0
-        """Messages that were none, and will not come again."""
+        """Messages that could not be decoded; they are not redelivered."""
         self.waiting: int | None = None
-        """Messages of this shard that the server had not yet given out when last something was taken."""
+        """Messages of this shard that the server had not delivered at the last call of `take`."""
 
     def take(self, wait_s: float) -> list[QueueDelivery]:
-        """What has arrived, after at most `wait_s`. Raises QueueError where the queue is not there."""
-        return self._run(lambda connected: self._taken(connected, wait_s))
+        """Return what was delivered, after at most `wait_s`. Raises QueueError if the queue is not reached."""
+        return self._run(lambda connection: self._taken(connection, wait_s))
 
-    def stored(self, deliveries: Sequence[QueueDelivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
-        """Report what became of each after its commit; they will not come again."""
-        self._run(lambda connected: self._settled(connected, deliveries, outcomes))
+    def acknowledge(self, deliveries: Sequence[QueueDelivery], outcomes: Sequence[Sequence[Outcome]]) -> None:
+        """Report the outcomes after the commit; the deliveries are not repeated."""
+        self._run(lambda connection: self._settled(connection, deliveries, outcomes))
 
-    def again(self, deliveries: Sequence[QueueDelivery]) -> None:
-        """They could not be stored: let them come again in a second, here or elsewhere."""
+    def redeliver(self, deliveries: Sequence[QueueDelivery]) -> None:
+        """Request redelivery in a second, to any worker of the shard: the deliveries could not be stored."""
         self._run(lambda _: self._refused(deliveries))
 
-    async def _ready(self, connected: _Connected) -> None:
-        await super()._ready(connected)
+    async def _ready(self, connection: _NatsConnection) -> None:
+        await super()._ready(connection)
         name = f"store_{self._shard}"
 
-        async def arrived(message: Msg) -> None:
-            connected.arrived.append(message)
-            connected.some.set()
+        async def on_message(message: Msg) -> None:
+            connection.arrived.append(message)
+            connection.has_arrivals.set()
 
-        await connected.client.jetstream(timeout=self._limit_s).subscribe(
+        await connection.client.jetstream(timeout=self._limit_s).subscribe(
             f"{_SUBJECT}.{self._shard}",
             queue=name,
             stream=STREAM,
             manual_ack=True,
-            cb=arrived,
+            cb=on_message,
             config=ConsumerConfig(
                 durable_name=name,
                 deliver_subject=f"camber.store.{self._shard}",
                 deliver_group=name,
                 ack_policy=AckPolicy.EXPLICIT,
-                ack_wait=_LOST_S,
+                ack_wait=_ACK_WAIT_S,
                 max_ack_pending=_IN_FLIGHT,
             ),
         )
 
-    async def _taken(self, connected: _Connected, wait_s: float) -> list[QueueDelivery]:
-        await self._checked(connected)
-        if not connected.arrived:
-            connected.some.clear()
+    async def _taken(self, connection: _NatsConnection, wait_s: float) -> list[QueueDelivery]:
+        await self._check(connection)
+        if not connection.arrived:
+            connection.has_arrivals.clear()
             try:
-                await asyncio.wait_for(connected.some.wait(), wait_s)
+                await asyncio.wait_for(connection.has_arrivals.wait(), wait_s)
             except TimeoutError:
                 self.waiting = 0
                 return []
         deliveries = []
-        while connected.arrived:
-            message = connected.arrived.popleft()
+        while connection.arrived:
+            message = connection.arrived.popleft()
             self.waiting = message.metadata.num_pending
             try:
                 deliveries.append(QueueDelivery(message))
@@ -297,36 +297,37 @@ class QueueReceiver(_Queue):
 
     async def _settled(
         self,
-        connected: _Connected,
+        connection: _NatsConnection,
         deliveries: Sequence[QueueDelivery],
         outcomes: Sequence[Sequence[Outcome]],
     ) -> None:
-        for delivery, found in zip(deliveries, outcomes, strict=True):
-            await connected.client.publish(delivery.reply, pack_outcomes(found))
+        for delivery, of_delivery in zip(deliveries, outcomes, strict=True):
+            await connection.client.publish(delivery.reply, pack_outcomes(of_delivery))
             await delivery.message.ack()
         await asyncio.sleep(0)
 
     async def _refused(self, deliveries: Sequence[QueueDelivery]) -> None:
         for delivery in deliveries:
-            await delivery.message.nak(delay=_AGAIN_S)
+            await delivery.message.nak(delay=_REDELIVER_S)
         await asyncio.sleep(0)
 
 
 def _chunks(items: Sequence[tuple[int, QueuedContribution]]) -> list[list[tuple[int, QueuedContribution]]]:
-    """In messages of some hundred kB: few enough for a server's limit, many enough to be cheap."""
+    """Divide contributions into messages of about _MESSAGE_BYTES."""
     chunks: list[list[tuple[int, QueuedContribution]]] = [[]]
     size = 0
     for item in items:
-        size += item[1].contribution.observations.nbytes + 512
+        bytes_of_item = item[1].contribution.observations.nbytes + _HEADER_BYTES
+        size += bytes_of_item
         if chunks[-1] and size > _MESSAGE_BYTES:
             chunks.append([])
-            size = item[1].contribution.observations.nbytes + 512
+            size = bytes_of_item
         chunks[-1].append(item)
     return chunks
 
 
-def _together(parts: Sequence[Outcome | None]) -> Outcome | None:
-    """Of the parts of one contribution: not known before all are, refused if one is, stored if one is new."""
+def _combine(parts: Sequence[Outcome | None]) -> Outcome | None:
+    """Return the outcome of a contribution from its parts': unknown if one is, refused if one is, stored if one is."""
     known = [part for part in parts if part is not None]
     if len(known) < len(parts):
         return None
@@ -337,6 +338,6 @@ def _together(parts: Sequence[Outcome | None]) -> Outcome | None:
     return known[0]
 
 
-async def _ended(connected: _Connected) -> None:
+async def _disconnect(connection: _NatsConnection) -> None:
     with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone
-        await asyncio.wait_for(connected.client.close(), 1.0)
+        await asyncio.wait_for(connection.client.close(), 1.0)

@@ -1,11 +1,10 @@
-"""What goes over the queue: contributions to who stores them, and back what became of each.
+"""Messages of the queue: contributions to the storing worker, and their outcomes back.
 
     u32 length of the header | msgpack header | rows of OBSERVATION
 
 The header is [version, reply, [vehicle, kind, id, datum, map_version, epoch_year, covariance, records, refusal] of each
-contribution]; `refusal` is None, or the code and the text of why who received it would not have it. It is sent all the
-same: what the ledger knows already is a duplicate and not refused. The way back is msgpack, [version, [status, code,
-text] of each].
+contribution]; `refusal` is None, or code and text of the receiving worker's refusal. Refused contributions are sent
+too: one that the ledger knows is a duplicate. The reply is msgpack, [version, [status, refusal] of each].
 """
 
 from __future__ import annotations
@@ -25,30 +24,30 @@ from camber.map_update.stores.store import Outcome
 from camber.schemas.base import Count, Covariance3, Name, Text
 from camber.schemas.fleet import EpochYear
 
-VERSION = 1
+VERSION = 1  # of the message format
 _LENGTH = struct.Struct("<I")
-_MAX_HEADER = 4 << 20
+_MAX_HEADER = 4 << 20  # chosen: a bound on what untrusted bytes make the parser read
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
-_Complaint = tuple[Name, Text]
+_RefusalFields = tuple[Name, Text]
 
 
 class QueueError(RuntimeError):
-    """The queue took nothing, or said nothing in time: nothing of this may be acknowledged."""
+    """The queue accepted nothing, or did not reply in time: nothing may be acknowledged."""
 
 
 class QueueMessageError(ValueError):
-    """These bytes are no message of this queue."""
+    """These bytes are not a message of this queue."""
 
 
 @dataclass(frozen=True, slots=True)
 class QueuedContribution:
-    """A contribution, and why who received it would refuse it if it is not known already."""
+    """A contribution, and the receiving worker's refusal, which applies if the ledger does not know it."""
 
     contribution: Contribution
     refusal: Refusal | None
 
 
-class _Heading(BaseModel):
+class _ContributionHeader(BaseModel):
     model_config = _STRICT
     vehicle: Name
     kind: Kind
@@ -58,112 +57,105 @@ class _Heading(BaseModel):
     epoch_year: EpochYear
     covariance: Covariance3 | None
     records: Annotated[int, Field(ge=0, le=1 << 24)]
-    refusal: _Complaint | None
+    refusal: _RefusalFields | None
 
 
-class _Result(BaseModel):
+class _OutcomeFields(BaseModel):
     model_config = _STRICT
     status: Literal["stored", "duplicate", "refused"]
-    refusal: _Complaint | None
+    refusal: _RefusalFields | None
 
 
-_HEADING, _RESULT = list(_Heading.model_fields), list(_Result.model_fields)
+_HEADER_FIELDS, _OUTCOME = list(_ContributionHeader.model_fields), list(_OutcomeFields.model_fields)
 _REPLY: TypeAdapter[str] = TypeAdapter(Annotated[str, Field(pattern=r"^[A-Za-z0-9_.$-]{1,128}$")])
 
 
-def pack_parcels(reply: str, parcels: Sequence[QueuedContribution]) -> bytes:
-    """Contributions, and the subject on which their sender waits."""
-    headings = []
-    for parcel in parcels:
-        c, refusal = parcel.contribution, parcel.refusal
+def pack_contributions(reply: str, queued: Sequence[QueuedContribution]) -> bytes:
+    """Encode contributions, and the subject on which their sender waits."""
+    headers = []
+    for item in queued:
+        c = item.contribution
         covariance = c.position_covariance_enu_m2
-        headings.append(
-            [
-                *(c.vehicle, c.kind, c.id, c.datum, c.map_version, c.epoch_year, covariance),
-                len(c.observations),
-                None if refusal is None else (refusal.code, refusal.text[:512]),
-            ]
-        )
-    header: bytes = msgpack.packb([VERSION, reply, headings])
-    rows = (parcel.contribution.observations.tobytes() for parcel in parcels)
+        fields = (*c.name, c.datum, c.map_version, c.epoch_year, covariance, len(c.observations))
+        headers.append([*fields, _refusal_fields(item.refusal)])
+    header: bytes = msgpack.packb([VERSION, reply, headers])
+    rows = (item.contribution.observations.tobytes() for item in queued)
     return b"".join([_LENGTH.pack(len(header)), header, *rows])
 
 
-def unpack_parcels(data: bytes) -> tuple[str, list[QueuedContribution]]:
-    """Raises QueueMessageError, and nothing else, for whatever is no message."""
+def unpack_contributions(data: bytes) -> tuple[str, list[QueuedContribution]]:
+    """Decode reply subject and contributions; raises only QueueMessageError, for any bytes."""
     try:
         (length,) = _LENGTH.unpack_from(data)
-        version, reply, headings = _unpacked(data[_LENGTH.size : _LENGTH.size + min(length, _MAX_HEADER)], 3)
+        version, reply, headers = _unpacked(data[_LENGTH.size : _LENGTH.size + min(length, _MAX_HEADER)], 3)
         reply = _REPLY.validate_python(reply, strict=True)
-        found = [_heading(values) for values in headings]
-        offset, parcels = _LENGTH.size + length, []
-        if version != VERSION or len(data) - offset != OBSERVATION.itemsize * sum(h.records for h in found):
+        parsed = [_ContributionHeader.model_validate(_named(_HEADER_FIELDS, values)) for values in headers]
+        offset, queued = _LENGTH.size + length, []
+        if version != VERSION or len(data) - offset != OBSERVATION.itemsize * sum(h.records for h in parsed):
             raise QueueMessageError(
                 f"{len(data)} bytes of version {version!r}, expected another length or {VERSION}"
             )
-        for heading in found:
-            rows = np.frombuffer(data, OBSERVATION, heading.records, offset)
+        for fields in parsed:
+            rows = np.frombuffer(data, OBSERVATION, fields.records, offset)
             offset += rows.nbytes
-            parcels.append(_parcel(heading, rows))
+            queued.append(_queued(fields, rows))
     except (ValidationError, ValueError, TypeError, struct.error, RecursionError, OverflowError) as error:
         raise QueueMessageError(str(error)[:300]) from None
-    return reply, parcels
+    return reply, queued
 
 
 def pack_outcomes(outcomes: Sequence[Outcome]) -> bytes:
-    """What became of the contributions of a message, in their order."""
-    rows = [
-        [
-            outcome.status,
-            None if outcome.refusal is None else (outcome.refusal.code, outcome.refusal.text[:512]),
-        ]
-        for outcome in outcomes
-    ]
+    """Encode the outcomes of a message's contributions, in their order."""
+    rows = [[outcome.status, _refusal_fields(outcome.refusal)] for outcome in outcomes]
     data: bytes = msgpack.packb([VERSION, rows])
     return data
 
 
 def unpack_outcomes(data: bytes) -> list[Outcome]:
-    """Raises QueueMessageError, and nothing else, for whatever is no answer."""
+    """Decode outcomes; raises only QueueMessageError, for any bytes."""
     try:
         version, rows = _unpacked(data, 2)
         if version != VERSION:
             raise QueueMessageError(f"version {version!r}, expected {VERSION}")
-        results = [
-            _Result.model_validate(dict(zip(_RESULT, _of_length(row, 2), strict=True))) for row in rows
-        ]
+        results = [_OutcomeFields.model_validate(_named(_OUTCOME, row)) for row in rows]
     except (ValidationError, ValueError, TypeError, RecursionError, OverflowError) as error:
         raise QueueMessageError(str(error)[:300]) from None
     return [Outcome(r.status, None if r.refusal is None else Refusal(*r.refusal)) for r in results]
 
 
-def _heading(values: object) -> _Heading:
-    return _Heading.model_validate(dict(zip(_HEADING, _of_length(values, len(_HEADING)), strict=True)))
+def _refusal_fields(refusal: Refusal | None) -> tuple[str, str] | None:
+    return None if refusal is None else (refusal.code, refusal.text[:512])
 
 
-def _parcel(heading: _Heading, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> QueuedContribution:
+def _named(names: Sequence[str], values: object) -> dict[str, Any]:
+    return dict(zip(names, _of_length(values, len(names)), strict=True))
+
+
+def _queued(
+    fields: _ContributionHeader, rows: np.ndarray[tuple[int], np.dtype[np.void]]
+) -> QueuedContribution:
     if not all(
         np.isfinite(rows[name]).all() for name in OBSERVATION.names or () if OBSERVATION[name].kind == "f"
     ):
         raise QueueMessageError("expected finite numbers")
     contribution = Contribution(
-        vehicle=heading.vehicle,
-        kind=heading.kind,
-        id=heading.id,
-        datum=heading.datum,
-        map_version=heading.map_version,
-        epoch_year=heading.epoch_year,
-        position_covariance_enu_m2=heading.covariance,
+        vehicle=fields.vehicle,
+        kind=fields.kind,
+        id=fields.id,
+        datum=fields.datum,
+        map_version=fields.map_version,
+        epoch_year=fields.epoch_year,
+        position_covariance_enu_m2=fields.covariance,
         observations=rows,
     )
-    return QueuedContribution(contribution, None if heading.refusal is None else Refusal(*heading.refusal))
+    return QueuedContribution(contribution, None if fields.refusal is None else Refusal(*fields.refusal))
 
 
 def _unpacked(data: bytes, length: int) -> tuple[Any, ...]:
     try:
         values = msgpack.unpackb(data, use_list=False)
     except (ValueError, msgpack.UnpackException) as error:
-        raise QueueMessageError(f"no msgpack: {error}") from None
+        raise QueueMessageError(f"not msgpack: {error}") from None
     return _of_length(values, length)
 
 

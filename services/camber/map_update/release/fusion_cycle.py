@@ -1,11 +1,11 @@
-"""What the fusion does with a store: observations into votes, votes into corrections, those into a release.
+"""The fusion cycle on a store: observations into votes, votes into corrections, corrections into a release.
 
-    take_in    observations after the last ones → votes, written with the progress in one transaction
-    decide     all votes → decisions → a release with other corrections, if there are any
-    step       the one or the other, when it is due
+    ingest_votes   new observations → votes, written with the progress in one transaction
+    decide         all votes → decisions → a release, if corrections changed
+    step           whichever of the two is due
 
-Each step starts from what the store and the folder of releases hold, and ends with one transaction or one new root. So
-a process that is killed at any moment goes on where it was, and of two that do the same one finds itself overtaken.
+Each step starts from the content of the store and of the releases folder, and ends with one transaction or one new
+root. A process that is killed continues where it was, and of two that do the same work one finds itself overtaken.
 """
 
 from __future__ import annotations
@@ -15,141 +15,146 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.fusion.corrections import CORRECTION, Corrections, rows_of
 from camber.map_update.fusion.pipeline import Fusion
 from camber.map_update.fusion.publication import Decisions
-from camber.map_update.fusion.votes import DAY_NS
+from camber.map_update.fusion.votes import merge_votes
 from camber.map_update.release.release_builder import ReleaseBuilder
 from camber.map_update.release.review import ReviewFolder
-from camber.map_update.stores.store import FusionStep, ObservationPage, Rows, Store
+from camber.map_update.stores.store import FusionStep, ObservationPage, Store
 from camber.road_map.release_files import ReleaseFolder
 from camber.schemas.road import ReleaseRoot
 
 _GLOBAL = frozenset({"WGS84", "ITRF2014", "ITRF2020"})
 """Realisations that agree to about a centimetre (WGS 84 (G2139) is aligned with ITRF2014, and that with ITRF2020)."""
-_NEWS = 0.25
-"""σ of a height that was not touched is told anew when it has changed by this share: no tile changes for less."""
+_SIGMA_CHANGE = 0.25
+"""Chosen: σ of an unchanged height is released again when it changed by this share, so that few tiles change."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class IngestResult:
-    """What one step took in: contributions and observations, and of the latter those of another datum."""
+    """What one step ingested: contributions, observations, and those of the observations in another datum."""
 
     contributions: int = 0
     observations: int = 0
     other_datum: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FusionDecision:
-    """What came of one round: the release in force after it, and whether it is a new one."""
+    """The decisions of one cycle, and the release in force after it."""
 
     decisions: Decisions
     root: ReleaseRoot
-    made: bool
+    is_new: bool
 
 
 class FusionCycle:
-    """The fusion of one store into the releases of one region; raises what its store and its making raise."""
+    """The fusion of one store into the releases of one region; raises the errors of its store and its builder."""
 
     def __init__(
         self,
         store: Store,
         fusion: Fusion,
-        making: ReleaseBuilder,
+        builder: ReleaseBuilder,
         *,
-        every_s: float = 60.0,
-        most: int = 200_000,
+        every_s: float,
+        most_records: int,
     ) -> None:
-        self._store, self._fusion, self._making = store, fusion, making
-        self._datum = making.reference.manifest.datum
-        self._every_ns, self._most = round(every_s * 1e9), most
-        self._review = ReviewFolder(making.folder)
+        self._store, self._fusion, self._builder = store, fusion, builder
+        self._datum = builder.reference.manifest.datum
+        self._every_ns, self._most_records = round(every_s * 1e9), most_records
+        self._review = ReviewFolder(builder.folder)
         self._due_ns: int | None = None
-        self._decided_by: object = None  # what the last round rested on, besides votes; None: there was none
+        self._decided_state: object = None  # external state at the last decision; None: votes are newer
 
     def step(self, now_ns: int) -> IngestResult | FusionDecision | None:
-        """One step where one is due: every `every_s` all that has come is taken in, then decided, if there was any.
+        """Do one step if one is due: every `every_s` all new observations are ingested, then a decision is made.
 
-        After a step that took something in the next is due at once. None: nothing is due, or nothing is new.
+        After a step that ingested something the next is due at once. None: nothing is due, or nothing is new.
         """
-        # A clock that was set back must not stop the fusion.
+        # The second condition: a clock that was set back must not stop the fusion.
         if self._due_ns is not None and self._due_ns - self._every_ns <= now_ns < self._due_ns:
             return None
-        taken = self.ingest_votes(now_ns, self._most)
-        if taken.contributions:
-            self._decided_by = None
-            return taken
+        ingested = self.ingest_votes(now_ns)
+        if ingested.contributions:
+            self._decided_state = None
+            return ingested
         self._due_ns = now_ns + self._every_ns
-        if self._decided_by is not None and self._decided_by == self._given():
+        if self._decided_state is not None and self._decided_state == self._external_state():
             return None
-        found = self.decide(now_ns)
-        self._decided_by = self._given()
-        return found
+        result = self.decide(now_ns)
+        self._decided_state = self._external_state()
+        return result
 
-    def ingest_votes(self, now_ns: int, most: int) -> IngestResult:
-        """Make votes of at most some `most` observations; nothing taken: there are none left."""
-        seen = self._store.progress()
-        found = self._store.observations_after(seen.cursor, most)
-        if found.cursor == seen.cursor:
+    def ingest_votes(self, now_ns: int) -> IngestResult:
+        """Make votes of at most about `most_records` observations; an empty result: none are left."""
+        progress = self._store.progress()
+        page = self._store.observations_after(progress.cursor, self._most_records)
+        if page.cursor == progress.cursor:
             return IngestResult()
-        of_datum = self._of_our_datum(found)
-        rows, heading_of = found.rows[of_datum], found.heading_of[of_datum]
-        voters = np.array([self._fusion.voter_of(heading.vehicle) for heading in found.headings], np.int64)
-        new = self._fusion.votes_of_voters(rows, voters[heading_of])
+        comparable = self._has_comparable_datum(page)
+        rows, entry_of = page.rows[comparable], page.entry_of[comparable]
+        voters = np.array([self._fusion.voter_of(entry.vehicle) for entry in page.entries], np.int64)
+        new = self._fusion.votes_from(rows, voters[entry_of])
         surfaces = np.unique(new["surface_id"])
         votes = new
         if len(surfaces):
-            votes = self._fusion.kept(self._fusion.merge(self._store.votes_of(surfaces), new), now_ns)
-        self._store.advance(seen, FusionStep(found.cursor, surfaces, votes))
-        return IngestResult(len(found.headings), len(found.rows), int(len(found.rows) - of_datum.sum()))
+            votes = self._fusion.thin(merge_votes(self._store.votes_of(surfaces), new), now_ns)
+        self._store.advance(progress, FusionStep(cursor=page.cursor, surfaces=surfaces, votes=votes))
+        return IngestResult(
+            contributions=len(page.entries),
+            observations=len(page.rows),
+            other_datum=int(len(page.rows) - comparable.sum()),
+        )
 
     def decide(self, now_ns: int) -> FusionDecision:
-        """Decide of all surfaces with votes, and make the release that follows, if there is anything new.
+        """Decide on all surfaces with votes, and make the next release if anything changed.
 
-        The first is made whatever is decided: the reference itself, for vehicles to take.
+        The first release is always made: the reference itself.
         """
-        before = self._making.corrections()
-        votes = self._fusion.merge(self._store.votes_of())
-        found = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
-        decisions = self._review.judged(found, now_ns)
-        current = self._making.current()
-        root = self._making.make(corrections_after(before, decisions), time_ns=now_ns)
-        return FusionDecision(decisions, root, made=current is None or root != current.root)
+        before = self._builder.corrections()
+        votes = merge_votes(self._store.votes_of())
+        automatic = self._fusion.decide(votes, before["surface_id"], before["offset_m"], now_ns)
+        decisions = self._review.apply(automatic, now_ns)
+        current = self._builder.current()
+        root = self._builder.build(corrections_after(before, decisions), time_ns=now_ns)
+        return FusionDecision(decisions=decisions, root=root, is_new=current is None or root != current.root)
 
-    def _given(self) -> tuple[object, object]:
-        """What others may change: the release in force, by a roll-back, and what people have decided."""
-        return ReleaseFolder(self._making.folder).stamp(), len(self._review.decisions())
+    def _external_state(self) -> tuple[object, object]:
+        """Return what others may change: the release in force (by a roll-back) and the reviewers' decisions."""
+        return ReleaseFolder(self._builder.folder).stamp(), len(self._review.decisions())
 
-    def _of_our_datum(self, found: ObservationPage) -> NDArray[np.bool_]:
-        """Which observations (n,) are in a datum that the reference's heights can be compared with."""
-        alike = _GLOBAL if self._datum in _GLOBAL else frozenset({self._datum})
-        ours = np.array([heading.datum in alike for heading in found.headings], bool)
-        result: NDArray[np.bool_] = ours[found.heading_of] if len(ours) else np.zeros(0, bool)
+    def _has_comparable_datum(self, page: ObservationPage) -> NDArray[np.bool_]:
+        """Return which observations (n,) are in a datum that is comparable with the reference's."""
+        datums = _GLOBAL if self._datum in _GLOBAL else frozenset({self._datum})
+        comparable = np.array([entry.datum in datums for entry in page.entries], bool)
+        result: NDArray[np.bool_] = comparable[page.entry_of] if len(comparable) else np.zeros(0, bool)
         return result
 
 
 def corrections_after(before: Corrections, decisions: Decisions) -> Corrections:
-    """The corrections that decisions make of those before.
+    """Return the corrections after decisions.
 
-    A height that is published or withdrawn gets its row, also at an offset of 0: its σ is known better than the
-    reference's. One that many have confirmed gets a new σ only where that is news. All other rows stay.
+    A published or withdrawn height gets a row, also at an offset of 0, because its σ is smaller than the reference's.
+    A confirmed height gets a new σ only if it changed notably. All other rows stay.
     """
-    rows: Rows = decisions.surfaces
+    rows = decisions.surfaces
     at = rows_of(before, rows["surface_id"])
-    there = at >= 0
+    present = at >= 0
     offset_m = np.zeros(len(rows))
-    offset_m[there] = before["offset_m"][at[there]]
+    offset_m[present] = before["offset_m"][at[present]]
     sigma_m = np.full(len(rows), np.inf)
-    sigma_m[there] = before["sigma_m"][at[there]]
-    said = np.isfinite(rows["sigma_m"])
-    moved = said & (np.abs(rows["correction_m"] - offset_m) > 0.0)
-    news = said & ~(np.abs(rows["sigma_m"] - sigma_m) <= _NEWS * sigma_m)
-    chosen = np.flatnonzero(moved | news)
+    sigma_m[present] = before["sigma_m"][at[present]]
+    has_sigma = np.isfinite(rows["sigma_m"])
+    moved = has_sigma & (np.abs(rows["correction_m"] - offset_m) > 0.0)
+    notable = has_sigma & ~(np.abs(rows["sigma_m"] - sigma_m) <= _SIGMA_CHANGE * sigma_m)
+    chosen = np.flatnonzero(moved | notable)
     new = np.zeros(len(chosen), CORRECTION)
     new["surface_id"] = rows["surface_id"][chosen]
     new["offset_m"], new["sigma_m"] = rows["correction_m"][chosen], rows["sigma_m"][chosen]
     new["vehicles"] = rows["vehicles"][chosen]
-    new["last_seen_ns"] = rows["last_session"][chosen] * DAY_NS
-    stays = before[~np.isin(before["surface_id"], new["surface_id"])]
-    return np.sort(np.concatenate([stays, new]), order="surface_id")
+    new["last_seen_ns"] = rows["last_session"][chosen] * NS_PER_DAY
+    unchanged = before[~np.isin(before["surface_id"], new["surface_id"])]
+    return np.sort(np.concatenate([unchanged, new]), order="surface_id")

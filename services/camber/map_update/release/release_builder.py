@@ -1,8 +1,8 @@
-"""Makes releases of the map: the reference and the fleet's corrections, signed, under a version that only grows.
+"""Builds releases of the map: the reference plus the fleet's corrections, signed, with increasing versions.
 
-The folder of releases holds all of them: `root.msgpack` is the newest, each manifest names the one before it, and the
-corrections of each lie there as a blob. To roll back to a release is to make a new one with its corrections: vehicles
-take versions in one direction only.
+The releases folder holds all of them: `root.msgpack` is the newest, each manifest names its predecessor, and the
+corrections of each are a blob. A roll-back is a new release with the corrections of an old one, because vehicles only
+accept increasing versions.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, rows_of, settled, to_bytes
+from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, normalize, rows_of, to_bytes
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
 from camber.road_map.release_writer import ReleaseMetadata, StoredBlob, TileKey, write_tiles_and_manifest
@@ -26,21 +26,21 @@ from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import Tile
 from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
 
-_HEIGHT_DECIMALS = 4  # as in tiles made from columns
+_HEIGHT_DECIMALS = 4  # resolution of heights in tiles, 0.1 mm, as `corrections.STEP_M`
 
 
 class ReleaseRecord(NamedTuple):
-    """A release of the past, by its manifest."""
+    """An earlier release, by its manifest."""
 
     manifest_sha256: str
     manifest: Manifest
 
 
 class ReleaseBuilder:
-    """Makes the releases of one region in one folder, from one reference.
+    """Builds the releases of one region in one folder, from one reference.
 
-    Another process that makes releases in the same folder waits or is waited for. All methods raise ReleaseError for
-    what cannot be a release, and OSError where the disk fails: the release before is then still in force.
+    Processes that build in the same folder exclude each other. All methods raise ReleaseError for an invalid release
+    and OSError if the disk fails; the previous release then stays in force.
     """
 
     def __init__(self, folder: Path, reference: Release, *, signing_key: Ed25519PrivateKey | None) -> None:
@@ -50,38 +50,38 @@ class ReleaseBuilder:
         self._tiles_of: tuple[NDArray[np.int64], NDArray[np.int64], list[Tile]] | None = None
 
     def current(self) -> Release | None:
-        """The newest release in the folder; None: there was none yet."""
+        """Return the newest release in the folder, or None."""
         return open_release(self.folder) if (self.folder / ROOT_NAME).exists() else None
 
     def corrections(self) -> Corrections:
-        """Those of the newest release."""
+        """Return the corrections of the newest release."""
         current = self.current()
         return NONE if current is None else corrections_of(current.source, current.manifest)
 
-    def make(self, corrections: Corrections, *, time_ns: int) -> ReleaseRoot:
-        """The release with these corrections: a new one, unless the newest has just these.
+    def build(self, corrections: Corrections, *, time_ns: int) -> ReleaseRoot:
+        """Return the release with these corrections: a new one, unless the newest has the same.
 
-        Only tiles with a surface whose correction changed get other bytes, and in them only these surfaces. The same
-        reference, folder and arguments give the same bytes.
+        Only tiles with a changed correction get other bytes. The same reference, folder and arguments give the same
+        bytes.
         """
-        with self._alone():
-            return self._make(corrections, time_ns)
+        with self._locked():
+            return self._build(corrections, time_ns)
 
     def roll_back(self, map_version: int, *, time_ns: int) -> ReleaseRoot:
-        """A new release with the corrections that release `map_version` had."""
-        with self._alone():
-            made = next((m for m in history(self.folder) if m.manifest.map_version == map_version), None)
-            if made is None:
-                versions = ", ".join(str(m.manifest.map_version) for m in history(self.folder))
+        """Return a new release with the corrections of release `map_version`."""
+        with self._locked():
+            manifests = {record.manifest.map_version: record.manifest for record in history(self.folder)}
+            if map_version not in manifests:
+                versions = ", ".join(map(str, manifests))
                 raise ReleaseError(str(self.folder), "version", f"one of {versions}", actual=str(map_version))
-            return self._make(corrections_of(ReleaseFolder(self.folder), made.manifest), time_ns)
+            return self._build(corrections_of(ReleaseFolder(self.folder), manifests[map_version]), time_ns)
 
-    def _make(self, corrections: Corrections, time_ns: int) -> ReleaseRoot:
+    def _build(self, corrections: Corrections, time_ns: int) -> ReleaseRoot:
         current, reference = self.current(), self.reference
         before = NONE if current is None else corrections_of(current.source, current.manifest)
         previous = reference.root if current is None else current.root
         version = max(previous.map_version, reference.root.map_version) + 1
-        rows = settled(corrections, before, version)
+        rows = normalize(corrections, before, version)
         same_reference = (
             current is not None and current.manifest.reference_sha256 == reference.root.manifest_sha256
         )
@@ -112,7 +112,7 @@ class ReleaseBuilder:
         )
 
     def _kept_blobs(self) -> dict[TileKey, bytes | StoredBlob]:
-        """The reference's tiles, which are in the folder already."""
+        """Return the reference's tiles, which are in the folder already."""
         manifest = self.reference.manifest
         columns = (manifest.layer.tolist(), manifest.tile_x.tolist(), manifest.tile_y.tolist())
         return {
@@ -121,7 +121,7 @@ class ReleaseBuilder:
         }
 
     def _keep_reference(self) -> None:
-        """The folder has all that releases are made of: the chain of manifests ends at the reference's."""
+        """Copy the reference into the folder, so that the chain of manifests ends at the reference's."""
         source, reference = self.reference.source, self.reference
         if isinstance(source, ReleaseFolder) and source.folder.resolve() == self.folder.resolve():
             return
@@ -130,7 +130,7 @@ class ReleaseBuilder:
             write_blob(self.folder, digest, source.blob(digest, None))
 
     def _touched(self, rows: Corrections) -> list[Tile]:
-        """The tiles that hold a corrected surface; ReleaseError for one that the reference does not have."""
+        """Return the tiles that hold a corrected surface; ReleaseError for surfaces not in the reference."""
         if self._tiles_of is None:
             tiles = self.reference.tiles("surfaces")
             ids = [tile.surface_id for xy in tiles if (tile := self.reference.surface_tile(*xy)) is not None]
@@ -157,7 +157,7 @@ class ReleaseBuilder:
         return encoded(changed, name)
 
     def _lineage(self, current: Release | None) -> list[tuple[int, int]]:
-        """All that is known of the surfaces of this release: what the reference says, and the releases before."""
+        """Return the (surface, parent) pairs of the reference and of the previous release."""
         pairs: set[tuple[int, int]] = set()
         for manifest in (self.reference.manifest, *(() if current is None else (current.manifest,))):
             parents = manifest.lineage_parent_id.tolist()
@@ -166,30 +166,31 @@ class ReleaseBuilder:
         return sorted(pair for pair in pairs if pair[0] in here)
 
     def _refuse_reused_ids(self) -> None:
-        """An id that was given up in an earlier release names another surface for ever."""
+        """Raise ReleaseError if the reference reuses the id of a surface that an earlier release removed."""
         here = surface_ids(self.reference.source, self.reference.manifest)
         source, newer = ReleaseFolder(self.folder), here
-        gone: list[NDArray[np.int64]] = []
-        # From the newest to the oldest: what an older release has and a newer one has not was given up in between.
-        ours = (made for made in history(self.folder) if made.manifest.reference_sha256 is not None)
-        for number, made in enumerate(ours):
-            ids = surface_ids(source, made.manifest)
+        removed: list[NDArray[np.int64]] = []
+        # From the newest to the oldest: ids that only the older of two successive releases has were removed.
+        corrected = (
+            record for record in history(self.folder) if record.manifest.reference_sha256 is not None
+        )
+        for number, record in enumerate(corrected):
+            ids = surface_ids(source, record.manifest)
             if number:
-                gone.append(np.setdiff1d(ids, newer))
-            gone.append(np.setdiff1d(made.manifest.lineage_parent_id, ids))
+                removed.append(np.setdiff1d(ids, newer))
+            removed.append(np.setdiff1d(record.manifest.lineage_parent_id, ids))
             newer = ids
-        reused = np.intersect1d(here, np.concatenate([*gone, np.zeros(0, np.int64)]))
+        reused = np.intersect1d(here, np.concatenate([*removed, np.zeros(0, np.int64)]))
         if len(reused):
-            found = f"{len(reused)}, {reused[0]} first"
             raise ReleaseError(
                 self.reference.source.name(None),
                 "surface_id",
-                "no id of a surface that was given up",
-                actual=found,
+                "no id of a removed surface",
+                actual=f"{len(reused)}, {reused[0]} first",
             )
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _locked(self) -> Iterator[None]:
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / ".making").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -197,9 +198,9 @@ class ReleaseBuilder:
 
 
 def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
-    """A tile of the reference with the corrections of its surfaces; nothing else in it changes.
+    """Return a tile of the reference with the corrections of its surfaces applied.
 
-    The tile's time is the newest at which one of its surfaces was seen.
+    The tile's time is the latest time at which one of its surfaces was observed.
     """
     at = rows_of(rows, tile.surface_id)
     surfaces = np.flatnonzero(at >= 0)
@@ -221,7 +222,7 @@ def corrected_tile(tile: SurfaceTile, rows: Corrections) -> SurfaceTile:
 
 
 def reference_in(folder: Path) -> Release:
-    """The reference of the newest release in a folder of releases, which is kept there; else ReleaseError."""
+    """Return the reference of the newest release in a releases folder; raises ReleaseError."""
     current = open_release(folder)
     digest = current.manifest.reference_sha256
     if digest is None:
@@ -238,7 +239,7 @@ def reference_in(folder: Path) -> Release:
 
 
 def history(folder: Path) -> Iterator[ReleaseRecord]:
-    """The releases in a folder from the newest back to the reference, as far as manifests are there."""
+    """Yield the releases in a folder from the newest back to the reference, as far as manifests exist."""
     if not (folder / ROOT_NAME).exists():
         return
     source = ReleaseFolder(folder)
@@ -256,13 +257,13 @@ def history(folder: Path) -> Iterator[ReleaseRecord]:
 
 
 def corrections_of(source: BlobSource, manifest: Manifest) -> Corrections:
-    """The corrections of a release whose blobs are in `source`."""
+    """Return the corrections of a release whose blobs are in `source`."""
     digest = manifest.corrections_sha256
     return NONE if digest is None else from_bytes(source.blob(digest, None), source.name(digest))
 
 
 def surface_ids(source: BlobSource, manifest: Manifest) -> NDArray[np.int64]:
-    """The ids of all surfaces of a release, each once, ascending."""
+    """Return the ids of all surfaces of a release, each once, ascending."""
     ids = [np.zeros(0, np.int64)]
     for row in np.flatnonzero(manifest.layer == LAYERS.index("surfaces")).tolist():
         digest = manifest.sha256[row].tobytes().hex()

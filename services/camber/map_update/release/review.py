@@ -1,12 +1,12 @@
-"""Changes of the map that wait for a person, and what people decided of them.
+"""Changes of the map held for review, and the decisions of reviewers.
 
 Two files beside the releases, in `review`, each with one kind of writer:
 
-    held.json         what is held now, with its numbers; written anew by the fusion in each round
-    decisions.jsonl   what was decided, by whom, when and why; lines are added, and never changed
+    held.json         the changes held now, with their numbers; rewritten by the fusion in each cycle
+    decisions.jsonl   decisions with reviewer, time and reason; lines are only appended
 
-A decision is about a change as it was seen: it holds as long as the votes say about the same height, and lapses when
-they say another one. The round after it takes it in.
+A decision refers to a change of a given height: it applies as long as the votes give the same height, and lapses when
+they give another one. The next fusion cycle applies it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from camber.road_map.road_columns import ReleaseError
 
 ReviewAction = Literal["accept", "reject"]
 
-SAME_M = 0.01
-"""Heights that differ by less, or by three standard errors, are the one that was decided of."""
-_ERRORS = 3.0
+# Chosen: a decision applies to heights within 1 cm or three standard errors; an accepted σ is at least 5 mm.
+_SAME_M = 0.01
+_SAME_STANDARD_ERRORS = 3.0
 _LEAST_SIGMA_M = 0.005
 _COLUMNS = (
     "previous_correction_m",
@@ -44,9 +44,9 @@ _COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HeldChange:
-    """A change that waits: what the map has, what the votes say, and why it was not published."""
+    """A change held for review: the map's correction, the votes' offset, and why it was not published."""
 
     surface_id: int
     reason: str
@@ -61,27 +61,38 @@ class HeldChange:
     days: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ReviewDecision:
-    """What a person decided of a surface whose votes said `offset_m`."""
+    """A reviewer's decision on a surface whose votes gave `offset_m`."""
 
     surface_id: int
-    word: ReviewAction
+    action: ReviewAction
     offset_m: float
     who: str
     why: str
     time_ns: int
 
+    def to_json(self) -> str:
+        """Return the line of decisions.jsonl, in which `action` is called `word`."""
+        fields = {"word" if name == "action" else name: value for name, value in asdict(self).items()}
+        return json.dumps(fields, ensure_ascii=False)
+
+    @classmethod
+    def from_json(cls, line: bytes) -> ReviewDecision:
+        """Parse a line of decisions.jsonl; raises ValueError or TypeError."""
+        fields = json.loads(line)
+        return cls(**{"action" if name == "word" else name: value for name, value in fields.items()})
+
 
 class ReviewFolder:
-    """The folder `review` of a folder of releases. Raises ReleaseError for files that are none, OSError of the disk."""
+    """The folder `review` of a folder of releases. Raises ReleaseError for invalid files, OSError of the disk."""
 
     def __init__(self, releases: Path) -> None:
         self._held = releases / "review" / "held.json"
         self._decisions = releases / "review" / "decisions.jsonl"
 
     def held(self) -> list[HeldChange]:
-        """What waits now, by surface."""
+        """Return the changes held now, by surface."""
         try:
             return [HeldChange(**row) for row in json.loads(self._held.read_text("utf-8"))]
         except FileNotFoundError:
@@ -90,43 +101,41 @@ class ReviewFolder:
             raise ReleaseError(str(self._held), "file", f"held changes ({error})") from None
 
     def decisions(self) -> list[ReviewDecision]:
-        """All that was decided, in its order. A last line that was cut short was never decided."""
+        """Return all decisions in order; an incomplete last line is ignored."""
         try:
             lines = self._decisions.read_bytes().split(b"\n")
         except FileNotFoundError:
             return []
         try:
-            return [ReviewDecision(**json.loads(line)) for line in lines[:-1]]
-        except (ValueError, TypeError) as error:
+            return [ReviewDecision.from_json(line) for line in lines[:-1]]
+        except (ValueError, TypeError, AttributeError) as error:
             raise ReleaseError(str(self._decisions), "line", f"a decision ({error})") from None
 
-    def decide(self, decided: list[ReviewDecision]) -> None:
-        """Add decisions; they are on the disk when this returns."""
-        for each in decided:
+    def append(self, decisions: list[ReviewDecision]) -> None:
+        """Append decisions; they are on the disk when this returns."""
+        for each in decisions:
             if not each.who.strip() or not each.why.strip():
-                raise ReleaseError("review", "who and why", "words: a decision is somebody's, for a reason")
-        text = "".join(json.dumps(asdict(each), ensure_ascii=False) + "\n" for each in decided)
+                raise ReleaseError("review", "who and why", "text: a decision has an author and a reason")
+        text = "".join(f"{each.to_json()}\n" for each in decisions)
         self._decisions.parent.mkdir(parents=True, exist_ok=True)
         with self._decisions.open("a+b") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
-            end = file.seek(0, os.SEEK_END)
-            if end:
+            if file.seek(0, os.SEEK_END):
                 file.seek(0)
-                whole = file.read().rfind(b"\n") + 1
-                file.truncate(whole)  # of a writer that was killed
+                file.truncate(file.read().rfind(b"\n") + 1)  # remove the incomplete line of a killed writer
             file.write(text.encode())
             file.flush()
             os.fsync(file.fileno())
 
-    def judged(self, decisions: Decisions, now_ns: int) -> Decisions:
-        """The decisions of a round as people want them; what still waits is what `held` shows from now on.
+    def apply(self, decisions: Decisions, now_ns: int) -> Decisions:
+        """Return the fusion's decisions changed by those of reviewers; what is still held is written to `held.json`.
 
-        A change that was accepted is published though it is held, one that was rejected is not, whatever the rules say.
+        An accepted change is published though it is held; a rejected one is not published.
         """
         rows = decisions.surfaces.copy()
-        for at, word in self._words(rows).items():
+        for at, action in self._applicable(rows).items():
             row = rows[at]
-            if word == "reject":
+            if action == "reject":
                 row["decision"] = DECISIONS.index("nothing")
                 row["correction_m"], row["sigma_m"] = row["previous_correction_m"], np.nan
             elif row["decision"] == DECISIONS.index("hold"):
@@ -134,32 +143,39 @@ class ReviewFolder:
                 row["correction_m"] = row["offset_m"]
                 row["sigma_m"] = max(float(row["standard_error_m"]), _LEAST_SIGMA_M)
             rows[at] = row
-        self._keep(rows[rows["decision"] == DECISIONS.index("hold")], now_ns)
+        self._write_held(rows[rows["decision"] == DECISIONS.index("hold")], now_ns)
         return Decisions(rows, decisions.alarms)
 
     def reject_again(self, withdrawn: Corrections, *, who: str, why: str, time_ns: int) -> None:
-        """After a roll-back: what was withdrawn is not published again from the same votes."""
-        self.decide(
+        """Reject corrections withdrawn by a roll-back, so that the same votes do not publish them again."""
+        self.append(
             [
-                ReviewDecision(int(row["surface_id"]), "reject", float(row["offset_m"]), who, why, time_ns)
+                ReviewDecision(
+                    surface_id=int(row["surface_id"]),
+                    action="reject",
+                    offset_m=float(row["offset_m"]),
+                    who=who,
+                    why=why,
+                    time_ns=time_ns,
+                )
                 for row in withdrawn
             ]
         )
 
-    def _words(self, rows: NDArray[np.void]) -> dict[int, ReviewAction]:
-        """Row → the last decision of its surface, where that is still about what the votes say."""
-        newest = {decided.surface_id: decided for decided in self.decisions()}
-        found: dict[int, ReviewAction] = {}
+    def _applicable(self, rows: NDArray[np.void]) -> dict[int, ReviewAction]:
+        """Return row → action of the last decision on its surface, if it still refers to the votes' height."""
+        newest = {decision.surface_id: decision for decision in self.decisions()}
+        actions: dict[int, ReviewAction] = {}
         for at, surface_id in enumerate(rows["surface_id"].tolist()):
-            decided = newest.get(surface_id)
-            if decided is None:
+            decision = newest.get(surface_id)
+            if decision is None:
                 continue
-            same_m = max(SAME_M, _ERRORS * float(rows["standard_error_m"][at]))
-            if abs(decided.offset_m - float(rows["offset_m"][at])) <= same_m:
-                found[at] = decided.word
-        return found
+            same_m = max(_SAME_M, _SAME_STANDARD_ERRORS * float(rows["standard_error_m"][at]))
+            if abs(decision.offset_m - float(rows["offset_m"][at])) <= same_m:
+                actions[at] = decision.action
+        return actions
 
-    def _keep(self, rows: NDArray[np.void], now_ns: int) -> None:
+    def _write_held(self, rows: NDArray[np.void], now_ns: int) -> None:
         since = {held.surface_id: held.since_ns for held in self.held()}
         held = [
             HeldChange(

@@ -1,17 +1,16 @@
-"""The store in PostgreSQL, 14 or later, for what one file cannot carry.
+"""The store in PostgreSQL, 14 or later, for more than one machine.
 
-Any number of processes may use one database. The order of the ledger is the order of commits, without gaps that fill
-later: who commits holds the row of `ledger_end` from before it looks what is known until its commit, so numbers are
-given to one transaction after another (a sequence gives them before, and transactions overtake one another).
+Any number of processes may use one database. The ledger's numbers follow the order of commits, without gaps that are
+filled later: a commit locks the row of `ledger_end` before it looks up known contributions, so numbers are assigned to
+one transaction after another (a sequence would assign them earlier, and transactions overtake one another).
 
-The observations of a contribution are one value (see `postgres_tables`), a binary COPY for a group of contributions,
-into the partition of their numbers. Partitions have no index: the fusion reads them in the order in which they were
-written, and the values that it does not read lie out of line. A partition is dropped once all of it is forgotten.
-While the server looks for what it knows, the values and digests are made.
+The observations of a contribution are one value (see `postgres_tables`), written by one binary COPY for a group of
+contributions into the partition of their numbers. Partitions have no index, because the fusion reads them in the order
+written, and the values are stored out of line. A partition is dropped once all of it is forgotten. Values and digests
+are computed while the server looks up known contributions.
 
-The server may go away at any time: what is asked meanwhile raises StoreError at once, and a connection is tried again
-after 0.2 s to 2 s. Only a commit that the server has confirmed is one: it is asked for `synchronous_commit`, and a
-server that runs with `fsync = off` is refused.
+If the server is not reached, every call raises StoreError at once, and a connection is tried again after 0.2 s to 2 s.
+Commits request `synchronous_commit`, and a server with `fsync = off` is refused.
 """
 
 from __future__ import annotations
@@ -27,9 +26,10 @@ import numpy as np
 
 from camber.map_update.contribution import OBSERVATION, Contribution
 from camber.map_update.fusion.votes import VOTE
-from camber.map_update.stores.postgres_tables import FORMAT, LAYOUT, MAKE
+from camber.map_update.stores.postgres_tables import CREATE, FORMAT, LAYOUT
 from camber.map_update.stores.reconnecting_client import ConnectionFailedError, ReconnectingClient
 from camber.map_update.stores.store import (
+    ENTRY_COLUMNS,
     Counts,
     FusionProgress,
     FusionStep,
@@ -42,10 +42,9 @@ from camber.map_update.stores.store import (
     Rows,
     Store,
     StoreError,
-    empty_rows,
     forgettable,
     ledger_row,
-    observed,
+    observation_page,
     settle,
     votes_by_surface,
 )
@@ -53,22 +52,22 @@ from camber.map_update.stores.store import (
 T = TypeVar("T")
 
 PARTITION = 8192
-"""Contributions of one partition; batches of 64 make it half a million observations, 45 MB."""
-_PAGE = 1024
+"""Chosen: contributions of one partition; with batches of 64 half a million observations, 45 MB."""
+_PAGE = 1024  # chosen: ledger rows of one query
 _KNOWN = """
 SELECT vehicle, kind, id, digest FROM contribution
 JOIN unnest($1::text[], $2::text[], $3::text[]) AS asked (vehicle, kind, id) USING (vehicle, kind, id)"""
-_HEADINGS = f"""
-SELECT number, vehicle, kind, id, received_ns, datum, map_version, epoch_year,
+_ENTRIES = f"""
+SELECT {", ".join(ENTRY_COLUMNS)},
     CASE WHEN number > forgotten THEN records ELSE 0 END
 FROM contribution, progress WHERE number > $1 ORDER BY number LIMIT {_PAGE}"""
 
 
 class PostgresStore(Store):
-    """A database of a server, by `address`: `postgresql://user@host:port/database`.
+    """A store in a database of a server, by `address`: `postgresql://user@host:port/database`.
 
-    `limit_s`: how long to wait for the server. Raises StoreError when the database holds something else or comes from
-    a later version; a server that is not there is waited for.
+    `limit_s`: longest wait for the server. Raises StoreError if the database holds something else or has a later
+    format; a server that cannot be reached is tried again by later calls.
     """
 
     def __init__(self, address: str, *, password: str | None = None, limit_s: float = 1.0) -> None:
@@ -76,16 +75,16 @@ class PostgresStore(Store):
         self._name = f"{parts.scheme}://{parts.hostname or ''}:{parts.port or 5432}{parts.path}"
         self._address, self._password, self._limit_s = address, password, limit_s
         broken = (asyncpg.PostgresError, asyncpg.InterfaceError)
-        self._link: ReconnectingClient[asyncpg.Connection] = ReconnectingClient(
+        self._client: ReconnectingClient[asyncpg.Connection] = ReconnectingClient(
             self._name, self._connected, _terminate, broken
         )
         try:
             self.check()
         except _WrongDatabaseError:
-            self._link.close()
+            self._client.close()
             raise
         except StoreError:
-            pass  # it is not there yet
+            pass  # not reached yet
 
     def commit(self, contributions: Sequence[Contribution], now_ns: int, judge: Judge) -> list[Outcome]:
         """See `Store.commit`."""
@@ -121,17 +120,12 @@ class PostgresStore(Store):
     def votes_of(self, surfaces: Ids | None = None) -> Rows:
         """See `Store.votes_of`."""
         if surfaces is None:
-            found = self._run(lambda db: db.fetch("SELECT rows FROM vote ORDER BY surface_id"))
+            selected = self._run(lambda db: db.fetch("SELECT rows FROM vote ORDER BY surface_id"))
         else:
             wanted = np.unique(surfaces).tolist()
             query = "SELECT rows FROM vote WHERE surface_id = ANY ($1::bigint[]) ORDER BY surface_id"
-            found = self._run(lambda db: db.fetch(query, wanted))
-        return np.frombuffer(b"".join(rows for (rows,) in found), VOTE)
-
-    def state_of(self, name: str) -> bytes | None:
-        """See `Store.state_of`."""
-        value = self._run(lambda db: db.fetchval("SELECT value FROM state WHERE name = $1", name))
-        return None if value is None else bytes(value)
+            selected = self._run(lambda db: db.fetch(query, wanted))
+        return np.frombuffer(b"".join(rows for (rows,) in selected), VOTE)
 
     def advance(self, seen: FusionProgress, step: FusionStep) -> FusionProgress:
         """See `Store.advance`."""
@@ -139,12 +133,12 @@ class PostgresStore(Store):
         return self._run(lambda db: self._advance(db, seen, step, surfaces, votes))
 
     def close(self) -> None:
-        """Leave the server."""
-        self._link.close()
+        """Disconnect from the server."""
+        self._client.close()
 
     def _run(self, work: Callable[[asyncpg.Connection], Coroutine[Any, Any, T]]) -> T:
         try:
-            return self._link.run(work)
+            return self._client.run(work)
         except ConnectionFailedError as error:
             raise StoreError(str(error)) from error
 
@@ -158,7 +152,7 @@ class PostgresStore(Store):
             server_settings={
                 "application_name": "camber map_update",
                 "synchronous_commit": "on",
-                # Of a client that is gone without a word nothing may stay locked.
+                # Locks of a client that disappeared are released.
                 "lock_timeout": limit_ms,
                 "idle_in_transaction_session_timeout": "10000",
             },
@@ -178,16 +172,16 @@ class PostgresStore(Store):
         async with db.transaction():
             await db.execute("SELECT pg_advisory_xact_lock(hashtext('camber map_update'))")
             if await db.fetchval("SELECT to_regclass('contribution') IS NULL"):
-                await db.execute(MAKE)
+                await db.execute(CREATE)
                 await db.executemany("INSERT INTO layout VALUES ($1, $2)", list(LAYOUT.items()))
             if await db.fetchval("SELECT to_regclass('layout') IS NULL"):
                 raise _WrongDatabaseError(f"{self._name}: its table contribution is not Camber's")
-            found = dict(await db.fetch("SELECT name, descr FROM layout"))
-        if found.get("format") != str(FORMAT):
-            raise _WrongDatabaseError(f"{self._name}: format {found.get('format')}, expected {FORMAT}")
-        if wrong := [name for name, descr in LAYOUT.items() if found.get(name) != descr]:
+            layout = dict(await db.fetch("SELECT name, descr FROM layout"))
+        if layout.get("format") != str(FORMAT):
+            raise _WrongDatabaseError(f"{self._name}: format {layout.get('format')}, expected {FORMAT}")
+        if wrong := [name for name, descr in LAYOUT.items() if layout.get(name) != descr]:
             raise _WrongDatabaseError(
-                f"{self._name}: table {wrong[0]} is of another layout: {found.get(wrong[0])}"
+                f"{self._name}: table {wrong[0]} is of another layout: {layout.get(wrong[0])}"
             )
 
     async def _commit(
@@ -196,72 +190,72 @@ class PostgresStore(Store):
         async with db.transaction():
             last, partitions = await db.fetchrow("SELECT number, partitions FROM ledger_end FOR UPDATE")
             names = [contribution.name for contribution in contributions]
-            asking = asyncio.ensure_future(db.fetch(_KNOWN, *([name[k] for name in names] for k in range(3))))
-            await asyncio.sleep(0)  # now it is sent
-            made = {id(each): (each.observations.tobytes(), each.digest()) for each in contributions}
-            known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in await asking}
+            query = asyncio.ensure_future(db.fetch(_KNOWN, *([name[k] for name in names] for k in range(3))))
+            await asyncio.sleep(0)  # sends the query
+            encoded = {id(each): (each.observations.tobytes(), each.digest()) for each in contributions}
+            known = {(vehicle, kind, id_): bytes(digest) for vehicle, kind, id_, digest in await query}
             outcomes, new = settle(contributions, known, judge)
             if new:
-                rows, digests = zip(*(made[id(each)] for each in new), strict=True)
-                await self._make_partitions(db, partitions, last + len(new))
+                rows, digests = zip(*(encoded[id(each)] for each in new), strict=True)
+                await self._create_partitions(db, partitions, last + len(new))
                 await self._insert(db, list(enumerate(rows, last + 1)))
                 numbered = zip(range(last + 1, last + len(new) + 1), new, digests, strict=True)
                 ledger = [ledger_row(*each, now_ns) for each in numbered]
                 await db.copy_records_to_table("contribution", records=ledger)
         return outcomes
 
-    async def _make_partitions(self, db: asyncpg.Connection, there: int, end: int) -> None:
-        """Those that are needed up to the number `end`; the ledger's end is there."""
+    async def _create_partitions(self, db: asyncpg.Connection, existing: int, end: int) -> None:
+        """Create the partitions needed up to the number `end`, which becomes the ledger's end."""
         needed = (end - 1) // PARTITION + 1
-        for k in range(there, needed):
+        for k in range(existing, needed):
             await db.execute(
                 f"CREATE TABLE observation_{k} PARTITION OF packed"
                 f" FOR VALUES FROM ({k * PARTITION + 1}) TO ({(k + 1) * PARTITION + 1})"
             )
-        await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, there))
+        await db.execute("UPDATE ledger_end SET number = $1, partitions = $2", end, max(needed, existing))
 
     async def _insert(self, db: asyncpg.Connection, rows: Sequence[tuple[int, bytes]]) -> None:
         for k, part in groupby(rows, lambda row: (row[0] - 1) // PARTITION):
             await db.copy_records_to_table(f"observation_{k}", records=list(part))
 
     async def _observations_after(self, db: asyncpg.Connection, cursor: int, limit: int) -> ObservationPage:
-        headings: list[LedgerEntry] = []
+        entries: list[LedgerEntry] = []
         total, last, full = 0, cursor, False
         while not full:
-            page = await db.fetch(_HEADINGS, last)
-            for *heading, records in page:
+            page = await db.fetch(_ENTRIES, last)
+            for *columns, records in page:
                 total += records
-                full = bool(headings) and (total > limit or len(headings) >= limit)
+                full = bool(entries) and (total > limit or len(entries) >= limit)
                 if full:
                     break
-                headings.append(LedgerEntry(*heading))
-                last = headings[-1].number
+                entries.append(LedgerEntry(**dict(zip(ENTRY_COLUMNS, columns, strict=True))))
+                last = entries[-1].number
             full |= len(page) < _PAGE
-        if not headings:
-            return observed(cursor, (), empty_rows(), np.empty(0, np.intp))
-        found = await db.fetch(
+        if not entries:
+            return observation_page(cursor, (), np.empty(0, OBSERVATION), np.empty(0, np.intp))
+        packed = await db.fetch(
             "SELECT contribution, rows FROM packed WHERE contribution BETWEEN $1 AND $2",
-            headings[0].number,
+            entries[0].number,
             last,
         )
-        rows = np.frombuffer(b"".join(rows for _, rows in found), OBSERVATION)
+        rows = np.frombuffer(b"".join(rows for _, rows in packed), OBSERVATION)
         number = np.repeat(
-            np.array([number for number, _ in found], np.int64),
-            [len(rows) // OBSERVATION.itemsize for _, rows in found],
+            np.array([number for number, _ in packed], np.int64),
+            [len(rows) // OBSERVATION.itemsize for _, rows in packed],
         )
-        heading_of = np.searchsorted([heading.number for heading in headings], number)
-        return observed(last, headings, rows, heading_of)
+        entry_of = np.searchsorted([entry.number for entry in entries], number)
+        return observation_page(last, entries, rows, entry_of)
 
     async def _forget(self, db: asyncpg.Connection, before_ns: int, most: int) -> int:
         async with db.transaction():
             forgotten = await db.fetchval("SELECT forgotten FROM progress FOR UPDATE")
-            found = await db.fetch(
+            selected = await db.fetch(
                 "SELECT number, received_ns FROM contribution, progress"
                 ' WHERE number > $1 AND number <= "cursor" ORDER BY number LIMIT $2',
                 forgotten,
                 most,
             )
-            numbers = forgettable(found, before_ns)
+            numbers = forgettable(selected, before_ns)
             if numbers:
                 await db.execute("UPDATE progress SET forgotten = $1", numbers[-1])
                 for k in range((numbers[0] - 1) // PARTITION, (numbers[-1] - 1) // PARTITION + 1):
@@ -273,12 +267,12 @@ class PostgresStore(Store):
 
     async def _prune(self, db: asyncpg.Connection, before_ns: int, most: int) -> int:
         async with db.transaction():
-            found = await db.fetch(
+            selected = await db.fetch(
                 "SELECT number, received_ns FROM contribution, progress WHERE number <= forgotten"
                 " ORDER BY number LIMIT $1",
                 most,
             )
-            numbers = forgettable(found, before_ns)
+            numbers = forgettable(selected, before_ns)
             if numbers:
                 await db.execute("DELETE FROM contribution WHERE number <= $1", numbers[-1])
         return len(numbers)
@@ -306,12 +300,8 @@ class PostgresStore(Store):
                 [surface for surface, _ in pairs],
                 [rows for _, rows in pairs],
             )
-            gone = [surface for surface, rows in zip(surfaces, votes, strict=True) if not rows]
-            await db.execute("DELETE FROM vote WHERE surface_id = ANY ($1::bigint[])", gone)
-            for name, value in step.state.items():
-                await db.execute("DELETE FROM state WHERE name = $1", name)
-                if value is not None:
-                    await db.execute("INSERT INTO state VALUES ($1, $2)", name, value)
+            emptied = [surface for surface, rows in zip(surfaces, votes, strict=True) if not rows]
+            await db.execute("DELETE FROM vote WHERE surface_id = ANY ($1::bigint[])", emptied)
         return FusionProgress(step.cursor, seen.revision + 1)
 
 
@@ -321,4 +311,4 @@ async def _terminate(connection: asyncpg.Connection) -> None:
 
 
 class _WrongDatabaseError(StoreError):
-    """It is there, and not what this program may use."""
+    """The server was reached, and its database cannot be used."""

@@ -1,8 +1,8 @@
-"""The tables of the store in PostgreSQL, and a view of the observations for people who ask with SQL.
+"""The tables of the store in PostgreSQL, and a view of the observations for queries by hand.
 
-The observations of a contribution are one value of `packed`, as in SQLite: the rows of an array as they lie in memory,
-little-endian, out of line and not compressed. The server takes that in at a quarter of what a row of a table for each
-observation costs it. Whoever asks the view `observation` pays instead, some microseconds a value.
+The observations of a contribution are one value of `packed`, as in SQLite: the array's bytes, little-endian, out of
+line and not compressed. Writing costs the server a quarter of one table row for each observation
+(`benchmarks/ingest.py`); queries of the view `observation` cost some microseconds a value instead.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 from camber.map_update.contribution import OBSERVATION
 from camber.map_update.fusion.votes import VOTE
 
-FORMAT = 2
+FORMAT = 2  # of the tables; as the format of the SQLite file
 LAYOUT = {
     "format": str(FORMAT),
     "observation": json.dumps(OBSERVATION.descr),
@@ -35,9 +35,8 @@ def _column(name: str) -> str:
             return f"{_integer(at)} AS {name}"
 
 
-# IEEE 754: sign, exponent, fraction; all steps are exact. Numbers below 2⁻¹⁰²² are zero. RETURN is read when it is
-# made, so the view means the same from every search path. What lies out of line is fetched once (OFFSET 0), not for
-# every byte.
+# IEEE 754: sign, exponent, fraction; all steps are exact. Numbers below 2⁻¹⁰²² are zero. RETURN is parsed at creation,
+# so the view does not depend on the search path. OFFSET 0: out-of-line values are fetched once, not for every byte.
 _VIEW = f"""
 CREATE FUNCTION float8_of_bits(bits bigint) RETURNS double precision LANGUAGE sql IMMUTABLE STRICT
 RETURN CASE WHEN ((bits >> 52) & 2047) = 0 THEN 0.0
@@ -49,7 +48,7 @@ FROM packed, LATERAL (SELECT packed.rows || ''::bytea AS whole OFFSET 0) AS fetc
     generate_series(0, length(whole) - 1, {OBSERVATION.itemsize}) AS start;
 """
 
-MAKE = f"""
+CREATE = f"""
 CREATE TABLE contribution (
     number bigint PRIMARY KEY,
     vehicle text NOT NULL,

@@ -1,7 +1,6 @@
-"""A connection to a server that may go away, for code without coroutines: made anew when it is next needed.
+"""A connection to a server for synchronous code, reconnected on demand after a failure.
 
-It has an event loop of its own, which runs while something is asked and not otherwise: no thread, no lock, nothing that
-happens behind the caller's back.
+Its event loop runs only during calls, so there is no thread and no lock.
 """
 
 from __future__ import annotations
@@ -13,49 +12,50 @@ from typing import Generic, TypeVar
 C = TypeVar("C")
 T = TypeVar("T")
 
-SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
+# Chosen: callers are not held up by a missing server, and are connected within 2 s of its return.
+SHORTEST_PAUSE_S = 0.2
+LONGEST_PAUSE_S = 2.0
 
 
 class ConnectionFailedError(RuntimeError):
-    """It did not come about; the text names the server, without credentials, and what hinders it."""
+    """The server was not reached; the text names it, without credentials, and the cause."""
 
 
 class ReconnectingClient(Generic[C]):
-    """Connects with `connect`, ends a connection with `end`; `broken` are the errors after which it is made anew.
+    """Connects with `connect`, disconnects with `disconnect`; after `broken` errors it reconnects.
 
-    `name` stands before every complaint. After a failure everything fails at once for 0.2 s to 2 s, so that who asks
-    again and again is not held up by a server that is not there.
+    `name` prefixes every error message. After a failure all calls fail at once for 0.2 s to 2 s.
     """
 
     def __init__(
         self,
         name: str,
         connect: Callable[[], Awaitable[C]],
-        end: Callable[[C], Awaitable[None]],
+        disconnect: Callable[[C], Awaitable[None]],
         broken: tuple[type[Exception], ...],
     ) -> None:
         self.name = name
-        self._connect, self._end = connect, end
+        self._connect, self._disconnect = connect, disconnect
         self._broken: tuple[type[Exception], ...] = (*broken, OSError, TimeoutError)
         self._loop = asyncio.new_event_loop()
         self._connection: C | None = None
-        self._pause_s, self._closed_until_s, self._why = SHORTEST_PAUSE_S, 0.0, ""
+        self._pause_s, self._closed_until_s, self._cause = SHORTEST_PAUSE_S, 0.0, ""
 
     def run(self, work: Callable[[C], Awaitable[T]]) -> T:
         """What `work` returns of a live connection. Raises LinkError, and then there is no connection."""
         if self._loop.time() < self._closed_until_s:
-            raise ConnectionFailedError(self._why)
+            raise ConnectionFailedError(self._cause)
         try:
             return self._loop.run_until_complete(self._work(work))
         except self._broken as error:
             self._drop()
-            self._why = f"{self.name}: {str(error) or type(error).__name__}"
+            self._cause = f"{self.name}: {str(error) or type(error).__name__}"
             self._closed_until_s = self._loop.time() + self._pause_s
             self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
-            raise ConnectionFailedError(self._why) from error
+            raise ConnectionFailedError(self._cause) from error
 
     def close(self) -> None:
-        """End the connection."""
+        """Disconnect."""
         self._drop()
         self._loop.close()
 
@@ -67,5 +67,5 @@ class ReconnectingClient(Generic[C]):
 
     def _drop(self) -> None:
         if self._connection is not None:
-            self._loop.run_until_complete(self._end(self._connection))
+            self._loop.run_until_complete(self._disconnect(self._connection))
             self._connection = None

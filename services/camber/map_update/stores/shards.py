@@ -1,11 +1,11 @@
-"""Which shard keeps an observation: by region, so that what is fused together is kept together.
+"""Shards: the database of an observation depends on its region, so that what is fused together is stored together.
 
-A shard is a part of the world named by the beginning of the keys of its tiles. The key of a Web-Mercator tile at zoom z
-is z digits 0 to 3, each the quarter of the tile before it: north-west, north-east, south-west, south-east ("quadkey";
-Schwartz, "Bing Maps Tile System", 2009). So `["0", "1", "2", "3"]` are the four quarters of the world, `["0", "1", "2",
-"30", "31", "32", "33"]` has the south-eastern one in four again, and `[""]` is one shard for all of it.
+A shard is a part of the world named by a prefix of tile keys. The key of a Web-Mercator tile at zoom z has z digits 0
+to 3, each a quarter of the tile before it: north-west, north-east, south-west, south-east ("quadkey"; Schwartz, "Bing
+Maps Tile System", 2009). `["0", "1", "2", "3"]` are the four quarters of the world, `["0", "1", "2", "30", "31", "32",
+"33"]` divides the south-eastern one again, and `[""]` is one shard for all of it.
 
-To divide a shard, copy its database to each part before the parts take anything in: each then knows what came before.
+To divide a shard, copy its database to each part before the parts receive anything: each then has the whole ledger.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from camber.road_map.tile_grid import tiles_of
 from camber.schemas.road import ZOOM
 
 WORLD = "world"
-"""What the shard of all is called where a name may not be empty."""
+"""Name of the shard with the empty key."""
 
 
 class Shards:
-    """The world, divided. Raises ValueError where the keys leave a part of it out or have one twice."""
+    """The division of the world. Raises ValueError if the keys miss a part of it or overlap."""
 
     def __init__(self, keys: Sequence[str]) -> None:
         self.keys = tuple(sorted(keys))
@@ -43,11 +43,11 @@ class Shards:
                 raise ValueError(f"{what} the tile {part}")
 
     def name(self, shard: int) -> str:
-        """As it stands in subjects and names."""
+        """Return the name of a shard in subjects."""
         return self.keys[shard] or WORLD
 
     def of(self, latitude_rad: npt.ArrayLike, longitude_rad: npt.ArrayLike) -> npt.NDArray[np.intp]:
-        """Index (n,) of the shard of n points; beyond 85.05° of latitude, where there are no tiles, the first."""
+        """Return the shard index (n,) of n points; 0 beyond 85.05° of latitude, where there are no tiles."""
         x, y = tiles_of(latitude_rad, longitude_rad)
         key = np.zeros(x.shape, np.int64)
         for bit in range(ZOOM):
@@ -56,10 +56,10 @@ class Shards:
         return np.searchsorted(self._starts, key, side="right") - 1
 
     def split(self, contributions: Sequence[Contribution]) -> list[list[tuple[int, Contribution]]]:
-        """Of each contribution the parts and their shards, ascending; the same for the same contribution.
+        """Return the parts of each contribution with their shards, ascending.
 
-        Each part has the contribution's name, in a ledger of its own, and its rows in their order. One without rows is
-        the first shard's.
+        Each part has the contribution's name, in its shard's ledger, and its rows in their order. A contribution
+        without rows belongs to the first shard.
         """
         if len(self.keys) == 1 or not contributions:
             return [[(0, contribution)] for contribution in contributions]
@@ -81,7 +81,7 @@ def _parts(contribution: Contribution, of: npt.NDArray[np.intp]) -> list[tuple[i
 
 
 def _start(key: str) -> int:
-    """The first tile at ZOOM that a key stands for."""
+    """Return the first tile at ZOOM of a key."""
     number = int(key, 4) if key else 0
     return int(number * 4 ** (ZOOM - len(key)))
 

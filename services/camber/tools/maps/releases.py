@@ -15,7 +15,7 @@ import numpy as np
 
 from camber.geodesy.gps_time import text_from_calendar, utc_from_gps_ns
 from camber.map_update.fusion.corrections import NONE, Corrections
-from camber.map_update.fusion.votes import values_of
+from camber.map_update.fusion.votes import vote_values
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history, reference_in
 from camber.map_update.release.review import ReviewFolder
 from camber.road_map.release import load_signing_key
@@ -137,7 +137,7 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
         else:
             lines.append(f"{made.manifest.map_version:>8}  as the reference")
     decided = [each for each in ReviewFolder(folder).decisions() if each.surface_id == surface_id]
-    lines += [f"{each.word} at {each.offset_m:+.3f} m by {each.who}: {each.why}" for each in decided]
+    lines += [f"{each.action} at {each.offset_m:+.3f} m by {each.who}: {each.why}" for each in decided]
     return lines if uploads is None else lines + _votes(uploads, surface_id)
 
 
@@ -156,11 +156,13 @@ def _votes(uploads: Path, surface_id: int) -> list[str]:
             store.close()
     except StoreError as error:
         raise ReleaseError(str(uploads), "file", f"the uploads of map_update ({error})") from None
-    value_m = values_of(votes)[0]
+    value_m = vote_values(votes)[0]
     voters = len(np.unique(votes["voter"]))
     lines = [f"{len(votes)} votes of {voters} vehicles", f"{'pseudonym':>16}  {'day':>6}  {'says':>9}"]
-    for row, said_m in zip(votes, value_m.tolist(), strict=True):
-        lines.append(f"{int(row['voter']) & (2**64 - 1):016x}  {int(row['session']):>6}  {said_m:>+7.3f} m")
+    for row, deviation_m in zip(votes, value_m.tolist(), strict=True):
+        lines.append(
+            f"{int(row['voter']) & (2**64 - 1):016x}  {int(row['session']):>6}  {deviation_m:>+7.3f} m"
+        )
     return lines
 
 

@@ -56,7 +56,7 @@ def user_name() -> str:
 def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
     if args.log:
         for each in review.decisions():
-            print(f"{each.surface_id:>12}  {each.word:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
+            print(f"{each.surface_id:>12}  {each.action:<6}  {each.offset_m:+8.3f} m  {each.who}: {each.why}")
         return 0
     chosen = args.accept or args.reject
     if chosen is None:
@@ -64,19 +64,26 @@ def _carry_out(review: ReviewFolder, args: argparse.Namespace) -> int:
         return 0
     if not args.why:
         raise ReleaseError("decision", "--why", "the reason")
-    word: ReviewAction = "accept" if args.accept else "reject"
+    action: ReviewAction = "accept" if args.accept else "reject"
     held = {each.surface_id: each for each in review.held()}
     unknown = sorted(set(chosen) - held.keys())
     if unknown:
         raise ReleaseError("decision", "surface", "one that is held", actual=str(unknown[0]))
     now_ns = SystemClock().now_ns()
-    review.decide(
+    review.append(
         [
-            ReviewDecision(surface, word, held[surface].offset_m, args.who, args.why, now_ns)
+            ReviewDecision(
+                surface_id=surface,
+                action=action,
+                offset_m=held[surface].offset_m,
+                who=args.who,
+                why=args.why,
+                time_ns=now_ns,
+            )
             for surface in chosen
         ]
     )
-    print(f"{len(chosen)} changes: {word}; map_update takes it into its next round")
+    print(f"{len(chosen)} changes: {action}; map_update applies it in its next cycle")
     return 0
 
 

@@ -14,10 +14,12 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
+
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
 from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import LedgerEntry, ObservationPage, Store, StoreError
+from camber.map_update.stores.store import ENTRY_COLUMNS, LedgerEntry, ObservationPage, Store, StoreError
 from camber.runtime.settings import ConfigError, load
 
 _PROG = "camber uploads"
@@ -35,11 +37,9 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with closing(_opened(args.store)) as store:
             out = csv.writer(sys.stdout, lineterminator="\n")
-            out.writerow(
-                [*LedgerEntry._fields, *((OBSERVATION.names or ()) if args.records else ("records",))]
-            )
-            for found in _all(store):
-                out.writerows(_records(found) if args.records else _contributions(found))
+            out.writerow([*ENTRY_COLUMNS, *((OBSERVATION.names or ()) if args.records else ("records",))])
+            for page in _all(store):
+                out.writerows(_records(page) if args.records else _contributions(page))
             sys.stdout.flush()
     except (StoreError, ConfigError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
@@ -63,27 +63,30 @@ def _opened(where: str) -> Store:
 
 def _all(store: Store) -> Iterator[ObservationPage]:
     cursor = 0
-    while (found := store.observations_after(cursor, _AT_ONCE)).headings:
-        yield found
-        cursor = found.cursor
+    while (page := store.observations_after(cursor, _AT_ONCE)).entries:
+        yield page
+        cursor = page.cursor
 
 
-def _contributions(found: ObservationPage) -> Iterator[tuple[object, ...]]:
-    """A heading, and how many of its observations are not forgotten."""
-    counts = [0] * len(found.headings)
-    for heading in found.heading_of.tolist():
-        counts[heading] += 1
-    return ((*heading, count) for heading, count in zip(found.headings, counts, strict=True))
+def _contributions(page: ObservationPage) -> Iterator[tuple[object, ...]]:
+    """Return the columns of each ledger entry, and the number of its observations that are not deleted."""
+    counts = np.bincount(page.entry_of, minlength=len(page.entries)).tolist()
+    return ((*_columns(entry), count) for entry, count in zip(page.entries, counts, strict=True))
 
 
-def _records(found: ObservationPage) -> Iterator[tuple[object, ...]]:
-    words = {"fix_quality": QUALITIES, "verdict": VERDICTS}
+def _records(page: ObservationPage) -> Iterator[tuple[object, ...]]:
+    names_of = {"fix_quality": QUALITIES, "verdict": VERDICTS}
     names = OBSERVATION.names or ()
-    for heading, row in zip(found.heading_of.tolist(), found.rows.tolist(), strict=True):
+    for entry, row in zip(page.entry_of.tolist(), page.rows.tolist(), strict=True):
         values = (
-            words[name][value] if name in words else value for name, value in zip(names, row, strict=True)
+            names_of[name][value] if name in names_of else value
+            for name, value in zip(names, row, strict=True)
         )
-        yield (*found.headings[heading], *values)
+        yield (*_columns(page.entries[entry]), *values)
+
+
+def _columns(entry: LedgerEntry) -> tuple[object, ...]:
+    return tuple(getattr(entry, name) for name in ENTRY_COLUMNS)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
-from camber.map_update.fusion.biweight import TUNING, ChangeRule, Heights, biweight, heights_of, located
+from camber.map_update.fusion.biweight import (
+    TUNING,
+    FusedHeights,
+    VoteColumns,
+    biweight,
+    biweight_location,
+    estimate_heights,
+)
 
 SIGMA_M = 0.014
 
@@ -17,25 +24,21 @@ def heights(
     voter: NDArray[np.int64] | None = None,
     session: NDArray[np.int64] | None = None,
     weight: NDArray[np.float64] | None = None,
-    rule: ChangeRule | None = None,
-) -> Heights:
+) -> FusedHeights:
     n = len(values_m)
-    return heights_of(
-        np.array([0, n]),
-        np.arange(n) if voter is None else voter,
-        np.arange(n) % 3 if session is None else session,
-        values_m,
-        np.ones(n) if weight is None else weight,
-        np.ones(n, bool),
-        SIGMA_M,
-        rule or ChangeRule(),
+    votes = VoteColumns(
+        voter=np.arange(n) if voter is None else voter,
+        session=np.arange(n) % 3 if session is None else session,
+        value_m=values_m,
+        weight=np.ones(n) if weight is None else weight,
     )
+    return estimate_heights(np.array([0, n]), votes, known=np.ones(n, bool), vote_sigma_m=SIGMA_M)
 
 
 def test_it_is_the_root_of_the_biweights_psi_that_is_nearest_the_median() -> None:
     rng = np.random.default_rng(1)
     x = np.append(rng.normal(0.05, SIGMA_M, 30), [0.4, 0.5, -0.3])
-    location_m, _, _, scale_m = located(x, np.ones(len(x)), SIGMA_M)
+    location_m, _, _, scale_m = biweight_location(x, np.ones(len(x)), SIGMA_M)
 
     def psi(t: float) -> float:
         u = (x - t) / (TUNING * scale_m)
@@ -68,11 +71,11 @@ def test_a_fifth_that_agrees_on_a_lie_moves_it_by_less_than_a_spread(lie_m: floa
     rng = np.random.default_rng(5)
     x = rng.normal(0.0, SIGMA_M, 100)
     x[:20] += lie_m
-    found = heights(x)
-    assert abs(found.location_m[0]) < 0.6 * SIGMA_M
+    result = heights(x)
+    assert abs(result.location_m[0]) < 0.6 * SIGMA_M
     # Without the highest fifth nothing of the lie is left, whatever its size.
-    assert found.without_highest_m[0] < 0.3 * SIGMA_M
-    assert found.agreement[0] >= 0.75
+    assert result.without_highest_m[0] < 0.3 * SIGMA_M
+    assert result.agreement[0] >= 0.75
 
 
 def test_a_weak_vote_counts_for_less_and_one_without_weight_for_nothing() -> None:
@@ -88,12 +91,12 @@ def test_a_vehicle_that_came_ten_times_is_no_louder_than_one_that_came_once() ->
     x = np.concatenate((np.full(10, 0.03), np.zeros(4)))
     voter = np.concatenate((np.zeros(10, np.int64), np.arange(1, 5)))
     session = np.concatenate((np.arange(10), np.arange(4)))
-    found = heights(x, voter, session)
-    assert found.location_m[0] < 0.01
-    assert (found.voters[0], found.votes[0], found.days[0]) == (5, 14, 10)
+    result = heights(x, voter, session)
+    assert result.location_m[0] < 0.01
+    assert (result.voters[0], result.votes[0], result.days[0]) == (5, 14, 10)
 
 
-def changing(seed: int, before: int, after: int, by_m: float) -> Heights:
+def changing(seed: int, before: int, after: int, by_m: float) -> FusedHeights:
     rng = np.random.default_rng(seed)
     x = rng.normal(0.0, SIGMA_M, before + after)
     x[before:] += by_m
@@ -102,26 +105,26 @@ def changing(seed: int, before: int, after: int, by_m: float) -> Heights:
 
 
 def test_a_road_that_changed_is_the_new_one_though_most_votes_are_of_the_old() -> None:
-    found = changing(1, 200, 60, 0.08)
-    assert found.location_m[0] == pytest.approx(0.08, abs=0.01)
-    assert found.first_session[0] == 40
-    assert found.voters[0] == 60
+    result = changing(1, 200, 60, 0.08)
+    assert result.location_m[0] == pytest.approx(0.08, abs=0.01)
+    assert result.first_session[0] == 40
+    assert result.voters[0] == 60
     # 52 of the 260 vehicles might be lying: the other eight say the same.
-    assert found.without_highest_m[0] == pytest.approx(0.07, abs=0.02)
+    assert result.without_highest_m[0] == pytest.approx(0.07, abs=0.02)
 
 
 def test_a_few_newcomers_are_no_change_but_not_believed_to_be_wrong_for_ever() -> None:
     """Of 100 vehicles of the last three weeks 20 may be lying, and five must be left."""
-    found = changing(2, 200, 18, 0.08)
-    assert found.first_session[0] < 3
-    assert abs(found.location_m[0]) < 0.01
+    result = changing(2, 200, 18, 0.08)
+    assert result.first_session[0] < 3
+    assert abs(result.location_m[0]) < 0.01
     assert changing(2, 200, 60, 0.08).first_session[0] == 40
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_road_that_did_not_change_has_no_day_of_change(seed: int) -> None:
-    found = changing(seed, 150, 40, 0.0)
-    assert found.first_session[0] < 3
+    result = changing(seed, 150, 40, 0.0)
+    assert result.first_session[0] < 3
 
 
 def test_nobody_is_no_height_and_one_is_hardly_any() -> None:

@@ -24,27 +24,27 @@ def run() -> Run:
 def test_changes_are_published_unchanged_roads_are_left_and_the_mean_of_records_does_neither(
     run: Run,
 ) -> None:
-    found = honest(run, 60)
-    assert found["surfaces"] > 150
-    assert found["ready"] > 20
-    assert found["missed"] <= 1
-    assert found["published"] > 20
-    assert found["false"] == found["published_off"] == found["alarms"] == 0
-    assert found["rmse_unchanged_mm"] < 8.0
-    assert found["mean_rmse_unchanged_mm"] > 2.0 * found["rmse_unchanged_mm"]
-    assert found["mean_false"] > 0
+    result = honest(run, 60)
+    assert result["surfaces"] > 150
+    assert result["ready"] > 20
+    assert result["missed"] <= 1
+    assert result["published"] > 20
+    assert result["false"] == result["published_off"] == result["alarms"] == 0
+    assert result["rmse_unchanged_mm"] < 8.0
+    assert result["mean_rmse_unchanged_mm"] > 2.0 * result["rmse_unchanged_mm"]
+    assert result["mean_false"] > 0
 
 
 def test_a_fifth_of_a_streets_vehicles_brings_nothing_of_theirs_about(run: Run) -> None:
-    for found in attacked(run, 1, shares=(0.2,)):
-        assert found["theirs"] == 0, found
-        assert found["moved_mm"] < 10.0, found
+    for result in attacked(run, 1, shares=(0.2,)):
+        assert result["theirs"] == 0, result
+        assert result["moved_mm"] < 10.0, result
 
 
 def test_a_road_resurfaced_under_way_is_seen_within_the_week(run: Run) -> None:
-    found = changes_under_way(run)
-    assert found["seen"] >= 0.8 * found["surfaces"]
-    assert found["between"] <= 0.1 * found["surfaces"]
+    result = changes_under_way(run)
+    assert result["seen"] >= 0.8 * result["surfaces"]
+    assert result["between"] <= 0.1 * result["surfaces"]
 
 
 def test_votes_of_unknown_surfaces_and_of_other_times_decide_nothing(run: Run) -> None:

@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from camber.map_update.fusion.biweight import Heights
+from camber.map_update.fusion.biweight import FusedHeights
 from camber.map_update.fusion.publication import (
     DECISIONS,
     REASONS,
     Decisions,
-    PublicationRules,
+    PublicationSettings,
     benjamini_hochberg,
-    decided,
+    decide,
     normal_deviates,
     upper_tails,
 )
-from camber.map_update.fusion.surface_neighbours import Surroundings, surroundings_of
+from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
 from support.small_map import surface, surfaces
 
-RULES = PublicationRules()
+SETTINGS = PublicationSettings()
+LEAST_SIGMA_M = 0.01
 
 
 def street(count: int = 12, link: int = 1, first: int = 100, north_m: float = 0.0) -> list[dict[str, object]]:
@@ -30,10 +31,12 @@ def street(count: int = 12, link: int = 1, first: int = 100, north_m: float = 0.
     return [surface(first + k, 20.0 * k, north_m, link_id=link) for k in range(count)]
 
 
-STREET = surroundings_of(surfaces(street()), street_m=300.0, region_m=5000.0)
+STREET = build_neighbourhood(surfaces(street()), street_m=300.0, region_m=5000.0)
 
 
-def heights(offset_m: float | list[float] | np.ndarray, n: int | None = None, **changes: float) -> Heights:
+def heights(
+    offset_m: float | list[float] | np.ndarray, n: int | None = None, **changes: float
+) -> FusedHeights:
     """Of surfaces that thirty known vehicles have seen on ten days, all agreeing, to 2 mm; but for what is changed."""
     offsets = np.broadcast_to(np.asarray(offset_m, float), (n or np.size(offset_m),)).copy()
     usual: dict[str, float] = {
@@ -56,25 +59,33 @@ def heights(offset_m: float | list[float] | np.ndarray, n: int | None = None, **
     }
     few_m = changes.get("few_m", 0.004)
     columns.pop("few_m", None)
-    return Heights(
+    return FusedHeights(
         location_m=offsets, without_highest_m=offsets - few_m, without_lowest_m=offsets + few_m, **columns
     )
 
 
-def decide(
-    found: Heights,
+def decision(
+    fused: FusedHeights,
     correction_m: float | list[float] = 0.0,
-    around: Surroundings = STREET,
-    rules: PublicationRules = RULES,
+    around: SurfaceNeighbourhood = STREET,
+    settings: PublicationSettings = SETTINGS,
     common_m: float = 0.001,
     shape_m: float = 0.005,
 ) -> Decisions:
-    n = len(found.location_m)
+    n = len(fused.location_m)
     corrections = np.broadcast_to(np.asarray(correction_m, float), (n,)).copy()
-    return decided(np.arange(n), found, np.full(n, common_m), np.full(n, shape_m), corrections, around, rules)
+    return decide(
+        np.arange(n),
+        fused,
+        common_error_m=np.full(n, common_m),
+        shape_m=np.full(n, shape_m),
+        correction_m=corrections,
+        neighbourhood=around,
+        settings=settings,
+    )
 
 
-def words(decisions: Decisions) -> list[tuple[str, str]]:
+def outcomes(decisions: Decisions) -> list[tuple[str, str]]:
     rows = decisions.surfaces
     return [
         (DECISIONS[d], REASONS[r])
@@ -83,12 +94,12 @@ def words(decisions: Decisions) -> list[tuple[str, str]]:
 
 
 def test_a_change_of_a_street_is_published_with_its_number_and_sigma() -> None:
-    decisions = decide(heights(0.08, 12))
-    assert words(decisions) == [("publish", "changed")] * 12
+    decisions = decision(heights(0.08, 12))
+    assert outcomes(decisions) == [("publish", "changed")] * 12
     rows = decisions.of("publish")
     assert rows["surface_id"].tolist() == list(range(100, 112))
     assert rows["correction_m"] == pytest.approx(0.08)
-    assert rows["sigma_m"] == pytest.approx(RULES.least_sigma_m)
+    assert rows["sigma_m"] == pytest.approx(LEAST_SIGMA_M)
     assert len(decisions.alarms) == 0
 
 
@@ -113,37 +124,37 @@ def test_a_change_of_a_street_is_published_with_its_number_and_sigma() -> None:
 def test_what_is_not_published_has_a_reason(
     offset_m: float, changes: dict[str, float], expected: tuple[str, str]
 ) -> None:
-    decisions = decide(heights(offset_m, 12, **changes))
-    assert words(decisions) == [expected] * 12
+    decisions = decision(heights(offset_m, 12, **changes))
+    assert outcomes(decisions) == [expected] * 12
     assert (decisions.surfaces["correction_m"] == 0.0).all()
 
 
 def test_what_all_vehicles_have_in_common_counts_as_error() -> None:
-    assert words(decide(heights(0.05, 12), common_m=0.001))[0] == ("publish", "changed")
-    assert words(decide(heights(0.05, 12), common_m=0.01))[0] == ("nothing", "not_significant")
+    assert outcomes(decision(heights(0.05, 12), common_m=0.001))[0] == ("publish", "changed")
+    assert outcomes(decision(heights(0.05, 12), common_m=0.01))[0] == ("nothing", "not_significant")
 
 
 def test_a_bump_that_no_neighbour_shares_is_held() -> None:
     offset_m = np.zeros(12)
     offset_m[5] = 0.08
-    assert words(decide(heights(offset_m)))[5] == ("hold", "step")
+    assert outcomes(decision(heights(offset_m)))[5] == ("hold", "step")
     offset_m[6] = 0.05
-    assert words(decide(heights(offset_m)))[5:7] == [("publish", "changed")] * 2
+    assert outcomes(decision(heights(offset_m)))[5:7] == [("publish", "changed")] * 2
     # More than it is no contradiction, less than half is one.
     offset_m[5:7] = (0.05, 0.2)
-    assert words(decide(heights(offset_m)))[5] == ("publish", "changed")
+    assert outcomes(decision(heights(offset_m)))[5] == ("publish", "changed")
 
 
 def test_neighbours_that_hardly_anyone_has_seen_contradict_nobody() -> None:
     offset_m = np.zeros(12)
     offset_m[5] = 0.08
-    found = heights(offset_m)
-    few = found.voters.copy()
+    fused = heights(offset_m)
+    few = fused.voters.copy()
     few[[4, 6]] = 3
-    assert words(decide(found._replace(voters=few)))[5] == ("publish", "changed")
-    vague = found.standard_error_m.copy()
+    assert outcomes(decision(replace(fused, voters=few)))[5] == ("publish", "changed")
+    vague = fused.standard_error_m.copy()
     vague[4] = 0.03
-    assert words(decide(found._replace(standard_error_m=vague)))[5] == ("publish", "changed")
+    assert outcomes(decision(replace(fused, standard_error_m=vague)))[5] == ("publish", "changed")
 
 
 def test_a_neighbour_that_was_corrected_before_shares_the_change() -> None:
@@ -151,46 +162,48 @@ def test_a_neighbour_that_was_corrected_before_shares_the_change() -> None:
     offset_m[5:7] = 0.08
     correction_m = [0.0] * 12
     correction_m[6] = 0.08
-    assert words(decide(heights(offset_m), correction_m))[5:7] == [
+    assert outcomes(decision(heights(offset_m), correction_m))[5:7] == [
         ("publish", "changed"),
         ("nothing", "within_threshold"),
     ]
 
 
 def test_a_correction_stays_is_renewed_or_is_withdrawn() -> None:
-    assert words(decide(heights(0.09, 12), 0.08)) == [("nothing", "within_threshold")] * 12
-    assert (decide(heights(0.09, 12), 0.08).surfaces["correction_m"] == 0.08).all()
-    renewed = decide(heights(0.16, 12), 0.08)
-    assert words(renewed) == [("publish", "changed")] * 12
+    assert outcomes(decision(heights(0.09, 12), 0.08)) == [("nothing", "within_threshold")] * 12
+    assert (decision(heights(0.09, 12), 0.08).surfaces["correction_m"] == 0.08).all()
+    renewed = decision(heights(0.16, 12), 0.08)
+    assert outcomes(renewed) == [("publish", "changed")] * 12
     assert renewed.surfaces["correction_m"] == pytest.approx(0.16)
-    withdrawn = decide(heights(0.01, 12), 0.08)
-    assert words(withdrawn) == [("withdraw", "changed_back")] * 12
+    withdrawn = decision(heights(0.01, 12), 0.08)
+    assert outcomes(withdrawn) == [("withdraw", "changed_back")] * 12
     assert (withdrawn.surfaces["correction_m"] == 0.0).all()
     assert withdrawn.surfaces["sigma_m"] == pytest.approx(np.hypot(0.01, 0.0055), rel=0.01)
 
 
 def test_a_height_that_many_confirm_becomes_as_sure_as_it_is_and_no_other() -> None:
-    sigma_m = decide(heights(0.004, 12)).surfaces["sigma_m"]
-    assert sigma_m == pytest.approx(RULES.least_sigma_m)
-    assert decide(heights(0.02, 12)).surfaces["sigma_m"] == pytest.approx(np.hypot(0.02, 0.0055), rel=0.01)
-    assert decide(heights(0.0, 12), shape_m=0.05).surfaces["sigma_m"] == pytest.approx(0.05, rel=0.01)
+    sigma_m = decision(heights(0.004, 12)).surfaces["sigma_m"]
+    assert sigma_m == pytest.approx(LEAST_SIGMA_M)
+    assert decision(heights(0.02, 12)).surfaces["sigma_m"] == pytest.approx(np.hypot(0.02, 0.0055), rel=0.01)
+    assert decision(heights(0.0, 12), shape_m=0.05).surfaces["sigma_m"] == pytest.approx(0.05, rel=0.01)
     for few in ({"known_voters": 19}, {"agreement": 0.5}, {"days": 1}):
-        assert np.isnan(decide(heights(0.0, 12, **few)).surfaces["sigma_m"]).all()
+        assert np.isnan(decision(heights(0.0, 12, **few)).surfaces["sigma_m"]).all()
 
 
-def region(links: int) -> Surroundings:
+def region(links: int) -> SurfaceNeighbourhood:
     rows = [row for k in range(links) for row in street(8, k + 1, 1000 * (k + 1), 40.0 * k)]
-    return surroundings_of(surfaces(rows), street_m=300.0, region_m=5000.0)
+    return build_neighbourhood(surfaces(rows), street_m=300.0, region_m=5000.0)
 
 
 @pytest.mark.parametrize("shift_m", [0.05, -0.05])
 def test_a_region_that_moved_alike_is_one_alarm_and_no_patches(shift_m: float) -> None:
     rng = np.random.default_rng(1)
     around = region(8)
-    decisions = decide(heights(shift_m + rng.normal(0.0, 0.01, 64)), around=around)
+    decisions = decision(heights(shift_m + rng.normal(0.0, 0.01, 64)), around=around)
     assert len(decisions.of("publish")) == 0
     assert len(decisions.of("hold")) > 40
-    assert {word for word in words(decisions) if word[0] == "hold"} == {("hold", "regional_shift")}
+    assert {outcome for outcome in outcomes(decisions) if outcome[0] == "hold"} == {
+        ("hold", "regional_shift")
+    }
     assert {-1} < set(decisions.alarms["region"].tolist())
     assert decisions.alarms["shift_m"] == pytest.approx(shift_m, abs=0.004)
     assert decisions.alarms["surfaces"].tolist()[-1] == 64
@@ -201,13 +214,13 @@ def test_a_few_changed_roads_of_a_region_are_no_shift_of_it() -> None:
     around = region(8)
     offset_m = np.random.default_rng(1).normal(0.0, 0.01, 64)
     offset_m[:24] += 0.08
-    decisions = decide(heights(offset_m), around=around)
+    decisions = decision(heights(offset_m), around=around)
     assert len(decisions.alarms) == 0
     assert len(decisions.of("publish")) == 24
 
 
 def test_one_road_is_no_region() -> None:
-    assert len(decide(heights(0.08, 24), around=region(3)).alarms) == 0
+    assert len(decision(heights(0.08, 24), around=region(3)).alarms) == 0
 
 
 def test_false_discoveries_among_many_at_the_threshold_are_few() -> None:
@@ -215,13 +228,13 @@ def test_false_discoveries_among_many_at_the_threshold_are_few() -> None:
     rng = np.random.default_rng(3)
     n = 10_000
     z = rng.normal(0.0, 1.0, n)
-    found = benjamini_hochberg(upper_tails(z), 0.01, n)
+    discovered = benjamini_hochberg(upper_tails(z), 0.01, n)
     assert (z > 3.3).sum() > 0
-    assert found.sum() <= 1
+    assert discovered.sum() <= 1
     z[:500] += 8.0
-    found = benjamini_hochberg(upper_tails(z), 0.01, n)
-    assert found[:500].all()
-    assert found[500:].sum() <= 0.03 * 500
+    discovered = benjamini_hochberg(upper_tails(z), 0.01, n)
+    assert discovered[:500].all()
+    assert discovered[500:].sum() <= 0.03 * 500
 
 
 def test_benjamini_hochberg_is_that_of_scipy() -> None:
@@ -243,11 +256,11 @@ def test_a_larger_gap_never_lowers_the_chance_to_be_seen() -> None:
     """Of one surface, all else equal: once published, or held, so for every larger change up to the largest."""
     order = {"nothing": 0, "hold": 1, "publish": 1}
     sizes = np.linspace(0.0, 0.49, 50)
-    seen = [order[words(decide(heights(float(size), 12)))[0][0]] for size in sizes]
+    seen = [order[outcomes(decision(heights(float(size), 12)))[0][0]] for size in sizes]
     assert seen == sorted(seen)
     assert seen[-1] == 1
 
 
 def test_every_rule_can_be_set() -> None:
-    strict = replace(RULES, threshold_m=0.1, least_vehicles=40)
-    assert words(decide(heights(0.08, 12), rules=strict))[0] == ("nothing", "too_few_vehicles")
+    strict = PublicationSettings(publish_threshold_m=0.1, publish_vehicles=40)
+    assert outcomes(decision(heights(0.08, 12), settings=strict))[0] == ("nothing", "too_few_vehicles")

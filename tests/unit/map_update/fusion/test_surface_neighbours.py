@@ -6,22 +6,22 @@ import math
 
 import numpy as np
 
-from camber.map_update.fusion.surface_neighbours import Surroundings, surroundings_of
+from camber.map_update.fusion.surface_neighbours import SurfaceNeighbourhood, build_neighbourhood
 from support.small_map import surface, surfaces
 
 
-def made(*rows: dict[str, object]) -> Surroundings:
-    return surroundings_of(surfaces(rows), street_m=300.0, region_m=1000.0)
+def made(*rows: dict[str, object]) -> SurfaceNeighbourhood:
+    return build_neighbourhood(surfaces(rows), street_m=300.0, region_m=1000.0)
 
 
-def neighbours(found: Surroundings, surface_id: int) -> set[int]:
-    (row,) = found.rows_of(np.array([surface_id])).tolist()
-    rows = found.neighbour[found.neighbour_begins[row] : found.neighbour_begins[row + 1]]
-    return set(found.surface_id[rows].tolist())
+def neighbours(result: SurfaceNeighbourhood, surface_id: int) -> set[int]:
+    (row,) = result.rows_of(np.array([surface_id])).tolist()
+    rows = result.neighbour[result.neighbour_begins[row] : result.neighbour_begins[row + 1]]
+    return set(result.surface_id[rows].tolist())
 
 
 def test_surfaces_that_abut_or_overlap_are_neighbours_and_others_not() -> None:
-    found = made(
+    result = made(
         surface(5),
         surface(3, 20.3),  # ahead, with a gap of 0.3 m
         surface(9, 0.0, 4.0),  # the lane beside
@@ -29,17 +29,17 @@ def test_surfaces_that_abut_or_overlap_are_neighbours_and_others_not() -> None:
         surface(2, 20.8, 12.0),  # far from all
         surface(8, -12.0, 0.0, yaw_rad=math.pi / 2),  # across the rear end
     )
-    assert neighbours(found, 5) == {3, 9, 8}
-    assert neighbours(found, 3) == {5, 9}
-    assert neighbours(found, 1) == {8}
-    assert neighbours(found, 2) == set()
-    assert neighbours(found, 8) == {5, 9, 1}
+    assert neighbours(result, 5) == {3, 9, 8}
+    assert neighbours(result, 3) == {5, 9}
+    assert neighbours(result, 1) == {8}
+    assert neighbours(result, 2) == set()
+    assert neighbours(result, 8) == {5, 9, 1}
 
 
 def test_a_road_over_another_is_not_its_neighbour() -> None:
-    found = made(surface(1), surface(2, level=1, heights_m=55.0), surface(3, yaw_rad=1.0))
-    assert neighbours(found, 1) == {3}
-    assert neighbours(found, 2) == set()
+    result = made(surface(1), surface(2, level=1, heights_m=55.0), surface(3, yaw_rad=1.0))
+    assert neighbours(result, 1) == {3}
+    assert neighbours(result, 2) == set()
 
 
 def test_a_road_goes_on_where_its_level_changes() -> None:
@@ -62,16 +62,16 @@ def test_bends_are_judged_by_their_own_sides() -> None:
 
 
 def test_streets_and_regions_are_squares() -> None:
-    found = made(*(surface(k, 100.0 * k) for k in range(30)))
-    _, in_block = np.unique(found.block, return_counts=True)
-    _, in_region = np.unique(found.region, return_counts=True)
+    result = made(*(surface(k, 100.0 * k) for k in range(30)))
+    _, in_block = np.unique(result.block, return_counts=True)
+    _, in_region = np.unique(result.region, return_counts=True)
     assert 10 <= len(in_block) <= 11
     assert 3 <= len(in_region) <= 4
     assert in_block.max() == 3
-    assert (np.diff(found.block) >= 0).all() or (np.diff(found.block) <= 0).all()
+    assert (np.diff(result.block) >= 0).all() or (np.diff(result.block) <= 0).all()
 
 
 def test_rows_are_found_by_id_and_nothing_is_no_surroundings() -> None:
-    found = made(surface(5), surface(3, 40.0))
-    assert found.rows_of(np.array([3, 4, 5, 99])).tolist() == [0, -1, 1, -1]
+    result = made(surface(5), surface(3, 40.0))
+    assert result.rows_of(np.array([3, 4, 5, 99])).tolist() == [0, -1, 1, -1]
     assert made().rows_of(np.array([1])).tolist() == [-1]

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from camber.map_update.fusion.biweight import ChangeRule, heights_of
-from camber.map_update.fusion.vehicle_bias import Biases, BiasModel, Components, biases_of
+from camber.map_update.fusion.biweight import VoteColumns, estimate_heights
+from camber.map_update.fusion.vehicle_bias import Biases, VarianceComponents, estimate_biases
 
 Floats = NDArray[np.float64]
-MODEL = BiasModel()
 
 
 @dataclass
@@ -30,36 +29,25 @@ class District:
         order = np.lexsort((self.session, self.voter, self.surface))
         surfaces, begins = np.unique(self.surface[order], return_index=True)
         begins = np.append(begins, len(order))
-        found = biases_of(
+        biases = estimate_biases(
             begins,
-            surfaces[np.repeat(np.arange(len(surfaces)), np.diff(begins))] // 10,
-            self.voter[order],
-            self.session[order],
-            self.value_m[order],
-            self.sigma_m[order],
-            np.zeros(len(surfaces)),
-            MODEL,
+            block=surfaces[np.repeat(np.arange(len(surfaces)), np.diff(begins))] // 10,
+            voter=self.voter[order],
+            session=self.session[order],
+            value_m=self.value_m[order],
+            sigma_m=self.sigma_m[order],
+            shape_m2=np.zeros(len(surfaces)),
         )
-        heights = heights_of(
-            begins,
-            self.voter[order],
-            self.session[order],
-            self.value_m[order] - found.bias_m,
-            found.weight,
-            found.known,
-            found.components.vote_m,
-            ChangeRule(),
+        votes = VoteColumns(
+            voter=self.voter[order],
+            session=self.session[order],
+            value_m=self.value_m[order] - biases.bias_m,
+            weight=biases.weight,
         )
+        heights = estimate_heights(begins, votes, known=biases.known, vote_sigma_m=biases.components.vote_m)
         back = np.argsort(order)
-        ordered = Biases(
-            found.bias_m[back],
-            found.variance_m2[back],
-            found.weight[back],
-            found.known[back],
-            found.components,
-            found.voters,
-        )
-        return ordered, heights.location_m
+        columns = {name: getattr(biases, name)[back] for name in ("bias_m", "variance_m2", "weight", "known")}
+        return replace(biases, **columns), heights.location_m
 
 
 def district(seed: int, vehicles: int = 60, streets: int = 6, sessions: int = 3) -> tuple[District, Floats]:
@@ -77,23 +65,23 @@ def rms(x: Floats) -> float:
 
 def test_biases_and_their_parts_are_found() -> None:
     made, true_m = district(1)
-    found, heights_m = made.fused()
+    result, heights_m = made.fused()
     # All but what the vehicles have in common, which nobody can know: 2 cm over √60, 2.6 mm.
-    error_m = found.bias_m - true_m
+    error_m = result.bias_m - true_m
     assert rms(error_m - error_m.mean()) < 0.003
     assert abs(error_m.mean()) < 0.008
     assert rms(heights_m - heights_m.mean()) < 0.0025
-    assert found.components == pytest.approx(Components(0.014, 0.015, 0.02), rel=0.25)
-    assert found.known.all()
+    assert result.components == pytest.approx(VarianceComponents(0.014, 0.015, 0.02), rel=0.25)
+    assert result.known.all()
 
 
 def test_the_stated_variance_is_that_of_the_error() -> None:
     squares = []
     for seed in range(10):
         made, true_m = district(seed, streets=2, sessions=2)
-        found, _ = made.fused()
-        error_m = found.bias_m - true_m
-        squares.append(np.mean((error_m - error_m.mean()) ** 2) / np.mean(found.variance_m2))
+        result, _ = made.fused()
+        error_m = result.bias_m - true_m
+        squares.append(np.mean((error_m - error_m.mean()) ** 2) / np.mean(result.variance_m2))
     assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
 
 
@@ -101,18 +89,18 @@ def test_a_vehicle_20_cm_off_contributes_nothing_wrong() -> None:
     made, _ = district(2)
     _, before_m = made.fused()
     made.value_m[made.voter == 7] += 0.2
-    found, after_m = made.fused()
+    result, after_m = made.fused()
     assert np.abs(after_m - before_m).max() < 0.001
-    assert found.weight[made.voter == 7].max() < 0.01
+    assert result.weight[made.voter == 7].max() < 0.01
 
 
 def test_a_vehicle_6_cm_off_is_put_right() -> None:
     made, _ = district(2)
     _, before_m = made.fused()
     made.value_m[made.voter == 7] += 0.06
-    found, after_m = made.fused()
+    result, after_m = made.fused()
     assert np.abs(after_m - before_m).max() < 0.002
-    assert found.bias_m[made.voter == 7].mean() > 0.03
+    assert result.bias_m[made.voter == 7].mean() > 0.03
 
 
 def test_a_changed_street_is_not_taken_for_the_bias_of_those_who_drive_there() -> None:
@@ -124,13 +112,13 @@ def test_a_changed_street_is_not_taken_for_the_bias_of_those_who_drive_there() -
         made.surface[keep], made.voter[keep], made.session[keep], made.value_m[keep], made.sigma_m[keep]
     )
     made.value_m[made.surface < 10] += 0.1
-    found, heights_m = made.fused()
+    result, heights_m = made.fused()
     assert heights_m[:10] == pytest.approx(np.full(10, 0.1), abs=0.02)
     only = made.voter >= 20
-    assert not found.known[only].any()
-    assert (found.bias_m[only] == 0.0).all()
-    assert found.variance_m2[only] == pytest.approx(0.02**2 + 0.015**2, rel=0.5)
-    assert found.known[~only].all()
+    assert not result.known[only].any()
+    assert (result.bias_m[only] == 0.0).all()
+    assert result.variance_m2[only] == pytest.approx(0.02**2 + 0.015**2, rel=0.5)
+    assert result.known[~only].all()
 
 
 def test_who_lies_about_one_street_has_nothing_taken_off_there() -> None:
@@ -148,10 +136,10 @@ def test_a_session_of_wrong_fixes_spoils_neither_its_vehicle_nor_the_street() ->
     honest, before_m = made.fused()
     wrong = (made.voter == 3) & (made.session == 1)
     made.value_m[wrong] += 0.9
-    found, after_m = made.fused()
+    result, after_m = made.fused()
     others = (made.voter == 3) & (made.session != 1)
-    assert found.bias_m[others] == pytest.approx(honest.bias_m[others], abs=0.004)
-    assert found.weight[wrong].max() == 0.0
+    assert result.bias_m[others] == pytest.approx(honest.bias_m[others], abs=0.004)
+    assert result.weight[wrong].max() == 0.0
     assert np.abs(after_m - before_m).max() < 0.001
 
 
@@ -160,12 +148,12 @@ def test_to_state_a_small_sigma_is_no_gain_and_to_state_a_large_one_a_loss() -> 
     plain, _ = made.fused()
     made.sigma_m[made.voter == 1] = 0.001
     made.sigma_m[made.voter == 2] = 0.3
-    found, _ = made.fused()
-    assert found.weight[made.voter == 1] == pytest.approx(plain.weight[made.voter == 1], rel=0.01)
-    assert found.weight[made.voter == 2].max() < 0.02
+    result, _ = made.fused()
+    assert result.weight[made.voter == 1] == pytest.approx(plain.weight[made.voter == 1], rel=0.01)
+    assert result.weight[made.voter == 2].max() < 0.02
 
 
 def test_of_two_vehicles_little_is_believed() -> None:
     made, _ = district(7, vehicles=2, streets=2, sessions=1)
-    found, _ = made.fused()
-    assert found.components == pytest.approx(MODEL.prior, rel=0.5)
+    result, _ = made.fused()
+    assert result.components == pytest.approx(VarianceComponents(0.014, 0.015, 0.02), rel=0.5)

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from camber.map_update.fusion.vote_slots import Slots, kept
-from camber.map_update.fusion.votes import VOTE, Votes, merged
+from camber.map_update.fusion.vote_slots import SlotLimits, thin_votes
+from camber.map_update.fusion.votes import VOTE, Votes, merge_votes
 
 SECRET = b"sixteen bytes at least"
-SLOTS = Slots(period_days=7, periods=4, voters=20, sessions=2)
+SLOTS = SlotLimits(period_days=7, periods=4, voters=20, sessions=2)
 TODAY = 7 * 1000 + 6
 
 
 def cast(voters: np.ndarray, sessions: np.ndarray, surface: int = 1) -> Votes:
-    found = np.zeros(len(voters), VOTE)
-    found["surface_id"], found["voter"], found["session"] = surface, voters, sessions
+    result = np.zeros(len(voters), VOTE)
+    result["surface_id"], result["voter"], result["session"] = surface, voters, sessions
     for k in range(5):
-        found[f"rank_{k}"] = 2**31 - 1
-    found["rank_0"] = 1
-    return merged(found)
+        result[f"rank_{k}"] = 2**31 - 1
+    result["rank_0"] = 1
+    return merge_votes(result)
 
 
 def crowd(seed: int, n: int, days: range = range(TODAY - 20, TODAY + 1)) -> Votes:
@@ -30,33 +30,33 @@ def crowd(seed: int, n: int, days: range = range(TODAY - 20, TODAY + 1)) -> Vote
     return cast(np.repeat(names, 3), rng.integers(days.start, days.stop, 3 * n))
 
 
-def keep(votes: Votes, secret: bytes = SECRET, slots: Slots = SLOTS) -> Votes:
-    return kept(votes, secret, slots, newest_session=TODAY)
+def keep(votes: Votes, secret: bytes = SECRET, slots: SlotLimits = SLOTS) -> Votes:
+    return thin_votes(votes, secret, slots, newest_session=TODAY)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_thinned_as_they_arrive_or_at_the_end_the_same_are_kept(seed: int) -> None:
+def test_thinned_as_they_arrive_or_at_the_end_the_same_are_thin_votes(seed: int) -> None:
     parts = [crowd(10 * seed + k, 40) for k in range(5)]
-    at_the_end = keep(merged(*parts))
+    at_the_end = keep(merge_votes(*parts))
     as_they_come = keep(parts[3])
     for k in (0, 4, 1, 3, 2):
-        as_they_come = keep(merged(as_they_come, parts[k]))
+        as_they_come = keep(merge_votes(as_they_come, parts[k]))
     assert as_they_come.tobytes() == at_the_end.tobytes()
 
 
 def test_each_period_has_its_own_slots_and_they_are_bounded() -> None:
-    found = keep(merged(*(crowd(k, 200) for k in range(3))))
-    period = found["session"] // 7
+    result = keep(merge_votes(*(crowd(k, 200) for k in range(3))))
+    period = result["session"] // 7
     for one in np.unique(period):
-        names, each = np.unique(found["voter"][period == one], return_counts=True)
+        names, each = np.unique(result["voter"][period == one], return_counts=True)
         assert len(names) == 20
         assert each.max() <= 2
     assert len(np.unique(period)) == 3
 
 
 def test_old_periods_are_dropped_and_so_is_the_future() -> None:
-    found = keep(cast(np.array([1, 1, 1, 1]), np.array([TODAY - 28, TODAY - 27, TODAY, TODAY + 1])))
-    assert found["session"].tolist() == [TODAY - 27, TODAY]
+    result = keep(cast(np.array([1, 1, 1, 1]), np.array([TODAY - 28, TODAY - 27, TODAY, TODAY + 1])))
+    assert result["session"].tolist() == [TODAY - 27, TODAY]
 
 
 def test_who_drives_by_daily_has_no_better_chance_than_who_came_once() -> None:
@@ -67,14 +67,14 @@ def test_who_drives_by_daily_has_no_better_chance_than_who_came_once() -> None:
         names = rng.integers(0, 2**62, 200)
         once = cast(names[20:], rng.integers(TODAY - 6, TODAY + 1, 180))
         daily = cast(np.repeat(names[:20], 7), np.tile(np.arange(TODAY - 6, TODAY + 1), 20))
-        share += len(np.intersect1d(keep(merged(once, daily))["voter"], names[:20]))
+        share += len(np.intersect1d(keep(merge_votes(once, daily))["voter"], names[:20]))
     assert 150 <= share <= 250
 
 
 def test_who_comes_last_does_not_push_out_who_came_before() -> None:
     early = crowd(1, 40, range(TODAY - 6, TODAY - 3))
     late = crowd(2, 40, range(TODAY - 1, TODAY + 1))
-    names = keep(merged(early, late))["voter"]
+    names = keep(merge_votes(early, late))["voter"]
     assert 4 <= len(np.intersect1d(names, early["voter"])) <= 16
 
 
@@ -90,7 +90,7 @@ def test_which_names_get_in_nobody_can_tell_without_the_secret_nor_from_another_
         assert len(names[k] & names[k - 1]) <= 12
 
 
-def test_where_there_is_room_everything_is_kept() -> None:
+def test_where_there_is_room_everything_is_thin_votes() -> None:
     votes = crowd(4, 15)
     assert keep(votes, slots=replace(SLOTS, sessions=7)).tobytes() == votes.tobytes()
     assert len(keep(np.zeros(0, VOTE))) == 0

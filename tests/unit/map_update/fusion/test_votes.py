@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import OBSERVATION, QUALITIES, VERDICTS
 from camber.map_update.fusion.votes import (
-    DAY_NS,
     NO_RANK,
     SAMPLES,
-    Gate,
     Votes,
-    merged,
+    merge_votes,
     session_of,
-    values_of,
+    vote_values,
     voter_of,
     votes_from,
 )
 
 SECRET = b"sixteen bytes at least"
-BEGIN_NS = 1_000_000 * DAY_NS // 1000
+BEGIN_NS = 1_000_000 * NS_PER_DAY // 1000
 
 
 class Flat:
@@ -51,12 +50,12 @@ def many(seed: int, n: int = 600) -> tuple[NDArray[np.void], NDArray[np.int64]]:
     rng = np.random.default_rng(seed)
     rows = observed(100.0 + rng.normal(0.0, 0.1, n))
     rows["surface_id"] = rng.integers(0, 12, n)
-    rows["time_ns"] = BEGIN_NS + rng.integers(0, 3 * DAY_NS, n)
+    rows["time_ns"] = BEGIN_NS + rng.integers(0, 3 * NS_PER_DAY, n)
     return rows, rng.integers(1, 5, n)
 
 
 def votes(rows: NDArray[np.void], voter: NDArray[np.int64] | int = 1) -> Votes:
-    return votes_from(rows, voter, Flat(), SECRET)
+    return votes_from(rows, voter, reference=Flat(), secret=SECRET)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -70,17 +69,17 @@ def test_batches_in_any_order_cut_anywhere_and_repeated_make_the_same_votes(seed
         parts.append(votes(rows[some], voter[some]))
     rest = rng.permutation(len(rows))
     parts += [votes(rows[rest[k::3]], voter[rest[k::3]]) for k in range(3)]
-    assert merged(*parts).tobytes() == whole.tobytes()
+    assert merge_votes(*parts).tobytes() == whole.tobytes()
     a, b, c = parts[0], parts[5], parts[9]
-    assert merged(a, b).tobytes() == merged(b, a).tobytes()
-    assert merged(merged(a, b), c).tobytes() == merged(a, merged(b, c)).tobytes()
-    assert merged(whole, whole).tobytes() == whole.tobytes() == merged(whole, a).tobytes()
+    assert merge_votes(a, b).tobytes() == merge_votes(b, a).tobytes()
+    assert merge_votes(merge_votes(a, b), c).tobytes() == merge_votes(a, merge_votes(b, c)).tobytes()
+    assert merge_votes(whole, whole).tobytes() == whole.tobytes() == merge_votes(whole, a).tobytes()
 
 
 def test_one_vote_for_each_surface_voter_and_day() -> None:
     rows, voter = many(1)
-    found = votes(rows, voter)
-    keys = found[["surface_id", "voter", "session"]]
+    result = votes(rows, voter)
+    keys = result[["surface_id", "voter", "session"]]
     expected = {
         (s, v, d)
         for s, v, d in zip(
@@ -91,11 +90,11 @@ def test_one_vote_for_each_surface_voter_and_day() -> None:
         )
     }
     assert {tuple(key) for key in keys.tolist()} == expected
-    assert len(found) == len(expected)
+    assert len(result) == len(expected)
 
 
 def test_two_wrong_fixes_of_five_do_not_carry_a_session() -> None:
-    value_m, sigma_m, _ = values_of(votes(observed([100.03, 100.01, 100.8, 100.02, 101.5])))
+    value_m, sigma_m, _ = vote_values(votes(observed([100.03, 100.01, 100.8, 100.02, 101.5])))
     assert value_m == pytest.approx([0.03], abs=1e-4)
     assert sigma_m == pytest.approx([0.02])
 
@@ -103,17 +102,17 @@ def test_two_wrong_fixes_of_five_do_not_carry_a_session() -> None:
 def test_of_many_observations_a_keyed_few_count_that_only_the_secret_chooses() -> None:
     rows = observed(100.0 + np.arange(40) / 100.0)
     one = votes(rows)
-    other = votes_from(rows, 1, Flat(), b"another secret of bytes")
+    other = votes_from(rows, 1, reference=Flat(), secret=b"another secret of bytes")
     assert (one["rank_4"] != NO_RANK).all()
     ranks = [int(one[f"rank_{k}"][0]) for k in range(SAMPLES)]
     assert ranks == sorted(ranks)
-    assert values_of(one)[0] != values_of(other)[0]
+    assert vote_values(one)[0] != vote_values(other)[0]
 
 
 def test_neither_a_verdict_nor_a_large_deviation_keeps_an_observation_out() -> None:
     rows = observed([100.3, 100.3, 104.0])
     rows["verdict"] = VERDICTS.index("erroneous")
-    value_m, _, variance_m2 = values_of(votes(rows))
+    value_m, _, variance_m2 = vote_values(votes(rows))
     assert value_m == pytest.approx([0.3], abs=1e-4)
     assert variance_m2[0] > 1.0
 
@@ -136,14 +135,8 @@ def test_neither_a_verdict_nor_a_large_deviation_keeps_an_observation_out() -> N
 def test_what_is_of_no_use_whatever_it_says_is_left_out(field: str, value: float) -> None:
     rows = observed([100.1, 100.2])
     rows[field][0] = value
-    value_m, _, _ = values_of(votes(rows))
+    value_m, _, _ = vote_values(votes(rows))
     assert value_m == pytest.approx([0.2], abs=1e-4)
-
-
-def test_the_gate_can_be_set() -> None:
-    rows = observed([100.1])
-    rows["latitude_rad"] = 1.5
-    assert len(votes_from(rows, 1, Flat(), SECRET, Gate(largest_outside_m=2.0))) == 1
 
 
 def test_a_day_begins_at_four_in_the_morning_of_the_place() -> None:
@@ -164,6 +157,6 @@ def test_a_voter_is_a_pseudonym_that_needs_the_secret() -> None:
 
 
 def test_nothing_gives_nothing_and_other_rows_are_refused() -> None:
-    assert len(votes(observed([]))) == 0 == len(merged())
+    assert len(votes(observed([]))) == 0 == len(merge_votes())
     with pytest.raises(ValueError, match="expected rows of OBSERVATION"):
         votes(np.zeros(3, [("time_ns", "<i8")]))

@@ -7,16 +7,16 @@ from camber.map_update.admission import Refusal
 from camber.map_update.queue.queue_messages import (
     QueuedContribution,
     QueueMessageError,
+    pack_contributions,
     pack_outcomes,
-    pack_parcels,
+    unpack_contributions,
     unpack_outcomes,
-    unpack_parcels,
 )
 from camber.map_update.stores.store import Outcome
 from support.contributions import contribution, random_batch
 
 
-def parcels() -> list[QueuedContribution]:
+def contributions() -> list[QueuedContribution]:
     rng = np.random.default_rng(4)
     refusal = Refusal("datum", "datum Tokyo, expected WGS84")
     return [
@@ -26,12 +26,12 @@ def parcels() -> list[QueuedContribution]:
     ]
 
 
-def test_parcels_come_out_as_they_went_in():
-    sent = parcels()
-    reply, found = unpack_parcels(pack_parcels("_INBOX.a1.7", sent))
+def test_contributions_survive_a_round_trip():
+    sent = contributions()
+    reply, received = unpack_contributions(pack_contributions("_INBOX.a1.7", sent))
     assert reply == "_INBOX.a1.7"
-    assert [parcel.refusal for parcel in found] == [parcel.refusal for parcel in sent]
-    for got, was in zip(found, sent, strict=True):
+    assert [item.refusal for item in received] == [item.refusal for item in sent]
+    for got, was in zip(received, sent, strict=True):
         assert got.contribution.name == was.contribution.name
         assert got.contribution.digest() == was.contribution.digest()
 
@@ -41,18 +41,18 @@ def test_outcomes_come_back_as_they_were():
     assert unpack_outcomes(pack_outcomes(outcomes)) == outcomes
 
 
-def test_rows_that_are_not_finite_are_no_parcel():
+def test_rows_that_are_not_finite_are_rejected():
     sent = contribution("u1")
     sent.observations["road_height_m"] = np.nan
     with pytest.raises(QueueMessageError, match="finite"):
-        unpack_parcels(pack_parcels("_INBOX.a", [QueuedContribution(sent, None)]))
+        unpack_contributions(pack_contributions("_INBOX.a", [QueuedContribution(sent, None)]))
 
 
 @pytest.mark.parametrize("vehicle", ["", "a b", "a\0b", "x" * 65])
-def test_a_name_that_is_none_is_no_parcel(vehicle):
+def test_an_invalid_name_is_rejected(vehicle):
     with pytest.raises(QueueMessageError, match="vehicle"):
-        unpack_parcels(
-            pack_parcels("_INBOX.a", [QueuedContribution(contribution("u1", vehicle=vehicle), None)])
+        unpack_contributions(
+            pack_contributions("_INBOX.a", [QueuedContribution(contribution("u1", vehicle=vehicle), None)])
         )
 
 
@@ -61,8 +61,8 @@ def test_a_name_that_is_none_is_no_parcel(vehicle):
 )
 def test_what_is_no_message_is_an_error_that_says_so(damage):
     with pytest.raises(QueueMessageError):
-        unpack_parcels(damage)
+        unpack_contributions(damage)
     with pytest.raises(QueueMessageError):
         unpack_outcomes(damage)
     with pytest.raises(QueueMessageError):
-        unpack_parcels(pack_parcels("_INBOX.a", parcels())[:-1])
+        unpack_contributions(pack_contributions("_INBOX.a", contributions())[:-1])

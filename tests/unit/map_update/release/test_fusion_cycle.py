@@ -1,4 +1,4 @@
-"""What comes of uploads in a store: votes taken in once, and a release of the road as the fleet finds it."""
+"""Uploads in a store become votes once, and a release with the road as the fleet observed it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,9 @@ def fleet() -> list[Contribution]:
     return [drive(vehicle, day) for day in (1, 3, 5) for vehicle in range(12)]
 
 
-def rounds(folder: Path, store: Store, **more: float) -> FusionCycle:
+def fusion_cycle(
+    folder: Path, store: Store, *, every_s: float = 60.0, most_records: int = 200_000
+) -> FusionCycle:
     if not (folder / "in").exists():
         rows = [surface(k, 20.0 * k, link_id=k // 10) for k in range(SURFACES)]
         roads = [
@@ -67,8 +69,8 @@ def rounds(folder: Path, store: Store, **more: float) -> FusionCycle:
         write(folder / "in", rows, roads)
     reference = open_release(folder / "in")
     fusion = Fusion(reference.road_surfaces(), SECRET)
-    making = ReleaseBuilder(folder / "out", reference, signing_key=None)
-    return FusionCycle(store, fusion, making, **more)  # type: ignore[arg-type]
+    builder = ReleaseBuilder(folder / "out", reference, signing_key=None)
+    return FusionCycle(store, fusion, builder, every_s=every_s, most_records=most_records)
 
 
 @pytest.fixture
@@ -76,67 +78,67 @@ def store(tmp_path: Path) -> Store:
     return SqliteStore(tmp_path / "uploads.sqlite")
 
 
-def all_steps(fusing: FusionCycle, now_ns: int) -> FusionDecision:
-    while isinstance(done := fusing.step(now_ns), IngestResult):
+def all_steps(cycle: FusionCycle, now_ns: int) -> FusionDecision:
+    while isinstance(result := cycle.step(now_ns), IngestResult):
         pass
-    assert done is not None
-    return done
+    assert result is not None
+    return result
 
 
 def raised_m(folder: Path) -> np.ndarray:
     return np.array([grid.mean() - 50.0 for grid in read_release(folder / "out").road_surfaces().heights_m])
 
 
-def test_a_changed_road_comes_out_and_what_did_not_change_stays(tmp_path: Path, store: Store) -> None:
+def test_a_changed_road_is_published_and_unchanged_roads_stay(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
-    found = all_steps(rounds(tmp_path, store), NOW_NS)
+    result = all_steps(fusion_cycle(tmp_path, store), NOW_NS)
     offset_m = raised_m(tmp_path)
-    assert found.made
+    assert result.is_new
     assert offset_m[CHANGED] == pytest.approx([0.08] * 4, abs=0.02)
     assert np.abs(np.delete(offset_m, CHANGED)).max() == 0.0
-    assert set(found.decisions.of("publish")["surface_id"]) == set(CHANGED)
+    assert set(result.decisions.of("publish")["surface_id"]) == set(CHANGED)
 
 
 def test_the_first_release_is_the_reference(tmp_path: Path, store: Store) -> None:
-    found = all_steps(rounds(tmp_path, store), NOW_NS)
-    assert found.made
+    result = all_steps(fusion_cycle(tmp_path, store), NOW_NS)
+    assert result.is_new
     assert np.abs(raised_m(tmp_path)).max() == 0.0
 
 
-def test_nothing_new_makes_nothing_new(tmp_path: Path, store: Store) -> None:
+def test_without_new_votes_there_is_no_new_release(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
-    fusing = rounds(tmp_path, store, every_s=60.0)
-    first = all_steps(fusing, NOW_NS)
-    assert fusing.step(NOW_NS + 59 * 10**9) is None  # not due
-    assert fusing.step(NOW_NS + 61 * 10**9) is None  # nothing has come
-    again = all_steps(rounds(tmp_path, store), NOW_NS + 10**9)  # as after a restart
-    assert (again.made, again.root) == (False, first.root)
+    cycle = fusion_cycle(tmp_path, store, every_s=60.0)
+    first = all_steps(cycle, NOW_NS)
+    assert cycle.step(NOW_NS + 59 * 10**9) is None  # not due
+    assert cycle.step(NOW_NS + 61 * 10**9) is None  # nothing has come
+    again = all_steps(fusion_cycle(tmp_path, store), NOW_NS + 10**9)  # as after a restart
+    assert (again.is_new, again.root) == (False, first.root)
 
 
-def test_however_the_steps_are_cut_the_release_is_the_same(tmp_path: Path, store: Store) -> None:
+def test_the_release_does_not_depend_on_the_division_into_steps(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
     (tmp_path / "whole").mkdir()
     (tmp_path / "cut").mkdir()
-    all_steps(rounds(tmp_path / "whole", store), NOW_NS)
+    all_steps(fusion_cycle(tmp_path / "whole", store), NOW_NS)
     other = SqliteStore(tmp_path / "cut" / "uploads.sqlite")
     for contribution in reversed(fleet()):
         committed(other, contribution)
     # A process of its own for each step, as if each had been killed after it.
-    while isinstance(rounds(tmp_path / "cut", other, most=100).step(NOW_NS), IngestResult):
+    while isinstance(fusion_cycle(tmp_path / "cut", other, most_records=100).step(NOW_NS), IngestResult):
         pass
     assert raised_m(tmp_path / "cut").tolist() == raised_m(tmp_path / "whole").tolist()
     assert other.progress().cursor == len(fleet())
 
 
-def test_a_step_that_is_overtaken_writes_nothing(tmp_path: Path, store: Store) -> None:
+def test_an_overtaken_step_writes_nothing(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
-    slow, quick = rounds(tmp_path, store), rounds(tmp_path, store)
+    slow, quick = fusion_cycle(tmp_path, store), fusion_cycle(tmp_path, store)
 
     class Overtaking(SqliteStore):
         def observations_after(self, cursor: int, limit: int):  # type: ignore[no-untyped-def]
-            found = super().observations_after(cursor, limit)
+            page = super().observations_after(cursor, limit)
             quick.step(NOW_NS)
-            return found
+            return page
 
     slow._store = Overtaking(tmp_path / "uploads.sqlite")
     with pytest.raises(OvertakenError):
@@ -146,55 +148,60 @@ def test_a_step_that_is_overtaken_writes_nothing(tmp_path: Path, store: Store) -
     assert store.progress().cursor == len(fleet())
 
 
-def test_observations_of_another_datum_are_kept_and_not_fused(tmp_path: Path, store: Store) -> None:
+def test_observations_of_another_datum_are_stored_but_not_fused(tmp_path: Path, store: Store) -> None:
     committed(store, drive(1, 1), drive(2, 1, datum="JGD2011"), drive(3, 1, datum="ITRF2020"))
-    taken = rounds(tmp_path, store).step(NOW_NS)
-    assert isinstance(taken, IngestResult)
-    assert (taken.contributions, taken.observations, taken.other_datum) == (3, 360, 120)
+    result = fusion_cycle(tmp_path, store).step(NOW_NS)
+    assert isinstance(result, IngestResult)
+    assert (result.contributions, result.observations, result.other_datum) == (3, 360, 120)
     assert len(np.unique(store.votes_of()["voter"])) == 2
 
 
-def test_a_clock_that_is_set_back_does_not_stop_it(tmp_path: Path, store: Store) -> None:
-    fusing = rounds(tmp_path, store, every_s=60.0)
-    all_steps(fusing, NOW_NS)
+def test_a_clock_set_back_does_not_stop_the_fusion(tmp_path: Path, store: Store) -> None:
+    cycle = fusion_cycle(tmp_path, store, every_s=60.0)
+    all_steps(cycle, NOW_NS)
     committed(store, *fleet())
-    assert isinstance(fusing.step(NOW_NS - DAY_NS // 24), IngestResult)
+    assert isinstance(cycle.step(NOW_NS - DAY_NS // 24), IngestResult)
 
 
-def test_a_road_that_is_lowered_again_is_the_reference_again(tmp_path: Path, store: Store) -> None:
+def test_a_road_lowered_again_equals_the_reference(tmp_path: Path, store: Store) -> None:
     committed(store, *fleet())
-    all_steps(rounds(tmp_path, store), NOW_NS)
+    all_steps(fusion_cycle(tmp_path, store), NOW_NS)
     later = [drive(vehicle, day, raised_m=0.0) for day in range(20, 40, 3) for vehicle in range(12)]
     committed(store, *later)
-    found = all_steps(rounds(tmp_path, store), MADE_NS + 40 * DAY_NS)
-    assert found.made
+    result = all_steps(fusion_cycle(tmp_path, store), MADE_NS + 40 * DAY_NS)
+    assert result.is_new
     assert np.abs(raised_m(tmp_path)).max() <= 0.01
 
 
-def test_what_a_person_accepts_or_rolls_back_is_taken_into_the_next_round(
-    tmp_path: Path, store: Store
-) -> None:
+def test_the_next_cycle_applies_accepted_changes_and_roll_backs(tmp_path: Path, store: Store) -> None:
     higher = [drive(vehicle, day, raised_m=0.7) for day in (1, 3, 5) for vehicle in range(12)]
     committed(store, *higher)
-    fusing = rounds(tmp_path, store, every_s=1.0)
-    all_steps(fusing, NOW_NS)
+    cycle = fusion_cycle(tmp_path, store, every_s=1.0)
+    all_steps(cycle, NOW_NS)
     review = ReviewFolder(tmp_path / "out")
     assert {held.surface_id for held in review.held()} == set(CHANGED)  # larger than a road is resurfaced
     accepted = [
-        ReviewDecision(h.surface_id, "accept", h.offset_m, "ann", "a new bridge", NOW_NS)
+        ReviewDecision(
+            surface_id=h.surface_id,
+            action="accept",
+            offset_m=h.offset_m,
+            who="ann",
+            why="a new bridge",
+            time_ns=NOW_NS,
+        )
         for h in review.held()
     ]
-    review.decide(accepted)
-    found = fusing.step(NOW_NS + 2 * 10**9)
-    assert isinstance(found, FusionDecision)
+    review.append(accepted)
+    published = cycle.step(NOW_NS + 2 * 10**9)
+    assert isinstance(published, FusionDecision)
     assert raised_m(tmp_path)[CHANGED] == pytest.approx([0.7] * 4, abs=0.03)
     assert review.held() == []
 
-    making = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
-    withdrawn = making.corrections()
-    making.roll_back(found.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
+    builder = ReleaseBuilder(tmp_path / "out", open_release(tmp_path / "in"), signing_key=None)
+    withdrawn = builder.corrections()
+    builder.roll_back(published.root.map_version - 1, time_ns=NOW_NS + 3 * 10**9)
     review.reject_again(withdrawn, who="ann", why="it was not", time_ns=NOW_NS + 3 * 10**9)
-    again = fusing.step(NOW_NS + 5 * 10**9)
+    again = cycle.step(NOW_NS + 5 * 10**9)
     assert isinstance(again, FusionDecision)
-    assert again.root.map_version == found.root.map_version + 1
+    assert again.root.map_version == published.root.map_version + 1
     assert np.abs(raised_m(tmp_path)).max() == 0.0

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from camber.map_update.fusion.corrections import CORRECTION, NONE, Corrections, from_bytes, settled, to_bytes
+from camber.map_update.fusion.corrections import (
+    CORRECTION,
+    NONE,
+    Corrections,
+    from_bytes,
+    normalize,
+    to_bytes,
+)
 from camber.map_update.release.release_builder import ReleaseBuilder, corrections_of, history
 from camber.road_map.release import ReleaseError, open_release, read_release
 from support.small_map import DAY_NS, MADE_NS, link, surface, write
@@ -24,7 +31,7 @@ def corrections(*rows: tuple[Any, ...]) -> Corrections:
     return np.array(full, CORRECTION)
 
 
-def making(folder: Path, rows: list[dict[str, Any]] | None = None, **changed: Any) -> ReleaseBuilder:
+def make_builder(folder: Path, rows: list[dict[str, Any]] | None = None, **changed: Any) -> ReleaseBuilder:
     """Releases in `folder/out` from a reference in `folder/in` with surfaces in several tiles."""
     rows = (
         [surface(i, 300.0 * i, heights_m=50.0 + np.arange(6).reshape(3, 2) / 100) for i in range(6)]
@@ -40,11 +47,11 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_release_has_the_corrections_and_is_the_reference_elsewhere(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    root = make.make(corrections((4, -0.05), (2, 0.0812)), time_ns=MADE_NS + DAY_NS)
+    builder = make_builder(tmp_path)
+    root = builder.build(corrections((4, -0.05), (2, 0.0812)), time_ns=MADE_NS + DAY_NS)
     made = read_release(tmp_path / "out", public_key=KEY.public_key())
-    assert (root.map_version, made.manifest.previous_sha256) == (8, make.reference.root.manifest_sha256)
-    new, old = made.road_surfaces(), make.reference.road_surfaces()
+    assert (root.map_version, made.manifest.previous_sha256) == (8, builder.reference.root.manifest_sha256)
+    new, old = made.road_surfaces(), builder.reference.road_surfaces()
     raised = [np.round(a - b, 6) for a, b in zip(new.heights_m, old.heights_m, strict=True)]
     assert [grid.min() for grid in raised] == pytest.approx([0, 0, 0.0812, 0, -0.05, 0], abs=1e-9)
     assert [np.ptp(grid) for grid in raised] == pytest.approx([0] * 6, abs=1e-9)
@@ -54,10 +61,10 @@ def test_a_release_has_the_corrections_and_is_the_reference_elsewhere(tmp_path: 
 
 
 def test_only_tiles_with_a_corrected_surface_change(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    builder = make_builder(tmp_path)
+    builder.build(NONE, time_ns=MADE_NS)
     before = open_release(tmp_path / "out")
-    make.make(corrections((2, 0.08)), time_ns=MADE_NS + 1)
+    builder.build(corrections((2, 0.08)), time_ns=MADE_NS + 1)
     after = open_release(tmp_path / "out")
     changed = [
         xy
@@ -74,37 +81,37 @@ def test_only_tiles_with_a_corrected_surface_change(tmp_path: Path) -> None:
 
 def test_the_same_corrections_give_the_same_bytes_and_no_second_release(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        make = making(tmp_path / name)
-        first = make.make(corrections((2, 0.08), (3, 0.01)), time_ns=MADE_NS)
-        again = make.make(corrections((3, 0.01), (2, 0.08)), time_ns=MADE_NS + DAY_NS)
+        builder = make_builder(tmp_path / name)
+        first = builder.build(corrections((2, 0.08), (3, 0.01)), time_ns=MADE_NS)
+        again = builder.build(corrections((3, 0.01), (2, 0.08)), time_ns=MADE_NS + DAY_NS)
         assert again == first
     assert files(tmp_path / "a") == files(tmp_path / "b")
 
 
 def test_a_roll_back_is_a_new_release_with_the_earlier_corrections(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    versions = [make.make(corrections((2, 0.01 * k)), time_ns=MADE_NS + k).map_version for k in (1, 2, 3)]
+    builder = make_builder(tmp_path)
+    versions = [builder.build(corrections((2, 0.01 * k)), time_ns=MADE_NS + k).map_version for k in (1, 2, 3)]
     then = read_release(tmp_path / "out").road_surfaces()
     assert versions == [8, 9, 10]
-    root = make.roll_back(8, time_ns=MADE_NS + 4)
+    root = builder.roll_back(8, time_ns=MADE_NS + 4)
     assert root.map_version == 11
     back = read_release(tmp_path / "out", public_key=KEY.public_key())
-    assert make.corrections()["offset_m"] == pytest.approx([0.01])
-    assert make.corrections()["since_map_version"].tolist() == [11]
+    assert builder.corrections()["offset_m"] == pytest.approx([0.01])
+    assert builder.corrections()["since_map_version"].tolist() == [11]
     assert back.road_surfaces().heights_m[2][0, 0] == pytest.approx(then.heights_m[2][0, 0] - 0.02, abs=1e-9)
-    assert [made.manifest.map_version for made in history(tmp_path / "out")] == [11, 10, 9, 8, 7]
-    assert make.roll_back(7, time_ns=MADE_NS + 5).map_version == 12
-    assert len(make.corrections()) == 0
+    assert [record.manifest.map_version for record in history(tmp_path / "out")] == [11, 10, 9, 8, 7]
+    assert builder.roll_back(7, time_ns=MADE_NS + 5).map_version == 12
+    assert len(builder.corrections()) == 0
     with pytest.raises(ReleaseError, match="version"):
-        make.roll_back(99, time_ns=MADE_NS + 6)
+        builder.roll_back(99, time_ns=MADE_NS + 6)
 
 
 def test_an_offset_that_stays_keeps_the_release_that_it_is_from(tmp_path: Path) -> None:
-    make = making(tmp_path)
-    make.make(corrections((2, 0.08)), time_ns=MADE_NS)
-    make.make(corrections((2, 0.08, 0.005, 9, MADE_NS), (3, 0.02)), time_ns=MADE_NS + 1)
-    assert make.corrections()["since_map_version"].tolist() == [8, 9]
-    assert make.corrections()["vehicles"].tolist() == [9, 5]
+    builder = make_builder(tmp_path)
+    builder.build(corrections((2, 0.08)), time_ns=MADE_NS)
+    builder.build(corrections((2, 0.08, 0.005, 9, MADE_NS), (3, 0.02)), time_ns=MADE_NS + 1)
+    assert builder.corrections()["since_map_version"].tolist() == [8, 9]
+    assert builder.corrections()["vehicles"].tolist() == [9, 5]
 
 
 @pytest.mark.parametrize(
@@ -119,37 +126,37 @@ def test_an_offset_that_stays_keeps_the_release_that_it_is_from(tmp_path: Path) 
 def test_what_cannot_be_a_release_is_refused_and_the_one_before_stays(
     tmp_path: Path, rows: Corrections, field: str
 ) -> None:
-    make = making(tmp_path)
-    root = make.make(NONE, time_ns=MADE_NS)
+    builder = make_builder(tmp_path)
+    root = builder.build(NONE, time_ns=MADE_NS)
     with pytest.raises(ReleaseError, match=field):
-        make.make(rows, time_ns=MADE_NS + 1)
+        builder.build(rows, time_ns=MADE_NS + 1)
     assert read_release(tmp_path / "out").root == root
 
 
 def test_lineage_is_carried_on_and_an_id_that_was_given_up_is_never_taken_again(tmp_path: Path) -> None:
-    make = making(tmp_path, [surface(1), surface(2, 50.0)])
-    make.make(corrections((1, 0.02)), time_ns=MADE_NS)
+    builder = make_builder(tmp_path, [surface(1), surface(2, 50.0)])
+    builder.build(corrections((1, 0.02)), time_ns=MADE_NS)
 
     def surveyed(name: str, rows: list[dict[str, Any]], version: int, **changed: Any) -> ReleaseBuilder:
         write(tmp_path / name, rows, map_version=version, **changed)
         return ReleaseBuilder(tmp_path / "out", open_release(tmp_path / name), signing_key=KEY)
 
     split = surveyed("split", [surface(2, 50.0), surface(3), surface(4, 10.0)], 20, lineage=[(3, 1), (4, 1)])
-    assert split.make(NONE, time_ns=MADE_NS + 1).map_version == 21
+    assert split.build(NONE, time_ns=MADE_NS + 1).map_version == 21
     later = surveyed("later", [surface(2, 50.0), surface(3), surface(5, 10.0)], 5, lineage=[(5, 4)])
-    assert later.make(NONE, time_ns=MADE_NS + 2).map_version == 22
+    assert later.build(NONE, time_ns=MADE_NS + 2).map_version == 22
     manifest = open_release(tmp_path / "out").manifest
     pairs = zip(manifest.lineage_surface_id.tolist(), manifest.lineage_parent_id.tolist(), strict=True)
     assert list(pairs) == [(3, 1), (5, 4)]
     for reused in (1, 4):
-        with pytest.raises(ReleaseError, match="given up"):
-            surveyed(f"again{reused}", [surface(2, 50.0), surface(reused, 90.0)], 30).make(
+        with pytest.raises(ReleaseError, match="no id of a removed surface"):
+            surveyed(f"again{reused}", [surface(2, 50.0), surface(reused, 90.0)], 30).build(
                 NONE, time_ns=MADE_NS + 3
             )
 
 
 def test_corrections_come_back_from_their_bytes(tmp_path: Path) -> None:
-    rows = settled(corrections((2, 0.08123), (1, -0.01)), NONE, 4)
+    rows = normalize(corrections((2, 0.08123), (1, -0.01)), NONE, 4)
     back = from_bytes(to_bytes(rows, MADE_NS))
     assert back.tobytes() == rows.tobytes()
     assert back["offset_m"] == pytest.approx([-0.01, 0.0812])
@@ -157,4 +164,9 @@ def test_corrections_come_back_from_their_bytes(tmp_path: Path) -> None:
     for damaged in (b"", to_bytes(rows, MADE_NS)[:-1]):
         with pytest.raises(ReleaseError):
             from_bytes(damaged)
-    assert corrections_of(making(tmp_path).reference.source, making(tmp_path).reference.manifest).size == 0
+    assert (
+        corrections_of(
+            make_builder(tmp_path).reference.source, make_builder(tmp_path).reference.manifest
+        ).size
+        == 0
+    )

@@ -1,4 +1,4 @@
-"""What people decide of held changes is kept, is about the change they saw, and is done in the next round."""
+"""Decisions on held changes are stored, refer to the change as it was seen, and apply in the next cycle."""
 
 from __future__ import annotations
 
@@ -9,90 +9,90 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camber.map_update.fusion.publication import DECISION, DECISIONS, REASONS, Decisions, DecisionWord
+from camber.map_update.fusion.publication import DECISION, DECISIONS, REASONS, Decision, Decisions
 from camber.map_update.release.review import ReviewAction, ReviewDecision, ReviewFolder
 from camber.road_map.road_columns import ReleaseError
 from support.small_map import MADE_NS
 
 
-def decisions(*rows: tuple[int, DecisionWord, float]) -> Decisions:
+def decisions(*rows: tuple[int, Decision, float]) -> Decisions:
     surfaces = np.zeros(len(rows), DECISION)
-    for at, (surface_id, word, offset_m) in enumerate(rows):
+    for at, (surface_id, decision, offset_m) in enumerate(rows):
         row = surfaces[at]
-        row["surface_id"], row["decision"], row["offset_m"] = surface_id, DECISIONS.index(word), offset_m
+        row["surface_id"], row["decision"], row["offset_m"] = surface_id, DECISIONS.index(decision), offset_m
         row["reason"], row["standard_error_m"], row["sigma_m"] = REASONS.index("step"), 0.002, np.nan
         row["vehicles"], row["agreement"] = 9, 0.9
-        if word == "publish":
+        if decision == "publish":
             row["correction_m"], row["sigma_m"] = offset_m, 0.01
     return Decisions(surfaces)
 
 
-def decided(surface_id: int, word: ReviewAction, offset_m: float, **changed: Any) -> ReviewDecision:
+def review_decision(surface_id: int, action: ReviewAction, offset_m: float, **changed: Any) -> ReviewDecision:
     values = {"who": "ann", "why": "seen on site", "time_ns": MADE_NS, **changed}
-    return ReviewDecision(surface_id, word, offset_m, **values)
+    return ReviewDecision(surface_id=surface_id, action=action, offset_m=offset_m, **values)
 
 
-def words(found: Decisions) -> list[str]:
-    return [DECISIONS[number] for number in found.surfaces["decision"]]
+def outcomes(decisions: Decisions) -> list[str]:
+    return [DECISIONS[number] for number in decisions.surfaces["decision"]]
 
 
 def test_what_is_held_is_shown_with_its_numbers_and_since_when(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
     assert review.held() == []
-    review.judged(decisions((3, "hold", 0.2), (5, "publish", 0.1)), MADE_NS)
-    review.judged(decisions((3, "hold", 0.21), (5, "nothing", 0.1)), MADE_NS + 5)
+    review.apply(decisions((3, "hold", 0.2), (5, "publish", 0.1)), MADE_NS)
+    review.apply(decisions((3, "hold", 0.21), (5, "nothing", 0.1)), MADE_NS + 5)
     (held,) = review.held()
     assert (held.surface_id, held.offset_m, held.reason, held.since_ns) == (3, 0.21, "step", MADE_NS)
-    review.judged(decisions((3, "nothing", 0.0)), MADE_NS + 6)
+    review.apply(decisions((3, "nothing", 0.0)), MADE_NS + 6)
     assert review.held() == []
 
 
 def test_an_accepted_change_is_published_and_waits_no_more(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
-    review.decide([decided(3, "accept", 0.2)])
-    found = review.judged(decisions((3, "hold", 0.205), (4, "hold", 0.2)), MADE_NS)
-    assert words(found) == ["publish", "hold"]
-    assert (found.surfaces["correction_m"][0], found.surfaces["sigma_m"][0]) == (0.205, 0.005)
+    review.append([review_decision(3, "accept", 0.2)])
+    result = review.apply(decisions((3, "hold", 0.205), (4, "hold", 0.2)), MADE_NS)
+    assert outcomes(result) == ["publish", "hold"]
+    assert (result.surfaces["correction_m"][0], result.surfaces["sigma_m"][0]) == (0.205, 0.005)
     assert [held.surface_id for held in review.held()] == [4]
 
 
-@pytest.mark.parametrize("word", ["hold", "publish"])
+@pytest.mark.parametrize("action", ["hold", "publish"])
 def test_a_rejected_change_is_not_published_until_the_votes_say_another_height(
-    tmp_path: Path, word: DecisionWord
+    tmp_path: Path, action: Decision
 ) -> None:
     review = ReviewFolder(tmp_path)
-    review.decide([decided(3, "reject", 0.2)])
-    found = review.judged(decisions((3, word, 0.205)), MADE_NS)
-    assert words(found) == ["nothing"]
-    assert found.surfaces["correction_m"][0] == 0.0
-    assert np.isnan(found.surfaces["sigma_m"][0])
+    review.append([review_decision(3, "reject", 0.2)])
+    result = review.apply(decisions((3, action, 0.205)), MADE_NS)
+    assert outcomes(result) == ["nothing"]
+    assert result.surfaces["correction_m"][0] == 0.0
+    assert np.isnan(result.surfaces["sigma_m"][0])
     assert review.held() == []
-    assert words(review.judged(decisions((3, word, 0.25)), MADE_NS)) == [word]
+    assert outcomes(review.apply(decisions((3, action, 0.25)), MADE_NS)) == [action]
 
 
-def test_the_last_word_counts_and_all_are_kept(tmp_path: Path) -> None:
+def test_the_last_decision_applies_and_all_are_stored(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
-    for word in ("accept", "reject", "accept"):
-        review.decide([decided(3, word, 0.2)])  # type: ignore[arg-type]
-    assert [each.word for each in ReviewFolder(tmp_path).decisions()] == ["accept", "reject", "accept"]
-    assert words(review.judged(decisions((3, "hold", 0.2)), MADE_NS)) == ["publish"]
+    for action in ("accept", "reject", "accept"):
+        review.append([review_decision(3, action, 0.2)])  # type: ignore[arg-type]
+    assert [each.action for each in ReviewFolder(tmp_path).decisions()] == ["accept", "reject", "accept"]
+    assert outcomes(review.apply(decisions((3, "hold", 0.2)), MADE_NS)) == ["publish"]
 
 
-def test_a_line_that_was_cut_short_was_never_decided(tmp_path: Path) -> None:
+def test_a_line_that_was_cut_short_was_never_review_decision(tmp_path: Path) -> None:
     review = ReviewFolder(tmp_path)
-    review.decide([decided(3, "accept", 0.2)])
+    review.append([review_decision(3, "accept", 0.2)])
     path = tmp_path / "review" / "decisions.jsonl"
     whole = path.read_bytes()
     path.write_bytes(whole + whole[: len(whole) // 2])
     assert len(review.decisions()) == 1
-    review.decide([decided(4, "reject", 0.1)])
+    review.append([review_decision(4, "reject", 0.1)])
     assert [each.surface_id for each in review.decisions()] == [3, 4]
 
 
 def test_nobody_decides_without_a_name_and_a_reason(tmp_path: Path) -> None:
     for missing in ("who", "why"):
-        with pytest.raises(ReleaseError, match="somebody"):
-            ReviewFolder(tmp_path).decide([decided(3, "accept", 0.2, **{missing: " "})])
+        with pytest.raises(ReleaseError, match="has an author and a reason"):
+            ReviewFolder(tmp_path).append([review_decision(3, "accept", 0.2, **{missing: " "})])
     assert ReviewFolder(tmp_path).decisions() == []
 
 
@@ -101,4 +101,4 @@ def test_damaged_files_are_named(tmp_path: Path, name: str) -> None:
     (tmp_path / "review").mkdir()
     (tmp_path / "review" / name).write_text(json.dumps([{"word": 1}]) + "\n")
     with pytest.raises(ReleaseError, match=name):
-        ReviewFolder(tmp_path).judged(decisions((3, "hold", 0.2)), MADE_NS)
+        ReviewFolder(tmp_path).apply(decisions((3, "hold", 0.2)), MADE_NS)

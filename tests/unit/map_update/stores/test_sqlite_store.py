@@ -100,10 +100,10 @@ def test_in_a_damaged_file_what_is_acknowledged_is_there(tmp_path, seed):
     if acknowledged:
         with closing(sqlite3.connect(path)) as db:
             db.text_factory = lambda raw: raw.decode("utf-8", "replace")
-            found = Counter(
+            result = Counter(
                 row[0] for row in db.execute("SELECT id FROM contribution NOT INDEXED WHERE number > 0")
             )
-        assert {name: found[name] for name in acknowledged} == dict(acknowledged)
+        assert {name: result[name] for name in acknowledged} == dict(acknowledged)
 
 
 WRITER = f"""
@@ -145,13 +145,13 @@ def test_a_store_killed_at_any_moment_has_everything_it_acknowledged_once(path):
         writer.stdout.close()
         assert writer.wait() == -signal.SIGKILL
         acknowledged.update(line.split()[0] for line in lines if line.strip().endswith(" stored"))
-        found = ids_in(path)
-        assert len(found) == len(set(found))
-        assert set(acknowledged) <= set(found)
+        result = ids_in(path)
+        assert len(result) == len(set(result))
+        assert set(acknowledged) <= set(result)
         assert set(acknowledged.values()) == {1}
         with closing(sqlite3.connect(path)) as db:
             assert db.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
-            assert db.execute("SELECT count(*) FROM observation").fetchone() == (len(found),)
+            assert db.execute("SELECT count(*) FROM observation").fetchone() == (len(result),)
     with closing(SqliteStore(path)) as store:
         assert set(committed(store, *(contribution(name) for name in acknowledged))) == {"duplicate"}
     assert len(acknowledged) > 300
@@ -197,8 +197,8 @@ def test_a_file_of_the_first_format_is_brought_to_this_one_with_all_it_holds(pat
     sent = [random_batch(f"b{n}", 5 + n, rng) for n in range(4)]
     file_of_format_1(path, sent)
     with closing(SqliteStore(path)) as store:
-        found = store.observations_after(0, 1000)
-        assert found.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
+        result = store.observations_after(0, 1000)
+        assert result.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
         assert committed(store, *sent, contribution("new")) == ["duplicate"] * 4 + ["stored"]
         assert store.progress() == (0, 0)
     with closing(SqliteStore(path)) as again:
@@ -211,9 +211,9 @@ def test_the_file_tells_how_to_read_it_without_this_program(path, store):
     with closing(sqlite3.connect(path)) as db:
         (descr,) = db.execute("SELECT descr FROM layout WHERE name = 'observation'").fetchone()
         (rows,) = db.execute("SELECT rows FROM observation").fetchone()
-    found = np.frombuffer(rows, np.dtype([tuple(field) for field in json.loads(descr)]))
-    assert found.dtype.names == sent.observations.dtype.names
-    assert found.tolist() == sent.observations.tolist()
+    result = np.frombuffer(rows, np.dtype([tuple(field) for field in json.loads(descr)]))
+    assert result.dtype.names == sent.observations.dtype.names
+    assert result.tolist() == sent.observations.tolist()
 
 
 def test_a_file_whose_rows_are_laid_out_otherwise_is_refused(path, store):

@@ -12,7 +12,7 @@ from camber.map_update.contribution import Contribution
 from camber.map_update.fusion.votes import VOTE
 from camber.map_update.stores.postgres_store import PostgresStore
 from camber.map_update.stores.sqlite_store import SqliteStore
-from camber.map_update.stores.store import FusionStep, OvertakenError, Store
+from camber.map_update.stores.store import FusionStep, LedgerEntry, OvertakenError, Store
 from support.contributions import (
     NOW_NS,
     committed,
@@ -104,20 +104,27 @@ def test_a_batch_is_one_ledger_row_and_all_its_observations_once(store):
     assert committed(store, batch) == ["stored"]
     assert committed(store, batch) == ["duplicate"]
     assert store.counts() == (1, 1000)
-    found = store.observations_after(0, 10_000)
-    assert (len(found.headings), len(found.rows)) == (1, 1000)
-    heading = found.headings[0]
-    assert heading[1:] == ("v1", "batch", "b1", NOW_NS, "WGS84", 1, 2024.0)
-    assert found.cursor == heading.number
+    page = store.observations_after(0, 10_000)
+    assert (len(page.entries), len(page.rows)) == (1, 1000)
+    assert page.entries[0] == LedgerEntry(
+        number=page.cursor,
+        vehicle="v1",
+        kind="batch",
+        id="b1",
+        received_ns=NOW_NS,
+        datum="WGS84",
+        map_version=1,
+        epoch_year=2024.0,
+    )
 
 
 def test_numbers_come_back_bit_for_bit(store):
     rng = np.random.default_rng(3)
     sent = [random_batch(f"b{n}", int(rng.integers(1, 200)), rng) for n in range(7)]
     committed(store, *sent)
-    found = store.observations_after(0, 10_000)
-    assert found.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
-    assert found.heading_of.tolist() == [n for n, batch in enumerate(sent) for _ in batch.observations]
+    result = store.observations_after(0, 10_000)
+    assert result.rows.tobytes() == b"".join(batch.observations.tobytes() for batch in sent)
+    assert result.entry_of.tolist() == [n for n, batch in enumerate(sent) for _ in batch.observations]
 
 
 def test_rows_of_a_contribution_come_in_the_order_of_time(store):
@@ -131,27 +138,27 @@ def test_rows_of_a_contribution_come_in_the_order_of_time(store):
 def test_reading_goes_on_at_the_cursor_in_whole_contributions_and_leaves_none_out(store):
     committed(store, *(contribution(f"b{n}", kind="batch", records=n + 1) for n in range(12)))
     cursor, seen, sizes = 0, [], []
-    while (found := store.observations_after(cursor, 10)).headings:
-        cursor = found.cursor
-        seen += [heading.id for heading in found.headings]
-        sizes.append(len(found.rows))
+    while (result := store.observations_after(cursor, 10)).entries:
+        cursor = result.cursor
+        seen += [entry.id for entry in result.entries]
+        sizes.append(len(result.rows))
     assert seen == [f"b{n}" for n in range(12)]
     assert sizes == [1 + 2 + 3 + 4, 5, 6, 7, 8, 9, 10, 11, 12]
     assert store.observations_after(cursor, 10).cursor == cursor
     committed(store, contribution("later"))
-    assert [heading.id for heading in store.observations_after(cursor, 10).headings] == ["later"]
+    assert [entry.id for entry in store.observations_after(cursor, 10).entries] == ["later"]
 
 
 def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicates(store):
     for n in range(4):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
     assert store.forget(NOW_NS + 10) == 0
-    third = store.observations_after(0, 100).headings[2].number
+    third = store.observations_after(0, 100).entries[2].number
     store.advance(store.progress(), FusionStep(cursor=third))
     assert store.forget(NOW_NS + 2) == 2
     assert store.forget(NOW_NS + 2) == 0
-    found = store.observations_after(0, 100)
-    assert [found.headings[n].id for n in found.heading_of] == ["u2", "u3"]
+    result = store.observations_after(0, 100)
+    assert [result.entries[n].id for n in result.entry_of] == ["u2", "u3"]
     assert store.forget(NOW_NS + 10, most=5) == 1
     assert store.counts() == (4, 4)
     assert committed(store, *(contribution(f"u{n}") for n in range(4))) == ["duplicate"] * 4
@@ -160,7 +167,7 @@ def test_observations_are_forgotten_by_age_once_they_are_fused_and_stay_duplicat
 def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_not_given_again(store):
     for n in range(4):
         store.commit([contribution(f"u{n}")], NOW_NS + n, take_all)
-    last = store.observations_after(0, 100).headings[3].number
+    last = store.observations_after(0, 100).entries[3].number
     assert store.prune(NOW_NS + 10) == 0
     store.advance(store.progress(), FusionStep(cursor=last))
     assert store.prune(NOW_NS + 10) == 0
@@ -170,7 +177,7 @@ def test_what_is_forgotten_is_pruned_from_the_ledger_by_age_and_its_numbers_are_
     assert committed(store, contribution("u3")) == ["duplicate"]
     assert store.forget(NOW_NS + 10) == store.prune(NOW_NS + 10) == 1
     assert committed(store, contribution("u4")) == ["stored"]
-    assert store.observations_after(0, 100).headings[0].number == last + 1
+    assert store.observations_after(0, 100).entries[0].number == last + 1
 
 
 def test_no_row_of_the_ledger_is_pruned_that_came_too_late(store):
@@ -190,17 +197,15 @@ def test_no_more_are_forgotten_at_once_than_asked_and_the_oldest_first(store):
 
 
 def votes(*rows: tuple[int, int, int]) -> np.ndarray:
-    found = np.zeros(len(rows), VOTE)
+    result = np.zeros(len(rows), VOTE)
     for name, column in zip(("surface_id", "voter", "session"), np.transpose(rows), strict=True):
-        found[name] = column
-    return found
+        result[name] = column
+    return result
 
 
 def test_a_step_of_the_fusion_is_written_whole(database, store):
     before = store.progress()
-    step = FusionStep(
-        7, np.array([4, 2]), votes((4, 1, 1), (2, 9, 3), (4, 5, 1)), {"decisions": b"\0\xff", "x": b""}
-    )
+    step = FusionStep(cursor=7, surfaces=np.array([4, 2]), votes=votes((4, 1, 1), (2, 9, 3), (4, 5, 1)))
     after = store.advance(before, step)
     assert (before, after) == ((0, 0), (7, 1))
     for reader in (store, database()):
@@ -208,37 +213,30 @@ def test_a_step_of_the_fusion_is_written_whole(database, store):
         assert reader.votes_of().tolist() == votes((2, 9, 3), (4, 1, 1), (4, 5, 1)).tolist()
         assert reader.votes_of(np.array([4, 77])).tolist() == votes((4, 1, 1), (4, 5, 1)).tolist()
         assert reader.votes_of(np.array([], np.int64)).tolist() == []
-        assert (reader.state_of("decisions"), reader.state_of("x"), reader.state_of("y")) == (
-            b"\0\xff",
-            b"",
-            None,
-        )
 
 
 def test_votes_of_a_surface_are_replaced_and_those_of_others_stay(store):
     first = FusionStep(
-        1, np.array([1, 2, 3]), votes((1, 1, 1), (2, 1, 1), (2, 2, 1), (3, 1, 1)), {"a": b"1", "b": b"2"}
+        cursor=1, surfaces=np.array([1, 2, 3]), votes=votes((1, 1, 1), (2, 1, 1), (2, 2, 1), (3, 1, 1))
     )
     seen = store.advance(store.progress(), first)
-    store.advance(seen, FusionStep(2, np.array([2, 3]), votes((2, 3, 1)), {"a": None, "b": b"3"}))
+    store.advance(seen, FusionStep(cursor=2, surfaces=np.array([2, 3]), votes=votes((2, 3, 1))))
     assert store.votes_of().tolist() == votes((1, 1, 1), (2, 3, 1)).tolist()
-    assert (store.state_of("a"), store.state_of("b")) == (None, b"3")
 
 
 def test_a_step_made_from_what_others_have_changed_since_is_not_written(database, store):
     other = database()
     seen = store.progress()
-    other.advance(other.progress(), FusionStep(0, state={"review": b"accepted"}))
+    other.advance(other.progress(), FusionStep(cursor=0))
     with pytest.raises(OvertakenError):
-        store.advance(seen, FusionStep(5, np.array([1]), votes((1, 1, 1)), {"review": b"held"}))
+        store.advance(seen, FusionStep(cursor=5, surfaces=np.array([1]), votes=votes((1, 1, 1))))
     assert store.votes_of().tolist() == []
-    assert store.state_of("review") == b"accepted"
-    assert store.advance(store.progress(), FusionStep(5)).cursor == 5
+    assert store.advance(store.progress(), FusionStep(cursor=5)).cursor == 5
 
 
-def test_a_step_with_votes_of_a_surface_it_does_not_name_is_refused_whole(store):
-    with pytest.raises(ValueError, match="does not name"):
-        store.advance(store.progress(), FusionStep(5, np.array([1]), votes((2, 1, 1))))
+def test_a_step_with_votes_of_a_surface_it_does_not_list_is_refused_whole(store):
+    with pytest.raises(ValueError, match="does not list"):
+        store.advance(store.progress(), FusionStep(cursor=5, surfaces=np.array([1]), votes=votes((2, 1, 1))))
     assert store.progress() == (0, 0)
 
 

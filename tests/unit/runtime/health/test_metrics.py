@@ -68,37 +68,37 @@ def get(server: MetricsServer, accept: str = "", path: str = "/metrics") -> tupl
 
 
 def samples(server: MetricsServer) -> dict[str, list[Sample]]:
-    found: dict[str, list[Sample]] = {}
+    result: dict[str, list[Sample]] = {}
     for family in text_string_to_metric_families(get(server)[0]):
         for sample in family.samples:
-            found.setdefault(sample.name, []).append(sample)
-    return found
+            result.setdefault(sample.name, []).append(sample)
+    return result
 
 
-def value(found: dict[str, list[Sample]], name: str, **labels: str) -> float:
-    (sample,) = [one for one in found[name] if {**one.labels, **OWN, **labels} == one.labels]
+def value(result: dict[str, list[Sample]], name: str, **labels: str) -> float:
+    (sample,) = [one for one in result[name] if {**one.labels, **OWN, **labels} == one.labels]
     return float(sample.value)
 
 
 def test_every_part_of_what_was_said_is_there(server: MetricsServer, spoken: HealthCollector) -> None:
     spoken.say(said())
-    found = samples(server)
-    assert value(found, "camber_status", status="degraded") == 1.0
-    assert value(found, "camber_status", status="ok") == 0.0
-    assert value(found, "camber_messages_total", channel="fix", direction="in") == 9.0
-    assert value(found, "camber_messages_total", channel="verdict", direction="out") == 8.0
-    assert value(found, "camber_refused_total", channel="fix", reason="stale") == 2.0
-    assert value(found, "camber_events_total", event="fix.judged_already") == 1.0
-    assert value(found, "camber_verdicts_total", verdict="confirmed") == 7.0
-    assert value(found, "camber_issues_total", code="upload_unanswered") == 3.0
-    assert value(found, "camber_queue_length", channel="fix", direction="in") == 4.0
-    assert value(found, "camber_uploads_waiting") == 5.0
-    assert value(found, "camber_loop_lag_seconds") == 0.5
-    assert value(found, "camber_service_info", version="0.1.0", map_release='nagoya "3"') == 1.0
-    assert [s.labels["channel"] for s in found["camber_channel_age_seconds"]] == ["fix", "health"], (
+    result = samples(server)
+    assert value(result, "camber_status", status="degraded") == 1.0
+    assert value(result, "camber_status", status="ok") == 0.0
+    assert value(result, "camber_messages_total", channel="fix", direction="in") == 9.0
+    assert value(result, "camber_messages_total", channel="verdict", direction="out") == 8.0
+    assert value(result, "camber_refused_total", channel="fix", reason="stale") == 2.0
+    assert value(result, "camber_events_total", event="fix.judged_already") == 1.0
+    assert value(result, "camber_verdicts_total", verdict="confirmed") == 7.0
+    assert value(result, "camber_issues_total", code="upload_unanswered") == 3.0
+    assert value(result, "camber_queue_length", channel="fix", direction="in") == 4.0
+    assert value(result, "camber_uploads_waiting") == 5.0
+    assert value(result, "camber_loop_lag_seconds") == 0.5
+    assert value(result, "camber_service_info", version="0.1.0", map_release='nagoya "3"') == 1.0
+    assert [s.labels["channel"] for s in result["camber_channel_age_seconds"]] == ["fix", "health"], (
         "what never came has no age"
     )
-    assert found["process_resident_memory_bytes"][0].value > 1e6
+    assert result["process_resident_memory_bytes"][0].value > 1e6
 
 
 def test_both_text_formats_are_served_as_asked(server: MetricsServer, spoken: HealthCollector) -> None:
@@ -114,9 +114,9 @@ def test_both_text_formats_are_served_as_asked(server: MetricsServer, spoken: He
 
 
 def test_before_the_loop_has_begun_it_is_starting(server: MetricsServer) -> None:
-    found = samples(server)
-    assert value(found, "camber_status", status="starting") == 1.0
-    assert "camber_uptime_seconds" not in found
+    result = samples(server)
+    assert value(result, "camber_status", status="starting") == 1.0
+    assert "camber_uptime_seconds" not in result
 
 
 def test_of_a_frozen_loop_the_words_stay_and_their_age_grows(

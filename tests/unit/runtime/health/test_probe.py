@@ -83,8 +83,8 @@ def test_without_a_file_it_asks_where_a_service_without_settings_is(tmp_path):
     ],
 )
 def test_it_asks_what_runs_as_the_first_process(command, service, settings):
-    found, file = probe.runs_here(command.split())
-    assert (found, file and str(file)) == (service, settings)
+    result, file = probe.runs_here(command.split())
+    assert (result, file and str(file)) == (service, settings)
 
 
 @pytest.mark.parametrize("command", ["", "sh -c true", "camber", "camber --help"])

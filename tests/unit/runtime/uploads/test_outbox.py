@@ -255,16 +255,16 @@ def test_damage_is_noticed_set_aside_and_never_changes_an_upload(tmp_path, seed)
         data[place] ^= 1 << rng.randrange(8)
     path.write_bytes(data)
     with opened(path) as outbox:
-        found = held(outbox)
+        result = held(outbox)
         dead = {letter for letter, reason in outbox.dead_letters() if reason == DAMAGED_ON_DISK}
-        assert set(found) <= set(put)
-        missing = {u.id for u in put} - {u.id for u in found}
+        assert set(result) <= set(put)
+        missing = {u.id for u in put} - {u.id for u in result}
         if missing - dead:
             assert outbox.notice is not None
             assert "outbox.sqlite.corrupt" in outbox.notice
             assert (tmp_path / "outbox.sqlite.corrupt").read_bytes()[4096:] == bytes(data)[4096:]
         outbox.put_many([upload(n) for n in range(1000, 1100)])
-        assert len(held(outbox)) == len(found) + 100
+        assert len(held(outbox)) == len(result) + 100
 
 
 def test_one_damaged_page_costs_only_the_uploads_on_it(path):

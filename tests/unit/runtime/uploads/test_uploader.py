@@ -64,9 +64,9 @@ def test_what_was_handed_over_is_on_the_disk_after_close(path):
     for k in range(50):
         uploader.put(f"u{k}", "upload", message(k))
     uploader.close()
-    found = waiting(path)
-    assert [pending.id for pending in found] == [f"u{k}" for k in range(50)]
-    assert decode(ReleaseHead, found[7].payload, None).message == message(7)
+    result = waiting(path)
+    assert [pending.id for pending in result] == [f"u{k}" for k in range(50)]
+    assert decode(ReleaseHead, result[7].payload, None).message == message(7)
 
 
 def test_it_is_sent_and_leaves_when_it_is_acknowledged(path):
