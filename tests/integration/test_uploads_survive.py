@@ -148,9 +148,9 @@ def test_every_upload_is_stored_once_through_kills_of_router_store_and_vehicle(t
     with closing(SqliteStore(fleet.store)) as store:
         result = store.observations_after(0, 2 * UPLOADS)
     rows = sorted(
-        (time_ns, result.headings[heading].id, surface_id, height_m)
+        (time_ns, result.entries[heading].id, surface_id, height_m)
         for heading, time_ns, surface_id, height_m in zip(
-            result.heading_of.tolist(),
+            result.entry_of.tolist(),
             *(result.rows[name].tolist() for name in ("time_ns", "surface_id", "road_height_m")),
             strict=True,
         )

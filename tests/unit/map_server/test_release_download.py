@@ -57,12 +57,12 @@ class Vehicle:
 
 def test_a_vehicle_gets_the_release_and_then_only_what_changed(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
     assert vehicle.version == 8
     first = len(vehicle.cloud.asked)
-    make.make(offsets(s3=0.05), time_ns=MADE_NS + 1)
+    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
     vehicle.bring()
     assert vehicle.version == 9
     newer = vehicle.cloud.asked[first:]
@@ -84,7 +84,7 @@ def open_release_of(make: Any, version: int) -> frozenset[str]:
 
 def test_a_fetch_that_is_cut_goes_on_where_it_was(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     for cut in range(1, 30):
         vehicle.cloud.cut_after = cut
@@ -101,11 +101,11 @@ def test_a_fetch_that_is_cut_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) -> None:
     make = making(tmp_path, 24)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
     vehicle.cloud.asked.clear()
-    make.make(offsets(**{f"s{k}": 0.05 for k in range(20)}), time_ns=MADE_NS + 1)
+    make.build(offsets(**{f"s{k}": 0.05 for k in range(20)}), time_ns=MADE_NS + 1)
     vehicle.bring()
     assert vehicle.version == 9
     manifest, tiles = vehicle.cloud.asked
@@ -121,7 +121,7 @@ def test_many_small_differences_come_in_one_reply_that_is_small(tmp_path: Path) 
     ids=["long", "negative", "huge", "many", "none"],
 )
 def test_sizes_of_more_blobs_that_cannot_be_are_refused(tmp_path: Path, sizes: list[int]) -> None:
-    making(tmp_path).make(NONE, time_ns=MADE_NS)
+    making(tmp_path).build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.cloud.change = {"more_bytes": np.array(sizes, np.int32)}
     with pytest.raises(ReleaseError, match="sizes of more blobs"):
@@ -134,10 +134,10 @@ def test_sizes_of_more_blobs_that_cannot_be_are_refused(tmp_path: Path, sizes: l
 
 def test_damaged_blobs_that_came_along_are_fetched_again_and_never_kept(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
-    make.make(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
+    make.build(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
     vehicle.cloud.spoil_more = lambda data: bytes(len(data))
     vehicle.bring()
     assert vehicle.version == 9
@@ -167,10 +167,10 @@ def test_a_large_blob_goes_on_at_the_part_that_is_missing(tmp_path: Path) -> Non
 
 def test_the_old_release_is_in_force_until_all_of_the_new_one_is_here(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
-    make.make(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
+    make.build(offsets(s1=0.05, s3=0.05, s5=0.05), time_ns=MADE_NS + 1)
     vehicle.bring(steps=3)
     assert vehicle.version == 8
     assert len(read_release(vehicle.store).road_surfaces()) == 8
@@ -182,13 +182,13 @@ def test_the_old_release_is_in_force_until_all_of_the_new_one_is_here(tmp_path: 
 def test_a_release_signed_with_another_key_is_refused_and_nothing_of_it_is_fetched(
     tmp_path: Path, key: Any
 ) -> None:
-    making(tmp_path / "good").make(NONE, time_ns=MADE_NS)
-    making(tmp_path / "bad", key=key).make(offsets(s1=3.0), time_ns=MADE_NS)
+    making(tmp_path / "good").build(NONE, time_ns=MADE_NS)
+    making(tmp_path / "bad", key=key).build(offsets(s1=3.0), time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "good" / "out"))
     vehicle.bring()
     vehicle.cloud = Cloud(tmp_path / "bad" / "out")
     make = making(tmp_path / "bad", key=key)
-    make.make(offsets(s1=3.1), time_ns=MADE_NS)
+    make.build(offsets(s1=3.1), time_ns=MADE_NS)
     with pytest.raises(ReleaseError, match=r"key|signature"):
         vehicle.bring()
     assert vehicle.cloud.asked == []
@@ -200,10 +200,10 @@ def test_a_release_signed_with_another_key_is_refused_and_nothing_of_it_is_fetch
 )
 def test_truncated_or_damaged_blobs_are_never_kept(tmp_path: Path, spoil: Any) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
-    make.make(offsets(s3=0.05), time_ns=MADE_NS + 1)
+    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
     vehicle.cloud.spoil = spoil
     with pytest.raises(ReleaseError):
         vehicle.bring()
@@ -215,10 +215,10 @@ def test_truncated_or_damaged_blobs_are_never_kept(tmp_path: Path, spoil: Any) -
 
 def test_where_a_difference_does_not_lead_to_the_blob_the_whole_one_is_fetched(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
-    make.make(offsets(s3=0.05), time_ns=MADE_NS + 1)
+    make.build(offsets(s3=0.05), time_ns=MADE_NS + 1)
     vehicle.cloud.spoil = lambda data: data if data[:1] == b"z" else data[:-1]
     vehicle.bring()
     assert vehicle.version == 9
@@ -227,7 +227,7 @@ def test_where_a_difference_does_not_lead_to_the_blob_the_whole_one_is_fetched(t
 
 def test_a_full_store_keeps_the_old_release(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     Vehicle(tmp_path, Cloud(tmp_path / "out")).bring()
     clouds = [
         CloudTile(
@@ -254,7 +254,7 @@ def test_a_full_store_keeps_the_old_release(tmp_path: Path) -> None:
 
 def test_of_a_large_map_the_part_around_the_vehicle_is_kept(tmp_path: Path) -> None:
     make = making(tmp_path, 40)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
     vehicle.bring()
     assert vehicle.version == 8
@@ -284,12 +284,12 @@ def known_surfaces(release: Release) -> set[int]:
 
 def test_a_newer_release_of_a_part_knows_no_less_than_the_old_one(tmp_path: Path) -> None:
     make = making(tmp_path, 40)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
     vehicle.where.point_rad = at(STEP_M * 5, 0.0)
     vehicle.bring()
     before = known_surfaces(open_release(vehicle.store))
-    make.make(offsets(s5=0.1, s30=0.1), time_ns=MADE_NS + 1)
+    make.build(offsets(s5=0.1, s30=0.1), time_ns=MADE_NS + 1)
     parked = Vehicle(tmp_path, Cloud(tmp_path / "out"), around_m=1000.0)
     parked.bring()
     assert parked.version == 9
@@ -299,7 +299,7 @@ def test_a_newer_release_of_a_part_knows_no_less_than_the_old_one(tmp_path: Path
 
 def test_a_folder_is_taken_in_like_the_cloud_and_an_old_one_is_left(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     folder = FolderSupplier(tmp_path / "out")
     vehicle = Vehicle(tmp_path, folder, region=None)
     vehicle.bring()
@@ -317,7 +317,7 @@ def test_without_a_region_and_without_a_map_the_cloud_cannot_be_asked(tmp_path: 
 
 def test_a_damaged_blob_is_fetched_again(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.bring()
     with sqlite3.connect(tmp_path / "map.sqlite") as db:
@@ -353,18 +353,18 @@ def run(each: DownloadScheduler, from_s: float, until_s: float) -> list[str]:
 
 def test_a_notice_is_followed_within_its_time_and_a_lost_one_in_the_end(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     each = rounds(vehicle)
     run(each, 0, 2)
     assert vehicle.version == 8
-    make.make(offsets(s1=0.1), time_ns=MADE_NS + 1)
+    make.build(offsets(s1=0.1), time_ns=MADE_NS + 1)
     run(each, 2, 100)
     assert vehicle.version == 8
     each.noticed = True
     run(each, 100, 111)
     assert vehicle.version == 9
-    make.make(offsets(s1=0.2), time_ns=MADE_NS + 2)
+    make.build(offsets(s1=0.2), time_ns=MADE_NS + 2)
     run(each, 111, 720)
     assert vehicle.version == 10
 
@@ -373,7 +373,7 @@ def test_without_a_connection_it_is_tried_less_and_less_often_and_goes_on_when_i
     tmp_path: Path,
 ) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.cloud.cut_after = 1
     each = rounds(vehicle)
@@ -388,7 +388,7 @@ def test_without_a_connection_it_is_tried_less_and_less_often_and_goes_on_when_i
 
 def test_what_is_refused_is_said_and_tried_again_after_a_while(tmp_path: Path) -> None:
     make = making(tmp_path)
-    make.make(NONE, time_ns=MADE_NS)
+    make.build(NONE, time_ns=MADE_NS)
     vehicle = Vehicle(tmp_path, Cloud(tmp_path / "out"))
     vehicle.cloud.spoil = lambda data: data[:-1]
     each = rounds(vehicle)
@@ -405,7 +405,7 @@ def test_a_folder_without_a_release_is_named_while_there_is_no_map(tmp_path: Pat
     each._folder = FolderSupplier(tmp_path / "factory")
     each._guarded = lambda *_: None  # type: ignore[method-assign,assignment]
     assert run(each, 0, 5) == ["release_absent"]
-    making(tmp_path / "made").make(NONE, time_ns=MADE_NS)
+    making(tmp_path / "made").build(NONE, time_ns=MADE_NS)
     (tmp_path / "made" / "out").rename(tmp_path / "factory")
     assert run(each, 5, 10) == []
     assert each._folder_stamp is not None
