@@ -144,7 +144,7 @@ class Fleet:
     def stored(self) -> list[str]:
         with closing(SqliteStore(self.state / "uploads.sqlite")) as store:
             result = store.observations_after(0, 1_000_000)
-        return [result.headings[heading].id for heading in result.heading_of.tolist()]
+        return [result.entries[heading].id for heading in result.entry_of.tolist()]
 
     def renew(self, days: float = 20.0, *, renew: bool = True) -> None:
         self.authority.issue(VEHICLE, "vehicle", days=days, now=datetime.now(UTC), renew=renew)

@@ -103,7 +103,7 @@ def stored_ids(here: Here) -> list[str]:
     """Of all uploads, each as often as it is stored."""
     with closing(SqliteStore(here.store)) as store:
         result = store.observations_after(0, 1_000_000)
-    return [result.headings[heading].id for heading in result.heading_of.tolist()]
+    return [result.entries[heading].id for heading in result.entry_of.tolist()]
 
 
 def put(here: Here) -> int:

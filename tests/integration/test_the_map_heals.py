@@ -108,8 +108,8 @@ def batches_in(out: Path) -> Iterator[UploadBatch]:
     store = SqliteStore(out / "state/map_update/uploads.sqlite")
     stored = store.observations_after(0, 1 << 40)
     store.close()
-    for n, heading in enumerate(stored.headings):
-        rows = stored.rows[stored.heading_of == n]
+    for n, heading in enumerate(stored.entries):
+        rows = stored.rows[stored.entry_of == n]
         columns = {
             name: np.ascontiguousarray(rows[name]) for name in OBSERVATION.names or () if name != "time_ns"
         }
