@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from camber.geodesy.local_frame import LocalFrame
+from camber.integrity.judge import Judge
+from camber.integrity.judgement import FixJudgement
 from camber.schemas.antenna import AntennaHeight
 from camber.schemas.gnss import Candidate, Fix
 from camber.schemas.pose import Pose, Road
@@ -120,3 +123,22 @@ def candidate(
         "agreeing_subsets": 2,
     }
     return Candidate(**fields | changes)
+
+
+class SettlingJudge(Judge):
+    """A judge that settles each judgement at once, or the one that `others` puts in its place."""
+
+    def judge(
+        self,
+        fix: Fix,
+        now_ns: int,
+        alive: frozenset[str],
+        others: Callable[[FixJudgement], FixJudgement] = lambda judgement: judgement,
+    ) -> FixJudgement | None:
+        """Return the judgement that was settled."""
+        judgement = super().judge(fix, now_ns, alive)
+        if judgement is None:
+            return None
+        judgement = others(judgement)
+        self.settle(judgement)
+        return judgement

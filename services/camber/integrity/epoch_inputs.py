@@ -1,12 +1,12 @@
-"""What the judge knows at one time, and what of it is missing.
+"""The inputs of the judge at one time, and the ordered checks that they are complete.
 
-Each check returns the reason why a verdict cannot be given, or None. They are asked in this order; the first that
-answers is the reason published, so the reason nearest to the cause comes first.
+The checks run in this order; the first that applies gives the reason published, so the most direct cause comes first.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from camber.integrity.checks.pose_gate import can_move_on, claimed_sigma_m, pose_sigma_m
@@ -16,73 +16,191 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Reason
 from camber.schemas.pose import Pose
 
-_ROAD_REASONS: dict[str, Reason] = {
-    "no_pose": "pose_missing",
-    "pose_too_uncertain": "pose_too_uncertain",
-    "levels_ambiguous": "levels_ambiguous",
-    "map_server_absent": "map_server_absent",
-    "datum_mismatch": "datum_mismatch",
-}
-
 
 def age_s(time_ns: int, now_ns: int) -> float:
-    """Seconds since `time_ns`; negative for what is dated ahead."""
+    """Return the seconds since `time_ns`; negative for what is dated ahead."""
     return (now_ns - time_ns) / 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class EpochInputs:
-    """The inputs nearest to the time of a judgement, and which services are on the bus."""
+    """The inputs nearest to a time `at_ns`, and which services are alive."""
 
     pose: Pose | None
     antenna: AntennaHeight | None
     alive: frozenset[str]
 
+    @property
+    def known_pose(self) -> Pose:
+        """The pose, where it is known that there is one."""
+        assert self.pose is not None
+        return self.pose
+
     def missing_pose(self, at_ns: int, rules: Rules) -> Reason | None:
-        """No pose, one of another time, one of no use?"""
-        pose = self.pose
-        if pose is None or not abs(age_s(pose.time_ns, at_ns)) <= rules.pose_max_age_s:
-            if "localizer" not in self.alive:
-                return "localizer_absent"
-            return "pose_missing" if pose is None else "pose_stale"
-        if pose.mode == "none" or pose.provenance == "none":
-            return "pose_missing"
-        if pose.latitude_rad is None or pose.longitude_rad is None or pose.covariance_east_north_yaw is None:
-            return "pose_missing"
-        if not abs(age_s(pose.time_ns, at_ns)) <= SAME_EPOCH_S and not can_move_on(pose):
-            return "pose_stale"
-        return None if pose_sigma_m(pose) <= rules.pose_sigma_limit_m else "pose_too_uncertain"
+        """Return why the pose cannot be used, None where it can."""
+        return _first_reason(POSE_CHECKS, self, at_ns, rules)
 
     def missing_antenna(self, at_ns: int, rules: Rules) -> Reason | None:
-        """No antenna height, one of another time, or ways that contradict one another?"""
-        antenna = self.antenna
-        if antenna is None or not abs(age_s(antenna.time_ns, at_ns)) <= rules.antenna_max_age_s:
-            if "antenna_height" not in self.alive:
-                return "antenna_height_absent"
-            return "antenna_height_missing" if antenna is None else "antenna_height_stale"
-        if antenna.status == "disagreement":
-            return "antenna_height_disagrees"
-        if antenna.status != "known" or antenna.height_m is None or antenna.sigma_m is None:
-            return "antenna_height_missing"
-        return None
+        """Return why the antenna height cannot be used, None where it can."""
+        return _first_reason(ANTENNA_CHECKS, self, at_ns, rules)
 
-    def missing_road(self) -> Reason | None:
-        """No road under the pose, or one that does not say in which datum its heights are?"""
-        if self.pose is None:
-            return "pose_missing"
-        road = self.pose.road
-        if road.status != "known":
-            return _ROAD_REASONS.get(road.reason, "road_unknown")
-        if road.elevation_m is None or road.sigma_m is None:
-            return "road_unknown"
-        return "datum_mismatch" if road.datum is None else None
+    def missing_road(self, at_ns: int, rules: Rules) -> Reason | None:
+        """Return why the road below the pose cannot be used, None where it can."""
+        return "pose_missing" if self.pose is None else _first_reason(ROAD_CHECKS, self, at_ns, rules)
 
     def missing(self, at_ns: int, rules: Rules) -> Reason | None:
-        """The first thing missing for a verdict on a fix at this time; road and antenna where the height is asked."""
-        reason = self.missing_pose(at_ns, rules)
-        if reason is not None or not rules.determination.asks_height:
-            return reason
-        return self.missing_antenna(at_ns, rules) or self.missing_road()
+        """Return the first input that is missing for a verdict at this time."""
+        return _first_reason(input_checks(rules), self, at_ns, rules)
+
+    def lacks_pose_at(self, at_ns: int, rules: Rules) -> bool:
+        """Is there no pose within its age limit?"""
+        return self.pose is None or not abs(age_s(self.pose.time_ns, at_ns)) <= rules.pose_max_age_s
+
+    def lacks_antenna_at(self, at_ns: int, rules: Rules) -> bool:
+        """Is there no antenna height within its age limit?"""
+        return self.antenna is None or not abs(age_s(self.antenna.time_ns, at_ns)) <= rules.antenna_max_age_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputCheck:
+    """One reason why no verdict can be given: `applies` is asked only where no check before it applied."""
+
+    reason: Reason
+    explanation: str
+    applies: Callable[[EpochInputs, int, Rules], bool]
+
+
+def _first_reason(
+    checks: Sequence[InputCheck], inputs: EpochInputs, at_ns: int, rules: Rules
+) -> Reason | None:
+    return next((check.reason for check in checks if check.applies(inputs, at_ns, rules)), None)
+
+
+def input_checks(rules: Rules) -> tuple[InputCheck, ...]:
+    """Return the checks for a verdict: road and antenna only where the height is tested."""
+    return (*POSE_CHECKS, *ANTENNA_CHECKS, *ROAD_CHECKS) if rules.determination.asks_height else POSE_CHECKS
+
+
+def _lacks_position(pose: Pose) -> bool:
+    undefined = pose.mode == "none" or pose.provenance == "none"
+    return undefined or None in (pose.latitude_rad, pose.longitude_rad, pose.covariance_east_north_yaw)
+
+
+def _is_same_epoch(pose: Pose, at_ns: int) -> bool:
+    return abs(age_s(pose.time_ns, at_ns)) <= SAME_EPOCH_S
+
+
+def _no_road_because(reason: str) -> Callable[[EpochInputs, int, Rules], bool]:
+    def applies(inputs: EpochInputs, at_ns: int, rules: Rules) -> bool:
+        road = inputs.known_pose.road
+        return road.status != "known" and road.reason == reason
+
+    return applies
+
+
+def _has_no_road(inputs: EpochInputs, at_ns: int, rules: Rules) -> bool:
+    road = inputs.known_pose.road
+    return road.status != "known" or road.elevation_m is None or road.sigma_m is None
+
+
+POSE_CHECKS: tuple[InputCheck, ...] = (
+    InputCheck(
+        reason="localizer_absent",
+        explanation="no pose within its age limit, and the localizer has left the bus",
+        applies=lambda inputs, at_ns, rules: (
+            inputs.lacks_pose_at(at_ns, rules) and "localizer" not in inputs.alive
+        ),
+    ),
+    InputCheck(
+        reason="pose_missing",
+        explanation="no pose yet, or one without position, covariance or provenance",
+        applies=lambda inputs, at_ns, rules: (
+            inputs.pose is None or (not inputs.lacks_pose_at(at_ns, rules) and _lacks_position(inputs.pose))
+        ),
+    ),
+    InputCheck(
+        reason="pose_stale",
+        explanation="no pose within its age limit, or one of another epoch without speed or direction",
+        applies=lambda inputs, at_ns, rules: (
+            inputs.lacks_pose_at(at_ns, rules)
+            or not (_is_same_epoch(inputs.known_pose, at_ns) or can_move_on(inputs.known_pose))
+        ),
+    ),
+    InputCheck(
+        reason="pose_too_uncertain",
+        explanation="the pose's σ is above `pose_sigma_limit_m`, or its covariance is invalid",
+        applies=lambda inputs, _, rules: not pose_sigma_m(inputs.known_pose) <= rules.pose_sigma_limit_m,
+    ),
+)
+ANTENNA_CHECKS: tuple[InputCheck, ...] = (
+    InputCheck(
+        reason="antenna_height_absent",
+        explanation="no antenna height within its age limit, and its service has left the bus",
+        applies=lambda inputs, at_ns, rules: (
+            inputs.lacks_antenna_at(at_ns, rules) and "antenna_height" not in inputs.alive
+        ),
+    ),
+    InputCheck(
+        reason="antenna_height_stale",
+        explanation="no antenna height within its age limit",
+        applies=lambda inputs, at_ns, rules: (
+            inputs.antenna is not None and inputs.lacks_antenna_at(at_ns, rules)
+        ),
+    ),
+    InputCheck(
+        reason="antenna_height_disagrees",
+        explanation="the methods of measuring the antenna height contradict one another",
+        applies=lambda inputs, at_ns, _: (
+            inputs.antenna is not None and inputs.antenna.status == "disagreement"
+        ),
+    ),
+    InputCheck(
+        reason="antenna_height_missing",
+        explanation="the antenna height is not known",
+        applies=lambda inputs, at_ns, _: (
+            inputs.antenna is None
+            or inputs.antenna.status != "known"
+            or None in (inputs.antenna.height_m, inputs.antenna.sigma_m)
+        ),
+    ),
+)
+ROAD_CHECKS: tuple[InputCheck, ...] = (
+    InputCheck(
+        reason="pose_missing",
+        explanation="the localizer has no pose for the road",
+        applies=_no_road_because("no_pose"),
+    ),
+    InputCheck(
+        reason="pose_too_uncertain",
+        explanation="the pose is too uncertain to select a road",
+        applies=_no_road_because("pose_too_uncertain"),
+    ),
+    InputCheck(
+        reason="levels_ambiguous",
+        explanation="several decks, one above another, that cannot be distinguished",
+        applies=_no_road_because("levels_ambiguous"),
+    ),
+    InputCheck(
+        reason="map_server_absent",
+        explanation="the map server does not answer",
+        applies=_no_road_because("map_server_absent"),
+    ),
+    InputCheck(
+        reason="datum_mismatch",
+        explanation="the localizer reports a map in another datum",
+        applies=_no_road_because("datum_mismatch"),
+    ),
+    InputCheck(
+        reason="road_unknown",
+        explanation="the map has no road below the pose",
+        applies=_has_no_road,
+    ),
+    InputCheck(
+        reason="datum_mismatch",
+        explanation="the datum of the road's heights is not known",
+        applies=lambda inputs, at_ns, _: inputs.known_pose.road.datum is None,
+    ),
+)
 
 
 def unusable_fix(fix: Fix, rules: Rules) -> Reason | None:

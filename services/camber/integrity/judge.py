@@ -1,16 +1,16 @@
-"""The judge: from fix, pose with road, and antenna height to one verdict per fix (H, parts 140 and 150).
+"""The integrity judge: one verdict per fix, from fix, prior pose with road, and antenna height (JP7707657B2, 140, 150).
 
-Pure: messages and times go in, a judgement comes out. `heard.py` keeps what came beside the fixes, `examination.py`
-says what is to be said of one, `fixes_before.py` keeps what follows for the next; here is what becomes of each.
+Pure: messages and times go in, a judgement comes out. Judging has two phases: `judge` decides and remembers nothing but
+the fix's id and time; `settle` makes a judgement final, for history and learning. Between them the service may replace
+it by that of another estimate of the fix. The decision itself is the list in `decision_table.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from camber.integrity.checks.fix_history import FixHistory
 from camber.integrity.checks.fix_sequence import FixSequence
-from camber.integrity.checks.fix_tests import FixTests
+from camber.integrity.checks.fix_tests import FixTests, JudgeState
+from camber.integrity.decision_table import decide
 from camber.integrity.epoch_inputs import EpochInputs, unusable_fix
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.latest_inputs import LatestInputs
@@ -28,7 +28,7 @@ class Judge:
         self.learning = learning if learning is not None else Learning(rules.learning)
         self.heard = LatestInputs()
         self.before = FixHistory(rules)
-        self._examination = FixTests(rules, self.heard, self.before, self.learning)
+        self._state = JudgeState(rules, self.heard, self.before, self.learning)
         self._fixes = FixSequence()
         self._base = ""  # of the newest fix
 
@@ -51,35 +51,26 @@ class Judge:
         """The correction in force, for a height that needs no fix."""
         return self.learning.correction(key_of(self._base, inputs.pose, inputs.antenna))
 
-    def judge(
-        self,
-        fix: Fix,
-        now_ns: int,
-        alive: frozenset[str],
-        others: Callable[[FixJudgement], FixJudgement] = lambda judgement: judgement,
-    ) -> FixJudgement | None:
-        """The one verdict on a fix, None where it has had it; what is learnt from it is learnt here.
-
-        `others` may put the judgement of another estimate in place of the first one.
-        """
+    def judge(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> FixJudgement | None:
+        """Return the judgement of a fix, None where it was judged before; `settle` it, or one that replaces it."""
         if self._fixes.register_once(fix):
             return None
         reason = self._fixes.check_epoch(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
         if reason is not None:
-            result = others(FixJudgement(fix, "unknown", reason))
-            return self.settle(result) if result.confirmed else result
-        return self.settle(others(self.examine(fix, alive)))
+            return FixJudgement(fix, "unknown", reason, testable=False)
+        return self.examine(fix, alive)
 
     def examine(self, fix: Fix, alive: frozenset[str], trials: int = 1) -> FixJudgement:
-        """What is to be said of a usable fix, the last of so many estimates. Nothing is remembered until `settle`."""
-        return self._examination.examine(fix, alive, trials)
+        """Return the judgement of a testable fix, the last of `trials` estimates; nothing is remembered."""
+        return decide(FixTests(fix, self._state, alive=alive, trials=trials))
 
-    def settle(self, judgement: FixJudgement) -> FixJudgement:
-        """Make a judgement the final one: remember what follows from it for the fixes to come."""
+    def settle(self, judgement: FixJudgement) -> None:
+        """Make a judgement final: update history and learning."""
+        if not judgement.testable:
+            return
         fix = judgement.fix
         speed_m_s = self.heard.speed_at(fix.time_ns, self.rules.motion_max_age_s)
         self._base = base_of(fix)
         self.before.settle(judgement, speed_m_s)
         if judgement.comparison is not None:
             self.learning.update(residual_of(judgement, judgement.comparison, speed_m_s))
-        return judgement

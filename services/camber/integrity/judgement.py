@@ -18,7 +18,8 @@ from camber.schemas.pose import Pose
 class FixJudgement:
     """The one judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as it came.
 
-    `trials`: as many estimates were judged, this one the last.
+    `trials`: number of estimates that were judged, of which this is the last. `testable`: False where the fix itself
+    was rejected (stale, not fixed, …), so that the history ignores it.
     """
 
     fix: Fix
@@ -33,6 +34,7 @@ class FixJudgement:
     antenna: AntennaHeight | None = None
     cause: Cause = "none"
     trials: int = 1
+    testable: bool = True
 
     @property
     def confirmed(self) -> bool:

@@ -27,7 +27,7 @@ from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.service import Service
 from camber.runtime.uploads.uploader import Uploader
 from camber.schemas.fleet import UploadBatch
-from camber.schemas.gnss import Estimates, Fix
+from camber.schemas.gnss import Estimates, EstimatesRequest, Fix
 from camber.schemas.integrity import Reason, Verdict
 
 _SERVICES = ("gnss", "localizer", "antenna_height", "map_server")
@@ -124,10 +124,14 @@ class IntegrityService(Service[IntegritySettings]):
         return not pose_is_there and not waited and "localizer" in alive
 
     def _judge_fix(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> None:
-        judgement = self._judge.judge(fix, now_ns, alive, lambda first: self._other_estimate(first, alive))
+        judgement = self._judge.judge(fix, now_ns, alive)
         if judgement is None:
             self.bus.count("fix.judged_already")
             return
+        request = estimates_request(judgement, self._rules.re_estimation)
+        if request is not None:
+            judgement = self._re_estimate(judgement, request, alive)
+        self._judge.settle(judgement)
         self.bus.count(f"verdict.{judgement.verdict}")
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
         self._spoken.verdict(now_ns)
@@ -140,12 +144,11 @@ class IntegrityService(Service[IntegritySettings]):
         self._save(_SAVE_EVERY)
         self._collect(judgement)
 
-    def _other_estimate(self, judgement: FixJudgement, alive: frozenset[str]) -> FixJudgement:
-        """The judgement of another estimate of the fix, where one is called for and passes; else the one there is."""
+    def _re_estimate(
+        self, judgement: FixJudgement, request: EstimatesRequest, alive: frozenset[str]
+    ) -> FixJudgement:
+        """Return the judgement of another estimate of the fix where one passes, else the one given."""
         rules, fix = self._rules.re_estimation, judgement.fix
-        question = estimates_request(judgement, rules)
-        if question is None:
-            return judgement
         asked_ns, inputs = self.bus.now_ns(), self._judge.heard.inputs(fix.time_ns, alive)
         pose, missing = inputs.pose, inputs.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it can tell nothing.
@@ -160,7 +163,7 @@ class IntegrityService(Service[IntegritySettings]):
             )  # another round trip, and the fixes that wait would be too old
             return without_estimates(judgement, "the judge is late already")
         try:
-            answer: Estimates = self.bus.ask("estimates", question)
+            answer: Estimates = self.bus.ask("estimates", request)
         except QueryFailed as error:
             if error.reason != "absent":
                 self._gnss.register_timeout(self.bus.now_ns())

@@ -350,7 +350,10 @@ def height_on_road(inputs: EpochInputs, correction_m: float, rules: Rules) -> tu
     assert pose is not None
     assert pose.covariance_east_north_yaw is not None
     road = pose.road
-    if inputs.missing_road() is not None or inputs.missing_antenna(pose.time_ns, rules) is not None:
+    if (
+        inputs.missing_road(pose.time_ns, rules) is not None
+        or inputs.missing_antenna(pose.time_ns, rules) is not None
+    ):
         return None, UNKNOWN_HEIGHT_M2
     if road.slope_east is None or road.slope_north is None:
         return None, UNKNOWN_HEIGHT_M2

@@ -224,7 +224,9 @@ class PositionOutput:
             return "position_unverified" if result.source == "rtk" else "pose_too_uncertain"
         if result.geodetic[2] is None:
             return (
-                inputs.missing_road() or inputs.missing_antenna(result.time_ns, self._rules) or "road_unknown"
+                inputs.missing_road(result.time_ns, self._rules)
+                or inputs.missing_antenna(result.time_ns, self._rules)
+                or "road_unknown"
             )
         return None if bounds.vertical_level_m < self._levels.vertical_alert_limit_m else "height_unverified"
 

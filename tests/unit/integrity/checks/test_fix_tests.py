@@ -6,13 +6,12 @@ import re
 import pytest
 
 from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.judge import Judge
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules
 from camber.integrity.learning.offset_causes import Diagnosis
 from camber.integrity.learning.residuals import ReferenceKey
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import ReceiverIntegrity
-from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose, provisional, road
+from support.judging import ALL, SPEED_M_S, SettlingJudge, antenna, at, fix, pose, provisional, road
 
 
 class Knowing(Learning):
@@ -30,7 +29,7 @@ class Knowing(Learning):
 
 
 def examined(the_fix=None, the_pose=None, learning=None, rules=None):
-    judge = Judge(rules or Rules(), learning or Knowing())
+    judge = SettlingJudge(rules or Rules(), learning or Knowing())
     judge.heard.add_pose(the_pose or pose())
     judge.heard.set_antenna_height(antenna())
     judge.heard.add_wheel_speed(at(0), SPEED_M_S)
@@ -84,7 +83,7 @@ def test_a_road_that_is_known_too_vaguely_says_how_vaguely():
 
 
 def test_a_warning_of_the_receiver_is_told():
-    judge = Judge(Rules(), Knowing())
+    judge = SettlingJudge(Rules(), Knowing())
     judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
     result = judge.examine(fix(), ALL)
     assert (result.verdict, result.reason, result.detail) == (
@@ -95,7 +94,7 @@ def test_a_warning_of_the_receiver_is_told():
 
 
 def test_a_solution_that_is_no_fix_leaves_the_start_as_it_was():
-    judge = Judge(Rules(), Knowing())
+    judge = SettlingJudge(Rules(), Knowing())
     verdicts = []
     for k in range(6):
         judge.heard.add_pose(provisional(k))

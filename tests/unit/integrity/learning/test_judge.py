@@ -8,13 +8,12 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.judge import Judge
 from camber.integrity.learning.height_correction import Correction, Learning, LearningRules
 from camber.integrity.learning.offset_causes import Diagnosis
 from camber.integrity.learning.residuals import ReferenceKey
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import ReceiverIntegrity
-from support.judging import ALL, ROAD_M, antenna, at, fix, pose, provisional, road
+from support.judging import ALL, ROAD_M, SettlingJudge, antenna, at, fix, pose, provisional, road
 
 BY_GAIN = Rules(learning=LearningRules(mode="document"))
 
@@ -34,7 +33,7 @@ class Knowing(Learning):
 
 
 def judge_with(*, poses=(), antenna_height=None, learning=None, rules=None):
-    judge = Judge(rules or Rules(), learning)
+    judge = SettlingJudge(rules or Rules(), learning)
     for one in poses:
         judge.heard.add_pose(one)
     if antenna_height is not None:
@@ -60,7 +59,7 @@ class Drive:
     """A judge along a drive: each epoch a pose and a fix."""
 
     def __init__(self, *, rules=None, speed_m_s=10.0):
-        self.judge = Judge(rules or Rules())
+        self.judge = SettlingJudge(rules or Rules())
         self.speed_m_s = speed_m_s
 
     def epoch(self, k, the_fix=None, the_pose=None):
@@ -227,7 +226,7 @@ def test_of_several_poses_the_nearest_in_time_counts():
 def test_an_older_pose_does_not_replace_a_newer():
     judge = judge_with(poses=[pose(0), pose(-1), pose(0, east_m=50.0)])
     assert judge.heard.pose == pose(0)
-    assert Judge(Rules()).heard.pose is None
+    assert SettlingJudge(Rules()).heard.pose is None
 
 
 # --- one verdict each, in order ----------------------------------------------------------------------------------
@@ -285,7 +284,7 @@ def test_what_is_current_is_not_forgotten():
     assert drive.judge.heard.pose == pose(0)
     assert drive.judge.last_fix_ns == at(0)
     assert drive.epoch(1).confirmed
-    Judge(Rules()).forget_future(at(0))
+    SettlingJudge(Rules()).forget_future(at(0))
 
 
 @pytest.mark.parametrize(("ahead_s", "kept"), [(0.49, True), (0.51, False)])

@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.judge import Judge
 from camber.integrity.protection.fault_hypotheses import updated_dispute
 from camber.integrity.protection.position_bounds import LevelRules, MixtureComponent
 from camber.integrity.protection.position_output import PositionOutput
 from camber.integrity.rules import Rules
-from support.judging import ALL, SPEED_M_S, antenna, at, fix, pose
+from support.judging import ALL, SPEED_M_S, SettlingJudge, antenna, at, fix, pose
 
 RULES, LEVELS = Rules(), LevelRules()
 EPOCH_NS = at(1) - at(0)
@@ -28,7 +27,7 @@ def sharp_pose(epoch=0, **changes):
 
 def examined(epoch=0, **off):
     """A fix so far off beside the sharp pose, as the judge finds it."""
-    judge, the_pose = Judge(RULES), sharp_pose(epoch)
+    judge, the_pose = SettlingJudge(RULES), sharp_pose(epoch)
     judge.heard.add_pose(the_pose)
     judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     return judge.examine(fix(epoch, **off), ALL)

@@ -8,7 +8,6 @@ import pytest
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.judge import Judge
 from camber.integrity.protection.doppler_position import Displacement
 from camber.integrity.protection.fault_hypotheses import (
     LatentFaultHypothesis,
@@ -28,6 +27,7 @@ from support.judging import (
     LATITUDE_RAD,
     LONGITUDE_RAD,
     ROAD_M,
+    SettlingJudge,
     antenna,
     at,
     fix,
@@ -44,7 +44,7 @@ NO_OFFSET = (0.0, 0.0, 0.0)
 
 
 def judged(the_pose=None, **off):
-    judge = Judge(RULES)
+    judge = SettlingJudge(RULES)
     judge.heard.add_pose(the_pose or pose(**MATCHED))
     judge.heard.set_antenna_height(antenna())
     return replace(judge.examine(fix(**off), ALL), verdict="confirmed")

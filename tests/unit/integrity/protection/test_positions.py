@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.integrity.epoch_inputs import EpochInputs
-from camber.integrity.judge import Judge
 from camber.integrity.judgement import FixJudgement
 from camber.integrity.protection.fault_hypotheses import (
     LatentFaultHypothesis,
@@ -28,6 +27,7 @@ from support.judging import (
     ANTENNA_M,
     ROAD_M,
     SPEED_M_S,
+    SettlingJudge,
     antenna,
     at,
     fix,
@@ -61,7 +61,7 @@ def inputs(the_pose=None, the_antenna=None, alive=ALL):
 
 
 def judged(the_pose, the_fix=None, trials=1):
-    judge = Judge(RULES)
+    judge = SettlingJudge(RULES)
     judge.heard.add_pose(the_pose)
     judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     judgement = judge.examine(the_fix or fix(), ALL)

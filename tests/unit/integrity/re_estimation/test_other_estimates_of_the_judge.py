@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from camber.integrity.checks.consistency import ConsistencyParameters
-from camber.integrity.judge import Judge
 from camber.integrity.judgement import FixJudgement, verdict_of
 from camber.integrity.protection.covariance_inflation import TrueSigma
 from camber.integrity.re_estimation.requests import (
@@ -20,7 +19,7 @@ from camber.integrity.re_estimation.requests import (
 from camber.integrity.re_estimation.subset_agreement import AgreementRules
 from camber.integrity.rules import Rules
 from camber.schemas.gnss import Estimates
-from support.judging import ALL, antenna, at, candidate, fix, pose
+from support.judging import ALL, SettlingJudge, antenna, at, candidate, fix, pose
 
 RULES = ReEstimationRules()
 ENGINE = {"origin": "engine"}
@@ -278,7 +277,7 @@ def test_the_more_trials_the_narrower_the_limits_of_agreement_and_those_of_contr
 
 
 def ready():
-    judge = Judge(Rules())
+    judge = SettlingJudge(Rules())
     judge.heard.add_pose(pose(0))
     judge.heard.set_antenna_height(antenna(0))
     return judge
