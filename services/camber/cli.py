@@ -116,9 +116,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _dispatch(args: list[str]) -> int:
     if "_ARGCOMPLETE" in os.environ:
-        from camber.tools.options.completion import words_before_cursor
+        from camber.tools.options.completion import arguments_before_cursor
 
-        args = words_before_cursor()
+        args = arguments_before_cursor()
     elif not args or args[0] in ("-h", "--help", "help"):
         print(_help())
         return 0

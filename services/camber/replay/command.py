@@ -23,7 +23,7 @@ from camber.replay.one_process import DriveOutput, replay_in_one_process
 from camber.replay.run_folder import RunFacts, RunFolder, drive_facts
 from camber.replay.run_recorder import RunRecorder
 from camber.schemas.drive import DriveManifest, load_manifest
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
 from camber.validation.evaluate import evaluate_folder, headline
 from camber.validation.truth import truth_of
@@ -44,7 +44,7 @@ def main(argv: Sequence[str]) -> int:
         manifest = load_manifest(args.drive, overrides)
         return replay(manifest, args.out, processes=args.processes, speed=args.speed, quiet=args.quiet)
 
-    return in_words("camber replay", args.out, work)
+    return report_failures("camber replay", args.out, work)
 
 
 def replay(

@@ -9,7 +9,7 @@ from pathlib import Path
 from camber.replay.command import add_speed_options, check_speed, replay
 from camber.replay.short_drive import write_short_drive
 from camber.schemas.drive import load_manifest
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED
 
 
@@ -34,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
         manifest = (_short if args.short else _city)(args.out, args.seed)
         return replay(load_manifest(manifest), args.out, processes=args.processes, speed=args.speed)
 
-    return in_words("camber demo", args.out, work)
+    return report_failures("camber demo", args.out, work)
 
 
 def _short(out: Path, seed: int | None) -> Path:

@@ -25,7 +25,7 @@ from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
 from camber.tools.gnss.solve_plot import solution_figure
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.validation.plots import require_matplotlib, svg_text
 from camber.validation.truth import offset_of, truth_of
@@ -66,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
         print(solve(load_manifest(args.drive, args.set), _options(args), args.out))
         return 0
 
-    return in_words(_PROG, args.out, work)
+    return report_failures(_PROG, args.out, work)
 
 
 def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:

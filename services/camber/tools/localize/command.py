@@ -25,7 +25,7 @@ from camber.tools.localize.local_map_queries import MapAtHand, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import LocalizedDrive, localize
 from camber.tools.localize.match_picture import match_figure
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors
 from camber.validation.plots import require_matplotlib, svg_text
@@ -56,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
         print(localize_drive(load_manifest(args.drive, args.set), args.out, what, quiet=args.quiet))
         return 0
 
-    return in_words(_PROG, args.out, work)
+    return report_failures(_PROG, args.out, work)
 
 
 def localize_drive(manifest: DriveManifest, out: Path, what: What, *, quiet: bool = True) -> str:

@@ -13,7 +13,7 @@ from camber.road_map.release import ROOT_NAME, load_signing_key, open_release, w
 from camber.road_map.road_columns import ReleaseError
 from camber.runtime.clock import SystemClock
 from camber.tools.maps.importers.built_map import BuiltMap
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from, whole_from
 from camber.tools.options.subcommands import Command, choose_command
 
@@ -49,7 +49,7 @@ def main(argv: Sequence[str]) -> int:
     parser = _parser(f"{_PROG} {kind}", module.__doc__)
     module.add_arguments(parser)
     args = parser.parse_args(argv[1:])
-    return in_words(f"{_PROG} {kind}", args.out, lambda: _build(args, module.build))
+    return report_failures(f"{_PROG} {kind}", args.out, lambda: _build(args, module.build))
 
 
 def _build(args: argparse.Namespace, build: Callable[[argparse.Namespace], BuiltMap]) -> int:

@@ -15,7 +15,7 @@ from camber.road_map.release import Release
 from camber.road_map.road_columns import RoadSurfaces
 from camber.schemas.road import LAYERS
 from camber.tools.maps.release_at import release_at
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
 
 _PROG = "camber map diff"
@@ -30,7 +30,7 @@ Report = dict[str, Any]
 def main(argv: Sequence[str]) -> int:
     """Print the differences of two releases; 0 done, also where there are any, 2 one cannot be read."""
     args = _parser().parse_args(argv)
-    return in_words(_PROG, args.b, lambda: _print(args))
+    return report_failures(_PROG, args.b, lambda: _print(args))
 
 
 def _print(args: argparse.Namespace) -> int:

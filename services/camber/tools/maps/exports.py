@@ -27,7 +27,7 @@ from camber.schemas.road import CloudTile, Layer
 from camber.tools.maps.geojson import geojson_text
 from camber.tools.maps.importers.rasters import quiet_rasterio
 from camber.tools.maps.importers.surfaces_along import Floats, Integers
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 
 _PROG = "camber map export"
@@ -52,7 +52,7 @@ def main(argv: Sequence[str]) -> int:
         help="side of a cell: geotiff 0.5, pcd 20 where it is not given",
     )
     args = parser.parse_args(argv)
-    return in_words(_PROG, args.out, lambda: _export(args))
+    return report_failures(_PROG, args.out, lambda: _export(args))
 
 
 def _export(args: argparse.Namespace) -> int:

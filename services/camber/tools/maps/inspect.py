@@ -22,7 +22,7 @@ from camber.road_map.road_columns import RoadLinks, RoadSurfaces
 from camber.road_map.road_tiles import links_from_tiles, surfaces_from_tiles
 from camber.schemas.road import LAYERS
 from camber.tools.maps.release_at import is_release, release_at
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 
 _PROG = "camber map inspect"
 _EARTH_M = 6.371e6
@@ -34,7 +34,7 @@ Report = dict[str, Any]
 def main(argv: Sequence[str]) -> int:
     """Print what a path holds; 0 done, 2 it cannot be read."""
     args = _parser().parse_args(argv)
-    return in_words(_PROG, args.path, lambda: _print(args))
+    return report_failures(_PROG, args.path, lambda: _print(args))
 
 
 def _print(args: argparse.Namespace) -> int:

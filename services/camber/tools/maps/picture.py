@@ -23,7 +23,7 @@ from camber.road_map.road_columns import RoadSurfaces
 from camber.road_map.tile_grid import Tile, tile_corners_rad
 from camber.schemas.road import LAYERS
 from camber.tools.localize.map_drawing import draw_clouds, link_lines
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
 from camber.validation.plots import draw_lines, plot_style, png_bytes
 
@@ -54,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
     )
     parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
     args = parser.parse_args(argv)
-    return in_words(_PROG, args.out, lambda: _draw(args))
+    return report_failures(_PROG, args.out, lambda: _draw(args))
 
 
 def _draw(args: argparse.Namespace) -> int:

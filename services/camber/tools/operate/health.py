@@ -1,4 +1,4 @@
-"""`camber health`: how a running service is, in its own words; for people and for container health checks."""
+"""`camber health`: query the health of a running service; for people and for container health checks."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from camber.tools.options.number_options import number_from
 ROUTER = "router"
 _PROG = "camber health"
 _HELP = """\
-exit codes: 0 the service answers and nothing in it has failed: also while it waits for its inputs (degraded), where
-starting it again would help nobody; 1 failing, or no answer; 2 wrong usage.
+exit codes: 0 ok, starting or degraded (waiting for inputs, which a restart would not help); 1 failing or no answer;
+2 wrong usage.
 """
 
 
 def main(argv: Sequence[str]) -> int:
-    """Ask one service, say what it says; returns the exit code."""
+    """Query one service and print its health; return the exit code."""
     args = _parser().parse_args(argv)
     settings = _settings_of(args.service, args.config, args.vehicle, args.connect)
     try:
@@ -46,14 +46,14 @@ def main(argv: Sequence[str]) -> int:
 
 
 def exit_code(health: Health) -> int:
-    """1 for a service that a supervisor should look at; one that waits for its inputs is as well as it can be."""
+    """Return 1 for a failing service; a degraded one waits for its inputs and needs no supervisor."""
     return 1 if health.status == "failing" else 0
 
 
 def line(health: Health) -> str:
-    """One line for people: status, age, and what it has met, the most frequent first."""
-    met = sorted(health.issues, key=lambda issue: (-issue.count, issue.code))
-    issues = ", ".join(f"{issue.code} ×{issue.count}" for issue in met)
+    """Return one line: status, uptime and issues, the most frequent first."""
+    issues_by_count = sorted(health.issues, key=lambda issue: (-issue.count, issue.code))
+    issues = ", ".join(f"{issue.code} ×{issue.count}" for issue in issues_by_count)
     status = f"{health.service}: {health.status}, version {health.version}, up {health.uptime_s:.0f} s"
     return f"{status}; {issues}" if issues else status
 
@@ -65,7 +65,7 @@ def _router_text(settings: ServiceSettings, *, as_json: bool) -> str:
 
 
 class _Anywhere(ServiceSettings):
-    """The settings that all services have; the service's own are skipped, so that no service is imported."""
+    """The settings common to all services; specific ones are ignored, so that no service is imported."""
 
     model_config = SettingsConfigDict(extra="ignore")
 
@@ -73,7 +73,7 @@ class _Anywhere(ServiceSettings):
 def _settings_of(
     service: str, config: Path | None, vehicle: str | None, connect: list[str] | None
 ) -> ServiceSettings:
-    """Vehicle and endpoints: as given, else as the service itself reads them from environment, file and default."""
+    """Return vehicle and endpoints as given, else from environment, file and default as the service reads them."""
     cls = type("_Settings", (_Anywhere,), {"SERVICE": service, "__doc__": __doc__, "__module__": __name__})
     argv = [] if config is None else ["--config", str(config)]
     argv += [] if vehicle is None else ["--vehicle", vehicle]
@@ -86,14 +86,17 @@ def _parser() -> argparse.ArgumentParser:
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "service", choices=(*SERVICES, SENSORS, ROUTER), metavar="SERVICE", help="which one, or router"
+        "service",
+        choices=(*SERVICES, SENSORS, ROUTER),
+        metavar="SERVICE",
+        help="name of the service, or router",
     )
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints"
     )
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
     parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="router to ask through; repeatable"
+        "--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable"
     )
     parser.add_argument(
         "--timeout",

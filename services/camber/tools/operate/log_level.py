@@ -1,4 +1,4 @@
-"""`camber log-level`: a running service logs more, or less, for a while, and falls back by itself."""
+"""`camber log-level`: change the log level of a running service for a limited time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from camber.schemas.health import LogLevel, LogLevelRequest
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
 
-_TOLD = (*SERVICES, SENSORS)
+_CHOICES = (*SERVICES, SENSORS)
 _PROG = "camber log_level"
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
-_LONGEST_S = 86_400.0
+_LONGEST_S = 86_400.0  # chosen: a forgotten debug level ends within a day
 
 
 def main(argv: Sequence[str]) -> int:
-    """Tell one service, or all workers of it; 0 done, 1 no answer, 3 the bus cannot be joined."""
+    """Set the level of one service, in all its workers; 0 done, 1 no answer, 3 no connection to the bus."""
     args = _parser().parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
     request = LogLevelRequest(time_ns=SystemClock().now_ns(), level=args.level, for_s=args.for_s)
     try:
-        with QueryClient(settings, timeout_s=args.timeout) as asker:
-            replies = asker.ask("log_level", request, settings.vehicle, [args.service])[args.service]
+        with QueryClient(settings, timeout_s=args.timeout) as client:
+            replies = client.ask("log_level", request, settings.vehicle, [args.service])[args.service]
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 3
@@ -41,7 +41,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def duration_s(text: str) -> float:
-    """Seconds of `90s`, `10m`, `2h`."""
+    """Parse `90s`, `10m` or `2h` into seconds."""
     match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", text)
     value = float(match[1]) * _UNITS_S[match[2]] if match else 0.0
     if not 0.0 < value <= _LONGEST_S:
@@ -51,8 +51,8 @@ def duration_s(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("service", choices=_TOLD, metavar="SERVICE", help=", ".join(_TOLD))
-    parser.add_argument("level", choices=typing.get_args(LogLevel), help="least level that is logged")
+    parser.add_argument("service", choices=_CHOICES, metavar="SERVICE", help=", ".join(_CHOICES))
+    parser.add_argument("level", choices=typing.get_args(LogLevel), help="lowest level that is logged")
     parser.add_argument(
         "--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help="90s, 10m, 2h (default 10m)"
     )

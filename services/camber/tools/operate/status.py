@@ -1,7 +1,7 @@
-"""`camber status`: who is alive on the bus, what goes over each channel, what waits, and what was met last.
+"""`camber status`: services on the bus, rates and ages of channels, queues, and the last issue of each service.
 
-Every service is asked itself, and its work loop answers: one that is frozen, or that nobody can reach, is *not
-answering*, whatever it may have declared.
+Each service's work loop answers the query: a service that is frozen or unreachable is *not answering*, even if its
+liveliness token is present.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from camber.schemas.base import Name
 from camber.schemas.channels import FEEDER, SERVICES, VEHICLE_SERVICES
 from camber.schemas.health import HealthRequest
 from camber.tools.operate.status_table import as_text, fleet_text
-from camber.tools.operate.status_view import Answers, View, view_of
+from camber.tools.operate.status_view import Answers, StatusView, view_of
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
 
@@ -28,25 +28,23 @@ FLEET = "fleet"
 _PROG = "camber status"
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 _OF_FLEET = tuple(name for name in SERVICES if name not in VEHICLE_SERVICES)
-_NO_SERVICES = frozenset(
-    {FEEDER, "vehicle", "player"}
-)  # they declare themselves, and have no work loop to ask
+_NO_SERVICES = frozenset({FEEDER, "vehicle", "player"})  # they have a liveliness token but no work loop
 _HELP = """\
-exit codes: 0 all services are well; 4 all answer, and one waits for its inputs (degraded), is deaf to one that others
-hear, or is starting; 1 one is failing or not answering; 2 wrong usage; 3 the bus cannot be joined. With --watch that of
-the last look.
+exit codes: 0 all services are ok; 4 all answer, but one is starting, degraded (waits for inputs) or receives nothing on
+a channel that others receive; 1 one is failing or not answering; 2 wrong usage; 3 no connection to the bus. With
+--watch, the code of the last query.
 """
 
 
 def main(argv: Sequence[str]) -> int:
-    """Look once, or again and again; returns the exit code."""
+    """Query once or repeatedly; return the exit code."""
     args = _parser().parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=FLEET if args.fleet else args.vehicle)
     code = 0
     try:
-        with QueryClient(settings, timeout_s=args.timeout) as asker:
+        with QueryClient(settings, timeout_s=args.timeout) as client:
             while True:
-                code = _look(asker, settings.vehicle, args)
+                code = _query_and_print(client, settings.vehicle, args)
                 if args.watch is None:
                     return code
                 time.sleep(max(args.watch - args.over, 0.0))
@@ -57,16 +55,16 @@ def main(argv: Sequence[str]) -> int:
         return code
 
 
-def _look(asker: QueryClient, vehicle: str, args: argparse.Namespace) -> int:
-    everyone = asker.alive("*") if args.fleet else asker.alive(vehicle)
+def _query_and_print(client: QueryClient, vehicle: str, args: argparse.Namespace) -> int:
+    everyone = client.alive("*") if args.fleet else client.alive(vehicle)
     alive = everyone.get(vehicle, frozenset())
-    view = look(asker, vehicle, args.service, alive, args.over, args.expect)
+    view = query_view(client, vehicle, alive=alive, over_s=args.over, only=args.service, expected=args.expect)
     vehicles = {name: services for name, services in everyone.items() if name != FLEET}
     if args.json:
-        found = view.as_json()
+        content = view.as_json()
         if args.fleet:
-            found["vehicles"] = {name: sorted(services) for name, services in sorted(vehicles.items())}
-        print(json.dumps(found), flush=True)
+            content["vehicles"] = {name: sorted(services) for name, services in sorted(vehicles.items())}
+        print(json.dumps(content), flush=True)
     else:
         if args.watch is not None and sys.stdout.isatty():
             print("\x1b[2J\x1b[H", end="")
@@ -75,25 +73,27 @@ def _look(asker: QueryClient, vehicle: str, args: argparse.Namespace) -> int:
     return view.exit_code
 
 
-def look(
-    asker: QueryClient,
+def query_view(
+    client: QueryClient,
     vehicle: str,
-    wanted: Sequence[str] | None,
+    *,
     alive: frozenset[str],
     over_s: float,
-    more: Sequence[str] = (),
-) -> View:
-    """Ask all services twice, `over_s` apart: from what they counted meanwhile come the rates."""
-    expected = dict.fromkeys((*(wanted or (_OF_FLEET if vehicle == FLEET else VEHICLE_SERVICES)), *more))
-    others = () if wanted else tuple(sorted(alive - set(expected) - _NO_SERVICES))
-    services = (*expected, *others)
-    before = _ask(asker, vehicle, services)
+    only: Sequence[str] | None = None,
+    expected: Sequence[str] = (),
+) -> StatusView:
+    """Query all services twice, `over_s` apart; the rates come from the difference of their counters."""
+    usual = only or (_OF_FLEET if vehicle == FLEET else VEHICLE_SERVICES)
+    listed = dict.fromkeys((*usual, *expected))
+    others = () if only else tuple(sorted(alive - set(listed) - _NO_SERVICES))
+    services = (*listed, *others)
+    before = _ask(client, vehicle, services)
     time.sleep(over_s)
-    return view_of(vehicle, _ask(asker, vehicle, services), before, alive)
+    return view_of(vehicle, _ask(client, vehicle, services), before, alive)
 
 
-def _ask(asker: QueryClient, vehicle: str, services: Sequence[str]) -> Answers:
-    return asker.ask("health", HealthRequest(time_ns=SystemClock().now_ns()), vehicle, services)
+def _ask(client: QueryClient, vehicle: str, services: Sequence[str]) -> Answers:
+    return client.ask("health", HealthRequest(time_ns=SystemClock().now_ns()), vehicle, services)
 
 
 def _service(text: str) -> str:
@@ -117,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         type=_service,
         metavar="S",
-        help="only this one; repeatable (default: all that there should be)",
+        help="only this service; repeatable (default: all of a vehicle)",
     )
     parser.add_argument(
         "--expect",
@@ -125,14 +125,18 @@ def _parser() -> argparse.ArgumentParser:
         type=_service,
         default=[],
         metavar="S",
-        help="this one should be there too, as sensors in some vehicles; repeatable",
+        help="expect this service too, such as sensors; repeatable",
     )
     add_bus_options(parser)
     parser.add_argument(
         "--timeout", type=SECONDS, default=2.0, metavar="S", help="seconds to wait (default 2)"
     )
     parser.add_argument(
-        "--over", type=SECONDS, default=1.0, metavar="S", help="for rates: seconds (default 1)"
+        "--over",
+        type=SECONDS,
+        default=1.0,
+        metavar="S",
+        help="seconds over which rates are measured (default 1)",
     )
     parser.add_argument(
         "--watch",
@@ -140,9 +144,11 @@ def _parser() -> argparse.ArgumentParser:
         type=SECONDS,
         const=5.0,
         metavar="S",
-        help="again every so many seconds (default 5)",
+        help="repeat every S seconds (default 5)",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a look, with all that was said")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object per query, with all health reports"
+    )
     return parser
 
 

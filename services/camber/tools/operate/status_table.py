@@ -1,33 +1,33 @@
-"""A look at a vehicle as a table for people."""
+"""Text table of the status of a vehicle."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from camber.schemas.health import Health
-from camber.tools.operate.status_view import ChannelRow, ServiceRow, View, last_issue
+from camber.tools.operate.status_view import ChannelRow, ServiceRow, StatusView, last_issue
 
 _WAITING = ("fixes_waiting", "uploads_not_stored", "uploads_waiting", "queue_waiting")
-_MOST_TEXT = 70
+_MOST_TEXT = 70  # chosen: a row fits a wide terminal
 
 
-def as_text(view: View, now_ns: int) -> str:
-    """Services, then channels, then what stands out."""
+def as_text(view: StatusView, now_ns: int) -> str:
+    """Return the table of services, the table of channels, and notes."""
     name = "the cloud" if view.vehicle == "fleet" else f"vehicle {view.vehicle}"
     parts = [name, *_services(view.services, now_ns), "", *_channels(view.channels)]
     return "\n".join([*parts, *(["", *view.notes] if view.notes else [])])
 
 
 def fleet_text(vehicles: dict[str, frozenset[str]]) -> str:
-    """Who of the fleet is on the bus."""
+    """Return the vehicles of the fleet that are on the bus."""
     if not vehicles:
         return "no vehicle is on this bus"
     rows = [(name, ", ".join(sorted(services))) for name, services in sorted(vehicles.items())]
-    return "\n".join(_table([("vehicle", "declares to be there"), *rows]))
+    return "\n".join(_table([("vehicle", "services"), *rows]))
 
 
 def duration(seconds: float) -> str:
-    """At the unit that tells most."""
+    """Return a duration with two digits in a suitable unit."""
     for limit, unit, size in (
         (1.0, "ms", 1e-3),
         (120.0, "s", 1.0),
@@ -40,17 +40,17 @@ def duration(seconds: float) -> str:
 
 
 def _services(rows: Sequence[ServiceRow], now_ns: int) -> list[str]:
-    head = ("service", "state", "up", "version", "memory", "lag", "waiting", "map", "met last")
+    head = ("service", "state", "up", "version", "memory", "lag", "waiting", "map", "last issue")
     table = [head]
     for row in rows:
         if row.health is None:
             table.append((row.service, row.state, "", "", "", "", "", "", row.why))
         else:
-            table.append((row.service, row.state, *_of(row.health, now_ns)))
+            table.append((row.service, row.state, *_cells(row.health, now_ns)))
     return _table(table)
 
 
-def _of(health: Health, now_ns: int) -> tuple[str, str, str, str, str, str, str]:
+def _cells(health: Health, now_ns: int) -> tuple[str, str, str, str, str, str, str]:
     gauges = health.gauges
     memory = gauges.get("memory_bytes")
     lag_s = gauges.get("loop_lag_s")
@@ -62,11 +62,11 @@ def _of(health: Health, now_ns: int) -> tuple[str, str, str, str, str, str, str]
         "" if lag_s is None else duration(lag_s),
         f"{waiting:.0f}",
         health.facts.get("map_release", ""),
-        _met(health, now_ns),
+        _last_issue(health, now_ns),
     )
 
 
-def _met(health: Health, now_ns: int) -> str:
+def _last_issue(health: Health, now_ns: int) -> str:
     issue = last_issue(health)
     if issue is None:
         return ""
@@ -85,7 +85,7 @@ def _channels(rows: Sequence[ChannelRow]) -> list[str]:
             (
                 row.channel,
                 ", ".join(sorted(row.producers)),
-                ", ".join(sorted(row.heard_s)),
+                ", ".join(sorted(row.received_s_ago)),
                 "" if row.rate_hz is None else f"{row.rate_hz:.1f}",
                 "" if row.table_rate_hz is None else f"{row.table_rate_hz:g}",
                 f"{age}, late" if row.late else age,

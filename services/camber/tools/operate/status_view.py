@@ -1,4 +1,4 @@
-"""What `camber status` shows, made from what services said of themselves: no bus, no clock."""
+"""Content of `camber status` from the health reports of the services; no bus, no clock."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from camber.schemas.health import ChannelUse, Health, Issue
 
 State = Literal["ok", "starting", "degraded", "failing", "not answering"]
 Answers = Mapping[str, Sequence[Health | QueryFailed]]
-"""Service → what its workers said, or why nobody did."""
+"""Service → health reports of its workers, or why there is none."""
 
 NOT_ANSWERING: State = "not answering"
-LATE_PERIODS = 5.0  # a channel of the table that has been silent for so many of its periods
+LATE_PERIODS = 5.0  # chosen: a channel is late after so many periods without a message
 _REFUSALS = frozenset({"undecodable", "stale", "future", "repeated", "out_of_order", "overflow"})
 _WORSE: dict[State, int] = {"ok": 0, "starting": 4, "degraded": 4, "failing": 1, "not answering": 1}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceRow:
-    """One process, or one that should be there."""
+    """One process, present or expected."""
 
     service: str
     state: State
@@ -31,18 +31,20 @@ class ServiceRow:
     health: Health | None
 
     def as_json(self) -> dict[str, Any]:
-        """For programs: everything the service said."""
-        said = None if self.health is None else self.health.model_dump(mode="json")
-        return {"service": self.service, "state": self.state, "why": self.why, "health": said}
+        """Return the row as JSON, with the whole health report."""
+        report = None if self.health is None else self.health.model_dump(mode="json")
+        return {"service": self.service, "state": self.state, "why": self.why, "health": report}
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class ChannelRow:
-    """One channel, as its producers and consumers see it together."""
+    """One channel, from the reports of its producers and consumers together."""
 
     channel: str
     producers: set[str] = field(default_factory=set)
-    heard_s: dict[str, float] = field(default_factory=dict)  # consumer → since its last message, or its begin
+    received_s_ago: dict[str, float] = field(
+        default_factory=dict
+    )  # by consumer; since its start without a message
     rate_hz: float | None = None
     table_rate_hz: float | None = None
     youngest_s: float | None = None
@@ -51,31 +53,31 @@ class ChannelRow:
 
     @property
     def age_s(self) -> float | None:
-        """Since the consumer that has waited longest had a message; none: nobody has said or heard one."""
-        return None if self.youngest_s is None else max(self.heard_s.values(), default=self.youngest_s)
+        """Return the age of the last message at the consumer that waits longest; None without any message."""
+        return None if self.youngest_s is None else max(self.received_s_ago.values(), default=self.youngest_s)
 
     @property
     def late(self) -> bool:
-        """It has carried messages, and somebody had none for long."""
+        """Whether a consumer has received nothing for too long on a channel that carried messages."""
         return self.age_s is not None and self.age_s > self._limit_s
 
     @property
     def deaf(self) -> list[str]:
-        """Who had no message for long, though others say or hear them."""
+        """Return consumers that receive nothing although others send or receive messages."""
         if self.youngest_s is None or self.youngest_s > self._limit_s:
             return []
-        return sorted(service for service, age_s in self.heard_s.items() if age_s > self._limit_s)
+        return sorted(service for service, age_s in self.received_s_ago.items() if age_s > self._limit_s)
 
     @property
     def _limit_s(self) -> float:
         return max(LATE_PERIODS / self.table_rate_hz, 1.0) if self.table_rate_hz else float("inf")
 
     def as_json(self) -> dict[str, Any]:
-        """For programs."""
+        """Return this as JSON."""
         return {
             "channel": self.channel,
             "producers": sorted(self.producers),
-            "consumers": sorted(self.heard_s),
+            "consumers": sorted(self.received_s_ago),
             "rate_hz": self.rate_hz,
             "table_rate_hz": self.table_rate_hz,
             "age_s": self.age_s,
@@ -86,9 +88,9 @@ class ChannelRow:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class View:
-    """One look at a vehicle, or at the cloud (`vehicle` is then `fleet`)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusView:
+    """The status of a vehicle, or of the cloud (`vehicle` is then `fleet`)."""
 
     vehicle: str
     services: tuple[ServiceRow, ...]
@@ -97,13 +99,13 @@ class View:
 
     @property
     def exit_code(self) -> int:
-        """0: all are well; 1: one has failed or does not answer; 4: one waits for its inputs, or is deaf to one."""
+        """Return 0: all ok; 1: one failing or not answering; 4: one degraded, starting or without messages."""
         codes = {_WORSE[row.state] for row in self.services}
         codes |= {4 for row in self.channels if row.deaf}
         return 1 if 1 in codes else 4 if 4 in codes else 0
 
     def as_json(self) -> dict[str, Any]:
-        """For programs."""
+        """Return this as JSON."""
         return {
             "vehicle": self.vehicle,
             "exit_code": self.exit_code,
@@ -113,12 +115,12 @@ class View:
         }
 
 
-def view_of(vehicle: str, answers: Answers, before: Answers, alive: frozenset[str]) -> View:
-    """What the services said now and a moment before; `alive` are those who declare to be on the bus."""
+def view_of(vehicle: str, answers: Answers, before: Answers, alive: frozenset[str]) -> StatusView:
+    """Build the view from two rounds of answers; `alive` are the services with a liveliness token."""
     services = tuple(
-        _service_row(service, said, service in alive)
+        _service_row(service, answer, service in alive)
         for service, several in answers.items()
-        for said in several
+        for answer in several
     )
     earlier = {
         _worker(health): health
@@ -127,27 +129,28 @@ def view_of(vehicle: str, answers: Answers, before: Answers, alive: frozenset[st
         if isinstance(health, Health)
     }
     channels = _channel_rows(services, earlier)
-    return View(vehicle, services, channels, (*_notes(services), *_deaf_notes(channels)))
+    notes = (*_notes(services), *_deaf_notes(channels))
+    return StatusView(vehicle=vehicle, services=services, channels=channels, notes=notes)
 
 
 def last_issue(health: Health) -> Issue | None:
-    """What the service met last."""
-    met = [issue for issue in health.issues if issue.last_time_ns is not None]
-    return max(met, key=lambda issue: issue.last_time_ns or 0, default=None)
+    """Return the most recent issue of a service."""
+    dated = [issue for issue in health.issues if issue.last_time_ns is not None]
+    return max(dated, key=lambda issue: issue.last_time_ns or 0, default=None)
 
 
-def _service_row(service: str, said: Health | QueryFailed, is_alive: bool) -> ServiceRow:
-    if isinstance(said, Health):
-        return ServiceRow(service, said.status, "", said)
-    if said.reason == "invalid":
-        why = f"its answer cannot be read: another version of Camber? ({said})"
+def _service_row(service: str, answer: Health | QueryFailed, is_alive: bool) -> ServiceRow:
+    if isinstance(answer, Health):
+        return ServiceRow(service=service, state=answer.status, why="", health=answer)
+    if answer.reason == "invalid":
+        why = f"its answer cannot be read: another version of Camber? ({answer})"
     elif is_alive:
-        why = "on the bus, but its work loop does not answer: frozen, or at work for too long"
-    elif said.reason == "absent":
-        why = "not on the bus: not started, ended, cut off, or denied to us"
+        why = "on the bus, but its work loop does not answer: frozen or overloaded"
+    elif answer.reason == "absent":
+        why = "not on the bus: not started, ended, disconnected, or access denied"
     else:
-        why = f"not on the bus any more ({said})"
-    return ServiceRow(service, NOT_ANSWERING, why, None)
+        why = f"not on the bus any more ({answer})"
+    return ServiceRow(service=service, state=NOT_ANSWERING, why=why, health=None)
 
 
 def _worker(health: Health) -> tuple[str, str]:
@@ -168,7 +171,9 @@ def _channel_rows(
                 continue
             shown = rows.setdefault(
                 use.channel,
-                ChannelRow(use.channel, producers=set(channel.producers), table_rate_hz=channel.rate_hz),
+                ChannelRow(
+                    channel=use.channel, producers=set(channel.producers), table_rate_hz=channel.rate_hz
+                ),
             )
             _add(shown, row.health, use, _rate(use, row.health, before))
     order = {name: place for place, name in enumerate(BY_NAME)}
@@ -182,9 +187,11 @@ def _add(shown: ChannelRow, health: Health, use: ChannelUse, rate_hz: float | No
         shown.youngest_s = use.age_s if shown.youngest_s is None else min(shown.youngest_s, use.age_s)
     if use.direction == "out":
         return
-    heard_s = health.uptime_s if use.age_s is None else use.age_s
-    # Of several workers one takes a message.
-    shown.heard_s[health.service] = min(heard_s, shown.heard_s.get(health.service, heard_s))
+    received_s_ago = health.uptime_s if use.age_s is None else use.age_s
+    # Each message goes to one of several workers.
+    shown.received_s_ago[health.service] = min(
+        received_s_ago, shown.received_s_ago.get(health.service, received_s_ago)
+    )
     shown.waiting = max(shown.waiting, use.waiting)
     for name, count in health.counters.items():
         channel, _, reason = name.partition(".")
@@ -205,20 +212,23 @@ def _rate(use: ChannelUse, now: Health, before: Health | None) -> float | None:
 def _deaf_notes(channels: Sequence[ChannelRow]) -> Iterator[str]:
     for row in channels:
         for service in row.deaf:
-            yield f"{service} has had no {row.channel} for {row.heard_s[service]:.0f} s, though it is being said"
+            yield f"{service} has had no {row.channel} for {row.received_s_ago[service]:.0f} s, though it is published"
 
 
 def _notes(services: Sequence[ServiceRow]) -> tuple[str, ...]:
-    """What stands out when the services are seen together."""
-    said = [row.health for row in services if row.health is not None]
+    """Return notes on versions that differ and on debug logging."""
+    reports = [row.health for row in services if row.health is not None]
     notes = []
     for what, values in (
-        ("version of Camber", {health.version for health in said}),
-        ("versions of messages", {health.facts["messages"] for health in said if "messages" in health.facts}),
+        ("version of Camber", {health.version for health in reports}),
+        (
+            "versions of messages",
+            {health.facts["messages"] for health in reports if "messages" in health.facts},
+        ),
     ):
         if len(values) > 1:
             notes.append(f"not all have the same {what}: {', '.join(sorted(values))}")
     notes += [
-        f"{health.service} logs at {health.log_level}" for health in said if health.log_level == "debug"
+        f"{health.service} logs at {health.log_level}" for health in reports if health.log_level == "debug"
     ]
     return tuple(notes)

@@ -1,12 +1,12 @@
-"""`camber upload FILE…`: observations of road heights to the fleet's store, and of each file what became of it.
+"""`camber upload FILE…`: send observations of road heights to the fleet's store and print the result for each file.
 
 A FILE is CSV with one observation a row, as `camber uploads STORE --records` writes it:
 
     vehicle,id,datum,map_version,epoch_year,time_ns,fix_id,fix_quality,surface_id,verdict,latitude_rad,longitude_rad,
     horizontal_sigma_m,road_height_m,road_height_sigma_m,antenna_height_m
 
-Rows with the same id follow one another and are one batch; without ids the file is. The store keeps each batch of a
-vehicle once, so a file may be sent as often as one likes: `stored` and `duplicate` both say that it is on its disk.
+Consecutive rows with the same id are one batch; without ids the whole file is one. The store keeps each batch of a
+vehicle once, so a file may be sent repeatedly: `stored` and `duplicate` both mean that it is committed.
 
     camber upload examples/uploads.csv --connect tcp/127.0.0.1:7448
 """
@@ -28,14 +28,12 @@ from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
 
 _PROG = "camber upload"
-_HELP = (
-    "exit codes: 0 all is stored; 1 something was refused or not acknowledged; 2 a file or a setting is wrong"
-)
-_AGAIN_S = 0.5
+_HELP = "exit codes: 0 all stored; 1 a batch refused or not acknowledged; 2 invalid file or setting"
+_RETRY_S = 0.5  # chosen: a few retries within the time of a restart of the store
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Read all files, send one after the other; returns the exit code."""
+    """Read all files, then send them in order; return the exit code."""
     args = _parser().parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=None)
     try:
@@ -47,26 +45,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{_PROG}: {error.filename}: {error.strerror}", file=sys.stderr)
         return 2
     try:
-        with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as asker:
-            done = [_send(asker, path, batches, args.timeout) for path, batches in files]
+        with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as client:
+            done = [_send(client, path, batches, args.timeout) for path, batches in files]
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 1
     return 0 if all(done) else 1
 
 
-def _send(asker: QueryClient, path: Path, batches: Sequence[UploadBatch], limit_s: float) -> bool:
-    """Is all of a file acknowledged? Says so, with what became of its batches."""
+def _send(client: QueryClient, path: Path, batches: Sequence[UploadBatch], limit_s: float) -> bool:
+    """Send the batches of a file, print counts by status, and return whether all are acknowledged."""
     counts: Counter[str] = Counter()
     reasons: list[str] = []
     done = 0
     try:
         for batch in batches:
-            status, reason = _receipt(asker, batch, limit_s)
+            status, reason = _receipt(client, batch, limit_s)
             counts[status] += len(batch.fix_id)
             reasons += [f"{batch.vehicle} {batch.batch_id}: {reason}"] if reason else []
             done += 1
-    finally:  # interrupted: what is acknowledged so far is stored
+    finally:  # also when interrupted: acknowledged batches are stored
         text = ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))
         of_all = len(batches) if done == len(batches) else f"{done} of {len(batches)}"
         print(
@@ -77,24 +75,24 @@ def _send(asker: QueryClient, path: Path, batches: Sequence[UploadBatch], limit_
     return not reasons
 
 
-def _receipt(asker: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[str, str]:
-    """What the store says of a batch, asked again until it says something; and why, where it is not stored."""
+def _receipt(client: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[str, str]:
+    """Send a batch until a receipt arrives; return its status, and the reason where it is not stored."""
     deadline = time.monotonic() + limit_s
     while True:
-        (replies,) = asker.ask("upload_batch", batch, batch.vehicle, ["map_update"]).values()
+        (replies,) = client.ask("upload_batch", batch, batch.vehicle, ["map_update"]).values()
         receipts = [
             reply
             for reply in replies
             if isinstance(reply, UploadReceipt) and reply.upload_id == batch.batch_id
         ]
         if receipts:
-            # Of several workers one may have been asked in vain; what one has stored is stored.
-            receipt = min(receipts, key=lambda said: ("stored", "duplicate", "refused").index(said.status))
+            # Several workers may reply; a batch that one has stored is stored.
+            receipt = min(receipts, key=lambda each: ("stored", "duplicate", "refused").index(each.status))
             return receipt.status, f"refused: {receipt.reason}" if receipt.status == "refused" else ""
         if time.monotonic() > deadline:
             failed = [str(reply) for reply in replies if isinstance(reply, QueryFailed)]
             return "not acknowledged", f"not acknowledged: {'; '.join(failed) or 'a receipt for another'}"
-        time.sleep(_AGAIN_S)
+        time.sleep(_RETRY_S)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -108,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     add_bus_options(parser)
     parser.add_argument(
-        "--timeout", type=SECONDS, default=30.0, metavar="S", help="how long a batch is tried (default 30)"
+        "--timeout", type=SECONDS, default=30.0, metavar="S", help="time limit for each batch (default 30)"
     )
     return parser
 

@@ -1,7 +1,7 @@
-"""`camber uploads STORE`: what the fleet's store holds, as CSV; it is only read.
+"""`camber uploads STORE`: export the contents of the fleet's store as CSV; read only.
 
-STORE is the file uploads.sqlite, or the address of a database as for `camber map_update --store`; the password comes
-from the environment, as there.
+STORE is the file uploads.sqlite or the address of a database as for `camber map_update --store`; the password is taken
+from the environment.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from camber.map_update.stores.store import ENTRY_COLUMNS, LedgerEntry, Observati
 from camber.runtime.settings import ConfigError, load
 
 _PROG = "camber uploads"
-_AT_ONCE = 50_000
+_PAGE_SIZE = 50_000  # chosen: some megabytes
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Returns 2 where the store cannot be read."""
+    """Write the CSV; return 2 where the store cannot be read."""
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -63,7 +63,7 @@ def _opened(where: str) -> Store:
 
 def _all(store: Store) -> Iterator[ObservationPage]:
     cursor = 0
-    while (page := store.observations_after(cursor, _AT_ONCE)).entries:
+    while (page := store.observations_after(cursor, _PAGE_SIZE)).entries:
         yield page
         cursor = page.cursor
 

@@ -1,4 +1,4 @@
-"""How a tool joins the bus: options that all such tools have, and settings made of them."""
+"""Options by which a tool connects to the bus, and the settings made of them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from camber.runtime.settings import ServiceSettings, load_or_exit
 
 
 class _OfTools(ServiceSettings):
-    """The settings that all services have; a service's own are skipped, so that any service's file will do."""
+    """The settings common to all services; specific ones are ignored, so that any service's file can be used."""
 
     SERVICE = "tools"
     model_config = SettingsConfigDict(extra="ignore")
 
 
 def add_bus_options(parser: argparse._ActionsContainer) -> None:
-    """`--connect`, `--config`; `--vehicle` is added where a tool has one."""
+    """Add `--connect` and `--config`; `--vehicle` is added by tools that have one."""
     parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="router to go through; repeatable"
+        "--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable"
     )
     parser.add_argument(
         "--config",
@@ -32,7 +32,7 @@ def add_bus_options(parser: argparse._ActionsContainer) -> None:
 
 
 def bus_settings(args: argparse.Namespace, *, prog: str, vehicle: str | None) -> ServiceSettings:
-    """Command line > `CAMBER_TOOLS_…` > file > default; as a client. Ends the process where they are wrong."""
+    """Return settings from command line, `CAMBER_TOOLS_…`, file and default, in client mode; exit where invalid."""
     argv = ["--zenoh.mode", "client"]
     argv += [] if args.config is None else ["--config", str(args.config)]
     argv += [] if vehicle is None else ["--vehicle", vehicle]

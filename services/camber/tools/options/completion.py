@@ -20,20 +20,20 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def words_before_cursor() -> list[str]:
+def arguments_before_cursor() -> list[str]:
     """Return the complete words of the line that the shell completes, after `camber`.
 
     From here on a parser completes its options in place of parsing them. The shell passes the line in COMP_LINE and
     the number of the first word that is the parser's in _ARGCOMPLETE.
     """
     argparse.ArgumentParser.parse_args = _autocomplete  # type: ignore[assignment,method-assign]
-    _, _, _, words, _ = split_line(os.environ["COMP_LINE"], int(os.environ["COMP_POINT"]))
-    return words[1:]
+    _, _, _, line_parts, _ = split_line(os.environ["COMP_LINE"], int(os.environ["COMP_POINT"]))
+    return line_parts[1:]
 
 
-def complete_command(commands: Iterable[str], words: Sequence[str]) -> None:
+def complete_command(commands: Iterable[str], arguments: Sequence[str]) -> None:
     """Complete a command's name and end the process, or leave the rest to that command's own parser."""
-    if not words:
+    if not arguments:
         parser = argparse.ArgumentParser()
         parser.add_argument("command", choices=sorted(commands))
         argcomplete.autocomplete(parser)

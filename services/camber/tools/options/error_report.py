@@ -1,4 +1,4 @@
-"""What goes wrong in a command over one drive, as one line and an exit code."""
+"""Failures of a command as one line and an exit code."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from camber.runtime.settings import ConfigError
 from camber.schemas.toml_file import FileError
 
 
-def in_words(prog: str, out: Path, work: Callable[[], int]) -> int:
-    """The exit code of `work`, or a line that says what went wrong and the code for that: 1 the bus, 2 a file or a
-    setting, 130 interrupted."""
+def report_failures(prog: str, out: Path, work: Callable[[], int]) -> int:
+    """Run `work` and return its exit code; print a failure as one line: 1 bus, 2 file or setting, 130 interrupted."""
     try:
         return work()
     except (FileError, FormatError, ConfigError) as error:

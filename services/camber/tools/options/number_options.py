@@ -1,4 +1,4 @@
-"""Numbers as options of tools: each option states its bounds, and what is beyond them gets one line that names them."""
+"""Numeric command-line options with bounds; a value outside is refused with one line that names the bounds."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ N = TypeVar("N", int, float)
 
 
 def number_from(least: float, most: float, unit: str = "") -> Callable[[str], float]:
-    """The `type` of an option: a number from `least` to `most`, both included; NaN is none. `unit` ends its line."""
+    """Return the `type` of an option: a number from `least` to `most` inclusive, not NaN."""
     return _bounded(float, least, most, f"a number from {least:g} to {most:g} {unit}".rstrip())
 
 
 def whole_from(least: int, most: int) -> Callable[[str], int]:
-    """The `type` of an option: a whole number from `least` to `most`, both included."""
+    """Return the `type` of an option: an integer from `least` to `most` inclusive."""
     return _bounded(int, least, most, f"a whole number from {least} to {most}")
 
 
 def each_of(*types: Callable[[str], float]) -> type[argparse.Action]:
-    """The `action` of an option of several numbers, where each has a `type` of its own."""
+    """Return the `action` of an option with several numbers, each of its own `type`."""
 
     class _EachOf(argparse.Action):
         def __call__(self, _: object, namespace: argparse.Namespace, values: Any, __: object = None) -> None:
             try:
-                found = tuple(read(text) for read, text in zip(types, values, strict=True))
+                numbers = tuple(read(text) for read, text in zip(types, values, strict=True))
             except argparse.ArgumentTypeError as error:
                 raise argparse.ArgumentError(self, str(error)) from None
-            setattr(namespace, self.dest, found)
+            setattr(namespace, self.dest, numbers)
 
     return _EachOf
 
@@ -46,16 +46,16 @@ def _bounded(read: Callable[[str], N], least: float, most: float, expected: str)
     return bounded
 
 
-# How long a tool waits.
+# Waiting time of a tool.
 SECONDS = number_from(0.001, 3600.0, "s")
-# Of a surface, of a release: what a column of maps and stores holds.
+# Ids of surfaces and releases: 63 bits, as columns of maps and stores hold them.
 NUMBER = whole_from(0, 2**63 - 1)
-# Of all that is random: what a scenario takes.
+# Random seed, as a scenario takes it.
 SEED = NUMBER
 LATITUDE, LONGITUDE = number_from(-90.0, 90.0, "°"), number_from(-180.0, 180.0, "°")
-# Above the ellipsoid, of places with roads.
+# Ellipsoidal height of roads on earth.
 HEIGHT = number_from(-1000.0, 10_000.0, "m")
 # σ of a height.
 HEIGHT_SIGMA = number_from(0.001, 10.0, "m")
-# As many as a machine may have.
+# Chosen: more than any machine has.
 PROCESSES = whole_from(1, 1024)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from camber.formats.errors import FormatError
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import PROCESSES, SEED, whole_from
 from camber.validation.lab.charts import charts
 from camber.validation.lab.page import page
@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
             print(_page_of(options.page), end="")
         return 0
 
-    return in_words(_PROG, options.out, work)
+    return report_failures(_PROG, options.out, work)
 
 
 def _page_of(path: Path) -> str:

@@ -62,7 +62,7 @@ def test_a_channel_is_seen_by_all_who_use_it_together() -> None:
         ],
     }
     (row,) = view_of("v", answers, {}, frozenset()).channels
-    assert set(row.heard_s) == {"localizer", "integrity"}
+    assert set(row.received_s_ago) == {"localizer", "integrity"}
     assert row.refused == {"stale": 3}
     assert (row.age_s, row.waiting) == (4.2, 3)
     assert row.late, "ten times a second are promised"

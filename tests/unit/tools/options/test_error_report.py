@@ -12,7 +12,7 @@ from camber.replay.lock_step.feeder import ReplayStuckError
 from camber.runtime.session import BusError
 from camber.runtime.settings import ConfigError
 from camber.schemas.drive import ManifestError
-from camber.tools.options.error_report import in_words
+from camber.tools.options.error_report import report_failures
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_every_way_to_fail_has_a_line_and_a_code(
     def work() -> int:
         raise fault
 
-    assert in_words("camber replay", tmp_path, work) == code
+    assert report_failures("camber replay", tmp_path, work) == code
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("camber replay: ")
     assert not line.endswith("None")
@@ -46,8 +46,8 @@ def test_a_mistake_of_ours_is_not_put_into_words(tmp_path: Path) -> None:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        in_words("camber replay", tmp_path, work)
+        report_failures("camber replay", tmp_path, work)
 
 
 def test_what_goes_well_keeps_its_own_code(tmp_path: Path) -> None:
-    assert in_words("camber replay", tmp_path, lambda: 7) == 7
+    assert report_failures("camber replay", tmp_path, lambda: 7) == 7
