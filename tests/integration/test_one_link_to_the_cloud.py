@@ -83,7 +83,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     with router(files[0]) as first, router(files[1]) as second:
         with router(cloud_file(certificates, cloud, folder / "cloud.json5")):
             for hub, name in ((first, "car-1"), (second, "car-2")):
-                wait_until(lambda hub=hub: "heard as" in hub.said, timeout_s=60.0, why=f"{name} is not heard")
+                wait_until(
+                    lambda hub=hub: "accepted as" in hub.said, timeout_s=60.0, why=f"{name} is not heard"
+                )
             yield World(
                 certificates,
                 cloud,
@@ -276,7 +278,7 @@ def test_a_cloud_of_two_routers_and_a_vehicle_that_takes_the_one_that_is_there(t
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", first, second)
     with router(files[1]), router(file) as hub:
         with router(files[0]):
-            wait_until(lambda: "heard as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
+            wait_until(lambda: "accepted as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
             hear_a_verdict(certificates, second, inside, timeout_s=20.0, why="nothing came over two routers")
         # The first has gone; the vehicle takes the other.
         hear_a_verdict(certificates, second, inside, timeout_s=30.0, why="the vehicle found no other router")
@@ -290,7 +292,9 @@ def test_a_vehicle_that_starts_while_the_first_router_is_away_takes_the_second(t
     with router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", away, there)) as hub:
         wait_until(lambda: "no link" in hub.said, timeout_s=60.0, why="nobody was missed")
         with router(cloud):
-            wait_until(lambda: "heard as car-1" in hub.said, timeout_s=60.0, why="the second was not taken")
+            wait_until(
+                lambda: "accepted as car-1" in hub.said, timeout_s=60.0, why="the second was not taken"
+            )
             hear_a_verdict(certificates, there, inside, timeout_s=30.0, why="no verdict has crossed")
         assert hub.process.poll() is None
 
@@ -304,7 +308,7 @@ def test_a_link_over_quic_is_as_good_and_as_strict(tmp_path: Path) -> None:
         router(vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud)) as hub,
         router(revoked) as other,
     ):
-        wait_until(lambda: "heard as car-1" in hub.said, timeout_s=60.0, why="car-1 is not heard")
+        wait_until(lambda: "accepted as car-1" in hub.said, timeout_s=60.0, why="car-1 is not heard")
         hear_a_verdict(certificates, cloud, inside, timeout_s=20.0, why="no verdict has crossed")
         wait_until(lambda: "lets nothing pass" in other.said, timeout_s=60.0, why="revoked is not told of it")
         foreign = certificates.settings("other authority", cloud)
@@ -365,7 +369,7 @@ def test_a_vehicle_whose_certificate_has_another_name_is_asked_for_by_its_own(tm
     assert access.main([*words, "--out", str(made)]) == 0
     file = vehicle_file(certificates, "car-9", f"tcp/{HOST}:{free_port()}", tmp_path / "v.json5", cloud)
     with router(made), router(file) as hub:
-        wait_until(lambda: "heard as car-9" in hub.said, timeout_s=30.0, why="it is not heard")
+        wait_until(lambda: "accepted as car-9" in hub.said, timeout_s=30.0, why="it is not heard")
         assert camber("access", "check", file).returncode == 0
 
 
@@ -376,7 +380,7 @@ def test_a_judge_in_the_cloud_has_what_it_needs_and_others_still_do_not(tmp_path
     file = vehicle_file(certificates, "car-1", inside, tmp_path / "v.json5", cloud, more=to)
     prefix = "camber/v1/car-1"
     with router(cloud_file(certificates, cloud, tmp_path / "c.json5")), router(file) as hub:
-        wait_until(lambda: "heard as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
+        wait_until(lambda: "accepted as" in hub.said, timeout_s=60.0, why="the vehicle is not heard")
         with (
             joined(certificates.settings("judge", cloud)) as judge,
             joined(certificates.settings("consumer", cloud)) as consumer,

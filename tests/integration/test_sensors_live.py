@@ -75,7 +75,7 @@ def alike(found: Sweep, true: Sweep) -> None:
 
 
 def test_recordings_give_the_drives_own_sweeps_and_motion(drive: Path, tmp_path: Path) -> None:
-    """Dated now, so that they are heard as live ones are; of sweeps a bus that is busy drops some, and no motion."""
+    """Dated now, so that they are accepted as live ones are; of sweeps a bus that is busy drops some, and no motion."""
     own = (drive / "sensors.toml").read_text().replace('"lidar.pcap"', '"pcap"')
     own = re.sub(
         r"(pcap:|candump:|\")(lidar\.pcap|can\.log|can\.dbc)", lambda m: f"{m[1]}{drive}/{m[2]}", own

@@ -51,7 +51,7 @@ def fleet(tmp_path: Path) -> Iterator[Fleet]:
 @contextmanager
 def linked(fleet: Fleet) -> Iterator[None]:
     with router(fleet.vehicle_file) as vehicle:
-        wait_until(lambda: "heard as" in vehicle.said, timeout_s=60.0, why="no link")
+        wait_until(lambda: "accepted as" in vehicle.said, timeout_s=60.0, why="no link")
         yield
 
 

@@ -235,7 +235,7 @@ def test_whoever_is_denied_what_it_says_learns_it(fleet: Fleet, row: Row) -> Non
     [("car-1", "car-1"), ("car-2", "car-2"), ("map_update", "fleet"), ("consumer", "consumer")],
 )
 def test_whoever_speaks_in_its_own_name_is_heard(fleet: Fleet, who: str, name: str) -> None:
-    assert fleet.heard(who, name) == "heard"
+    assert fleet.heard(who, name) == "permitted"
 
 
 def test_a_service_in_a_wrong_name_says_so_in_its_health(fleet: Fleet) -> None:

@@ -20,7 +20,7 @@ class HeightByMethod(Model):
 
 
 class AntennaHeight(Message):
-    """`h_a` of H: road surface to antenna, by the way chosen, and what the other ways said."""
+    """`h_a` of JP7707657B2: height of the antenna above the road, by the chosen method, and by the other methods."""
 
     status: Literal["known", "unknown", "disagreement"]
     reason: Text = ""

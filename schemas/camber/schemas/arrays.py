@@ -13,7 +13,7 @@ from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 DTYPES = frozenset({"<f8", "<f4", "<i8", "<i4", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8"})
-MAX_NDIM = 3
+MAX_NDIM = 3  # of the wire format: no message has arrays of more dimensions
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +97,11 @@ def check_lengths(message: BaseModel) -> None:
 @functools.cache
 def arrays_of(cls: type[BaseModel]) -> tuple[tuple[str, ArrayOf], ...]:
     """The array fields of a message class, with or without `| None`, and what is expected of each."""
-    found = []
+    fields = []
     for field, info in cls.model_fields.items():
         within = [item for part in typing.get_args(info.annotation) for item in typing.get_args(part)]
-        found += [(field, item) for item in (*info.metadata, *within) if isinstance(item, ArrayOf)]
-    return tuple(found)
+        fields += [(field, item) for item in (*info.metadata, *within) if isinstance(item, ArrayOf)]
+    return tuple(fields)
 
 
 @functools.cache

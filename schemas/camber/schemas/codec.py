@@ -30,15 +30,15 @@ M = TypeVar("M", bound=Message)
 
 _PREFIX = "application/msgpack;"
 _LENGTH = struct.Struct("<I")
-_ARRAY_EXT = 1
+_ARRAY_EXT = 1  # of the wire format
 _SHAPES = [struct.Struct(f"<{n}I") for n in range(MAX_NDIM + 1)]
 _CODES = {code.encode(): np.dtype(code) for code in DTYPES}
-_MAX_HEADER = 1 << 16
-_MAX_SOURCE = 64
-_MAX_BYTES = 64 << 20
-_MAX_COMPLAINT = 300
-_MAX_COMPLAINTS = 100
-_MAX_SEQUENCE = (1 << 62) - 1
+_MAX_HEADER = 1 << 16  # of the wire format: larger content goes into arrays
+_MAX_SOURCE = 64  # of the wire format
+_MAX_BYTES = 64 << 20  # chosen: above the largest sweep and tile, bounds the memory of a decoder
+_MAX_COMPLAINT = 300  # chosen: fits into an issue text
+_MAX_COMPLAINTS = 100  # chosen: bounds the time spent on untrusted input
+_MAX_SEQUENCE = (1 << 62) - 1  # of the wire format: as `Count`
 _PARTS = [str, str, int, dict]
 
 
@@ -156,9 +156,9 @@ def _open(data: bytes, schema: str) -> tuple[str, int, dict[str, Any]]:
     arrays.finish()
     if not isinstance(header, tuple) or [type(part) for part in header] != _PARTS:
         raise DecodeError("expected a header of schema, source, sequence and fields")
-    found, source, sequence, fields = header
-    if found != schema:
-        raise DecodeError(f"expected {schema}, got {found[:80]!r}")
+    received_schema, source, sequence, fields = header
+    if received_schema != schema:
+        raise DecodeError(f"expected {schema}, got {received_schema[:80]!r}")
     if len(source) > _MAX_SOURCE or not 0 <= sequence <= _MAX_SEQUENCE:
         raise DecodeError("source or sequence number out of range")
     return source, sequence, fields

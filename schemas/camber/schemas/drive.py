@@ -45,7 +45,7 @@ LEAST_ERRORS: dict[str, float] = {
     "initial_pose_sigma_m": 1.0,
     "initial_yaw_sigma_rad": math.radians(1.0),
 }
-"""A surrogate made from truth flatters whoever uses it; no published figure may rest on smaller errors than these."""
+"""A surrogate made from truth flatters its user; no published figure may rest on smaller errors than these."""
 
 
 class ManifestError(FileError):
@@ -167,14 +167,14 @@ class LeverArms(Model):
     )
 
     @property
-    def said(self) -> dict[str, LeverArm]:
-        """Those whose height above the road was said, by name: nobody's is a default."""
+    def with_given_height(self) -> dict[str, LeverArm]:
+        """Return the lever arms whose height above the road is given in the manifest, by name."""
         arms = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: arm for name, arm in arms.items() if arm is not None and "z_m" in arm.model_fields_set}
 
 
 class AntennaHeightMethod(Model):
-    """Road surface to antenna, and how it is known (H, third embodiment)."""
+    """Road surface to antenna, and how it is known (JP7707657B2, third embodiment)."""
 
     way: Literal["fixed", "stroke", "ranging", "scan_matching", "automatic"] = Field(
         default="fixed", description="how the antenna's height is found"
@@ -185,9 +185,11 @@ class AntennaHeightMethod(Model):
     sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
         default=None, description="fixed: standard deviation of height_m"
     )
-    suspension_to_antenna_m: Metres | None = Field(default=None, description="stroke: h_ba of H (1)")
+    suspension_to_antenna_m: Metres | None = Field(
+        default=None, description="stroke: h_ba of JP7707657B2 eq. (1)"
+    )
     tyre_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] | None = Field(
-        default=None, description="stroke: h_t of H (1)"
+        default=None, description="stroke: h_t of JP7707657B2 eq. (1)"
     )
     beam_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0, description="ranging: where the beam points, counter-clockwise from forward"
@@ -400,7 +402,7 @@ class DriveManifest(Model):
             "antenna_height.way is 'stroke', expected a table suspension": way == "stroke"
             and self.suspension is None,
             f"antenna_height.way is {way!r}, expected lever_arms.antenna with its z_m": (
-                way in _SENSORS and "antenna" not in self.lever_arms.said
+                way in _SENSORS and "antenna" not in self.lever_arms.with_given_height
             ),
             f"antenna_height.way is {way!r}, expected {_SENSORS.get(way)}, each with its lever arm and z_m": (
                 way in _SENSORS and not self._has_sensor(way)
@@ -418,10 +420,10 @@ class DriveManifest(Model):
         return [text for text, failed in tests.items() if failed]
 
     def _has_sensor(self, way: str) -> bool:
-        """Is there a sensor from which a way can tell a height? Sweeps show the road near the vehicle, too."""
-        said = self.lever_arms.said
-        sweeps = self.sweeps is not None and "lidar" in said
-        return sweeps or (way != "scan_matching" and self.ranging is not None and "ranging" in said)
+        """Return whether a sensor for this method is configured; sweeps show the road near the vehicle, too."""
+        given = self.lever_arms.with_given_height
+        sweeps = self.sweeps is not None and "lidar" in given
+        return sweeps or (way != "scan_matching" and self.ranging is not None and "ranging" in given)
 
     @property
     def judged_positions(self) -> Literal["receiver", "engine"]:
@@ -460,7 +462,7 @@ class DriveManifest(Model):
     def summary(self) -> dict[str, Any]:
         """What every report of this drive says of it; without paths, so it is the same on every machine."""
         inputs = self.surrogates.inputs
-        said: dict[str, Any] = {
+        summary: dict[str, Any] = {
             "drive": self.name,
             "vehicle": self.vehicle,
             "simulated": self.simulated,
@@ -471,13 +473,13 @@ class DriveManifest(Model):
             "overrides": list(self.overrides),
         }
         if inputs:
-            said["surrogate_errors"] = {
+            summary["surrogate_errors"] = {
                 name: getattr(self.surrogates, name) for name in ("seed", *LEAST_ERRORS)
             }
         if self.surrogates.allow_smaller_errors:
-            said["allow_smaller_errors"] = True
-            said["smaller_errors"] = list(self.surrogates.smaller_errors)
-        return said
+            summary["allow_smaller_errors"] = True
+            summary["smaller_errors"] = list(self.surrogates.smaller_errors)
+        return summary
 
 
 def load_manifest(

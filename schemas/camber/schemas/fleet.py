@@ -30,7 +30,7 @@ EpochYear = Annotated[float, Field(ge=1980.0, le=2200.0)]
 
 
 class ElevationUpload(Message):
-    """One observation of a road's height; `time_ns` is the positioning time (H).
+    """One observation of a road's height; `time_ns` is the positioning time (JP7707657B2).
 
     It is free of the map's height and of any correction learnt against it. σ and covariance are those of a right fix,
     which are larger than a receiver claims.
@@ -128,7 +128,7 @@ class MapBlobRequest(Message):
 
 
 class MapBlobReply(Message):
-    """A part of a packed blob, at most 256 kB. Whoever has all parts verifies what comes out by its hash.
+    """A part of a packed blob, at most 256 kB. The receiver of all parts verifies the result by its hash.
 
     After the only part of a blob the first of the blobs wanted next follow as a whole, packed, one after the other.
     """

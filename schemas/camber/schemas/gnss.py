@@ -116,7 +116,7 @@ class Fix(Message):
     )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
     base_station: Name | None = Field(
-        default=None, description="on whose coordinate it rests; None: on none, or nobody said"
+        default=None, description="on whose coordinate it rests; None: on none, or not reported"
     )
     subset_agreement: SubsetAgreement = Field(
         default="unknown", description="of fixes from its satellites less one system; unknown: there is none"

@@ -69,7 +69,7 @@ Evidence = Literal[
 ]
 Cause = Literal["none", "antenna", "road", "base", "ambiguous"]
 """What a lasting difference comes from: the antenna's height, one surface of the map, the base station or the datum
-(every fix is off by one vector), or what one vehicle cannot tell apart."""
+(every fix is off by one vector), or what one vehicle cannot distinguish."""
 PositionSource = Literal["rtk", "doppler", "sensors", "scan_match", "none"]
 
 
@@ -77,7 +77,7 @@ class Verdict(Message):
     """The one final word on one fix, or, without a fix (`fix_id` None), on the epoch.
 
     Only `confirmed` and `confirmed_after_verification` may be used as positions. `unknown` is not trust.
-    The difference is that of H (3) in the form that goes to zero: (h_m + h_a) + h_e − h_r.
+    The difference is that of JP7707657B2 eq. (3) in the form that goes to zero: (h_m + h_a) + h_e − h_r.
     """
 
     fix_id: Count | None

@@ -30,14 +30,14 @@ class Motion(Message):
 
 
 class Suspension(Message):
-    """Stroke height `h_s` of H (1), at the suspension nearest to the antenna."""
+    """Stroke height `h_s` of JP7707657B2 eq. (1), at the suspension nearest to the antenna."""
 
     stroke_height_m: Annotated[float, Field(ge=-2.0, le=5.0)]
     stroke_sigma_m: Sigma
 
 
 class Ranging(Message):
-    """Distance `d` and beam angle `θ` of H (6)."""
+    """Distance `d` and beam angle `θ` of JP7707657B2 eq. (6)."""
 
     distance_m: Annotated[float, Field(ge=0.0, le=100.0)]
     beam_angle_rad: Angle = Field(description="below the horizontal of the vehicle, positive downwards")

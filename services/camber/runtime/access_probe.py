@@ -1,4 +1,4 @@
-"""Is what we say heard? Zenoh says nothing of a message that access rules deny; so one is sent and waited for.
+"""Probe whether access rules let this certificate publish: Zenoh does not report denied messages.
 
 Two sessions with the same certificate meet at the router, and one listens for the other on a key of the vehicle in
 whose name it would speak. The rules of a certificate come all from one table: whose echo comes back may speak.
@@ -19,27 +19,27 @@ from camber.runtime.session import BusError, open_session
 from camber.runtime.settings import ZenohSettings
 from camber.runtime.tls import TlsError, certificate_name
 
-Heard = Literal["heard", "denied"]
+Access = Literal["permitted", "denied"]
 _ECHO = re.compile(r"camber/v1/([^/*]+)/echo")
-_AGAIN_S = 0.2
+_AGAIN_S = 0.2  # chosen: repetition of the probe
 _ECHO_LIMIT_S = 3.0  # there and back, once both have joined
-_LIMIT_S = 10.0
+_LIMIT_S = 10.0  # chosen: longest wait to join the router
 
 
 def echo_key(name: str) -> str:
-    """The key on which whoever may speak in the name of this vehicle hears itself."""
+    """Return the key on which a publisher for this vehicle receives its own probe."""
     return f"camber/v1/{name}/echo"
 
 
 def name_in(rules: Iterable[Mapping[str, Any]]) -> str | None:
-    """The name in which access rules let one hear its echo; none: they are of nobody, or of more than one."""
-    found = {match[1] for rule in rules for key in rule["key_exprs"] if (match := _ECHO.fullmatch(key))}
-    return found.pop() if len(found) == 1 else None
+    """Return the name whose echo access rules permit; None if there is none, or more than one."""
+    names = {match[1] for rule in rules for key in rule["key_exprs"] if (match := _ECHO.fullmatch(key))}
+    return names.pop() if len(names) == 1 else None
 
 
 def can_publish(
     settings: ZenohSettings, name: str, *, timeout_s: float, at: Collection[object] = ()
-) -> Heard:
+) -> Access:
     """Does the router let pass what we say in the name of a vehicle? Joins, asks, leaves.
 
     `name` is the second part of our keys; a service of the fleet says "fleet", a consumer its own name. `denied`: the
@@ -63,7 +63,7 @@ def can_publish(
             saying.put(key, nonce)  # the subscription may not have come through yet
             came.wait(_AGAIN_S)
         subscriber.undeclare()  # type: ignore[no-untyped-call]
-    return "heard" if came.is_set() else "denied"
+    return "permitted" if came.is_set() else "denied"
 
 
 def denial_message(settings: ZenohSettings, name: str) -> str:
@@ -76,24 +76,24 @@ def denial_message(settings: ZenohSettings, name: str) -> str:
 
 
 class AccessProbe:
-    """Asks beside the work loop for ever, for a list may change, and tells each time that we are not heard."""
+    """Probes periodically in a thread, because the access list may change, and reports each denial."""
 
     def __init__(self, settings: ZenohSettings, name: str, *, again_s: float = 60.0) -> None:
-        self._told: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._problems: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._settings, self._name, self._again_s = settings, name, again_s
-        threading.Thread(target=self._ask, name="heard", daemon=True).start()
+        threading.Thread(target=self._ask, name="access_probe", daemon=True).start()
 
     def problems(self) -> list[str]:
         """What has come of asking since this was last called."""
-        return [self._told.get() for _ in range(self._told.qsize())]
+        return [self._problems.get() for _ in range(self._problems.qsize())]
 
     def _ask(self) -> None:
         while True:
             try:
                 if can_publish(self._settings, self._name, timeout_s=_LIMIT_S) == "denied":
-                    self._told.put(denial_message(self._settings, self._name))
+                    self._problems.put(denial_message(self._settings, self._name))
             except (BusError, TlsError) as error:
-                self._told.put(str(error))
+                self._problems.put(str(error))
             time.sleep(self._again_s)
 
 

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 Event = tuple[Literal["message", "query", "wake"], str]
 _QUEUE_LIMIT = {"small": 1024, "bulk": 1, "barrier": 4096}
-_QUERY_LIMIT = 256
-_LOSSLESS_QUERY_TIMEOUT_S = 10.0
-_AT_ONCE_S = 0.05
-_LOG_EVERY_S = 10.0
+_QUERY_LIMIT = 256  # chosen: queries queued before new ones are refused as busy
+_LOSSLESS_QUERY_TIMEOUT_S = 10.0  # chosen: a replay waits rather than lose a reply
+_AT_ONCE_S = 0.05  # chosen: a reply this early comes from the router itself
+_LOG_EVERY_S = 10.0  # chosen: shortest period of equal log lines
 
 # Why each departs from Zenoh's default (drop when congested, priority `data`, batching):
 # small: goes at once (express), ahead of bulk; dropped when congested because a consumer judges freshness anyway.
@@ -124,7 +124,7 @@ class Bus:
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._logged: dict[str, float] = {}
         self._alive: set[str] = set()
-        self._heard: AccessProbe | None = None
+        self._access_probe: AccessProbe | None = None
         self._alive_lock = threading.Lock()
 
     # -- what a service uses --------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ class Bus:
         """
         self._link_s = delay_s
         if isinstance(self._clock, SystemClock):
-            self._clock.behind_ns = round(delay_s * 1e9)
+            self._clock.delay_ns = round(delay_s * 1e9)
 
     def set_blocking(self) -> None:
         """Wait where the bus is congested, in place of dropping. Before anything is published."""
@@ -303,7 +303,7 @@ class Bus:
         if self.settings.zenoh.over_tls:  # elsewhere nobody has a name that could be denied
             from camber.runtime.access_probe import AccessProbe
 
-            self._heard = AccessProbe(self.settings.zenoh, self.settings.vehicle)
+            self._access_probe = AccessProbe(self.settings.zenoh, self.settings.vehicle)
 
     def liveliness_changed(self, name: str, alive: bool) -> None:
         """A process of this vehicle has joined the bus, or left it; called in the receiving thread."""
@@ -335,7 +335,7 @@ class Bus:
 
     def check_access(self) -> None:
         """Report what the router denies: Zenoh itself never says so."""
-        for text in () if self._heard is None else self._heard.problems():
+        for text in () if self._access_probe is None else self._access_probe.problems():
             self.issue("not_heard", text)
 
     def wake(self) -> None:

@@ -13,17 +13,17 @@ _LATEST_OFFSET_NS = 18 * 1_000_000_000  # near enough to look up the leap second
 class SystemClock:
     """This machine's clock as GPS time; it must be disciplined (NTP or PTP) to well below the age limits.
 
-    A machine without a time stands in 1970: then this is below zero, and nobody takes its messages. `behind_ns`: how
-    much later a service lives that hears everything so much later.
+    A machine without a time stands in 1970: then this is below zero, and nobody takes its messages. `delay_ns`: how
+    much later a service lives that receives everything that much later.
     """
 
     def __init__(self) -> None:
-        self.behind_ns = 0
+        self.delay_ns = 0
 
     def now_ns(self) -> int:
         """GPS time in nanoseconds."""
         utc_ns = time.time_ns() - GPS_EPOCH_UNIX_NS
-        return utc_ns + gps_minus_utc_s(max(utc_ns + _LATEST_OFFSET_NS, 0)) * 1_000_000_000 - self.behind_ns
+        return utc_ns + gps_minus_utc_s(max(utc_ns + _LATEST_OFFSET_NS, 0)) * 1_000_000_000 - self.delay_ns
 
 
 class ReplayClock:

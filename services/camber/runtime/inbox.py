@@ -12,7 +12,7 @@ from camber.schemas.codec import DecodeError, Received, decode
 
 _FUTURE_LIMIT_NS = 500_000_000  # beyond this a sender's clock is wrong, not merely ahead
 _SOURCES = 64  # whose last message is remembered: a peer that invents names must not fill the memory
-_NS = 1_000_000_000
+_NS = 1_000_000_000  # nanoseconds of a second
 
 
 @dataclass(slots=True)

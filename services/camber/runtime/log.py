@@ -33,7 +33,7 @@ class TemporaryLogLevel:
 
     def __init__(self, level: LogLevel) -> None:
         self.level = level
-        self._own = level
+        self._configured = level
         self._until_s = float("inf")
 
     def change(self, level: LogLevel, for_s: float, now_s: float) -> None:
@@ -45,7 +45,7 @@ class TemporaryLogLevel:
         """Is the time over? Then the level is that of the settings again."""
         if now_s < self._until_s:
             return False
-        self.level, self._until_s = self._own, float("inf")
+        self.level, self._until_s = self._configured, float("inf")
         return True
 
 

@@ -19,22 +19,22 @@ from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, Channel
 from camber.schemas.codec import DecodeError, decode, encode, encoding_of
 
-_QUIET_S = 0.3
+_QUIET_S = 0.3  # chosen: silence after which the list is taken as complete
 
 
 @dataclass
 class _Present:
-    """The keys of those who are there, after all that was told so far."""
+    """The keys of those who are there, after all changes so far."""
 
     keys: set[str] = field(default_factory=set)
-    told: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
+    changes: queue.SimpleQueue[Any] = field(default_factory=queue.SimpleQueue)
 
     def heed(self, *, quiet_s: float, within_s: float) -> None:
-        """Take what was told until nothing came for `quiet_s`; who comes and goes all the time does not hold us."""
+        """Apply changes until nothing came for `quiet_s`; who comes and goes all the time does not hold us."""
         until = time.monotonic() + within_s
         with suppress(queue.Empty):
             while (left_s := until - time.monotonic()) > 0.0:
-                sample = self.told.get(timeout=min(left_s, quiet_s))
+                sample = self.changes.get(timeout=min(left_s, quiet_s))
                 change = self.keys.add if sample.kind == zenoh.SampleKind.PUT else self.keys.discard
                 change(str(sample.key_expr))
 
@@ -64,21 +64,21 @@ class QueryClient:
             present = self._watched[vehicle] = self._watch(vehicle)
         else:
             present.heed(quiet_s=0.0, within_s=self._timeout_s)
-        found: defaultdict[str, set[str]] = defaultdict(set)
+        results: defaultdict[str, set[str]] = defaultdict(set)
         for alive in present.keys:
             _, _, name, service, _ = alive.split("/")
-            found[name].add(service)
-        return {name: frozenset(services) for name, services in found.items()}
+            results[name].add(service)
+        return {name: frozenset(services) for name, services in results.items()}
 
     def _watch(self, vehicle: str) -> _Present:
         """Who is there from now on, as long as this session lasts."""
         key, liveliness = f"camber/v1/{vehicle}/*/alive", self._session.liveliness()
         present = _Present()
-        # Declared once and kept. A session of Zenoh 1.10 that gives a subscriber up is not told of who leaves in that
-        # moment, and would tell its next subscriber of it for ever.
-        self._entities.append(liveliness.declare_subscriber(key, present.told.put, history=True))
+        # Declared once and kept: a session of Zenoh 1.10 that undeclares a subscriber misses departures at that moment,
+        # and would report them to its next subscriber for ever.
+        self._entities.append(liveliness.declare_subscriber(key, present.changes.put, history=True))
         # A router that is linked to another one answers half of such questions with nothing, so the subscriber is what
-        # counts; but by the answer's end what it has to tell is on its way, however long that is.
+        # counts; but by the answer's end its notifications are on their way, however long that is.
         replies: Any = liveliness.get(key, timeout=min(self._timeout_s, 2.0))
         present.keys.update(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
         present.heed(quiet_s=_QUIET_S, within_s=self._timeout_s)
@@ -109,23 +109,23 @@ class QueryClient:
 
 def _replies(channel: Channel, replies: Any, service: str, vehicle: str) -> list[Any | QueryFailed]:
     assert channel.reply is not None
-    found: list[Any | QueryFailed] = []
+    results: list[Any | QueryFailed] = []
     failure: QueryFailed | None = None
     for reply in replies:
         if reply.ok is not None:
             try:
-                found.append(
+                results.append(
                     decode(channel.reply, reply.ok.payload.to_bytes(), str(reply.ok.encoding)).message
                 )
             except DecodeError as error:
-                found.append(QueryFailed("invalid", str(error)))
+                results.append(QueryFailed("invalid", str(error)))
         elif reply.err is not None:
             text = reply.err.payload.to_bytes()[:200].decode("utf-8", "replace")
             # Zenoh ends the wait of an unanswered question with an error reply that says so.
             failure = QueryFailed("timeout" if "timeout" in text.lower() else "refused", text)
-    if failure is not None and (not found or failure.reason == "timeout"):  # also one worker among several
-        found.append(failure)
-    return found or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus, or denied to us")]
+    if failure is not None and (not results or failure.reason == "timeout"):  # also one worker among several
+        results.append(failure)
+    return results or [QueryFailed("absent", f"{service} of {vehicle} is not on the bus, or denied to us")]
 
 
 def query_once(

@@ -1,4 +1,4 @@
-"""Hear channels byte for byte, as a recorder does: nothing is decoded, nothing refused, and what is lost is counted."""
+"""Receive channels byte for byte, as a recorder does: nothing is decoded or refused, losses are counted."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class RawSubscription:
         self.close()
 
     def close(self) -> None:
-        """Hear no more; what is queued can still be taken."""
+        """Stop receiving; what is queued can still be taken."""
         self._session.close()  # type: ignore[no-untyped-call]
 
     def take(self) -> list[RawSample]:

@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from camber.runtime.settings import ZenohSettings
 
 _LOOK_S = 1.0  # between two looks at whether the link to the cloud is there
-_FIRST_S = 2.0
-_CHECK_LIMIT_S = 5.0
-_CHECK_AGAIN_S = 15.0
-_HEARD_AGAIN_S = 60.0  # an access list may change, the link stay
-_SAY_AGAIN_S = 60.0
-_STUCK = 2  # looks in a row at which Zenoh still waits for one router while another would hear us
-_DAY_S = 86_400.0
+_FIRST_S = 2.0  # chosen: time for the link to come up
+_CHECK_LIMIT_S = 5.0  # chosen: longest access probe
+_CHECK_AGAIN_S = 15.0  # chosen: period of probes without access
+_PERMITTED_AGAIN_S = 60.0  # an access list may change, the link stay
+_SAY_AGAIN_S = 60.0  # chosen: period of repeated messages
+_STUCK = 2  # looks in a row at which Zenoh still waits for one router while another would accept us
+_DAY_S = 86_400.0  # seconds of a day
 _NEEDED = ("root_ca_certificate", "connect_certificate", "connect_private_key")
-_CLOSE_LIMIT_S = 2.0
+_CLOSE_LIMIT_S = 2.0  # chosen: longest wait for the session to close
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -78,18 +78,23 @@ def main(argv: list[str] | None = None) -> int:
     def begin_anew(first: str) -> None:
         _say(f"begins anew with {first}: Zenoh waits for {connect[0]}, and for nobody else")
         ends_now = {"listen": args.listen, "connect": [first, *(end for end in connect if end != first)]}
-        words = [word for way, there in ends_now.items() for end in there or () for word in (f"--{way}", end)]
-        words += ["--config-file", str(args.config_file)] if args.config_file else []
+        arguments = [
+            text
+            for option, endpoints in ends_now.items()
+            for endpoint in endpoints or ()
+            for text in (f"--{option}", endpoint)
+        ]
+        arguments += ["--config-file", str(args.config_file)] if args.config_file else []
         try:
             if not stop.is_set():
-                _replace_by(sys.executable, "-m", "camber.cli", "router", *words)
+                _replace_by(sys.executable, "-m", "camber.cli", "router", *arguments)
         except OSError as error:  # what is, goes on
             _say(f"cannot begin anew: {error}")
 
     # Joining as a client waits for the cloud for ever; within the vehicle it routes meanwhile.
     threading.Thread(target=open_it, daemon=True).start()
     if tls.get("root_ca_certificate"):
-        threading.Thread(target=_tell_of_ends, args=(tls,), daemon=True).start()
+        threading.Thread(target=_report_expiry, args=(tls,), daemon=True).start()
     if over_tls and all(tls.get(name) for name in _NEEDED):
         watched = (opened, over_tls, tls, rules, begin_anew)
         threading.Thread(target=_watch, args=watched, daemon=True).start()
@@ -119,7 +124,7 @@ def _end(opened: list[zenoh.Session | BusError]) -> int:
         if not closing.is_alive():
             return 0
     sys.stderr.flush()
-    os._exit(0)  # Zenoh still waits for the cloud, and cannot be told to leave off
+    os._exit(0)  # Zenoh still waits for the cloud, and cannot be interrupted
 
 
 def _watch(
@@ -132,7 +137,7 @@ def _watch(
     """Say when the cloud is found and lost, and whether what comes from here is let pass.
 
     At its start Zenoh tries a client's first endpoint alone (a link that is lost it seeks at all of them): where
-    another one would hear us, the router begins anew with that.
+    another one would accept us, the router begins anew with that.
     """
     from camber.runtime.access_probe import name_in
     from camber.runtime.settings import ZenohSettings
@@ -145,7 +150,7 @@ def _watch(
         tls_certificate=tls["connect_certificate"],
         tls_key=tls["connect_private_key"],
     )
-    said, said_s, peers_told = "", float("-inf"), False
+    reported, reported_s, peers_reported = "", float("-inf"), False
     checked_s = time.monotonic() - _CHECK_AGAIN_S + _FIRST_S  # time for the link to come first
     was_linked: frozenset[str] = frozenset()
     stuck = 0
@@ -153,18 +158,20 @@ def _watch(
         session, now = (opened[0] if opened else None), time.monotonic()
         info = session.info if isinstance(session, zenoh.Session) else None
         linked = frozenset(map(str, info.routers_zid())) if info is not None else frozenset()
-        if not peers_told and info is not None and info.peers_zid():
-            peers_told = True
+        if not peers_reported and info is not None and info.peers_zid():
+            peers_reported = True
             _say(
-                'peers have joined, and will not hear one another: services here need [zenoh] mode = "client"'
+                'peers have joined, and do not receive from one another: services here need [zenoh] mode = "client"'
             )
-        again_s = _HEARD_AGAIN_S if said.startswith("heard") else _FIRST_S if stuck else _CHECK_AGAIN_S
+        again_s = (
+            _PERMITTED_AGAIN_S if reported.startswith("accepted") else _FIRST_S if stuck else _CHECK_AGAIN_S
+        )
         if linked != was_linked or now - checked_s >= again_s:
             was_linked, checked_s = linked, now
-            word, by = _whether_heard(settings, name, linked)
-            if word != said or (not word.startswith("heard") and now - said_s >= _SAY_AGAIN_S):
-                said, said_s = word, now
-                _say(word)
+            status, by = _access_status(settings, name, linked)
+            if status != reported or (not status.startswith("accepted") and now - reported_s >= _SAY_AGAIN_S):
+                reported, reported_s = status, now
+                _say(status)
             stuck = stuck + 1 if by not in (None, connect[0]) and not opened else 0
             if by is not None and stuck >= _STUCK:
                 stuck = 0
@@ -172,14 +179,14 @@ def _watch(
         time.sleep(_LOOK_S)
 
 
-def _whether_heard(
+def _access_status(
     settings: ZenohSettings, name: str | None, linked: frozenset[str]
 ) -> tuple[str, str | None]:
-    """In words, and who hears us or would, of the router that we are linked to: another may have another list."""
+    """Return the status as text, and the endpoint that accepts us; only of the router that we are linked to."""
     from camber.runtime.access_probe import can_publish, denial_message
     from camber.runtime.tls import TlsError, certificate_name, name_of
 
-    several, words = len(settings.connect) > 1, []
+    several, problems = len(settings.connect) > 1, []
     for endpoint in settings.connect:
         there = settings.model_copy(update={"connect": [endpoint]})
         try:
@@ -188,14 +195,14 @@ def _whether_heard(
             if answer == "denied":
                 return denial_message(there, name), None
             if linked:
-                return f"heard as {name} at {endpoint}", endpoint
-            return f"no link, though {endpoint} would hear {name}", endpoint
+                return f"accepted as {name} at {endpoint}", endpoint
+            return f"no link, though {endpoint} would accept {name}", endpoint
         except (BusError, TlsError) as error:
-            words.append(str(error))
-    return f"no link: {'; '.join(dict.fromkeys(words))}", None
+            problems.append(str(error))
+    return f"no link: {'; '.join(dict.fromkeys(problems))}", None
 
 
-def _tell_of_ends(tls: dict[str, Any]) -> None:
+def _report_expiry(tls: dict[str, Any]) -> None:
     """Say each day which certificates end soon."""
     from camber.runtime.tls import ends_soon
 

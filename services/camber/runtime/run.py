@@ -1,4 +1,4 @@
-"""Run a service: read settings, join the bus, work until told to stop, leave.
+"""Run a service: read settings, join the bus, work until asked to stop, leave.
 
 Exit codes: 0 stopped as asked, 2 settings are wrong, 3 the bus could not be joined, 70 the work loop failed. Ended by
 SIGALRM: the work loop did not end within two seconds of being asked to.
@@ -37,8 +37,8 @@ from camber.schemas.health import Health, LogLevelReply, LogLevelRequest
 if TYPE_CHECKING:
     from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
-STOP_LIMIT_S = 2.0
-_SAY_EVERY_S = 1.0
+STOP_LIMIT_S = 2.0  # chosen: a stopping service ends within this time
+_SAY_EVERY_S = 1.0  # chosen: period of updates of the metrics
 _JOINING_S, _WAITS_AGAIN_S = 2.0, 60.0
 
 
@@ -53,7 +53,7 @@ class Loop:
         service: Service[Any],
         bus: Bus,
         clock: SystemClock | ReplayClock,
-        spoken: HealthCollector | None = None,
+        collector: HealthCollector | None = None,
     ) -> None:
         self.service = service
         self.bus = bus
@@ -64,7 +64,7 @@ class Loop:
         self._inboxes = {c.name: Inbox(c) for c in self.inputs()}
         self._report = HealthReporter(service, bus)
         self._of_itself = {"health": self._healths, "log_level": self._log_levels}
-        self._spoken = spoken
+        self._collector = collector
         self._say_at_s = 0.0
 
     def inputs(self) -> tuple[Channel, ...]:
@@ -109,9 +109,9 @@ class Loop:
         self.bus.restore_log_level()
         self.bus.check_access()
         now = time.monotonic()
-        if self._spoken is not None and now >= self._say_at_s:
+        if self._collector is not None and now >= self._say_at_s:
             self._say_at_s = now + _SAY_EVERY_S
-            self._spoken.say(self.health())
+            self._collector.say(self.health())
 
     def _event(self, event: tuple[str, str]) -> bool:
         kind, name = event
@@ -224,7 +224,7 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
         service_class.SETTINGS, sys.argv[1:] if argv is None else argv, prog=prog
     )
     clock = ReplayClock() if settings.clock == "replay" else SystemClock()
-    spoken, metrics, hindrance = _metrics(settings, service_class.NAME)
+    collector, metrics, hindrance = _metrics(settings, service_class.NAME)
     service_class.prepare(settings)
     try:
         with _saying_that_it_waits(settings, service_class.NAME):
@@ -241,7 +241,7 @@ def run(service_class: type[Service[Any]], argv: list[str] | None = None) -> int
     code = 70
     loop: Loop | None = None
     try:
-        loop = loop_class(service_class(settings, bus), bus, clock, spoken)
+        loop = loop_class(service_class(settings, bus), bus, clock, collector)
         # What is there now stays as long as the process; to look through it all would stop the work for some 50 ms.
         gc.collect()
         gc.freeze()
@@ -305,9 +305,9 @@ def _metrics(
         return None, None, ""
     from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
-    spoken = HealthCollector(service, settings.vehicle)
+    collector = HealthCollector(service, settings.vehicle)
     try:
-        return spoken, MetricsServer(settings.metrics_host, settings.metrics_port, spoken), ""
+        return collector, MetricsServer(settings.metrics_host, settings.metrics_port, collector), ""
     except OSError as error:
         where = f"{settings.metrics_host}:{settings.metrics_port}"
         return None, None, f"{where}: {error.strerror or error}"

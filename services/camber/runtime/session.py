@@ -68,7 +68,7 @@ def open_router(
 ) -> zenoh.Session:
     """Open a session that routes for others; what is given here goes before what stands in the file.
 
-    Returns once it is connected where it is told to: a vehicle's router joins the cloud's as a client, and until it
+    Returns once it is connected to its endpoints: a vehicle's router joins the cloud's as a client, and until it
     has found it, it routes within the vehicle while this waits. Raises BusError.
     """
     config = _router_config(config_file, listen, connect)
@@ -107,7 +107,7 @@ def _router_config(
     if connect is not None:
         _put(config, "connect/endpoints", connect)
     _check_link_of_rules(config)
-    # A vehicle's bus does not depend on its link: that is tried until certificate and clock are right, and told of.
+    # A vehicle's bus does not depend on its link: that is tried until certificate and clock are right, and reported.
     if _get(config, "mode") != "client":
         _check_tls(config)
     _put(config, "connect/timeout_ms", -1)

@@ -82,7 +82,7 @@ class ZenohSettings(BaseModel):
 
 
 class ServiceSettings(BaseSettings):
-    """What every service can be told."""
+    """Settings of every service."""
 
     model_config = SettingsConfigDict(
         extra="forbid", env_nested_delimiter="__", nested_model_default_partial_update=True
@@ -163,8 +163,15 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
         return cls(_cli_settings_source=cli, **table), args
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        whence = _whence(cls, first["loc"], first["type"] == "missing", rest, args.config, table)
-        raise ConfigError(f"{whence}{_one_line(cls, first)}") from None
+        source_text = _source_of(
+            cls,
+            first["loc"],
+            missing=first["type"] == "missing",
+            argv=rest,
+            path=args.config,
+            table=table,
+        )
+        raise ConfigError(f"{source_text}{_one_line(cls, first)}") from None
     except SettingsError as error:  # a list or a table that cannot be parsed
         raise ConfigError(_not_json(error)) from None
 
@@ -220,7 +227,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}") from None
 
 
-def _whence(
+def _source_of(
     cls: type[ServiceSettings],
     loc: tuple[int | str, ...],
     missing: bool,
@@ -243,7 +250,7 @@ def _whence(
     for n in range(len(known), 0, -1):
         variable = f"{_environment_prefix(cls)}{'__'.join(known[:n])}".upper()
         if variable in variables and (
-            n == len(known) or _is_said_in(os.environ[variables[variable]], known[n:])
+            n == len(known) or _is_set_in(os.environ[variables[variable]], known[n:])
         ):
             return f"environment: {variables[variable]}: "
     return f"{path}: " if path is not None and _stands_in(table, loc[: len(known)]) else ""
@@ -277,7 +284,7 @@ def _value_in(table: dict[str, Any], known: list[str]) -> Any:
     return value
 
 
-def _is_said_in(text: str, known: list[str]) -> bool:
+def _is_set_in(text: str, known: list[str]) -> bool:
     """Does a table, given as JSON, have this setting?"""
     try:
         return _value_in({"": json.loads(text)}, ["", *known]) is not None

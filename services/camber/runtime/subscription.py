@@ -1,4 +1,4 @@
-"""Hear what Camber publishes: all that a consumer needs of the bus, in one class.
+"""Subscribe to what Camber publishes: all that a consumer needs of the bus, in one class.
 
 with Subscription("position", vehicle="car", connect=["tcp/127.0.0.1:7447"]) as subscription:
     position = subscription.next(timeout_s=1.0)  # None: nothing that may be used came in that time

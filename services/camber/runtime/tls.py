@@ -13,7 +13,7 @@ from cryptography.x509.oid import NameOID
 
 _GENERATION = re.compile(r"\+\d+$")
 RENEW_BEFORE = timedelta(days=14)
-"""So long before its end a certificate is to be renewed: whoever looks at one says so from then on."""
+"""So long before its end a certificate is to be renewed: warnings are given from then on."""
 _READERS = {
     "root_ca_certificate": x509.load_pem_x509_certificate,
     "listen_certificate": x509.load_pem_x509_certificate,
@@ -74,7 +74,7 @@ def ends_soon(table: dict[str, Any], now: datetime) -> list[str]:
         try:
             certificate = _read(Path(path), x509.load_pem_x509_certificate, secret=False) if path else None
         except TlsError:
-            continue  # said where it is used
+            continue  # reported where it is used
         if certificate is not None and certificate.not_valid_after_utc < now + RENEW_BEFORE:
             lines.append(f"{path}: until {certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; renew it")
     return lines

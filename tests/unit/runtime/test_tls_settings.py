@@ -167,7 +167,7 @@ def test_what_ends_within_two_weeks_is_said(folder: Path) -> None:
 
 
 def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = iter(["heard", "denied", "heard", "denied"])
+    answers = iter(["permitted", "denied", "permitted", "denied"])
 
     def ask(*_: object, **__: object) -> str:
         for answer in answers:
@@ -189,9 +189,9 @@ def test_a_service_is_told_whenever_it_is_no_more_heard(monkeypatch: pytest.Monk
 def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lists: dict[str, tuple[str, heard.Heard]] = {"tls/a:1": ("A", "heard"), "tls/b:1": ("B", "denied")}
+    lists: dict[str, tuple[str, heard.Access]] = {"tls/a:1": ("A", "permitted"), "tls/b:1": ("B", "denied")}
 
-    def ask(settings: ZenohSettings, name: str, *, timeout_s: float, at: frozenset[str]) -> heard.Heard:
+    def ask(settings: ZenohSettings, name: str, *, timeout_s: float, at: frozenset[str]) -> heard.Access:
         (endpoint,) = settings.connect
         zid, answer = lists[endpoint]
         if at and zid not in at:
@@ -208,13 +208,13 @@ def test_the_link_is_asked_about_at_the_router_that_it_goes_to(
     )
 
     def asked(name: str | None, *linked: str) -> tuple[str, str | None]:
-        return router._whether_heard(settings, name, frozenset(linked))
+        return router._access_status(settings, name, frozenset(linked))
 
-    assert asked("x", "A") == ("heard as x at tls/a:1", "tls/a:1")
+    assert asked("x", "A") == ("accepted as x at tls/a:1", "tls/a:1")
     denied, by = asked(None, "B")
     assert denied.startswith("tls/b:1 lets nothing pass that car-1 says as car-1")
     assert by is None
-    assert asked("x") == ("no link, though tls/a:1 would hear x", "tls/a:1")
+    assert asked("x") == ("no link, though tls/a:1 would accept x", "tls/a:1")
     nobody, by = asked("x", "C")
     assert nobody.startswith("no link: tls/a:1: another; ")
     assert by is None

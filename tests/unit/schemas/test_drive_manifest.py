@@ -170,7 +170,7 @@ def test_a_way_is_taken_where_its_sensor_and_the_places_are_said(
     places = f"lever_arms={{antenna={{z_m=1.6}}, {arm}={{x_m=1.0, z_m=0.9}}}}"
     manifest = load(folder, overrides=[f"antenna_height.way={way}", sensor, places])
     assert manifest.antenna_height.way == way
-    assert set(manifest.lever_arms.said) == {"antenna", arm}
+    assert set(manifest.lever_arms.with_given_height) == {"antenna", arm}
 
 
 def test_a_missing_table_is_named(folder: Path) -> None:

@@ -202,18 +202,18 @@ def biweight_location(x: Floats, w: Floats, sigma_m: float) -> Location:
 def _one_per_voter(votes: VoteColumns, from_day: int, to_day: int) -> tuple[Floats, Floats]:
     """Return value and weight of each voter, the median of its votes in sessions `from_day` to before `to_day`."""
     n = len(votes.voter)
-    x, w, own_votes = np.empty(n), np.empty(n), np.empty(n)
+    x, w, voter_values = np.empty(n), np.empty(n), np.empty(n)
     count, first = 0, 0
     while first < n:
         last, of_voter, weight = first, 0, 0.0
         while last < n and votes.voter[last] == votes.voter[first]:
             if from_day <= votes.session[last] < to_day and votes.weight[last] >= _LEAST_WEIGHT:
-                own_votes[of_voter] = votes.value_m[last]
+                voter_values[of_voter] = votes.value_m[last]
                 weight += votes.weight[last]
                 of_voter += 1
             last += 1
         if of_voter > 0:
-            x[count] = own_votes[0] if of_voter == 1 else np.median(own_votes[:of_voter])
+            x[count] = voter_values[0] if of_voter == 1 else np.median(voter_values[:of_voter])
             w[count] = weight / of_voter
             count += 1
         first = last

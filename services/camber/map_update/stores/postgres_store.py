@@ -130,7 +130,7 @@ class PostgresStore(Store):
     def advance(self, seen: FusionProgress, step: FusionStep) -> FusionProgress:
         """See `Store.advance`."""
         surfaces, votes = votes_by_surface(step, VOTE)
-        return self._run(lambda db: self._advance(db, seen, step, surfaces, votes))
+        return self._run(lambda db: self._advance(db, seen, step, surfaces=surfaces, votes=votes))
 
     def close(self) -> None:
         """Disconnect from the server."""

@@ -17,7 +17,7 @@ Direction = Literal["in", "out", "asked"]
 
 # What health can carry; a service that met more must still be able to say how it is.
 MAX_ISSUES, MAX_COUNTERS, MAX_TEXT = 64, 192, 512
-_ALL_TEXTS_BYTES = 20_000
+_ALL_TEXTS_BYTES = 20_000  # chosen: below the codec's header limit of 64 kB
 _OTHERS = "others"
 _NO_NAME = re.compile(r"[^A-Za-z0-9_.:@+-]")
 _CLOCK = SystemClock()
@@ -29,7 +29,7 @@ class _Use:
     last_s: float = 0.0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Met:
     text: str
     count: int
@@ -48,7 +48,7 @@ class IssueLog:
         """Count an issue; returns its code and text as health shows them, and how often it was met."""
         code = _bounded(code, self._issues, MAX_ISSUES)
         text = text.encode("utf-8", "backslashreplace").decode()[:MAX_TEXT]  # a file's name may be no UTF-8
-        met = self._issues.setdefault(code, _Met(text, 0, 0))
+        met = self._issues.setdefault(code, _Met(text=text, count=0, last_ns=0))
         met.text, met.count, met.last_ns = text, met.count + 1, _CLOCK.now_ns()
         return code, text, met.count
 
@@ -82,7 +82,7 @@ class IssueLog:
         )
 
     def channels(self, waiting: Mapping[str, int]) -> tuple[ChannelUse, ...]:
-        """What went over each channel; `waiting` has the lengths of queues of channels that are heard or asked."""
+        """What went over each channel; `waiting` has the lengths of queues of subscribed and queried channels."""
         now_s = time.monotonic()
         return tuple(
             ChannelUse(

@@ -1,10 +1,10 @@
-"""Metrics of a service for Prometheus: what its work loop last said, and how long ago.
+"""Metrics of a service for Prometheus: the latest health of its work loop, and its age.
 
 A thread beside the work loop serves them over HTTP, so that a loop that is frozen is seen: its words stay, and
 `camber_said_age_seconds` grows. A process that is frozen as a whole answers nothing.
 
 No more than a few connections are served at once, each for a short time, and new ones are taken up at a bounded pace:
-whoever reaches the port can keep others from reading metrics, and cannot hold up the service.
+any client of the port can keep others from reading metrics, and cannot hold up the service.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from camber.schemas.health import Health
 
 REFUSALS = ("undecodable", "stale", "future", "repeated", "out_of_order", "overflow")
 _STATUSES = ("starting", "ok", "degraded", "failing")
-_MOST_CONNECTIONS = 16
-_CONNECTION_LIMIT_S = 3.0
-_BETWEEN_CONNECTIONS_S = 0.005
-_MOST_HEAD_BYTES = 8192
+_MOST_CONNECTIONS = 16  # chosen: more than any scraper opens
+_CONNECTION_LIMIT_S = 3.0  # chosen: a slow client must not hold a connection
+_BETWEEN_CONNECTIONS_S = 0.005  # chosen: bounds the processor time of clients
+_MOST_HEAD_BYTES = 8192  # chosen: largest HTTP request head
 
 
 class HealthCollector(Collector):
-    """What the work loop last said; said in the loop, read by the thread that serves it."""
+    """The latest health; set by the work loop, read by the thread that serves it."""
 
     def __init__(self, service: str, vehicle: str) -> None:
         self._labels = {"service": service, "vehicle": vehicle}
@@ -45,16 +45,16 @@ class HealthCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """All families; before the loop has begun only that it says nothing."""
-        health, said_s = self._last
-        age_s = time.monotonic() - said_s
-        yield self._gauge("said_age_seconds", "since the work loop last said how it is", [({}, age_s)])
+        health, reported_s = self._last
+        age_s = time.monotonic() - reported_s
+        yield self._gauge("said_age_seconds", "since the work loop last reported its health", [({}, age_s)])
         status = "starting" if health is None else health.status
-        words = [({"status": word}, float(word == status)) for word in _STATUSES]
-        yield self._gauge("status", "1 for the word that the service says of itself", words)
+        states = [({"status": each}, float(each == status)) for each in _STATUSES]
+        yield self._gauge("status", "1 for the present status", states)
         if health is not None:
-            yield from self._said(health, age_s)
+            yield from self._health_metrics(health, age_s)
 
-    def _said(self, health: Health, age_s: float) -> Iterator[Metric]:
+    def _health_metrics(self, health: Health, age_s: float) -> Iterator[Metric]:
         facts = {
             "version": health.version,
             **{name.replace(".", "_"): text for name, text in health.facts.items()},
@@ -78,11 +78,11 @@ class HealthCollector(Collector):
         )
         waiting = [(labels, use.waiting) for labels, use in uses if use.direction != "out"]
         yield self._gauge("queue_length", "messages and questions that wait for the work loop", waiting)
-        heard = {use.channel for use in health.channels if use.direction == "in"}
+        inputs = {use.channel for use in health.channels if use.direction == "in"}
         refused, verdicts, events = [], [], []
         for name, count in health.counters.items():
             first, _, rest = name.partition(".")
-            if first in heard and rest in REFUSALS:
+            if first in inputs and rest in REFUSALS:
                 refused.append(({"channel": first, "reason": rest}, count))
             elif first == "verdict" and rest:
                 verdicts.append(({"verdict": rest}, count))
@@ -112,17 +112,17 @@ class HealthCollector(Collector):
     ) -> Metric:
         labels = [*self._labels, *(values[0][0] if values else ())]
         metric = family(f"camber_{name}", text, labels=labels)
-        for own, value in values:
-            metric.add_metric([*self._labels.values(), *own.values()], value)
+        for extra, value in values:
+            metric.add_metric([*self._labels.values(), *extra.values()], value)
         return metric
 
 
 class MetricsServer:
     """Serves `/metrics` until it is closed. Raises OSError where the port cannot be had."""
 
-    def __init__(self, host: str, port: int, spoken: HealthCollector) -> None:
+    def __init__(self, host: str, port: int, collector: HealthCollector) -> None:
         registry = CollectorRegistry(auto_describe=False)
-        registry.register(spoken)
+        registry.register(collector)
         ProcessCollector(registry=registry)
         self._page = _page_of(registry)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET

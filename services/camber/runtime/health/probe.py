@@ -1,7 +1,7 @@
 """Is a service well? What `camber health` asks, for those who ask every few seconds.
 
-usage: python -m camber.runtime.health.probe [SERVICE [SETTINGS.toml]]; without words, what runs in this container (its
-first process), with the settings that it was given. Exit codes: as `camber health`.
+usage: python -m camber.runtime.health.probe [SERVICE [SETTINGS.toml]]; without arguments, what runs in this
+container (its first process), with the settings that it was given. Exit codes: as `camber health`.
 
 On purpose it knows neither messages nor settings as classes: to import those takes a second of a processor, and each
 container would do so four times a minute. It writes the one question and reads the one word of the answer.
@@ -27,9 +27,9 @@ from camber.runtime.session import BusError, open_session
 
 ROUTER = "router"
 FIRST_PROCESS = Path("/proc/1/cmdline")
-WITHIN_S = 5.0
+WITHIN_S = 5.0  # chosen: longest wait for the reply
 _ENCODING = "application/msgpack;camber.HealthRequest.v1"
-_GPS_EPOCH_UNIX_S = 315_964_800
+_GPS_EPOCH_UNIX_S = 315_964_800  # 1980-01-06T00:00:00Z
 _FILES = ("config_file", "tls_ca", "tls_certificate", "tls_key")
 _EARLIEST_NS = 630_720_000 * 10**9  # of what a message may bear: schemas/base.py
 _LENGTH = struct.Struct("<I")
@@ -62,26 +62,26 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
         for name, text in environ.items()
         if name.upper().startswith(prefix)
     }
-    found = {**table, **table.get("zenoh", {}), **json.loads(here.get("ZENOH", "{}"))}
-    found |= {"vehicle": here["VEHICLE"]} if "VEHICLE" in here else {}
+    values = {**table, **table.get("zenoh", {}), **json.loads(here.get("ZENOH", "{}"))}
+    values |= {"vehicle": here["VEHICLE"]} if "VEHICLE" in here else {}
     for name in ("connect", *_FILES):
         if (text := here.get(f"ZENOH__{name.upper()}")) is not None:
-            found[name] = json.loads(text) if name == "connect" else text
-    bus = Bus(**{name: found[name] for name in ("vehicle", "connect") if name in found})
+            values[name] = json.loads(text) if name == "connect" else text
+    bus = Bus(**{name: values[name] for name in ("vehicle", "connect") if name in values})
     for name in _FILES:
-        setattr(bus, name, Path(found[name]) if found.get(name) else None)
+        setattr(bus, name, Path(values[name]) if values.get(name) else None)
     return bus
 
 
 def runs_here(command: Sequence[str]) -> tuple[str, Path | None]:
     """Service and settings of a command line, whatever starts it: `… camber gnss --config FILE …`; ValueError."""
-    words = [word for argument in command for word in argument.split("=", 1)]
-    start = next((n for n, word in enumerate(words) if Path(word).name in ("camber", "camber.cli")), None)
-    if start is None or start + 1 == len(words) or words[start + 1].startswith("-"):
+    arguments = [part for argument in command for part in argument.split("=", 1)]
+    start = next((n for n, text in enumerate(arguments) if Path(text).name in ("camber", "camber.cli")), None)
+    if start is None or start + 1 == len(arguments) or arguments[start + 1].startswith("-"):
         raise ValueError(f"expected the name of a service; {' '.join(command)} runs here")
-    options = words[start + 2 :]
-    file = next((Path(after) for word, after in pairwise(options) if word == "--config"), None)
-    return words[start + 1].replace("-", "_"), file
+    options = arguments[start + 2 :]
+    file = next((Path(after) for option, after in pairwise(options) if option == "--config"), None)
+    return arguments[start + 1].replace("-", "_"), file
 
 
 def key_of(vehicle: str, service: str) -> str:
@@ -98,7 +98,7 @@ def question(now_ns: int) -> bytes:
 
 
 def status_in(answer: bytes) -> str:
-    """The status that a Health bears; ValueError where these bytes are none."""
+    """Return the status in a Health message; ValueError where these bytes are none."""
     end = _LENGTH.size + _LENGTH.unpack_from(answer)[0] if len(answer) > _LENGTH.size else 0
     header = msgpack.unpackb(answer[_LENGTH.size : end])
     fields = header[3] if isinstance(header, list) and len(header) == 4 else None

@@ -1,4 +1,4 @@
-"""How a service is, in its own words: made in its work loop, for whoever asks and for its metrics."""
+"""How a service is, in its own words: made in its work loop, for health queries and metrics."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from camber.schemas.channels import CHANNELS
 from camber.schemas.health import Health
 
 VERSION = "0.1.0"
-_LAG_OVER_S = 10.0
+_LAG_OVER_S = 10.0  # chosen: window of the largest lag
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _MOST_GAUGES, _MOST_FACTS, _MOST_TEXT = 48, 16, 512
 
 
 class HealthReporter:
-    """Keeps what the loop tells it, and makes `Health` of it."""
+    """Collects figures of the work loop, and makes `Health` of it."""
 
     def __init__(self, service: Service[Any], bus: Bus) -> None:
         self.failed = 0
@@ -71,12 +71,13 @@ class HealthReporter:
             channels=self._bus.channels(),
             gauges=dict(list({**self._gauges(), **gauges}.items())[:_MOST_GAUGES]),
             facts={
-                name: text[:_MOST_TEXT] for name, text in [*self._own_facts(), *facts.items()][:_MOST_FACTS]
+                name: text[:_MOST_TEXT]
+                for name, text in [*self._process_facts(), *facts.items()][:_MOST_FACTS]
             },
             log_level=self._bus.log_level,
         )
 
-    def _own_facts(self) -> list[tuple[str, str]]:
+    def _process_facts(self) -> list[tuple[str, str]]:
         return [("process", self._process), ("messages", messages_digest())]
 
     def _gauges(self) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What a vehicle has promised to upload: on its disk from `put` until the cloud has said that it has it.
+"""What a vehicle has promised to upload: on its disk from `put` until the cloud has acknowledged it.
 
 An SQLite file with a write-ahead log, `synchronous=FULL`: a transaction that has returned survives SIGKILL and power
 cuts. The outbox is the only copy of what it holds, so it is not asked to be faster than the disk; `put_many` shares one
@@ -28,9 +28,9 @@ from camber.runtime.uploads.sqlite_recovery import (
 
 T = TypeVar("T")
 
-DEAD_LETTERS = 1_000
+DEAD_LETTERS = 1_000  # chosen: kept for inspection
 DAMAGED_ON_DISK = "damaged on disk"
-_PAGE_BYTES = 4096
+_PAGE_BYTES = 4096  # SQLite's default page size
 _LEAST_LIMIT_BYTES = 16 * _PAGE_BYTES
 _WAIT_S = 1.0  # for another process that has the file open, an inspecting one for instance
 
@@ -79,7 +79,7 @@ class Pending(NamedTuple):
     payload: bytes
 
 
-class Counts(NamedTuple):
+class OutboxCounts(NamedTuple):
     """How many uploads wait, and how many dead letters are kept."""
 
     pending: int
@@ -90,7 +90,7 @@ class Outbox:
     """The durable queue; its methods may be called from any thread.
 
     `limit_bytes` bounds the file; dead letters get an eighth of it on top, the write-ahead log about 1 MB. A file that
-    is damaged is moved aside as `….corrupt`, and what can be read of it is carried over; `notice` says so, else None.
+    is damaged is renamed to `….corrupt`, and what can be read of it is carried over; `notice` says so, else None.
     """
 
     def __init__(self, path: Path, *, limit_bytes: int) -> None:
@@ -162,10 +162,10 @@ class Outbox:
             lambda db: db.execute("SELECT id, reason FROM dead_letter ORDER BY number").fetchall()
         )
 
-    def counts(self) -> Counts:
+    def counts(self) -> OutboxCounts:
         """How much there is."""
         return self._run(
-            lambda db: Counts(
+            lambda db: OutboxCounts(
                 *db.execute(
                     "SELECT (SELECT count(*) FROM upload), (SELECT count(*) FROM dead_letter)"
                 ).fetchone()
@@ -226,8 +226,8 @@ class Outbox:
                 )
                 db.execute("COMMIT")
 
-        aside = replace_damaged(self.path, fill)
-        self.notice = f"{self.path} was damaged: moved to {aside.name}, {len(rows)} uploads carried over"
+        damaged = replace_damaged(self.path, fill)
+        self.notice = f"{self.path} was damaged: moved to {damaged.name}, {len(rows)} uploads carried over"
 
     def _bury(self, db: sqlite3.Connection, number: int, reason: str) -> None:
         db.execute(

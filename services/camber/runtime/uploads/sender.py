@@ -1,4 +1,4 @@
-"""Empties an outbox: sends what waits, again and again, until the cloud has said what became of it.
+"""Empties an outbox: sends what waits, again and again, until the cloud has acknowledged or refused it.
 
 An upload leaves the outbox only on a receipt for it: `stored` and `duplicate` remove it, `refused` makes it a dead
 letter. Everything else (no reply, an error reply, a receipt for another upload, bytes that are none) means: again.
@@ -23,10 +23,10 @@ from camber.runtime.uploads.outbox import Outbox, OutboxError, Pending
 from camber.schemas.codec import DecodeError, decode
 from camber.schemas.fleet import UploadReceipt
 
-SHORTEST_PAUSE_S = 0.2
-LONGEST_PAUSE_S = 10.0
+SHORTEST_PAUSE_S = 0.2  # chosen: a lost reply is repeated at once
+LONGEST_PAUSE_S = 10.0  # chosen: a server is reached within this time of its return
 ANSWER_LIMIT_S = 30.0  # the transport has a timeout of its own; this is for one that hangs
-_IDLE_S = 1.0
+_IDLE_S = 1.0  # chosen: longest pause between two looks at the outbox
 
 Reply = tuple[bytes, str]
 """Payload and encoding, as `Bus.ask_bytes` returns them."""
@@ -39,7 +39,7 @@ def pause_s(failures: int, jitter: float) -> float:
     return SHORTEST_PAUSE_S + jitter * (longest - SHORTEST_PAUSE_S)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _InFlight:
     upload: Pending
     reply: Future[Reply]
@@ -47,7 +47,7 @@ class _InFlight:
 
 
 class Sender:
-    """What to send when: no thread, no clock; `step` is told the time (monotonic, in seconds).
+    """What to send when: no thread, no clock; `step` gets the time (monotonic, in seconds).
 
     `counts` has stored, duplicate, refused, failed; `last_failure` says why the last one failed; `waiting` is how many
     were in the outbox a second ago, None while that is not known.
@@ -133,7 +133,7 @@ class Sender:
         for upload in self._next(room):
             self._position = upload.number
             self._in_flight[upload.number] = _InFlight(
-                upload, self._send(upload.channel, upload.payload), now_s
+                upload=upload, reply=self._send(upload.channel, upload.payload), sent_s=now_s
             )
 
     def _next(self, room: int) -> list[Pending]:

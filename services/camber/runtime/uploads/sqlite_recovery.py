@@ -44,15 +44,15 @@ def readable_rows(path: Path, table: str, columns: Sequence[str]) -> list[tuple[
 
     Reads from both ends up to the damage. A row may be wrong in itself: the caller checks it.
     """
-    found: dict[Any, tuple[Any, ...]] = {}
+    rows: dict[Any, tuple[Any, ...]] = {}
     with suppress(sqlite3.DatabaseError), closing(sqlite3.connect(path)) as db:
         db.text_factory = lambda raw: raw.decode("utf-8", "replace")
         for order in ("ASC", "DESC"):
             with suppress(sqlite3.DatabaseError):
                 query = f"SELECT {', '.join(columns)} FROM {table} NOT INDEXED ORDER BY {columns[0]} {order}"
                 for row in db.execute(query):
-                    found[row[0]] = row
-    return [found[key] for key in sorted(found)]
+                    rows[row[0]] = row
+    return [rows[key] for key in sorted(rows)]
 
 
 def replace_damaged(path: Path, fill: Callable[[Path], None]) -> Path:
@@ -79,16 +79,16 @@ def replace_damaged(path: Path, fill: Callable[[Path], None]) -> Path:
 
 def finish_swap(path: Path) -> Path:
     """Carry a swap that has begun to its end; returns where a damaged file would be."""
-    aside = _named(path, ".corrupt")
+    damaged = _named(path, ".corrupt")
     fresh = _named(path, ".fresh")
     if fresh.exists():
         for part in _PARTS:
             with suppress(FileNotFoundError):
-                os.replace(_named(path, part), _named(aside, part))
+                os.replace(_named(path, part), _named(damaged, part))
         os.replace(fresh, path)
         _sync_folder(path)
     _remove(_named(path, ".making"))
-    return aside
+    return damaged
 
 
 def _remove(path: Path) -> None:

@@ -35,8 +35,8 @@ class Uploader:
         self._queue: queue.Queue[Upload | None] = queue.Queue(_QUEUE_LIMIT)
         self._ended = threading.Event()
         self._problems: queue.SimpleQueue[Problem] = queue.SimpleQueue()
-        self._told: Counter[str] = Counter()
-        self._silence_told_s = float("-inf")
+        self._reported: Counter[str] = Counter()
+        self._silence_reported_s = float("-inf")
         self._hindrance = ""
         self.outbox = Outbox(path, limit_bytes=limit_bytes)
         self.sender = SenderThread(self.outbox, ask)
@@ -58,25 +58,25 @@ class Uploader:
 
     def problems(self) -> list[Problem]:
         """What has happened beside the work loop since this was last asked."""
-        found = [self._problems.get() for _ in range(self._problems.qsize())]
+        problems = [self._problems.get() for _ in range(self._problems.qsize())]
         sender = self.sender.sender
         for code, count, text in (
             ("outbox_damaged", int(self.outbox.notice is not None), self.outbox.notice or ""),
             ("upload_unanswered", sender.counts["failed"], sender.last_failure),
             ("upload_refused", sender.counts["refused"], f"{sender.counts['refused']} are dead letters"),
         ):
-            if count > self._told[code]:
-                self._told[code] = count
-                found.append((code, text))
-        return [*found, *self._silence()]
+            if count > self._reported[code]:
+                self._reported[code] = count
+                problems.append((code, text))
+        return [*problems, *self._silence()]
 
     def _silence(self) -> list[Problem]:
-        """Zenoh tells a sender nothing of what access rules deny it: only that no receipt comes is left to notice."""
+        """Report missing receipts: Zenoh does not report what access rules deny."""
         now_s = time.monotonic()
         silent_s = self.sender.sender.silent_s(now_s)
-        if silent_s < _SILENT_S or now_s - self._silence_told_s < _SILENT_S:
+        if silent_s < _SILENT_S or now_s - self._silence_reported_s < _SILENT_S:
             return []
-        self._silence_told_s = now_s
+        self._silence_reported_s = now_s
         text = (
             f"no receipt for {silent_s:.0f} s: no link, no map_update, or our certificate is not that of this vehicle: "
             f"camber access check; {self.sender.sender.last_failure}"

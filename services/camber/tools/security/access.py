@@ -166,8 +166,8 @@ def _check(args: argparse.Namespace) -> int:
     except (BusError, TlsError) as error:
         print(f"camber access: {args.file}: {error}", file=sys.stderr)
         return 3
-    if heard == "heard":
-        print(f"heard as {name} at {', '.join(settings.connect)}")
+    if heard == "permitted":
+        print(f"accepted as {name} at {', '.join(settings.connect)}")
         return 0
     print(f"camber access: {denial_message(settings, name)}", file=sys.stderr)
     return 1
