@@ -249,7 +249,7 @@ def test_a_link_that_goes_to_another_router_is_asked_about_anew(
         return f"heard at {min(linked)}", min(linked)
 
     monkeypatch.setattr(router.zenoh, "Session", Session)
-    monkeypatch.setattr(router, "_whether_heard", ask)
+    monkeypatch.setattr(router, "_access_status", ask)
     monkeypatch.setattr(router, "_LOOK_S", 0.0)
     table = tls_table(folder / "ca.pem", folder / "car-1.pem", folder / "car-1.key")
     with pytest.raises(EndError):
