@@ -1,7 +1,7 @@
-"""What the receiver says of its own integrity, as far as it holds a fix back: it warns, or it says nothing.
+"""Warnings of the receiver's own integrity monitoring that hold a fix back: spoofing, jamming, failed RAIM.
 
-Statements come in parts, each sentence telling of one thing; a part that is not known, and one that is old, takes
-back nothing and adds nothing. A receiver that finds nothing wrong makes no fix any better: that is our own business.
+Statements come in parts, each sentence with one of them; an unknown part and an outdated one change nothing.
+A receiver that reports no problem makes no fix better: testing is the judge's task.
 """
 
 from __future__ import annotations
@@ -16,28 +16,27 @@ _WARNINGS: dict[str, frozenset[str]] = {
 
 
 class ReceiverIntegrityMonitor:
-    """The newest known statement on each thing that can warn, with its time."""
+    """The newest known state of each part that can warn, with its time."""
 
     def __init__(self) -> None:
-        self._said: dict[str, tuple[int, str]] = {}
+        self._states: dict[str, tuple[int, str]] = {}
 
     def update(self, statement: ReceiverIntegrity) -> None:
-        """One more; what it does not know leaves the word before it, and so does one that is older."""
+        """Take one statement; parts that it does not know, and older ones, leave the state as it is."""
         for name in _WARNINGS:
-            word = getattr(statement, name)
-            said = self._said.get(name)
-            if word != "unknown" and (said is None or statement.time_ns >= said[0]):
-                self._said[name] = (statement.time_ns, word)
+            state, known = getattr(statement, name), self._states.get(name)
+            if state != "unknown" and (known is None or statement.time_ns >= known[0]):
+                self._states[name] = (statement.time_ns, state)
 
     def warning(self, at_ns: int, max_age_s: float) -> str | None:
-        """What the receiver warns of at a time, None where it does not, or not lately."""
-        warned = [
-            f"{name} {word}"
-            for name, (time_ns, word) in self._said.items()
-            if word in _WARNINGS[name] and abs(at_ns - time_ns) <= max_age_s * 1e9
+        """Return the current warnings, None where there are none within the age limit."""
+        warnings = [
+            f"{name} {state}"
+            for name, (time_ns, state) in self._states.items()
+            if state in _WARNINGS[name] and abs(at_ns - time_ns) <= max_age_s * 1e9
         ]
-        return ", ".join(warned) or None
+        return ", ".join(warnings) or None
 
     def forget_after(self, limit_ns: int) -> None:
-        """The clock was set back: nothing can have been said later than this."""
-        self._said = {name: said for name, said in self._said.items() if said[0] <= limit_ns}
+        """Drop what is dated later than this: the clock was set back."""
+        self._states = {name: state for name, state in self._states.items() if state[0] <= limit_ns}
