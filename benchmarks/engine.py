@@ -20,11 +20,10 @@ from pathlib import Path
 import numpy as np
 from figure import Figure, higher, lower
 
-from camber.formats.rinex.navigation_reader import read_navigation
-from camber.formats.rinex.observation_reader import read_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.gnss.candidates.satellite_subsets import other_estimates
 from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from support.gnss_files import read_navigation, read_observations
 
 EPOCHS = 3600
 OF_ALL = "atmosphere_m2"  # the one of the rows that is no column

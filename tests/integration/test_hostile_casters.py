@@ -43,7 +43,7 @@ def opened(
     silence_s: float = 15.0,
 ) -> ByteStream:
     url = f"ntrip{'s' if tls else ''}://127.0.0.1:{caster.port}/BASE"
-    return open_stream(url, arrived=reader.arrived.set, ntrip=access, silence_s=silence_s)
+    return open_stream(url, on_data=reader.arrived.set, ntrip=access, silence_s=silence_s)
 
 
 def saying(*parts: bytes) -> Script:
@@ -236,7 +236,7 @@ def test_positions_come_at_most_once_a_second_across_connections_too(answer: byt
 def test_a_caster_that_does_not_take_positions_is_still_read(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.transport.tcp_connection.Connection.send", refusing_sentences())
+    monkeypatch.setattr("camber.transport.tcp_connection.TcpConnection.send", refusing_sentences())
     access = NtripAccess(position=lambda: GGA, version=1)
 
     def script(peer: Peer) -> None:
@@ -254,9 +254,9 @@ def test_a_caster_that_does_not_take_positions_is_still_read(
 
 def refusing_sentences() -> Callable[..., int]:
     """What a connection's `send` does when the queue to the other side is full."""
-    from camber.transport.tcp_connection import Connection
+    from camber.transport.tcp_connection import TcpConnection
 
-    send = Connection.send
+    send = TcpConnection.send
     return lambda self, data: 0 if data.startswith(b"$") else send(self, data)
 
 

@@ -124,7 +124,7 @@ def test_messages_come_unbroken_and_the_caster_is_told_where_we_are(
         HostileCaster(base.script) as receiver,
         caster(receiver, port, tmp_path),
         closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASE", arrived=reader.arrived.set, ntrip=access)
+            open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set, ntrip=access)
         ) as stream,
     ):
         reader.until(stream, lambda data: len(base.heard) >= 4)
@@ -141,7 +141,7 @@ def test_a_caster_that_is_killed_and_started_again_is_found(reader: Reader, tmp_
     url = f"ntrip://127.0.0.1:{port}/BASE"
     with (
         HostileCaster(Base().script) as receiver,
-        closing(open_stream(url, arrived=reader.arrived.set, ntrip=ACCESS)) as stream,
+        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS)) as stream,
     ):
         wait_for(lambda: stream.failures > 0)
         assert stream.last_failure == "Connection refused"
@@ -166,12 +166,12 @@ def test_a_wrong_password_and_an_unknown_mountpoint_are_named_until_they_are_rig
     with (
         HostileCaster(Base().script) as receiver,
         closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASE", arrived=reader.arrived.set, ntrip=ACCESS)
+            open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set, ntrip=ACCESS)
         ) as stream,
         closing(
-            open_stream(f"ntrip://127.0.0.1:{port}/BASIS", arrived=reader.arrived.set, ntrip=ACCESS)
+            open_stream(f"ntrip://127.0.0.1:{port}/BASIS", on_data=reader.arrived.set, ntrip=ACCESS)
         ) as lost,
-        closing(open_stream(f"ntrip://127.0.0.1:{port}/BASE", arrived=reader.arrived.set)) as nobody,
+        closing(open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set)) as nobody,
     ):
         with caster(receiver, port, tmp_path, password="changed"):
             wait_for(lambda: stream.last_failure == "the caster does not accept user and password (401)")
@@ -190,7 +190,7 @@ def test_a_base_that_falls_silent_is_named_and_heard_again(reader: Reader, tmp_p
     with (
         HostileCaster(base.script) as receiver,
         caster(receiver, port, tmp_path),
-        closing(open_stream(url, arrived=reader.arrived.set, ntrip=ACCESS, silence_s=0.5)) as stream,
+        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS, silence_s=0.5)) as stream,
     ):
         reader.until(stream, lambda data: len(data) > 100)
         base.muted = True
@@ -207,7 +207,7 @@ def test_a_caster_that_gives_a_byte_at_a_time_is_slow_but_not_silent(reader: Rea
     with (
         HostileCaster(base.script) as receiver,
         caster(receiver, port, tmp_path),
-        closing(open_stream(url, arrived=reader.arrived.set, ntrip=ACCESS, silence_s=2.0)) as stream,
+        closing(open_stream(url, on_data=reader.arrived.set, ntrip=ACCESS, silence_s=2.0)) as stream,
     ):
         reader.until(stream, lambda data: len(data) >= 3 * len(message(0)))
         assert stream.failures == 0
@@ -225,8 +225,8 @@ def test_a_rover_and_its_base_are_read_at_once_while_both_come_and_go(reader: Re
             time.sleep(0.01)
 
     with HostileCaster(rover_for_a_moment) as rover, HostileCaster(Base().script) as receiver:
-        rover_stream = open_stream(f"tcp:127.0.0.1:{rover.port}", arrived=reader.arrived.set)
-        base_stream = open_stream(f"ntrip://127.0.0.1:{port}/BASE", arrived=of_base.arrived.set, ntrip=ACCESS)
+        rover_stream = open_stream(f"tcp:127.0.0.1:{rover.port}", on_data=reader.arrived.set)
+        base_stream = open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=of_base.arrived.set, ntrip=ACCESS)
         with closing(rover_stream), closing(base_stream):
             while time.monotonic() < stop_s:
                 enough = len(of_base.data) + 300

@@ -10,7 +10,7 @@ import re
 
 from camber.formats.broadcast.bit_fields import crc24q
 from camber.formats.receiver.frame_buffer import Frame, FrameProtocol
-from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.rtcm.writer import PREAMBLE
 from camber.formats.ubx.writer import SYNC, checksum
 
@@ -96,10 +96,10 @@ class PlainFrameBuffer:
         buffer = self._buffer
         match = _SENTENCE_END.search(buffer, start + 1)
         end = len(buffer) if match is None else match.start()
-        if match is None and end - start <= MOST_SENTENCE_BYTES and not last:
+        if match is None and end - start <= MAX_SENTENCE_BYTES and not last:
             return None
         # Of a sentence that is too long only the allowed part is taken: the rest is found to be no sentence.
-        size = min(end - start, MOST_SENTENCE_BYTES + 1)
+        size = min(end - start, MAX_SENTENCE_BYTES + 1)
         # Else it is a dollar sign inside a binary message.
         return size if _LOOKS_LIKE_A_SENTENCE.match(buffer, start) else -size
 
@@ -110,7 +110,7 @@ class PlainFrameBuffer:
 _PROTOCOL_OF: dict[int, FrameProtocol] = {SYNC[0]: "ubx", ord("$"): "nmea", PREAMBLE: "rtcm"}
 # Bytes before the length is known, bytes around the content, its greatest length, what a false beginning costs.
 _BINARY = {
-    "ubx": (_UBX_HEAD, _UBX_FRAMING, MOST_UBX_PAYLOAD_BYTES, len(SYNC)),
+    "ubx": (_UBX_HEAD, _UBX_FRAMING, MAX_UBX_PAYLOAD_BYTES, len(SYNC)),
     "rtcm": (_RTCM_HEAD, _RTCM_FRAMING, 1023, 1),
 }
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
+from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.gps_time import gps_ns_from_week_tow, nanoseconds_from_decimal
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
+from support.gnss_files import observation_text
 
 RNX2RTKP = shutil.which("rnx2rtkp")
 

@@ -1,14 +1,13 @@
-"""The one error of every reader in this package."""
+"""The error of every reader in this package."""
 
-_SHOWN_CHARACTERS = 40
+_SHOWN_CHARACTERS = 40  # chosen: enough to recognise a field, short enough for one line
 
 
 class FormatError(ValueError):
-    """Something in a file or stream that cannot be understood; its text is one clear line.
+    """Malformed content of a file or stream; its text is one line.
 
-    Streaming decoders hand it out among their results instead of raising it, so that one bad line costs one
-    line. `line_number` counts from 1, `byte_offset` from 0; either is None where the format has no such
-    thing.
+    Streaming decoders return it among their results instead of raising it, so that a malformed line costs only that
+    line. `line_number` counts from 1, `byte_offset` from 0; None where the format has no such thing.
     """
 
     def __init__(
@@ -24,7 +23,7 @@ class FormatError(ValueError):
         self.source_name = source_name
         self.field = field
         self.expected = expected
-        self.actual = None if actual is None else _shown(actual)
+        self.actual = None if actual is None else _printable(actual)
         self.line_number = line_number
         self.byte_offset = byte_offset
         place = source_name
@@ -36,8 +35,8 @@ class FormatError(ValueError):
         super().__init__(f"{place}: {field}{actual_text}, expected {expected}")
 
 
-def _shown(actual: str | bytes) -> str:
-    """At most forty printable characters, whatever the input was."""
+def _printable(actual: str | bytes) -> str:
+    """Return at most forty printable characters of any input."""
     text = actual.decode("latin-1") if isinstance(actual, bytes) else actual
     visible = text[:_SHOWN_CHARACTERS].encode("unicode_escape").decode("ascii")
     return visible + ("…" if len(text) > _SHOWN_CHARACTERS else "")

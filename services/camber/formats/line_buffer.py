@@ -1,10 +1,10 @@
-"""Lines out of a byte stream that arrives in pieces, with a bound on what is kept."""
+"""Lines of a byte stream that arrives in chunks, with bounded memory."""
 
-MAXIMUM_LINE_BYTES = 1024
+MAXIMUM_LINE_BYTES = 1024  # chosen: ten times a RINEX navigation line; rows of `.pos` files have about 300
 
 
 class LineBuffer:
-    """Cuts a stream at newlines. The result does not depend on how the stream was cut into pieces."""
+    """Splits a stream at newlines. The result does not depend on how the stream is chunked."""
 
     def __init__(self) -> None:
         self.line_number = 1
@@ -12,22 +12,22 @@ class LineBuffer:
         self._dropping = False
 
     def feed(self, data: bytes) -> list[tuple[int, bytes | None]]:
-        """The lines completed by `data` with their numbers, without newline; None for one that is too long.
+        """Return the lines completed by `data` with their numbers, without newline; None for one that is too long.
 
-        A line over 1,024 bytes is reported as soon as it is, and dropped up to the next newline.
+        A line above `MAXIMUM_LINE_BYTES` is reported at once and dropped up to the next newline.
         """
         lines: list[tuple[int, bytes | None]] = []
         start = 0
         while True:
             end = data.find(b"\n", start)
-            piece = data[start:] if end < 0 else data[start:end]
+            part = data[start:] if end < 0 else data[start:end]
             if not self._dropping:
-                if len(self._partial) + len(piece) > MAXIMUM_LINE_BYTES:
+                if len(self._partial) + len(part) > MAXIMUM_LINE_BYTES:
                     lines.append((self.line_number, None))
                     self._partial.clear()
                     self._dropping = True
                 else:
-                    self._partial += piece
+                    self._partial += part
             if end < 0:
                 return lines
             if not self._dropping:
@@ -38,7 +38,7 @@ class LineBuffer:
             start = end + 1
 
     def take_rest(self) -> bytes:
-        """What came after the last newline, removed from the buffer."""
+        """Return the bytes after the last newline and remove them."""
         rest = bytes(self._partial)
         self._partial.clear()
         self._dropping = False

@@ -1,4 +1,4 @@
-"""Satellite observations and broadcast ephemerides as tables: what RINEX, RTCM and UBX hold, whatever the format.
+"""Satellite observations and broadcast ephemerides of RINEX, RTCM and UBX, independent of the format.
 
 Satellites are `system letter × 256 + number` as in `camber.schemas.gnss.Observations` (QZSS: J and the RINEX number,
 J01 is PRN 193); signals are the two characters of RINEX 3 (`1C`) as ASCII, first × 256 + second. Times are GPS time
@@ -13,10 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from camber.geodesy.gps_time import NS_PER_SECOND
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-SPEED_OF_LIGHT_M_S = 299_792_458.0
+SPEED_OF_LIGHT_M_S = 299_792_458.0  # exact, SI
+GPS_MINUS_BDT_NS = 14 * NS_PER_SECOND
+"""BeiDou time has no leap seconds since 2006-01-01: BDS-SIS-ICD-B1I, 3.2."""
+MAX_SATELLITE_NUMBER = {"G": 63, "J": 10, "E": 63, "C": 63}
+"""Six bits in RTCM 10403.3 (DF009, DF252, DF488); QZSS has PRN 193 to 202 (IS-QZSS-PNT)."""
 
 CARRIER_OF_BAND_HZ: dict[str, dict[str, float]] = {
     "G": {"1": 1575.42e6, "2": 1227.60e6, "5": 1176.45e6},
@@ -28,36 +34,36 @@ CARRIER_OF_BAND_HZ: dict[str, dict[str, float]] = {
 
 
 def carrier_hz(system: str, signal: str) -> float:
-    """Of a signal such as `1C` of a system letter; KeyError for a band that the system has not got."""
+    """Return the carrier of a signal such as `1C`; KeyError for a band that the system does not use."""
     return CARRIER_OF_BAND_HZ[system][signal[0]]
 
 
 def satellite_number(name: str) -> int:
-    """`G05` → its number."""
+    """Return the number of a satellite such as `G05`."""
     return ord(name[0]) * 256 + int(name[1:])
 
 
 def satellite_name(number: int) -> str:
-    """The other way."""
+    """Return the name of a satellite, such as `G05`."""
     return f"{chr(number >> 8)}{number & 255:02d}"
 
 
 def signal_number(name: str) -> int:
-    """`1C` → its number."""
+    """Return the number of a signal such as `1C`."""
     return ord(name[0]) * 256 + ord(name[1])
 
 
 def signal_name(number: int) -> str:
-    """The other way."""
+    """Return the name of a signal, such as `1C`."""
     return f"{chr(number >> 8)}{chr(number & 255)}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ObservationEpoch:
-    """One epoch at one receiver: one row a signal, columns (n,); NaN where a value was not observed.
+    """One epoch at one receiver: columns (n,) with one row per signal; NaN where a value was not observed.
 
-    `time_ns` is the receiver's own time tag. `loss_of_lock`: the phase is not continuous with the last epoch's.
-    `half_cycle`: the phase may be off by half a cycle. `lock_time_s`: since the phase was last broken.
+    `time_ns` is the receiver's time tag. `loss_of_lock`: the phase is not continuous with that of the last epoch.
+    `half_cycle`: half-cycle ambiguity not resolved. `lock_time_s`: time since the last loss of lock.
     """
 
     time_ns: int
@@ -74,12 +80,11 @@ class ObservationEpoch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ephemeris:
-    """One broadcast ephemeris: the Keplerian set of IS-GPS-200 20.3.3.4.3, used alike by GPS, QZSS, Galileo, BeiDou.
+    """One broadcast ephemeris: the Keplerian set of IS-GPS-200 20.3.3.4.3, also used by QZSS, Galileo and BeiDou.
 
-    Angles in rad, rates in rad/s, `sqrt_a` in √m. `toe_ns`, `toc_ns`, `transmission_ns` are GPS time, whatever the
-    system's own. `clock` is (af0 s, af1 s/s, af2 s/s²). `other` holds what only one system has, by RINEX 3.04's name
-    in snake case: `tgd_s`, `iodc`, `fit_interval_h`, `bgd_e5a_s`, `bgd_e5b_s`, `data_sources`, `tgd1_s`, `tgd2_s`,
-    `aodc`.
+    Angles in rad, rates in rad/s, `sqrt_a` in √m. `toe_ns`, `toc_ns`, `transmission_ns` are GPS time for every system.
+    `clock` is (af0 s, af1 s/s, af2 s/s²). `other` contains the system-specific values, named as in RINEX 3.04:
+    `tgd_s`, `iodc`, `fit_interval_h`, `bgd_e5a_s`, `bgd_e5b_s`, `data_sources`, `tgd1_s`, `tgd2_s`, `aodc`.
     """
 
     satellite: int

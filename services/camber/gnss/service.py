@@ -129,7 +129,7 @@ class GnssService(Service[GnssSettings]):
                 stream,
                 protocol,
                 url,
-                open_stream(url, arrived=self.bus.wake, ntrip=access, silence_s=settings.silence_s),
+                open_stream(url, on_data=self.bus.wake, ntrip=access, silence_s=settings.silence_s),
             )
             for stream, protocol, url in wanted
             if url is not None and url != "bus"

@@ -1,4 +1,4 @@
-"""What bytes may be read from: a file that may still grow, a TCP server, a serial port."""
+"""Sources of bytes: a file that may still grow, a TCP server, a serial port."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from typing import Protocol
 
 import serial
 
-from camber.transport.tcp_connection import Connection
+from camber.transport.tcp_connection import TcpConnection
 
-CHUNK_BYTES = 4096
-_READ_S = 0.2
+CHUNK_BYTES = 4096  # chosen: several messages of a receiver
+_READ_S = 0.2  # chosen: a stop is noticed after at most this time
 
 
-class Source(Protocol):
-    """An open connection. One that `waits` is read only as fast as it is consumed, and may be silent for ever."""
+class ByteSource(Protocol):
+    """An open connection. A `lossless` one is read only as fast as it is consumed, and may be silent for ever."""
 
-    waits: bool
+    lossless: bool
 
     @property
-    def silent_because(self) -> str:
-        """What is known of why nothing comes, to be said after the time that it has lasted; mostly empty."""
+    def silence_reason(self) -> str:
+        """A known reason for silence, appended to the error message; usually empty."""
 
     def read(self) -> bytes:
-        """Some bytes; empty where nothing came for a while. Raises OSError when the other side has gone."""
+        """Return some bytes; empty where nothing has arrived for a while. Raises OSError when the peer has gone."""
 
     def close(self) -> None:
         """Close it."""
 
 
-class File:
-    """A file, from its beginning; at its end it is watched for more."""
+class FileSource:
+    """A file, from its beginning; at its end it is polled for more."""
 
-    waits = True
-    silent_because = ""
+    lossless = True
+    silence_reason = ""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("rb")
         self._idle = threading.Event()
 
     def read(self) -> bytes:
-        """What comes next."""
+        """Return the next bytes."""
         data = self._file.read(CHUNK_BYTES)
         if not data:
             self._idle.wait(0.05)
@@ -52,17 +52,17 @@ class File:
         self._file.close()
 
 
-class Tcp:
-    """Whatever a TCP server sends."""
+class TcpSource:
+    """The bytes that a TCP server sends."""
 
-    waits = False
-    silent_because = ""
+    lossless = False
+    silence_reason = ""
 
     def __init__(self, host: str, port: int, stop: threading.Event) -> None:
-        self._connection = Connection(host, port, stop=stop)
+        self._connection = TcpConnection(host, port, stop=stop)
 
     def read(self) -> bytes:
-        """What has come."""
+        """Return the bytes received."""
         return self._connection.receive(_READ_S)
 
     def close(self) -> None:
@@ -70,17 +70,17 @@ class Tcp:
         self._connection.close()
 
 
-class Serial:
-    """A serial port, for us alone: two readers of one port take each other's bytes, and neither would know."""
+class SerialSource:
+    """A serial port, opened exclusively: two readers of one port would each get only part of the bytes."""
 
-    waits = False
-    silent_because = ""
+    lossless = False
+    silence_reason = ""
 
     def __init__(self, device: str, baud_rate: int) -> None:
         self._port = serial.Serial(device, baud_rate, timeout=_READ_S, exclusive=True)
 
     def read(self) -> bytes:
-        """What has come."""
+        """Return the bytes received."""
         data: bytes = self._port.read(max(1, min(self._port.in_waiting, CHUNK_BYTES)))
         return data
 

@@ -1,6 +1,6 @@
-"""Where a receiver's bytes come from, and a base station's: a file that may still grow, TCP, a serial port, NTRIP.
+"""Byte streams of a receiver or a base station: a file that may still grow, TCP, a serial port, NTRIP.
 
-A stream has a thread of its own that reads, reconnects with growing pauses when the other side goes away, and says why.
+A stream has a thread that reads, reconnects with growing pauses when the peer goes away, and reports why.
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from camber.transport.byte_sources import CHUNK_BYTES, File, Serial, Source, Tcp
-from camber.transport.ntrip_client import GgaSchedule, Mountpoint, Ntrip, NtripAccess
+from camber.transport.byte_sources import CHUNK_BYTES, ByteSource, FileSource, SerialSource, TcpSource
+from camber.transport.ntrip_client import GgaSchedule, Mountpoint, NtripAccess, NtripSource
 from camber.transport.tcp_connection import RefusedError
 
-LIMIT_BYTES = 4 << 20
-"""So much waits for a consumer at most. Then the oldest goes, but a file is read no further: it does not run away."""
-SILENCE_S = 15.0
-_BAUD_RATE = 115_200
-_CLOSING_S = 0.5
+MAX_BACKLOG_BYTES = 4 << 20
+"""Chosen: minutes of a receiver's stream. Beyond, the oldest bytes are dropped; a file is not read further."""
+SILENCE_S = 15.0  # chosen: fifteen epochs at 1 Hz
+_BAUD_RATE = 115_200  # u-blox' and Septentrio's usual rate
+_CLOSING_S = 0.5  # chosen: longer than any step of a source
 
-Opener = Callable[[threading.Event], Source]
-"""Opens a source, and gives up where the event is set meanwhile."""
+Opener = Callable[[threading.Event], ByteSource]
+"""Opens a source; aborts when the event is set."""
 
 
 class ByteStream:
-    """Reads a source in the background. `take()` hands out what has come; `problem` is why nothing comes, or None.
+    """Reads a source in the background. `take()` returns the bytes received; `problem` is why there are none, or None.
 
-    `failures` counts connections that failed or were lost, `last_failure` is why the last one was, `lost_bytes` counts
-    what nobody took in time. A source from which nothing comes for `silence_s` is opened anew.
+    `failures` counts connections that failed or were lost, `last_failure` is the reason of the last one, `lost_bytes`
+    counts bytes that were not taken in time. A source that is silent for `silence_s` is reopened.
     """
 
     def __init__(
-        self, open_source: Opener, *, arrived: Callable[[], None], silence_s: float = SILENCE_S
+        self, open_source: Opener, *, on_data: Callable[[], None], silence_s: float = SILENCE_S
     ) -> None:
         self.problem: str | None = "not connected yet"
         self.last_failure: str | None = None
         self.failures = 0
         self.lost_bytes = 0
         self._open = open_source
-        self._arrived = arrived
+        self._on_data = on_data
         self._silence_s = silence_s
         self._flowed_s = 0.0
         self._bytes = bytearray()
@@ -50,7 +50,7 @@ class ByteStream:
         self._thread.start()
 
     def take(self) -> bytes:
-        """All bytes that have come since the last call."""
+        """Return all bytes received since the last call."""
         with self._lock:
             data = bytes(self._bytes)
             self._bytes.clear()
@@ -62,7 +62,7 @@ class ByteStream:
         self._thread.join(_CLOSING_S)
 
     def _run(self) -> None:
-        pauses = ReconnectBackoff(random.random)
+        backoff = ReconnectBackoff(random.random)
         while not self._stop.is_set():
             refused = False
             self._flowed_s = 0.0
@@ -73,90 +73,87 @@ class ByteStream:
                     self._pump(source)
                 finally:
                     source.close()
-            except (
-                Exception
-            ) as error:  # a port may fail in many ways; none of them may end the reading for good
+            except Exception as error:  # ports raise many types; none may end the thread
                 if self._stop.is_set():
                     return
                 self.problem = self.last_failure = _reason(error)
                 self.failures += 1
                 refused = isinstance(error, RefusedError)
-            self._stop.wait(pauses.after(self._flowed_s, refused=refused))
+            self._stop.wait(backoff.pause_s(self._flowed_s, refused=refused))
 
-    def _pump(self, source: Source) -> None:
-        heard_s = time.monotonic()
+    def _pump(self, source: ByteSource) -> None:
+        last_s = time.monotonic()
         first_s: float | None = None
         while not self._stop.is_set():
-            if source.waits and len(self._bytes) > LIMIT_BYTES - CHUNK_BYTES:
+            if source.lossless and len(self._bytes) > MAX_BACKLOG_BYTES - CHUNK_BYTES:
                 self._stop.wait(0.01)
                 continue
             data = source.read()
             now_s = time.monotonic()
             if data:
                 self._keep(data)
-                self._arrived()
-                heard_s = now_s
+                self._on_data()
+                last_s = now_s
                 first_s = now_s if first_s is None else first_s
                 self._flowed_s = now_s - first_s
-            elif not source.waits and now_s - heard_s > self._silence_s:
-                raise TimeoutError(f"silent for {self._silence_s:g} s{source.silent_because}")
+            elif not source.lossless and now_s - last_s > self._silence_s:
+                raise TimeoutError(f"silent for {self._silence_s:g} s{source.silence_reason}")
 
     def _keep(self, data: bytes) -> None:
         with self._lock:
             self._bytes += data
-            excess = len(self._bytes) - LIMIT_BYTES
+            excess = len(self._bytes) - MAX_BACKLOG_BYTES
             if excess > 0:
                 del self._bytes[:excess]
                 self.lost_bytes += excess
 
 
 class ReconnectBackoff:
-    """How long to wait before the next attempt: twice as long each time, until data have flowed for a while.
+    """Pauses before the next attempt: doubled each time, until data have flowed for a while.
 
-    A connection alone is no success: a caster that takes and drops each one would be hammered. `chance` gives numbers
-    in [0, 1), so that not all vehicles come back to a caster in the same moment.
+    A connection alone is no success: a caster that accepts and drops each one would get too many requests. `chance`
+    returns numbers in [0, 1), so that not all vehicles reconnect to a caster at the same moment.
     """
 
-    SHORTEST_S = 0.2
-    LONGEST_S = 10.0
-    LONGEST_AFTER_REFUSAL_S = 60.0
+    # Chosen: short enough not to lose a fix after a glitch, long enough for a caster that refuses.
+    MIN_S = 0.2
+    MAX_S = 10.0
+    MAX_AFTER_REFUSAL_S = 60.0
     STEADY_S = 10.0
 
     def __init__(self, chance: Callable[[], float]) -> None:
         self._chance = chance
-        self._next_s = self.SHORTEST_S
+        self._next_s = self.MIN_S
 
-    def after(self, flowed_s: float, *, refused: bool) -> float:
-        """The pause after a connection over which data flowed for `flowed_s`, or which was `refused`, in seconds."""
+    def pause_s(self, flowed_s: float, *, refused: bool) -> float:
+        """Return the pause after a connection over which data flowed for `flowed_s`, or which was `refused`."""
         if flowed_s >= self.STEADY_S:
-            self._next_s = self.SHORTEST_S
-        longest_s = self.LONGEST_AFTER_REFUSAL_S if refused else self.LONGEST_S
-        pause_s = min(self._next_s, longest_s)
-        self._next_s = min(2.0 * self._next_s, self.LONGEST_AFTER_REFUSAL_S)
+            self._next_s = self.MIN_S
+        pause_s = min(self._next_s, self.MAX_AFTER_REFUSAL_S if refused else self.MAX_S)
+        self._next_s = min(2.0 * self._next_s, self.MAX_AFTER_REFUSAL_S)
         return pause_s * (0.5 + 0.5 * self._chance())
 
 
 def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
-    """What opens `file:PATH`, `tcp:HOST:PORT`, `serial:DEVICE[:BAUD]`, `ntrip://HOST:PORT/MOUNT` or `ntrips://…`.
+    """Return the opener of `file:PATH`, `tcp:HOST:PORT`, `serial:DEVICE[:BAUD]`, `ntrip[s]://HOST:PORT/MOUNT`.
 
-    ValueError says what was expected, and never repeats a password.
+    The text of ValueError contains what was expected, and never a password.
     """
     kind, _, rest = url.partition(":")
     if kind in ("ntrip", "ntrips"):
-        return _caster(url, ntrip or NtripAccess())
+        return _ntrip_opener(url, ntrip or NtripAccess())
     match kind, rest.rsplit(":", 1):
         case "file", _ if rest:
-            return lambda stop: File(Path(rest))
-        case "tcp", [host, port] if host and "@" not in host and _number(port) and int(port) < 65536:
-            return lambda stop: Tcp(host.removeprefix("[").removesuffix("]"), int(port), stop)
-        case "serial", [device, baud] if device and _number(baud):
-            return lambda stop: Serial(device, int(baud))
-        case "serial", [*_, last] if (
-            rest and not last.isdecimal()
-        ):  # names below /dev/serial/by-path have colons
-            return lambda stop: Serial(rest, _BAUD_RATE)
+            return lambda stop: FileSource(Path(rest))
+        case "tcp", [host, port] if host and "@" not in host and _is_number(port) and int(port) < 65536:
+            return lambda stop: TcpSource(host.removeprefix("[").removesuffix("]"), int(port), stop)
+        case "serial", [device, baud] if device and _is_number(baud):
+            return lambda stop: SerialSource(device, int(baud))
+        # Names below /dev/serial/by-path contain colons.
+        case "serial", [*_, last] if rest and not last.isdecimal():
+            return lambda stop: SerialSource(rest, _BAUD_RATE)
     raise ValueError(
-        f"{_shown(url)!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD], "
+        f"{_without_credentials(url)!r}: expected file:PATH, tcp:HOST:PORT or serial:DEVICE[:BAUD], "
         "or of a caster ntrip://HOST:PORT/MOUNT or ntrips://HOST:PORT/MOUNT"
     )
 
@@ -164,34 +161,34 @@ def parse_source(url: str, ntrip: NtripAccess | None = None) -> Opener:
 def open_stream(
     url: str,
     *,
-    arrived: Callable[[], None],
+    on_data: Callable[[], None],
     ntrip: NtripAccess | None = None,
     silence_s: float = SILENCE_S,
 ) -> ByteStream:
-    """A stream from a source that `parse_source` knows; ValueError where it does not.
+    """Open a source of `parse_source`; ValueError for any other.
 
-    `arrived` is called from the stream's thread whenever bytes have come.
+    `on_data` is called from the stream's thread whenever bytes have arrived.
     """
-    return ByteStream(parse_source(url, ntrip), arrived=arrived, silence_s=silence_s)
+    return ByteStream(parse_source(url, ntrip), on_data=on_data, silence_s=silence_s)
 
 
-def _caster(url: str, access: NtripAccess) -> Opener:
-    at = Mountpoint.of(url)
-    if at is None:
-        told = "; user and password do not belong into the address" if "@" in url else ""
-        raise ValueError(f"{_shown(url)!r}: expected {url.partition(':')[0]}://HOST:PORT/MOUNT{told}")
-    pace = GgaSchedule(access)
-    return lambda stop: Ntrip(at, access, pace, stop)
+def _ntrip_opener(url: str, access: NtripAccess) -> Opener:
+    mountpoint = Mountpoint.parse(url)
+    if mountpoint is None:
+        hint = "; user and password do not belong into the address" if "@" in url else ""
+        expected = f"{url.partition(':')[0]}://HOST:PORT/MOUNT{hint}"
+        raise ValueError(f"{_without_credentials(url)!r}: expected {expected}")
+    schedule = GgaSchedule(access)
+    return lambda stop: NtripSource(mountpoint, access, schedule, stop)
 
 
-def _number(text: str) -> bool:
+def _is_number(text: str) -> bool:
     return text.isascii() and text.isdecimal() and int(text) > 0
 
 
-def _shown(url: str) -> str:
-    """The address without a user's name and password."""
-    _, at, after = url.rpartition("@")
-    return f"****@{after}" if at else url
+def _without_credentials(url: str) -> str:
+    _, at, rest = url.rpartition("@")
+    return f"****@{rest}" if at else url
 
 
 def _reason(error: Exception) -> str:

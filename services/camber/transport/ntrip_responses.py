@@ -1,6 +1,6 @@
-"""What an NTRIP caster answers, of revision 1 and 2: a stream, and in what pieces it comes, or a reason why none.
+"""Responses of NTRIP casters, revision 1 and 2: a stream with its transfer encoding, or a reason for refusal.
 
-Nothing that a caster sends is trusted: every part has a limit, and of its own words only what is harmless is repeated.
+A caster is untrusted: every part has a limit, and of its texts only printable characters are repeated.
 RTCM 10410.0 (revision 1) and 10410.1 (revision 2); chunks: RFC 9112, section 7.1.
 """
 
@@ -13,48 +13,50 @@ from urllib.parse import urlsplit
 
 from camber.transport.tcp_connection import RefusedError
 
+# Chosen: limits of what an untrusted caster may send, far above what casters do send.
 HEAD_LIMIT_BYTES = 16_384
 _LINE_LIMIT_BYTES = 1024
 _CHUNK_LINE_LIMIT_BYTES = 256
 _CHUNK_LIMIT_BYTES = 16 << 20
 _UNKNOWN = "the mountpoint is unknown to the caster"
+_PRINTABLE = re.compile(rb"[\x20-\x7e\r]")
 
 
 class Body(Protocol):
-    """Takes what comes after the head of an answer, in pieces of any size, and gives the bytes of the stream."""
+    """Decodes the bytes after the head of a response, in chunks of any size, to the bytes of the stream."""
 
     def feed(self, data: bytes) -> bytes:
-        """The bytes of the stream in `data`; ConnectionError where it breaks or ends."""
+        """Return the bytes of the stream in `data`; ConnectionError where it is malformed or ends."""
 
 
 class PlainBody:
-    """As it comes."""
+    """A stream without transfer encoding."""
 
     def feed(self, data: bytes) -> bytes:
-        """The same bytes."""
+        """Return the same bytes."""
         return data
 
 
 class IcyBody:
-    """After `ICY 200 OK`: the stream at once, or first an empty line, or lines of a header and an empty line.
+    """After `ICY 200 OK`: the stream at once, or after an empty line, or after header lines and an empty line.
 
-    Revision 1 leaves this open, and a caster may wait for a position before it sends anything at all.
+    Revision 1 does not specify it, and a caster may wait for a position before it sends anything at all.
     """
 
     _LINE = re.compile(rb"[A-Za-z][A-Za-z0-9-]{0,40}:[^\r\n]{0,512}\r?\n")
-    _BEGUN = re.compile(rb"[A-Za-z][A-Za-z0-9-]{0,40}(:[^\r\n]{0,512}\r?)?|\r")
+    _PARTIAL = re.compile(rb"[A-Za-z][A-Za-z0-9-]{0,40}(:[^\r\n]{0,512}\r?)?|\r")
 
     def __init__(self) -> None:
         self._head: bytes | None = b""
 
     def feed(self, data: bytes) -> bytes:
-        """What is not header."""
+        """Return the bytes after the header."""
         if self._head is None:
             return data
         head = self._head + data
         while line := self._LINE.match(head):
             head = head[line.end() :]
-        if not head or self._BEGUN.fullmatch(head):
+        if not head or self._PARTIAL.fullmatch(head):
             self._head = head
             return b""
         self._head = None
@@ -62,7 +64,7 @@ class IcyBody:
 
 
 class ChunkedBody:
-    """Chunks: a hexadecimal length on a line, so many bytes, an end of line. A chunk's bytes are given as they come."""
+    """Chunks: a hexadecimal length on a line, that many bytes, a line end. Bytes are returned as they arrive."""
 
     def __init__(self) -> None:
         self._line = b""
@@ -70,28 +72,28 @@ class ChunkedBody:
         self._after_data = False
 
     def feed(self, data: bytes) -> bytes:
-        """The bytes of the stream; ConnectionError where lengths are none, lie, or say that this is the end."""
-        found = bytearray()
+        """Return the bytes of the stream; ConnectionError for malformed or wrong lengths, and for the last chunk."""
+        decoded = bytearray()
         while data:
             if self._left:
-                found += data[: self._left]
-                taken = min(self._left, len(data))
-                self._left -= taken
+                decoded += data[: self._left]
+                size = min(self._left, len(data))
+                self._left -= size
                 self._after_data = self._left == 0
-                data = data[taken:]
+                data = data[size:]
                 continue
             line, end, data = data.partition(b"\n")
             self._line += line
             if len(self._line) > _CHUNK_LINE_LIMIT_BYTES:
                 raise ConnectionError("the length of a chunk does not end")
             if end:
-                self._line_read(self._line.rstrip(b"\r"))
+                self._end_line(self._line.rstrip(b"\r"))
                 self._line = b""
             elif self._after_data and self._line not in (b"", b"\r"):
                 raise ConnectionError("a chunk is longer than its length")
-        return bytes(found)
+        return bytes(decoded)
 
-    def _line_read(self, line: bytes) -> None:
+    def _end_line(self, line: bytes) -> None:
         if self._after_data:
             if line:
                 raise ConnectionError("a chunk is longer than its length")
@@ -99,7 +101,7 @@ class ChunkedBody:
             return
         length = line.partition(b";")[0].strip()
         if not re.fullmatch(rb"[0-9A-Fa-f]{1,16}", length):
-            raise ConnectionError(f"expected the length of a chunk, not {_harmless(line)!r}")
+            raise ConnectionError(f"expected the length of a chunk, not {_printable(line)!r}")
         self._left = int(length, 16)
         if self._left == 0:
             raise ConnectionResetError("the caster ended the stream")
@@ -107,20 +109,19 @@ class ChunkedBody:
             raise ConnectionError(f"a chunk of {self._left} bytes; at most {_CHUNK_LIMIT_BYTES} are believed")
 
 
-def read_answer(received: bytes, *, with_password: bool) -> tuple[Body, bytes] | None:
-    """The body of the stream and the first bytes for it, or None where the head of the answer is not complete.
+def parse_response(received: bytes, *, with_password: bool) -> tuple[Body, bytes] | None:
+    """Return the body of the stream and its first bytes, or None where the head of the response is incomplete.
 
-    `received` is everything that has come. RefusedError says why there is no stream.
+    `received` is everything received so far. The text of RefusedError is why there is no stream.
     """
     if received.startswith(b"\x15\x03"):
         raise RefusedError("the other side speaks TLS; use ntrips://")
     first, end, rest = received.partition(b"\n")
     if not end:
-        if len(first) > _LINE_LIMIT_BYTES or not _HARMLESS.fullmatch(first[:1] or b" "):
-            raise RefusedError(_no_caster(first))
+        if len(first) > _LINE_LIMIT_BYTES or not _PRINTABLE.fullmatch(first[:1] or b" "):
+            raise RefusedError(_not_a_caster(first))
         return None
-    words = first.split(None, 2)
-    match words:
+    match first.split(None, 2):
         case [b"ICY", code, *_]:
             _expect_ok(code, {}, with_password)
             return IcyBody(), rest
@@ -129,16 +130,15 @@ def read_answer(received: bytes, *, with_password: bool) -> tuple[Body, bytes] |
         case [b"ERROR", *_]:
             raise RefusedError(_error_of_revision_1(first))
         case [protocol, code, *_] if re.fullmatch(rb"HTTP/1\.[01]", protocol):
-            return _read_http(code, rest, with_password)
-    raise RefusedError(_no_caster(first))
+            return _parse_http(code, rest, with_password)
+    raise RefusedError(_not_a_caster(first))
 
 
-def _read_http(code: bytes, rest: bytes, with_password: bool) -> tuple[Body, bytes] | None:
+def _parse_http(code: bytes, rest: bytes, with_password: bool) -> tuple[Body, bytes] | None:
     end = re.search(rb"(\A|\n)\r?\n", rest)
-    fields = _fields(rest[: end.start()] if end else rest)
-    if end or not code.startswith(
-        b"3"
-    ):  # some close without an empty line; a redirection says where in its header
+    fields = _header_fields(rest[: end.start()] if end else rest)
+    # Some close without an empty line; the header of a redirection is needed for its target.
+    if end or not code.startswith(b"3"):
         _expect_ok(code, fields, with_password)
     if end is None:
         if len(rest) > HEAD_LIMIT_BYTES:
@@ -152,7 +152,7 @@ def _read_http(code: bytes, rest: bytes, with_password: bool) -> tuple[Body, byt
             "a web page instead of a stream: is this a caster, or is there a page to log in before it?"
         )
     if kind.startswith("text/") or kind in ("application/json", "application/xml"):
-        raise RefusedError(f"{_harmless(kind.encode())} instead of a stream")
+        raise RefusedError(f"{_printable(kind.encode())} instead of a stream")
     encoding = fields.get("transfer-encoding", "identity").strip().lower()
     if encoding not in ("identity", "chunked") or fields.get("content-encoding", "identity") != "identity":
         raise RefusedError(
@@ -161,13 +161,13 @@ def _read_http(code: bytes, rest: bytes, with_password: bool) -> tuple[Body, byt
     return (ChunkedBody() if encoding == "chunked" else PlainBody()), rest[end.end() :]
 
 
-def _fields(head: bytes) -> dict[str, str]:
-    found = {}
-    for line in head.split(b"\n"):
-        name, colon, value = line.partition(b":")
+def _header_fields(head: bytes) -> dict[str, str]:
+    fields = {}
+    for line in head.decode("latin-1").split("\n"):
+        name, colon, value = line.partition(":")
         if colon:
-            found[name.strip().decode("latin-1").lower()] = value.strip().decode("latin-1")
-    return found
+            fields[name.strip().lower()] = value.strip()
+    return fields
 
 
 def _expect_ok(code: bytes, fields: dict[str, str], with_password: bool) -> None:
@@ -183,13 +183,13 @@ def _expect_ok(code: bytes, fields: dict[str, str], with_password: bool) -> None
     if status == 404:
         raise RefusedError(f"{_UNKNOWN} (404)")
     if status // 100 == 3:
-        raise RefusedError(f"the caster sends us on to {_target(fields)} ({status}); not followed")
-    known = {each.value: each.phrase for each in HTTPStatus}
-    raise RefusedError(f"the caster answers {status} {known.get(status, '')}".rstrip())
+        raise RefusedError(f"the caster sends us on to {_redirect_target(fields)} ({status}); not followed")
+    phrases = {each.value: each.phrase for each in HTTPStatus}
+    raise RefusedError(f"the caster answers {status} {phrases.get(status, '')}".rstrip())
 
 
-def _target(fields: dict[str, str]) -> str:
-    """Host and port only: the rest may hold names and passwords."""
+def _redirect_target(fields: dict[str, str]) -> str:
+    """Return host and port only: the rest may contain names and passwords."""
     try:
         parts = urlsplit(fields.get("location", ""))
         host, port = parts.hostname, parts.port
@@ -197,7 +197,7 @@ def _target(fields: dict[str, str]) -> str:
         return "an unreadable address"
     if not host:
         return "another place"
-    return _harmless(f"{host}:{port}" if port else host)
+    return _printable((f"{host}:{port}" if port else host).encode())
 
 
 def _error_of_revision_1(line: bytes) -> str:
@@ -207,14 +207,10 @@ def _error_of_revision_1(line: bytes) -> str:
     return _UNKNOWN if b"mount" in text else "the caster answers with an error"
 
 
-def _no_caster(line: bytes) -> str:
-    return f"expected an answer of a caster, got {_harmless(line)!r}"
+def _not_a_caster(line: bytes) -> str:
+    return f"expected an answer of a caster, got {_printable(line)!r}"
 
 
-_HARMLESS = re.compile(rb"[\x20-\x7e\r]")
-
-
-def _harmless(text: bytes | str) -> str:
-    """At most 40 printable characters."""
-    data = text if isinstance(text, bytes) else text.encode()
+def _printable(data: bytes) -> str:
+    """Return at most 40 printable characters."""
     return re.sub(rb"[^\x20-\x7e]", b"?", data.rstrip(b"\r")[:40]).decode("ascii")

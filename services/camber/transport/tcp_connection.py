@@ -1,4 +1,4 @@
-"""A TCP connection, with TLS where asked, of which no step waits without end or keeps its thread from stopping."""
+"""A TCP connection, optionally with TLS, whose waits are all bounded and end when its thread is stopped."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ import threading
 import time
 from pathlib import Path
 
-_CHUNK_BYTES = 4096
-_STEP_S = 0.1  # so long a stop goes unseen at most
+_CHUNK_BYTES = 4096  # chosen: several messages of a receiver
+_STEP_S = 0.1  # chosen: a stop is noticed after at most this time
 _CONNECT_S = 5.0
-"""For each address of a host, and for the handshake. Two lost packets of the first three still leave time."""
+"""Chosen, for each address of a host, and for the handshake: enough when two of the first three packets are lost."""
+_NOT_TLS = ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE")
 
 
 class RefusedError(ConnectionError):
-    """The other side answers, and will not give a stream; asking again soon is of no use."""
+    """The peer answers, and refuses a stream; asking again soon is of no use."""
 
 
-class Connection:
+class TcpConnection:
     """An open connection to `host`:`port`; OSError where there is none. Setting `stop` ends every wait.
 
-    Only the resolver of names waits as long as the system lets it.
+    Only name resolution takes as long as the system lets it.
     """
 
     def __init__(self, host: str, port: int, *, stop: threading.Event, tls: ssl.SSLContext | None = None):
@@ -34,7 +35,7 @@ class Connection:
             self._socket = _secured(self._socket, tls, host, stop)
 
     def receive(self, within_s: float = 2 * _STEP_S) -> bytes:
-        """Some bytes; empty where nothing came in time. Raises OSError when the other side has gone."""
+        """Return some bytes; empty where nothing arrived in time. Raises OSError when the peer has gone."""
         data = self._read()
         if data is None:
             _await(self._socket, select.POLLIN, self._stop, time.monotonic() + within_s)
@@ -44,7 +45,7 @@ class Connection:
         return data or b""
 
     def send(self, data: bytes) -> int:
-        """How many of the first bytes of `data` went out; without waiting."""
+        """Send without waiting; return the number of bytes sent."""
         try:
             return self._socket.send(data)
         except (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
@@ -55,7 +56,7 @@ class Connection:
         self._socket.close()
 
     def _read(self) -> bytes | None:
-        """Empty: the other side has closed. None: nothing has come. Bytes that TLS holds are no event to poll for."""
+        """Return empty when the peer has closed, None without data. Bytes buffered by TLS are no event to poll for."""
         try:
             return self._socket.recv(_CHUNK_BYTES)
         except (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
@@ -63,7 +64,7 @@ class Connection:
 
 
 def tls_context(ca_file: Path | None) -> ssl.SSLContext:
-    """Certificates are checked: against `ca_file`, or else what the system trusts. RefusedError names the file."""
+    """Return a context that checks certificates against `ca_file`, or the system's. RefusedError names the file."""
     try:
         return ssl.create_default_context(cafile=ca_file)
     except ssl.SSLError:
@@ -93,46 +94,48 @@ def _connected(host: str, port: int, stop: threading.Event) -> socket.socket:
 
 
 def _secured(raw: socket.socket, tls: ssl.SSLContext, host: str, stop: threading.Event) -> ssl.SSLSocket:
-    deadline = time.monotonic() + _CONNECT_S
     try:
         secured = tls.wrap_socket(raw, server_hostname=host, do_handshake_on_connect=False)
     except BaseException:
         raw.close()
         raise
     try:
-        while True:
-            try:
-                secured.do_handshake()
-                return secured
-            except ssl.SSLWantReadError:
-                ready = _await(secured, select.POLLIN, stop, deadline)
-            except ssl.SSLWantWriteError:
-                ready = _await(secured, select.POLLOUT, stop, deadline)
-            if not ready:
-                raise TimeoutError(errno.ETIMEDOUT, f"no TLS handshake in {_CONNECT_S:g} s")
+        _shake_hands(secured, stop)
+        return secured
     except ssl.SSLCertVerificationError as error:
         secured.close()
         raise RefusedError(f"its certificate is not accepted: {error.verify_message}") from None
     except ssl.SSLError as error:
         secured.close()
-        what = "the other side does not speak TLS" if error.reason in _NOT_TLS else "TLS failed"
-        raise RefusedError(f"{what} ({error.reason or error})") from None
+        problem = "the other side does not speak TLS" if error.reason in _NOT_TLS else "TLS failed"
+        raise RefusedError(f"{problem} ({error.reason or error})") from None
     except BaseException:
         secured.close()
         raise
 
 
-_NOT_TLS = ("WRONG_VERSION_NUMBER", "HTTP_REQUEST", "PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE")
+def _shake_hands(secured: ssl.SSLSocket, stop: threading.Event) -> None:
+    deadline_s = time.monotonic() + _CONNECT_S
+    while True:
+        try:
+            secured.do_handshake()
+            return
+        except ssl.SSLWantReadError:
+            event = select.POLLIN
+        except ssl.SSLWantWriteError:
+            event = select.POLLOUT
+        if not _await(secured, event, stop, deadline_s):
+            raise TimeoutError(errno.ETIMEDOUT, f"no TLS handshake in {_CONNECT_S:g} s")
 
 
-def _await(waiting: socket.socket, event: int, stop: threading.Event, deadline: float) -> bool:
-    """Whether the socket is ready in time; raises where `stop` is set meanwhile."""
+def _await(waiting: socket.socket, event: int, stop: threading.Event, deadline_s: float) -> bool:
+    """Return whether the socket is ready in time; raises where `stop` is set meanwhile."""
     poll = select.poll()
     poll.register(waiting, event)
     while True:
         if stop.is_set():
             raise ConnectionAbortedError("stopped")
-        left_s = deadline - time.monotonic()
+        left_s = deadline_s - time.monotonic()
         if left_s <= 0.0:
             return False
         if poll.poll(1000.0 * min(left_s, _STEP_S)):

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from camber.formats.nmea.epochs import format_gga, format_gst, format_rmc
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_utc

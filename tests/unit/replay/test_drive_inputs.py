@@ -10,10 +10,10 @@ import pytest
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.errors import FormatError
 from camber.formats.map_exchange.pcd import PointCloud, write_pcd
-from camber.formats.nmea.epochs import format_gga, format_gst, format_rmc
-from camber.formats.receiver.rtklib_pos import PosDecoder, read_pos
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
+from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.formats.rinex.writer import StationHeader, observation_text
+from camber.formats.rinex.writer import StationHeader
 from camber.replay.drive_inputs import Arrival, DriveInputs, prepare_drive
 from camber.replay.lock_step.drive import ReceiverGreeting
 from camber.replay.receiver_file import read_receiver_file, receive_times
@@ -23,6 +23,7 @@ from camber.replay.truth_interpolation import interpolate_truth, plane_of
 from camber.road_map.release import read_release
 from camber.schemas.drive import DriveManifest, ReceiverFile, load_manifest
 from camber.schemas.gnss import ReceiverBytes
+from support.gnss_files import observation_text, read_pos
 from support.random_observations import random_epoch
 
 NAGOYA = Path(__file__).parents[2] / "replay" / "nagoya.toml"

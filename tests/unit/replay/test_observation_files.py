@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from camber.formats.errors import FormatError
-from camber.formats.rinex.writer import StationHeader, observation_text
+from camber.formats.rinex.writer import StationHeader
 from camber.formats.rtcm.msm_writer import msm7_payloads
 from camber.formats.rtcm.writer import format_observations, format_reference_station, rtcm_frame
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.geodesy.gps_time import NS_PER_WEEK
 from camber.replay.observation_files import read_observation_file, read_raw_file
+from support.gnss_files import observation_text
 from support.random_observations import COMMON, random_epoch
 
 START_NS = 2410 * NS_PER_WEEK + 259_200_000_000_000

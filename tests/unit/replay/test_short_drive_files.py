@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.truth_csv import FIX_STATES, read_truth
-from camber.formats.receiver.rtklib_pos import read_pos
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.replay.drive_inputs import prepare_drive
 from camber.replay.short_drive import (
@@ -20,6 +19,7 @@ from camber.replay.short_drive import (
 from camber.replay.truth_interpolation import plane_of
 from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest
+from support.gnss_files import read_pos
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

@@ -35,7 +35,7 @@ def server() -> Iterator[socket.socket]:
 def test_a_file_is_read_from_its_beginning_and_while_it_grows(tmp_path: Path, reader: Reader) -> None:
     path = tmp_path / "rover: night.pos"
     path.write_bytes(b"first\n")
-    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
         assert reader.until(stream, lambda data: data.endswith(b"\n")) == b"first\n"
         with path.open("ab") as file:
             file.write(b"second\n")
@@ -46,7 +46,7 @@ def test_a_file_is_read_from_its_beginning_and_while_it_grows(tmp_path: Path, re
 
 def test_a_file_that_is_not_there_yet_is_said_and_tried_again(tmp_path: Path, reader: Reader) -> None:
     path = tmp_path / "later.pos"
-    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.failures > 0)
         assert stream.problem is not None
         assert "No such file" in stream.problem
@@ -58,11 +58,11 @@ def test_a_file_that_is_not_there_yet_is_said_and_tried_again(tmp_path: Path, re
 def test_a_file_larger_than_the_memory_comes_whole(
     tmp_path: Path, reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(byte_streams, "LIMIT_BYTES", 20_000)
+    monkeypatch.setattr(byte_streams, "MAX_BACKLOG_BYTES", 20_000)
     content = bytes(range(256)) * 400
     path = tmp_path / "long.pos"
     path.write_bytes(content)
-    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: len(stream._bytes) > 15_000)
         time.sleep(0.05)  # were it to run away, it would by now
         assert len(stream._bytes) <= 20_000
@@ -72,7 +72,7 @@ def test_a_file_larger_than_the_memory_comes_whole(
 
 def test_a_server_that_goes_away_is_said_and_found_again(server: socket.socket, reader: Reader) -> None:
     port = server.getsockname()[1]
-    with closing(open_stream(f"tcp:127.0.0.1:{port}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"tcp:127.0.0.1:{port}", on_data=reader.arrived.set)) as stream:
         with server.accept()[0] as peer:
             peer.sendall(b"one ")
             assert reader.until(stream, lambda data: len(data) == 4) == b"one "
@@ -87,7 +87,7 @@ def test_a_server_that_goes_away_is_said_and_found_again(server: socket.socket, 
 def test_where_nobody_listens_the_reason_is_said(reader: Reader) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
-    with closing(open_stream(f"tcp:127.0.0.1:{port}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"tcp:127.0.0.1:{port}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.failures > 0)
         assert stream.problem is not None
         assert "refused" in stream.problem
@@ -97,10 +97,10 @@ def test_where_nobody_listens_the_reason_is_said(reader: Reader) -> None:
 def test_of_a_server_that_nobody_takes_from_the_newest_bytes_stay(
     server: socket.socket, reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(byte_streams, "LIMIT_BYTES", 10_000)
+    monkeypatch.setattr(byte_streams, "MAX_BACKLOG_BYTES", 10_000)
     content = b"".join(b"%09d\n" % n for n in range(20_000))
     with closing(
-        open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)
+        open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", on_data=reader.arrived.set)
     ) as stream:
         with server.accept()[0] as peer:
             peer.sendall(content)
@@ -114,7 +114,7 @@ def test_a_serial_port_is_read_byte_for_byte(reader: Reader) -> None:
     tty.setraw(ours)
     tty.setraw(theirs)
     sent = bytes(range(256)) * 8
-    with closing(open_stream(f"serial:{os.ttyname(theirs)}:115200", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"serial:{os.ttyname(theirs)}:115200", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.problem is None)
         os.write(ours, sent)
         assert reader.until(stream, lambda data: len(data) >= len(sent)) == sent
@@ -129,7 +129,7 @@ def test_whatever_a_port_raises_it_is_tried_again(reader: Reader) -> None:
 
     class Port:
         waits = False
-        silent_because = ""
+        silence_reason = ""
 
         def read(self) -> bytes:
             return b"x"
@@ -142,13 +142,13 @@ def test_whatever_a_port_raises_it_is_tried_again(reader: Reader) -> None:
             raise fault
         return Port()
 
-    with closing(ByteStream(connect, arrived=reader.arrived.set)) as stream:
+    with closing(ByteStream(connect, on_data=reader.arrived.set)) as stream:
         assert reader.until(stream, bool)[:1] == b"x"
         assert stream.failures == 3
 
 
 def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, reader: Reader) -> None:
-    stream = open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", arrived=reader.arrived.set)
+    stream = open_stream(f"tcp:127.0.0.1:{server.getsockname()[1]}", on_data=reader.arrived.set)
     with server.accept()[0] as peer:
         peer.settimeout(PATIENCE_S)
         stream.close()
@@ -273,25 +273,25 @@ def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyP
 
 def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
     pauses = ReconnectBackoff(chance=lambda: 1.0)
-    grown = [pauses.after(flowed_s, refused=False) for flowed_s in (0.0, 9.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0)]
+    grown = [pauses.pause_s(flowed_s, refused=False) for flowed_s in (0.0, 9.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0)]
     assert grown == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
-    assert pauses.after(10.0, refused=False) == 0.2
-    assert pauses.after(0.0, refused=False) == 0.4
+    assert pauses.pause_s(10.0, refused=False) == 0.2
+    assert pauses.pause_s(0.0, refused=False) == 0.4
 
 
 def test_who_has_refused_is_asked_less_often() -> None:
     pauses = ReconnectBackoff(chance=lambda: 1.0)
-    assert [pauses.after(0.0, refused=True) for _ in range(11)][-2:] == [60.0, 60.0]
-    assert pauses.after(0.0, refused=False) == 10.0
+    assert [pauses.pause_s(0.0, refused=True) for _ in range(11)][-2:] == [60.0, 60.0]
+    assert pauses.pause_s(0.0, refused=False) == 10.0
 
 
 def test_a_pause_is_never_shorter_than_half_of_what_it_may_be() -> None:
-    assert ReconnectBackoff(chance=lambda: 0.0).after(0.0, refused=False) == 0.1
+    assert ReconnectBackoff(chance=lambda: 0.0).pause_s(0.0, refused=False) == 0.1
 
 
 def test_a_server_that_says_nothing_is_left_and_found_again(server: socket.socket, reader: Reader) -> None:
     url = f"tcp:127.0.0.1:{server.getsockname()[1]}"
-    with closing(open_stream(url, arrived=reader.arrived.set, silence_s=0.3)) as stream:
+    with closing(open_stream(url, on_data=reader.arrived.set, silence_s=0.3)) as stream:
         with server.accept()[0]:
             wait_for(lambda: stream.failures > 0)
             assert stream.last_failure == "silent for 0.3 s"
@@ -305,7 +305,7 @@ def test_a_server_that_says_nothing_is_left_and_found_again(server: socket.socke
 def test_a_file_may_be_silent_for_ever(tmp_path: Path, reader: Reader) -> None:
     path = tmp_path / "rover.pos"
     path.write_bytes(b"first")
-    with closing(open_stream(f"file:{path}", arrived=reader.arrived.set, silence_s=0.01)) as stream:
+    with closing(open_stream(f"file:{path}", on_data=reader.arrived.set, silence_s=0.01)) as stream:
         reader.until(stream, bool)
         time.sleep(0.3)
         with path.open("ab") as file:
@@ -329,7 +329,7 @@ def test_a_port_that_is_plugged_in_again_under_another_device_is_found_by_its_na
     port = tmp_path / "usb-receiver"
     first, device = raw_terminal()
     port.symlink_to(device)
-    with closing(open_stream(f"serial:{port}", arrived=reader.arrived.set)) as stream:
+    with closing(open_stream(f"serial:{port}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.problem is None)
         os.write(first, b"one ")
         assert reader.until(stream, lambda data: len(data) == 4) == b"one "
@@ -347,9 +347,9 @@ def test_a_port_that_is_plugged_in_again_under_another_device_is_found_by_its_na
 
 def test_a_port_is_read_by_one_reader_only(reader: Reader) -> None:
     ours, device = raw_terminal()
-    with closing(open_stream(f"serial:{device}", arrived=reader.arrived.set)) as first:
+    with closing(open_stream(f"serial:{device}", on_data=reader.arrived.set)) as first:
         wait_for(lambda: first.problem is None)
-        with closing(open_stream(f"serial:{device}", arrived=reader.arrived.set)) as second:
+        with closing(open_stream(f"serial:{device}", on_data=reader.arrived.set)) as second:
             wait_for(lambda: second.failures > 0)
             assert "lock" in str(second.last_failure)
         os.write(ours, b"whole")
@@ -372,7 +372,7 @@ def unanswering() -> tuple[socket.socket, list[socket.socket]]:
 
 def test_closing_while_connecting_ends_the_thread(reader: Reader) -> None:
     listening, waiting = unanswering()
-    stream = open_stream(f"tcp:127.0.0.1:{listening.getsockname()[1]}", arrived=reader.arrived.set)
+    stream = open_stream(f"tcp:127.0.0.1:{listening.getsockname()[1]}", on_data=reader.arrived.set)
     time.sleep(0.2)
     assert stream.failures == 0
     assert stream.problem == "not connected yet"

@@ -39,7 +39,7 @@ def test_revision_1_knows_neither_hosts_nor_versions_nor_positions_in_a_request(
 
 
 def test_an_address_of_ipv6_stands_in_brackets() -> None:
-    at = Mountpoint.of("ntrips://[::1]:443/VRS/3")
+    at = Mountpoint.parse("ntrips://[::1]:443/VRS/3")
     assert at == Mountpoint(host="::1", port=443, name="VRS/3", tls=True)
     assert "Host: [::1]:443" in lines(request(at, NtripAccess(), None))
 
@@ -62,10 +62,10 @@ def test_positions_are_sent_at_the_interval_and_never_more_than_once_a_second(
     now_s, sent_s = 0.0, []
     for index, step_s in enumerate(steps_s):
         now_s += step_s
-        if pace.due(now_s):
+        if pace.take_due(now_s):
             sent_s.append(now_s)
             if index in unheard:
-                pace.not_heard()
+                pace.retry_soon()
         elif sent_s:
             assert now_s - sent_s[-1] < interval_s  # what is due is sent
     gaps_s = [after - before for before, after in pairwise(sent_s)]
@@ -89,18 +89,18 @@ def test_positions_are_sent_at_the_interval_and_never_more_than_once_a_second(
 )
 def test_what_is_no_sentence_of_a_position_is_not_sent(sentence: str | None) -> None:
     pace = GgaSchedule(NtripAccess(position=lambda: sentence))
-    assert pace.due(0.0) is None
-    assert "position" in pace.silent_because
+    assert pace.take_due(0.0) is None
+    assert "position" in pace.silence_reason
 
 
 def test_a_sentence_is_sent_as_soon_as_there_is_one() -> None:
     sentences = iter([None, GGA + "\r\n", GGA])
     pace = GgaSchedule(NtripAccess(position=lambda: next(sentences)))
-    assert pace.due(0.0) is None
-    assert pace.due(0.1) == GGA
-    assert pace.silent_because == ""
-    assert pace.due(10.2) == GGA
+    assert pace.take_due(0.0) is None
+    assert pace.take_due(0.1) == GGA
+    assert pace.silence_reason == ""
+    assert pace.take_due(10.2) == GGA
 
 
 def test_who_gives_no_position_is_not_told_to() -> None:
-    assert GgaSchedule(NtripAccess()).silent_because == ""
+    assert GgaSchedule(NtripAccess()).silence_reason == ""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from camber.transport.ntrip_responses import HEAD_LIMIT_BYTES, read_answer
+from camber.transport.ntrip_responses import HEAD_LIMIT_BYTES, parse_response
 from camber.transport.tcp_connection import RefusedError
 
 STREAM = b"\xd3\x00\x13>\xd0\x00\x03\n\r\nA: b\r\n\r\n0\r\n"
@@ -40,7 +40,7 @@ def fed(answer: bytes, cuts: list[int]) -> bytes:
         piece = answer[begin:end]
         if body is None:
             head += piece
-            read = read_answer(head, with_password=False)
+            read = parse_response(head, with_password=False)
             if read is None:
                 continue
             body, piece = read
@@ -105,14 +105,14 @@ REFUSALS = {
 @pytest.mark.parametrize(("answer", "reason"), REFUSALS.values(), ids=REFUSALS)
 def test_a_caster_that_gives_no_stream_is_understood(answer: bytes, reason: str) -> None:
     with pytest.raises(RefusedError) as raised:
-        assert read_answer(answer, with_password=True)
+        assert parse_response(answer, with_password=True)
     assert reason in str(raised.value)
     assert "geheim" not in str(raised.value)
 
 
 def test_where_no_password_is_set_that_is_the_reason() -> None:
     with pytest.raises(RefusedError, match=r"asks for user and password \(401\), and none are set"):
-        read_answer(b"HTTP/1.0 401 Unauthorized\r\n", with_password=False)
+        parse_response(b"HTTP/1.0 401 Unauthorized\r\n", with_password=False)
 
 
 @pytest.mark.parametrize(

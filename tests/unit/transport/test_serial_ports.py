@@ -7,7 +7,7 @@ from pathlib import Path
 from serial.tools.list_ports_common import ListPortInfo
 
 from camber.transport.byte_streams import parse_source
-from camber.transport.serial_ports import described
+from camber.transport.serial_ports import describe
 
 
 def port(
@@ -21,7 +21,7 @@ def port(
 
 
 def test_where_there_is_none_that_is_said(tmp_path: Path) -> None:
-    assert described([], by_id=tmp_path / "missing") == "no serial port is there"
+    assert describe([], by_id=tmp_path / "missing") == "no serial port is there"
 
 
 def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: Path) -> None:
@@ -36,7 +36,7 @@ def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: 
         port(device, "u-blox GNSS receiver", (0x1546, 0x01A9, "ABC")),
         port("/dev/ttyUSB0", "CP2102", (0x10C4, 0xEA60, "")),
     ]
-    assert described(ports, by_id=by_id).splitlines() == [
+    assert describe(ports, by_id=by_id).splitlines() == [
         "/dev/ttyS0",
         "  --source serial:/dev/ttyS0",
         "/dev/ttyUSB0",
@@ -51,6 +51,6 @@ def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: 
 
 
 def test_what_is_given_as_a_source_is_one() -> None:
-    for line in described([port("/dev/ttyS0"), port("/dev/ttyUSB0")], by_id=Path("/missing")).splitlines():
+    for line in describe([port("/dev/ttyS0"), port("/dev/ttyUSB0")], by_id=Path("/missing")).splitlines():
         if "--source" in line:
             assert callable(parse_source(line.split()[1]))

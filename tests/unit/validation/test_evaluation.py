@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from camber.formats.drive.recording import Recorded
-from camber.formats.receiver.rtklib_pos import read_pos
 from camber.geodesy.gps_time import gps_ns_from_week_tow
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.run_folder import DriveFacts, RunFacts
@@ -23,6 +22,7 @@ from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
 from camber.validation.evaluation import Evaluation, evaluate
 from camber.validation.truth import Truth
+from support.gnss_files import read_pos
 
 START_NS = 1_373_000_000_000_000_000
 STEP_NS = 200_000_000

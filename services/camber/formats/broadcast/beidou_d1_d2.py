@@ -8,21 +8,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from camber.formats.broadcast.bit_fields import joined
+from camber.formats.broadcast.bit_fields import pack_bits
 from camber.formats.broadcast.bit_layouts import BitLayout, decode_layout, encode_layout
 from camber.formats.broadcast.ephemeris_fields import FIELDS, integers_from_ephemeris, system_week
 from camber.formats.broadcast.klobuchar_coefficients import IONOSPHERE_FIELDS
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
+# BDS-SIS-ICD-B1I: 5.2.2 and 5.3.2 (durations; a page of D2 is sent with every frame), 5.2.4.1 (preamble).
 D1_SUBFRAME_S = 6
 D2_FRAME_S = 3
+D2_SUBFRAME_NS = 600_000_000
 D2_PAGES = (1, 3, 4, 5, 6, 7, 8, 9, 10)
-"""Those that hold the ephemeris; page 2 is of the ionosphere."""
+"""Pages of subframe 1 with the ephemeris; page 2 contains the ionosphere."""
 _PERIOD_S = 30
 _PREAMBLE = 0b11100010010
 _Fields = list[tuple[int, int]]
-D1: dict[int, BitLayout] = {
+_D1: dict[int, BitLayout] = {
     1: (
         *("health", "aodc", "accuracy", "week", "toc_s", "tgd1_s", "tgd2_s"),
         *IONOSPHERE_FIELDS,
@@ -37,7 +39,7 @@ D1: dict[int, BitLayout] = {
         *("ascending_node_rad", "perigee_rad", 1),
     ),
 }
-D2: dict[int, BitLayout] = {
+_D2: dict[int, BitLayout] = {
     1: ("health", "aodc", "accuracy", "week", "toc_s", "tgd1_s", "tgd2_s", 12),
     3: (38, "af0_s", "af1>18", 6),
     4: ("af1<18", "af2", "iode", "mean_motion_difference_rad_s", "cuc>4", 8),
@@ -48,7 +50,7 @@ D2: dict[int, BitLayout] = {
     9: ("ascending_node_rate_rad_s<5", "ascending_node_rad", "perigee_rad>5", 8),
     10: ("perigee_rad<5", "inclination_rate_rad_s", 53),
 }
-_D2_RESERVED_BITS = 5 * 22
+_D2_RESERVED = (0, 5 * 22)  # words 6 to 10 of a page, 5.3.3
 FIELDS_AND_IONOSPHERE = FIELDS["C"] | IONOSPHERE_FIELDS
 _BITS, _BODY_BITS = 26 + 9 * 22, 26 + 9 * 22 - 38
 
@@ -60,35 +62,29 @@ def is_geostationary(satellite: int) -> bool:
 
 
 def encode_d1_subframe(ephemeris: Ephemeris, subframe: int, start_ns: int) -> list[int]:
-    """Ten words of 30 bits of D1 subframe 1, 2 or 3 that begins at a GPS time; the ionosphere is zero.
+    """Return ten words of 30 bits of D1 subframe 1, 2 or 3 starting at a GPS time; the ionosphere is zero.
 
     Words are as after de-interleaving: 22 information bits (26 in the first), then 8 check bits (4). Raises ValueError
-    as `integers_from_ephemeris` does, or where no subframe begins at this time.
+    as `integers_from_ephemeris` does, or where this subframe does not start at this time.
     """
     week, second = _second_of_week(start_ns, D1_SUBFRAME_S, subframe)
     integers = (
         dict.fromkeys(IONOSPHERE_FIELDS, 0) | integers_from_ephemeris(ephemeris) | {"week": week % 8192}
     )
-    return _words([*_head(subframe, second), *encode_layout(D1[subframe], FIELDS_AND_IONOSPHERE, integers)])
+    return _words([*_head(subframe, second), *encode_layout(_D1[subframe], FIELDS_AND_IONOSPHERE, integers)])
 
 
 def encode_d2_page(ephemeris: Ephemeris, page: int, start_ns: int) -> list[int]:
-    """Ten words of page 1 or 3 to 10 of D2 subframe 1, beginning at a GPS time; else as `encode_d1_subframe`."""
+    """Return ten words of page 1 or 3 to 10 of D2 subframe 1 starting at a GPS time; else as `encode_d1_subframe`."""
     week, second = _second_of_week(start_ns, D2_FRAME_S, page)
     integers = integers_from_ephemeris(ephemeris) | {"week": week % 8192}
-    return _words(
-        [
-            *_head(1, second),
-            (page, 4),
-            *encode_layout(D2[page], FIELDS_AND_IONOSPHERE, integers),
-            (0, _D2_RESERVED_BITS),
-        ]
-    )
+    body = encode_layout(_D2[page], FIELDS_AND_IONOSPHERE, integers)
+    return _words([*_head(1, second), (page, 4), *body, _D2_RESERVED])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeidouPart:
-    """A subframe (D1) or page (D2): its number, when it began [s of BeiDou's week], what of the fields it holds."""
+    """A subframe (D1) or page (D2): its number, its start [s of BeiDou's week], the fields in it."""
 
     number: int
     second: int
@@ -96,48 +92,46 @@ class BeidouPart:
 
 
 def decode_d1_subframe(words: Sequence[int]) -> BeidouPart:
-    """One of D1; only 1 to 3 hold fields, subframe 1 the ionosphere's too.
+    """Return a D1 subframe; only 1 to 3 contain fields, subframe 1 also the ionosphere.
 
-    Words as in `encode_d1_subframe`, whatever stands before their 30 bits. Raises ValueError where check bits, the
-    preamble, the time or the number of words is wrong.
+    Words as in `encode_d1_subframe`; bits above their 30 are ignored. Raises ValueError where check bits, the preamble,
+    the time or the number of words is wrong.
     """
-    number, second, bits = _read(words)
-    layout = D1.get(number, ())
-    return BeidouPart(
-        number=number, second=second, fields=decode_layout(bits, _BODY_BITS, layout, FIELDS_AND_IONOSPHERE)
-    )
+    number, second, bits = _decode_words(words)
+    fields = decode_layout(bits, _BODY_BITS, _D1.get(number, ()), FIELDS_AND_IONOSPHERE)
+    return BeidouPart(number=number, second=second, fields=fields)
 
 
 def decode_d2_page(words: Sequence[int]) -> BeidouPart | None:
-    """A page of D2 subframe 1; None of another subframe. Else as `decode_d1_subframe`."""
-    subframe, second, bits = _read(words)
+    """Return a page of D2 subframe 1; None for another subframe. Else as `decode_d1_subframe`."""
+    subframe, second, bits = _decode_words(words)
     if subframe != 1:
         return None
     page = bits >> _BODY_BITS - 4 & 0b1111
-    fields = decode_layout(bits, _BODY_BITS - 4, D2.get(page, ()), FIELDS_AND_IONOSPHERE)
+    fields = decode_layout(bits, _BODY_BITS - 4, _D2.get(page, ()), FIELDS_AND_IONOSPHERE)
     return BeidouPart(number=page, second=second, fields=fields)
 
 
-def bch_check(information: int) -> int:
-    """The four check bits of eleven information bits: BCH(15, 11), g(x) = x⁴ + x + 1."""
+def _bch_check_bits(information: int) -> int:
+    """Return the four check bits of eleven information bits: BCH(15, 11), g(x) = x⁴ + x + 1."""
     rest = information << 4
-    for place in range(14, 3, -1):
-        if rest >> place & 1:
-            rest ^= 0b10011 << place - 4
+    for bit in range(14, 3, -1):
+        if rest >> bit & 1:
+            rest ^= 0b10011 << bit - 4
     return rest
 
 
-def _read(words: Sequence[int]) -> tuple[int, int, int]:
-    """Subframe, second of the week and all information bits."""
+def _decode_words(words: Sequence[int]) -> tuple[int, int, int]:
+    """Return subframe number, second of the week and all information bits."""
     if len(words) != 10:
         raise ValueError(f"{len(words)} words, expected 10")
     bits = 0
-    for place, word in enumerate(words):
-        information = word >> 8 & 0x3FFFFF if place else word >> 4 & 0x3FFFFFF
-        expected = _first_word(information) if place == 0 else _other_word(information)
+    for k, word in enumerate(words):
+        information = word >> 8 & 0x3FFFFF if k else word >> 4 & 0x3FFFFFF
+        expected = _other_word(information) if k else _first_word(information)
         if word & 0x3FFFFFFF != expected:
             raise ValueError(f"check bits of word {word:08x} are wrong")
-        bits = bits << (22 if place else 26) | information
+        bits = bits << (22 if k else 26) | information
     if bits >> _BITS - 11 != _PREAMBLE:
         raise ValueError(f"preamble is {bits >> _BITS - 11:011b}, expected {_PREAMBLE:011b}")
     second = bits >> _BODY_BITS & 0xFFFFF
@@ -161,16 +155,16 @@ def _head(subframe: int, second: int) -> _Fields:
 
 
 def _words(fields: _Fields) -> list[int]:
-    information, width = joined(fields)
+    information, width = pack_bits(fields)
     first = _first_word(information >> width - 26)
     return [first, *(_other_word(information >> width - 26 - 22 * n & 0x3FFFFF) for n in range(1, 10))]
 
 
 def _first_word(information: int) -> int:
-    """26 bits, of which the last 11 are checked."""
-    return information << 4 | bch_check(information & 0x7FF)
+    """Return the word of 26 information bits, of which the last 11 are checked."""
+    return information << 4 | _bch_check_bits(information & 0x7FF)
 
 
 def _other_word(information: int) -> int:
-    """22 bits, which are two codes."""
-    return information << 8 | bch_check(information >> 11) << 4 | bch_check(information & 0x7FF)
+    """Return the word of 22 information bits, which are two code words."""
+    return information << 8 | _bch_check_bits(information >> 11) << 4 | _bch_check_bits(information & 0x7FF)

@@ -1,7 +1,7 @@
-"""Which fields of a navigation message stand where: one table to write a subframe with and to read it by.
+"""Bit layouts of navigation messages: one table both to encode a subframe and to decode it.
 
-A layout is a row of entries: a name is that whole field, `name>n` the field without its last n bits, `name<n` these
-last n bits, a number so many bits that are zero when written and passed over when read.
+A layout is a sequence of entries: a name is the whole field, `name>n` the field without its last n bits, `name<n` its
+last n bits, a number that many bits, which are encoded as zero and skipped when decoding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ BitLayout = tuple[str | int, ...]
 def encode_layout(
     layout: BitLayout, fields: Mapping[str, BitField], integers: Mapping[str, int]
 ) -> list[tuple[int, int]]:
-    """(value, width) pairs for `bit_fields.joined`."""
+    """Return (value, width) pairs for `bit_fields.pack_bits`."""
     pairs = list[tuple[int, int]]()
     for entry in layout:
         if isinstance(entry, int):
@@ -28,23 +28,23 @@ def encode_layout(
 
 
 def decode_layout(bits: int, width: int, layout: BitLayout, fields: Mapping[str, BitField]) -> dict[str, int]:
-    """The fields at the front of so many bits, unsigned; of a field that stands there in part, that part in its place.
+    """Return the fields of the layout, unsigned; a partial field keeps its position within the whole field.
 
-    Raises ValueError where the layout is longer than the bits.
+    The layout begins at the most significant of `width` bits. Raises ValueError where it is longer than that.
     """
-    found, left = dict[str, int](), width
+    decoded, left = dict[str, int](), width
     for entry in layout:
         name, shift, part_width = ("", 0, entry) if isinstance(entry, int) else _part(entry, fields)
         left -= part_width
         if left < 0:
             raise ValueError(f"{width} bits, expected those of {layout}")
         if name:
-            found[name] = found.get(name, 0) | (bits >> left & (1 << part_width) - 1) << shift
-    return found
+            decoded[name] = decoded.get(name, 0) | (bits >> left & (1 << part_width) - 1) << shift
+    return decoded
 
 
 def combine_parts(parts: Iterable[Mapping[str, int]], fields: Mapping[str, BitField]) -> dict[str, int]:
-    """What several subframes hold as whole fields, with their signs. What stands in two of them must be equal."""
+    """Return the whole signed fields of several subframes. A field contained in two of them must be equal in both."""
     whole = dict[str, int]()
     for part in parts:
         for name, value in part.items():
@@ -56,7 +56,7 @@ def combine_parts(parts: Iterable[Mapping[str, int]], fields: Mapping[str, BitFi
 
 
 def _part(entry: str, fields: Mapping[str, BitField]) -> tuple[str, int, int]:
-    """Name, how far its bits are shifted, and how many there are."""
+    """Return name, shift of the part within the field, and number of its bits."""
     if ">" in entry:
         name, _, bits = entry.partition(">")
         return name, int(bits), fields[name].width - int(bits)

@@ -1,6 +1,6 @@
-"""A broadcast ephemeris as the integers that its system transmits: what RTCM messages and subframes both hold.
+"""Broadcast ephemerides as the integers that each system transmits, in RTCM messages and in subframes alike.
 
-Sources, for widths and resolutions: IS-GPS-200, tables 20-I to 20-III (QZSS alike: IS-QZSS-PNT, 5.4); Galileo OS SIS
+Sources of widths and scale factors: IS-GPS-200, tables 20-I to 20-III (QZSS the same: IS-QZSS-PNT, 5.4); Galileo OS SIS
 ICD, tables 60 to 69; BDS-SIS-ICD-B1I, tables 5-6 to 5-11.
 """
 
@@ -9,51 +9,49 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from camber.formats.broadcast.bit_fields import quantize
-from camber.formats.observations import Ephemeris, satellite_name
+from camber.formats.observations import GPS_MINUS_BDT_NS, MAX_SATELLITE_NUMBER, Ephemeris, satellite_name
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
-ColumnLayout = tuple[str, ...]
-"""Names of `FIELDS`, in the order of transmission."""
 
-
-@dataclass(frozen=True, slots=True)
-class BitField:
-    """So many bits of `resolution`, in the unit of `Ephemeris`; angles that go round are taken modulo a turn."""
+class BitField(NamedTuple):
+    """An integer of `width` bits, scaled by `resolution` to the unit of `Ephemeris`; `cyclic` angles wrap at a turn."""
 
     width: int
     resolution: float = 1.0
     signed: bool = False
-    round: bool = False
+    cyclic: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GnssTimeScale:
-    """A system's own week count: first week in GPS weeks, and how far it is behind GPS time."""
+    """A system's week count: its first week in GPS weeks, GPS time minus system time, number of weeks to roll-over."""
 
     first_gps_week: int
     gps_offset_ns: int
     weeks: int
 
 
+# IS-GPS-200, 20.3.3.3.1.1; Galileo OS SIS ICD, 5.1.2 (1999-08-22); BDS-SIS-ICD-B1I, 3.2 (2006-01-01) and 5.2.4.4.
 GNSS_TIME_SCALES = {
     "G": GnssTimeScale(first_gps_week=0, gps_offset_ns=0, weeks=1024),
     "J": GnssTimeScale(first_gps_week=0, gps_offset_ns=0, weeks=1024),
     "E": GnssTimeScale(first_gps_week=1024, gps_offset_ns=0, weeks=4096),
-    "C": GnssTimeScale(first_gps_week=1356, gps_offset_ns=14 * NS_PER_SECOND, weeks=8192),
+    "C": GnssTimeScale(first_gps_week=1356, gps_offset_ns=GPS_MINUS_BDT_NS, weeks=8192),
 }
 
-_TURN = BitField(32, math.pi * 2.0**-31, signed=True, round=True)
+_CYCLIC = BitField(32, math.pi * 2.0**-31, signed=True, cyclic=True)
 _ORBIT = {
     "sqrt_a": BitField(32, 2.0**-19),
     "eccentricity": BitField(32, 2.0**-33),
     "inclination_rad": BitField(32, math.pi * 2.0**-31, signed=True),
     "inclination_rate_rad_s": BitField(14, math.pi * 2.0**-43, signed=True),
-    "ascending_node_rad": _TURN,
+    "ascending_node_rad": _CYCLIC,
     "ascending_node_rate_rad_s": BitField(24, math.pi * 2.0**-43, signed=True),
-    "perigee_rad": _TURN,
-    "mean_anomaly_rad": _TURN,
+    "perigee_rad": _CYCLIC,
+    "mean_anomaly_rad": _CYCLIC,
     "mean_motion_difference_rad_s": BitField(16, math.pi * 2.0**-43, signed=True),
 }
 
@@ -124,13 +122,14 @@ FIELDS: dict[str, dict[str, BitField]] = {
         "tgd2_s": BitField(10, 1e-10, signed=True),
     },
 }
-_MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
-# Galileo's health as RINEX 3.04 (table A8) packs it, from its lowest bit on.
+_SYSTEM_SPECIFIC = ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s")
+# Galileo's health word of RINEX 3.04 (table A8), from its lowest bit on.
 _GALILEO_HEALTH = ("e1b_invalid", "e1b_health", "e5a_invalid", "e5a_health", "e5b_invalid", "e5b_health")
+# IS-GPS-200, 20.3.3.4.3.1; IS-QZSS-PNT, 4.1: a set flag means more than this many hours.
 _NOMINAL_FIT_H = {"G": 4.0, "J": 2.0}
 # IS-GPS-200 20.3.3.3.1.3: the greatest URA of each index; index 15 is "no prediction". BeiDou's are the same.
 _URA_M = (2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1536.0, 3072.0, 6144.0)
-# What a user may take for them: 2^(1 + N/2), rounded, up to index 6, then 2^(N − 2).
+# The same section, nominal values for users: 2^(1 + N/2), rounded, up to index 6, then 2^(N − 2).
 _NOMINAL_URA_M = (2.0, 2.8, 4.0, 5.7, 8.0, 11.3, 16.0, *(2.0 ** (n - 2) for n in range(7, 15)))
 # Galileo OS SIS ICD, table 76: the SISA of each index up to 125; 255 is "no accuracy prediction available".
 _SISA_M = (
@@ -139,36 +138,35 @@ _SISA_M = (
     *(1.00 + 0.04 * n for n in range(25)),
     *(2.00 + 0.16 * n for n in range(26)),
 )
-_NO_SISA = 255
+_NO_SISA = 255  # same table
 
 
 def system_week(system: str, time_ns: int) -> tuple[int, int]:
-    """The system's own full week number and the ns into it, of a GPS time."""
+    """Return the system's full week number and the time of week [ns] of a GPS time."""
     scale = GNSS_TIME_SCALES[system]
     week, of_week_ns = divmod(time_ns - scale.gps_offset_ns, NS_PER_WEEK)
     return week - scale.first_gps_week, of_week_ns
 
 
 def gps_ns_near(system: str, of_week_ns: int, near_ns: int) -> int:
-    """The GPS time nearest to `near_ns` at which the system's time of week is this."""
-    since = (of_week_ns - system_week(system, near_ns)[1] + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
-    return near_ns + since
+    """Return the GPS time nearest to `near_ns` with this time of week of the system."""
+    difference_ns = of_week_ns - system_week(system, near_ns)[1]
+    return near_ns + (difference_ns + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
 
 
 def integers_from_ephemeris(ephemeris: Ephemeris) -> dict[str, int]:
-    """Each field of `FIELDS` of the satellite's system as the integer that is transmitted.
+    """Return each field of `FIELDS` of the satellite's system as the integer that is transmitted.
 
-    `week` is that of the ephemeris' reference time, modulo what the field holds. Accuracies become the least index that
-    is not better than they are, angles are taken modulo a turn. Without a `fit_interval_h` the nominal one is said, of
-    the codes on L2 always P.
+    `week` is that of the ephemeris' reference time, modulo the field's range. Accuracies become the lowest index that
+    does not claim a better accuracy. Without a `fit_interval_h` it is nominal; the code on L2 is always P.
 
-    Raises ValueError where a value does not fit its field, a reference time is no multiple of its resolution, or
-    `other` lacks what the system has.
+    Raises ValueError where a value does not fit its field, a reference time is no multiple of its resolution, or a
+    field that the system requires is missing in `other`.
     """
     name = satellite_name(ephemeris.satellite)
     system, number = name[0], ephemeris.satellite & 255
     fields = FIELDS.get(system)
-    if fields is None or not 1 <= number <= _MOST_SATELLITES[system]:
+    if fields is None or not 1 <= number <= MAX_SATELLITE_NUMBER[system]:
         raise ValueError(f"satellite {name}: no broadcast ephemeris of this number, expected G, J, E or C")
     values: dict[str, float] = {
         "satellite": number,
@@ -177,9 +175,10 @@ def integers_from_ephemeris(ephemeris: Ephemeris) -> dict[str, int]:
         "af1": ephemeris.clock[1],
         "af2": ephemeris.clock[2],
         **{attribute: float(getattr(ephemeris, attribute)) for attribute in _attributes(fields)},
-        **_health(system, name, ephemeris.health),
+        **_health_fields(system, name, ephemeris.health),
         "codes_on_l2": 1,
         "l2_p_data": 0,
+        "accuracy": _accuracy_index(system, ephemeris.accuracy_m),
     }
     for time, time_ns in (("toe_s", ephemeris.toe_ns), ("toc_s", ephemeris.toc_ns)):
         of_week_ns = system_week(system, time_ns)[1]
@@ -189,31 +188,26 @@ def integers_from_ephemeris(ephemeris: Ephemeris) -> dict[str, int]:
                 f" expected a multiple of {fields[time].resolution:.0f} s"
             )
         values[time] = of_week_ns / NS_PER_SECOND
-    values["accuracy"] = _accuracy_index(system, ephemeris.accuracy_m)
     if "fit" in fields:
-        nominal = _NOMINAL_FIT_H[system]
-        values["fit"] = float(ephemeris.other.get("fit_interval_h", nominal) > nominal)
-    for field in ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s"):
+        nominal_h = _NOMINAL_FIT_H[system]
+        values["fit"] = float(ephemeris.other.get("fit_interval_h", nominal_h) > nominal_h)
+    for field in _SYSTEM_SPECIFIC:
         if field in fields:
             if field not in ephemeris.other:
                 raise ValueError(f"{name}: the ephemeris has no {field}")
             values[field] = ephemeris.other[field]
-    return {field: _integer(f"{name} {field}", values[field], is_) for field, is_ in fields.items()}
+    return {field: _integer(f"{name} {field}", values[field], fields[field]) for field in fields}
 
 
 def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: int) -> Ephemeris:
-    """The ephemeris that these integers say, its weeks being those nearest to `near_ns` (GPS time).
+    """Return the ephemeris of these integers, its weeks being those nearest to `near_ns` (GPS time).
 
-    `transmission_ns` is `near_ns`, as the integers do not hold it. A field that is missing is NaN in the orbit and is
-    left out of `other`.
+    `transmission_ns` is `near_ns`, as the integers do not contain it. A missing field of the orbit is NaN, another one
+    is absent from `other`.
     """
     fields = FIELDS[system]
     values = {name: integers[name] * fields[name].resolution for name in fields if name in integers}
-    other: dict[str, float] = {
-        name: values[name]
-        for name in ("iodc", "aodc", "tgd_s", "bgd_e5a_s", "bgd_e5b_s", "tgd1_s", "tgd2_s")
-        if name in values
-    }
+    other: dict[str, float] = {name: values[name] for name in _SYSTEM_SPECIFIC if name in values}
     if "fit" in values:
         other["fit_interval_h"] = _NOMINAL_FIT_H[system] * (1.0 if values["fit"] == 0 else 1.5)
     health, shift = 0, 0
@@ -230,12 +224,12 @@ def ephemeris_from_integers(system: str, integers: Mapping[str, int], near_ns: i
         accuracy_m=_accuracy_m(system, integers["accuracy"]),
         health=health,
         other=other,
-        **{name: values.get(name, math.nan) for name in _attributes(fields) if name not in ("iode",)},
+        **{name: values.get(name, math.nan) for name in _attributes(fields) if name != "iode"},
     )
 
 
 def _attributes(fields: Mapping[str, BitField]) -> list[str]:
-    """The fields that have the name of an attribute and are taken as they are."""
+    """Return the fields that are attributes of `Ephemeris` with the same meaning."""
     return [
         name
         for name in fields
@@ -244,14 +238,14 @@ def _attributes(fields: Mapping[str, BitField]) -> list[str]:
 
 
 def _integer(name: str, value: float, field: BitField) -> int:
-    if field.round and math.isfinite(value):
-        # Whole turns are dropped; just below +π it may round to +π, which is −π.
+    if field.cyclic and math.isfinite(value):
+        # Whole turns are dropped; just below +π may round to +π, which is −π.
         turns = round(value / field.resolution) & (1 << field.width) - 1
         return turns - (1 << field.width) if turns >> (field.width - 1) else turns
     return quantize(name, value, field.resolution, field.width, signed=field.signed)
 
 
-def _health(system: str, name: str, health: int) -> dict[str, float]:
+def _health_fields(system: str, name: str, health: int) -> dict[str, float]:
     if system != "E":
         return {"health": health}
     if not 0 <= health < 512:
@@ -265,12 +259,12 @@ def _health(system: str, name: str, health: int) -> dict[str, float]:
 
 
 def _accuracy_index(system: str, accuracy_m: float) -> int:
-    steps, unknown = (_SISA_M, _NO_SISA) if system == "E" else (_URA_M, len(_URA_M))
-    if not accuracy_m >= 0.0:  # NaN, and −1, by which RINEX says that there is none
+    limits_m, unknown = (_SISA_M, _NO_SISA) if system == "E" else (_URA_M, len(_URA_M))
+    if not accuracy_m >= 0.0:  # NaN, and −1, RINEX's "no accuracy prediction"
         return unknown
-    return next((index for index, step in enumerate(steps) if accuracy_m <= step + 1e-9), unknown)
+    return next((index for index, limit_m in enumerate(limits_m) if accuracy_m <= limit_m + 1e-9), unknown)
 
 
 def _accuracy_m(system: str, index: int) -> float:
-    steps = _SISA_M if system == "E" else _NOMINAL_URA_M
-    return steps[index] if index < len(steps) else math.nan
+    accuracies_m = _SISA_M if system == "E" else _NOMINAL_URA_M
+    return accuracies_m[index] if index < len(accuracies_m) else math.nan

@@ -1,1 +1,1 @@
-"""NMEA 0183 sentences, read and written."""
+"""NMEA 0183 sentences, decoded and encoded."""

@@ -1,8 +1,10 @@
-"""What a sentence of NMEA 0183 is made of, and whether its checksum is right.
+"""Framing of NMEA 0183 sentences, and their checksum.
 
-Source: NMEA 0183 v4.11, 5.3: `$`, printable characters, `*`, two hexadecimal digits of the exclusive or of
-everything between `$` and `*`, carriage return, line feed.
+Source: NMEA 0183 v4.11, 5.3: `$`, printable characters, `*`, two hexadecimal digits of the exclusive or of everything
+between `$` and `*`, carriage return, line feed.
 """
+
+from __future__ import annotations
 
 import re
 from dataclasses import dataclass
@@ -10,14 +12,14 @@ from dataclasses import dataclass
 from pynmeagps.nmeahelpers import calc_checksum, get_parts
 
 from camber.formats.errors import FormatError
-from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES
 
 _WHOLE = re.compile(rb"\$[^*]*\*[0-9A-Fa-f]{2}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sentence:
-    """A sentence whose checksum is right: `kind` is its formatter (`GGA`), `fields` what follows, as text."""
+    """A sentence with a correct checksum: `kind` is its formatter (`GGA`), `fields` the texts after it."""
 
     talker: str
     kind: str
@@ -26,9 +28,10 @@ class Sentence:
 
 
 def parse_sentence(source_name: str, text: bytes, byte_offset: int) -> Sentence | FormatError:
-    """The sentence of what looks like one, from its `$` on without the line end; an error where it is broken."""
-    if len(text) > MOST_SENTENCE_BYTES:
-        expected = f"at most {MOST_SENTENCE_BYTES} bytes before its end"
+    """Parse a candidate sentence, from its `$` on without the line end; an error where it is malformed."""
+    actual = text
+    if len(text) > MAX_SENTENCE_BYTES:
+        expected = f"at most {MAX_SENTENCE_BYTES} bytes before its end"
     elif not _WHOLE.fullmatch(text):
         expected = "$…*hh and a line end: cut short or interrupted"
     else:
@@ -36,6 +39,5 @@ def parse_sentence(source_name: str, text: bytes, byte_offset: int) -> Sentence 
         if calc_checksum(content) == checksum.upper():
             return Sentence(talker=talker, kind=kind, fields=tuple(fields), byte_offset=byte_offset)
         expected = f"checksum {calc_checksum(content)}"
-    # The end is shown too when it is the checksum that is wrong.
-    found = text if "checksum" not in expected else text[:6] + b"..." + text[-6:]
-    return FormatError(source_name, "sentence", expected, actual=found, byte_offset=byte_offset)
+        actual = text[:6] + b"..." + text[-6:]
+    return FormatError(source_name, "sentence", expected, actual=actual, byte_offset=byte_offset)

@@ -1,9 +1,10 @@
-"""What the fields of GGA, GST, GBS, RMC and ZDA sentences mean.
+"""Fields of GGA, GST, GBS, RMC and ZDA sentences.
 
-Source: NMEA 0183 v4.11, 6.3. Values are read from the text itself and not through a typed parser: those
-round, take minutes over 59, an absent hemisphere or a leap second as they come, and refuse a position because
-of a station name.
+Source: NMEA 0183 v4.11, 6.3. Values are parsed from the text itself and not by pynmeagps: it rounds, accepts minutes
+above 59, an absent hemisphere or a leap second as they are, and refuses a position because of a station name.
 """
+
+from __future__ import annotations
 
 import math
 import re
@@ -18,10 +19,8 @@ from camber.formats.receiver.solution import SolutionQuality
 from camber.geodesy.covariance import EnuCovariance
 from camber.geodesy.gps_time import NS_PER_SECOND
 
-NS_PER_HOUR = 3600 * NS_PER_SECOND
-
-# 0 is "no position"; 7 (manual input) and 8 (simulator) are positions of no satellites and are refused.
-# 3 (precise positioning) is PPP as in RTKLIB; 2 covers DGPS and SBAS, which NMEA does not tell apart.
+# 0 is "no position"; 7 (manual input) and 8 (simulator) are positions without satellites and are refused.
+# 3 (precise positioning) is PPP as in RTKLIB; 2 is DGPS and SBAS, which NMEA does not distinguish.
 QUALITY_FROM_NMEA = {
     1: SolutionQuality.SINGLE,
     2: SolutionQuality.DGPS,
@@ -37,10 +36,12 @@ _LONGITUDE = re.compile(r"(\d{3})(\d\d(?:\.\d+)?)", re.ASCII)
 _NUMBER = re.compile(r"[+-]?\d+(?:\.(\d*))?", re.ASCII)
 _DATE = re.compile(r"(\d\d)(\d\d)(\d\d)", re.ASCII)
 
-_HEIGHT_LIMIT_M = 1.0e5
-_DEVIATION_LIMIT_M = 1.0e6
-_AGE_LIMIT_S = 1.0e6
-_BIAS_LIMIT_M = 1.0e9
+# Chosen: far beyond what receivers report, so that only damaged numbers exceed them.
+_MAX_HEIGHT_M = 1.0e5
+_MAX_SEPARATION_M = 1000.0
+_MAX_DEVIATION_M = 1.0e6
+_MAX_AGE_S = 1.0e6
+_MAX_BIAS_M = 1.0e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,9 +69,9 @@ class Gst:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gbs:
-    """Fault detection (RAIM): the errors expected in the position, and the satellite most likely to have failed.
+    """Fault detection (RAIM): expected errors of the position, and the satellite that most likely failed.
 
-    `satellite` is `G05`, or the sentence's own number where its system is not known. What is empty is None.
+    `satellite` is `G05`, or the sentence's number where its system is unknown. None for an empty field.
     """
 
     time_of_day_ns: int
@@ -83,7 +84,7 @@ class Gbs:
 
 @dataclass(frozen=True, slots=True)
 class UtcDate:
-    """From RMC or ZDA: the UTC date at a UTC time of day."""
+    """UTC date at a UTC time of day, from RMC or ZDA."""
 
     time_of_day_ns: int
     day: date
@@ -95,50 +96,31 @@ class SentenceFields:
     def __init__(self, source_name: str, sentence: Sentence) -> None:
         self._source_name = source_name
         self._sentence = sentence
-
-    @property
-    def byte_offset(self) -> int:
-        """Where the sentence begins in the stream."""
-        return self._sentence.byte_offset
-
-    @property
-    def talker(self) -> str:
-        """The two letters before the kind."""
-        return self._sentence.talker
+        self.byte_offset = sentence.byte_offset
+        self.talker = sentence.talker
 
     def text(self, index: int) -> str:
-        """The field without blanks around it; empty where there is none."""
+        """Return the field without surrounding blanks; empty where it is absent."""
         fields = self._sentence.fields
         return fields[index].strip() if index < len(fields) else ""
 
     def error(self, index: int, name: str, expected: str) -> FormatError:
-        """An error about this field, with its text and the place of the sentence."""
-        field = f"{self._sentence.kind} {name}"
-        return FormatError(
-            self._source_name,
-            field,
-            expected,
-            actual=self.text(index),
-            byte_offset=self._sentence.byte_offset,
-        )
+        """Return an error about this field, with its text and the position of the sentence."""
+        field, actual = f"{self._sentence.kind} {name}", self.text(index)
+        return FormatError(self._source_name, field, expected, actual=actual, byte_offset=self.byte_offset)
 
     def time_of_day_ns(self, index: int) -> int:
-        """UTC time of day [ns]; 86,400 s and more in a leap second."""
+        """Return the UTC time of day [ns]; 86,400 s and more in a leap second."""
         match = _TIME.fullmatch(self.text(index))
         hour, minute, second = (int(part) for part in match.groups()[:3]) if match else (99, 99, 99)
-        # 23:59:60 exists; whether it does on this day is decided once the date is known.
-        if (
-            match is None
-            or hour > 23
-            or minute > 59
-            or second > 60
-            or (second == 60 and (hour, minute) != (23, 59))
-        ):
+        # 23:59:60 is valid; whether it exists on this day is checked once the date is known.
+        is_time = hour <= 23 and minute <= 59 and (second <= 59 or (hour, minute, second) == (23, 59, 60))
+        if match is None or not is_time:
             raise self.error(index, "time", "hhmmss.ss")
         return (hour * 3600 + minute * 60 + second) * NS_PER_SECOND + int((match[4] or "0").ljust(9, "0"))
 
     def number(self, index: int, name: str, lowest: float, highest: float) -> float:
-        """A plain decimal number within bounds."""
+        """Return a plain decimal number within bounds."""
         text = self.text(index)
         value = float(text) if _NUMBER.fullmatch(text) else math.nan
         if not lowest <= value <= highest:
@@ -146,26 +128,27 @@ class SentenceFields:
         return value
 
     def optional_number(self, index: int, name: str, lowest: float, highest: float) -> float | None:
-        """As `number`, None for an empty field."""
+        """Return the number, None for an empty field."""
         return self.number(index, name, lowest, highest) if self.text(index) else None
 
     def rounding(self, index: int) -> float:
-        """Half a unit of the last printed digit."""
+        """Return half a unit of the last printed digit."""
         match = _NUMBER.fullmatch(self.text(index))
         return float(0.5 * 10.0 ** -len((match[1] or "") if match else ""))
 
     def latitude_rad(self, index: int) -> float:
-        """Latitude [rad] of this field and the hemisphere in the next."""
-        return self._angle_rad(index, "latitude", _LATITUDE, "ddmm.mmmm", 90.0, "NS")
+        """Return the latitude [rad] of this field and the hemisphere in the next."""
+        match = _LATITUDE.fullmatch(self.text(index))
+        return self._angle_rad(index, match, name="latitude", form="ddmm.mmmm", limit_deg=90.0, signs="NS")
 
     def longitude_rad(self, index: int) -> float:
-        """Longitude [rad] of this field and the hemisphere in the next."""
-        return self._angle_rad(index, "longitude", _LONGITUDE, "dddmm.mmmm", 180.0, "EW")
+        """Return the longitude [rad] of this field and the hemisphere in the next."""
+        match = _LONGITUDE.fullmatch(self.text(index))
+        return self._angle_rad(index, match, name="longitude", form="dddmm.mmmm", limit_deg=180.0, signs="EW")
 
     def _angle_rad(
-        self, index: int, name: str, pattern: re.Pattern[str], form: str, limit_deg: float, signs: str
+        self, index: int, match: re.Match[str] | None, *, name: str, form: str, limit_deg: float, signs: str
     ) -> float:
-        match = pattern.fullmatch(self.text(index))
         minutes = float(match[2]) if match else math.nan
         value_deg = float(match[1]) + minutes / 60.0 if match else math.nan
         if not (minutes < 60.0 and value_deg <= limit_deg):
@@ -177,7 +160,7 @@ class SentenceFields:
 
 
 def read_gga(fields: SentenceFields) -> Gga | int:
-    """The position, or only its time of day [ns] where the receiver says that it has none (quality 0)."""
+    """Return the position, or only its time of day [ns] where the receiver has none (quality 0)."""
     time_of_day_ns = fields.time_of_day_ns(0)
     quality_number = int(fields.number(5, "quality", 0, 9)) if fields.text(5).isdigit() else -1
     if quality_number == 0:
@@ -192,19 +175,18 @@ def read_gga(fields: SentenceFields) -> Gga | int:
         height_m=_ellipsoidal_height_m(fields),
         quality=QUALITY_FROM_NMEA[quality_number],
         satellites=None if satellites is None else int(satellites),
-        age_s=fields.optional_number(12, "age of corrections", 0.0, _AGE_LIMIT_S),
+        age_s=fields.optional_number(12, "age of corrections", 0.0, _MAX_AGE_S),
         station=fields.text(13) or None,
         byte_offset=fields.byte_offset,
     )
 
 
 def _ellipsoidal_height_m(fields: SentenceFields) -> float:
-    altitude_m = fields.number(8, "altitude", -_HEIGHT_LIMIT_M, _HEIGHT_LIMIT_M)
+    altitude_m = fields.number(8, "altitude", -_MAX_HEIGHT_M, _MAX_HEIGHT_M)
     if not fields.text(10):
-        raise fields.error(
-            10, "geoid separation", "a number; geoid separation missing: ellipsoidal height unknown"
-        )
-    separation_m = fields.number(10, "geoid separation", -1000.0, 1000.0)
+        expected = "a number; geoid separation missing: ellipsoidal height unknown"
+        raise fields.error(10, "geoid separation", expected)
+    separation_m = fields.number(10, "geoid separation", -_MAX_SEPARATION_M, _MAX_SEPARATION_M)
     for index, name in ((9, "altitude unit"), (11, "geoid separation unit")):
         if fields.text(index) != "M":
             raise fields.error(index, name, "M")
@@ -213,10 +195,10 @@ def _ellipsoidal_height_m(fields: SentenceFields) -> float:
 
 
 def read_gst(fields: SentenceFields) -> Gst:
-    """Standard deviations of latitude, longitude and altitude as a covariance.
+    """Return the standard deviations of latitude, longitude and altitude as a covariance.
 
-    Fields that are empty, or all zero, make it None. The east-north term comes from the error ellipse where
-    the receiver fills that in; a horizontal-vertical term cannot be said in this sentence and is zero.
+    None for fields that are empty or all zero. The east-north term is that of the error ellipse where the receiver
+    reports it; the sentence has no horizontal-vertical terms, they are zero.
     """
     time_of_day_ns = fields.time_of_day_ns(0)
     names = ("σ of longitude", "σ of latitude", "σ of altitude")
@@ -224,36 +206,35 @@ def read_gst(fields: SentenceFields) -> Gst:
     if not all(fields.text(index) for index in indices):
         return Gst(time_of_day_ns, None)
     east, north, up = (
-        fields.number(index, name, 0.0, _DEVIATION_LIMIT_M)
-        for index, name in zip(indices, names, strict=True)
+        fields.number(index, name, 0.0, _MAX_DEVIATION_M) for index, name in zip(indices, names, strict=True)
     )
     root = 0.0
     if all(fields.text(index) for index in (2, 3, 4)):
-        major = fields.number(2, "semi-major σ", 0.0, _DEVIATION_LIMIT_M)
-        minor = fields.number(3, "semi-minor σ", 0.0, _DEVIATION_LIMIT_M)
+        major = fields.number(2, "semi-major σ", 0.0, _MAX_DEVIATION_M)
+        minor = fields.number(3, "semi-minor σ", 0.0, _MAX_DEVIATION_M)
         heading_rad = math.radians(fields.number(4, "orientation", -360.0, 360.0))
         covariance = (major * major - minor * minor) * math.sin(heading_rad) * math.cos(heading_rad)
-        # Both say the same in different digits; the deviations are what the ellipse must not exceed.
+        # Ellipse and deviations are redundant and rounded; the ellipse must not exceed the deviations.
         root = math.copysign(math.sqrt(min(abs(covariance), 0.999 * east * north)), covariance)
     rounding = max(fields.rounding(index) for index in indices)
     covariance_enu_m2 = covariance_from_printed((east, north, up), (root, 0.0, 0.0), rounding)
     return Gst(time_of_day_ns, covariance_enu_m2)
 
 
-# The letter by GNSS system id (4.10 on), else by talker; what is taken off numbers beyond the system's own.
+# NMEA 0183 v4.11, 6.3: the letter by GNSS system id (from 4.10 on), else by talker; offsets of satellite numbers.
 _SYSTEMS = {"1": "G", "2": "R", "3": "E", "4": "C", "5": "J", "6": "I"}
 _TALKER_SYSTEMS = {"GP": "G", "GL": "R", "GA": "E", "GB": "C", "BD": "C", "GQ": "J", "GI": "I"}
 _OFFSETS = {"R": (64,), "E": (300,), "C": (100, 200, 400), "J": (192,)}
 
 
 def read_gbs(fields: SentenceFields) -> Gbs:
-    """Receivers leave the errors empty where they could not check or the check has failed (u-blox, 4.2.3)."""
+    """Return the fault detection; the errors are empty where it was impossible or has failed (u-blox, 4.2.3)."""
     time_of_day_ns = fields.time_of_day_ns(0)
     expected_error_enu_m = None
     if all(fields.text(index) for index in (1, 2, 3)):
         names = ("error of longitude", "error of latitude", "error of altitude")
         east, north, up = (
-            fields.number(index, name, -_DEVIATION_LIMIT_M, _DEVIATION_LIMIT_M)
+            fields.number(index, name, -_MAX_DEVIATION_M, _MAX_DEVIATION_M)
             for index, name in zip((2, 1, 3), names, strict=True)
         )
         expected_error_enu_m = east, north, up
@@ -263,15 +244,15 @@ def read_gbs(fields: SentenceFields) -> Gbs:
         expected_error_enu_m=expected_error_enu_m,
         satellite=None if number is None else _satellite(fields, int(number)),
         missed_detection_probability=fields.optional_number(5, "probability of missed detection", 0.0, 1.0),
-        bias_m=fields.optional_number(6, "bias", -_BIAS_LIMIT_M, _BIAS_LIMIT_M),
-        bias_sigma_m=fields.optional_number(7, "σ of bias", 0.0, _BIAS_LIMIT_M),
+        bias_m=fields.optional_number(6, "bias", -_MAX_BIAS_M, _MAX_BIAS_M),
+        bias_sigma_m=fields.optional_number(7, "σ of bias", 0.0, _MAX_BIAS_M),
     )
 
 
 def _satellite(fields: SentenceFields, number: int) -> str:
     system = _SYSTEMS.get(fields.text(8)) or _TALKER_SYSTEMS.get(fields.talker, "")
     if system == "G" and number > 32:
-        # SBAS 120 to 151 are 33 to 64, whatever the talker.
+        # SBAS 120 to 151 are 33 to 64, with any talker.
         system, number = ("S", number - 13) if number <= 64 else ("", number)
     for offset in _OFFSETS.get(system, ()):
         if offset < number <= offset + 63:
@@ -280,21 +261,21 @@ def _satellite(fields: SentenceFields, number: int) -> str:
 
 
 def read_rmc(fields: SentenceFields) -> UtcDate | int:
-    """The date, or only the time of day [ns] where the date is empty or not vouched for (status V)."""
+    """Return the date, or only the time of day [ns] where the date is empty or invalid (status V)."""
     time_of_day_ns = fields.time_of_day_ns(0)
     if fields.text(1) != "A" or not fields.text(8):
         return time_of_day_ns
     match = _DATE.fullmatch(fields.text(8))
     try:
         day, month, short_year = (int(part) for part in match.groups()) if match else (0, 0, 0)
-        # GPS time began in 1980, so two digits last until 2079.
+        # GPS time began in 1980, so two digits are unique until 2079.
         return UtcDate(time_of_day_ns, date(short_year + (1900 if short_year >= 80 else 2000), month, day))
     except ValueError:
         raise fields.error(8, "date", "ddmmyy") from None
 
 
 def read_zda(fields: SentenceFields) -> UtcDate | int | None:
-    """As `read_rmc`; None where the time is empty, as receivers send it before they know the time."""
+    """Return the date or the time of day as `read_rmc`; None where the time is empty, before the receiver knows it."""
     if not fields.text(0):
         return None
     time_of_day_ns = fields.time_of_day_ns(0)

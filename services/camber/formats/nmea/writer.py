@@ -1,4 +1,9 @@
-"""GGA, GST and RMC sentences of a receiver-side solution."""
+"""GGA, GST and RMC sentences of a receiver's solution.
+
+Source: NMEA 0183 v4.11, 6.3.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -11,8 +16,7 @@ from camber.geodesy.angles import heading_from_yaw
 from camber.geodesy.covariance import error_ellipse, horizontal_from_enu
 from camber.geodesy.gps_time import NS_PER_SECOND, decimal_from_nanoseconds, utc_from_gps_ns
 
-KNOT_M_S = 1852.0 / 3600.0
-
+_KNOT_M_S = 1852.0 / 3600.0  # exact
 _NMEA_FROM_QUALITY = {quality: number for number, quality in QUALITY_FROM_NMEA.items()} | {
     SolutionQuality.SBAS: 2
 }
@@ -25,68 +29,63 @@ _RMC_MODE = {
     SolutionQuality.PPP: "P",
     SolutionQuality.DEAD_RECKONING: "E",
 }
-# 1e-7 minutes are 0.2 mm.
-_MINUTE_DECIMALS = 7
-# Probability whose ellipse has the standard deviations as semi-axes: C = 1.
+_MINUTE_DECIMALS = 7  # 1e-7 minutes are 0.2 mm
+# Probability of the ellipse whose semi-axes are the standard deviations: C = 1.
 _ONE_SIGMA_PROBABILITY = 1.0 - math.exp(-0.5)
 
 
-def format_gga(solution: ReceiverSolution, *, geoid_separation_m: float, talker: str = "GN") -> bytes:
-    """GGA with altitude = ellipsoidal height − geoid separation, to 0.1 mm; what is not known is left empty.
+def format_gga(solution: ReceiverSolution, *, geoid_separation_m: float) -> bytes:
+    """Return GGA with altitude = ellipsoidal height − geoid separation, to 0.1 mm; unknown fields are empty.
 
-    SBAS becomes 2 (DGPS), as NMEA does not tell them apart. The ratio cannot be said. ValueError on numbers
+    SBAS becomes 2 (DGPS), as NMEA does not distinguish them; there is no field for the ratio. ValueError for numbers
     that are not finite.
     """
-    return _sentence(
-        talker + "GGA",
-        (
-            _time(solution.time_ns),
-            *_position(solution),
-            str(_NMEA_FROM_QUALITY[solution.quality]),
-            "" if solution.satellites is None else f"{solution.satellites:02d}",
-            "",
-            _decimal(solution.height_m - geoid_separation_m, 4),
-            "M",
-            _decimal(geoid_separation_m, 4),
-            "M",
-            "" if solution.age_s is None else _decimal(solution.age_s, 2),
-            "",
-        ),
+    fields = (
+        _time(solution.time_ns),
+        *_position(solution),
+        str(_NMEA_FROM_QUALITY[solution.quality]),
+        "" if solution.satellites is None else f"{solution.satellites:02d}",
+        "",
+        _decimal(solution.height_m - geoid_separation_m, 4),
+        "M",
+        _decimal(geoid_separation_m, 4),
+        "M",
+        "" if solution.age_s is None else _decimal(solution.age_s, 2),
+        "",
     )
+    return _sentence("GNGGA", fields)
 
 
-def format_gst(solution: ReceiverSolution, *, talker: str = "GN") -> bytes:
-    """GST with one-σ error ellipse and deviations; all empty when the covariance is not known.
+def format_gst(solution: ReceiverSolution) -> bytes:
+    """Return GST with one-σ error ellipse and deviations; all empty when the covariance is unknown.
 
-    Horizontal-vertical terms of the covariance cannot be said in this sentence.
+    The sentence has no horizontal-vertical terms of the covariance.
     """
     values = [""] * 7
     if solution.covariance_enu_m2 is not None:
         ee, _, _, nn, _, uu = solution.covariance_enu_m2
         ellipse = error_ellipse(horizontal_from_enu(solution.covariance_enu_m2), _ONE_SIGMA_PROBABILITY)
-        # A line has two directions: a heading below 180° says it all.
+        # An axis has two directions: a heading below 180° is enough.
         orientation_deg = math.degrees(heading_from_yaw(ellipse.orientation_rad)) % 180.0
         numbers = (ellipse.semi_major_m, ellipse.semi_minor_m, orientation_deg)
         deviations = (math.sqrt(nn), math.sqrt(ee), math.sqrt(uu))
-        # A known deviation is never printed as zero, which readers take for unknown.
+        # A known deviation is never printed as zero, which readers take as unknown.
         values = ["", *(_decimal(v, 4) for v in numbers), *(_decimal(max(v, 1e-4), 4) for v in deviations)]
-    return _sentence(talker + "GST", (_time(solution.time_ns), *values))
+    return _sentence("GNGST", (_time(solution.time_ns), *values))
 
 
-def format_rmc(solution: ReceiverSolution, *, talker: str = "GN") -> bytes:
-    """RMC with the date and, where the velocity is known, speed [knots] and course over ground [deg]."""
+def format_rmc(solution: ReceiverSolution) -> bytes:
+    """Return RMC with the date and, where the velocity is known, speed [knots] and course over ground [deg]."""
     utc = utc_from_gps_ns(solution.time_ns)
     speed = course = ""
     if solution.velocity_enu_m_s is not None:
         east, north, _ = solution.velocity_enu_m_s
-        speed = _decimal(math.hypot(east, north) / KNOT_M_S, 4)
+        speed = _decimal(math.hypot(east, north) / _KNOT_M_S, 4)
         course = _decimal(math.degrees(heading_from_yaw(math.atan2(north, east))), 2)
     day = f"{utc.day:02d}{utc.month:02d}{utc.year % 100:02d}"
     mode = _RMC_MODE[solution.quality]
-    return _sentence(
-        talker + "RMC",
-        (_time(solution.time_ns), "A", *_position(solution), speed, course, day, "", "", mode, "V"),
-    )
+    time, position = _time(solution.time_ns), _position(solution)
+    return _sentence("GNRMC", (time, "A", *position, speed, course, day, "", "", mode, "V"))
 
 
 def _sentence(name: str, fields: Sequence[str]) -> bytes:

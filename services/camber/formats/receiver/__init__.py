@@ -1,1 +1,1 @@
-"""Solutions that receivers compute, streams that mix protocols, and what phase measurements share."""
+"""Solutions computed by receivers, streams of several protocols, and properties of carrier phases common to formats."""

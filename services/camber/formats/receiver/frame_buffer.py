@@ -1,4 +1,4 @@
-"""Whole messages out of a stream in which UBX, NMEA 0183 and RTCM 3 may be interleaved, with garbage between them.
+"""Whole messages of a stream in which UBX, NMEA 0183 and RTCM 3 may be interleaved, with garbage between them.
 
 Sources: u-blox ZED-F9P, interface description (UBX-18010854), 3.2 and 3.4; NMEA 0183 v4.11, 5.3: `$`, printable
 characters, `*`, two digits, a line end; RTCM 10403.3, 4: preamble, six zero bits, length, message, CRC-24Q.
@@ -14,14 +14,14 @@ import numpy as np
 from camber.formats.receiver.frame_search import find_frames
 
 FrameProtocol = Literal["ubx", "nmea", "rtcm"]
-# By their numbers in the search.
+# In the order of their numbers in `frame_search`.
 _PROTOCOLS: tuple[FrameProtocol, ...] = ("ubx", "nmea", "rtcm")
-_PIECE_BYTES = 1 << 16
+_CHUNK_BYTES = 1 << 16  # chosen: bounds the memory of the search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """UBX and RTCM: a whole message with its framing, whose checksum is right. NMEA: what looks like a sentence."""
+    """UBX and RTCM: a whole message with its framing and a correct checksum. NMEA: a candidate sentence."""
 
     protocol: FrameProtocol
     data: bytes
@@ -29,48 +29,53 @@ class Frame:
 
 
 class FrameBuffer:
-    """Finds the frames of some protocols, in order; the result does not depend on how the stream was cut into pieces.
+    """Returns the frames of some protocols, in order; the result does not depend on how the stream is chunked.
 
-    What begins like a frame and is none costs its first byte, and what follows is looked at anew: a false length, or a
-    frame that was cut short, does not take the frames behind it along. At most one frame is kept.
+    A false beginning costs its first byte, and the search goes on at the next: a wrong length or a truncated frame does
+    not cost the frames after it. At most one frame is kept.
     """
 
     def __init__(self, *protocols: FrameProtocol) -> None:
         self.bytes_skipped = 0
-        """Bytes that belong to no frame; where NMEA is looked for, without carriage returns and line feeds."""
+        """Bytes that are not part of a frame; with NMEA, without carriage returns and line feeds."""
         self.failed_checks = {protocol: 0 for protocol in protocols if protocol != "nmea"}
-        """Things that began like a frame and had a wrong checksum."""
+        """Frames with a wrong checksum."""
         self._wanted = np.array([protocol in protocols for protocol in _PROTOCOLS])
         self._buffer = b""
         self._buffer_offset = 0
-        # The first bytes need not wait for the compiler.
-        self._found(last=False)
+        # Compile now, so that the first bytes do not wait.
+        self._search(last=False)
+
+    @property
+    def bytes_pending(self) -> int:
+        """Bytes kept of an incomplete frame."""
+        return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The frames that the bytes complete."""
+        """Return the frames that the bytes complete."""
         frames = list[Frame]()
-        for begin in range(0, len(data), _PIECE_BYTES):
-            self._buffer += data[begin : begin + _PIECE_BYTES]
-            frames += self._found(last=False)
+        for start in range(0, len(data), _CHUNK_BYTES):
+            self._buffer += data[start : start + _CHUNK_BYTES]
+            frames += self._search(last=False)
         return frames
 
     def finish(self) -> list[Frame]:
-        """Call at the end of the stream: frames behind one that was not completed, a last sentence without line end."""
-        return self._found(last=True)
+        """Return the remaining frames at the end of the stream: after an incomplete one, or without line end."""
+        return self._search(last=True)
 
-    def _found(self, *, last: bool) -> list[Frame]:
-        places, used, skipped, failed = find_frames(self._buffer, self._wanted, last=last)
+    def _search(self, *, last: bool) -> list[Frame]:
+        search = find_frames(self._buffer, self._wanted, last=last)
         frames = [
             Frame(
                 protocol=_PROTOCOLS[protocol],
                 data=self._buffer[start : start + size],
                 byte_offset=self._buffer_offset + start,
             )
-            for protocol, start, size in places.tolist()
+            for protocol, start, size in search.frames.tolist()
         ]
-        self.bytes_skipped += skipped
+        self.bytes_skipped += search.skipped
         for protocol in self.failed_checks:
-            self.failed_checks[protocol] += int(failed[_PROTOCOLS.index(protocol)])
-        self._buffer = self._buffer[used:]
-        self._buffer_offset += used
+            self.failed_checks[protocol] += int(search.failed[_PROTOCOLS.index(protocol)])
+        self._buffer = self._buffer[search.consumed :]
+        self._buffer_offset += search.consumed
         return frames

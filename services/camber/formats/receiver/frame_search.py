@@ -1,129 +1,149 @@
-"""Finds the frames in a piece of a stream, in time that grows with its length whatever the bytes are.
+"""Search for frames of UBX, NMEA 0183 and RTCM 3 in a chunk of a stream, in linear time for any input.
 
-Bytes that lie may begin a long frame every few bytes. So checksums are not summed up for each: they are differences of
-sums since the beginning of the piece, taken once. For the Fletcher sums that is plain; a CRC is linear, and a beginning
-that is cut away has been multiplied by x^8 for each byte behind it.
+Hostile input may begin a long frame every few bytes. So checksums are not computed for each candidate: they are
+differences of running sums over the chunk. For the Fletcher sums that is direct; a CRC is linear, and removing a prefix
+multiplies the prefix's CRC by x^8 for each byte after it.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.broadcast.bit_fields import CRC24Q_POLYNOMIAL, crc24q
+from camber.formats.observations import Integers
 
 Bytes = NDArray[np.uint8]
-Integers = NDArray[np.int64]
 UBX, NMEA, RTCM = 0, 1, 2
-MOST_SENTENCE_BYTES = 1024
-"""NMEA allows 82, but receivers exceed it in high-precision modes and proprietary sentences."""
-MOST_UBX_PAYLOAD_BYTES = 8192
-"""RXM-RAWX with 255 measurements has 8176, and no message of navigation has more: a greater length is no length."""
+MAX_SENTENCE_BYTES = 1024
+"""Chosen: NMEA allows 82, but receivers exceed it in high-precision modes and proprietary sentences."""
+MAX_UBX_PAYLOAD_BYTES = 8192
+"""RXM-RAWX with 255 measurements has 8176, and no navigation message has more: a greater length is invalid."""
 
+# UBX-18010854, 3.2; RTCM 10403.3, 4.2: bytes up to the length, and of the frame without payload.
 _UBX_HEAD, _UBX_FRAMING = 6, 8
 _RTCM_HEAD, _RTCM_FRAMING = 3, 6
-_MOST_RTCM_BYTES = _RTCM_FRAMING + 1023
-_WAIT = 0
+_MAX_RTCM_BYTES = _RTCM_FRAMING + 1023
+_INCOMPLETE = 0  # size of a frame whose end has not arrived
 _SUM, _WEIGHTED, _CRC = 0, 1, 2
 
 
-def find_frames(data: bytes, wanted: NDArray[np.bool_], *, last: bool) -> tuple[Integers, int, int, Integers]:
-    """Frames (n, 3) as protocol, start and size; how far the bytes are used; bytes skipped; failed checks (3,).
+class FrameSearch(NamedTuple):
+    """Frames (n, 3) as protocol, start and size; bytes consumed; bytes skipped; failed checksums by protocol (3,)."""
 
-    `wanted` (3,): of which protocols. What is behind is the beginning of a frame, unless these are the `last` bytes.
-    Where NMEA is wanted, carriage returns and line feeds are not counted as skipped.
+    frames: Integers
+    consumed: int
+    skipped: int
+    failed: Integers
+
+
+def find_frames(data: bytes, wanted: NDArray[np.bool_], *, last: bool) -> FrameSearch:
+    """Search for frames of the `wanted` (3,) protocols.
+
+    Bytes that are not consumed are the beginning of a frame; with `last`, the end of the stream, all are consumed.
+    Where NMEA is wanted, carriage returns and line feeds do not count as skipped.
     """
-    return _find(np.frombuffer(data, np.uint8), wanted, last, *_crc_tables())
+    crc_table, crc_powers = _crc_tables()
+    return FrameSearch(*_find(np.frombuffer(data, np.uint8), wanted, last, tables=(crc_table, crc_powers)))
 
 
 @compiled
 def _find(
-    data: Bytes, wanted: NDArray[np.bool_], last: bool, crc_table: Integers, crc_powers: Integers
+    data: Bytes, wanted: NDArray[np.bool_], last: bool, tables: tuple[Integers, Integers]
 ) -> tuple[Integers, int, int, Integers]:
+    crc_table, crc_powers = tables
     frames = np.empty((data.size // 3 + 1, 3), np.int64)
     sums = np.empty((3, data.size + 1), np.int64)
     sums[:, 0] = 0
-    count, place, skipped, summed = 0, 0, 0, 0
+    count, start, skipped, summed = 0, 0, 0, 0
     failed = np.zeros(3, np.int64)
-    while place < data.size:
-        protocol = _beginning(data, place, wanted)
+    while start < data.size:
+        protocol = _protocol_at(data, start, wanted)
         if protocol < 0:
             size = -1
         elif protocol == NMEA:
-            size = _sentence_size(data, place, last)
+            size = _sentence_size(data, start, last)
         else:
-            size = _frame_size(data, place, protocol, last)
-        if size == _WAIT:
+            size = _frame_size(data, start, protocol, last)
+        if size == _INCOMPLETE:
             break
         if size > 0 and protocol != NMEA:
-            summed = _sum_up(data, sums, summed, place + size, crc_table)
-            if not _is_right(data, sums, place, size, protocol, crc_powers):
+            end = start + size
+            summed = _extend_sums(data, sums, (summed, end), crc_table)
+            if protocol == UBX:
+                valid = _is_fletcher_valid(data, sums, start, end)
+            else:
+                # Including its CRC, the CRC of a frame is zero.
+                valid = sums[_CRC, end] == _product(sums[_CRC, start], crc_powers[size])
+            if not valid:
                 failed[protocol] += 1
                 size = -1
         if size > 0:
-            frames[count] = protocol, place, size
+            frames[count] = protocol, start, size
             count += 1
         else:
-            for byte in data[place : place - size]:
+            for byte in data[start : start - size]:
                 if not (wanted[NMEA] and (byte == 13 or byte == 10)):
                     skipped += 1
-        place += abs(size)
-    return frames[:count].copy(), place, skipped, failed
+        start += abs(size)
+    return frames[:count].copy(), start, skipped, failed
 
 
 @compiled
-def _beginning(data: Bytes, place: int, wanted: NDArray[np.bool_]) -> int:
-    """The protocol of which something may begin here; −1: none. At the end a first character alone may be one."""
-    first, at_end = data[place], place + 1 == data.size
-    if first == 0xB5 and wanted[UBX] and (at_end or data[place + 1] == 0x62):
+def _protocol_at(data: Bytes, start: int, wanted: NDArray[np.bool_]) -> int:
+    """Return the protocol of which a frame may begin here, −1 for none. The last byte may be a first sync character."""
+    first, at_end = data[start], start + 1 == data.size
+    if first == 0xB5 and wanted[UBX] and (at_end or data[start + 1] == 0x62):
         return UBX
     if first == 0x24 and wanted[NMEA]:
         return NMEA
-    if first == 0xD3 and wanted[RTCM] and (at_end or data[place + 1] <= 3):
+    if first == 0xD3 and wanted[RTCM] and (at_end or data[start + 1] <= 3):
         return RTCM
     return -1
 
 
 @compiled
 def _frame_size(data: Bytes, start: int, protocol: int, last: bool) -> int:
-    """Bytes of the frame that begins here, if its checksum is right; −1: none begins here; or wait."""
+    """Return the bytes of the frame that begins here, if its checksum is correct; −1 for no frame; or incomplete."""
     left = data.size - start
     head = _UBX_HEAD if protocol == UBX else _RTCM_HEAD
     if left < head:
-        return -1 if last else _WAIT
+        return -1 if last else _INCOMPLETE
     if protocol == UBX:
         length = int(data[start + 4]) | int(data[start + 5]) << 8
-        if length > MOST_UBX_PAYLOAD_BYTES:
+        if length > MAX_UBX_PAYLOAD_BYTES:
             return -1
         size = _UBX_FRAMING + length
     else:
         size = _RTCM_FRAMING + (int(data[start + 1]) << 8 | int(data[start + 2]))
     if left < size:
-        return -1 if last else _WAIT
+        return -1 if last else _INCOMPLETE
     return size
 
 
 @compiled
 def _sentence_size(data: Bytes, start: int, last: bool) -> int:
-    """Of what looks like a sentence, up to its end; negative: of what does not; or wait."""
+    """Return the size of a candidate sentence up to its end; negative for no candidate; or incomplete."""
     end = start + 1
     while end < data.size and 0x20 <= data[end] <= 0x7E and data[end] != 0x24:
         end += 1
-    if end == data.size and end - start <= MOST_SENTENCE_BYTES and not last:
-        return _WAIT
-    # Of a sentence that is too long only the allowed part is taken: the rest is found to be no sentence.
-    size = min(end - start, MOST_SENTENCE_BYTES + 1)
-    # Else it is a dollar sign inside a binary message.
-    is_one = size > 2 and 0x41 <= data[start + 1] <= 0x5A and 0x41 <= data[start + 2] <= 0x5A
-    return size if is_one else -size
+    if end == data.size and end - start <= MAX_SENTENCE_BYTES and not last:
+        return _INCOMPLETE
+    # Of a sentence that is too long only the allowed part is taken: the rest is not a sentence.
+    size = min(end - start, MAX_SENTENCE_BYTES + 1)
+    # Two capital letters follow; else it is a dollar sign inside a binary message.
+    is_candidate = size > 2 and 0x41 <= data[start + 1] <= 0x5A and 0x41 <= data[start + 2] <= 0x5A
+    return size if is_candidate else -size
 
 
 @compiled
-def _sum_up(data: Bytes, sums: Integers, summed: int, end: int, crc_table: Integers) -> int:
-    """Sums (3, n + 1) before each byte up to the end: of bytes, of place × byte, CRC; returns how far they go."""
+def _extend_sums(data: Bytes, sums: Integers, span: tuple[int, int], crc_table: Integers) -> int:
+    """Extend the sums (3, n + 1) before each byte: of bytes, of index × byte, CRC; return how far they are valid."""
+    summed, end = span
     for k in range(summed, end):
         byte, crc = np.int64(data[k]), sums[_CRC, k]
         sums[_SUM, k + 1] = sums[_SUM, k] + byte
@@ -133,23 +153,17 @@ def _sum_up(data: Bytes, sums: Integers, summed: int, end: int, crc_table: Integ
 
 
 @compiled
-def _is_right(
-    data: Bytes, sums: Integers, start: int, size: int, protocol: int, crc_powers: Integers
-) -> bool:
-    if protocol == UBX:
-        begin, end = start + 2, start + size - 2
-        total = sums[_SUM, end] - sums[_SUM, begin]
-        # The second sum has the first byte as often as there are bytes, and the last one once.
-        second = end * total - (sums[_WEIGHTED, end] - sums[_WEIGHTED, begin])
-        return bool((total & 255) == data[end] and (second & 255) == data[end + 1])
-    # Over the whole frame, with its CRC, it is zero.
-    end = start + size
-    return bool(sums[_CRC, end] == _product(sums[_CRC, start], crc_powers[size]))
+def _is_fletcher_valid(data: Bytes, sums: Integers, start: int, end: int) -> bool:
+    first, last = start + 2, end - 2
+    total = sums[_SUM, last] - sums[_SUM, first]
+    # The second sum contains the first byte as often as there are bytes, and the last one once.
+    second = last * total - (sums[_WEIGHTED, last] - sums[_WEIGHTED, first])
+    return bool((total & 255) == data[last] and (second & 255) == data[last + 1])
 
 
 @compiled
 def _product(a: int, b: int) -> int:
-    """Of two polynomials over GF(2), modulo CRC-24Q's."""
+    """Return the product of two polynomials over GF(2), modulo that of CRC-24Q."""
     product = 0
     for bit in range(23, -1, -1):
         product <<= 1
@@ -162,9 +176,9 @@ def _product(a: int, b: int) -> int:
 
 @cache
 def _crc_tables() -> tuple[Integers, Integers]:
-    """The CRC of each byte, and x^8n modulo the polynomial."""
+    """Return the CRC of each byte, and x^8n modulo the polynomial."""
     table = np.array([crc24q(bytes([byte])) for byte in range(256)], np.int64)
-    powers = np.ones(_MOST_RTCM_BYTES + 1, np.int64)
+    powers = np.ones(_MAX_RTCM_BYTES + 1, np.int64)
     for n in range(1, powers.size):
         powers[n] = _product(powers[n - 1], 1 << 8)
     return table, powers

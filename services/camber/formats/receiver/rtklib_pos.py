@@ -1,19 +1,20 @@
 """RTKLIB solution files (`.pos`): position with ellipsoidal height per epoch, read as a stream and written.
 
 Source: RTKLIB 2.4.2 manual, appendix B.1 "Positioning Solution File", and `outpos`, `decode_solllh` in its
-`solution.c`. Taken as they are: columns named by the header in any order, times as calendar or GPS week and
-seconds, GPST or UTC, blanks, tabs or commas between columns, with or without velocity.
+`solution.c`. Accepted: columns named by the header in any order, times as calendar or GPS week and seconds, GPST or
+UTC, blanks, tabs or commas between columns, with or without velocity.
 
-Refused, with a reason: heights that are not declared ellipsoidal (`WGS84/geodetic` are heights above a geoid
-that the file does not name), other datums, degrees-minutes-seconds, ECEF and baselines, JST, and week and
-seconds under a UTC header (RTKLIB writes them in UTC and reads them as GPST, so they may be 18 s off).
+Refused, with a reason: heights that are not declared ellipsoidal (`WGS84/geodetic` are heights above a geoid that the
+file does not name), other datums, degrees-minutes-seconds, ECEF and baselines, JST, and week and seconds under a UTC
+header (RTKLIB writes them in UTC and reads them as GPST, so they may be wrong by 18 s).
 """
+
+from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from camber.formats.errors import FormatError
@@ -41,30 +42,29 @@ _GROUPS = (_REQUIRED, _DEVIATIONS, _VELOCITIES, _VELOCITY_DEVIATIONS)
 # Half a unit of the last digit RTKLIB prints: four decimals for positions, five for velocities.
 _POSITION_ROUNDING_M = 0.5e-4
 _VELOCITY_ROUNDING_M_S = 0.5e-5
-
-_HEIGHT_LIMIT_M = 1.0e5
-_DEVIATION_LIMIT = 1.0e6
-_VELOCITY_LIMIT_M_S = 1.0e4
-_CHUNK_BYTES = 65536
+# Chosen: far beyond anything on Earth, so that only damaged numbers exceed them.
+_MAX_HEIGHT_M = 1.0e5
+_MAX_DEVIATION = 1.0e6
+_MAX_VELOCITY_M_S = 1.0e4
 
 _DATUM = re.compile(r"lat/lon/height=([^/,\s]*)/([^,\s)]*)")
 _OTHER_POSITION = re.compile(r"x/y/z-ecef|e/n/u-baseline|x-ecef\(|e-baseline\(")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Layout:
-    """What a column header says: the time system and where each column stands after the two of the time."""
+class _PosColumns:
+    """A column header: the time system, and the index of each column after the two of the time."""
 
     utc: bool
-    columns: dict[str, int]
+    indices: dict[str, int]
     field_count: int
 
 
 class PosDecoder:
-    """Turns the bytes of a `.pos` file, in pieces of any size, into solutions and errors.
+    """Decodes the bytes of a `.pos` file, in chunks of any size, to solutions and errors.
 
-    `undeclared_height="ellipsoidal"` says what heights are when the file has no line `(lat/lon/height=…)`;
-    without it such a file is refused. It does not overrule a file that says otherwise.
+    `undeclared_height="ellipsoidal"` declares the heights when the file has no line `(lat/lon/height=…)`; without it
+    such a file is refused. It does not override a file that declares otherwise.
     """
 
     def __init__(self, source_name: str, *, undeclared_height: Literal["ellipsoidal"] | None = None) -> None:
@@ -74,18 +74,19 @@ class PosDecoder:
         self._lines = LineBuffer()
         self._undeclared_height = undeclared_height
         self._datum: Literal["unknown", "good", "refused"] = "unknown"
-        self._layout: _Layout | None = None
+        self._columns: _PosColumns | None = None
         self._reported = False
+        self._line_number = 0
 
     def feed(self, data: bytes) -> list[ReceiverSolution | FormatError]:
-        """What the lines completed by `data` say. Never raises; keeps one partial line at most."""
+        """Return the results of the lines that `data` completes. Never raises; keeps at most one partial line."""
         results: list[ReceiverSolution | FormatError] = []
         for line_number, line in self._lines.feed(data):
+            self._line_number = line_number
             try:
                 if line is None:
-                    expected = f"at most {MAXIMUM_LINE_BYTES} bytes before the next newline"
-                    raise FormatError(self.source_name, "line", expected, line_number=line_number)
-                solution = self._line(line, line_number)
+                    raise self._error("line", f"at most {MAXIMUM_LINE_BYTES} bytes before the next newline")
+                solution = self._line(line)
             except FormatError as error:
                 results.append(error)
             else:
@@ -94,123 +95,102 @@ class PosDecoder:
         return results
 
     def finish(self) -> list[ReceiverSolution | FormatError]:
-        """Call at the end of the file: a last line without newline may be cut short and is an error."""
+        """Return the remaining results at the end: a last line without newline may be truncated and is an error."""
         rest = self._lines.take_rest()
-        if not rest.strip():
-            return []
-        line_number = self._lines.line_number
-        return [
-            FormatError(
-                self.source_name, "last line", "a newline at its end", actual=rest, line_number=line_number
-            )
-        ]
+        self._line_number = self._lines.line_number
+        return [self._error("last line", "a newline at its end", rest)] if rest.strip() else []
 
-    def _line(self, line: bytes, line_number: int) -> ReceiverSolution | None:
+    def _error(self, field: str, expected: str, actual: str | bytes | None = None) -> FormatError:
+        return FormatError(self.source_name, field, expected, actual=actual, line_number=self._line_number)
+
+    def _line(self, line: bytes) -> ReceiverSolution | None:
         if line.startswith(b"%"):
-            self._header(line.decode("latin-1"), line_number)
+            self._header(line.decode("latin-1"))
             return None
         fields = line.replace(b",", b" ").split()
-        if not fields:
+        columns = self._columns_for_row() if fields else None
+        if columns is None:
             return None
-        layout = self._layout_for_row(line_number)
-        return (
-            None
-            if layout is None
-            else _Row(
-                source_name=self.source_name, line_number=line_number, layout=layout, fields=fields
-            ).solution()
+        row = _Row(
+            source_name=self.source_name, line_number=self._line_number, columns=columns, fields=fields
         )
+        return row.solution()
 
-    def _header(self, text: str, line_number: int) -> None:
+    def _header(self, text: str) -> None:
         datum = _DATUM.search(text)
         names = text[1:].replace(",", " ").split()
         if datum is not None:
-            self._reported = False
-            self._datum = "refused"
-            self._check_datum(datum[1], datum[2], line_number)
-            self._datum = "good"
+            self._reported, self._datum = True, "refused"
+            self._check_datum(datum[1], datum[2])
+            self._reported, self._datum = False, "good"
         elif _OTHER_POSITION.search(text):
-            said_already = self._reported and self._datum == "refused"
-            self._reported, self._layout, self._datum = True, None, "refused"
-            if said_already:
+            already_reported = self._reported and self._datum == "refused"
+            self._reported, self._columns, self._datum = True, None, "refused"
+            if already_reported:
                 return
             expected = "latitude(deg) longitude(deg) height(m); ECEF and baselines are not read"
-            raise FormatError(
-                self.source_name, "columns", expected, actual=text.strip("% "), line_number=line_number
-            )
+            raise self._error("columns", expected, text.strip("% "))
         elif any(name.startswith("latitude(") for name in names):
-            self._reported, self._layout = True, None
-            self._layout = self._read_columns(names, line_number)
+            self._reported, self._columns = True, None
+            self._columns = self._read_columns(names)
             self._reported = self._datum == "refused"
 
-    def _check_datum(self, datum: str, height: str, line_number: int) -> None:
-        self._reported = True
+    def _check_datum(self, datum: str, height: str) -> None:
         if datum != "WGS84":
-            raise FormatError(self.source_name, "datum", "WGS84", actual=datum, line_number=line_number)
+            raise self._error("datum", "WGS84", datum)
         if height != "ellipsoidal":
             expected = "ellipsoidal: orthometric height without a named geoid model"
-            raise FormatError(self.source_name, "height(m)", expected, actual=height, line_number=line_number)
-        self._reported = False
+            raise self._error("height(m)", expected, height)
 
-    def _read_columns(self, names: list[str], line_number: int) -> _Layout:
+    def _read_columns(self, names: list[str]) -> _PosColumns:
         time_system, *columns = names
         if time_system not in ("GPST", "UTC"):
-            raise FormatError(
-                self.source_name, "time system", "GPST or UTC", actual=time_system, line_number=line_number
-            )
+            raise self._error("time system", "GPST or UTC", time_system)
         if len(set(columns)) != len(columns):
-            raise FormatError(self.source_name, "columns", "each name once", line_number=line_number)
+            raise self._error("columns", "each name once")
         for group in _GROUPS:
             missing = [name for name in group if name not in columns]
             if missing and (group is _REQUIRED or len(missing) < len(group)):
-                expected = f"a column {missing[0]}"
-                raise FormatError(
-                    self.source_name, "columns", expected, actual=" ".join(columns), line_number=line_number
-                )
+                raise self._error("columns", f"a column {missing[0]}", " ".join(columns))
         # The time takes two fields: date and time of day, or week and seconds.
         indices = {name: 2 + i for i, name in enumerate(columns)}
-        return _Layout(utc=time_system == "UTC", columns=indices, field_count=2 + len(columns))
+        return _PosColumns(utc=time_system == "UTC", indices=indices, field_count=2 + len(columns))
 
-    def _layout_for_row(self, line_number: int) -> _Layout | None:
-        """The layout rows have now, or None if they cannot be read and that has been said already."""
+    def _columns_for_row(self) -> _PosColumns | None:
+        """Return the columns of rows, or None if they cannot be read and that has been reported already."""
         datum_known = self._datum == "good" or (
             self._datum == "unknown" and self._undeclared_height is not None
         )
-        if self._layout is not None and datum_known:
-            return self._layout
+        if self._columns is not None and datum_known:
+            return self._columns
         self.rows_refused += 1
         if self._reported:
             return None
         self._reported = True
-        if self._layout is None:
-            field, expected = "columns", "a header line naming them before the first solution"
-        else:
-            field, expected = (
-                "height(m)",
-                "a header line (lat/lon/height=WGS84/ellipsoidal,…) before the first solution",
-            )
-        raise FormatError(self.source_name, field, expected, line_number=line_number)
+        if self._columns is None:
+            raise self._error("columns", "a header line naming them before the first solution")
+        expected = "a header line (lat/lon/height=WGS84/ellipsoidal,…) before the first solution"
+        raise self._error("height(m)", expected)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
     source_name: str
     line_number: int
-    layout: _Layout
+    columns: _PosColumns
     fields: Sequence[bytes]
 
     def solution(self) -> ReceiverSolution:
-        if len(self.fields) != self.layout.field_count:
-            expected = f"{self.layout.field_count} fields, as the header names"
+        if len(self.fields) != self.columns.field_count:
+            expected = f"{self.columns.field_count} fields, as the header names"
             raise self.error("columns", expected, f"{len(self.fields)} fields")
-        columns = self.layout.columns
-        velocity = "vn(m/s)" in columns
+        velocity = "vn(m/s)" in self.columns.indices
         quality = self.quality()
         return ReceiverSolution(
             time_ns=self.time_ns(),
             latitude_rad=math.radians(self.number("latitude(deg)", -90.0, 90.0)),
             longitude_rad=math.radians(self.number("longitude(deg)", -180.0, 180.0)),
-            height_m=self.number("height(m)", -_HEIGHT_LIMIT_M, _HEIGHT_LIMIT_M),
+            height_m=self.number("height(m)", -_MAX_HEIGHT_M, _MAX_HEIGHT_M),
             quality=quality,
             satellites=self.integer("ns", 0, 255),
             covariance_enu_m2=self.covariance(_DEVIATIONS, _POSITION_ROUNDING_M),
@@ -222,15 +202,15 @@ class _Row:
             ),
         )
 
-    def error(self, field: str, expected: str, found: str | bytes) -> FormatError:
-        return FormatError(self.source_name, field, expected, actual=found, line_number=self.line_number)
+    def error(self, field: str, expected: str, actual: str | bytes) -> FormatError:
+        return FormatError(self.source_name, field, expected, actual=actual, line_number=self.line_number)
 
     def time_ns(self) -> int:
         first, second = (field.decode("latin-1") for field in self.fields[:2])
         try:
             if "/" in first:
                 calendar = calendar_from_text(f"{first} {second}")
-                time_ns = gps_ns_from_utc(calendar) if self.layout.utc else gps_ns_from_gpst(calendar)
+                time_ns = gps_ns_from_utc(calendar) if self.columns.utc else gps_ns_from_gpst(calendar)
             elif first.isascii() and first.isdigit() and len(first) <= 4:
                 time_ns = gps_ns_from_week_tow(int(first), nanoseconds_from_decimal(second))
             else:
@@ -240,12 +220,12 @@ class _Row:
         except ValueError:
             expected = "yyyy/mm/dd hh:mm:ss.sss or GPS week and seconds of week, from 1980 to 2079"
             raise self.error("time", expected, f"{first} {second}") from None
-        if self.layout.utc and "/" not in first:
+        if self.columns.utc and "/" not in first:
             raise self.error("time", "a date and time of day where the header says UTC", f"{first} {second}")
         return time_ns
 
     def number(self, name: str, lowest: float, highest: float) -> float:
-        text = self.fields[self.layout.columns[name]]
+        text = self.fields[self.columns.indices[name]]
         try:
             value = float(text) if b"_" not in text else math.nan
         except ValueError:
@@ -255,7 +235,7 @@ class _Row:
         return value
 
     def integer(self, name: str, lowest: int, highest: int) -> int:
-        text = self.fields[self.layout.columns[name]]
+        text = self.fields[self.columns.indices[name]]
         if not (text.isdigit() and len(text) <= 9 and lowest <= int(text) <= highest):
             raise self.error(name, f"a whole number from {lowest} to {highest}", text)
         return int(text)
@@ -264,8 +244,8 @@ class _Row:
         return SolutionQuality(self.integer("Q", min(SolutionQuality), max(SolutionQuality)))
 
     def ratio(self) -> float | None:
-        """A ratio of zero is how RTKLIB says that it searched no ambiguities; a computed one is 1 or more."""
-        if "ratio" not in self.layout.columns:
+        """Return the ratio; RTKLIB prints zero without ambiguity search, a computed one is 1 or more."""
+        if "ratio" not in self.columns.indices:
             return None
         ratio = self.number("ratio", 0.0, math.inf)
         if math.isinf(ratio):
@@ -273,44 +253,31 @@ class _Row:
         return ratio if ratio > 0.0 else None
 
     def age_s(self, quality: SolutionQuality) -> float | None:
-        """An age of zero is real (a base of the same second) unless no corrections were used at all."""
-        if "age(s)" not in self.layout.columns:
+        """Return the age; zero is real (a base epoch of the same second) unless no corrections were used at all."""
+        if "age(s)" not in self.columns.indices:
             return None
-        age_s = self.number("age(s)", -_DEVIATION_LIMIT, _DEVIATION_LIMIT)
+        age_s = self.number("age(s)", -_MAX_DEVIATION, _MAX_DEVIATION)
         return None if quality is SolutionQuality.SINGLE and age_s == 0.0 else age_s
 
     def velocity_enu_m_s(self) -> tuple[float, float, float]:
-        north, east, up = (
-            self.number(name, -_VELOCITY_LIMIT_M_S, _VELOCITY_LIMIT_M_S) for name in _VELOCITIES
-        )
+        north, east, up = (self.number(name, -_MAX_VELOCITY_M_S, _MAX_VELOCITY_M_S) for name in _VELOCITIES)
         return east, north, up
 
     def covariance(self, names: tuple[str, ...], rounding: float) -> EnuCovariance | None:
-        if names[0] not in self.layout.columns:
+        if names[0] not in self.columns.indices:
             return None
-        n, e, u = (self.number(name, 0.0, _DEVIATION_LIMIT) for name in names[:3])
-        ne, eu, un = (self.number(name, -_DEVIATION_LIMIT, _DEVIATION_LIMIT) for name in names[3:])
+        n, e, u = (self.number(name, 0.0, _MAX_DEVIATION) for name in names[:3])
+        ne, eu, un = (self.number(name, -_MAX_DEVIATION, _MAX_DEVIATION) for name in names[3:])
         try:
             return covariance_from_printed((e, n, u), (ne, eu, un), rounding)
         except ValueError:
-            found = b" ".join(self.fields[self.layout.columns[name]] for name in names)
+            actual = b" ".join(self.fields[self.columns.indices[name]] for name in names)
             expected = "standard deviations and cross terms of a positive semidefinite covariance"
-            raise self.error(f"{names[0]} to {names[-1]}", expected, found) from None
-
-
-def read_pos(
-    path: Path, *, undeclared_height: Literal["ellipsoidal"] | None = None
-) -> Iterator[ReceiverSolution | FormatError]:
-    """Solutions and errors of a file in their order. Raises OSError if it cannot be opened or read."""
-    decoder = PosDecoder(path.name, undeclared_height=undeclared_height)
-    with path.open("rb") as file:
-        while data := file.read(_CHUNK_BYTES):
-            yield from decoder.feed(data)
-    yield from decoder.finish()
+            raise self.error(f"{names[0]} to {names[-1]}", expected, actual) from None
 
 
 def format_pos_header(*, velocity: bool = False) -> bytes:
-    """The header lines for `format_pos_line`: GPST, decimal degrees, ellipsoidal heights."""
+    """Return the header lines for `format_pos_line`: GPST, decimal degrees, ellipsoidal heights."""
     columns = (
         f"%  {'GPST':<20} {'latitude(deg)':>14} {'longitude(deg)':>14} {'height(m)':>10} {'Q':>3} {'ns':>3} "
         + " ".join(f"{name:>8}" for name in _DEVIATIONS)
@@ -324,11 +291,11 @@ def format_pos_header(*, velocity: bool = False) -> bytes:
 
 
 def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False) -> bytes:
-    """One line as RTKLIB prints it, with more decimals of the time where they are needed.
+    """Return one line as RTKLIB prints it, with more decimals of the time where they are needed.
 
-    The format knows no "unknown": an unknown covariance, ratio, age or number of satellites is written as
-    zero, as RTKLIB does (an unknown age then reads as zero unless the solution is single). With `velocity`, a
-    solution without one raises ValueError, as do numbers that are not finite.
+    The format has no "unknown": an unknown covariance, ratio, age or number of satellites is zero, as RTKLIB prints it
+    (an unknown age is then read as zero unless the solution is single). With `velocity`, a solution without one raises
+    ValueError, as do numbers that are not finite.
     """
     values = [
         f"{math.degrees(solution.latitude_rad):14.9f}",
@@ -353,7 +320,7 @@ def format_pos_line(solution: ReceiverSolution, *, velocity: bool = False) -> by
 
 
 def _printed_covariance(covariance: EnuCovariance | None, decimals: int) -> list[str]:
-    """σn σe σu and the signed roots of ne, eu, un; what is known is never printed as zero."""
+    """Return σn σe σu and the signed roots of ne, eu, un; known values are never printed as zero."""
     if covariance is None:
         return [f"{0.0:8.{decimals}f}"] * 6
     ee, en, eu, nn, nu, uu = covariance

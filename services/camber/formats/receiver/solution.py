@@ -1,4 +1,6 @@
-"""A position solved inside a receiver or by another program: what `.pos` files and NMEA streams both say."""
+"""A position solved by a receiver or another program, as `.pos` files, NMEA and UBX streams contain it."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -7,7 +9,7 @@ from camber.geodesy.covariance import EnuCovariance
 
 
 class SolutionQuality(IntEnum):
-    """How a solution was made, in the numbers of RTKLIB's `.pos` (solution status Q). NMEA numbers differ."""
+    """Type of a solution, in the numbers of RTKLIB's `.pos` (solution status Q). NMEA numbers differ."""
 
     FIX = 1
     FLOAT = 2
@@ -20,11 +22,11 @@ class SolutionQuality(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverSolution:
-    """One epoch of a receiver-side solution. What the source did not say is None.
+    """One epoch of a receiver's solution; None where the source does not contain a value.
 
     `time_ns` is GPS time, `height_m` above the ellipsoid (WGS 84). Covariances are (ee, en, eu, nn, nu, uu).
-    `age_s` is the age of the corrections, `ratio` the ratio of the ambiguity test,
-    `station` the reference station of the corrections as the source calls it.
+    `age_s` is the correction age, `ratio` that of the ambiguity ratio test, `station` the source's name of the base
+    station.
     """
 
     time_ns: int

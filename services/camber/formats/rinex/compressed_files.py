@@ -1,7 +1,7 @@
-"""RINEX files as they lie on disks: plain, gzip, Hatanaka compression (`.crx`, `.21d`), or both; told by their content.
+"""RINEX text of plain, gzip or Hatanaka-compressed files (`.crx`, `.21d`), recognised by their content.
 
-Hatanaka compression, and the compressions other than gzip, need the optional package `hatanaka` (MIT), which brings the
-RNXCMP programs: Y. Hatanaka, "A Compression Format and Tools for GNSS Observation Data", Bulletin of the Geospatial
+Hatanaka compression, and the compressions other than gzip, need the optional package `hatanaka` (MIT), which contains
+the RNXCMP programs: Y. Hatanaka, "A Compression Format and Tools for GNSS Observation Data", Bulletin of the Geospatial
 Information Authority of Japan 55 (2008), 21-30.
 """
 
@@ -17,68 +17,70 @@ from typing import IO, cast
 
 from camber.formats.errors import FormatError
 
-_PIECE_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 20  # chosen: memory of a file reader
 _GZIP = b"\x1f\x8b"
 _OTHER = (b"\x1f\x9d", b"BZh", b"PK\x03\x04")
 _CRINEX = b"CRINEX VERS"
 
 
 def rinex_chunks(path: Path) -> Iterator[bytes]:
-    """The RINEX text of a file, in pieces. Raises OSError if it cannot be opened, FormatError where a compression is
-    damaged or needs a package that is not installed; what came before a damage is given out first."""
+    """Yield the RINEX text of a file in chunks.
+
+    Raises OSError if it cannot be opened; FormatError where a compression is corrupt, after the text before the corrupt
+    part, or needs a package that is not installed.
+    """
     with path.open("rb") as file:
         head = file.read(80)
         file.seek(0)
         if head.startswith(_GZIP):
             with gzip.open(file) as inner:
-                yield from _pieces(cast(IO[bytes], inner), path.name)
+                yield from _text_chunks(cast(IO[bytes], inner), path.name)
         else:
-            yield from _pieces(file, path.name)
+            yield from _text_chunks(file, path.name)
 
 
-def _pieces(file: IO[bytes], name: str) -> Iterator[bytes]:
-    pieces = _whole_pieces(file, name)
-    piece = next(pieces, b"")
-    if piece.startswith(_OTHER) or _CRINEX in piece[:80]:
-        yield from _decompressed(piece + b"".join(pieces), name)
+def _text_chunks(file: IO[bytes], name: str) -> Iterator[bytes]:
+    chunks = _file_chunks(file, name)
+    first = next(chunks, b"")
+    if first.startswith(_OTHER) or _CRINEX in first[:80]:
+        yield from _decompressed(first + b"".join(chunks), name)
         return
-    yield piece
-    yield from pieces
+    yield first
+    yield from chunks
 
 
-def _whole_pieces(file: IO[bytes], name: str) -> Iterator[bytes]:
-    """Pieces of one size; before a damage is told, what came before it."""
+def _file_chunks(file: IO[bytes], name: str) -> Iterator[bytes]:
+    """Yield chunks of one size; where the compression is corrupt, first the bytes before."""
     read = cast(io.BufferedReader, file).read1
-    piece, damage = bytearray(), None
-    while damage is None:
+    chunk, failure = bytearray(), None
+    while failure is None:
         try:
-            part = read(_PIECE_BYTES)
+            part = read(_CHUNK_BYTES)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            part, damage = b"", error
-        piece += part
-        if len(piece) >= _PIECE_BYTES or (piece and not part):
-            yield bytes(piece)
-            piece.clear()
+            part, failure = b"", error
+        chunk += part
+        if len(chunk) >= _CHUNK_BYTES or (chunk and not part):
+            yield bytes(chunk)
+            chunk.clear()
         if not part:
             break
-    if damage is not None:
-        raise FormatError(name, "gzip compression", f"it whole and undamaged ({damage})") from damage
+    if failure is not None:
+        raise FormatError(name, "gzip compression", f"it whole and undamaged ({failure})") from failure
 
 
 def _decompressed(data: bytes, name: str) -> Iterator[bytes]:
     try:
         import hatanaka  # type: ignore[import-untyped]
     except ImportError as error:
-        raise FormatError(
-            name, "Hatanaka compression", "the package hatanaka to read it: pip install 'camber[engine]'"
-        ) from error
+        expected = "the package hatanaka to read it: pip install 'camber[engine]'"
+        raise FormatError(name, "Hatanaka compression", expected) from error
     try:
         with warnings.catch_warnings():
-            # The program warns of lines that it leaves out; the text that remains is judged by who reads it.
+            # The program warns of lines that it omits; the decoder checks the remaining text.
             warnings.simplefilter("ignore")
             text: bytes = hatanaka.decompress(data)
-    except Exception as error:  # its decompressors raise what they like
+    except Exception as error:  # the decompressors raise many types
         reason = " ".join(str(error).split())[:120]
         raise FormatError(name, "compression", f"it whole and undamaged ({reason})") from error
-    for start in range(0, len(text), _PIECE_BYTES):
-        yield text[start : start + _PIECE_BYTES]
+    for start in range(0, len(text), _CHUNK_BYTES):
+        yield text[start : start + _CHUNK_BYTES]

@@ -1,7 +1,7 @@
-"""Records of RINEX navigation files, lines of 80 columns → ephemerides, Klobuchar's coefficients.
+"""Records of RINEX navigation files, lines of 80 columns, parsed to ephemerides and Klobuchar coefficients.
 
-Source: IGS/RTCM, "RINEX", version 3.04 (2018), tables A6, A8, A12, A14, which version 4.02 (2024) has alike; its record
-of Klobuchar's ionosphere. A number must fill its 19 columns: one that is cut short is not a smaller one.
+Source: IGS/RTCM, "RINEX", version 3.04 (2018), tables A6, A8, A12, A14, the same in version 4.02 (2024); its record of
+the Klobuchar ionosphere. A number must fill its 19 columns, so that a truncated one is an error and not another value.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from camber.formats.broadcast.ephemeris_fields import GNSS_TIME_SCALES
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
-from camber.formats.observations import Ephemeris
+from camber.formats.observations import GPS_MINUS_BDT_NS, Ephemeris
 from camber.formats.rinex.observation_header import decimal_number
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK, CalendarTime, gps_ns_from_gpst
 
-_WIDTH = 19
-_BDT_BEHIND_GPS_NS = 14 * NS_PER_SECOND
-_BDT_FIRST_GPS_WEEK = 1356
-_UNKNOWN_TIME_S = 0.9999e9
+_WIDTH = 19  # D19.12
+_UNKNOWN_TIME_S = 0.9999e9  # RINEX 3.04, table A6: transmission time not known
 _ORBIT_ROWS = (
     ("iode", "crs_m", "mean_motion_difference_rad_s", "mean_anomaly_rad"),
     ("cuc", "eccentricity", "cus", "sqrt_a"),
@@ -30,7 +29,7 @@ _GPS_ROWS = (
     *_ORBIT_ROWS,
     (_RATE, "codes_on_l2", "week", "l2_p_data"),
     ("accuracy_m", "health", "tgd_s", "iodc"),
-    ("sent_s", "fit"),
+    ("transmission_s", "fit"),
 )
 _ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
     "G": _GPS_ROWS,
@@ -39,23 +38,23 @@ _ROWS: dict[str, tuple[tuple[str, ...], ...]] = {
         *_ORBIT_ROWS,
         (_RATE, "data_sources", "week"),
         ("accuracy_m", "health", "bgd_e5a_s", "bgd_e5b_s"),
-        ("sent_s",),
+        ("transmission_s",),
     ),
     "C": (
         *_ORBIT_ROWS,
         (_RATE, "", "week"),
         ("accuracy_m", "health", "tgd1_s", "tgd2_s"),
-        ("sent_s", "aodc"),
+        ("transmission_s", "aodc"),
     ),
 }
 _OTHER = ("tgd_s", "iodc", "bgd_e5a_s", "bgd_e5b_s", "data_sources", "tgd1_s", "tgd2_s", "aodc")
-_MAY_BE_BLANK = {*_OTHER, "accuracy_m", "sent_s", "fit", "codes_on_l2", "l2_p_data"}
+_MAY_BE_BLANK = {*_OTHER, "accuracy_m", "transmission_s", "fit", "codes_on_l2", "l2_p_data"}
 _ORBIT = [n for row in (*_ORBIT_ROWS, (_RATE,)) for n in row if n not in ("iode", "toe_s")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavigationRecord:
-    """Lines of one record, and what a RINEX 4 line `> EPH G01 LNAV` said before it."""
+    """Lines of one record, and the content of the RINEX 4 line before it, such as `> EPH G01 LNAV`."""
 
     first_line: int
     kind: str
@@ -65,7 +64,7 @@ class NavigationRecord:
 
 
 def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
-    """Of a satellite of GPS, QZSS, Galileo or BeiDou. Raises ValueError with what is wrong."""
+    """Parse a record of a GPS, QZSS, Galileo or BeiDou satellite. Raises ValueError with the problem."""
     system = record.satellite[0]
     rows = _ROWS[system]
     if len(record.lines) != 1 + len(rows):
@@ -73,20 +72,20 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
     head = record.lines[0]
     if head[:3] != record.satellite:
         raise ValueError(f"satellite {head[:3]!r} in its first line")
-    clock_s = tuple(_required(head, 23 + _WIDTH * k, name) for k, name in enumerate(("af0", "af1", "af2")))
+    af0, af1, af2 = (_required(head, 23 + _WIDTH * k, name) for k, name in enumerate(("af0", "af1", "af2")))
     values: dict[str, float] = {}
     for names, line in zip(rows, record.lines[1:], strict=True):
         if line[:4].strip():
             raise ValueError(f"{line[:4]!r} at the begin of a line")
         for k, name in enumerate(names):
             if name in _MAY_BE_BLANK:
-                if (value := _at(line, 4 + _WIDTH * k, name)) is not None:
+                if (value := _optional(line, 4 + _WIDTH * k, name)) is not None:
                     values[name] = value
             elif name:
                 values[name] = _required(line, 4 + _WIDTH * k, name)
-    shift_ns = _BDT_BEHIND_GPS_NS if system == "C" else 0
-    toc_ns = gps_ns_from_gpst(_calendar(head)) + shift_ns
-    toe_ns = _toe_ns(system, values["toe_s"], toc_ns - shift_ns, values["week"]) + shift_ns
+    offset_ns = GPS_MINUS_BDT_NS if system == "C" else 0
+    toc_ns = gps_ns_from_gpst(_calendar(head)) + offset_ns
+    toe_ns = _toe_ns(system, values["toe_s"], toc_ns - offset_ns, values["week"]) + offset_ns
     _check(values)
     number = _digits(record.satellite[1:3], "satellite")
     if number == 0:
@@ -95,14 +94,15 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
     if system in "GJ":
         other["fit_interval_h"] = _fit_interval_h(system, values.get("fit", 0.0))
     accuracy_m = values.get("accuracy_m", math.nan)
+    transmission_s = values.get("transmission_s", _UNKNOWN_TIME_S)
     return Ephemeris(
         satellite=ord(system) * 256 + number,
         toe_ns=toe_ns,
         toc_ns=toc_ns,
-        transmission_ns=_transmission_ns(values.get("sent_s", _UNKNOWN_TIME_S), toe_ns, shift_ns),
+        transmission_ns=_transmission_ns(transmission_s, toe_ns, offset_ns),
         iode=int(values["iode"]),
-        clock=(clock_s[0], clock_s[1], clock_s[2]),
-        # Galileo says −1 where there is no prediction.
+        clock=(af0, af1, af2),
+        # −1 of Galileo: no accuracy prediction.
         accuracy_m=accuracy_m if accuracy_m >= 0.0 else math.nan,
         health=int(values["health"]),
         other=other,
@@ -110,43 +110,54 @@ def parse_ephemeris(record: NavigationRecord) -> Ephemeris:
     )
 
 
+def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:
+    """Parse a RINEX 4 Klobuchar record: three numbers after the time, four, one and the region."""
+    if len(record.lines) < 3:
+        raise ValueError(f"{len(record.lines)} lines, not 3")
+    first = [_required(record.lines[0], 23 + _WIDTH * k, "alpha") for k in range(3)]
+    second = [_required(record.lines[1], 4 + _WIDTH * k, "alpha, beta") for k in range(4)]
+    last = _required(record.lines[2], 4, "beta")
+    alpha, beta = (first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last)
+    return IonosphereCoefficients(system=record.satellite[0], alpha=alpha, beta=beta)
+
+
 def _calendar(head: str) -> CalendarTime:
-    places = ((4, 8), (9, 11), (12, 14), (15, 17), (18, 20), (21, 23))
-    year, month, day, hour, minute, second = (_digits(head[a:b], "time") for a, b in places)
-    return CalendarTime(year, month, day, hour, minute, second)
+    columns = ((4, 8), (9, 11), (12, 14), (15, 17), (18, 20), (21, 23))
+    return CalendarTime(*(_digits(head[a:b], "time") for a, b in columns))
 
 
 def _toe_ns(system: str, toe_s: float, toc_ns: int, week: float) -> int:
-    """In the system's own time since 1980: that nearest to the clock's reference time, which has a date.
+    """Return toe in the system's time since 1980: nearest to the clock's reference time, which has a date.
 
-    The week, with which writers differ (full or modulo 1024, of toe or of transmission, BeiDou's or GPS's), must not
-    contradict it.
+    The week, which writers define differently (full or modulo 1024, of toe or of transmission, BeiDou's or GPS's), must
+    be consistent with it.
     """
     if not 0.0 <= toe_s <= NS_PER_WEEK / NS_PER_SECOND:
         raise ValueError(f"toe {toe_s} s of the week")
-    toe_ns = _nearest(round(toe_s * NS_PER_SECOND), toc_ns)
-    found = toe_ns // NS_PER_WEEK
-    expected = (found, found - _BDT_FIRST_GPS_WEEK) if system == "C" else (found,)
+    toe_ns = _nearest_ns(round(toe_s * NS_PER_SECOND), toc_ns)
+    toe_week = toe_ns // NS_PER_WEEK
+    first_beidou_week = GNSS_TIME_SCALES["C"].first_gps_week
+    expected = (toe_week, toe_week - first_beidou_week) if system == "C" else (toe_week,)
     if not any(abs((week - w + 512.0) % 1024.0 - 512.0) <= 1.0 for w in expected):
-        raise ValueError(f"week {week:.0f} with a date in week {found}")
+        raise ValueError(f"week {week:.0f} with a date in week {toe_week}")
     return toe_ns
 
 
-def _nearest(of_week_ns: int, near_ns: int) -> int:
+def _nearest_ns(of_week_ns: int, near_ns: int) -> int:
     return near_ns + (of_week_ns - near_ns + NS_PER_WEEK // 2) % NS_PER_WEEK - NS_PER_WEEK // 2
 
 
-def _transmission_ns(sent_s: float, toe_ns: int, shift_ns: int) -> int:
-    """Nearest to toe: not all writers count it from the week of toe. Unknown: toe, before which it was sent."""
-    if not abs(sent_s) < 2 * NS_PER_WEEK / NS_PER_SECOND:
+def _transmission_ns(transmission_s: float, toe_ns: int, offset_ns: int) -> int:
+    """Return the time nearest to toe: not all writers count from the week of toe. Unknown: toe, its upper bound."""
+    if not abs(transmission_s) < 2 * NS_PER_WEEK / NS_PER_SECOND:
         return toe_ns
-    return _nearest(round(sent_s * NS_PER_SECOND), toe_ns - shift_ns) + shift_ns
+    return _nearest_ns(round(transmission_s * NS_PER_SECOND), toe_ns - offset_ns) + offset_ns
 
 
-def _fit_interval_h(system: str, said: float) -> float:
-    """Hours; QZSS's, and some writers' of GPS, is the broadcast flag for more than the nominal two or four hours."""
+def _fit_interval_h(system: str, value: float) -> float:
+    """Return hours; for QZSS, and some writers for GPS, the value is the flag of more than the nominal two or four."""
     nominal = 2.0 if system == "J" else 4.0
-    return {0.0: nominal, 1.0: 1.5 * nominal}.get(said, said)
+    return {0.0: nominal, 1.0: 1.5 * nominal}.get(value, value)
 
 
 def _check(values: Mapping[str, float]) -> None:
@@ -157,26 +168,15 @@ def _check(values: Mapping[str, float]) -> None:
         raise ValueError(f"eccentricity {values['eccentricity']}, square root of a {values['sqrt_a']} √m")
 
 
-def parse_ionosphere(record: NavigationRecord) -> IonosphereCoefficients:
-    """RINEX 4, Klobuchar's model: three numbers beside the time, four, one and the region."""
-    if len(record.lines) < 3:
-        raise ValueError(f"{len(record.lines)} lines, not 3")
-    first = [_required(record.lines[0], 23 + _WIDTH * k, "alpha") for k in range(3)]
-    second = [_required(record.lines[1], 4 + _WIDTH * k, "alpha, beta") for k in range(4)]
-    last = _required(record.lines[2], 4, "beta")
-    alpha, beta = (first[0], first[1], first[2], second[0]), (second[1], second[2], second[3], last)
-    return IonosphereCoefficients(system=record.satellite[0], alpha=alpha, beta=beta)
-
-
 def _required(line: str, start: int, name: str) -> float:
-    value = _at(line, start, name)
+    value = _optional(line, start, name)
     if value is None:
         raise ValueError(f"{name} is blank")
     return value
 
 
-def _at(line: str, start: int, name: str) -> float | None:
-    """The number in 19 columns; None for blanks."""
+def _optional(line: str, start: int, name: str) -> float | None:
+    """Return the number in 19 columns; None for blanks."""
     text = line[start : start + _WIDTH]
     if not text.strip():
         return None

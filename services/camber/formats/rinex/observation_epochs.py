@@ -1,8 +1,8 @@
-"""The epochs of RINEX 3 and 4 observation files: bytes → columns of all epochs at once, compiled.
+"""The epochs of RINEX 3 and 4 observation files: bytes decoded to the columns of all epochs at once, compiled.
 
-Source: IGS/RTCM, "RINEX", versions 3.04 (2018) and 4.02 (2024), table A3. The fields are read by their columns and
-strictly (`F14.3` has its point in column 11), so that a lost byte shows as damage and not as another value. A value is
-the integer of its thousandths divided by 1000: correctly rounded, as reading the decimal text is.
+Source: IGS/RTCM, "RINEX", versions 3.04 (2018) and 4.02 (2024), table A3. The fields are read strictly by their columns
+(`F14.3` has its point in column 11), so that a lost byte is an error and not another value. A value is the integer of
+its thousandths divided by 1000: correctly rounded, like the decimal text.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.formats.observations import signal_number
+from camber.formats.observations import Floats, Integers, ObservationEpoch, signal_number
 from camber.formats.rinex.observation_fields import (
     BAD,
     BLANK,
+    EPOCH_LINE_BYTES,
     GREATER,
-    HEAD_BYTES,
     ZERO,
     Bytes,
     epoch_time,
@@ -33,37 +33,36 @@ from camber.formats.rinex.observation_fields import (
 from camber.formats.rinex.observation_header import SYSTEMS_SKIPPED, ObservationHeader, ObservationType
 
 MAXIMUM_LINE_BYTES = 8192
-"""A line of 511 observation types."""
-MOST_LINES = 999
-"""Of an epoch: its number has three digits."""
-_PROBLEMS = 2 * (MOST_LINES + 1)
+"""Derived: a line of 511 observation types."""
+_MAX_LINES = 999  # of an epoch: its number has three digits (table A3)
+_MAX_PROBLEMS = 2 * (_MAX_LINES + 1)
 
-# Why the compiled loop came back.
+# Why the compiled loop returns.
 NEEDS_MORE, EVENT, TABLE_FULL = 0, 1, 2
-# What is wrong with a line or an epoch.
-STRAY, EPOCH_LINE, CUT_SHORT, SATELLITE, VALUE, INDICATOR, BEYOND, TWICE, MIXED_UP, TOO_LONG = range(10)
+# Problems of a line or an epoch.
+_STRAY, _EPOCH_LINE, TRUNCATED, _SATELLITE, _VALUE, _INDICATOR, _BEYOND, _REPEATED, _MIXED, _TOO_LONG = range(
+    10
+)
 EXPECTED: dict[int, tuple[str, str]] = {
-    STRAY: ("line", "an epoch line, which begins with '>'"),
-    EPOCH_LINE: ("epoch", "'> yyyy mm dd hh mm ss.sssssss', a flag from 0 to 6, the number of lines"),
-    CUT_SHORT: ("epoch", "as many lines as it announces"),
-    SATELLITE: ("satellite", "a system of the header and a number"),
-    VALUE: ("value", "14 columns with three decimals, or blanks"),
-    INDICATOR: ("indicators", "digits or blanks"),
-    BEYOND: ("line", "nothing beyond the header's observation types"),
-    TWICE: ("satellite", "each once an epoch"),
-    MIXED_UP: ("epoch", "no damaged line beside a satellite given twice: bytes are missing"),
-    TOO_LONG: ("line", f"at most {MAXIMUM_LINE_BYTES} bytes"),
+    _STRAY: ("line", "an epoch line, which begins with '>'"),
+    _EPOCH_LINE: ("epoch", "'> yyyy mm dd hh mm ss.sssssss', a flag from 0 to 6, the number of lines"),
+    TRUNCATED: ("epoch", "as many lines as it announces"),
+    _SATELLITE: ("satellite", "a system of the header and a number"),
+    _VALUE: ("value", "14 columns with three decimals, or blanks"),
+    _INDICATOR: ("indicators", "digits or blanks"),
+    _BEYOND: ("line", "nothing beyond the header's observation types"),
+    _REPEATED: ("satellite", "each once an epoch"),
+    _MIXED: ("epoch", "no damaged line beside a satellite given twice: bytes are missing"),
+    _TOO_LONG: ("line", f"at most {MAXIMUM_LINE_BYTES} bytes"),
 }
-
-# Of a system letter without columns: damage, or not read.
-_NOT_IN_HEADER, _LEFT_OUT = -1, -2
-_SKIPPED = 1000
+_NO_PROBLEM = -1  # outside the codes above
+# In place of the first column of a system letter: malformed, or skipped.
+_NOT_IN_HEADER, _SKIPPED_SYSTEM = -1, -2
+_SKIPPED_SATELLITE = 1000  # outside the codes above
 _CODE, _PHASE, _DOPPLER, _STRENGTH = range(4)
 _KINDS = {"C": _CODE, "L": _PHASE, "D": _DOPPLER, "S": _STRENGTH}
-_NONE = -1
+_NO_COLUMN = -1  # no index
 
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
@@ -71,7 +70,7 @@ class HeaderTables(NamedTuple):
     """A header for the compiled loop.
 
     By system letter (256,): `first` column of its lines or one of the codes above, `column_count`, `signals`
-    (256, most) and `signal_count`. By column: `kind`, `place` of its signal among the system's, `divisor`.
+    (256, most) and `signal_count`. By column: `kind`, index of its `signal` among the system's, `divisor`.
     """
 
     first: Integers
@@ -79,7 +78,7 @@ class HeaderTables(NamedTuple):
     signals: Integers
     signal_count: Integers
     kind: Integers
-    place: Integers
+    signal: Integers
     divisor: Floats
     time_offset_ns: int
     picoseconds: bool
@@ -89,44 +88,44 @@ class HeaderTables(NamedTuple):
 class ColumnLayout:
     """The columns of a file, and their names."""
 
-    columns: HeaderTables
+    tables: HeaderTables
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, header: ObservationHeader) -> ColumnLayout:
-        """Of a header."""
+    def from_header(cls, header: ObservationHeader) -> ColumnLayout:
+        """Return the columns of a header."""
         first = np.full(256, _NOT_IN_HEADER, np.int64)
-        count = np.zeros(256, np.int64)
+        column_count = np.zeros(256, np.int64)
         signal_count = np.zeros(256, np.int64)
-        of_system = header.signals
-        most = max((len(s) for s in of_system.values()), default=0)
+        system_signals = header.signals
+        most = max((len(s) for s in system_signals.values()), default=0)
         signals = np.zeros((256, max(most, 1)), np.int64)
         for system in SYSTEMS_SKIPPED:
-            first[ord(system)] = _LEFT_OUT
-        types: list[tuple[ObservationType, int]] = []
-        for system, of_file in header.types.items():
-            k = ord(system)
-            first[k] = len(types) if of_file else _LEFT_OUT
-            count[k] = len(of_file)
-            signal_count[k] = len(of_system[system])
-            signals[k, : signal_count[k]] = [signal_number(s) for s in of_system[system]]
-            types += [(t, of_system[system].index(t.signal) if t.kind else 0) for t in of_file]
-        columns = HeaderTables(
-            first,
-            count,
-            signals,
-            signal_count,
-            kind=np.array([_KINDS.get(t.kind, _NONE) for t, _ in types], np.int64),
-            place=np.array([place for _, place in types], np.int64),
-            divisor=np.array([1000.0 * t.divisor for t, _ in types]),
+            first[ord(system)] = _SKIPPED_SYSTEM
+        columns: list[tuple[ObservationType, int]] = []
+        for system, types in header.types.items():
+            k, names = ord(system), system_signals[system]
+            first[k] = len(columns) if types else _SKIPPED_SYSTEM
+            column_count[k] = len(types)
+            signal_count[k] = len(names)
+            signals[k, : len(names)] = [signal_number(s) for s in names]
+            columns += [(t, names.index(t.signal) if t.kind else 0) for t in types]
+        tables = HeaderTables(
+            first=first,
+            column_count=column_count,
+            signals=signals,
+            signal_count=signal_count,
+            kind=np.array([_KINDS.get(t.kind, _NO_COLUMN) for t, _ in columns], np.int64),
+            signal=np.array([signal for _, signal in columns], np.int64),
+            divisor=np.array([1000.0 * t.divisor for t, _ in columns]),
             time_offset_ns=header.time_offset_ns,
             picoseconds=header.version >= 4.0,
         )
-        return cls(columns, tuple(t.name for t, _ in types))
+        return cls(tables, tuple(t.name for t, _ in columns))
 
 
-class _Tables(NamedTuple):
-    """The output: floats (4, room), integers (2, room), flags (2, room) are the columns of `ObservationColumns`."""
+class _Output(NamedTuple):
+    """Arrays filled by the loop: floats (4, room), integers (2, room), flags (2, room) are columns of observations."""
 
     floats: Floats
     integers: Integers
@@ -137,103 +136,97 @@ class _Tables(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ObservationColumns:
-    """Columns (rows,) of all epochs, as `ObservationEpoch` has them."""
+class EpochBatch:
+    """The content of a chunk of a file.
 
-    satellite: Integers
-    signal: Integers
-    pseudorange_m: Floats
-    carrier_phase_cycles: Floats
-    doppler_hz: Floats
-    cn0_dbhz: Floats
-    loss_of_lock: Flags
-    half_cycle: Flags
-    lock_time_s: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Found:
-    """What a piece of a file holds.
-
-    `epochs` (n, 3): GPS time [ns], the end of its rows, the number of problems up to its end. `problems` (m, 4): line,
-    first byte, one of the codes above, and the column concerned or −1. `skipped` (256,): satellites left out by system
-    letter. `used` bytes and `lines` are done with; `event` (3,): where an event's header lines begin and end, and their
-    number, if `stop` says so; `missing`: lines without which, or without another epoch line, more cannot be said.
+    Columns of all epochs: `floats` (4, rows) pseudorange, phase, Doppler, C/N0; `integers` (2, rows) satellite, signal;
+    `flags` (2, rows) loss of lock, half cycle. `epochs` (n, 3): GPS time [ns], end of its rows, number of problems up
+    to its end. `problems` (m, 4): line, first byte, one of the codes above, and the column or −1. `skipped` (256,):
+    satellites skipped by system letter. `consumed` bytes and `lines` are finished; `event` (3,): begin and end of an
+    event's header lines, and their number, if `stop` is EVENT; `missing`: lines needed, or another epoch line, before
+    the next epoch can be decoded. `stray_reported`: the last lines could not be read, and that has been reported.
     """
 
-    rows: ObservationColumns
+    floats: Floats
+    integers: Integers
+    flags: Flags
     epochs: Integers
     problems: Integers
     skipped: Integers
-    used: int
+    consumed: int
     lines: int
-    astray: bool
+    stray_reported: bool
     stop: int
     event: tuple[int, int, int]
     missing: int
 
+    def observations(self, time_ns: int, rows: slice) -> ObservationEpoch:
+        """Return the observations of one epoch."""
+        satellite, signal = self.integers[:, rows]
+        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz = self.floats[:, rows]
+        loss_of_lock, half_cycle = self.flags[:, rows]
+        return ObservationEpoch(
+            time_ns=time_ns,
+            satellite=satellite,
+            signal=signal,
+            pseudorange_m=pseudorange_m,
+            carrier_phase_cycles=carrier_phase_cycles,
+            doppler_hz=doppler_hz,
+            cn0_dbhz=cn0_dbhz,
+            lock_time_s=np.full(satellite.size, np.nan),
+            loss_of_lock=loss_of_lock,
+            half_cycle=half_cycle,
+        )
 
-def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, astray: bool) -> Found:
-    """All whole epochs of bytes that end with a newline, up to the first event that brings header lines.
 
-    `astray`: the lines before could not be read, and that has been said.
-    """
+def read_epochs(data: bytes, layout: ColumnLayout, line_number: int, stray_reported: bool) -> EpochBatch:
+    """Decode all whole epochs of bytes that end with a newline, up to the first event with header lines."""
     array = np.frombuffer(data, np.uint8)
-    most_signals = layout.columns.signals.shape[1]
+    max_signals = layout.tables.signals.shape[1]
     # A row has a value of 14 bytes at least, a line no more rows than signals, an epoch a line of 35 bytes.
-    room = min(array.size // 14, data.count(b"\n") * most_signals) + most_signals
-    tables = _Tables(
-        np.empty((4, room)),
-        np.empty((2, room), np.int64),
-        np.empty((2, room), np.bool_),
-        np.empty((array.size // HEAD_BYTES + 1, 3), np.int64),
-        np.empty((_PROBLEMS, 4), np.int64),
-        np.zeros(256, np.int64),
+    room = min(array.size // 14, data.count(b"\n") * max_signals) + max_signals
+    output = _Output(
+        floats=np.empty((4, room)),
+        integers=np.empty((2, room), np.int64),
+        flags=np.empty((2, room), np.bool_),
+        epochs=np.empty((array.size // EPOCH_LINE_BYTES + 1, 3), np.int64),
+        problems=np.empty((_MAX_PROBLEMS, 4), np.int64),
+        skipped=np.zeros(256, np.int64),
     )
-    n_rows, n_epochs, n_problems, used, lines, is_astray, stop, begin, end, count = _read_epochs(
-        array, line_number, astray, layout.columns, tables
+    n_rows, n_epochs, n_problems, consumed, lines, stray_reported, stop, event, missing = _read_epochs(
+        array, (line_number, stray_reported), layout.tables, output
     )
-    # Copies: what is kept of an epoch must not hold on to the room that was left over.
-    floats, integers, flags = (t[:, :n_rows].copy() for t in (tables.floats, tables.integers, tables.flags))
-    rows = ObservationColumns(
-        satellite=integers[0],
-        signal=integers[1],
-        pseudorange_m=floats[0],
-        carrier_phase_cycles=floats[1],
-        doppler_hz=floats[2],
-        cn0_dbhz=floats[3],
-        loss_of_lock=flags[0],
-        half_cycle=flags[1],
-        lock_time_s=np.full(n_rows, np.nan),
-    )
-    return Found(
-        rows=rows,
-        epochs=tables.epochs[:n_epochs],
-        problems=tables.problems[:n_problems],
-        skipped=tables.skipped,
-        used=used,
+    return EpochBatch(
+        # Copies: what is kept of an epoch must not keep the unused room alive.
+        floats=output.floats[:, :n_rows].copy(),
+        integers=output.integers[:, :n_rows].copy(),
+        flags=output.flags[:, :n_rows].copy(),
+        epochs=output.epochs[:n_epochs],
+        problems=output.problems[:n_problems],
+        skipped=output.skipped,
+        consumed=consumed,
         lines=lines,
-        astray=is_astray,
+        stray_reported=stray_reported,
         stop=stop,
-        event=(begin, end, count),
-        missing=count if stop == NEEDS_MORE else 0,
+        event=event,
+        missing=missing,
     )
 
 
 @compiled
 def _read_epochs(
-    data: Bytes, line_number: int, astray: bool, columns: HeaderTables, tables: _Tables
-) -> tuple[int, int, int, int, int, bool, int, int, int, int]:
-    """Numbers of rows, epochs, problems; bytes and lines used; astray; why it stops; what belongs to that."""
-    starts = np.empty(MOST_LINES + 2, np.int64)
-    taken = np.empty(MOST_LINES, np.int64)
-    strength = np.empty(columns.signals.shape[1], np.int64)
+    data: Bytes, state: tuple[int, bool], columns: HeaderTables, output: _Output
+) -> tuple[int, int, int, int, int, bool, int, tuple[int, int, int], int]:
+    """Return numbers of rows, epochs, problems; bytes and lines consumed; stray reported; stop; event; missing."""
+    line_number, stray_reported = state
+    starts = np.empty(_MAX_LINES + 2, np.int64)
+    no_event = (0, 0, 0)
     n_rows = n_epochs = n_problems = position = lines = 0
-    while n_problems + MOST_LINES + 2 < _PROBLEMS:
+    while n_problems + _MAX_LINES + 2 < _MAX_PROBLEMS:
         newline = line_end(data, position)
         if newline < 0:
-            return n_rows, n_epochs, n_problems, position, lines, astray, NEEDS_MORE, 0, 0, 0
-        # Of a line that is too long the reader may hold its beginning only: nothing rests on where its text ends.
+            return n_rows, n_epochs, n_problems, position, lines, stray_reported, NEEDS_MORE, no_event, 0
+        # Of a line that is too long the caller may keep only the beginning: its end must not matter.
         too_long = newline - position > MAXIMUM_LINE_BYTES
         end = text_end(data, position, newline)
         number = line_number + lines
@@ -242,67 +235,104 @@ def _read_epochs(
         if data[position] == GREATER and not too_long:
             flag, count, time_ns = _epoch_line(data, position, end, columns.picoseconds)
         if flag < 0:
-            fault = EPOCH_LINE if data[position] == GREATER else STRAY
+            problem = _EPOCH_LINE if data[position] == GREATER else _STRAY
             # Of lines that belong to no epoch the first is an error.
-            if fault == EPOCH_LINE or ((end > position or too_long) and not astray):
-                n_problems = _problem(tables, n_problems, number, position, fault, _NONE)
-                astray = True
+            if problem == _EPOCH_LINE or ((end > position or too_long) and not stray_reported):
+                n_problems = _add_problem(output, n_problems, (number, position, problem, _NO_COLUMN))
+                stray_reported = True
             position, lines = newline + 1, lines + 1
             continue
-        astray = False
+        stray_reported = False
 
         starts[0] = newline + 1
         whole, ended = _find_lines(data, starts, count)
         if not ended:
             missing = count - whole
-            return n_rows, n_epochs, n_problems, position, lines, astray, NEEDS_MORE, 0, 0, missing
+            return (
+                n_rows,
+                n_epochs,
+                n_problems,
+                position,
+                lines,
+                stray_reported,
+                NEEDS_MORE,
+                no_event,
+                missing,
+            )
         if whole < count:
-            n_problems = _problem(tables, n_problems, number, position, CUT_SHORT, _NONE)
+            n_problems = _add_problem(output, n_problems, (number, position, TRUNCATED, _NO_COLUMN))
         elif 2 <= flag <= 5:
-            begin, end, lines = starts[0], starts[count], lines + 1 + count
-            return n_rows, n_epochs, n_problems, end, lines, astray, EVENT, begin, end, count
+            event = (starts[0], starts[count], count)
+            lines += 1 + count
+            return n_rows, n_epochs, n_problems, starts[count], lines, stray_reported, EVENT, event, 0
         elif flag < 2:
-            rows_before, problems_before, n_taken = n_rows, n_problems, 0
-            damaged = twice = False
-            for k in range(count):
-                begin, line = starts[k], number + 1 + k
-                end = text_end(data, begin, starts[k + 1] - 1)
-                satellite, fault = _satellite_or_fault(data, begin, end, columns, taken, n_taken)
-                if starts[k + 1] - 1 - begin > MAXIMUM_LINE_BYTES:
-                    fault = TOO_LONG
-                where = _NONE
-                if fault == _SKIPPED:
-                    tables.skipped[satellite >> 8] += 1
-                    continue
-                if fault < 0:
-                    taken[n_taken] = satellite
-                    n_taken += 1
-                    _clear_rows(tables, n_rows, columns.signal_count[satellite >> 8], strength, flag == 1)
-                    fault, where = _read_values(
-                        data, begin, end, satellite, columns, tables, n_rows, strength
-                    )
-                if fault >= 0:
-                    damaged |= fault != TWICE
-                    twice |= fault == TWICE
-                    n_problems = _problem(tables, n_problems, line, begin, fault, where)
-                else:
-                    n_rows = _keep_observed(satellite, columns, tables, n_rows, strength)
-            if damaged and twice:
-                n_rows = rows_before
-                n_problems = _problem(tables, problems_before, number, position, MIXED_UP, _NONE)
+            new_rows, new_problems, mixed = _read_satellites(
+                data,
+                starts[: count + 1],
+                columns,
+                output,
+                first_line=number + 1,
+                n_rows=n_rows,
+                n_problems=n_problems,
+                power_failed=flag == 1,
+            )
+            if mixed:
+                n_problems = _add_problem(output, n_problems, (number, position, _MIXED, _NO_COLUMN))
             else:
-                tables.epochs[n_epochs, 0] = time_ns + columns.time_offset_ns
-                tables.epochs[n_epochs, 1] = n_rows
-                tables.epochs[n_epochs, 2] = n_problems
+                n_rows, n_problems = new_rows, new_problems
+                output.epochs[n_epochs, 0] = time_ns + columns.time_offset_ns
+                output.epochs[n_epochs, 1] = n_rows
+                output.epochs[n_epochs, 2] = n_problems
                 n_epochs += 1
         position, lines = starts[whole], lines + 1 + whole
-    return n_rows, n_epochs, n_problems, position, lines, astray, TABLE_FULL, 0, 0, 0
+    return n_rows, n_epochs, n_problems, position, lines, stray_reported, TABLE_FULL, no_event, 0
+
+
+@compiled
+def _read_satellites(
+    data: Bytes,
+    starts: Integers,
+    columns: HeaderTables,
+    output: _Output,
+    first_line: int,
+    n_rows: int,
+    n_problems: int,
+    power_failed: bool,
+) -> tuple[int, int, bool]:
+    """Decode the lines of an epoch; return numbers of rows and problems, and whether two epochs are mixed."""
+    taken, n_taken = np.empty(starts.size, np.int64), 0
+    strength = np.empty(columns.signals.shape[1], np.int64)
+    damaged = repeated = False
+    for k in range(starts.size - 1):
+        begin, newline = starts[k], starts[k + 1] - 1
+        end = text_end(data, begin, newline)
+        satellite, problem = _satellite_or_problem(data, (begin, end), columns, taken[:n_taken])
+        if newline - begin > MAXIMUM_LINE_BYTES:
+            problem = _TOO_LONG
+        column = _NO_COLUMN
+        if problem == _SKIPPED_SATELLITE:
+            output.skipped[satellite >> 8] += 1
+            continue
+        if problem == _NO_PROBLEM:
+            taken[n_taken] = satellite
+            n_taken += 1
+            _clear_rows(output, (n_rows, columns.signal_count[satellite >> 8]), strength, power_failed)
+            problem, column = _read_values(
+                data, (begin, end), columns, output, satellite=satellite, n_rows=n_rows, strength=strength
+            )
+        if problem == _NO_PROBLEM:
+            n_rows = _keep_observed(columns, output, satellite=satellite, n_rows=n_rows, strength=strength)
+        else:
+            damaged |= problem != _REPEATED
+            repeated |= problem == _REPEATED
+            n_problems = _add_problem(output, n_problems, (first_line + k, begin, problem, column))
+    return n_rows, n_problems, damaged and repeated
 
 
 @compiled
 def _epoch_line(data: Bytes, position: int, end: int, picoseconds: bool) -> tuple[int, int, int]:
-    """Flag, number of lines, time in the file's system; the flag is −1 where the line is damaged."""
-    if end - position < HEAD_BYTES:
+    """Return flag, number of lines, time in the file's system; the flag is −1 where the line is malformed."""
+    if end - position < EPOCH_LINE_BYTES:
         return -1, -1, -1
     flag = int(data[position + 31]) - ZERO
     count = integer(data, position + 32, position + 35)
@@ -315,9 +345,9 @@ def _epoch_line(data: Bytes, position: int, end: int, picoseconds: bool) -> tupl
 
 @compiled
 def _find_lines(data: Bytes, starts: Integers, count: int) -> tuple[int, bool]:
-    """Where the lines of an epoch begin, from `starts[0]` on: how many there are, and whether that is all.
+    """Set the starts of an epoch's lines, from `starts[0]` on; return their number, and whether it is final.
 
-    One that begins with '>' is the next epoch already.
+    A line that begins with '>' is the next epoch already.
     """
     for whole in range(count):
         begin = starts[whole]
@@ -331,107 +361,104 @@ def _find_lines(data: Bytes, starts: Integers, count: int) -> tuple[int, bool]:
 
 
 @compiled
-def _satellite_or_fault(
-    data: Bytes, begin: int, end: int, columns: HeaderTables, taken: Integers, n_taken: int
+def _satellite_or_problem(
+    data: Bytes, span: tuple[int, int], columns: HeaderTables, taken: Integers
 ) -> tuple[int, int]:
-    """The satellite of a line, and what is wrong with it, −1: nothing."""
-    satellite = satellite_at(data, begin, end)
+    """Return the satellite of a line, and the problem with it."""
+    satellite = satellite_at(data, span[0], span[1])
     first = columns.first[satellite >> 8] if satellite >= 0 else _NOT_IN_HEADER
     if first == _NOT_IN_HEADER:
-        return satellite, SATELLITE
-    if first == _LEFT_OUT:
-        return satellite, _SKIPPED
-    for k in range(n_taken):
-        if taken[k] == satellite:
-            return satellite, TWICE
-    return satellite, -1
+        return satellite, _SATELLITE
+    if first == _SKIPPED_SYSTEM:
+        return satellite, _SKIPPED_SATELLITE
+    for other in taken:
+        if other == satellite:
+            return satellite, _REPEATED
+    return satellite, _NO_PROBLEM
 
 
 @compiled
-def _clear_rows(tables: _Tables, begin: int, n: int, strength: Integers, power_failed: bool) -> None:
+def _clear_rows(output: _Output, rows: tuple[int, int], strength: Integers, power_failed: bool) -> None:
+    begin, n = rows
     for row in range(begin, begin + n):
-        for what in range(4):
-            tables.floats[what, row] = np.nan
-        tables.flags[0, row] = power_failed
-        tables.flags[1, row] = False
+        for kind in range(4):
+            output.floats[kind, row] = np.nan
+        output.flags[0, row] = power_failed
+        output.flags[1, row] = False
         strength[row - begin] = 0
 
 
 @compiled
 def _read_values(
     data: Bytes,
-    begin: int,
-    end: int,
-    satellite: int,
+    span: tuple[int, int],
     columns: HeaderTables,
-    tables: _Tables,
+    output: _Output,
+    satellite: int,
     n_rows: int,
     strength: Integers,
 ) -> tuple[int, int]:
-    """Fills the rows of a satellite's signals. What is wrong, −1: nothing, and in which column."""
-    field = begin + 3
+    """Fill the rows of a satellite's signals; return the problem and its column."""
+    field, end = span[0] + 3, span[1]
     first, count = columns.first[satellite >> 8], columns.column_count[satellite >> 8]
     if end > field + 16 * count:
-        return BEYOND, _NONE
+        return _BEYOND, _NO_COLUMN
     for j in range(first, first + count):
         if field >= end:
             break
-        what = columns.kind[j]
-        if what >= 0:
+        kind = columns.kind[j]
+        if kind >= 0:
             value = thousandths(data, field, end)
-            lock = indicator(data, field + 14, end)
-            level = indicator(data, field + 15, end)
+            lli = indicator(data, field + 14, end)
+            ssi = indicator(data, field + 15, end)
             if value == BAD:
-                return VALUE, j
-            if lock < 0 or level < 0:
-                return INDICATOR, j
-            place = columns.place[j]
-            # The standard: what is missing is blank or zero.
+                return _VALUE, j
+            if lli < 0 or ssi < 0:
+                return _INDICATOR, j
+            signal = columns.signal[j]
+            # Table A3: missing observations are blank or zero.
             if value != BLANK and value != 0:
-                tables.floats[what, n_rows + place] = value / columns.divisor[j]
-            if what == _PHASE:
-                tables.flags[0, n_rows + place] |= lock & 1 != 0
-                tables.flags[1, n_rows + place] |= lock & 2 != 0
-            # A phase's signal strength before a pseudorange's.
-            if level > 0 and (what == _PHASE or (what == _CODE and strength[place] == 0)):
-                strength[place] = level
+                output.floats[kind, n_rows + signal] = value / columns.divisor[j]
+            if kind == _PHASE:
+                output.flags[0, n_rows + signal] |= lli & 1 != 0
+                output.flags[1, n_rows + signal] |= lli & 2 != 0
+            # The signal strength of the phase has priority over that of the pseudorange.
+            if ssi > 0 and (kind == _PHASE or (kind == _CODE and strength[signal] == 0)):
+                strength[signal] = ssi
         field += 16
-    return -1, _NONE
+    return _NO_PROBLEM, _NO_COLUMN
 
 
 @compiled
 def _keep_observed(
-    satellite: int, columns: HeaderTables, tables: _Tables, n_rows: int, strength: Integers
+    columns: HeaderTables, output: _Output, satellite: int, n_rows: int, strength: Integers
 ) -> int:
-    """Moves the rows of which something was observed together; returns the number of rows then.
+    """Compact the rows with an observation; return the number of rows.
 
-    A signal strength digit is no observation; it stands for 6 dB-Hz, of which the middle is taken.
+    A signal strength digit alone is no observation; it is 6 dB-Hz wide, of which the middle is taken.
     """
     kept = n_rows
     for j in range(columns.signal_count[satellite >> 8]):
         row = n_rows + j
         observed = False
-        for what in range(4):
-            observed |= not np.isnan(tables.floats[what, row])
+        for kind in range(4):
+            observed |= not np.isnan(output.floats[kind, row])
         if not observed:
             continue
-        if np.isnan(tables.floats[_STRENGTH, row]) and strength[j] > 0:
-            tables.floats[_STRENGTH, row] = 6.0 * strength[j] + 3.0
-        for what in range(4):
-            tables.floats[what, kept] = tables.floats[what, row]
-        for what in range(2):
-            tables.flags[what, kept] = tables.flags[what, row]
-        tables.integers[0, kept] = satellite
-        tables.integers[1, kept] = columns.signals[satellite >> 8, j]
+        if np.isnan(output.floats[_STRENGTH, row]) and strength[j] > 0:
+            output.floats[_STRENGTH, row] = 6.0 * strength[j] + 3.0
+        for kind in range(4):
+            output.floats[kind, kept] = output.floats[kind, row]
+        for flag in range(2):
+            output.flags[flag, kept] = output.flags[flag, row]
+        output.integers[0, kept] = satellite
+        output.integers[1, kept] = columns.signals[satellite >> 8, j]
         kept += 1
     return kept
 
 
 @compiled
-def _problem(tables: _Tables, n: int, line: int, position: int, code: int, column: int) -> int:
-    problems = tables.problems
-    problems[n, 0] = line
-    problems[n, 1] = position
-    problems[n, 2] = code
-    problems[n, 3] = column
+def _add_problem(output: _Output, n: int, problem: tuple[int, int, int, int]) -> int:
+    for k in range(4):
+        output.problems[n, k] = problem[k]
     return n + 1

@@ -1,7 +1,7 @@
-"""The fields of RINEX observation lines, compiled: where lines end, integers, F14.3, indicators, times, satellites.
+"""Fields of RINEX observation lines, compiled: line ends, integers, F14.3, indicators, times, satellites.
 
-Source: IGS/RTCM, "RINEX", versions 3.04 (2018) and 4.02 (2024), table A3. Lines are bytes (n,) from `start` up to, not
-including, `end`. Every read is within these bounds.
+Source: IGS/RTCM, "RINEX", versions 3.04 (2018) and 4.02 (2024), table A3. Lines are bytes (n,) from `start` to, not
+including, `end`. Every access is within these bounds.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
+from camber.geodesy.gps_time import NS_PER_SECOND
 
 Bytes = NDArray[np.uint8]
 
+# Results of `thousandths`, outside the range of F14.3: no value; malformed.
 BLANK = -(10**15)
 BAD = BLANK - 1
-"""What `thousandths` says of a field without a value, and of one that is damaged."""
-HEAD_BYTES = 35
-"""Of an epoch line, up to its number of lines."""
+EPOCH_LINE_BYTES = 35
+"""Length of an epoch line up to its number of lines (table A3)."""
 ZERO, GREATER = 48, 62
 _CR, _NEWLINE, _SPACE, _PLUS, _MINUS, _POINT = 13, 10, 32, 43, 45, 46
-_PICOSECONDS = 57
-_NS_PER_SECOND = 1_000_000_000
+_PICOSECONDS_OFFSET = 57  # RINEX 4.02, table A3
 _GPS_EPOCH_DAY = 723_125  # 1980-01-06 in days since 0000-03-01
 
 
 @compiled
 def line_end(data: Bytes, start: int) -> int:
-    """Where the newline stands; −1 without one."""
+    """Return the position of the newline; −1 without one."""
     for k in range(start, data.size):
         if data[k] == _NEWLINE:
             return k
@@ -36,7 +36,7 @@ def line_end(data: Bytes, start: int) -> int:
 
 @compiled
 def text_end(data: Bytes, start: int, end: int) -> int:
-    """Without blanks and carriage returns at the end."""
+    """Return the end without trailing blanks and carriage returns."""
     while end > start and (data[end - 1] == _SPACE or data[end - 1] == _CR):
         end -= 1
     return end
@@ -44,7 +44,7 @@ def text_end(data: Bytes, start: int, end: int) -> int:
 
 @compiled
 def integer(data: Bytes, start: int, end: int) -> int:
-    """Digits, with blanks before them; −1 for anything else."""
+    """Return the integer of digits with leading blanks; −1 for anything else."""
     while start < end and data[start] == _SPACE:
         start += 1
     if start == end:
@@ -60,7 +60,7 @@ def integer(data: Bytes, start: int, end: int) -> int:
 
 @compiled
 def thousandths(data: Bytes, start: int, end: int) -> int:
-    """F14.3 at `start` of a line whose text ends at `end`."""
+    """Return the thousandths of F14.3 at `start` of a line whose text ends at `end`."""
     if end <= start:
         return BLANK
     stop = start + 10
@@ -97,33 +97,33 @@ def thousandths(data: Bytes, start: int, end: int) -> int:
 
 
 @compiled
-def indicator(data: Bytes, place: int, end: int) -> int:
-    """A digit, 0 for a blank; −1 for anything else."""
-    if place >= end or data[place] == _SPACE:
+def indicator(data: Bytes, start: int, end: int) -> int:
+    """Return a digit, 0 for a blank; −1 for anything else."""
+    if start >= end or data[start] == _SPACE:
         return 0
-    digit = int(data[place]) - ZERO
+    digit = int(data[start]) - ZERO
     return digit if 0 <= digit <= 9 else -1
 
 
 @compiled
 def _days(year: int, month: int, day: int) -> int:
-    """Since 1980-01-06, of the Gregorian calendar; −1 where there is no such day or it is before."""
+    """Return the days since 1980-01-06 of the Gregorian calendar; −1 for an invalid or an earlier day."""
     lengths = (31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31)
     if year < 1980 or year > 2199 or month < 1 or month > 12 or day < 1:
         return -1
     leap = year % 4 == 0 and (year % 100 != 0 or year % 400 == 0)
     if day > lengths[month - 1] + (1 if leap and month == 2 else 0):
         return -1
-    # Years from March to February: the leap day comes last, months have 153 days in five.
-    from_march = (month + 9) % 12
+    # Years from March to February: the leap day is the last, five months have 153 days.
+    months = (month + 9) % 12
     y = year - (1 if month <= 2 else 0)
-    whole = 365 * y + y // 4 - y // 100 + y // 400 + (153 * from_march + 2) // 5 + day - 1
+    whole = 365 * y + y // 4 - y // 100 + y // 400 + (153 * months + 2) // 5 + day - 1
     return max(whole - _GPS_EPOCH_DAY, -1)
 
 
 @compiled
 def epoch_time(data: Bytes, start: int, end: int, picoseconds: bool) -> int:
-    """The time of an epoch line, ns since 1980-01-06 in the file's time system; −1 where there is none."""
+    """Return the time of an epoch line, ns since 1980-01-06 in the file's time system; −1 where it is malformed."""
     year = integer(data, start + 2, start + 6)
     month = integer(data, start + 7, start + 9)
     day = integer(data, start + 10, start + 12)
@@ -139,18 +139,19 @@ def epoch_time(data: Bytes, start: int, end: int, picoseconds: bool) -> int:
     for k in (1, 6, 9, 12, 15, 29, 30):
         if data[start + k] != _SPACE:
             return -1
-    time_ns = (((days * 24 + hour) * 60 + minute) * 60 + second) * _NS_PER_SECOND + fraction * 100
-    if picoseconds and end > start + _PICOSECONDS:
-        more = integer(data, start + _PICOSECONDS, min(start + _PICOSECONDS + 5, end))
-        if end != start + _PICOSECONDS + 5 or more < 0:
+    time_ns = (((days * 24 + hour) * 60 + minute) * 60 + second) * NS_PER_SECOND + fraction * 100
+    if picoseconds and end > start + _PICOSECONDS_OFFSET:
+        first = start + _PICOSECONDS_OFFSET
+        value_ps = integer(data, first, min(first + 5, end))
+        if end != first + 5 or value_ps < 0:
             return -1
-        time_ns += (more + 500) // 1000
+        time_ns += (value_ps + 500) // 1000
     return time_ns
 
 
 @compiled
 def satellite_at(data: Bytes, start: int, end: int) -> int:
-    """System letter × 256 + number; −1 where there is none."""
+    """Return system letter × 256 + number; −1 where it is malformed."""
     if end < start + 3:
         return -1
     number = integer(data, start + 1, start + 3)

@@ -1,7 +1,7 @@
-"""Headers of RINEX 3 and 4 observation files, line by line.
+"""Headers of RINEX 3 and 4 observation files, parsed line by line.
 
 Source: IGS/RTCM, "RINEX, The Receiver Independent Exchange Format", versions 3.04 (2018) and 4.02 (2024), tables A1 and
-A2. Phase shifts of the header are not applied: the phases of a file are already shifted by them (3.04, section 9.1).
+A2. Phase shifts of the header are not applied: the phases of a file already contain them (3.04, section 9.1).
 """
 
 from __future__ import annotations
@@ -11,38 +11,50 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from camber.formats.errors import FormatError
-from camber.formats.observations import CARRIER_OF_BAND_HZ
+from camber.formats.observations import CARRIER_OF_BAND_HZ, GPS_MINUS_BDT_NS
+from camber.geodesy.gps_time import NS_PER_SECOND
 
 SYSTEMS_SKIPPED = "RSI"
-"""GLONASS, SBAS, NavIC: their satellites are counted and left out."""
-_TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": 14_000_000_000}
+"""GLONASS, SBAS, NavIC: their satellites are counted and skipped."""
+MAX_HEADER_LINES = (
+    20_000  # chosen: bounds the work for a file without END OF HEADER; real headers have below 1,000
+)
+_TIME_OFFSETS_NS = {"GPS": 0, "GAL": 0, "QZS": 0, "IRN": 0, "BDT": GPS_MINUS_BDT_NS}
 _TIME_SYSTEM_OF_FILE = {"G": "GPS", "E": "GAL", "J": "QZS", "C": "BDT", "R": "GLO", "I": "IRN"}
 _SCALES = (1, 10, 100, 1000)
-_MOST_LINES = 20_000
-_OLD_BEIDOU_VERSION = 3.04
+_BEIDOU_B1C_VERSION = 3.04  # RINEX 3.04, table 9: band 1 of BeiDou is B1C; in 3.02 it was B1I
 _LABEL = slice(60, 80)
+_FIELDS = {
+    "MARKER NAME",
+    "REC # / TYPE / VERS",
+    "ANT # / TYPE",
+    "APPROX POSITION XYZ",
+    "ANTENNA: DELTA H/E/N",
+    "INTERVAL",
+    "LEAP SECONDS",
+    "SIGNAL STRENGTH UNIT",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationType:
-    """One column of a system's lines: what is observed (`C`, `L`, `D`, `S`), of which signal, and the value's divisor.
+    """One column of a system's lines: the observable (`C`, `L`, `D`, `S`), its signal, and the divisor of the value.
 
-    `kind` is empty where the column is not read: pseudo-observables such as channel numbers, units that are not known.
+    `kind` is empty where the column is not read: pseudo-observables such as channel numbers, unknown units.
     """
 
     name: str
-    kind: str
-    signal: str
+    kind: str = ""
+    signal: str = ""
     divisor: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationHeader:
-    """What the header says; None where it says nothing.
+    """The content of a header; None where a record is absent.
 
-    `types` are the columns by system letter, a system that cannot be read has none. `signals` have RINEX 3.04's names
-    (B1I is `2I`, which 3.02 called `1I`). The antenna's `delta_hen_m` is height, east, north of its reference point
-    from the marker. `time_offset_ns` is to be added to the file's times to have GPS time.
+    `types` are the columns by system letter, none for a system that cannot be read. `signals` have RINEX 3.04's names
+    (B1I is `2I`, in 3.02 `1I`). `delta_hen_m` is height, east, north of the antenna reference point from the marker.
     """
 
     version: float
@@ -58,7 +70,7 @@ class ObservationHeader:
 
     @property
     def time_offset_ns(self) -> int:
-        """GPS time less the file's."""
+        """GPS time minus the file's time."""
         return _TIME_OFFSETS_NS[self.time_system]
 
     @property
@@ -72,17 +84,17 @@ class ObservationHeader:
 
 @dataclass(slots=True)
 class _SystemTypes:
-    """The columns of a system as far as they were read; `announced` is None where the number cannot be read."""
+    """The columns of a system read so far; `announced` is None where the number cannot be read."""
 
     announced: int | None
     names: list[str] = field(default_factory=list)
 
 
-class HeaderReader:
-    """Takes the lines of a header, and those that events inside the file bring; `header()` is what they say.
+class HeaderParser:
+    """Parses the lines of a header, and those of events inside the file; `header()` is their content.
 
     `line` raises FormatError where the file cannot be read at all: another format, version or time system. Lesser
-    faults are added to `problems`, and what they concern stays unknown.
+    faults are appended to `problems`, and the fields they concern are unknown.
     """
 
     def __init__(self, source_name: str) -> None:
@@ -101,56 +113,55 @@ class HeaderReader:
         self._faults: dict[tuple[str, str | None], FormatError] = {}
 
     def line(self, line_number: int, line: bytes) -> None:
-        """One line without its newline. Raises FormatError where the file cannot be read."""
+        """Parse one line without its newline. Raises FormatError where the file cannot be read."""
         self._line_number = line_number
         self._lines += 1
         text = line.decode("latin-1").rstrip("\r")
         label = text[_LABEL].strip()
         if self._version is None:
-            self._first(text, label)
+            self._first_line(text, label)
             return
-        if self._lines > _MOST_LINES and not self.ended:
-            raise self._error("header", f"END OF HEADER within {_MOST_LINES} lines")
+        if self._lines > MAX_HEADER_LINES and not self.ended:
+            raise self._error("header", f"END OF HEADER within {MAX_HEADER_LINES} lines")
         if label == "SYS / # / OBS TYPES":
             self._observation_types(text)
         elif label == "SYS / SCALE FACTOR":
             self._scale_factor(text)
         elif label == "TIME OF FIRST OBS":
-            self._time_system(text)
+            self._values[label] = text[48:51].strip()
         elif label == "END OF HEADER":
             self._end()
         elif label in _FIELDS:
             self._values[label] = text[:60]
 
     def header(self) -> ObservationHeader:
-        """What the lines so far say. What of it cannot be read is added to `problems`, but not at each call anew."""
+        """Return the content of the lines so far. New faults are appended to `problems`, once each."""
         assert self._version is not None
         values = self._values
-        before, self._faults = self._faults, {}
+        known_faults, self._faults = self._faults, {}
         header = ObservationHeader(
             version=self._version,
             types={system: self._columns(system) for system in self._types},
-            marker=_text(values.get("MARKER NAME", "")),
-            receiver=_text(values.get("REC # / TYPE / VERS", "")[20:40]),
-            antenna=_text(values.get("ANT # / TYPE", "")[20:40]),
+            marker=values.get("MARKER NAME", "").strip() or None,
+            receiver=values.get("REC # / TYPE / VERS", "")[20:40].strip() or None,
+            antenna=values.get("ANT # / TYPE", "")[20:40].strip() or None,
             position_ecef_m=self._position(),
-            delta_hen_m=self._three("ANTENNA: DELTA H/E/N"),
+            delta_hen_m=self._vector("ANTENNA: DELTA H/E/N"),
             interval_s=self._interval(),
             leap_seconds=self._leap_seconds(),
-            time_system=self._system_of_times(),
+            time_system=self._time_system(),
         )
-        self.problems += [error for fault, error in self._faults.items() if fault not in before]
+        self.problems += [error for fault, error in self._faults.items() if fault not in known_faults]
         return header
 
-    def _fault(self, what: str, expected: str, found: str | None = None) -> None:
-        self._faults[what, found] = self._error(what, expected, found)
+    def _fault(self, field: str, expected: str, actual: str | None = None) -> None:
+        self._faults[field, actual] = self._error(field, expected, actual)
 
-    def _error(self, what: str, expected: str, found: str | None = None) -> FormatError:
-        return FormatError(
-            self._source_name, what, expected, actual=found, line_number=self._line_number or None
-        )
+    def _error(self, field: str, expected: str, actual: str | None = None) -> FormatError:
+        line_number = self._line_number or None
+        return FormatError(self._source_name, field, expected, actual=actual, line_number=line_number)
 
-    def _first(self, text: str, label: str) -> None:
+    def _first_line(self, text: str, label: str) -> None:
         if label.startswith("CRINEX"):
             raise self._error("format", "RINEX text, not its Hatanaka compression", text[:40].strip())
         version = decimal_number(text[:9])
@@ -166,7 +177,7 @@ class HeaderReader:
     def _end(self) -> None:
         if not self.ended and not set(self._types) & set(CARRIER_OF_BAND_HZ):
             raise self._error("SYS / # / OBS TYPES", f"one of the systems {', '.join(CARRIER_OF_BAND_HZ)}")
-        self._system_of_times()
+        self._time_system()
         self.ended = True
 
     def _observation_types(self, text: str) -> None:
@@ -175,53 +186,56 @@ class HeaderReader:
             count = text[3:6].strip()
             self._types[system] = _SystemTypes(int(count) if _is_count(count) else None)
             self._system = system
-        names = [text[k : k + 3] for k in range(7, 59, 4)]
-        of_system = self._types.get(self._system)
-        if of_system is None:
+        types = self._types.get(self._system)
+        if types is None:
             self.problems.append(self._error("SYS / # / OBS TYPES", "a system letter in column 1", text))
             return
-        left = None if of_system.announced is None else of_system.announced - len(of_system.names)
-        given = [n.strip() for n in names if n.strip()]
-        of_system.names += given if left is None else given[: max(left, 0)]
-        if left is not None and len(given) > max(left, 0):
-            of_system.announced = None
+        names = [name for k in range(7, 59, 4) if (name := text[k : k + 3].strip())]
+        if types.announced is None:
+            types.names += names
+            return
+        left = max(types.announced - len(types.names), 0)
+        types.names += names[:left]
+        if len(names) > left:
+            types.announced = None
 
     def _columns(self, system: str) -> tuple[ObservationType, ...]:
-        """Empty where the number of types is not the one announced: nobody knows then which column is which."""
-        of_system = self._types[system]
+        """Return the columns; none where their number is not the announced one, as their positions are unknown then."""
+        types = self._types[system]
         if system in SYSTEMS_SKIPPED:
             return ()
-        if of_system.announced != len(of_system.names) or system not in CARRIER_OF_BAND_HZ:
-            self._fault(f"SYS / # / OBS TYPES of {system}", "as many types of a known system as announced")
+        label = f"SYS / # / OBS TYPES of {system}"
+        if types.announced != len(types.names) or system not in CARRIER_OF_BAND_HZ:
+            self._fault(label, "as many types of a known system as announced")
             return ()
         columns: list[ObservationType] = []
         seen: set[str] = set()
-        for name in of_system.names:
+        for name in types.names:
             column = self._column(system, name)
             if column.kind and column.kind + column.signal in seen:
-                self._fault(f"SYS / # / OBS TYPES of {system}", "each type once", name)
-                column = ObservationType(name=name, kind="", signal="")
+                self._fault(label, "each type once", name)
+                column = ObservationType(name=name)
             seen.add(column.kind + column.signal)
             columns.append(column)
         return tuple(columns)
 
     def _column(self, system: str, name: str) -> ObservationType:
         if name[:1] in "XI":
-            return ObservationType(name=name, kind="", signal="")
+            return ObservationType(name=name)
         known = len(name) == 3 and name[0] in "CLDS" and name[1] in "123456789" and name[2].isupper()
         signal = self._signal(system, name[1:])
         if not known or signal[0] not in CARRIER_OF_BAND_HZ[system]:
             self._fault(f"SYS / # / OBS TYPES of {system}", "C, L, D or S, band, attribute", name)
-            return ObservationType(name=name, kind="", signal="")
+            return ObservationType(name=name)
         unit = self._values.get("SIGNAL STRENGTH UNIT", "DBHZ").strip()
         kind = "" if name[0] == "S" and unit != "DBHZ" else name[0]
         divisor = self._scales.get((system, name), self._scales.get((system, ""), 1))
         return ObservationType(name=name, kind=kind, signal=signal, divisor=divisor)
 
     def _signal(self, system: str, code: str) -> str:
-        """B1 was band 1 in RINEX 3.02; since 3.04 band 1 is B1C, of which there is no 1I and 1Q."""
+        """Return the signal's name of 3.04, where band 1 of BeiDou is B1C, without 1I and 1Q; in 3.02 it was B1I."""
         assert self._version is not None
-        old = self._version < _OLD_BEIDOU_VERSION and code in ("1I", "1Q", "1X")
+        old = self._version < _BEIDOU_B1C_VERSION and code in ("1I", "1Q", "1X")
         return "2" + code[1] if system == "C" and (old or code in ("1I", "1Q")) else code
 
     def _scale_factor(self, text: str) -> None:
@@ -240,21 +254,19 @@ class HeaderReader:
             if name := text[k : k + 3].strip():
                 self._scales[system, name] = divisor
 
-    def _time_system(self, text: str) -> None:
-        self._values["TIME OF FIRST OBS"] = text[48:51].strip()
-
-    def _system_of_times(self) -> str:
-        said = self._values.get("TIME OF FIRST OBS") or _TIME_SYSTEM_OF_FILE.get(self._file_system, "GPS")
-        if said not in _TIME_OFFSETS_NS:
-            raise self._error("time system", f"one of {', '.join(_TIME_OFFSETS_NS)}", said)
-        return said
+    def _time_system(self) -> str:
+        default = _TIME_SYSTEM_OF_FILE.get(self._file_system, "GPS")
+        time_system = self._values.get("TIME OF FIRST OBS") or default
+        if time_system not in _TIME_OFFSETS_NS:
+            raise self._error("time system", f"one of {', '.join(_TIME_OFFSETS_NS)}", time_system)
+        return time_system
 
     def _position(self) -> tuple[float, float, float] | None:
-        """Zeros stand for a position that is not known."""
-        position = self._three("APPROX POSITION XYZ")
+        """Return the approximate position; zeros mean unknown."""
+        position = self._vector("APPROX POSITION XYZ")
         return None if position == (0.0, 0.0, 0.0) else position
 
-    def _three(self, label: str) -> tuple[float, float, float] | None:
+    def _vector(self, label: str) -> tuple[float, float, float] | None:
         text = self._values.get(label)
         if text is None or not text.strip():
             return None
@@ -280,27 +292,11 @@ class HeaderReader:
 
 
 def leap_seconds_from_text(text: str) -> int | None:
-    """GPS time less UTC, of the first 60 columns of `LEAP SECONDS`; BeiDou's are counted since 2006."""
+    """Return GPS time minus UTC from the first 60 columns of `LEAP SECONDS`; BeiDou's are counted since 2006."""
     seconds = text[:6].strip()
     if not _is_count(seconds):
         return None
-    return int(seconds) + (14 if text[24:27] == "BDS" else 0)
-
-
-_FIELDS = {
-    "MARKER NAME",
-    "REC # / TYPE / VERS",
-    "ANT # / TYPE",
-    "APPROX POSITION XYZ",
-    "ANTENNA: DELTA H/E/N",
-    "INTERVAL",
-    "LEAP SECONDS",
-    "SIGNAL STRENGTH UNIT",
-}
-
-
-def _text(text: str) -> str | None:
-    return text.strip() or None
+    return int(seconds) + (GPS_MINUS_BDT_NS // NS_PER_SECOND if text[24:27] == "BDS" else 0)
 
 
 def _is_count(text: str) -> bool:
@@ -308,7 +304,7 @@ def _is_count(text: str) -> bool:
 
 
 def decimal_number(text: str) -> float | None:
-    """A decimal number, its exponent after E or D; None for anything else, and for what is not finite."""
+    """Return a decimal number with exponent E or D; None for anything else, and for non-finite numbers."""
     if "_" in text or not text.isascii():
         return None
     try:

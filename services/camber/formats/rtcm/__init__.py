@@ -1,1 +1,1 @@
-"""RTCM 3.3 messages: reference stations, MSM observations and ephemerides, read and written."""
+"""RTCM 3.3 messages: base stations, MSM observations and ephemerides, decoded and encoded."""

@@ -1,4 +1,4 @@
-"""MSM4 to MSM7 messages of RTCM 3.3 as columns of observations.
+"""MSM4 to MSM7 messages of RTCM 3.3 decoded to columns of observations.
 
 Source: RTCM 10403.3, 3.5.16, tables 3.5-78 to 3.5-88; DF402 (table 3.5-74), DF407 (table 3.5-75).
 """
@@ -16,44 +16,34 @@ from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.formats.rtcm.msm_signals import METRES_PER_MS, MSM_SIGNALS, MSM_SYSTEMS
 from camber.formats.rtcm.msm_writer import (
     CN0_PER_DBHZ,
-    INVALID_ROUGH_MS,
-    MOST_CELLS,
+    MAX_CELLS,
+    NS_PER_MS,
     PHASE_PER_MS,
     PSEUDORANGE_PER_MS,
+    RANGE_MS_INVALID,
     ROUGH_PER_MS,
     ROUGH_RATE_INVALID,
 )
 
 Bytes = NDArray[np.uint8]
-FIRST_MSM, LAST_MSM = 1071, 1137
+# RTCM 10403.3: message numbers (table 3.5-76), header and masks (3.5-78), range of the epoch time (DF004).
+_FIRST_MSM, _LAST_MSM = 1071, 1137
 _FIRST_KIND, _LAST_KIND = 4, 7
 _HEADER_BITS, _MASK_BITS = 73, 64 + 32
 _MS_PER_WEEK = 604_800_000
-_NS_PER_MS = 1_000_000
-_SYSTEM_OF_TENS = {system.message // 10: place for place, system in enumerate(MSM_SYSTEMS)}
-_MOST_SATELLITES = tuple(system.satellites for system in MSM_SYSTEMS)
+_SYSTEM_OF_TENS = {system.message // 10: k for k, system in enumerate(MSM_SYSTEMS)}
 
-INTEGER_COLUMNS = ("satellite", "signal", "half_cycle")
-FLOAT_COLUMNS = (
-    "pseudorange_m",
-    "carrier_phase_cycles",
-    "doppler_hz",
-    "cn0_dbhz",
-    "lock_time_s",
-    "most_lock_s",
-)
-
-_READ, _TOO_SHORT, _WRONG_TIME, _WRONG_MASK, _CUT_SHORT = range(5)
+_COMPLETE, _TOO_SHORT, _WRONG_TIME, _WRONG_MASK, _TRUNCATED = range(5)
 _PROBLEMS = {
     _TOO_SHORT: f"MSM of less than {_HEADER_BITS} bits",
     _WRONG_TIME: f"epoch time of {_MS_PER_WEEK} ms or more",
-    _WRONG_MASK: f"satellites that the system has not got, or more than {MOST_CELLS} cells",
-    _CUT_SHORT: "message ends before its last cell",
+    _WRONG_MASK: f"satellites that the system has not got, or more than {MAX_CELLS} cells",
+    _TRUNCATED: "message ends before its last cell",
 }
 
 
 def minimum_lock_s() -> dict[int, Floats]:
-    """Least lock time of each indicator, by the field's width: 4 bits (DF402) and 10 bits (DF407), infinity behind."""
+    """Return the minimum lock time of each indicator by the field's width, 4 bits (DF402) or 10 (DF407), then ∞."""
     short = np.array([0.0, *(2.0 ** (i + 4) for i in range(1, 16)), np.inf]) * 1e-3
     steps = [np.arange(64.0)]
     steps += [2.0 ** (k + 5) + 2.0**k * np.arange(32.0) for k in range(1, 21)]
@@ -66,10 +56,11 @@ _SHORT_LOCK_S, _LONG_LOCK_S = minimum_lock_s().values()
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MsmMessage:
-    """One message: `integers` (3, n) and `floats` (6, n) are columns as named above, a row of them each.
+    """One message; columns with one row per cell of a known signal, `unknown_signals` being the number of the others.
 
-    A phase was last broken between `most_lock_s` and `lock_time_s` before the epoch: the least lock times of the next
-    indicator and of this one. `unknown_signals` counts cells without a known carrier, which are left out.
+    `integers` (3, n): satellite, signal, half-cycle ambiguity. `floats` (6, n): pseudorange [m], phase [cycles],
+    Doppler [Hz], C/N0 [dB-Hz], lock time [s] and the next indicator's. The last loss of lock was between these two
+    times before the epoch.
     """
 
     station_id: int
@@ -81,46 +72,45 @@ class MsmMessage:
 
 
 def is_msm(number: int) -> bool:
-    """Whether a message is an MSM of any system and kind."""
-    return FIRST_MSM <= number <= LAST_MSM and 1 <= number % 10 <= 7
+    """Whether a message number is that of an MSM of any system and kind."""
+    return _FIRST_MSM <= number <= _LAST_MSM and 1 <= number % 10 <= 7
 
 
 def msm_header(payload: bytes) -> tuple[int, bool]:
-    """Station id and multiple-message bit, which stand alike in all MSM; ValueError where the message is too short."""
+    """Return station id and multiple-message bit of any MSM; ValueError where the message is too short."""
     if 8 * len(payload) < _HEADER_BITS:
         raise ValueError(_PROBLEMS[_TOO_SHORT])
     return (payload[1] & 15) << 8 | payload[2], bool(payload[6] & 2)
 
 
 def read_msm(payload: bytes, number: int, near_ns: int) -> MsmMessage | None:
-    """The observations, their week being that nearest to `near_ns`; None for systems and kinds that are not read.
+    """Decode an MSM in the week nearest to `near_ns`; None for systems and kinds that are not supported.
 
-    ValueError with one line where the message contradicts itself or is too short.
+    Raises ValueError where the message is inconsistent or truncated.
     """
     system, kind = _SYSTEM_OF_TENS.get(number // 10), number % 10
     if system is None or not _FIRST_KIND <= kind <= _LAST_KIND:
         return None
-    station_id, more = msm_header(payload)
+    station_id, more_follow = msm_header(payload)
     letter = MSM_SYSTEMS[system].letter
-    integers, floats = np.empty((3, MOST_CELLS), np.int64), np.empty((6, MOST_CELLS))
+    integers, floats = np.empty((3, MAX_CELLS), np.int64), np.empty((6, MAX_CELLS))
     status, time_ms, count, unknown = _read_cells(
-        np.frombuffer(payload, np.uint8),
-        kind,
-        ord(letter) << 8,
-        _MOST_SATELLITES[system],
-        _SIGNAL_OF_ID[system],
-        _CARRIER_OF_ID_HZ[system],
-        _SHORT_LOCK_S if kind < 6 else _LONG_LOCK_S,
-        integers,
-        floats,
+        payload=np.frombuffer(payload, np.uint8),
+        kind=kind,
+        first_satellite=ord(letter) << 8,
+        max_satellite=MSM_SYSTEMS[system].satellites,
+        signal_of_id=_SIGNAL_OF_ID[system],
+        carrier_of_id_hz=_CARRIER_OF_ID_HZ[system],
+        minimum_lock_s=_SHORT_LOCK_S if kind < 6 else _LONG_LOCK_S,
+        integers=integers,
+        floats=floats,
     )
-    if status != _READ:
+    if status != _COMPLETE:
         raise ValueError(_PROBLEMS[status])
-    time_ns = gps_ns_near(letter, time_ms * _NS_PER_MS, near_ns)
     return MsmMessage(
         station_id=station_id,
-        more_follow=more,
-        time_ns=time_ns,
+        more_follow=more_follow,
+        time_ns=gps_ns_near(letter, time_ms * NS_PER_MS, near_ns),
         integers=integers[:, :count],
         floats=floats[:, :count],
         unknown_signals=unknown,
@@ -132,16 +122,16 @@ def _read_cells(
     payload: Bytes,
     kind: int,
     first_satellite: int,
-    most_satellites: int,
+    max_satellite: int,
     signal_of_id: Integers,
     carrier_of_id_hz: Floats,
     minimum_lock_s: Floats,
     integers: Integers,
     floats: Floats,
 ) -> tuple[int, int, int, int]:
-    """Fill the columns; gives the status, epoch time in ms of the week, rows filled, cells of unknown signals.
+    """Fill the columns; return status, epoch time in ms of the week, number of rows, cells of unknown signals.
 
-    A message is columns one after another: of each satellite, then of each cell (tables 3.5-80 to 3.5-88).
+    A message is a sequence of columns, first of the satellites, then of the cells (tables 3.5-80 to 3.5-88).
     """
     rates = kind == 5 or kind == 7
     fine = kind >= 6
@@ -156,26 +146,25 @@ def _read_cells(
     if time_ms >= _MS_PER_WEEK:
         return _WRONG_TIME, 0, 0, 0
     numbers, satellites = np.empty(64, np.int64), 0
-    for place in range(64):
-        if _unsigned(payload, _HEADER_BITS + place, 1):
-            numbers[satellites] = place + 1
+    for k in range(64):
+        if _unsigned(payload, _HEADER_BITS + k, 1):
+            numbers[satellites] = k + 1
             satellites += 1
     ids, signals = np.empty(32, np.int64), 0
-    for place in range(32):
-        if _unsigned(payload, _HEADER_BITS + 64 + place, 1):
-            ids[signals] = place + 1
+    for k in range(32):
+        if _unsigned(payload, _HEADER_BITS + 64 + k, 1):
+            ids[signals] = k + 1
             signals += 1
-    if satellites * signals > MOST_CELLS or (satellites and numbers[satellites - 1] > most_satellites):
+    if satellites * signals > MAX_CELLS or (satellites and numbers[satellites - 1] > max_satellite):
         return _WRONG_MASK, 0, 0, 0
     mask = _HEADER_BITS + _MASK_BITS
-    of_satellites = mask + satellites * signals
-    if of_satellites > size:
-        return _CUT_SHORT, 0, 0, 0
+    whole_ranges = mask + satellites * signals
+    if whole_ranges > size:
+        return _TRUNCATED, 0, 0, 0
     cells = 0
-    for place in range(satellites * signals):
-        cells += _unsigned(payload, mask + place, 1)
+    for k in range(satellites * signals):
+        cells += _unsigned(payload, mask + k, 1)
 
-    whole_ranges = of_satellites
     rough_ranges = whole_ranges + satellites * (12 if rates else 8)
     rough_rates = rough_ranges + satellites * 10
     codes = rough_rates + satellites * (14 if rates else 0)
@@ -185,9 +174,9 @@ def _read_cells(
     cn0s = half_cycles + cells
     fine_rates = cn0s + cells * cn0_width
     if fine_rates + cells * (15 if rates else 0) > size:
-        return _CUT_SHORT, 0, 0, 0
+        return _TRUNCATED, 0, 0, 0
 
-    # Beyond indicator 704 the numbers are reserved: such a lock is taken for the longest.
+    # Indicators above 704 are reserved: such a lock is taken as the longest.
     longest_s = 0.0
     for least_s in minimum_lock_s:
         if np.isfinite(least_s):
@@ -196,7 +185,7 @@ def _read_cells(
     for satellite in range(satellites):
         whole_ms = _unsigned(payload, whole_ranges + 8 * satellite, 8)
         rough_ms = whole_ms + _unsigned(payload, rough_ranges + 10 * satellite, 10) / ROUGH_PER_MS
-        if whole_ms == INVALID_ROUGH_MS:
+        if whole_ms == RANGE_MS_INVALID:
             rough_ms = np.nan
         rough_rate = np.nan
         if rates:
@@ -210,11 +199,13 @@ def _read_cells(
             carrier_hz = carrier_of_id_hz[ids[signal]]
             if np.isnan(carrier_hz):
                 continue
-            code_ms = rough_ms + _fine(payload, codes + cell * code_width, code_width) / code_per_ms
-            phase_ms = rough_ms + _fine(payload, phases + cell * phase_width, phase_width) / phase_per_ms
+            code_ms = rough_ms + _signed_or_nan(payload, codes + cell * code_width, code_width) / code_per_ms
+            phase_ms = (
+                rough_ms + _signed_or_nan(payload, phases + cell * phase_width, phase_width) / phase_per_ms
+            )
             rate_m_s = rough_rate
             if rates:
-                rate_m_s += _fine(payload, fine_rates + cell * 15, 15) * 1e-4
+                rate_m_s += _signed_or_nan(payload, fine_rates + cell * 15, 15) * 1e-4
             lock = _unsigned(payload, locks + cell * lock_width, lock_width)
             cn0 = _unsigned(payload, cn0s + cell * cn0_width, cn0_width)
             integers[0, row] = first_satellite + numbers[satellite]
@@ -227,15 +218,15 @@ def _read_cells(
             floats[4, row] = min(minimum_lock_s[lock], longest_s)
             floats[5, row] = minimum_lock_s[lock + 1]
             row += 1
-    return _READ, time_ms, row, cells - row
+    return _COMPLETE, time_ms, row, cells - row
 
 
 @compiled
 def _unsigned(payload: Bytes, first: int, width: int) -> int:
-    """`width` bits, at most 32, from bit `first` on: the caller has seen to it that they are there."""
+    """Return the integer of `width` bits, at most 32, at bit `first`; the caller has checked the bounds."""
     value = 0
-    for place in range(first >> 3, (first + width + 7) >> 3):
-        value = value << 8 | payload[place]
+    for k in range(first >> 3, (first + width + 7) >> 3):
+        value = value << 8 | payload[k]
     return value >> (-(first + width) & 7) & (1 << width) - 1
 
 
@@ -246,17 +237,17 @@ def _signed(payload: Bytes, first: int, width: int) -> int:
 
 
 @compiled
-def _fine(payload: Bytes, first: int, width: int) -> float:
-    """Signed, where the lowest value says that there is none: NaN."""
+def _signed_or_nan(payload: Bytes, first: int, width: int) -> float:
+    """Return the signed integer; NaN for the lowest value, which means "invalid"."""
     value = _signed(payload, first, width)
     return np.nan if value == -(1 << (width - 1)) else float(value)
 
 
-def _by_id() -> tuple[Integers, Floats]:
+def _tables_by_id() -> tuple[Integers, Floats]:
     signal, carrier = np.zeros((len(MSM_SYSTEMS), 33), np.int64), np.full((len(MSM_SYSTEMS), 33), np.nan)
     signal[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.keys & 0xFFFF
     carrier[MSM_SIGNALS.system, MSM_SIGNALS.ids] = MSM_SIGNALS.carriers_hz
     return signal, carrier
 
 
-_SIGNAL_OF_ID, _CARRIER_OF_ID_HZ = _by_id()
+_SIGNAL_OF_ID, _CARRIER_OF_ID_HZ = _tables_by_id()

@@ -1,7 +1,7 @@
-"""The numbers that RTCM 3 MSM messages give to systems, satellites and signals.
+"""Message numbers, satellite counts and signal ids of RTCM 3 MSM messages.
 
 Source: RTCM 10403.3, tables 3.5-76 (messages), 3.5-91, 3.5-99, 3.5-105, 3.5-108 (signal ids); BeiDou's newer signals by
-amendment 1. Carriers by the interface documents of the systems, as in RINEX 3.04, tables 4 to 9.
+amendment 1. Carriers by the systems' interface specifications, as in RINEX 3.04, tables 4 to 9.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers, carrier_hz, signal_number
+from camber.formats.observations import (
+    GPS_MINUS_BDT_NS,
+    SPEED_OF_LIGHT_M_S,
+    Floats,
+    Integers,
+    carrier_hz,
+    signal_number,
+)
 
 METRES_PER_MS = SPEED_OF_LIGHT_M_S * 1e-3
-BDT_BEHIND_GPS_NS = 14_000_000_000
-"""BeiDou time has not had a leap second since 2006-01-01: BDS-SIS-ICD 3.2."""
-
 _SIGNAL_IDS = {
     "G": "2:1C 3:1P 4:1W 8:2C 9:2P 10:2W 15:2S 16:2L 17:2X 22:5I 23:5Q 24:5X 30:1S 31:1L 32:1X",
     "E": "2:1C 3:1A 4:1B 5:1X 6:1Z 8:6C 9:6A 10:6B 11:6X 12:6Z 14:7I 15:7Q 16:7X 18:8I 19:8Q 20:8X 22:5I 23:5Q 24:5X",
@@ -27,7 +31,7 @@ _SIGNAL_IDS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MsmSystem:
-    """One system: its letter, the number of its MSM7 message, how many satellites the mask may name."""
+    """A system: its letter, the number of its MSM7 message, the number of satellites in the mask."""
 
     letter: str
     message: int
@@ -39,42 +43,35 @@ MSM_SYSTEMS = (
     MsmSystem(letter="G", message=1077, satellites=63),
     MsmSystem(letter="E", message=1097, satellites=50),
     MsmSystem(letter="J", message=1117, satellites=10),
-    MsmSystem(letter="C", message=1127, satellites=63, gps_offset_ns=BDT_BEHIND_GPS_NS),
+    MsmSystem(letter="C", message=1127, satellites=63, gps_offset_ns=GPS_MINUS_BDT_NS),
 )
 """In the order in which their messages are sent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MsmSignals:
-    """The signals of all systems by rising `keys` (letter × 65536 + signal): place of the system, id, carrier."""
+    """The signals of all systems, sorted by `keys` (letter × 65536 + signal): index of the system, id, carrier."""
 
     keys: Integers
     system: Integers
     ids: Integers
     carriers_hz: Floats
 
-    def places(self, satellite: Integers, signal: Integers) -> tuple[Integers, NDArray[np.bool_]]:
-        """Where each signal of a satellite stands in the columns, and whether it is there at all."""
+    def rows(self, satellite: Integers, signal: Integers) -> tuple[Integers, NDArray[np.bool_]]:
+        """Return the row of each satellite's signal, and whether the signal is in the table at all."""
         key = (satellite >> 8 << 16) + signal
-        place = np.minimum(np.searchsorted(self.keys, key), self.keys.size - 1)
-        return place, self.keys[place] == key
+        row = np.minimum(np.searchsorted(self.keys, key), self.keys.size - 1)
+        return row, self.keys[row] == key
 
 
 def _signals() -> MsmSignals:
-    rows = sorted(
-        (
-            (ord(system.letter) << 16) + signal_number(name),
-            place,
-            int(number),
-            carrier_hz(system.letter, name),
-        )
-        for place, system in enumerate(MSM_SYSTEMS)
+    table = sorted(
+        ((ord(system.letter) << 16) + signal_number(name), k, int(number), carrier_hz(system.letter, name))
+        for k, system in enumerate(MSM_SYSTEMS)
         for number, name in (entry.split(":") for entry in _SIGNAL_IDS[system.letter].split())
     )
-    keys, systems, ids, carriers = zip(*rows, strict=True)
-    return MsmSignals(
-        keys=np.array(keys), system=np.array(systems), ids=np.array(ids), carriers_hz=np.array(carriers)
-    )
+    keys, systems, ids, carriers_hz = (np.array(column) for column in zip(*table, strict=True))
+    return MsmSignals(keys=keys, system=systems, ids=ids, carriers_hz=carriers_hz)
 
 
 MSM_SIGNALS = _signals()

@@ -1,6 +1,6 @@
-"""RTCM 3.3 out of a byte stream: reference stations, observations (MSM4 to MSM7), ephemerides.
+"""RTCM 3.3 decoder of a byte stream: base stations, observations (MSM4 to MSM7), ephemerides.
 
-Source: RTCM 10403.3, 4.2 (frame). Whatever the bytes are, nothing is raised: what cannot be read is counted.
+Source: RTCM 10403.3, 4.2 (frame). No input raises: malformed content is counted.
 """
 
 from __future__ import annotations
@@ -10,16 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
-from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.observations import MAX_SATELLITE_NUMBER, Ephemeris, ObservationEpoch
 from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.msm_reader import MsmMessage, is_msm, msm_header, read_msm
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
-# A stream that never ends its epochs, or is of ever new stations, must not fill the memory: the oldest goes.
-_MOST_MESSAGES, _MOST_STATIONS = 32, 16
-_MOST_SATELLITES = {"G": 63, "J": 10, "E": 63, "C": 63}
+# Chosen, as bounds on memory: an epoch has 8 messages at most, a port one base station; beyond, the oldest goes.
+_MAX_MESSAGES, _MAX_STATIONS = 32, 16
 # RINEX 3.04, table A8: F/NAV from E5a with the clock of E5a, E1; I/NAV from E1-B, E5b with that of E5b, E1.
 _DATA_SOURCES = {1045: 258.0, 1046: 517.0}
 
@@ -35,7 +34,7 @@ class ReferenceStation:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BaseStationEpoch:
-    """All observations of one epoch. Not `complete`: another epoch began before the last message of this one."""
+    """All observations of one epoch; not `complete` where another epoch began before the last message of this one."""
 
     station_id: int
     epoch: ObservationEpoch
@@ -46,57 +45,57 @@ RtcmResult = ReferenceStation | BaseStationEpoch | Ephemeris
 
 
 class RtcmDecoder:
-    """Reads a stream piece by piece; the results do not depend on how it is cut.
+    """Decodes a stream; the results do not depend on how it is chunked.
 
-    RTCM does not say the week: `near_ns` (GPS time) must be within half a week of the first epoch, later ones follow
-    the stream. `loss_of_lock` of the observations is set where the lock time says that the phase broke since the
-    signal's last epoch. An ephemeris' `transmission_ns` is the last epoch's time.
+    RTCM does not contain the week: `near_ns` (GPS time) must be within half a week of the first epoch, later ones
+    follow the stream. `loss_of_lock` of the observations is derived from the lock time. An ephemeris'
+    `transmission_ns` is the last epoch's time.
     """
 
     def __init__(self, near_ns: int) -> None:
         self.malformed = 0
-        """Frames with a right CRC whose content contradicts itself or is cut short."""
+        """Frames with a correct CRC whose content is inconsistent or truncated."""
         self.not_read = 0
         """Messages of other kinds or systems."""
         self.unknown_signals = 0
         """Cells of signals without a number in the standard's tables."""
         self.incomplete = 0
-        """Epochs whose last message did not come."""
+        """Epochs whose last message is missing."""
         self._frames = FrameBuffer("rtcm")
         self._near_ns = near_ns
-        self._parts: dict[int, list[MsmMessage]] = {}
+        self._messages: dict[int, list[MsmMessage]] = {}
         self._locks: dict[int, LossOfLockDetector] = {}
 
     @property
     def bytes_skipped(self) -> int:
-        """Bytes that belong to no frame with a right CRC."""
+        """Bytes that are not part of a frame with a correct CRC."""
         return self._frames.bytes_skipped
 
     @property
     def failed_checks(self) -> int:
-        """Things that began like a frame and had a wrong CRC."""
+        """Frames with a wrong CRC."""
         return self._frames.failed_checks["rtcm"]
 
     def feed(self, data: bytes) -> list[RtcmResult]:
-        """What the bytes complete, in order."""
+        """Return the results that the bytes complete, in order."""
         return [result for frame in self._frames.feed(data) for result in self.take(frame.data)]
 
     def take(self, frame: bytes) -> list[RtcmResult]:
-        """What a whole frame, whose CRC is right, completes."""
+        """Return the results that a whole frame with a correct CRC completes."""
         try:
-            return self._message(frame[3:-3])
+            return self._decode(frame[3:-3])
         except ValueError:
             self.malformed += 1
             return []
 
     def finish(self) -> list[RtcmResult]:
-        """Call at the end of the stream: what is left, an epoch without its last message among it."""
+        """Return the remaining results at the end of the stream, including epochs without their last message."""
         results = [result for frame in self._frames.finish() for result in self.take(frame.data)]
-        for station in sorted(self._parts):
-            results += self._flush(station, complete=False)
+        for station in sorted(self._messages):
+            results.append(self._complete(station, complete=False))
         return results
 
-    def _message(self, payload: bytes) -> list[RtcmResult]:
+    def _decode(self, payload: bytes) -> list[RtcmResult]:
         if len(payload) < 2:
             raise ValueError(f"message of {len(payload)} bytes, expected a number")
         number = payload[0] << 4 | payload[1] >> 4
@@ -112,38 +111,47 @@ class RtcmDecoder:
     def _observations(self, payload: bytes, number: int) -> list[RtcmResult]:
         message = read_msm(payload, number, self._near_ns)
         if message is None:
-            # Of other systems too the last message ends the epoch.
+            # The epoch may also end with a message of an unsupported system.
             self.not_read += 1
             station, more = msm_header(payload)
-            return [] if more or station not in self._parts else self._flush(station, complete=True)
+            return [] if more or station not in self._messages else [self._complete(station, complete=True)]
         self.unknown_signals += message.unknown_signals
         station, results = message.station_id, list[RtcmResult]()
-        begun = self._parts.get(station)
-        if begun and begun[0].time_ns != message.time_ns:
-            results += self._flush(station, complete=False)
-        elif (begun and len(begun) == _MOST_MESSAGES) or (not begun and len(self._parts) == _MOST_STATIONS):
-            results += self._flush(station if begun else next(iter(self._parts)), complete=False)
+        begun = self._messages.get(station)
+        if begun and (begun[0].time_ns != message.time_ns or len(begun) == _MAX_MESSAGES):
+            results.append(self._complete(station, complete=False))
+        elif not begun and len(self._messages) == _MAX_STATIONS:
+            results.append(self._complete(next(iter(self._messages)), complete=False))
         self._near_ns = message.time_ns
-        self._parts.setdefault(station, []).append(message)
-        return results if message.more_follow else results + self._flush(station, complete=True)
+        self._messages.setdefault(station, []).append(message)
+        if not message.more_follow:
+            results.append(self._complete(station, complete=True))
+        return results
 
-    def _flush(self, station: int, *, complete: bool) -> list[RtcmResult]:
-        parts = self._parts.pop(station)
+    def _complete(self, station: int, *, complete: bool) -> BaseStationEpoch:
+        messages = self._messages.pop(station)
         self.incomplete += not complete
-        time_ns = parts[0].time_ns
-        integers = np.concatenate([part.integers for part in parts], axis=1)
-        floats = np.concatenate([part.floats for part in parts], axis=1)
+        time_ns = messages[0].time_ns
+        integers = np.concatenate([message.integers for message in messages], axis=1)
+        floats = np.concatenate([message.floats for message in messages], axis=1)
         keys = (integers[0] << 16) + integers[1]
         if len(set(keys.tolist())) < keys.size:
             # A station may send one signal in two kinds of messages: the first one counts.
             rows = np.sort(np.unique(keys, return_index=True)[1])
             integers, floats, keys = integers[:, rows], floats[:, rows], keys[rows]
         satellite, signal, half_cycle = integers
-        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, most_lock_s = floats
+        pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_dbhz, lock_time_s, max_lock_s = floats
         locks = self._locks.pop(station, None) or LossOfLockDetector()
-        if len(self._locks) == _MOST_STATIONS:
+        if len(self._locks) == _MAX_STATIONS:
             del self._locks[next(iter(self._locks))]
         self._locks[station] = locks
+        loss_of_lock = locks.detect(
+            time_ns,
+            keys,
+            has_phase=~np.isnan(carrier_phase_cycles),
+            min_lock_s=lock_time_s,
+            max_lock_s=max_lock_s,
+        )
         epoch = ObservationEpoch(
             time_ns=time_ns,
             satellite=satellite,
@@ -153,14 +161,14 @@ class RtcmDecoder:
             doppler_hz=doppler_hz,
             cn0_dbhz=cn0_dbhz,
             lock_time_s=lock_time_s,
-            loss_of_lock=locks.lost(time_ns, keys, ~np.isnan(carrier_phase_cycles), lock_time_s, most_lock_s),
+            loss_of_lock=loss_of_lock,
             half_cycle=half_cycle.astype(np.bool_),
         )
-        return [BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)]
+        return BaseStationEpoch(station_id=station, epoch=epoch, complete=complete)
 
 
-class _Fields:
-    """Takes integers one after another."""
+class _BitReader:
+    """Reads integers one after another."""
 
     def __init__(self, payload: bytes) -> None:
         self._bits = int.from_bytes(payload, "big")
@@ -175,7 +183,7 @@ class _Fields:
 
 
 def _reference_station(payload: bytes, number: int) -> ReferenceStation:
-    bits = _Fields(payload)
+    bits = _BitReader(payload)
     bits.take(12)
     station_id = bits.take(12)
     bits.take(6 + 4)
@@ -185,22 +193,20 @@ def _reference_station(payload: bytes, number: int) -> ReferenceStation:
     bits.take(2)
     z = bits.take(38, signed=True)
     height_m = bits.take(16) * 1e-4 if number == 1006 else None
-    return ReferenceStation(
-        station_id=station_id, position_ecef_m=(x * 1e-4, y * 1e-4, z * 1e-4), antenna_height_m=height_m
-    )
+    position_ecef_m = (x * 1e-4, y * 1e-4, z * 1e-4)
+    return ReferenceStation(station_id=station_id, position_ecef_m=position_ecef_m, antenna_height_m=height_m)
 
 
 def _ephemeris(payload: bytes, number: int, near_ns: int) -> Ephemeris:
-    system, layout, _ = EPHEMERIS_MESSAGES[number]
-    bits = _Fields(payload)
+    system, names, _ = EPHEMERIS_MESSAGES[number]
+    fields = FIELDS[system]
+    bits = _BitReader(payload)
     bits.take(12)
-    integers = {
-        name: bits.take(FIELDS[system][name].width, signed=FIELDS[system][name].signed) for name in layout
-    }
-    if not 1 <= integers["satellite"] <= _MOST_SATELLITES[system]:
+    integers = {name: bits.take(fields[name].width, signed=fields[name].signed) for name in names}
+    if not 1 <= integers["satellite"] <= MAX_SATELLITE_NUMBER[system]:
         raise ValueError(f"satellite {integers['satellite']} of {system}")
     for time in ("toe_s", "toc_s"):
-        if integers[time] * FIELDS[system][time].resolution * NS_PER_SECOND >= NS_PER_WEEK:
+        if integers[time] * fields[time].resolution * NS_PER_SECOND >= NS_PER_WEEK:
             raise ValueError(f"{time} is after the end of the week")
     ephemeris = ephemeris_from_integers(system, integers, near_ns)
     if number in _DATA_SOURCES:

@@ -1,1 +1,1 @@
-"""UBX messages of u-blox receivers, read and written."""
+"""UBX messages of u-blox receivers, decoded and encoded."""

@@ -1,4 +1,4 @@
-"""Subframes and pages of RXM-SFRBX put together to ephemerides and coefficients of the ionosphere.
+"""Ephemerides and ionosphere coefficients assembled from the subframes and pages of RXM-SFRBX.
 
 Sources: IS-GPS-200, 20.3.3.4.1 (issues of data), 20.3.3.5.1.7; Galileo OS SIS ICD, 5.1.9.2 (IODnav); BDS-SIS-ICD-B1I,
 5.2.4, 5.3.3; u-blox ZED-F9P, integration manual (UBX-18010802), 3.13.1 (words).
@@ -7,7 +7,7 @@ Sources: IS-GPS-200, 20.3.3.4.1 (issues of data), 20.3.3.5.1.7; Galileo OS SIS I
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from camber.formats.broadcast.beidou_d1_d2 import (
     D1_SUBFRAME_S,
@@ -26,57 +26,67 @@ from camber.formats.broadcast.klobuchar_coefficients import (
     IonosphereCoefficients,
     coefficients_from_integers,
 )
-from camber.formats.observations import Ephemeris
-from camber.formats.ubx.signal_ids import GNSS_IDS, MOST_SATELLITES
+from camber.formats.observations import MAX_SATELLITE_NUMBER, Ephemeris
+from camber.formats.ubx.signal_ids import GNSS_IDS
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 SubframeResult = Ephemeris | IonosphereCoefficients
-# What carries which message: LNAV on L1 C/A, I/NAV on E1-B and E5b, D1 and D2 on B1I, B2I, B3I.
+# Signals by message: LNAV on L1 C/A, I/NAV on E1-B and E5b, D1 and D2 on B1I, B2I, B3I.
 _LNAV_SIGNALS, _INAV_SIGNALS, _D1_SIGNALS, _D2_SIGNALS = (0,), (1, 5), (0, 2, 4), (1, 3, 10)
 _SYSTEMS = {gnss_id: letter for letter, gnss_id in GNSS_IDS.items()}
 # RINEX 3.04, table A8: I/NAV from E1-B and E5b, with the clock of E5b, E1.
 _INAV_SOURCE = 517.0
 _SECONDS_PER_WEEK = NS_PER_WEEK // NS_PER_SECOND
-# Of an orbit that does not leave the Earth's surface: a satellite that sends zeros.
-_LEAST_SQRT_A = 2600.0
-_Parts = dict[int, Mapping[str, int]]
+# √m; derivation: √ of the Earth's radius is 2526, so an orbit below is impossible (satellites that send zeros).
+_MIN_SQRT_A = 2600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SubframeWords:
+    """Content of an RXM-SFRBX message, in the numbers of u-blox."""
+
+    gnss_id: int
+    satellite: int
+    signal_id: int
+    words: Sequence[int]
 
 
 class EphemerisAssembler:
-    """Remembers, of each satellite and signal, the parts of the ephemeris that is being sent.
+    """Collects, by satellite and signal, the parts of the ephemeris that is being transmitted.
 
-    An ephemeris comes out as soon as all its parts have come that belong together, and then again only of new parts:
-    once a frame. GPS and QZSS: subframes 1 to 3 with one issue of data. Galileo: words 1 to 4 with one IODnav, and the
-    last word 5. BeiDou has no such number in all parts: those of one period of 30 s.
+    An ephemeris is returned as soon as all its parts are there and consistent, then again only from new parts: once per
+    frame. GPS and QZSS: subframes 1 to 3 with one issue of data. Galileo: words 1 to 4 with one IODnav, and the last
+    word 5. BeiDou does not number the issue in all parts: those of one period of 30 s.
     """
 
     def __init__(self) -> None:
-        self._parts: dict[tuple[int, int], _Parts] = {}
-        self._begins: dict[tuple[int, int], int] = {}
+        self._parts: dict[tuple[int, int], dict[int, Mapping[str, int]]] = {}
+        self._period_starts: dict[tuple[int, int], int] = {}
 
-    def take(
-        self, gnss_id: int, number: int, signal_id: int, words: Sequence[int], near_ns: int
-    ) -> list[SubframeResult] | None:
-        """What the words complete; `transmission_ns` is `near_ns`. None for systems and messages that are not read.
+    def take(self, subframe: SubframeWords, near_ns: int) -> list[SubframeResult] | None:
+        """Return the results that a subframe completes, with `near_ns` as transmission time.
 
-        Raises ValueError where words fail their own check or contradict themselves.
+        None for systems and messages that are not supported. Raises ValueError where the words fail their parity or
+        CRC, or are inconsistent.
         """
-        system = _SYSTEMS.get(gnss_id, "")
+        system, number = _SYSTEMS.get(subframe.gnss_id, ""), subframe.satellite
         if not system:
             return None
-        if not 1 <= number <= MOST_SATELLITES[system]:
+        if not 1 <= number <= MAX_SATELLITE_NUMBER[system]:
             raise ValueError(f"satellite {number} of {system}")
-        key = ord(system) << 8 | number, signal_id
-        if system in "GJ" and signal_id in _LNAV_SIGNALS:
-            return self._lnav(system, key, words, near_ns)
-        if system == "E" and signal_id in _INAV_SIGNALS:
-            return self._inav(key, words, near_ns)
-        if system == "C" and signal_id in _D1_SIGNALS:
-            part = decode_d1_subframe(words)
-            return self._beidou(key, part, (1, 2, 3), D1_SUBFRAME_S, near_ns)
-        if system == "C" and signal_id in _D2_SIGNALS:
-            page = decode_d2_page(words)
-            return [] if page is None else self._beidou(key, page, D2_PAGES, D2_FRAME_S, near_ns)
+        key = ord(system) << 8 | number, subframe.signal_id
+        if system in "GJ" and subframe.signal_id in _LNAV_SIGNALS:
+            return self._lnav(system, key, subframe.words, near_ns)
+        if system == "E" and subframe.signal_id in _INAV_SIGNALS:
+            return self._inav(key, subframe.words, near_ns)
+        if system == "C" and subframe.signal_id in _D1_SIGNALS:
+            part = decode_d1_subframe(subframe.words)
+            return self._beidou(key, part, near_ns, numbers=(1, 2, 3), length_s=D1_SUBFRAME_S)
+        if system == "C" and subframe.signal_id in _D2_SIGNALS:
+            page = decode_d2_page(subframe.words)
+            if page is None:
+                return []
+            return self._beidou(key, page, near_ns, numbers=D2_PAGES, length_s=D2_FRAME_S)
         return None
 
     def _lnav(
@@ -107,35 +117,40 @@ class EphemerisAssembler:
         return [replace(ephemeris, other={**ephemeris.other, "data_sources": _INAV_SOURCE})]
 
     def _beidou(
-        self, key: tuple[int, int], part: BeidouPart, numbers: tuple[int, ...], length_s: int, near_ns: int
+        self,
+        key: tuple[int, int],
+        part: BeidouPart,
+        near_ns: int,
+        *,
+        numbers: tuple[int, ...],
+        length_s: int,
     ) -> list[SubframeResult]:
         if part.number not in numbers:
             return []
-        begin = (part.second - length_s * (part.number - 1)) % _SECONDS_PER_WEEK
-        if self._begins.get(key) != begin:
-            self._begins[key] = begin
+        period_start = (part.second - length_s * (part.number - 1)) % _SECONDS_PER_WEEK
+        if self._period_starts.get(key) != period_start:
+            self._period_starts[key] = period_start
             self._parts[key] = {}
         results = list[SubframeResult]()
         if not part.fields.keys().isdisjoint(IONOSPHERE_FIELDS):
             ionosphere = {name: part.fields[name] for name in IONOSPHERE_FIELDS}
-            # Zeros are sent by those who have none.
+            # Satellites without a model send zeros.
             if any(ionosphere.values()):
-                results.append(
-                    coefficients_from_integers("C", combine_parts([ionosphere], IONOSPHERE_FIELDS))
-                )
-        # After an ephemeris they are forgotten, and parts of the same period may come once more.
+                coefficients = combine_parts([ionosphere], IONOSPHERE_FIELDS)
+                results.append(coefficients_from_integers("C", coefficients))
+        # An ephemeris removes its parts, and parts of the same period may be received once more.
         parts = self._parts.setdefault(key, {})
         parts[part.number] = {n: value for n, value in part.fields.items() if n not in IONOSPHERE_FIELDS}
         return [*results, self._ephemeris("C", key, near_ns)] if len(parts) == len(numbers) else results
 
     def _ephemeris(self, system: str, key: tuple[int, int], near_ns: int) -> Ephemeris:
-        """Of all parts of the satellite, which are forgotten with it."""
+        """Return the ephemeris of all parts of the satellite, and remove them."""
         fields = FIELDS[system]
         integers = combine_parts(self._parts.pop(key).values(), fields)
         for time in ("toe_s", "toc_s"):
             if integers[time] * fields[time].resolution >= _SECONDS_PER_WEEK:
                 raise ValueError(f"{time} is after the end of the week")
         ephemeris = ephemeris_from_integers(system, {**integers, "satellite": key[0] & 255}, near_ns)
-        if ephemeris.sqrt_a < _LEAST_SQRT_A:
+        if ephemeris.sqrt_a < _MIN_SQRT_A:
             raise ValueError(f"square root of the semi-major axis is {ephemeris.sqrt_a}")
         return ephemeris

@@ -1,4 +1,4 @@
-"""RXM-RAWX payloads as observations.
+"""RXM-RAWX payloads decoded to observations.
 
 Source: u-blox ZED-F9P, interface description (UBX-18010854), 3.17.4; u-blox M8 (UBX-13003221), 32.18.7, for version 0.
 """
@@ -17,7 +17,7 @@ from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.ubx.gps_week import checked_time_ns, resolve_week_rollover
 from camber.formats.ubx.signal_ids import (
     GEOSTATIONARY_CYCLES,
-    MOST_OF_GNSS,
+    MAX_NUMBER_OF_GNSS,
     SIGNAL_OF_IDS,
     SYSTEM_OF_GNSS,
     are_geostationary,
@@ -32,13 +32,13 @@ from camber.formats.ubx.writer import (
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 
 _HEADER = struct.Struct("<dHbBBB2x")
-_CLOCK_RESET = 0b10
-_LOCK_RESOLUTION_S = 1e-3
+_CLOCK_RESET = 0b10  # `recStat`
+_LOCK_RESOLUTION_S = 1e-3  # of `locktime`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawxEpoch:
-    """All observations of one epoch of the receiver itself, and whether it has just reset its clock by whole ms."""
+    """All observations of one epoch of the rover, and whether it has just reset its clock by whole ms."""
 
     epoch: ObservationEpoch
     clock_reset: bool
@@ -46,7 +46,7 @@ class RawxEpoch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OmittedMeasurements:
-    """How many measurements are not in the epoch: of systems that are not read, without a known name, told twice."""
+    """Number of measurements omitted: of unsupported systems, of unknown signals, repeated in the epoch."""
 
     other_systems: int
     unknown_signals: int
@@ -56,16 +56,15 @@ class OmittedMeasurements:
 def read_raw_measurements(
     payload: bytes, locks: LossOfLockDetector, near_ns: int | None
 ) -> tuple[RawxEpoch, OmittedMeasurements]:
-    """Versions 0 and 1; the time is the receiver's own, rounded to ns.
+    """Decode versions 0 and 1; the time is the receiver's, rounded to ns.
 
-    Of a week that has rolled over inside the receiver (1024 weeks), that one is meant which is nearest to `near_ns`. A
-    value that the receiver says is not valid, or that is not finite, is NaN; so are a Doppler and a C/N0 of exactly 0,
-    for which there is no such bit. `half_cycle`: there is a phase, and its half cycles are not resolved.
-    `loss_of_lock`: as `LossOfLockDetector` has it, and where a subtracted half cycle changes, or the
-    other way round. To phases of BeiDou's geostationary satellites half a cycle is added, see `GEOSTATIONARY_CYCLES`.
-    Of what comes twice the first one counts.
+    `near_ns` resolves a roll-over of the receiver's week (1024 weeks). A value that the receiver reports as invalid, or
+    that is not finite, is NaN; so are a Doppler and a C/N0 of exactly 0, which have no such bit. `half_cycle`: there is
+    a phase, and its half cycles are not resolved. `loss_of_lock`: by `LossOfLockDetector`, and where a subtracted half
+    cycle changes. Phases of BeiDou's geostationary satellites get half a cycle, see `GEOSTATIONARY_CYCLES`. Of repeated
+    signals the first counts.
 
-    Raises ValueError where the message contradicts itself.
+    Raises ValueError where the message is inconsistent.
     """
     if len(payload) < _HEADER.size:
         raise ValueError(f"{len(payload)} bytes, expected at least {_HEADER.size}")
@@ -74,21 +73,20 @@ def read_raw_measurements(
         raise ValueError(f"version {version}, {len(payload)} bytes for {count} measurements")
     if not (math.isfinite(of_week_s) and 0.0 <= of_week_s * NS_PER_SECOND < NS_PER_WEEK - 0.5):
         raise ValueError(f"time of week {of_week_s} s")
-    time_ns = checked_time_ns(
-        resolve_week_rollover(week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND), near_ns)
-    )
+    receiver_ns = week * NS_PER_WEEK + round(of_week_s * NS_PER_SECOND)
+    time_ns = checked_time_ns(resolve_week_rollover(receiver_ns, near_ns))
     rows = np.frombuffer(payload, MEASUREMENT, count, _HEADER.size)
     gnss, number = rows["gnssId"].astype(np.int64), rows["svId"].astype(np.int64)
-    # Receivers of version 0 have one signal of each system; the byte is reserved.
+    # Receivers of version 0 have one signal per system; the byte is reserved.
     signal = SIGNAL_OF_IDS[gnss, rows["sigId"] if version else 0]
-    ours = SYSTEM_OF_GNSS[gnss] > 0
-    known = ours & (signal > 0) & (number > 0) & (number <= MOST_OF_GNSS[gnss])
+    supported = SYSTEM_OF_GNSS[gnss] > 0
+    known = supported & (signal > 0) & (number > 0) & (number <= MAX_NUMBER_OF_GNSS[gnss])
     satellite = SYSTEM_OF_GNSS[gnss] * 256 + number
     keys = (satellite << 16) + signal
-    used, repeated = _firsts(known, keys)
-    left_out = OmittedMeasurements(
-        other_systems=count - int(np.count_nonzero(ours)),
-        unknown_signals=int(np.count_nonzero(ours & ~known)),
+    used, repeated = _first_rows(known, keys)
+    omitted = OmittedMeasurements(
+        other_systems=count - int(np.count_nonzero(supported)),
+        unknown_signals=int(np.count_nonzero(supported & ~known)),
         repeated=repeated,
     )
     if used.size < count:
@@ -98,6 +96,14 @@ def read_raw_measurements(
     phase += GEOSTATIONARY_CYCLES * are_geostationary(satellite)
     has_phase = ~np.isnan(phase)
     lock_s = rows["locktime"] / 1000.0
+    loss_of_lock = locks.detect(
+        time_ns,
+        keys,
+        has_phase=has_phase,
+        min_lock_s=lock_s,
+        max_lock_s=lock_s + _LOCK_RESOLUTION_S,
+        state=(status_bits & HALF_CYCLE_SUBTRACTED).astype(np.int64),
+    )
     epoch = ObservationEpoch(
         time_ns=time_ns,
         satellite=satellite,
@@ -107,17 +113,10 @@ def read_raw_measurements(
         doppler_hz=_valid(rows["doMes"], rows["doMes"] != 0.0),
         cn0_dbhz=_valid(rows["cno"], rows["cno"] > 0),
         lock_time_s=lock_s,
-        loss_of_lock=locks.lost(
-            time_ns,
-            keys,
-            has_phase,
-            lock_s,
-            lock_s + _LOCK_RESOLUTION_S,
-            (status_bits & HALF_CYCLE_SUBTRACTED).astype(np.int64),
-        ),
+        loss_of_lock=loss_of_lock,
         half_cycle=has_phase & ((status_bits & HALF_CYCLE_VALID) == 0),
     )
-    return RawxEpoch(epoch, bool(status & _CLOCK_RESET)), left_out
+    return RawxEpoch(epoch, bool(status & _CLOCK_RESET)), omitted
 
 
 def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:
@@ -125,8 +124,8 @@ def _valid(values: NDArray[np.generic], valid: NDArray[np.bool_]) -> Floats:
     return np.where(valid & np.isfinite(wide), wide, np.nan)
 
 
-def _firsts(known: NDArray[np.bool_], keys: Integers) -> tuple[Integers, int]:
-    """Rows of known signals, of each only the first, in order; and how many were more."""
+def _first_rows(known: NDArray[np.bool_], keys: Integers) -> tuple[Integers, int]:
+    """Return the rows of known signals, the first of each, in order; and how many were repeated."""
     used = np.flatnonzero(known)
     if len(set(keys[used].tolist())) == used.size:
         return used, 0

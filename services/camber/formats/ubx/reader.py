@@ -1,7 +1,7 @@
-"""UBX out of a byte stream: observations, ephemerides, the receiver's own position, and what it says of its integrity.
+"""UBX decoder of a byte stream: observations, ephemerides, the receiver's position and its integrity reports.
 
 Source: u-blox ZED-F9P, interface description (UBX-18010854), 3.2 (frame), 3.17.9 (RXM-SFRBX); ZED-F9R (UBX-20039643),
-MON-RF, SEC-SIG. Whatever the bytes are, nothing is raised: what cannot be read is counted.
+MON-RF, SEC-SIG. No input raises: malformed content is counted.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.receiver.solution import ReceiverSolution
-from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler
+from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler, SubframeWords
 from camber.formats.ubx.nav_epochs import NavigationEpoch
 from camber.formats.ubx.nav_reader import (
     COV,
@@ -38,48 +38,48 @@ _NAVIGATION_IDS = {PVT, HPPOSLLH, COV, RELPOSNED, PL, EOE}
 
 
 class UbxMessages:
-    """Reads messages that have been found already; with `UbxDecoder` around it, a stream.
+    """Decodes whole messages; `UbxDecoder` decodes a stream.
 
-    `near_ns` (GPS time) settles which 1024 weeks are meant, and the week of what comes before the first RXM-RAWX or
-    dated NAV-PVT: without it such messages are not read. One epoch of NAV messages, told by their `iTOW`, becomes one
-    position, one baseline and one statement of integrity when NAV-EOE comes, which should be switched on; else when the
-    next epoch begins, one epoch late. SEC-SIG and MON-RF after NAV-EOE become a statement of their own.
+    `near_ns` (GPS time) resolves the 1024-week roll-over, and the week of messages before the first RXM-RAWX or dated
+    NAV-PVT: without it such messages are not decoded. The NAV messages of one `iTOW` become one position, one baseline
+    and one integrity report with NAV-EOE, which should be enabled; without it when the next epoch begins, one epoch
+    late. SEC-SIG and MON-RF after NAV-EOE become a separate report.
     """
 
-    def __init__(self, near_ns: int | None = None, statements: IntegrityReport | None = None) -> None:
+    def __init__(self, near_ns: int | None = None, report: IntegrityReport | None = None) -> None:
         self.near_ns = near_ns
-        """Of the last epoch, at first as given."""
-        # Only what is given settles roll-overs: a message that lies may lead the time astray, but not for long.
+        """Time of the last epoch, initially as given."""
+        # Only the given time resolves roll-overs: a wrong message may mislead the time, but not for long.
         self._reference_ns = near_ns
         self.malformed = 0
-        """Messages whose content contradicts itself, is cut short or of a version that is not known."""
+        """Messages whose content is inconsistent, truncated or of an unknown version."""
         self.not_read = 0
         """Messages, and subframes in them, of other kinds or systems."""
         self.without_time = 0
-        """Messages that say no week, before one was known."""
+        """Messages without a week, before one was known."""
         self.other_systems = 0
         """Measurements of GLONASS, SBAS, NavIC."""
         self.unknown_signals = 0
         """Measurements of satellites or signals without a number in the interface description."""
         self.repeated_signals = 0
-        """Measurements of a signal that was there already in the same epoch."""
+        """Measurements of a signal that is already in the epoch."""
         self.bad_subframes = 0
-        """Subframes whose own check is wrong or whose content contradicts itself."""
+        """Subframes with a wrong parity or CRC, or with inconsistent content."""
         self.epochs_without_position = 0
-        """The receiver said that it has none, none in three dimensions, or none within its own limits."""
+        """Epochs for which the receiver reports no position, none in three dimensions, or none within its masks."""
         self.late = 0
         """NAV messages of an epoch after its end."""
         self.has_positions = False
         """Whether the receiver sends NAV-PVT."""
-        self._statements = IntegrityReport() if statements is None else statements
+        self._report = IntegrityReport() if report is None else report
         self._locks = LossOfLockDetector()
         self._subframes = EphemerisAssembler()
         self._epoch: NavigationEpoch | None = None
         self._ended_ms: int | None = None
-        self._stated = False
+        self._report_changed = False
 
     def take(self, frame: bytes) -> list[UbxResult]:
-        """What one frame with a right checksum completes."""
+        """Return the results that one frame with a correct checksum completes."""
         message_class, message_id, payload = frame[2], frame[3], frame[6:-2]
         try:
             if message_class == _NAV and message_id in _NAVIGATION_IDS:
@@ -97,15 +97,15 @@ class UbxMessages:
         return []
 
     def finish(self) -> list[UbxResult]:
-        """Call at the end of the stream: the epoch of NAV messages that is waiting."""
+        """Return the results of the pending epoch of NAV messages, at the end of the stream."""
         return self._end_epoch()
 
     def _raw_measurements(self, payload: bytes) -> list[UbxResult]:
-        epoch, left_out = read_raw_measurements(payload, self._locks, self._reference_ns)
+        epoch, omitted = read_raw_measurements(payload, self._locks, self._reference_ns)
         self.near_ns = epoch.epoch.time_ns
-        self.other_systems += left_out.other_systems
-        self.unknown_signals += left_out.unknown_signals
-        self.repeated_signals += left_out.repeated
+        self.other_systems += omitted.other_systems
+        self.unknown_signals += omitted.unknown_signals
+        self.repeated_signals += omitted.repeated
         return [epoch]
 
     def _subframe(self, payload: bytes) -> list[UbxResult]:
@@ -115,28 +115,29 @@ class UbxMessages:
             self.without_time += 1
             return []
         words = struct.unpack_from(f"<{payload[4]}I", payload, 8)
+        subframe = SubframeWords(gnss_id=payload[0], satellite=payload[1], signal_id=payload[2], words=words)
         try:
-            found = self._subframes.take(payload[0], payload[1], payload[2], words, self.near_ns)
+            results = self._subframes.take(subframe, self.near_ns)
         except ValueError:
             self.bad_subframes += 1
             return []
-        self.not_read += found is None
-        return [] if found is None else [*found]
+        self.not_read += results is None
+        return [] if results is None else [*results]
 
     def _signal_state(self, message_class: int, payload: bytes) -> list[UbxResult]:
-        time_ns = (
-            self.near_ns if self._epoch is None else self._epoch.time_ns(self.near_ns, self._reference_ns)
-        )
+        epoch = self._epoch
+        time_ns = self.near_ns if epoch is None else epoch.time_ns(self.near_ns, self._reference_ns)
         if time_ns is None:
             self.without_time += 1
             return []
         if message_class == _SEC:
-            self._statements.say_signal_security(time_ns, *_signal_security(payload))
+            jamming, spoofing = _signal_security(payload)
+            self._report.update_signal_security(time_ns, jamming=jamming, spoofing=spoofing)
         else:
-            self._statements.say_front_ends(time_ns, _front_ends(payload))
-        self._stated = True
-        # Within an epoch the statement is made at its end.
-        return [] if self._epoch is not None else self._state(time_ns)
+            self._report.update_front_ends(time_ns, _front_end_jamming(payload))
+        self._report_changed = True
+        # Within an epoch the report is returned at its end.
+        return [] if epoch is not None else self._integrity_report(time_ns)
 
     def _navigation(self, message_id: int, payload: bytes) -> list[UbxResult]:
         of_week_ms = time_of_week_ms(message_id, payload)
@@ -171,57 +172,56 @@ class UbxMessages:
             return []
         self.near_ns = time_ns
         self.epochs_without_position += epoch.lacks_position
-        if epoch.pvt is not None:
-            self._statements.say_fix(
-                time_ns, within_masks=epoch.pvt.within_masks, authenticated=epoch.pvt.authenticated
-            )
-        if epoch.protection is not None:
-            self._statements.say_protection_levels(time_ns, epoch.protection.levels_m, epoch.protection.risk)
+        pvt, protection = epoch.pvt, epoch.protection
+        if pvt is not None:
+            self._report.update_fix(time_ns, within_masks=pvt.within_masks, authenticated=pvt.authenticated)
+        if protection is not None:
+            self._report.update_protection_levels(time_ns, protection.levels_m, protection.risk)
         solution, baseline = epoch.solution(time_ns), epoch.baseline
         results: list[UbxResult] = [] if solution is None else [solution]
         if baseline is not None:
             results.append(replace(baseline, time_ns=time_ns))
-        if self._stated or epoch.pvt is not None or epoch.protection is not None:
-            results += self._state(time_ns)
+        if self._report_changed or pvt is not None or protection is not None:
+            results += self._integrity_report(time_ns)
         return results
 
-    def _state(self, time_ns: int) -> list[UbxResult]:
-        self._stated = False
-        return [*self._statements.at(time_ns)]
+    def _integrity_report(self, time_ns: int) -> list[UbxResult]:
+        self._report_changed = False
+        return [*self._report.at(time_ns)]
 
 
 class UbxDecoder:
-    """Reads a stream piece by piece; the results do not depend on how it is cut."""
+    """Decodes a stream; the results do not depend on how it is chunked."""
 
     def __init__(self, source_name: str, near_ns: int | None = None) -> None:
         self.source_name = source_name
         self.messages = UbxMessages(near_ns)
-        """Counts what is in the frames."""
+        """With the counters of the messages."""
         self._frames = FrameBuffer("ubx")
 
     @property
     def bytes_skipped(self) -> int:
-        """Bytes that belong to no frame with a right checksum."""
+        """Bytes that are not part of a frame with a correct checksum."""
         return self._frames.bytes_skipped
 
     @property
     def failed_checks(self) -> int:
-        """Things that began like a frame and had a wrong checksum."""
+        """Frames with a wrong checksum."""
         return self._frames.failed_checks["ubx"]
 
     def feed(self, data: bytes) -> list[UbxResult]:
-        """What the bytes complete, in order. Never raises; keeps one partial frame and one epoch at most."""
+        """Return the results that the bytes complete, in order. Never raises; keeps at most a frame and an epoch."""
         return [result for frame in self._frames.feed(data) for result in self.messages.take(frame.data)]
 
     def finish(self) -> list[UbxResult]:
-        """Call at the end of the stream: what is left."""
+        """Return the remaining results at the end of the stream."""
         frames = self._frames.finish()
         results = [result for frame in frames for result in self.messages.take(frame.data)]
         return results + self.messages.finish()
 
 
 def _signal_security(payload: bytes) -> tuple[int, int]:
-    """SEC-SIG, versions 1 and 2: the states of jamming and spoofing; 0 where they are not looked for."""
+    """Return the states of jamming and spoofing of SEC-SIG, versions 1 and 2; 0 where detection is disabled."""
     version = payload[0] if payload else None
     if version == 1 and len(payload) >= 12:
         jamming, spoofing = payload[4], payload[8]
@@ -232,8 +232,8 @@ def _signal_security(payload: bytes) -> tuple[int, int]:
     return (jamming >> 1 & 0b11) * (jamming & 1), (spoofing >> 1 & 0b111) * (spoofing & 1)
 
 
-def _front_ends(payload: bytes) -> list[int]:
-    """MON-RF, version 0: the state of jamming of each block."""
+def _front_end_jamming(payload: bytes) -> list[int]:
+    """Return the jamming state of each block of MON-RF, version 0."""
     if len(payload) < 4 or payload[0] != 0 or len(payload) != 4 + 24 * payload[1]:
         raise ValueError(f"MON-RF of {len(payload)} bytes")
     return [payload[4 + 24 * block + 1] & 0b11 for block in range(payload[1])]

@@ -1,4 +1,4 @@
-"""Which subframes and pages of a satellite end when, and what u-blox receivers call the signals that carry them."""
+"""Transmission schedule of the subframes and pages of each satellite, and u-blox' ids of their signals."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from camber.formats.broadcast.beidou_d1_d2 import (
     D1_SUBFRAME_S,
     D2_FRAME_S,
     D2_PAGES,
+    D2_SUBFRAME_NS,
     encode_d1_subframe,
     encode_d2_page,
     is_geostationary,
@@ -19,13 +20,12 @@ from camber.formats.broadcast.gps_lnav import SUBFRAME_S, encode_lnav_subframe
 from camber.formats.observations import Ephemeris, satellite_name
 from camber.geodesy.gps_time import NS_PER_SECOND
 
-_PERIOD_NS = 30 * NS_PER_SECOND
-_D2_SUBFRAME_NS = 600_000_000
+_PERIOD_NS = 30 * NS_PER_SECOND  # of the ephemeris, in all four systems
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subframe:
-    """What a satellite has sent until `end_ns` (GPS time at the satellite), on the signal `signal_id` of u-blox."""
+    """A subframe or page whose transmission ends at `end_ns` (GPS time at the satellite), on u-blox' `signal_id`."""
 
     end_ns: int
     satellite: int
@@ -33,33 +33,33 @@ class Subframe:
     words: tuple[int, ...]
 
 
-_Writer = Callable[[Ephemeris, int, int], list[int]]
+_Encoder = Callable[[Ephemeris, int, int], list[int]]
 
 
 def subframes_between(ephemeris: Ephemeris, from_ns: int, to_ns: int) -> list[Subframe]:
-    """All parts of the ephemeris whose transmission ends at `from_ns` or later and before `to_ns`, in order.
+    """Return all parts of the ephemeris whose transmission ends at `from_ns` or later and before `to_ns`, in order.
 
     GPS and QZSS: LNAV subframes 1 to 3 of each frame of 30 s. Galileo: I/NAV words 1 to 6 on E1-B. BeiDou: D1 subframes
-    1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. Almanacs and ionosphere are not sent. Raises
-    ValueError as `integers_from_ephemeris` does.
+    1 to 3, geostationary ones D2 pages 1 and 3 to 10, on B1I. No almanacs, no ionosphere. Raises ValueError as
+    `integers_from_ephemeris` does.
     """
     system = satellite_name(ephemeris.satellite)[0]
-    signal_id, write, schedule = _schedule(system, ephemeris.satellite)
-    behind_ns = GNSS_TIME_SCALES[system].gps_offset_ns if system in GNSS_TIME_SCALES else 0
-    found: list[Subframe] = []
+    signal_id, encode, schedule = _schedule(system, ephemeris.satellite)
+    offset_ns = GNSS_TIME_SCALES[system].gps_offset_ns
+    subframes: list[Subframe] = []
     for part, start_ns, length_ns in schedule:
-        # The first end that is not before from_ns, in the system's own periods of 30 s.
-        end_ns = from_ns + (start_ns + length_ns + behind_ns - from_ns) % _PERIOD_NS
+        # The first end that is not before from_ns, in the system's periods of 30 s.
+        end_ns = from_ns + (start_ns + length_ns + offset_ns - from_ns) % _PERIOD_NS
         for end in range(end_ns, to_ns, _PERIOD_NS):
-            words = write(ephemeris, part, end - length_ns)
-            found.append(
-                Subframe(end_ns=end, satellite=ephemeris.satellite, signal_id=signal_id, words=tuple(words))
+            words = tuple(encode(ephemeris, part, end - length_ns))
+            subframes.append(
+                Subframe(end_ns=end, satellite=ephemeris.satellite, signal_id=signal_id, words=words)
             )
-    return sorted(found, key=lambda subframe: subframe.end_ns)
+    return sorted(subframes, key=lambda subframe: subframe.end_ns)
 
 
-def _schedule(system: str, satellite: int) -> tuple[int, _Writer, list[tuple[int, int, int]]]:
-    """u-blox signal id, what writes a part, and (part, start, duration) of each in ns of a period of 30 s."""
+def _schedule(system: str, satellite: int) -> tuple[int, _Encoder, list[tuple[int, int, int]]]:
+    """Return u-blox' signal id, the encoder of a part, and (part, start, duration) of each in ns of a period."""
     second = NS_PER_SECOND
     if system in "GJ":
         length = SUBFRAME_S * second
@@ -69,7 +69,7 @@ def _schedule(system: str, satellite: int) -> tuple[int, _Writer, list[tuple[int
         return 1, encode_inav_page, [(word, start * second, PAGE_S * second) for word, start in starts]
     if system == "C" and is_geostationary(satellite):
         frame = D2_FRAME_S * second
-        return 1, encode_d2_page, [(page, (page - 1) * frame, _D2_SUBFRAME_NS) for page in D2_PAGES]
+        return 1, encode_d2_page, [(page, (page - 1) * frame, D2_SUBFRAME_NS) for page in D2_PAGES]
     if system == "C":
         length = D1_SUBFRAME_S * second
         return 0, encode_d1_subframe, [(part, (part - 1) * length, length) for part in (1, 2, 3)]

@@ -259,7 +259,7 @@ def _check_stream(
     frames, decoder = FrameBuffer("ubx", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
     frame_counts: Counter[str] = Counter()
     latencies_s: list[float] = []
-    stream = open_stream(url, arrived=lambda: None, ntrip=access)
+    stream = open_stream(url, on_data=lambda: None, ntrip=access)
     size, deadline_s = 0, time.monotonic() + seconds
     try:
         while time.monotonic() < deadline_s:

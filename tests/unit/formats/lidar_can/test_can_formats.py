@@ -1,5 +1,6 @@
 """candump's lines, DBC files, and the frames of Linux' sockets."""
 
+import struct
 from random import Random
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from camber.formats.errors import FormatError
 from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_line, candump_text
 from camber.formats.lidar_can.dbc import DbcSignal, read_dbc
-from camber.transport.packet_ports import frame_from_socket, socket_bytes
+from camber.transport.packet_ports import frame_from_socket
 
 FRAMES = [
     CanFrame(1_700_000_000_123_456_000, "can0", 0x1A0, False, b"\x01\x02\x03"),
@@ -137,6 +138,12 @@ def test_a_dbc_file_that_cannot_be_is_one_clear_line(line: str, words: str) -> N
     with pytest.raises(FormatError) as error:
         read_dbc(line, "x.dbc")
     assert str(error.value).startswith(words)
+
+
+def socket_bytes(frame: CanFrame) -> bytes:
+    """A frame as Linux' SocketCAN has it: 16 bytes, or 72 where it is longer than eight."""
+    flags = frame.identifier | (0x8000_0000 if frame.extended else 0)
+    return struct.pack(f"=IB3x{8 if len(frame.data) <= 8 else 64}s", flags, len(frame.data), frame.data)
 
 
 @pytest.mark.parametrize("frame", FRAMES, ids=candump_line)

@@ -16,16 +16,9 @@ from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea.epochs import (
-    LastSentence,
-    NmeaDecoder,
-    NmeaResult,
-    format_gga,
-    format_gst,
-    format_rmc,
-    read_nmea,
-)
-from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES
+from camber.formats.nmea.epochs import NmeaDecoder, NmeaResult, read_nmea
+from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_utc
 from camber.schemas.gnss import ReceiverIntegrity
@@ -45,8 +38,8 @@ def sentence(content: str) -> bytes:
     return f"${content}*{checksum:02X}\r\n".encode()
 
 
-def decode(data: bytes, *, utc_date: date | None = DAY, last_sentence: LastSentence | None = None) -> Results:
-    decoder = NmeaDecoder("port", utc_date=utc_date, last_sentence=last_sentence)
+def decode(data: bytes, *, utc_date: date | None = DAY) -> Results:
+    decoder = NmeaDecoder("port", utc_date=utc_date)
     return decoder.feed(data) + decoder.finish()
 
 
@@ -243,17 +236,19 @@ def test_the_last_sentence_is_learned_and_then_nothing_waits() -> None:
 
 
 @pytest.mark.parametrize("last", ["GGA", "GST", "RMC"])
-def test_the_last_sentence_can_be_given(last: LastSentence) -> None:
+def test_any_kind_of_sentence_can_be_the_last(last: str) -> None:
     order = [content for content in (RMC, GST, GGA) if last not in content]
     contents = [*order, next(content for content in (RMC, GST, GGA) if last in content)]
-    decoder = NmeaDecoder("port", last_sentence=last, utc_date=DAY)
-    stream = [at(content, f"0604{second}.00") for second in (30, 31) for content in contents]
-    assert delays(stream, decoder) == [0, 0, 1, 0, 0, 1]
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    stream = [at(content, f"0604{second}.00") for second in (30, 31, 32, 33) for content in contents]
+    assert delays(stream, decoder) == [0, 0, 0, 1, 0, 0, 1, 0, 1, 0, 0, 1]
 
 
 def test_a_missing_last_sentence_delays_until_the_next_epoch_and_not_for_ever() -> None:
-    decoder = NmeaDecoder("port", last_sentence="GST", utc_date=DAY)
-    stream = [at(GGA, "060430.00"), at(GGA, "060431.00"), at(GST, "060431.00")]
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    learnt = [at(content, f"0604{second}.00") for second in (30, 31, 32) for content in (GGA, GST)]
+    assert sum(delays(learnt, decoder)) == 3
+    stream = [at(GGA, "060433.00"), at(GGA, "060434.00"), at(GST, "060434.00")]
     assert delays(stream, decoder) == [0, 1, 1]
 
 
@@ -273,7 +268,8 @@ def test_a_deviation_that_comes_too_late_is_counted_and_learned_from() -> None:
 def test_each_time_comes_out_once() -> None:
     results = decode(sentence(GGA) + sentence(GGA.replace("GNGGA", "GPGGA")))
     assert [type(result) for result in results] == [FormatError, ReceiverSolution]
-    decoder = NmeaDecoder("port", utc_date=DAY, last_sentence="GGA")
+    decoder = NmeaDecoder("port", utc_date=DAY)
+    decoder.feed(b"".join(at(GGA, f"0604{second}.00") for second in (28, 29, 30)))
     assert len(decoder.feed(sentence(GGA) + sentence(GGA))) == 1
     assert decoder.late_sentences == 1
 
@@ -313,8 +309,8 @@ def test_a_sentence_that_never_ends_is_dropped_and_nothing_is_kept() -> None:
     results = decoder.feed(b"$GNGGA,")
     for _ in range(100):
         results += decoder.feed(b"1" * 1000)
-        assert len(decoder._frames._buffer) <= MOST_SENTENCE_BYTES
-    assert [f"at most {MOST_SENTENCE_BYTES}" in str(result) for result in results] == [True]
+        assert decoder.bytes_pending <= MAX_SENTENCE_BYTES
+    assert [f"at most {MAX_SENTENCE_BYTES}" in str(result) for result in results] == [True]
     decoder.feed(b"\r\n" + sentence(GGA))
     assert len(decoder.finish()) == 1
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.formats.receiver.frame_buffer import FrameBuffer, FrameProtocol
-from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.rtcm.writer import rtcm_frame
 from camber.formats.ubx.writer import ubx_frame
 from support.plain_frames import PlainFrameBuffer
@@ -26,7 +26,7 @@ PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
 
 def liar(rng: random.Random) -> bytes:
     """A beginning, with a length of any kind, and some bytes of what it announces."""
-    length = rng.choice([0, 1, 7, 100, 1023, MOST_UBX_PAYLOAD_BYTES, MOST_UBX_PAYLOAD_BYTES + 1, 0xFFFF])
+    length = rng.choice([0, 1, 7, 100, 1023, MAX_UBX_PAYLOAD_BYTES, MAX_UBX_PAYLOAD_BYTES + 1, 0xFFFF])
     ubx = b"\xb5\x62\x01\x07" + length.to_bytes(2, "little")
     rtcm = b"\xd3" + min(length, 1023).to_bytes(2, "big")
     whole = rng.choice([ubx, rtcm, b"$GNGGA,", b"$", b"$GN", b"$gn"])
@@ -45,7 +45,7 @@ def frame(rng: random.Random) -> bytes:
 
 
 def sentence(rng: random.Random) -> bytes:
-    text = bytes(rng.randrange(0x20, 0x7F) for _ in range(rng.choice([0, 5, 80, MOST_SENTENCE_BYTES])))
+    text = bytes(rng.randrange(0x20, 0x7F) for _ in range(rng.choice([0, 5, 80, MAX_SENTENCE_BYTES])))
     return b"$GNGGA" + text + rng.choice([b"\r\n", b"\n", b"", b"\x00"])
 
 
@@ -115,7 +115,7 @@ def test_long_pieces_are_as_short_ones(size: int) -> None:
     assert played(FrameBuffer("ubx", "nmea", "rtcm"), [data]) == expected
 
 
-@pytest.mark.parametrize("size", range(MOST_SENTENCE_BYTES - 1, MOST_SENTENCE_BYTES + 3))
+@pytest.mark.parametrize("size", range(MAX_SENTENCE_BYTES - 1, MAX_SENTENCE_BYTES + 3))
 @pytest.mark.parametrize("beginning", [b"$GN", b"$gn"])
 def test_sentences_are_cut_off_at_the_same_length(size: int, beginning: bytes) -> None:
     plain, buffer = PlainFrameBuffer("nmea"), FrameBuffer("nmea")

@@ -16,10 +16,15 @@ def run(*epochs, most_more_s=0.001):
     for time_s, lock_s, state in epochs:
         has = np.array([lock_s is not None])
         least = np.array([lock_s or 0.0])
-        told = locks.lost(
-            round(time_s * SECOND_NS), np.array([7]), has, least, least + most_more_s, np.array([state])
+        detected = locks.detect(
+            round(time_s * SECOND_NS),
+            np.array([7]),
+            has_phase=has,
+            min_lock_s=least,
+            max_lock_s=least + most_more_s,
+            state=np.array([state]),
         )
-        lost.append(bool(told[0]))
+        lost.append(bool(detected[0]))
     return lost
 
 
@@ -65,9 +70,11 @@ def test_signals_do_not_mix_and_true_locks_are_told_apart(seed):
                 locked_at[key] = epoch - float(rng.choice([0.0, 0.5, 0.9]))
         lock_s = np.array([epoch - locked_at[key] for key in keys.tolist()])
         has = rng.random(keys.size) < 0.9
-        told = locks.lost(epoch * SECOND_NS, keys, has, lock_s, lock_s + 1e-3)
+        lost = locks.detect(
+            epoch * SECOND_NS, keys, has_phase=has, min_lock_s=lock_s, max_lock_s=lock_s + 1e-3
+        )
         for row, key in enumerate(keys.tolist()):
             expected = has[row] and key in last and locked_at[key] > last[key]
-            assert told[row] == expected
+            assert lost[row] == expected
             if has[row]:
                 last[key] = epoch

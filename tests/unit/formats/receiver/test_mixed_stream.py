@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from pyubx2 import UBXReader
 
 from camber.formats.errors import FormatError
-from camber.formats.nmea.epochs import format_gga, format_rmc
+from camber.formats.nmea.writer import format_gga, format_rmc
 from camber.formats.receiver.frame_buffer import FrameBuffer
-from camber.formats.receiver.frame_search import MOST_SENTENCE_BYTES, MOST_UBX_PAYLOAD_BYTES
+from camber.formats.receiver.frame_search import MAX_SENTENCE_BYTES, MAX_UBX_PAYLOAD_BYTES
 from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
@@ -47,7 +47,7 @@ POLL = ubx_frame(0x0A, 0x04, b"")
 def random_frame(rng: random.Random) -> tuple[str, bytes]:
     kind = rng.choice(EVERY)
     if kind == "ubx":
-        size = rng.choice([0, 1, 10, 92, 300, MOST_UBX_PAYLOAD_BYTES])
+        size = rng.choice([0, 1, 10, 92, 300, MAX_UBX_PAYLOAD_BYTES])
         return kind, ubx_frame(rng.randrange(256), rng.randrange(256), rng.randbytes(size))
     if kind == "rtcm":
         return kind, rtcm_frame(rng.randbytes(rng.choice([2, 19, 200, 1023])))
@@ -113,8 +113,8 @@ def test_a_frame_cut_short_costs_only_itself(seed, cut_kind, whole_kind):
 def test_a_false_length_does_not_take_the_stream_along():
     liars = [
         b"\xb5\x62\x01\x07\xff\xff",
-        b"\xb5\x62\x01\x07" + (MOST_UBX_PAYLOAD_BYTES + 1).to_bytes(2, "little"),
-        b"\xb5\x62\x01\x07" + MOST_UBX_PAYLOAD_BYTES.to_bytes(2, "little"),
+        b"\xb5\x62\x01\x07" + (MAX_UBX_PAYLOAD_BYTES + 1).to_bytes(2, "little"),
+        b"\xb5\x62\x01\x07" + MAX_UBX_PAYLOAD_BYTES.to_bytes(2, "little"),
         b"\xd3\x03\xff",
         b"\xd3\xff\xff",
         b"$GNGGA,",
@@ -166,7 +166,7 @@ def test_memory_is_bounded_whatever_comes():
     for beginning in (b"\xb5\x62\x02\x15\x00\x20", b"\xd3\x03\xff", b"$GNGGA,", b""):
         for _ in range(30):
             decoder.feed(beginning + without_beginnings(rng, 3000))
-            assert len(decoder._frames._buffer) <= MOST_UBX_PAYLOAD_BYTES + 3000 + MOST_SENTENCE_BYTES
+            assert decoder.bytes_pending <= MAX_UBX_PAYLOAD_BYTES + 3000 + MAX_SENTENCE_BYTES
 
 
 def solution(time_ns: int) -> ReceiverSolution:

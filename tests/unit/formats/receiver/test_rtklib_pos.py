@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from camber.formats.errors import FormatError
 from camber.formats.line_buffer import MAXIMUM_LINE_BYTES
-from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line, read_pos
+from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst, gps_ns_from_week_tow
 from camber.schemas.base import LATEST_NS
+from support.gnss_files import read_pos
 
 DATUM = (
     "% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp,ns=# of satellites)\n"

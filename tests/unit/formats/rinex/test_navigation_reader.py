@@ -13,12 +13,12 @@ import pytest
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
 from camber.formats.observations import Ephemeris, satellite_name
-from camber.formats.rinex.navigation_reader import NavigationDecoder, read_navigation
-from camber.formats.rinex.observation_reader import read_observations
+from camber.formats.rinex.navigation_reader import NavigationDecoder
 from camber.formats.rinex.writer import navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from camber.simulator.satellites.orbits import OrbitTable, satellite_states
+from support.gnss_files import read_navigation, read_observations
 from support.random_observations import random_ephemeris
 
 DATA = os.environ.get("CAMBER_DATA")
@@ -88,7 +88,7 @@ def test_what_was_written_is_read_back_to_the_last_printed_digit(seed):
 @pytest.mark.parametrize("name", FILES)
 def test_a_recording_written_again_is_the_same(name):
     navigation = read_navigation(recording(name))
-    assert navigation.problem_count == 0
+    assert navigation.problems == []
     assert navigation.leap_seconds == 18
     read, errors, _ = decode(navigation_text(navigation.ephemerides))
     assert not errors

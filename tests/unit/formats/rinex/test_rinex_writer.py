@@ -7,8 +7,9 @@ import pytest
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_number, signal_number
-from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
+from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
+from support.gnss_files import observation_text
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 23, 59, 59, 900_000_000))
 STATION = StationHeader(marker="ROVER", position_ecef_m=(-3810975.7625, 3566658.9114, 3653334.735))

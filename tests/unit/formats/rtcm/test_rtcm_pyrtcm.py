@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from pyrtcm import RTCM_DATA_FIELDS, RTCMMessage, RTCMReader, calc_crc24q
 from pyrtcm.rtcmtypes_get import RTCM_PAYLOADS_GET
 
-from camber.formats.broadcast.bit_fields import bits_to_bytes, joined
+from camber.formats.broadcast.bit_fields import bits_to_bytes, pack_bits
 from camber.formats.broadcast.ephemeris_fields import FIELDS, ephemeris_from_integers
 from camber.formats.observations import Ephemeris
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
@@ -242,7 +242,7 @@ def any_msm(random: np.random.Generator, number: int) -> bytes:
         for _ in range(count):
             value = random.integers(0, 1 << width) if random.random() < 0.9 else random.choice(special)
             pairs.append((int(value), width))
-    return rtcm_frame(bits_to_bytes(*joined(pairs)))
+    return rtcm_frame(bits_to_bytes(*pack_bits(pairs)))
 
 
 @given(SEEDS)
@@ -266,7 +266,7 @@ def test_ephemerides_of_any_content_are_pyrtcms_to_the_last_bit(seed: int, numbe
     for name in ("toe_s", "toc_s"):
         values[name] = int(random.integers(0, 604_800 // FIELDS[system][name].resolution))
     pairs = [(number, 12), *((values[name], FIELDS[system][name].width) for name in layout), (0, spare)]
-    frame = rtcm_frame(bits_to_bytes(*joined(pairs)))
+    frame = rtcm_frame(bits_to_bytes(*pack_bits(pairs)))
     decoder = RtcmDecoder(NOW_NS)
     (found,) = decoder.feed(frame)
     assert isinstance(found, Ephemeris)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyrtcm import RTCMReader
 
-from camber.formats.broadcast.bit_fields import bits_to_bytes, joined
+from camber.formats.broadcast.bit_fields import bits_to_bytes, pack_bits
 from camber.formats.broadcast.ephemeris_fields import integers_from_ephemeris
 from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, signal_name
 from camber.formats.rtcm.msm_reader import minimum_lock_s
@@ -101,7 +101,7 @@ def msm4_frame(letter_number, station, time_ms, rows):
     parts += [(70 + s, 8) for s in satellites] + [(s * 3, 10) for s in satellites]
     for place, width in enumerate((15, 22, 4, 1, 6)):
         parts += [(cell[place], width) for cell in chosen]
-    return rtcm_frame(bits_to_bytes(*joined(parts)))
+    return rtcm_frame(bits_to_bytes(*pack_bits(parts)))
 
 
 @pytest.mark.parametrize(("letter", "number"), [("G", 1074), ("E", 1094), ("J", 1114), ("C", 1124)])
@@ -320,7 +320,7 @@ def test_an_epoch_is_given_when_its_last_message_came_or_the_next_begins():
     decoder = RtcmDecoder(NOW_NS)
     for frame in format_observations(one, station_id=1, more_follow=True):
         assert decoder.feed(frame) == []
-    glonass = rtcm_frame(bits_to_bytes(*joined([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
+    glonass = rtcm_frame(bits_to_bytes(*pack_bits([(1087, 12), (1, 12), (0, 30), (0, 1), (0, 18 + 64 + 32)])))
     (given_,) = decoder.feed(glonass)
     assert given_.complete
     assert decoder.not_read == 1

@@ -10,7 +10,7 @@ from pyrtcm import RTCMReader
 from pyrtcm.exceptions import RTCMParseError
 from pyrtcm.rtcmtypes_core import RTCM_DATA_FIELDS
 
-from camber.formats.broadcast.bit_fields import crc24q, joined, pack_columns, quantize
+from camber.formats.broadcast.bit_fields import crc24q, pack_bits, pack_columns, quantize
 from camber.formats.broadcast.ephemeris_fields import ephemeris_from_integers, integers_from_ephemeris
 from camber.formats.rtcm.ephemeris_messages import EPHEMERIS_MESSAGES
 from camber.formats.rtcm.writer import format_ephemeris, format_reference_station, rtcm_frame
@@ -95,7 +95,7 @@ def test_a_station_that_does_not_fit_is_refused():
 @given(st.lists(st.tuples(st.integers(1, 40), st.integers(-(2**39), 2**39)), min_size=1, max_size=40))
 @settings(derandomize=True, max_examples=100)
 def test_columns_are_packed_as_single_fields_are(fields):
-    bits, width = joined([(value, width) for width, value in fields])
+    bits, width = pack_bits([(value, width) for width, value in fields])
     expected = (bits << -width % 8).to_bytes((width + 7) // 8, "big")
     assert pack_columns((), [(np.array([value]), width) for width, value in fields]) == expected
 

@@ -215,8 +215,17 @@ def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_th
     locks = LossOfLockDetector()
     keys = np.arange(len(SIGNALS))
     all_here = np.ones(len(SIGNALS), np.bool_)
-    said = [locks.lost(e.time_ns, keys, all_here, e.lock_time_s, e.lock_time_s + 1e-3) for e in epochs]
-    assert [bool(s.all()) for s in said] == [False, True, True]  # the readers say the same
+    lost = [
+        locks.detect(
+            e.time_ns,
+            keys,
+            has_phase=all_here,
+            min_lock_s=e.lock_time_s,
+            max_lock_s=e.lock_time_s + 1e-3,
+        )
+        for e in epochs
+    ]
+    assert [bool(each.all()) for each in lost] == [False, True, True]  # the readers say the same
 
 
 def test_numbers_of_arcs_are_never_used_twice():

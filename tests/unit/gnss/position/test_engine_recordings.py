@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camber.formats.rinex.navigation_reader import read_navigation
-from camber.formats.rinex.observation_reader import read_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar, geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_ns_from_week_tow, nanoseconds_from_decimal
 from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
 from support.engine_drives import some_rows
+from support.gnss_files import read_navigation, read_observations
 from support.rtklib_runs import OPTIONS, RNX2RTKP
 
 FUJISAWA_BASE_M = np.array([-3959400.631, 3385704.533, 3667523.111])

@@ -18,8 +18,6 @@ from camber.formats.observations import (
     satellite_name,
     signal_name,
 )
-from camber.formats.rinex.navigation_reader import read_navigation
-from camber.formats.rinex.observation_reader import read_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
@@ -31,6 +29,7 @@ from camber.simulator.satellites.constellation import broadcast_ephemerides, tru
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import ROVER
 from camber.simulator.satellites.track import AntennaTrack
+from support.gnss_files import read_navigation, read_observations
 
 FRAME = LocalFrame(np.deg2rad(35.17), np.deg2rad(136.9), 0.0)
 FIRST_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 0, 0, 0))

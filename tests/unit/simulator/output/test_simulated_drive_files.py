@@ -14,7 +14,7 @@ from camber.formats.drive.motion_csv import read_motion, read_ranging, read_susp
 from camber.formats.drive.recording import read_recording
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.map_exchange.pcd import read_sweep
-from camber.formats.receiver.rtklib_pos import PosDecoder, read_pos
+from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rtcm.reader import RtcmDecoder
 from camber.geodesy.local_frame import LocalFrame
@@ -23,6 +23,7 @@ from camber.road_map.release import read_release
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate as tool
+from support.gnss_files import read_pos
 
 NS = 1_000_000_000
 

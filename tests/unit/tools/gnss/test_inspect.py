@@ -28,8 +28,7 @@ from camber.formats.nmea.writer import format_gga, format_rmc
 from camber.formats.observations import ObservationEpoch, satellite_name, signal_name
 from camber.formats.receiver.rtklib_pos import format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.formats.rinex.observation_reader import read_observations
-from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
+from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.formats.rtcm.writer import format_ephemeris, format_observations, format_reference_station
 from camber.formats.ubx.nav_writer import format_position_velocity_time
 from camber.formats.ubx.writer import format_raw_measurements
@@ -38,6 +37,7 @@ from camber.tools.gnss import inspect as gnss_inspect
 from camber.tools.gnss import recording_file
 from camber.tools.gnss.inspect import inspect_recording
 from camber.tools.gnss.inspect_text import text_of
+from support.gnss_files import observation_text, read_observations
 from support.random_observations import random_ephemeris, random_epoch
 
 NS = 1_000_000_000

@@ -16,11 +16,8 @@ from matplotlib.figure import Figure
 from camber import cli
 from camber.formats.drive.truth_csv import TruthTable, read_truth
 from camber.formats.errors import FormatError
-from camber.formats.receiver.rtklib_pos import read_pos
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
-from camber.formats.rinex.navigation_reader import read_navigation
-from camber.formats.rinex.observation_reader import read_observations
-from camber.formats.rinex.writer import StationHeader, navigation_text, observation_text
+from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar
 from camber.gnss.position.rtk_engine import EngineOptions
 from camber.schemas.drive import DriveManifest, ManifestError, RawObservations, load_manifest
@@ -32,6 +29,7 @@ from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.solve import run_engine
 from camber.tools.gnss.solve_plot import solution_figure
 from camber.validation.plots import svg_text
+from support.gnss_files import observation_text, read_navigation, read_observations, read_pos
 
 NS = 1_000_000_000
 STREAMS = ("observations.rover_obs=rover.ubx", "observations.base_obs=base.rtcm")

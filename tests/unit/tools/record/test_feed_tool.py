@@ -13,7 +13,7 @@ import pytest
 
 from camber.formats.map_exchange.pcd import write_sweep
 from camber.formats.nmea.writer import format_gga, format_gst, format_rmc
-from camber.formats.receiver.rtklib_pos import PosDecoder, read_pos
+from camber.formats.receiver.rtklib_pos import PosDecoder
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.replay.drive_inputs import prepare_drive
 from camber.replay.short_drive import write_short_drive
@@ -27,6 +27,7 @@ from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.record import feed
 from camber.tools.record.feed import Epoch, epochs_of, passes, reversed_drive
+from support.gnss_files import read_pos
 
 _NS = 1_000_000_000
 _START_NS = 1_500_000_000 * _NS

@@ -1,0 +1,85 @@
+"""Whole files of observations, ephemerides and solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
+from camber.formats.errors import FormatError
+from camber.formats.observations import Ephemeris, ObservationEpoch
+from camber.formats.receiver.rtklib_pos import PosDecoder
+from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.rinex.compressed_files import rinex_chunks
+from camber.formats.rinex.navigation_reader import NavigationDecoder, NavigationResult
+from camber.formats.rinex.observation_header import ObservationHeader
+from camber.formats.rinex.observation_reader import ObservationResult, RinexDecoder
+from camber.formats.rinex.writer import StationHeader, observation_lines
+
+
+@dataclass(frozen=True, kw_only=True)
+class RinexObservations:
+    """An observation file; `skipped` satellites by system letter."""
+
+    header: ObservationHeader
+    epochs: list[ObservationEpoch]
+    problems: list[FormatError]
+    skipped: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RinexNavigation:
+    """A navigation file."""
+
+    ephemerides: list[Ephemeris]
+    klobuchar: Mapping[str, IonosphereCoefficients]
+    leap_seconds: int | None
+    problems: list[FormatError]
+
+
+def read_observations(path: Path) -> RinexObservations:
+    """Read a file, plain or compressed; FormatError where nothing of it can be read."""
+    decoder = RinexDecoder(path.name)
+    results: list[ObservationResult] = _decoded(decoder, path)
+    problems = [r for r in results if isinstance(r, FormatError)]
+    if decoder.header is None:
+        raise problems[0]
+    epochs = [r for r in results if isinstance(r, ObservationEpoch)]
+    return RinexObservations(header=decoder.header, epochs=epochs, problems=problems, skipped=decoder.skipped)
+
+
+def read_navigation(path: Path) -> RinexNavigation:
+    """Read a file, plain or compressed; FormatError where nothing of it can be read."""
+    decoder = NavigationDecoder(path.name)
+    results: list[NavigationResult] = _decoded(decoder, path)
+    problems = [r for r in results if isinstance(r, FormatError)]
+    if decoder.version is None:
+        raise problems[0]
+    return RinexNavigation(
+        ephemerides=[r for r in results if isinstance(r, Ephemeris)],
+        klobuchar=decoder.klobuchar,
+        leap_seconds=decoder.leap_seconds,
+        problems=problems,
+    )
+
+
+def _decoded(decoder, path: Path) -> list:
+    results = []
+    try:
+        for chunk in rinex_chunks(path):
+            results += decoder.feed(chunk)
+    except FormatError as error:
+        results.append(error)
+    return results + decoder.finish()
+
+
+def read_pos(path: Path) -> list[ReceiverSolution | FormatError]:
+    """Read an RTKLIB solution file."""
+    decoder = PosDecoder(path.name)
+    return decoder.feed(path.read_bytes()) + decoder.finish()
+
+
+def observation_text(epochs: Sequence[ObservationEpoch], station: StationHeader) -> str:
+    """Return a whole observation file."""
+    return "".join(observation_lines(epochs, station))
