@@ -21,8 +21,8 @@ D2_FRAME_S = 3
 D2_SUBFRAME_NS = 600_000_000
 D2_PAGES = (1, 3, 4, 5, 6, 7, 8, 9, 10)
 """Pages of subframe 1 with the ephemeris; page 2 contains the ionosphere."""
-_PERIOD_S = 30
-_PREAMBLE = 0b11100010010
+_PERIOD_S = 30  # 5.2.2, 5.3.2
+_PREAMBLE = 0b11100010010  # 5.2.4.1
 _Fields = list[tuple[int, int]]
 _D1: dict[int, BitLayout] = {
     1: (

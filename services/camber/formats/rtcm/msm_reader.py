@@ -30,7 +30,7 @@ Bytes = NDArray[np.uint8]
 _FIRST_MSM, _LAST_MSM = 1071, 1137
 _FIRST_KIND, _LAST_KIND = 4, 7
 _HEADER_BITS, _MASK_BITS = 73, 64 + 32
-_MS_PER_WEEK = 604_800_000
+_MS_PER_WEEK = 604_800_000  # DF004
 _SYSTEM_OF_TENS = {system.message // 10: k for k, system in enumerate(MSM_SYSTEMS)}
 
 _COMPLETE, _TOO_SHORT, _WRONG_TIME, _WRONG_MASK, _TRUNCATED = range(5)
