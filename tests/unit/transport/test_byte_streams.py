@@ -128,7 +128,7 @@ def test_whatever_a_port_raises_it_is_tried_again(reader: Reader) -> None:
     faults = iter([ValueError("no such baud rate"), OSError(5, "Input/output error"), RuntimeError()])
 
     class Port:
-        waits = False
+        lossless = False
         silence_reason = ""
 
         def read(self) -> bytes:
@@ -262,7 +262,7 @@ def test_a_device_below_by_path_may_have_a_baud_rate(monkeypatch: pytest.MonkeyP
         opened.append((device, baud_rate))
         return object()
 
-    monkeypatch.setattr(byte_streams, "Serial", port)
+    monkeypatch.setattr(byte_streams, "SerialSource", port)
     parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0:38400")(threading.Event())
     parse_source("serial:/dev/serial/by-path/usb-0:1.0-port0")(threading.Event())
     assert opened == [
