@@ -274,7 +274,7 @@ def _host_classes(settings: ServiceSettings) -> tuple[type[Bus], type[Loop]]:
     """Return the bus and the work loop; those of a replay in lock step are loaded only where it is asked for."""
     if settings.clock != "replay":
         return Bus, Loop
-    lock_step = importlib.import_module("camber.replay.lock_step")
+    lock_step = importlib.import_module("camber.replay.lock_step.service_loop")
     return lock_step.LockStepBus, lock_step.LockStepLoop
 
 
