@@ -26,15 +26,15 @@ class Judge:
     def __init__(self, rules: Rules, learning: Learning | None = None) -> None:
         self.rules = rules
         self.learning = learning if learning is not None else Learning(rules.learning)
-        self.heard = LatestInputs()
+        self.latest = LatestInputs()
         self.before = FixHistory(rules)
-        self._state = JudgeState(rules, self.heard, self.before, self.learning)
+        self._state = JudgeState(rules, self.latest, self.before, self.learning)
         self._fixes = FixSequence()
         self._base = ""  # of the newest fix
 
     @property
     def last_fix_ns(self) -> int | None:
-        """Time of the last solution heard, of whatever quality."""
+        """Time of the last solution, of whatever quality."""
         return self._fixes.last_ns
 
     def forget_future(self, now_ns: int) -> None:
@@ -43,7 +43,7 @@ class Judge:
         Kept, it would stay the newest for as long as the clock was off, and all that is true would count as old.
         """
         limit_ns = now_ns + round(self.rules.future_limit_s * 1e9)
-        self.heard.forget_after(limit_ns)
+        self.latest.forget_after(limit_ns)
         self.before.forget_after(limit_ns)
         self._fixes.forget_after(limit_ns)
 
@@ -69,7 +69,7 @@ class Judge:
         if not judgement.testable:
             return
         fix = judgement.fix
-        speed_m_s = self.heard.speed_at(fix.time_ns, self.rules.motion_max_age_s)
+        speed_m_s = self.latest.speed_at(fix.time_ns, self.rules.motion_max_age_s)
         self._base = base_of(fix)
         self.before.settle(judgement, speed_m_s)
         if judgement.comparison is not None:

@@ -1,4 +1,4 @@
-"""What the judge has heard last: the newest poses, the antenna's height, the wheels' speed, the receiver's own word."""
+"""The latest inputs besides fixes: poses, antenna height, wheel speed, receiver integrity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from camber.schemas.antenna import AntennaHeight
 from camber.schemas.pose import Pose
 
 _POSES = 64  # a second or more at any rate of the pose
-_NEAR_S = 0.5  # the pose by which a displacement is told is at most so far from the fix
+_NEAR_S = 0.5  # largest age of a pose that gives a displacement; chosen: a car's motion is known so long
 
 
 class LatestInputs:
@@ -61,7 +61,7 @@ class LatestInputs:
         return self._speed[1]
 
     def pose_near(self, time_ns: int) -> Pose | None:
-        """The nearest pose that has a place, if it is near enough to tell a displacement by."""
+        """The nearest pose that has a place, if it is near enough for a displacement."""
         pose = self._nearest_pose(time_ns)
         if pose is None or pose.latitude_rad is None or not abs(age_s(pose.time_ns, time_ns)) <= _NEAR_S:
             return None

@@ -50,7 +50,7 @@ class IntegrityService(Service[IntegritySettings]):
         self._saved = self._judge.learning.samples
         self._newest_ns = 0  # of all that was heard
         self._pending: list[tuple[Fix, int]] = []  # with the time at which each was heard
-        self._spoken = PublishSchedule()
+        self._schedule = PublishSchedule()
         self._levels = settings.level_rules()
         self._positions = PositionOutput(self._rules, self._levels)
         self._gnss = QueryBackoff()
@@ -69,17 +69,17 @@ class IntegrityService(Service[IntegritySettings]):
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
         return {
-            "fix": self._hearing(lambda fix: self._pending.append((fix, self.bus.now_ns()))),
-            "pose": self._hearing(self._judge.heard.add_pose),
-            "antenna_height": self._hearing(self._judge.heard.set_antenna_height),
-            "receiver_integrity": self._hearing(self._judge.heard.receiver.update),
-            "velocity": self._hearing(self._positions.add_velocity),
-            "motion": self._hearing(
+            "fix": self._dated(lambda fix: self._pending.append((fix, self.bus.now_ns()))),
+            "pose": self._dated(self._judge.latest.add_pose),
+            "antenna_height": self._dated(self._judge.latest.set_antenna_height),
+            "receiver_integrity": self._dated(self._judge.latest.receiver.update),
+            "velocity": self._dated(self._positions.add_velocity),
+            "motion": self._dated(
                 lambda motion: self._add_wheel_speed(motion.time_ns, motion.wheel_speed_m_s)
             ),
         }
 
-    def _hearing(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _dated(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         def update(message: Any) -> None:
             self._newest_ns = max(self._newest_ns, message.time_ns)
             take(message)
@@ -87,7 +87,7 @@ class IntegrityService(Service[IntegritySettings]):
         return update
 
     def _add_wheel_speed(self, time_ns: int, speed_m_s: float | None) -> None:
-        self._judge.heard.add_wheel_speed(time_ns, speed_m_s)
+        self._judge.latest.add_wheel_speed(time_ns, speed_m_s)
         self._positions.add_wheel_speed(time_ns, speed_m_s)
 
     def advance(self, now_ns: int) -> None:
@@ -97,11 +97,11 @@ class IntegrityService(Service[IntegritySettings]):
         if self._newest_ns > limit_ns:  # else nothing that is remembered can be dated later
             self._judge.forget_future(now_ns)
             self._positions.forget_future(now_ns)
-            self._spoken.forget_after(limit_ns)
+            self._schedule.forget_after(limit_ns)
         pending, self._pending = self._pending, []
-        for fix, heard_ns in pending:
-            if self._should_wait(fix, heard_ns, now_ns, alive):
-                self._pending.append((fix, heard_ns))
+        for fix, received_ns in pending:
+            if self._should_wait(fix, received_ns, now_ns, alive):
+                self._pending.append((fix, received_ns))
             else:
                 self._judge_fix(fix, now_ns, alive)
         self._publish_pose_position(alive)
@@ -112,15 +112,17 @@ class IntegrityService(Service[IntegritySettings]):
     def _alive(self) -> frozenset[str]:
         return frozenset(name for name in _SERVICES if self.bus.is_alive(name))
 
-    def _should_wait(self, fix: Fix, heard_ns: int, now_ns: int, alive: frozenset[str]) -> bool:
+    def _should_wait(self, fix: Fix, received_ns: int, now_ns: int, alive: frozenset[str]) -> bool:
         """A fix waits for the pose of its epoch: not longer than an epoch's width, whatever the clocks do.
 
         Over a link what is of one epoch comes apart by as much as the link's delay varies.
         """
-        pose = self._judge.heard.pose
+        pose = self._judge.latest.pose
         pose_is_there = pose is not None and age_s(pose.time_ns, fix.time_ns) <= SAME_EPOCH_S
         longest_s = SAME_EPOCH_S + self.settings.link_delay_s
-        waited = not 0.0 <= age_s(heard_ns, now_ns) < longest_s or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
+        waited = (
+            not 0.0 <= age_s(received_ns, now_ns) < longest_s or age_s(fix.time_ns, now_ns) >= SAME_EPOCH_S
+        )
         return not pose_is_there and not waited and "localizer" in alive
 
     def _judge_fix(self, fix: Fix, now_ns: int, alive: frozenset[str]) -> None:
@@ -134,13 +136,13 @@ class IntegrityService(Service[IntegritySettings]):
         self._judge.settle(judgement)
         self.bus.count(f"verdict.{judgement.verdict}")
         self.bus.publish("verdict", verdict_of(judgement, self._rules.true_sigma))
-        self._spoken.verdict(now_ns)
+        self._schedule.verdict(now_ns)
         self._positions.update_dispute(judgement)
         if judgement.confirmed:
-            inputs = self._judge.heard.inputs(judgement.fix.time_ns, alive)
+            inputs = self._judge.latest.inputs(judgement.fix.time_ns, alive)
             correction_m = self._judge.correction(inputs).correction_m
             self.bus.publish("position", self._positions.confirmed(judgement, correction_m, inputs))
-            self._spoken.rtk(fix.time_ns)
+            self._schedule.rtk(fix.time_ns)
         self._save(_SAVE_EVERY)
         self._collect(judgement)
 
@@ -149,7 +151,7 @@ class IntegrityService(Service[IntegritySettings]):
     ) -> FixJudgement:
         """Return the judgement of another estimate of the fix where one passes, else the one given."""
         rules, fix = self._rules.re_estimation, judgement.fix
-        asked_ns, inputs = self.bus.now_ns(), self._judge.heard.inputs(fix.time_ns, alive)
+        asked_ns, inputs = self.bus.now_ns(), self._judge.latest.inputs(fix.time_ns, alive)
         pose, missing = inputs.pose, inputs.missing(fix.time_ns, self._rules)
         # A provisional pose follows the fixes: it can tell nothing.
         if pose is None or missing is not None or is_provisional(pose):
@@ -176,11 +178,11 @@ class IntegrityService(Service[IntegritySettings]):
         return result
 
     def _publish_pose_position(self, alive: frozenset[str]) -> None:
-        pose = self._judge.heard.pose
-        if pose is None or not self._spoken.pose_is_due(pose.time_ns):
+        pose = self._judge.latest.pose
+        if pose is None or not self._schedule.pose_is_due(pose.time_ns):
             return
-        inputs = self._judge.heard.inputs(pose.time_ns, alive)
-        self._spoken.position(pose.time_ns)
+        inputs = self._judge.latest.inputs(pose.time_ns, alive)
+        self._schedule.position(pose.time_ns)
         self.bus.publish(
             "position",
             self._positions.at(pose.time_ns, inputs, self._judge.correction(inputs).correction_m),
@@ -188,20 +190,20 @@ class IntegrityService(Service[IntegritySettings]):
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
         """A consumer must hear *unknown*, not nothing, when there is no fix or no pose."""
-        verdict_is_due = not self._pending and self._spoken.verdict_is_due(now_ns)
-        position_is_due = self._spoken.position_is_due(now_ns, self._rules.pose_max_age_s)
+        verdict_is_due = not self._pending and self._schedule.verdict_is_due(now_ns)
+        position_is_due = self._schedule.position_is_due(now_ns, self._rules.pose_max_age_s)
         if not (verdict_is_due or position_is_due):
             return
-        inputs = self._judge.heard.inputs(now_ns, alive)
+        inputs = self._judge.latest.inputs(now_ns, alive)
         reason = self._silence_reason(now_ns, inputs)
         if reason is not None and verdict_is_due:
-            self._spoken.verdict(now_ns)
+            self._schedule.verdict(now_ns)
             self.bus.publish(
                 "verdict", Verdict(time_ns=now_ns, fix_id=None, verdict="unknown", reason=reason)
             )
         missing = inputs.missing_pose(now_ns, self._rules) or reason
         if missing is not None and position_is_due:
-            self._spoken.unavailable_position(now_ns)
+            self._schedule.unavailable_position(now_ns)
             position = self._positions.at(now_ns, inputs, self._judge.correction(inputs).correction_m)
             if position.source == "none":
                 position = unavailable_position(now_ns, missing, self._rules, self._levels)

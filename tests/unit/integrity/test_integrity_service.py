@@ -261,13 +261,13 @@ def test_without_a_service_the_word_is_unknown_within_the_age_limit(service, tok
     rig.epoch(0)
     if not token_stays:
         rig.bus.alive.discard(service)
-    heard = []
+    latest = []
     for n in range(1, round(16 / step)):
         k = n * step
         changes = {INPUT[service]: None} if service in INPUT else {"pose": without_map(k)}
-        heard += [v for v in of(rig.epoch(k, **changes), "verdict") if v.time_ns > at(0)]
+        latest += [v for v in of(rig.epoch(k, **changes), "verdict") if v.time_ns > at(0)]
     limit_ns = at(0) + LIMIT_S[service] * 1e9
-    late = [v for v in heard if v.time_ns > limit_ns + 1]
+    late = [v for v in latest if v.time_ns > limit_ns + 1]
     assert late
     assert {(v.verdict, v.reason) for v in late} == {("unknown", reason) for reason in reasons[service]}
     assert late[0].time_ns <= limit_ns + max(0.1e9, step * 0.2e9) + 1

@@ -7,7 +7,7 @@ from camber.schemas.gnss import ReceiverIntegrity
 from support.judging import ALL, antenna, at, pose
 
 
-def heard(*epochs, **changes):
+def latest(*epochs, **changes):
     result = LatestInputs()
     for epoch in epochs:
         result.add_pose(pose(epoch, **changes))
@@ -15,10 +15,10 @@ def heard(*epochs, **changes):
 
 
 def test_before_anything_is_heard_nothing_is_known():
-    assert heard().pose is None
-    assert heard().pose_near(at(0)) is None
-    assert heard().speed_at(at(0), 1.0) is None
-    inputs = heard().inputs(at(0), ALL)
+    assert latest().pose is None
+    assert latest().pose_near(at(0)) is None
+    assert latest().speed_at(at(0), 1.0) is None
+    inputs = latest().inputs(at(0), ALL)
     assert (inputs.pose, inputs.antenna, inputs.alive) == (None, None, ALL)
 
 
@@ -26,28 +26,28 @@ def test_before_anything_is_heard_nothing_is_known():
     ("time", "epoch"), [(-5, 0), (0, 0), (0.4, 0), (0.5, 0), (0.6, 1), (1, 1), (1.6, 2), (2.4, 2), (9, 3)]
 )
 def test_of_several_poses_it_is_the_nearest_and_of_two_as_near_the_earlier(time, epoch):
-    assert heard(0, 1, 2, 3).inputs(at(time), ALL).pose == pose(epoch)
+    assert latest(0, 1, 2, 3).inputs(at(time), ALL).pose == pose(epoch)
 
 
 def test_a_pose_that_is_no_newer_is_not_heard():
-    result = heard(2, 1)
+    result = latest(2, 1)
     result.add_pose(pose(2, east_m=5.0))
     assert list(result.poses) == [pose(2)]
 
 
 def test_of_a_long_drive_only_the_newest_poses_are_kept():
-    result = heard(*range(100))
+    result = latest(*range(100))
     assert list(result.poses) == [pose(epoch) for epoch in range(36, 100)]
 
 
 @pytest.mark.parametrize(("epoch", "near"), [(2.5, True), (-2.5, True), (2.51, False), (-2.51, False)])
 def test_a_pose_tells_the_way_half_a_second_before_and_after(epoch, near):
-    assert (heard(0).pose_near(at(epoch)) == pose(0)) == near
-    assert near or heard(0).pose_near(at(epoch)) is None
+    assert (latest(0).pose_near(at(epoch)) == pose(0)) == near
+    assert near or latest(0).pose_near(at(epoch)) is None
 
 
 def test_one_without_a_place_tells_none():
-    assert heard(0, latitude_rad=None).pose_near(at(0)) is None
+    assert latest(0, latitude_rad=None).pose_near(at(0)) is None
 
 
 @pytest.mark.parametrize(("epoch", "speed_m_s"), [(2.5, 7.0), (-2.5, 7.0), (2.6, None), (-2.6, None)])
@@ -65,7 +65,7 @@ def test_no_speed_leaves_the_one_before():
 
 
 def test_what_is_dated_ahead_is_forgotten_and_what_is_of_now_is_not():
-    result = heard(0, 1, 2)
+    result = latest(0, 1, 2)
     result.set_antenna_height(antenna(1))
     result.receiver.update(ReceiverIntegrity(time_ns=at(1), spoofing="affirmed"))
     result.forget_after(at(1))

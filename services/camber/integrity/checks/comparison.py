@@ -27,7 +27,7 @@ class FixComparison:
 
     Fix less pose to the east and north at the fix's time, and fix less road, antenna and correction at its place
     upwards, NaN where that is not known; metres. `outcome` is the number of one of `determination.REASONS`, `position`
-    the word of the horizontal test; `height_m` is the difference of H (3), which counts the other way.
+    the word of the horizontal test; `height_m` is the difference of JP7707657B2 eq. (3), which counts the other way.
     """
 
     difference_m: Floats

@@ -1,4 +1,4 @@
-"""Each fix has one verdict: which fixes have been heard, and which of them come too late, too early or twice."""
+"""Each fix has one verdict: ids and times of the fixes received, to detect late, early and repeated ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _REMEMBERED = 1024  # ids; minutes at any rate of a receiver
 
 
 class FixSequence:
-    """What is remembered of the fixes heard so far."""
+    """Ids and times of the fixes received so far."""
 
     def __init__(self) -> None:
         self.last_ns: int | None = None
-        """Time of the last solution heard, of whatever quality."""
+        """Time of the last solution, of whatever quality."""
         self._ids: dict[int, None] = {}
 
     def register_once(self, fix: Fix) -> bool:
@@ -40,6 +40,6 @@ class FixSequence:
         return "fix_repeated" if fix.time_ns == last_ns else "fix_out_of_order"
 
     def forget_after(self, limit_ns: int) -> None:
-        """The clock was set back: no fix can have been heard later than this."""
+        """Drop what is dated later than this: the clock was set back."""
         if self.last_ns is not None and self.last_ns > limit_ns:
             self.last_ns = None

@@ -1,4 +1,4 @@
-"""The height model of H: where the road and the antenna say that a position must stand.
+"""The height model of JP7707657B2: at which height the antenna must be, from road and antenna height.
 
 All heights are ellipsoidal metres, `h_a` is above the road.
 """
@@ -35,8 +35,8 @@ class HeightModel:
     def expected_m(self, road: RoadPoint) -> float:
         """Where the antenna must be: `(h_m + h_a) + h_e`.
 
-        The difference `(h_m + h_a) + h_e − h_r` is H (3) in the form that goes to zero. H prints `(h_m + h_a) − h_r −
-        h_e`; with `h_e → h_r − (h_m + h_a)` of H (4) that would go to `−2 h_e`.
+        The difference `(h_m + h_a) + h_e − h_r` is JP7707657B2 eq. (3) in the form that goes to zero. It prints `(h_m +
+        h_a) − h_r − h_e`; with `h_e → h_r − (h_m + h_a)` of eq. (4) that would go to `−2 h_e`.
         """
         return road.elevation_m + self.antenna_m + self.correction_m
 

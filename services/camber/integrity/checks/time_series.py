@@ -1,4 +1,4 @@
-"""Verification by the time series (H, second embodiment): does a fix continue the fixes found right just before it?
+"""Verification by the time series (JP7707657B2, second embodiment): does a fix continue the right fixes before it?
 
 A wrong set of integers sets in with a jump of decimetres to metres in 3D. A fix that has moved since the last right one
 exactly as the vehicle has, and has risen as the road has, was not put there by new integers; if its height contradicts

@@ -1,4 +1,4 @@
-"""Verification (H, second embodiment): what speaks for a fix although the height is against it?
+"""Verification (JP7707657B2, second embodiment): what speaks for a fix although the height is against it?
 
 If the fix is right all the same, it is the height model that is off, map or antenna. There are four witnesses:
 
@@ -6,7 +6,7 @@ If the fix is right all the same, it is the height model that is off, map or ant
 - **ambiguity continuity**: its integers are those of fixes that the height has confirmed, on unbroken arcs. Then all
   of them are right or all are wrong, and the height has had its say on several of them already;
 - **scan matching**: it is where the sweeps find the vehicle, by centimetres, horizontally;
-- **phase residuals**: its own phases fit its integers, with enough of them to tell.
+- **phase residuals**: its own phases fit its integers, and there are enough of them.
 
 The first two say why the *height* may be wrong, and each is enough. Scan matching alone is not: of wrong fixes with a
 horizontal error of σ 1 m some 2 % lie within 0.2 m of the truth, and one of the recording of Nagoya does, half a metre
@@ -31,7 +31,7 @@ VerificationEvidence = Literal[
 
 @dataclass(frozen=True, slots=True)
 class VerificationRules:
-    """Which witnesses suffice, and when they are heard.
+    """Which witnesses suffice, and when they count.
 
     A fix whose σ, multipath included, is above `fix_sigma_m` in any direction is not verified and vouches for none.
     `continuity_fixes` of the chain must have been confirmed by the height, the last at most `continuity_s` ago; the

@@ -1,4 +1,4 @@
-"""Position by satellite Doppler: velocities summed up from the last confirmed position on (R, priority at every epoch).
+"""Position by satellite Doppler: velocities integrated since the last confirmed position (Kikuchi, reliability index).
 
 The displacement is the sum by trapezoids. The errors of velocities that follow one another are alike: Gauss–Markov with
 the correlation time τ, so that the variance of the displacement grows with t² at first and with t later, 2 σ² τ t.
@@ -97,12 +97,12 @@ class DopplerPosition:
 
     def add_velocity(self, velocity: SatelliteVelocity) -> None:
         """A new velocity; one that is older than the last, or has no covariance, is of no use."""
-        heard = self._read(velocity)
-        if heard is None or (self._velocities and heard.time_ns <= self._velocities[-1].time_ns):
+        latest = self._read(velocity)
+        if latest is None or (self._velocities and latest.time_ns <= self._velocities[-1].time_ns):
             return
-        self._velocities.append(heard)
+        self._velocities.append(latest)
         if self._sum is not None:
-            self._sum = self._after(self._sum, heard)
+            self._sum = self._after(self._sum, latest)
 
     def add_wheel_speed(self, time_ns: int, speed_m_s: float) -> None:
         """A new wheel speed."""

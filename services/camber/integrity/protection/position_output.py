@@ -1,4 +1,4 @@
-"""The position for consumers at every epoch with its bounds, and whether to use it (R, priority and reliability index).
+"""The position for consumers at every epoch, its bounds and its usability (Kikuchi (TUMSAT), reliability index).
 
 A confirmed fix before satellite velocities since the last one, before the vehicle's sensors, before a scan match; a
 lower one is taken where its horizontal protection level is clearly smaller. Without any there is a word and a reason.

@@ -1,4 +1,4 @@
-"""Protection levels by R's formulas (reliability index), as one of the two modes.
+"""Protection levels by Kikuchi (TUMSAT), reliability index, as one of the two modes.
 
     RTK       HPL = a σ_RTK
     Doppler   HPL_t = HPL_{t−1} + a σ_GV      each 0.1 s
@@ -18,7 +18,7 @@ from camber.geodesy.covariance import confidence_scale
 from camber.integrity.checks.chi2_test import chi2_limit
 from camber.integrity.protection.position_bounds import Bounds, IndexRules
 
-_STEP_S = 0.1
+_STEP_S = 0.1  # Kikuchi (TUMSAT), reliability index: σ grows in each 0.1 s
 
 
 class ReliabilityIndex:

@@ -30,9 +30,9 @@ class Knowing(Learning):
 
 def examined(the_fix=None, the_pose=None, learning=None, rules=None):
     judge = SettlingJudge(rules or Rules(), learning or Knowing())
-    judge.heard.add_pose(the_pose or pose())
-    judge.heard.set_antenna_height(antenna())
-    judge.heard.add_wheel_speed(at(0), SPEED_M_S)
+    judge.latest.add_pose(the_pose or pose())
+    judge.latest.set_antenna_height(antenna())
+    judge.latest.add_wheel_speed(at(0), SPEED_M_S)
     return judge.examine(the_fix or fix(), ALL)
 
 
@@ -84,7 +84,7 @@ def test_a_road_that_is_known_too_vaguely_says_how_vaguely():
 
 def test_a_warning_of_the_receiver_is_told():
     judge = SettlingJudge(Rules(), Knowing())
-    judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
+    judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
     result = judge.examine(fix(), ALL)
     assert (result.verdict, result.reason, result.detail) == (
         "unknown",
@@ -97,8 +97,8 @@ def test_a_solution_that_is_no_fix_leaves_the_start_as_it_was():
     judge = SettlingJudge(Rules(), Knowing())
     verdicts = []
     for k in range(6):
-        judge.heard.add_pose(provisional(k))
-        judge.heard.set_antenna_height(antenna(k))
-        judge.heard.add_wheel_speed(at(k), SPEED_M_S)
+        judge.latest.add_pose(provisional(k))
+        judge.latest.set_antenna_height(antenna(k))
+        judge.latest.add_wheel_speed(at(k), SPEED_M_S)
         verdicts.append(judge.judge(fix(k, quality="float" if k == 3 else "fixed"), at(k), ALL).reason)
     assert verdicts == ["starting", "starting", "starting", "not_a_fix", "starting", "height_agrees"]

@@ -35,9 +35,9 @@ class Knowing(Learning):
 def judge_with(*, poses=(), antenna_height=None, learning=None, rules=None):
     judge = SettlingJudge(rules or Rules(), learning)
     for one in poses:
-        judge.heard.add_pose(one)
+        judge.latest.add_pose(one)
     if antenna_height is not None:
-        judge.heard.set_antenna_height(antenna_height)
+        judge.latest.set_antenna_height(antenna_height)
     return judge
 
 
@@ -45,7 +45,7 @@ def judged(the_fix=None, *, now=0.0, alive=ALL, the_pose=None, the_antenna=None,
     """The judgement of one fix, with everything there and right but for what is given."""
     poses = [the_pose if the_pose is not None else pose()]
     judge = judge_with(poses=poses, antenna_height=the_antenna or antenna(), **others)
-    judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), **statement or {}))
+    judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(0), **statement or {}))
     judgement = judge.judge(the_fix or fix(), at(now), alive)
     assert judgement is not None
     return judgement
@@ -63,9 +63,9 @@ class Drive:
         self.speed_m_s = speed_m_s
 
     def epoch(self, k, the_fix=None, the_pose=None):
-        self.judge.heard.add_pose(the_pose or pose(k))
-        self.judge.heard.set_antenna_height(antenna(k))
-        self.judge.heard.add_wheel_speed(at(k), self.speed_m_s)
+        self.judge.latest.add_pose(the_pose or pose(k))
+        self.judge.latest.set_antenna_height(antenna(k))
+        self.judge.latest.add_wheel_speed(at(k), self.speed_m_s)
         judgement = self.judge.judge(the_fix or fix(k), at(k), ALL)
         assert judgement is not None
         return judgement
@@ -141,10 +141,10 @@ def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes)
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.heard.set_antenna_height(changes.get("the_antenna") or antenna())
-    drive.judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
-    drive.judge.heard.poses.clear()  # the last known pose is the one given
-    drive.judge.heard.add_pose(changes.get("the_pose") or pose())
+    drive.judge.latest.set_antenna_height(changes.get("the_antenna") or antenna())
+    drive.judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(0), **changes.get("statement", {})))
+    drive.judge.latest.poses.clear()  # the last known pose is the one given
+    drive.judge.latest.add_pose(changes.get("the_pose") or pose())
     judgement = drive.judge.judge(
         changes.get("the_fix") or fix(), at(changes.get("now", 0.0)), changes.get("alive", ALL)
     )
@@ -184,8 +184,8 @@ def test_what_is_not_a_number_is_never_confirmed(where, value):
     drive = Drive()
     for k in range(-5, 0):
         assert drive.epoch(k).confirmed
-    drive.judge.heard.set_antenna_height(the_antenna)
-    drive.judge.heard.add_pose(the_pose)
+    drive.judge.latest.set_antenna_height(the_antenna)
+    drive.judge.latest.add_pose(the_pose)
     judgement = drive.judge.judge(the_fix, at(0), ALL)
     assert judgement is not None
     assert judgement.verdict == "unknown"
@@ -225,8 +225,8 @@ def test_of_several_poses_the_nearest_in_time_counts():
 
 def test_an_older_pose_does_not_replace_a_newer():
     judge = judge_with(poses=[pose(0), pose(-1), pose(0, east_m=50.0)])
-    assert judge.heard.pose == pose(0)
-    assert SettlingJudge(Rules()).heard.pose is None
+    assert judge.latest.pose == pose(0)
+    assert SettlingJudge(Rules()).latest.pose is None
 
 
 # --- one verdict each, in order ----------------------------------------------------------------------------------
@@ -254,10 +254,10 @@ def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
 def test_what_is_dated_ahead_blocks_nothing_once_it_is_forgotten():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.heard.add_pose(pose(1000))
-    drive.judge.heard.set_antenna_height(antenna(1000))
+    drive.judge.latest.add_pose(pose(1000))
+    drive.judge.latest.set_antenna_height(antenna(1000))
     drive.judge.forget_future(at(1))
-    assert drive.judge.heard.pose == pose(0)
+    assert drive.judge.latest.pose == pose(0)
     without = drive.judge.judge(fix(1), at(1), ALL)
     assert without is not None
     assert without.reason == "antenna_height_missing"
@@ -269,7 +269,7 @@ def test_after_the_clock_was_set_back_the_judge_goes_on():
     for k in range(1000, 1003):
         drive.epoch(k)
     drive.judge.forget_future(at(0))
-    assert drive.judge.heard.pose is None
+    assert drive.judge.latest.pose is None
     assert drive.judge.last_fix_ns is None
     assert drive.epoch(0).confirmed
     assert (
@@ -281,7 +281,7 @@ def test_what_is_current_is_not_forgotten():
     drive = Drive()
     drive.epoch(0)
     drive.judge.forget_future(at(0))
-    assert drive.judge.heard.pose == pose(0)
+    assert drive.judge.latest.pose == pose(0)
     assert drive.judge.last_fix_ns == at(0)
     assert drive.epoch(1).confirmed
     SettlingJudge(Rules()).forget_future(at(0))
@@ -292,7 +292,7 @@ def test_half_a_second_ahead_is_still_now(ahead_s, kept):
     drive = Drive()
     drive.epoch(ahead_s / 0.2)
     drive.judge.forget_future(at(0))
-    assert (drive.judge.last_fix_ns is not None, drive.judge.heard.pose is not None) == (kept, kept)
+    assert (drive.judge.last_fix_ns is not None, drive.judge.latest.pose is not None) == (kept, kept)
 
 
 def test_another_estimate_may_take_the_place_of_a_solution_that_is_no_fix():
@@ -352,7 +352,7 @@ def test_nor_without_a_right_fix_before():
 def test_nor_where_no_pose_tells_the_way_since():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.heard.poses.clear()
+    drive.judge.latest.poses.clear()
     assert drive.epoch(4, the_pose=off_map(4)).verdict == "erroneous"
 
 
@@ -433,7 +433,7 @@ def test_without_a_wheel_speed_nothing_starts():
 
 def test_a_stale_wheel_speed_starts_nothing():
     drive = Drive(speed_m_s=None)
-    drive.judge.heard.add_wheel_speed(at(0), 10.0)
+    drive.judge.latest.add_wheel_speed(at(0), 10.0)
     verdicts = [drive.epoch(k, the_pose=provisional(k)).verdict for k in range(20)]
     assert "confirmed" not in verdicts
 
@@ -442,7 +442,7 @@ def test_a_stale_wheel_speed_starts_nothing():
 
 
 def in_force(drive):
-    return drive.judge.correction(drive.judge.heard.inputs(at(0), ALL))
+    return drive.judge.correction(drive.judge.latest.inputs(at(0), ALL))
 
 
 def test_right_positions_teach_the_correction_and_later_fixes_are_judged_by_it():
@@ -491,16 +491,16 @@ class Listening(Learning):
 
     def __init__(self):
         super().__init__(LearningRules())
-        self.heard = []
+        self.latest = []
 
     def update(self, residual):
-        self.heard.append(residual)
+        self.latest.append(residual)
 
 
 def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_without_correction():
     learning = Listening()
     judged(fix(up_m=0.1, east_m=0.05), learning=learning, the_pose=pose(provenance="scan_match"))
-    (residual,) = learning.heard
+    (residual,) = learning.latest
     assert residual.verdict == "confirmed"
     assert residual.up_m == pytest.approx(0.1)
     assert (residual.east_m, residual.north_m) == (
@@ -517,7 +517,7 @@ def test_another_base_station_has_a_part_of_its_own():
     learning = Listening()
     judged(fix(base_station="rtcm-7"), learning=learning)
     judged(fix(base_station="rtcm-8"), learning=learning)
-    assert [residual.key.base for residual in learning.heard] == [
+    assert [residual.key.base for residual in learning.latest] == [
         "receiver:WGS84:rtcm-7",
         "receiver:WGS84:rtcm-8",
     ]
@@ -526,8 +526,8 @@ def test_another_base_station_has_a_part_of_its_own():
 def test_of_a_pose_made_of_unconfirmed_fixes_it_hears_the_height_only():
     learning = Listening()
     judged(learning=learning, the_pose=pose(provenance="fixes"))
-    assert learning.heard[0].east_m is None
-    assert learning.heard[0].up_m is not None
+    assert learning.latest[0].east_m is None
+    assert learning.latest[0].up_m is not None
 
 
 @pytest.mark.parametrize(("mode", "leans"), [("dead_reckoning", True), ("scan_match", False)])
@@ -537,9 +537,9 @@ def test_it_hears_on_which_confirmed_fix_the_pose_leans_and_on_which_link_it_is(
         pose(provenance="confirmed", mode=mode, anchor_time_ns=at(-1.0), link_id=4),
     )
     judged(learning=learning, the_pose=the_pose)
-    assert learning.heard[0].east_m == 0.0
-    assert learning.heard[0].anchored_ns == (at(-1.0) if leans else None)
-    assert learning.heard[0].link_id == 4
+    assert learning.latest[0].east_m == 0.0
+    assert learning.latest[0].anchored_ns == (at(-1.0) if leans else None)
+    assert learning.latest[0].link_id == 4
 
 
 def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and_of_the_newest_base():
@@ -552,7 +552,7 @@ def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and
             )
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    inputs = judge.heard.inputs(at(0), ALL)
+    inputs = judge.latest.inputs(at(0), ALL)
     judge.judge(fix(0, base_station="rtcm-7"), at(0), ALL)
     assert judge.correction(inputs) == Correction()
     judge.judge(fix(1, base_station="rtcm-8"), at(1), ALL)
@@ -565,22 +565,22 @@ def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base
             return Correction(0.01, 0.02) if key == ReferenceKey("fixed", "", 3) else Correction()
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    assert judge.correction(judge.heard.inputs(at(0), ALL)) == Correction(0.01, 0.02)
+    assert judge.correction(judge.latest.inputs(at(0), ALL)) == Correction(0.01, 0.02)
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
     learning = Listening()
     judged(fix(east_m=3.0), learning=learning, the_pose=pose(provenance="scan_match"))
-    assert learning.heard[0].verdict == "erroneous"
-    assert learning.heard[0].east_m == pytest.approx(3.0, abs=1e-3)
-    assert learning.heard[0].up_m is None
+    assert learning.latest[0].verdict == "erroneous"
+    assert learning.latest[0].east_m == pytest.approx(3.0, abs=1e-3)
+    assert learning.latest[0].up_m is None
 
 
 def test_where_nothing_was_compared_it_hears_nothing():
     learning = Listening()
     judged(learning=learning, the_pose=pose(road=no_road()))
     judged(fix(quality="float"), learning=learning)
-    assert learning.heard == []
+    assert learning.latest == []
 
 
 # --- properties --------------------------------------------------------------------------------------------------
@@ -901,8 +901,8 @@ def test_sweeps_and_phases_together_carry_a_fix_neither_alone():
 def test_what_is_examined_leaves_no_trace_until_it_is_settled():
     drive = Drive()
     drive.epoch(0)
-    drive.judge.heard.add_pose(far_off_map(1))
-    drive.judge.heard.set_antenna_height(antenna(1))
+    drive.judge.latest.add_pose(far_off_map(1))
+    drive.judge.latest.set_antenna_height(antenna(1))
     again = [drive.judge.examine(fix(1), ALL) for _ in range(2)]
     assert [judgement.verdict for judgement in again] == ["confirmed_after_verification"] * 2
     assert drive.judge.before.chain.chain_length == 0
@@ -912,7 +912,7 @@ def test_what_is_examined_leaves_no_trace_until_it_is_settled():
 
 def test_the_receivers_warning_is_forgotten_with_the_clock():
     drive = Drive()
-    drive.judge.heard.receiver.update(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
+    drive.judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(3), spoofing="affirmed"))
     assert drive.epoch(1).reason == "receiver_warns"
     drive.judge.forget_future(at(0))
     assert drive.epoch(2).confirmed

@@ -28,8 +28,8 @@ def sharp_pose(epoch=0, **changes):
 def examined(epoch=0, **off):
     """A fix so far off beside the sharp pose, as the judge finds it."""
     judge, the_pose = SettlingJudge(RULES), sharp_pose(epoch)
-    judge.heard.add_pose(the_pose)
-    judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judge.latest.add_pose(the_pose)
+    judge.latest.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     return judge.examine(fix(epoch, **off), ALL)
 
 

@@ -45,8 +45,8 @@ NO_OFFSET = (0.0, 0.0, 0.0)
 
 def judged(the_pose=None, **off):
     judge = SettlingJudge(RULES)
-    judge.heard.add_pose(the_pose or pose(**MATCHED))
-    judge.heard.set_antenna_height(antenna())
+    judge.latest.add_pose(the_pose or pose(**MATCHED))
+    judge.latest.set_antenna_height(antenna())
     return replace(judge.examine(fix(**off), ALL), verdict="confirmed")
 
 
@@ -118,8 +118,8 @@ def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is
         compared = judged().comparison
         difference_m, covariance_m2 = compared.difference_m.copy(), compared.covariance_m2.copy()
         difference_m[2], covariance_m2[2, 2] = up_m, variance_m2
-        heard = replace(compared, difference_m=difference_m, covariance_m2=covariance_m2)
-        return by_fix(replace(judged(), comparison=heard)).candidate
+        latest = replace(compared, difference_m=difference_m, covariance_m2=covariance_m2)
+        return by_fix(replace(judged(), comparison=latest)).candidate
 
     result = with_height(up_m, variance_m2)
     assert result.wrong == pytest.approx(with_height(0.0, 1e6).wrong, rel=1e-9), "as one known to a kilometre"

@@ -62,8 +62,8 @@ def inputs(the_pose=None, the_antenna=None, alive=ALL):
 
 def judged(the_pose, the_fix=None, trials=1):
     judge = SettlingJudge(RULES)
-    judge.heard.add_pose(the_pose)
-    judge.heard.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
+    judge.latest.add_pose(the_pose)
+    judge.latest.set_antenna_height(antenna().model_copy(update={"time_ns": the_pose.time_ns}))
     judgement = judge.examine(the_fix or fix(), ALL)
     return replace(judgement, verdict="confirmed", trials=trials)
 
@@ -265,7 +265,7 @@ def matched(k, **changes):
     return pose(k, **{"mode": "scan_match", "match_time_ns": at(k), "anchor_time_ns": at(k), **changes})
 
 
-def heard(poses, start=None, levels=LEVELS):
+def latest(poses, start=None, levels=LEVELS):
     """What is left of a suspicion of even odds after poses."""
     suspicion, places = start or LatentFaultHypothesis(at(0), 1.0, 1.0, 1.0), MatchCorroboration(levels)
     for the_pose in poses:
@@ -276,25 +276,29 @@ def heard(poses, start=None, levels=LEVELS):
 def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_after_place():
     metres = LEVELS.matches_apart_m / (SPEED_M_S * (at(1) - at(0)) / 1e9)
     epochs = int(3.9 * metres)
-    assert heard(matched(k) for k in range(epochs)) == pytest.approx(LEVELS.false_match_prior**3)
-    assert heard(pose(k) for k in range(epochs)) == 1.0, "no match"
-    assert heard(matched(k, latitude_rad=None) for k in range(epochs)) == 1.0
-    assert heard(matched(0) for _ in range(epochs)) == 1.0, (
+    assert latest(matched(k) for k in range(epochs)) == pytest.approx(LEVELS.false_match_prior**3)
+    assert latest(pose(k) for k in range(epochs)) == 1.0, "no match"
+    assert latest(matched(k, latitude_rad=None) for k in range(epochs)) == 1.0
+    assert latest(matched(0) for _ in range(epochs)) == 1.0, (
         "one place says it once: how the suspicion came about"
     )
-    assert heard(matched(k, mode="dead_reckoning") for k in range(epochs)) == 1.0, "matches and fixes dispute"
-    assert heard(matched(k, sigma_m=0.24) for k in range(epochs)) < 1e-8, "four of its σ are within the metre"
-    assert heard(matched(k, sigma_m=0.26) for k in range(epochs)) == 1.0, "it tells no metre from the next"
-    assert heard(matched(k, match_time_ns=at(0)) for k in range(epochs)) == 1.0, (
+    assert latest(matched(k, mode="dead_reckoning") for k in range(epochs)) == 1.0, (
+        "matches and fixes dispute"
+    )
+    assert latest(matched(k, sigma_m=0.24) for k in range(epochs)) < 1e-8, (
+        "four of its σ are within the metre"
+    )
+    assert latest(matched(k, sigma_m=0.26) for k in range(epochs)) == 1.0, "it tells no metre from the next"
+    assert latest(matched(k, match_time_ns=at(0)) for k in range(epochs)) == 1.0, (
         "older than what is suspected"
     )
-    assert heard(matched(k, match_time_ns=None) for k in range(epochs)) == 1.0
-    assert heard(matched(k, covariance_east_north_yaw=None) for k in range(epochs)) == 1.0
+    assert latest(matched(k, match_time_ns=None) for k in range(epochs)) == 1.0
+    assert latest(matched(k, covariance_east_north_yaw=None) for k in range(epochs)) == 1.0
 
 
 def test_of_fixes_that_are_not_known_here_no_match_knows_the_time():
     before = LatentFaultHypothesis.initial(WrongFixRules())
-    assert heard((matched(k) for k in range(400)), before) == before.odds
+    assert latest((matched(k) for k in range(400)), before) == before.odds
 
 
 def test_what_a_match_refutes_is_what_was_suspected_before_it():

@@ -278,8 +278,8 @@ def test_the_more_trials_the_narrower_the_limits_of_agreement_and_those_of_contr
 
 def ready():
     judge = SettlingJudge(Rules())
-    judge.heard.add_pose(pose(0))
-    judge.heard.set_antenna_height(antenna(0))
+    judge.latest.add_pose(pose(0))
+    judge.latest.set_antenna_height(antenna(0))
     return judge
 
 
@@ -321,8 +321,8 @@ def test_the_integers_after_another_estimate_are_not_compared_with_its():
             first, answer(*right()), lambda one, n: judge.examine(one, ALL, n), RULES
         ),
     )
-    judge.heard.add_pose(pose(1))
-    judge.heard.set_antenna_height(antenna(1))
+    judge.latest.add_pose(pose(1))
+    judge.latest.set_antenna_height(antenna(1))
     result = judge.judge(
         fix(1, **ENGINE, ambiguity_continuity="broken", continuous_since_ns=at(1)), at(1), ALL
     )
