@@ -12,7 +12,7 @@ from camber.schemas.health import LogLevel
 _LEVELS = {"debug": 10, "info": 20, "warning": 30, "error": 40}
 
 
-class _Stream:
+class _StandardError:
     """Standard error that swallows what cannot be written."""
 
     def write(self, text: str) -> int:
@@ -64,7 +64,7 @@ def make_logger(service: str, *, level: str, form: str) -> Any:
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(_LEVELS[level]),
-        logger_factory=structlog.PrintLoggerFactory(_Stream()),  # type: ignore[arg-type]
+        logger_factory=structlog.PrintLoggerFactory(_StandardError()),  # type: ignore[arg-type]
         cache_logger_on_first_use=False,
     )
     return structlog.get_logger().bind(service=service)

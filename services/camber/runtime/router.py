@@ -87,7 +87,7 @@ def main(argv: list[str] | None = None) -> int:
         arguments += ["--config-file", str(args.config_file)] if args.config_file else []
         try:
             if not stop.is_set():
-                _replace_by(sys.executable, "-m", "camber.cli", "router", *arguments)
+                _replace_by([sys.executable, "-m", "camber.cli", "router", *arguments])
         except OSError as error:  # what is, goes on
             _say(f"cannot begin anew: {error}")
 
@@ -103,7 +103,7 @@ def main(argv: list[str] | None = None) -> int:
     return _end(opened)
 
 
-def _replace_by(*command: str) -> None:
+def _replace_by(command: list[str]) -> None:
     """This process becomes that command, and holds nothing open: Zenoh locks its sockets in the file system."""
     for name in os.listdir("/dev/fd"):
         with contextlib.suppress(OSError):

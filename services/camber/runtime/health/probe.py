@@ -35,8 +35,8 @@ _EARLIEST_NS = 630_720_000 * 10**9  # of what a message may bear: schemas/base.p
 _LENGTH = struct.Struct("<I")
 
 
-@dataclass
-class Bus:
+@dataclass(kw_only=True)
+class ProbeSettings:
     """Where the service is asked, as ZenohSettings say it."""
 
     vehicle: str = "vehicle"
@@ -50,7 +50,7 @@ class Bus:
     lease_s: float = 2.0
 
 
-def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
+def bus_of(service: str, settings: Path, environ: dict[str, str]) -> ProbeSettings:
     """Vehicle and endpoints, as the service reads them: environment before file before default.
 
     Whether they are right is the service's own affair; ValueError and OSError are those of reading them.
@@ -67,7 +67,7 @@ def bus_of(service: str, settings: Path, environ: dict[str, str]) -> Bus:
     for name in ("connect", *_FILES):
         if (text := here.get(f"ZENOH__{name.upper()}")) is not None:
             values[name] = json.loads(text) if name == "connect" else text
-    bus = Bus(**{name: values[name] for name in ("vehicle", "connect") if name in values})
+    bus = ProbeSettings(**{name: values[name] for name in ("vehicle", "connect") if name in values})
     for name in _FILES:
         setattr(bus, name, Path(values[name]) if values.get(name) else None)
     return bus
@@ -108,7 +108,7 @@ def status_in(answer: bytes) -> str:
     return status
 
 
-def status_of(service: str, bus: Bus) -> str:
+def status_of(service: str, bus: ProbeSettings) -> str:
     """What a service says of itself; of a router `ok`, where it can be joined.
 
     Raises BusError, TimeoutError, ValueError.

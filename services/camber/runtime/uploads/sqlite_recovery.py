@@ -1,7 +1,7 @@
 """A damaged SQLite file: read what can be read, put a fresh file in its place, keep the damaged one beside it.
 
 The swap may be cut off at any point. The fresh file is complete under the name `….fresh` before anything is moved, so
-whoever finds that name only has to move on (`finish_swap`); a half-made `….making` is thrown away.
+a process that sees that name only has to move on (`finish_swap`); a half-made `….making` is thrown away.
 """
 
 from __future__ import annotations
