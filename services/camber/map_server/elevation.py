@@ -1,4 +1,4 @@
-"""The road under a point: its elevation, slope and uncertainty, or why it is not known."""
+"""Elevation, slope and uncertainty of the road under a point, or the reason why it is unknown."""
 
 from __future__ import annotations
 
@@ -32,14 +32,12 @@ from camber.schemas.road import LinkTile, Places, RoadsAhead, SurfaceTile
 T = TypeVar("T")
 M = TypeVar("M")
 
-_LATTICE_STEP = 0.25
-"""Samples of a patch lie this far apart, in units of its radius: 49 of them."""
+_LATTICE_STEP = 0.25  # chosen: spacing of a patch's 49 samples in units of its radius
 _STEPS = np.arange(-1.0, 1.0 + 1e-9, _LATTICE_STEP)
 _LATTICE = np.stack([axis.ravel() for axis in np.meshgrid(_STEPS, _STEPS)])
 _LATTICE = _LATTICE[:, np.hypot(*_LATTICE) <= 1.0 + 1e-9]
 
-_BLOCK = 1 << 17
-"""Points that are sorted by tile at a time."""
+_BLOCK = 1 << 17  # chosen: points sorted by tile at a time, within the processor's cache
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -47,13 +45,13 @@ _Points: TypeAlias = tuple[Floats, Floats, Integers, Integers]
 """Columns of latitude, longitude, candidate links and last surface."""
 
 REASONS: tuple[RoadReason, ...] = ("none", "no_surface", "levels_ambiguous")
-"""What the numbers of `SelectedRoads.reason` say."""
+"""Reasons by the numbers of `SelectedRoads.reason`."""
 NO_SURFACE = Road(status="unknown", reason="no_surface")
 LEVELS_AMBIGUOUS = Road(status="unknown", reason="levels_ambiguous")
 
 
 class _Links:
-    """Links of one tile: their nodes and levels, and which share a node."""
+    """Links of one tile with their nodes and levels, and the links at each node."""
 
     def __init__(self, tile: LinkTile) -> None:
         columns = (tile.link_id, tile.start_node, tile.end_node, tile.level)
@@ -66,12 +64,12 @@ class _Links:
             self.at_node.setdefault(end, set()).add(link)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SelectedRoads:
-    """Roads under n points: what is known as columns (k,), for the points numbered in `known`, ascending.
+    """Roads under n points: columns (k,) of the known ones, whose points are `known`, ascending.
 
-    `reason` (n,) says of each point why its road is not known, as an index into REASONS, 0 where it is known.
-    `elsewhere` (n,) is true where surfaces are there, but on levels that no candidate link is on.
+    `reason` (n,): why a road is unknown, index into REASONS, 0 if known. `elsewhere` (n,): there are surfaces, but only
+    on levels without candidate links.
     """
 
     reason: NDArray[np.uint8]
@@ -87,15 +85,15 @@ class SelectedRoads:
 
     @property
     def ambiguous(self) -> NDArray[np.bool_]:
-        """Points (n,) where surfaces are, and none could be chosen."""
+        """Points (n,) with surfaces of which none could be selected."""
         ambiguous: NDArray[np.bool_] = self.reason == AMBIGUOUS
         return ambiguous
 
 
 class ElevationMap:
-    """Elevations of one release. Tiles come from the two functions given, when first needed, and the last are kept.
+    """Elevations of one release. Tiles are loaded by two functions on first use; the latest are cached.
 
-    The functions give None where the release has no tile; what they raise, the questions raise.
+    The functions return None if the release has no tile; their exceptions are passed on.
     """
 
     def __init__(
@@ -109,9 +107,9 @@ class ElevationMap:
     ) -> None:
         self.datum = datum
         self.map_version = map_version
-        self._surfaces = _kept(surfaces, TileIndex, tiles_kept)
-        self._links = _kept(links, _Links, tiles_kept)
-        # A vehicle asks many times from the same tile, links and last surface.
+        self._surfaces = _cached(surfaces, TileIndex, tiles_kept)
+        self._links = _cached(links, _Links, tiles_kept)
+        # A vehicle makes many queries with the same tile, links and last surface.
         self._topology = lru_cache(maxsize=256)(self._find_topology)
         self._links_near = lru_cache(maxsize=tiles_kept)(self._find_links_near)
         self._connected = lru_cache(maxsize=4096)(self._find_connected)
@@ -123,7 +121,7 @@ class ElevationMap:
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
     ) -> Road:
-        """The road under a point; `link_ids` and `last_surface_id` as in ElevationRequest."""
+        """Return the road under a point; `link_ids` and `last_surface_id` as in ElevationRequest."""
         tile = tile_of(latitude_rad, longitude_rad)
         index = self._surfaces(tile) if tile is not None else None
         if tile is None or index is None:
@@ -155,9 +153,9 @@ class ElevationMap:
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
     ) -> Road:
-        """`road` with a patch of samples within `radius_m`; the point itself may lie beside the road.
+        """Return `road` with a patch of samples within `radius_m`; the point itself may lie next to the road.
 
-        Surfaces of levels that no candidate link is on are not of the patch, as if they were not there.
+        The patch omits surfaces on levels without candidate links.
         """
         links = tuple(link_ids)
         road = self.road(latitude_rad, longitude_rad, links, last_surface_id)
@@ -168,36 +166,36 @@ class ElevationMap:
         points = frame.geodetic_from_east_north_array(
             np.column_stack((east_m, north_m)), np.zeros(len(east_m))
         )
-        found = self.roads(points[0], points[1], links, last_surface_id)
-        undecided = not links and len(np.unique(found.level)) > 1
-        if undecided or (found.ambiguous & ~found.elsewhere).any():
-            # Surfaces of several levels within reach: where exactly the vehicle is would decide which one it is on.
+        roads = self.roads(points[0], points[1], links, last_surface_id)
+        undecided = not links and len(np.unique(roads.level)) > 1
+        if undecided or (roads.ambiguous & ~roads.elsewhere).any():
+            # Surfaces of several levels within the radius: the exact position would decide which is the road.
             return LEVELS_AMBIGUOUS
-        if len(found.known) == 0:
+        if len(roads.known) == 0:
             return road
         patch = RoadPatch(
             reach_m=radius_m * _LATTICE_STEP,
-            surface_id=found.surface_id,
-            east_m=east_m[found.known],
-            north_m=north_m[found.known],
-            elevation_m=found.elevation_m,
-            sigma_m=found.sigma_m,
-            slope_east=found.slope_east,
-            slope_north=found.slope_north,
+            surface_id=roads.surface_id,
+            east_m=east_m[roads.known],
+            north_m=north_m[roads.known],
+            elevation_m=roads.elevation_m,
+            sigma_m=roads.sigma_m,
+            slope_east=roads.slope_east,
+            slope_north=roads.slope_north,
         )
         if road.status != "known":
-            road = self._beside(patch, found)
+            road = self._nearest_plane(patch, roads)
         return road.model_copy(update={"patch": patch})
 
-    def _beside(self, patch: RoadPatch, found: SelectedRoads) -> Road:
-        """The road nearest to a point beside it, as its plane goes on."""
+    def _nearest_plane(self, patch: RoadPatch, roads: SelectedRoads) -> Road:
+        """Extrapolate the nearest plane of a patch to a point next to the road."""
         k = int(np.argmin(np.hypot(patch.east_m, patch.north_m)))
         slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
         rise_m = slope_east * float(patch.east_m[k]) + slope_north * float(patch.north_m[k])
         return Road(
             status="known",
             surface_id=int(patch.surface_id[k]),
-            level=int(found.level[k]),
+            level=int(roads.level[k]),
             elevation_m=float(patch.elevation_m[k]) - rise_m,
             sigma_m=float(patch.sigma_m[k]),
             slope_east=slope_east,
@@ -215,20 +213,20 @@ class ElevationMap:
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
     ) -> RoadsAhead:
-        """`roads` at places about a point."""
+        """Return `roads` at places given relative to a point."""
         frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
         plane_m = np.column_stack((places.east_m, places.north_m))
         points = frame.geodetic_from_east_north_array(plane_m, np.zeros(len(plane_m)))
-        found = self.roads(points[0], points[1], link_ids, last_surface_id)
+        roads = self.roads(points[0], points[1], link_ids, last_surface_id)
         return RoadsAhead(
-            place=found.known.astype(np.int32),
-            surface_id=found.surface_id,
-            level=found.level.astype(np.int32),
-            elevation_m=found.elevation_m,
-            sigma_m=found.sigma_m,
-            slope_east=found.slope_east,
-            slope_north=found.slope_north,
-            extent_m=found.extent_m,
+            place=roads.known.astype(np.int32),
+            surface_id=roads.surface_id,
+            level=roads.level.astype(np.int32),
+            elevation_m=roads.elevation_m,
+            sigma_m=roads.sigma_m,
+            slope_east=roads.slope_east,
+            slope_north=roads.slope_north,
+            extent_m=roads.extent_m,
         )
 
     def roads(
@@ -238,7 +236,7 @@ class ElevationMap:
         link_ids: Iterable[int] = (),
         last_surface_id: int | None = None,
     ) -> SelectedRoads:
-        """The roads under n points given as two arrays (n,), all by the same links and last surface: n times `road`."""
+        """Return the roads under n points given as two arrays (n,), with the same links and last surface."""
         latitude, longitude = _columns(latitude_rad, longitude_rad)
         links = np.array([*link_ids], np.int64)
         last = np.full(len(latitude), -1 if last_surface_id is None else last_surface_id)
@@ -251,10 +249,7 @@ class ElevationMap:
         link_ids: ArrayLike,
         last_surface_id: ArrayLike,
     ) -> SelectedRoads:
-        """`roads`, each point by its own candidate links (n, c) and last surface (n,); −1 stands for none.
-
-        The poses of a drive, in any order.
-        """
+        """Return `roads` with candidate links (n, c) and last surface (n,) for each point; −1 means none."""
         latitude, longitude = _columns(latitude_rad, longitude_rad)
         links, last = (np.ascontiguousarray(ids, np.int64) for ids in (link_ids, last_surface_id))
         if links.ndim != 2 or len(links) != len(latitude) or last.shape != latitude.shape:
@@ -267,9 +262,9 @@ class ElevationMap:
     def _roads(
         self, latitude_rad: Floats, longitude_rad: Floats, links: Integers, last: Integers
     ) -> SelectedRoads:
-        """Most points by their candidate links alone, the others by all that is known of where the vehicle can be."""
+        """Select by candidate links alone, and by topology where these do not decide."""
         number = tile_numbers(latitude_rad, longitude_rad)
-        found = empty_roads(len(number))
+        roads = empty_roads(len(number))
         points = latitude_rad, longitude_rad, links, last
         sorted_roads = empty_roads(min(_BLOCK, len(number)))
         for begin in range(0, len(number), _BLOCK):
@@ -280,17 +275,31 @@ class ElevationMap:
                 if index is None:
                     sorted_roads.reason[first:end], sorted_roads.elsewhere[first:end] = NO_SURFACE_HERE, False
                 else:
-                    select_roads_by_links(index.table, rows[first:end], *points, sorted_roads, first)
-            restore_order(gone_to, sorted_roads, found, begin)
-        undecided = np.flatnonzero(found.reason == UNDECIDED)
+                    select_roads_by_links(
+                        table=index.table,
+                        points=rows[first:end],
+                        latitude_rad=latitude_rad,
+                        longitude_rad=longitude_rad,
+                        links=links,
+                        last=last,
+                        roads=sorted_roads,
+                        begin=first,
+                    )
+            restore_order(gone_to, sorted_roads, roads, begin)
+        undecided = np.flatnonzero(roads.reason == UNDECIDED)
         if len(undecided):
-            self._by_topology(undecided, number, points, found)
-        known = np.flatnonzero(found.reason == KNOWN)
-        columns = found[2:] if len(known) == len(number) else (column[known] for column in found[2:])
-        return SelectedRoads(found.reason, found.elsewhere, known, *columns)
+            self._by_topology(undecided, number, points, roads)
+        known = np.flatnonzero(roads.reason == KNOWN)
+        all_known = len(known) == len(number)
+        columns = {
+            name: column if all_known else column[known]
+            for name, column in roads._asdict().items()
+            if name not in ("reason", "elsewhere")
+        }
+        return SelectedRoads(reason=roads.reason, elsewhere=roads.elsewhere, known=known, **columns)
 
-    def _by_topology(self, rows: Integers, number: Integers, points: _Points, found: RoadArrays) -> None:
-        """Points of the same tile, last surface and links have the same topology, which is looked up once."""
+    def _by_topology(self, rows: Integers, number: Integers, points: _Points, roads: RoadArrays) -> None:
+        """Select undecided points by topology, determined once for each tile, last surface and set of links."""
         _, _, links, last = points
         keys = np.column_stack((number[rows], last[rows], links[rows]))
         group, first = group_rows(keys)
@@ -308,8 +317,16 @@ class ElevationMap:
                 )
             place[groups] = np.arange(len(groups))
             index = self._index(tile)
-            assert index is not None, "without surfaces it would have been decided"
-            select_roads(index.table, rows[here], *points[:2], place[group[here]], topologies(known), found)
+            assert index is not None, "a tile without surfaces is decided"
+            select_roads(
+                table=index.table,
+                points=rows[here],
+                latitude_rad=points[0],
+                longitude_rad=points[1],
+                topology=place[group[here]],
+                known=topologies(known),
+                roads=roads,
+            )
 
     def _index(self, tile: int) -> TileIndex | None:
         return self._surfaces(divmod(tile, TILES)) if tile >= 0 else None
@@ -324,10 +341,10 @@ class ElevationMap:
             levels = frozenset(
                 links.level[link] for links in near for link in candidates if link in links.level
             )
-        return Topology(candidates, connected, levels)
+        return Topology(candidates=candidates, connected=connected, levels=levels)
 
     def _find_last(self, tile: Tile, surface_id: int) -> tuple[frozenset[int], frozenset[int]]:
-        """Links connected to a surface that is in a tile or beside it, and its level; nothing where it is farther."""
+        """Return the links connected to a surface, and its level; nothing unless it is in the tile or a neighbour."""
         for around in _neighbours(tile):
             index = self._surfaces(around)
             row = None if index is None else index.row_of(surface_id)
@@ -338,7 +355,7 @@ class ElevationMap:
         return self._connected(tile, int(index.link_id[row])), frozenset({int(index.level[row])})
 
     def _find_connected(self, tile: Tile, link: int) -> frozenset[int]:
-        """A link and those that share a node with it, as far as they come near a tile."""
+        """Return a link and those near the tile that share a node with it."""
         near = self._links_near(tile)
         nodes = {node for links in near for node in links.nodes.get(link, ())}
         return frozenset({link}.union(*(links.at_node.get(node, ()) for links in near for node in nodes)))
@@ -349,7 +366,7 @@ class ElevationMap:
 
 @lru_cache(maxsize=4096)
 def _neighbours(tile: Tile) -> tuple[Tile, ...]:
-    """A tile and the eight around it, itself first."""
+    """Return a tile and the eight around it, itself first."""
     x, y = tile
     steps = [(0, 0)] + [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
     return tuple(((x + i) % TILES, y + j) for i, j in steps if 0 <= y + j < TILES)
@@ -366,10 +383,10 @@ def _columns(
     return latitude, longitude
 
 
-def _kept(
+def _cached(
     load: Callable[[int, int], T | None], make: Callable[[T], M], count: int
 ) -> Callable[[Tile], M | None]:
-    """`make` of what `load` gives for a tile, the last `count` kept; a load that raised is tried again."""
+    """Cache `make(load(tile))` for the last `count` tiles; a load that raised is repeated."""
 
     @lru_cache(maxsize=count)
     def get(tile: Tile) -> M | None:

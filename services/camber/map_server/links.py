@@ -1,4 +1,4 @@
-"""The links around a point, as columns."""
+"""Select the links around a point, as columns."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from camber.road_map.tile_grid import tile_frame
 from camber.schemas.codec import encode
 from camber.schemas.road import LinksReply, LinksRequest, LinkTile
 
-MAX_REPLY_BYTES = 256_000
+MAX_REPLY_BYTES = 256_000  # docs/conventions.md, delivery
 
 
 def links_around(
     tiles: Iterable[LinkTile], request: LinksRequest, *, map_version: int, time_ns: int
 ) -> LinksReply:
-    """The links of some tiles that come within the radius of the request's point, each once, by id.
+    """Return the links of some tiles within the radius of the request's point, each once, by id.
 
-    Unknown where there is no tile at all (the map does not reach here), and where the reply would be too large for one
-    message: a part of the links would look like all of them.
+    Unknown without a tile (beyond the map), and if the reply would be too large for one message: a part of the links
+    would look like all of them.
     """
     parts = [_near(tile, request) for tile in tiles]
     if not parts:
@@ -47,13 +47,13 @@ def links_around(
     )
     size = len(encode(reply))
     if size > MAX_REPLY_BYTES:
-        reason = f"{len(first)} links in {size} bytes, at most {MAX_REPLY_BYTES} go into a reply: ask a smaller radius"
+        reason = f"{len(first)} links in {size} bytes, at most {MAX_REPLY_BYTES} fit: request a smaller radius"
         return unknown_links(reason, map_version=map_version, time_ns=time_ns)
     return reply
 
 
 def unknown_links(reason: str, *, map_version: int, time_ns: int) -> LinksReply:
-    """A reply that says why there is none."""
+    """Return a reply with the reason why the links are unknown."""
     none, integers = np.zeros(0), np.zeros(0, np.int64)
     return LinksReply(
         time_ns=time_ns,
@@ -72,7 +72,7 @@ def unknown_links(reason: str, *, map_version: int, time_ns: int) -> LinksReply:
 
 
 def _near(tile: LinkTile, request: LinksRequest) -> tuple[list[NDArray[Any]], list[NDArray[np.float64]]]:
-    """Columns and lines (k, 2; latitude, longitude) of a tile's links that come within the radius."""
+    """Return columns and lines (k, 2; latitude, longitude) of a tile's links within the radius."""
     frame = tile_frame(tile.x, tile.y)
     at = np.array(frame.east_north_from_geodetic(request.latitude_rad, request.longitude_rad, 0.0))
     points_m = np.column_stack((tile.east_m, tile.north_m))
@@ -88,14 +88,14 @@ def _near(tile: LinkTile, request: LinksRequest) -> tuple[list[NDArray[Any]], li
 def _distances_m(
     points_m: NDArray[np.float64], first_vertex: NDArray[np.int32], at_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance (links,) of a point to each line of points (n, 2); every line has two points or more."""
+    """Return the distance (links,) of a point to each line of points (n, 2), of two points or more."""
     if len(first_vertex) < 2:
         return np.zeros(0)
     start, step = points_m[:-1], np.diff(points_m, axis=0)
     length_2 = np.maximum((step**2).sum(axis=1), 1e-18)
     along = np.clip(((at_m - start) * step).sum(axis=1) / length_2, 0.0, 1.0)
     to_segment_m = np.hypot(*(at_m - start - along[:, None] * step).T)
-    # The segment from one line's end to the next line's beginning is no segment.
+    # The step from one line's end to the next line's start is no segment.
     to_segment_m[first_vertex[1:-1] - 1] = np.inf
     nearest_m: NDArray[np.float64] = np.minimum.reduceat(to_segment_m, first_vertex[:-1])
     return nearest_m

@@ -1,4 +1,4 @@
-"""Points that are asked for together: those of one tile and one topology, by number."""
+"""Group points by tile and by topology."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ _SPREAD = -7046029254386353131
 Programming, volume 3, section 6.4)."""
 
 _TILES_RAD = TILES / (2.0 * math.pi)
-_SERIES_REACH_RAD = 1e-3
-_EDGE = 1e-3
-"""Of a tile: at 85° the series is wrong by a twentieth of this where its reach ends."""
+_SERIES_REACH_RAD = 1e-3  # chosen with _EDGE
+_EDGE = 1e-3  # share of a tile; at 85° the error of the series at the end of its reach is a twentieth of it
 
 
 @compiled
 def tile_numbers(latitude_rad: Floats, longitude_rad: Floats) -> Integers:
-    """`x × TILES + y` of the tiles (n,) of n points, as `tile_of`; −1 beyond 85.05° and where a point is no number.
+    """Return `x × TILES + y` of the tiles (n,) of n points, as `tile_of`; −1 beyond 85.05° and for NaN.
 
-    With y by its series about the last point that was far from those before, and by itself only near an edge.
+    y is computed by a Taylor series about a nearby point, and exactly only near the edge of a tile.
     """
     number = np.full(len(latitude_rad), -1, np.int64)
     about, y_0, y_1, y_2, y_3 = math.nan, 0.0, 0.0, 0.0, 0.0
@@ -56,9 +55,8 @@ def _tile_y(latitude_rad: float) -> float:
 
 @compiled
 def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers, Integers]:
-    """Points of one tile side by side: the tiles met (t,), and of tile k the points `points[start[k] : start[k + 1]]`.
-
-    Also where in `points` each point has gone (n,).
+    """Sort points by tile: the tiles (t,), the points `points[start[k] : start[k + 1]]` of tile k, and the position of
+    each point in `points` (n,).
     """
     n, size = len(number), 16
     while size < 2 * n:
@@ -87,12 +85,12 @@ def sort_by_tile(number: Integers) -> tuple[Integers, Integers, Integers, Intege
 
 @compiled
 def group_rows(rows: Integers) -> tuple[Integers, Integers]:
-    """Number (n,) of the group of equal rows (n, k) that each row is in, and the first row (groups,) of each.
+    """Return the group (n,) of equal rows (n, k) of each row, and the first row (groups,) of each group.
 
-    Groups are numbered as they are met.
+    Groups are numbered in the order of their first rows.
     """
     n, k = rows.shape
-    # Small as long as there are few groups: then it stays near the processor.
+    # Small as long as there are few groups, so that it stays in the processor's cache.
     in_slot, met = np.full(16, -1, np.int32), np.empty((8, k), np.int64)
     group, first = np.empty(n, np.int64), np.empty(n, np.int64)
     count = 0
@@ -116,7 +114,7 @@ def group_rows(rows: Integers) -> tuple[Integers, Integers]:
 
 @compiled
 def _slot(row: Integers, in_slot: NDArray[np.int32], met: Integers) -> np.int64:
-    """Where a row is among those met, or where it is to be put."""
+    """Return the hash table's slot of a row, or the free slot for it."""
     mixed = np.int64(0)
     for j in range(len(row)):
         mixed = (mixed ^ row[j]) * np.int64(_SPREAD)
@@ -129,7 +127,7 @@ def _slot(row: Integers, in_slot: NDArray[np.int32], met: Integers) -> np.int64:
 
 @compiled
 def members(group: Integers, groups: int) -> tuple[Integers, Integers]:
-    """Rows of group g, ascending: `rows[start[g] : start[g + 1]]`; returns rows (n,) and start (groups + 1,)."""
+    """Return rows (n,) and start (groups + 1,): rows of group g, ascending, are `rows[start[g] : start[g + 1]]`."""
     start = np.zeros(groups + 1, np.int64)
     for i in range(len(group)):
         start[group[i] + 1] += 1

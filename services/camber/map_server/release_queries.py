@@ -1,4 +1,4 @@
-"""The three questions, answered from one release: for the process, and for whoever has the release itself at hand."""
+"""Answer the three queries from one release, for the service and for tools that have the release itself."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ from camber.schemas.road import (
 
 
 class ReleaseQueries:
-    """Answers of one release. Each raises ReleaseError where a tile can no longer be read as it was written.
-
-    Where a tile that is needed has not been fetched they raise BlobMissingError: it is not known what is there.
-    """
+    """Queries to one release. Each raises ReleaseError for a damaged tile, BlobMissingError for one not downloaded."""
 
     def __init__(self, release: Release, *, tiles_kept: int = 256) -> None:
         self._release = release
@@ -37,10 +34,10 @@ class ReleaseQueries:
             map_version=manifest.map_version,
             tiles_kept=tiles_kept,
         )
-        self._blob: tuple[str, bytes] | None = None  # the last one asked for, for its other parts
+        self._blob: tuple[str, bytes] | None = None  # the last one requested, for its other parts
 
     def elevation(self, request: ElevationRequest, *, time_ns: int) -> ElevationReply:
-        """The road under a point, and where it was asked for those ahead of it."""
+        """Answer the road under a point, and the roads ahead if requested."""
         point = request.latitude_rad, request.longitude_rad
         topology = request.link_ids, request.last_surface_id
         road: Road = self._elevation.road_around(*point, request.radius_m, *topology)
@@ -51,18 +48,18 @@ class ReleaseQueries:
         return ElevationReply(time_ns=time_ns, road=road, ahead=ahead)
 
     def links(self, request: LinksRequest, *, time_ns: int) -> LinksReply:
-        """The links around a point."""
+        """Answer the links around a point."""
         around = tiles_around(request.latitude_rad, request.longitude_rad, request.radius_m)
         tiles = [tile for xy in around if (tile := self._release.link_tile(*xy)) is not None]
         return links_around(tiles, request, map_version=self._release.manifest.map_version, time_ns=time_ns)
 
     def tile(self, request: TileRequest, *, time_ns: int) -> TileReply:
-        """A part of a tile's blob."""
+        """Answer a part of a tile's blob."""
         digest = self._release.sha256(request.layer, request.x, request.y)
         if digest is None:
             return unknown_tile("the release has no such tile", time_ns=time_ns)
         if self._blob is None or self._blob[0] != digest:
             blob = self._release.blob(request.layer, request.x, request.y)
-            assert blob is not None, "the release has just named its hash"
+            assert blob is not None, "the release has its hash"
             self._blob = digest, blob
         return tile_part(self._blob[1], digest, request, time_ns=time_ns)

@@ -19,58 +19,66 @@ class MapServerSettings(ServiceSettings):
 
     release: Path | None = Field(
         None,
-        description="folder of a release, which may come later: served, or taken into `store` where that is set",
+        description="folder of a release, which may appear later: served, or imported into `store` if that is set",
     )
     public_key: Path | None = Field(
         None,
         description="PEM file of the Ed25519 key that releases must be signed with; unset: signatures of "
-        "`release` are not asked, and over the bus nothing is taken",
+        "`release` are not checked, and releases from the bus are refused",
     )
-    datum: Name = Field("WGS84", description="datum that positions and heights must be in")
+    datum: Name = Field("WGS84", description="datum of positions and heights")
     max_age_days: float | None = Field(
         None,
         gt=0.0,
-        description="a release made longer ago is stale and says nothing; unset: any age will do",
+        description="an older release is stale and all roads are unknown; unset: no limit",
     )
-    look_every_s: float = Field(2.0, gt=0.0, le=3600.0, description="how often to look for a new release")
-    retry_every_s: float = Field(60.0, gt=0.0, description="how often to try a refused release again")
+    look_every_s: float = Field(
+        2.0, gt=0.0, le=3600.0, description="interval of checks for a new release on disk"
+    )
+    retry_every_s: float = Field(60.0, gt=0.0, description="interval of retries of a refused release")
     verify_bytes: int = Field(
-        4_000_000, gt=0, description="about how much of a new release is verified in a round of the work loop"
+        4_000_000,
+        gt=0,
+        description="approximate amount of a new release that is verified per iteration of the work loop",
     )
-    tiles_kept: int = Field(256, ge=32, description="how many tiles are kept ready for questions")
+    tiles_kept: int = Field(256, ge=32, description="number of tiles in memory")
     store: Path | None = Field(
         None,
-        description="file with the vehicle's releases, brought there from the cloud; unset: `release` is served",
+        description="file for the vehicle's releases, downloaded from the cloud; unset: `release` is served",
     )
     region: Name | None = Field(
-        None, description="region whose releases are fetched; unset: that of the map that is here"
+        None, description="region of the releases to download; unset: that of the present map"
     )
     around_km: float | None = Field(
-        None, gt=0.5, le=1000.0, description="fetch the map this far around the vehicle; unset: all of it"
+        None,
+        gt=0.5,
+        le=1000.0,
+        description="radius around the vehicle of the map to download; unset: the whole map",
     )
     ask_every_s: float = Field(
-        600.0, ge=0.1, description="how often at the least the cloud is asked for a newer release"
+        600.0, ge=0.1, description="longest interval of queries to the cloud for a newer release"
     )
     ask_spread_s: float = Field(
         10.0,
         ge=0.0,
-        description="a notice of a release is followed within this time, at random: a fleet hears it at once",
+        description="longest random delay of a query after a notice, which a whole fleet receives at once",
     )
     store_limit_bytes: int = Field(4 << 30, ge=1 << 20, description="largest size of `store`")
     unsigned: bool = Field(
-        False, description="take releases over the bus without a `public_key`: anyone's, on a bus of your own"
+        False,
+        description="accept releases from the bus without a `public_key`, from any publisher; for private buses only",
     )
 
     @model_validator(mode="after")
-    def _there_is_a_map(self) -> Self:
+    def _has_release_or_store(self) -> Self:
         if self.release is None and self.store is None:
             raise ValueError("release or store: missing; one of them must be set")
         return self
 
     @field_validator("public_key")
     @classmethod
-    def _key_is_there(cls, path: Path | None) -> Path | None:
-        # A key that cannot be read must end the start, never turn into a service that asks for no signature.
+    def _check_key(cls, path: Path | None) -> Path | None:
+        # An unreadable key must prevent the start, never result in a service that checks no signatures.
         if path is not None:
             try:
                 load_public_key(path)

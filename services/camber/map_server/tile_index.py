@@ -1,8 +1,7 @@
-"""The road surfaces of one tile, indexed: which are at a point, and how high and how steep they are there.
+"""Spatial index of a tile's road surfaces: which are at a point, and their height and slope there.
 
-A surface's own axes: u along (yaw, counter-clockwise from east), v across (positive to the left), metres from its
-centre. Its grid is bilinear between the points; beyond its edge, within TOLERANCE_M, it goes on with the slope at
-the edge.
+A surface's axes: u along (yaw, counter-clockwise from east), v across (positive to the left), metres from its centre.
+Its grid is interpolated bilinearly, and extrapolated with the slope at its edge within TOLERANCE_M.
 """
 
 from __future__ import annotations
@@ -20,21 +19,20 @@ from camber.road_map.tile_grid import MARGIN_M, tile_corners_rad, tile_frame
 from camber.schemas.road import SurfaceTile
 
 TOLERANCE_M = 0.5
-"""A surface reaches this far beyond its rectangle, and no farther."""
+"""Extrapolation of a surface beyond its rectangle; chosen: closes gaps between rectangles of imported maps."""
 CELL_M = 10.0
-"""Side of the cells of the search structure."""
+"""Side of the cells of the index; chosen: about half the 20 m of a surface."""
 EDGE_M = 1e-6
-"""Rounding of positions: a point on an edge is inside whichever way it was computed."""
-_LEAST_SIGMA_M = 0.01  # planes are not called curved for less than this
+"""Rounding tolerance of positions; chosen: a point on an edge is inside in both computations."""
+_LEAST_SIGMA_M = 0.01  # chosen: a departure from the plane of less than a centimetre is ignored
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
 class SurfaceHit(NamedTuple):
-    """A surface at a point: where on it (u, v), and the plane there."""
+    """A surface at a point and its tangent plane there; `offset_m`: distance from the centre line."""
 
-    row: int
     surface_id: int
     link_id: int
     level: int
@@ -50,10 +48,9 @@ class SurfaceHit(NamedTuple):
 class SurfaceTable(NamedTuple):
     """The surfaces of a tile for compiled loops; rows by surface id.
 
-    `origin` (5,), `series` (9,): of the tile's plane, `shape` (n, 8): centre east and north, cosine and sine of the
-    yaw, half length, half width, σ and extent, `grid` (n, 3) first height, rows and columns, `names` (n, 3) surface,
-    link and level.
-    Cells: of cell i the rows are `cell_rows[cell_start[i] : cell_start[i + 1]]`, `most_in_cell` at most.
+    `origin` (5,), `series` (9,): of the tile's plane; `shape` (n, 8): centre east and north, cosine and sine of the
+    yaw, half length, half width, σ and extent; `grid` (n, 3): first height, rows and columns; `names` (n, 3): surface,
+    link and level. Rows of cell i: `cell_rows[cell_start[i] : cell_start[i + 1]]`, at most `most_in_cell`.
     """
 
     origin: Floats
@@ -72,7 +69,7 @@ class SurfaceTable(NamedTuple):
 
 
 class TileIndex:
-    """Search structure of one tile: cells of 10 m, each with the surfaces that reach into it."""
+    """Index of one tile: cells of 10 m, each with the surfaces that reach into it."""
 
     def __init__(self, tile: SurfaceTile) -> None:
         order = np.argsort(tile.surface_id, kind="stable")
@@ -83,7 +80,7 @@ class TileIndex:
         self.sigma_m = tile.sigma_m[order].astype(np.float64)
         half_length_m = tile.half_length_m[order].astype(np.float64)
         half_width_m = tile.half_width_m[order].astype(np.float64)
-        # Along a path inside the surface the plane departs by at most the length times the spread of slopes.
+        # Within the surface the tangent plane departs by at most the distance times the spread of slopes.
         spread = surface_slopes(tile)[1][order]
         reach_m = np.maximum(self.sigma_m, _LEAST_SIGMA_M) / np.maximum(spread, 1e-9)
         self.extent_m = np.minimum(reach_m, np.hypot(half_length_m, half_width_m))
@@ -119,7 +116,7 @@ class TileIndex:
             names=np.column_stack((self.surface_id, self.link_id, self.level)),
             heights_m=self._heights_m,
         )
-        # The same as plain numbers: for one point they are many times faster than numpy's.
+        # The same as Python numbers: for a single point many times faster than numpy.
         self._plain_shape: list[list[float]] = self._shape.tolist()
         self._plain_grid: list[list[int]] = self._grid.tolist()
         columns = (self.surface_id, self.link_id, self.level, self.sigma_m, self.extent_m)
@@ -128,12 +125,12 @@ class TileIndex:
         )
 
     def row_of(self, surface_id: int) -> int | None:
-        """Row of a surface; None: it is not in this tile."""
+        """Return the row of a surface; None if it is not in this tile."""
         return self._row_of.get(surface_id)
 
     def hits(self, east_m: float, north_m: float) -> list[SurfaceHit]:
-        """The surfaces at a point of the tile, by surface id."""
-        found = []
+        """Return the surfaces at a point of the tile, by surface id."""
+        hits = []
         for row in self._plain_cell(east_m, north_m):
             centre_east, centre_north, cos, sin, half_length, half_width, _, _ = self._plain_shape[row]
             de, dn = east_m - centre_east, north_m - centre_north
@@ -141,30 +138,30 @@ class TileIndex:
             beyond_u, beyond_v = abs(u) - half_length, abs(v) - half_width
             if beyond_u <= TOLERANCE_M and beyond_v <= TOLERANCE_M and _near(beyond_u, beyond_v):
                 inside = beyond_u <= EDGE_M and beyond_v <= EDGE_M
-                height, slope_u, slope_v = self._plane(row, u, v, half_length, half_width)
+                height, slope_u, slope_v = self._plane(row, (u, v), (half_length, half_width))
                 surface_id, link_id, level, sigma, extent = self._plain[row]
-                slope_east, slope_north = slope_u * cos - slope_v * sin, slope_u * sin + slope_v * cos
-                found.append(
+                hits.append(
                     SurfaceHit(
-                        row,
-                        surface_id,
-                        link_id,
-                        level,
-                        inside,
-                        abs(v),
-                        height,
-                        sigma,
-                        slope_east,
-                        slope_north,
-                        extent,
+                        surface_id=surface_id,
+                        link_id=link_id,
+                        level=level,
+                        inside=inside,
+                        offset_m=abs(v),
+                        height_m=height,
+                        sigma_m=sigma,
+                        slope_east=slope_u * cos - slope_v * sin,
+                        slope_north=slope_u * sin + slope_v * cos,
+                        extent_m=extent,
                     )
                 )
-        return found
+        return hits
 
     def _plane(
-        self, row: int, u: float, v: float, half_length: float, half_width: float
+        self, row: int, uv: tuple[float, float], half_size: tuple[float, float]
     ) -> tuple[float, float, float]:
+        """Return height, slope along and slope across, as `grid_plane`."""
         first, rows, columns = self._plain_grid[row]
+        (u, v), (half_length, half_width) = uv, half_size
         at_u, at_v = min(max(u, -half_length), half_length), min(max(v, -half_width), half_width)
         step_u, step_v = 2.0 * half_length / (rows - 1), 2.0 * half_width / (columns - 1)
         p, q = (at_u + half_length) / step_u, (at_v + half_width) / step_v
@@ -186,7 +183,7 @@ class TileIndex:
         return self._cells.get(line * self._columns + column, ())
 
     def _make_cells(self, x: int, y: int) -> None:
-        """Cells over the tile as rows of a table: of cell i `_cell_rows[_cell_start[i] : _cell_start[i + 1]]`."""
+        """Assign surfaces to cells: `_cell_start`, `_cell_rows` as in SurfaceTable, `_cells` for one point."""
         south, west, north, east = tile_corners_rad(x, y)
         corners_m = self.frame.east_north_from_geodetic_array(
             [south, south, north, north], [west, east, west, east], np.zeros(4)
@@ -216,7 +213,7 @@ class TileIndex:
 
 
 def _near(beyond_u: float, beyond_v: float) -> bool:
-    """Round corners: the distance to the rectangle counts, not that to each side."""
+    """Whether a point is within the tolerance of the rectangle, also at its corners."""
     return beyond_u <= 0.0 or beyond_v <= 0.0 or math.hypot(beyond_u, beyond_v) <= TOLERANCE_M
 
 

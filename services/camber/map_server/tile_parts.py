@@ -1,4 +1,4 @@
-"""A tile's blob in parts that fit into replies."""
+"""Divide a tile's blob into parts that fit into replies."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from camber.schemas.road import TileReply, TileRequest
 
 
 def tile_part(blob: bytes, sha256: str, request: TileRequest, *, time_ns: int) -> TileReply:
-    """The part asked for; `unchanged` where the asker has the blob already.
+    """Return the requested part; `unchanged` if the client has the blob already.
 
-    Every part names the blob's hash: where it differs from that of the part before, the map has changed meanwhile, and
-    the asker begins again.
+    Every part has the blob's hash: if it differs from that of the part before, the map has changed and the client
+    starts again.
     """
     if request.have_sha256 == sha256:
         return TileReply(time_ns=time_ns, status="unchanged", sha256=sha256, payload=np.zeros(0, np.uint8))
@@ -25,5 +25,5 @@ def tile_part(blob: bytes, sha256: str, request: TileRequest, *, time_ns: int) -
 
 
 def unknown_tile(reason: str, *, time_ns: int) -> TileReply:
-    """A reply that says why there is none."""
+    """Return a reply with the reason why the tile is unknown."""
     return TileReply(time_ns=time_ns, status="unknown", reason=reason, payload=np.zeros(0, np.uint8))

@@ -1,4 +1,4 @@
-"""Which surface at a point is the road the vehicle is on: by links and levels, never by the height under test."""
+"""Select the road surface at a point by links and levels, never by the height under test."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from camber.map_server.tile_index import SurfaceHit
 
 TIE_M = 1e-6
-"""Centre lines this near to one another are equally near: the smaller id is taken."""
+"""Resolution of the distance to centre lines: among equally near ones the smaller id is taken; chosen: rounding."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Topology:
-    """What is known of where the vehicle can be.
+    """Links and levels on which the vehicle may be.
 
     `candidates`: links it may be on; `connected`: the link of its last surface and those that share a node with it;
-    `levels`: levels of the candidates or, without candidates, of the last surface, as far as the map knows them.
+    `levels`: known levels of the candidates or, without candidates, of the last surface.
     """
 
     candidates: frozenset[int] = frozenset()
@@ -25,15 +25,15 @@ class Topology:
 
 
 def select_surface(hits: Sequence[SurfaceHit], topology: Topology) -> SurfaceHit | None:
-    """The surface among those at one point, or None where it is ambiguous.
+    """Return the surface among those at one point, or None if ambiguous.
 
-    1. Surfaces of candidate links; among them, or where no candidates were given, those connected to the last surface.
-    2. Where that leaves none: all, provided that nothing that is known of the topology is on another level.
-    3. What is left must be on one level, or all connected to the last surface: where a road changes its level.
-    4. Of that level those that contain the point (else those within the tolerance), which must agree within their σ;
-       the one whose centre line is nearest.
+    1. Surfaces of candidate links; among them, or without candidates, those connected to the last surface.
+    2. If none is left: all, provided that no level known by topology differs from theirs.
+    3. The surfaces left must be on one level, or all connected to the last surface: a road that changes its level.
+    4. Of these the ones that contain the point, else those within the tolerance. They must agree within their σ; the
+       one with the nearest centre line is selected.
 
-    In 4 the heights of the map are compared with one another; no height from outside enters.
+    Step 4 compares heights of the map with one another; no measured height enters.
     """
     plausible = [hit for hit in hits if hit.link_id in topology.candidates]
     if plausible or not topology.candidates:

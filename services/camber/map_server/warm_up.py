@@ -1,7 +1,6 @@
-"""Compile the choice of roads before the first question comes: the road at a made-up point is asked for, both ways.
+"""Compile the road selection before the first query, by queries to a synthetic surface.
 
-The compiled code is kept on disk; where it is there already this takes a moment. `python -m camber.map_server.warm_up`
-does it ahead, for an image.
+The compiled code is cached on disk. `python -m camber.map_server.warm_up` fills the cache of an image.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ _LATITUDE_RAD, _LONGITUDE_RAD = 0.6, 2.4
 
 
 def warm_up() -> Road:
-    """Ask for the road around a point on a made-up surface; returns the answer."""
+    """Return the road around a point on a synthetic surface; compiles both paths of the selection."""
     surfaces = RoadSurfaces(
         surface_id=np.array([1]),
         link_id=np.array([1]),
@@ -34,7 +33,7 @@ def warm_up() -> Road:
     )
     tiles = {(tile.x, tile.y): tile for tile in surface_tiles(surfaces)}
     roads = ElevationMap(lambda x, y: tiles.get((x, y)), lambda x, y: None, datum="WGS84", map_version=1)
-    # By what it was on last: what candidate links alone do not tell is told another way.
+    # With a last surface: candidate links alone do not decide, so the second path is compiled.
     roads.roads([_LATITUDE_RAD], [_LONGITUDE_RAD], (), 1)
     return roads.road_around(_LATITUDE_RAD, _LONGITUDE_RAD, 1.0)
 

@@ -151,7 +151,7 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
         (("--geoid-undulation-m", "45"), "expected all of --geoid-undulation-m"),
         (
             ("--geoid-undulation-m", "45", "--geoid-sigma-m", "0.1", "--geoid-source", " "),
-            "the undulation's source is not said",
+            "the undulation has no source",
         ),
     ],
 )
