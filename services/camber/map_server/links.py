@@ -47,9 +47,7 @@ def links_around(
     )
     size = len(encode(reply))
     if size > MAX_REPLY_BYTES:
-        reason = (
-            f"{len(first)} links in {size} bytes, at most {MAX_REPLY_BYTES} go into a reply: use a smaller radius"
-        )
+        reason = f"{len(first)} links in {size} bytes, at most {MAX_REPLY_BYTES} go into a reply: use a smaller radius"
         return unknown_links(reason, map_version=map_version, time_ns=time_ns)
     return reply
 

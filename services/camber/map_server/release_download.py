@@ -117,7 +117,7 @@ class ReleaseDownload:
         self.fetched_blobs = 0
         self.in_use: int | None = None
         self._store = store
-        self._wishes = request
+        self._request = request
         self._position = position
         self._now_ns = now_ns
         self._ahead: dict[tuple[str, str | None], bytes] = {}
@@ -128,7 +128,7 @@ class ReleaseDownload:
         Raises SupplierUnavailableError, and ReleaseError for a root that is refused.
         """
         newest = self._store.coming() or self._store.current()
-        region = self._wishes.region or (supplier.region() if newest is None else newest.region)
+        region = self._request.region or (supplier.region() if newest is None else newest.region)
         if region is None:
             raise ReleaseError(supplier.name, "region", "a setting, where there is no map yet")
         have = (
@@ -140,7 +140,9 @@ class ReleaseDownload:
         data = reply.payload.tobytes()
         if supplier.may_be_old and self._is_old(data):
             return False
-        return self._store.accept(data, file=supplier.name, region=region, public_key=self._wishes.public_key)
+        return self._store.accept(
+            data, file=supplier.name, region=region, public_key=self._request.public_key
+        )
 
     def fetch(self, supplier: ReleaseSupplier) -> Iterator[None]:
         """Download what is missing, a step for each blob, then activate the new release.
@@ -154,7 +156,7 @@ class ReleaseDownload:
                 return
             yield from self._manifest(kept, supplier)
             release = self._store.open(kept.map_version)
-            self._wishes.acceptable(release)
+            self._request.acceptable(release)
             yield from self._tiles(release, supplier)
             if kept == coming:
                 self._store.put_in_force(kept.map_version)
@@ -313,7 +315,7 @@ class ReleaseDownload:
 
     def _wanted(self, release: Release) -> list[str]:
         """Return the hashes of the required tiles, nearest first."""
-        manifest, around_m = release.manifest, self._wishes.around_m
+        manifest, around_m = release.manifest, self._request.around_m
         point = self._position.point_rad
         x, y = manifest.tile_x.astype(np.int64), manifest.tile_y.astype(np.int64)
         if around_m is None:
@@ -338,7 +340,7 @@ class ReleaseDownload:
         return {(x, y) for digest, x, y in places if digest not in missing}
 
     def _kept_tiles(self) -> Callable[[Release], set[str]] | None:
-        around_m, point = self._wishes.around_m, self._position.point_rad
+        around_m, point = self._request.around_m, self._position.point_rad
         if around_m is None or point is None:
             return None
         near = set(tiles_around(*point, _KEPT_FACTOR * around_m))

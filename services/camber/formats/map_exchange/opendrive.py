@@ -147,7 +147,9 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
         element.tag = element.tag.rpartition("}")[2]  # namespaces differ between editions, names do not
     if root.tag != "OpenDRIVE":
         raise FormatError(file, "XML", "a document <OpenDRIVE>", actual=f"<{root.tag}>")
-    roads = [_road(_Node(element, file, f"road {element.get('id', '')}")) for element in root.findall("road")]
+    roads = [
+        _road(_XmlElement(element, file, f"road {element.get('id', '')}")) for element in root.findall("road")
+    ]
     if not roads:
         raise FormatError(file, "road", "at least one")
     if len({road.identity for road in roads}) != len(roads):
@@ -158,7 +160,7 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
         for element in junction.findall("connection")
         if _connecting_road(element) and element.get("incomingRoad") is not None
     ]
-    offset = _Node(root.find("header/offset"), file, "header, offset")
+    offset = _XmlElement(root.find("header/offset"), file, "header, offset")
     if abs(offset.number("hdg", default=0.0)) > 0.0:
         raise offset.error("hdg", "0", actual=offset.get("hdg"))
     x, y, z = (offset.number(name, default=0.0) for name in ("x", "y", "z"))
@@ -166,7 +168,7 @@ def opendrive_map(data: bytes, file: str) -> OpenDrive:
     return OpenDrive(georeference=georeference, offset_m=(x, y, z), roads=roads, connections=connections)
 
 
-class _Node:
+class _XmlElement:
     """An XML element, or None for a missing one, with its file and name for error texts."""
 
     def __init__(self, element: ElementTree.Element | None, file: str, name: str) -> None:
@@ -177,10 +179,10 @@ class _Node:
     def get(self, key: str) -> str:
         return self.element.get(key, "")
 
-    def nodes(self, path: str, name: str = "") -> list[_Node]:
+    def nodes(self, path: str, name: str = "") -> list[_XmlElement]:
         """Return the elements at a path; `name` is appended to the name of this one."""
         full_name = f"{self.name}, {name}" if name else self.name
-        return [_Node(element, self.file, full_name) for element in self.element.findall(path)]
+        return [_XmlElement(element, self.file, full_name) for element in self.element.findall(path)]
 
     def error(self, field: str, expected: str, actual: str | None = None) -> FormatError:
         return FormatError(
@@ -213,14 +215,14 @@ class _Node:
         return _cubics(self.nodes(path, name or path.rpartition("/")[2]), at)
 
 
-def _cubics(nodes: Sequence[_Node], at: str = "s") -> Floats:
+def _cubics(nodes: Sequence[_XmlElement], at: str = "s") -> Floats:
     table = np.array([[node.number(key) for key in (at, *_CUBIC)] for node in nodes]).reshape(-1, 5)
     if (np.diff(table[:, 0]) < 0.0).any():
         raise nodes[0].error(at, "values ascending")
     return table
 
 
-def _road(node: _Node) -> OpenDriveRoad:
+def _road(node: _XmlElement) -> OpenDriveRoad:
     length_m = node.number("length")
     if not 0.0 < length_m <= MAX_ROAD_M:
         raise node.error("length", f"more than 0, at most {MAX_ROAD_M:.0f}", actual=node.get("length"))
@@ -254,8 +256,8 @@ def _road(node: _Node) -> OpenDriveRoad:
     )
 
 
-def _geometry(node: _Node) -> PlanViewGeometry:
-    node = _Node(node.element, node.file, f"{node.name}, geometry at s {node.get('s')[:20]}")
+def _geometry(node: _XmlElement) -> PlanViewGeometry:
+    node = _XmlElement(node.element, node.file, f"{node.name}, geometry at s {node.get('s')[:20]}")
     s, x, y, heading, length = (node.number(key) for key in ("s", "x", "y", "hdg", "length"))
     if not 0.0 <= length <= MAX_ROAD_M or s < 0.0:
         raise node.error("length", f"0 to {MAX_ROAD_M:.0f}", actual=node.get("length"))
@@ -264,7 +266,7 @@ def _geometry(node: _Node) -> PlanViewGeometry:
         tags = ",".join(child.tag for child in node.element)
         raise node.error("", f"one of {', '.join(SHAPES)}", actual=tags)
     tag = shapes[0].tag
-    shape = _Node(shapes[0], node.file, f"{node.name}, {tag}")
+    shape = _XmlElement(shapes[0], node.file, f"{node.name}, {tag}")
     numbers = tuple(shape.number(key) for key in SHAPES[tag])
     if tag in ("arc", "spiral") and max(map(abs, numbers)) > _MAX_CURVATURE_PER_M:
         raise shape.error("", "curvatures of at most 10 per metre", actual=str(max(numbers, key=abs)))
@@ -280,9 +282,9 @@ def _geometry(node: _Node) -> PlanViewGeometry:
     )
 
 
-def _section(node: _Node) -> LaneSection:
+def _section(node: _XmlElement) -> LaneSection:
     s_m = node.number("s")
-    node = _Node(node.element, node.file, f"{node.name} at s {s_m:g}")
+    node = _XmlElement(node.element, node.file, f"{node.name} at s {s_m:g}")
     lanes = [_lane(part) for side in ("left", "right") for part in node.nodes(f"{side}/lane", "lane")]
     ids = sorted(lane.lane_id for lane in lanes)
     right, left = sum(i < 0 for i in ids), sum(i > 0 for i in ids)
@@ -291,9 +293,9 @@ def _section(node: _Node) -> LaneSection:
     return LaneSection(s_m, lanes)
 
 
-def _lane(node: _Node) -> OpenDriveLane:
+def _lane(node: _XmlElement) -> OpenDriveLane:
     lane_id = node.integer("id")
-    node = _Node(node.element, node.file, f"{node.name} {lane_id}")
+    node = _XmlElement(node.element, node.file, f"{node.name} {lane_id}")
     heights = node.nodes("height", "height") if node.get("type") == "driving" else []
     if any(part.number(key) != 0.0 for part in heights for key in ("inner", "outer")):
         raise node.error("height", "none of a driving lane")
@@ -317,7 +319,7 @@ def _road_end(element: ElementTree.Element | None) -> RoadEnd | None:
 
 
 def _connection(junction: str, element: ElementTree.Element, file: str) -> JunctionConnection:
-    node = _Node(element, file, f"junction {junction}, connection {element.get('id', '')}")
+    node = _XmlElement(element, file, f"junction {junction}, connection {element.get('id', '')}")
     contact = node.get("contactPoint")
     if contact not in ("start", "end"):
         raise node.error("contactPoint", "start or end", actual=contact)

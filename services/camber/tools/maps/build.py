@@ -41,7 +41,7 @@ arguments that all have, `args` has `datum`, `epoch_year`, `surveyed_ns` (GPS ti
 
 
 def main(argv: Sequence[str]) -> int:
-    """Build one release; 0 done, 2 something is not as it must be, said in one line."""
+    """Build one release; 0 done, 2 an error, reported in one line."""
     kind = choose_command(_PROG, KINDS, argv)
     if kind is None:
         return 2

@@ -19,9 +19,9 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import whole_from
 
 _PROG = "camber map diff"
-_MOVED_M = 1e-3
+_MOVED_M = 1e-3  # chosen: far above the 0.06 mm to which tiles round positions
 _HEIGHT_M = 5e-5  # half of what tiles resolve
-_EARTH_M = 6.371e6
+_EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate distances
 _LATTICE = np.linspace(0.0, 1.0, 5)
 
 Report = dict[str, Any]
@@ -47,8 +47,8 @@ def compared(a: Release, b: Release) -> Report:
     changed, moved, otherwise = _changes(before, after)
     old, new = set(before.surface_id.tolist()), set(after.surface_id.tolist())
     return {
-        "versions": [f"{own.root.region} {own.root.map_version}" for own in (a, b)],
-        "datums": [f"{own.manifest.datum} {own.manifest.epoch_year:g}" for own in (a, b)],
+        "versions": [f"{each.root.region} {each.root.map_version}" for each in (a, b)],
+        "datums": [f"{each.manifest.datum} {each.manifest.epoch_year:g}" for each in (a, b)],
         "surfaces added": sorted(new - old),
         "surfaces removed": sorted(old - new),
         "surfaces moved": moved,
@@ -112,13 +112,13 @@ def _lineage(release: Release) -> list[list[int]]:
 def _tiles(a: Release, b: Release) -> list[Report]:
     """Tiles that are not the same in both: layer, numbers, bytes in each, 0 where it has none."""
     tables = [_sizes(release) for release in (a, b)]
-    found = []
+    tiles = []
     for place in sorted(set(tables[0]) | set(tables[1])):
         (digest_a, bytes_a), (digest_b, bytes_b) = (table.get(place, ("", 0)) for table in tables)
         if digest_a != digest_b:
             layer, x, y = place
-            found.append({"layer": LAYERS[layer], "x": x, "y": y, "bytes": [bytes_a, bytes_b]})
-    return found
+            tiles.append({"layer": LAYERS[layer], "x": x, "y": y, "bytes": [bytes_a, bytes_b]})
+    return tiles
 
 
 def _sizes(release: Release) -> dict[tuple[int, int, int], tuple[str, int]]:

@@ -37,12 +37,12 @@ _CLOUDS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
 
 
 def main(argv: Sequence[str]) -> int:
-    """Export one release; 0 done, 2 something is not as it must be, said in one line."""
+    """Export one release; 0 done, 2 an error, reported in one line."""
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
-    parser.add_argument("--to", required=True, choices=sorted(_WAYS))
+    parser.add_argument("--to", required=True, choices=sorted(_EXPORTERS))
     parser.add_argument("--out", type=Path, required=True, metavar="PATH")
     parser.add_argument("--public-key", type=Path, metavar="PEM", help="of who must have signed it")
     parser.add_argument(
@@ -58,7 +58,7 @@ def main(argv: Sequence[str]) -> int:
 def _export(args: argparse.Namespace) -> int:
     key = None if args.public_key is None else load_public_key(args.public_key)
     release = read_release(args.release, public_key=key)
-    for line in _WAYS[args.to](release, str(args.release), args.out, args.cell_m):
+    for line in _EXPORTERS[args.to](release, str(args.release), args.out, args.cell_m):
         print(line)
     return 0
 
@@ -71,8 +71,8 @@ def export_geojson(release: Release, name: str, out: Path, _: float | None) -> l
     datum = crs_of(release.manifest.datum, name, "datum", "one that PROJ knows").geodetic_crs.name
     surfaces, links = release.road_surfaces(), release.road_links()
     write_file(out, geojson_text(surfaces, links).encode())
-    said = datum == "WGS 84" or aligned_to_wgs84(datum)
-    remark = "" if said else f"; positions are of {datum}, which GeoJSON cannot say"
+    is_wgs84 = datum == "WGS 84" or aligned_to_wgs84(datum)
+    remark = "" if is_wgs84 else f"; positions are of {datum}, which GeoJSON cannot express"
     return [f"{out}: {len(surfaces)} surfaces, {len(links)} links{remark}"]
 
 
@@ -120,12 +120,12 @@ def _write_level(path: Path, surfaces: RoadSurfaces, rows: Integers, crs: Any, c
         axes = np.arange(first[0], last[0]), np.arange(first[1], last[1])
         column, line = (a.ravel() for a in np.meshgrid(*axes))
         longitude, latitude = ((corner + np.column_stack((column, line)) + 0.5) * cell_rad).T
-        found, outside = heights.heights_m(np.full(len(column), row), latitude, longitude)
+        surface_m, outside = heights.heights_m(np.full(len(column), row), latitude, longitude)
         inside = outside == 0.0
         share = 1.0 / max(float(surfaces.sigma_m[row]), 1e-3) ** 2
         at = size[1] - 1 - line[inside], column[inside]  # from the north downwards
         weight[at] += share
-        height[at] += share * found[inside]
+        height[at] += share * surface_m[inside]
         # Surfaces that overlap are of one survey: lying there twice makes nothing surer.
         variance[at] = np.maximum(variance[at], surfaces.sigma_m[row] ** 2)
     known = weight > 0.0
@@ -208,12 +208,12 @@ def _points(tile: CloudTile) -> Floats:
     about = tile.quanta * tile.resolution_m
     latitude, longitude, _ = tile_frame(tile.x, tile.y).geodetic_from_east_north_array(about[:, :2], 0.0)
     x, y = tiles_of(latitude, longitude)
-    own = (x == tile.x) & (y == tile.y)
-    points: Floats = np.column_stack((latitude, longitude, about[:, 2] + tile.base_height_m))[own]
+    in_tile = (x == tile.x) & (y == tile.y)
+    points: Floats = np.column_stack((latitude, longitude, about[:, 2] + tile.base_height_m))[in_tile]
     return points
 
 
-_WAYS: dict[str, Callable[[Release, str, Path, float | None], list[str]]] = {
+_EXPORTERS: dict[str, Callable[[Release, str, Path, float | None], list[str]]] = {
     "geojson": export_geojson,
     "geotiff": export_geotiff,
     "pcd": export_pcd,

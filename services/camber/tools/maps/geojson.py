@@ -35,7 +35,7 @@ _SURFACE = (
     "half_width_m",
 )
 _LINK = ("link_id", "start_node", "end_node", "level", "sigma_m")
-_MOST_BYTES = 1 << 31
+_MOST_BYTES = 1 << 31  # chosen: bounds the memory of the JSON parser
 
 
 def geojson_text(surfaces: RoadSurfaces, links: RoadLinks) -> str:
@@ -112,9 +112,9 @@ def _surfaces(features: list[Mapping[str, Any]]) -> RoadSurfaces:
     columns: dict[str, Any] = {
         name: [row[name] for row in rows] for name in (*_SURFACE, "yaw_rad", "heights_m")
     }
-    found = RoadSurfaces(**columns, latitude_rad=centre[:, 1], longitude_rad=centre[:, 0])
+    surfaces = RoadSurfaces(**columns, latitude_rad=centre[:, 1], longitude_rad=centre[:, 0])
     # Rounded as releases are: what came from one is what it was.
-    return surfaces_from_tiles(surface_tiles(found))
+    return surfaces_from_tiles(surface_tiles(surfaces))
 
 
 def _links(features: list[Mapping[str, Any]]) -> RoadLinks:

@@ -25,7 +25,7 @@ from camber.tools.maps.release_at import is_release, release_at
 from camber.tools.options.error_report import report_failures
 
 _PROG = "camber map inspect"
-_EARTH_M = 6.371e6
+_EARTH_M = 6.371e6  # mean radius of the earth (IUGG), for approximate lengths
 _QUANTILES = (0.5, 0.9, 1.0)
 
 Report = dict[str, Any]
@@ -134,43 +134,43 @@ def _links(links: RoadLinks) -> Report:
 
 
 def _lanelet2(path: Path) -> Report:
-    found = read_lanelet2(path)
-    tags = Counter(own.tags.get("subtype", "road") for own in found.lanelets)
+    source = read_lanelet2(path)
+    tags = Counter(lanelet.tags.get("subtype", "road") for lanelet in source.lanelets)
     return {
         "format": "Lanelet2",
         "lanelets": dict(tags),
-        "left out": dict(found.left_out),
-        "points": len(found.row_of),
-        "place": _place(found.latitude_rad, found.longitude_rad),
-        "length": f"{_lanelets_m(found) / 1e3:.3f} km",
-        "ele": f"{found.height_m.min():.2f} to {found.height_m.max():.2f} m",
+        "left out": dict(source.left_out),
+        "points": len(source.row_of),
+        "place": _place(source.latitude_rad, source.longitude_rad),
+        "length": f"{_lanelets_m(source) / 1e3:.3f} km",
+        "ele": f"{source.height_m.min():.2f} to {source.height_m.max():.2f} m",
         "vertical datum": "not stated: --vertical-datum names it",
     }
 
 
-def _lanelets_m(found: LaneletMap) -> float:
-    places = np.column_stack((found.latitude_rad, found.longitude_rad))
+def _lanelets_m(source: LaneletMap) -> float:
+    places = np.column_stack((source.latitude_rad, source.longitude_rad))
     return sum(
-        0.5 * _length_m(places[[found.row_of[ref] for ref in border]])
-        for own in found.lanelets
-        for border in (own.left, own.right)
+        0.5 * _length_m(places[[source.row_of[ref] for ref in border]])
+        for lanelet in source.lanelets
+        for border in (lanelet.left, lanelet.right)
     )
 
 
 def _opendrive(path: Path) -> Report:
-    found = read_opendrive(path)
-    lanes = Counter(lane.kind for road in found.roads for part in road.sections for lane in part.lanes)
-    shapes = Counter(part.shape for road in found.roads for part in road.geometries)
-    with_roll = sum(bool(len(road.superelevation)) for road in found.roads)
+    source = read_opendrive(path)
+    lanes = Counter(lane.kind for road in source.roads for part in road.sections for lane in part.lanes)
+    shapes = Counter(part.shape for road in source.roads for part in road.geometries)
+    with_roll = sum(bool(len(road.superelevation)) for road in source.roads)
     return {
         "format": "OpenDRIVE",
-        "roads": len(found.roads),
-        "junctions": len({connection.junction for connection in found.connections}),
+        "roads": len(source.roads),
+        "junctions": len({connection.junction for connection in source.connections}),
         "lanes": dict(lanes),
         "geometries": dict(shapes),
-        "length": f"{sum(road.length_m for road in found.roads) / 1e3:.3f} km",
+        "length": f"{sum(road.length_m for road in source.roads) / 1e3:.3f} km",
         "superelevation": f"in {with_roll} roads",
-        "geoReference": found.georeference or "none: --georeference names it",
+        "geoReference": source.georeference or "none: --georeference names it",
     }
 
 
@@ -205,8 +205,8 @@ def _counts(values: NDArray[np.int64]) -> dict[str, int]:
 
 
 def _quantiles(values: NDArray[Any], text: str = "{:.3f} m") -> str:
-    found = [text.format(value) for value in np.quantile(values, _QUANTILES).tolist()]
-    return f"median {found[0]}, 90 % {found[1]}, most {found[2]}"
+    shown = [text.format(value) for value in np.quantile(values, _QUANTILES).tolist()]
+    return f"median {shown[0]}, 90 % {shown[1]}, most {shown[2]}"
 
 
 def _length_m(places_rad: NDArray[np.float64]) -> float:
@@ -228,7 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("path", type=Path, metavar="RELEASE|STORE|FILE")
     parser.add_argument(
-        "--public-key", type=Path, metavar="PEM", help="of whoever is to have signed the release"
+        "--public-key", type=Path, metavar="PEM", help="key that must have signed the release"
     )
     parser.add_argument("--json", action="store_true", help="all of it, for machines")
     return parser

@@ -39,7 +39,7 @@ _MARGIN_M = 5.0  # around the outermost surfaces; chosen: about a lane and a hal
 
 
 def main(argv: Sequence[str]) -> int:
-    """Draw one release; 0 done, 2 something is not as it must be, said in one line."""
+    """Draw one release; 0 done, 2 an error, reported in one line."""
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("release", type=Path, metavar="RELEASE", help="folder of a release")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.png")
@@ -61,9 +61,9 @@ def _draw(args: argparse.Namespace) -> int:
     key = None if args.public_key is None else load_public_key(args.public_key)
     release = read_release(args.release, public_key=key)
     tile = None if args.tile is None else (args.tile[0], args.tile[1])
-    png, said = picture(release, str(args.release), tile, args.pixels)
+    png, summary = picture(release, str(args.release), tile, args.pixels)
     write_file(args.out, png)
-    print(f"{args.out}: {said}")
+    print(f"{args.out}: {summary}")
     return 0
 
 

@@ -142,7 +142,7 @@ def _why(folder: Path, surface_id: int, uploads: Path | None) -> list[str]:
 
 
 def _votes(uploads: Path, surface_id: int) -> list[str]:
-    """The votes on a surface: by pseudonym, which only whoever has the key can lead back to a vehicle."""
+    """The votes on a surface: by pseudonym, which only the holder of the key can trace to a vehicle."""
     from camber.map_update.stores.sqlite_store import SqliteStore
     from camber.map_update.stores.store import StoreError
 
@@ -190,9 +190,9 @@ def _store(args: argparse.Namespace) -> int:
             return 0
         current, previous = store.current(), store.previous()
         for kept in store.releases():
-            word = {"coming": "on its way", "left": "left by the operator", "here": "kept"}[kept.state]
-            word = "in force" if kept == current else "before it" if kept == previous else word
-            print(f"{kept.map_version:>8}  {kept.region:<16}  {kept.manifest_sha256[:16]}  {word}")
+            state = {"coming": "on its way", "left": "left by the operator", "here": "kept"}[kept.state]
+            state = "in force" if kept == current else "before it" if kept == previous else state
+            print(f"{kept.map_version:>8}  {kept.region:<16}  {kept.manifest_sha256[:16]}  {state}")
         print(f"highest version accepted: {store.highest()}")
     finally:
         store.close()

@@ -39,8 +39,8 @@ CITIES: dict[str, tuple[int, float, float]] = {
 }
 """UTM zone (north), latitude and longitude of the origin [deg]: argoverse/av2-api, src/av2/geometry/utm.py."""
 _KINDS = ("VEHICLE", "BUS")
-_STEP_M = 2.0
-_OTHER_LEVEL_M = 1.0
+_STEP_M = 2.0  # chosen: spacing of centre line points; lane boundaries have a point every few metres
+_OTHER_LEVEL_M = 1.0  # chosen: far above the error of the raster, far below the height of a bridge
 
 Convert = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
@@ -134,10 +134,10 @@ def build(args: argparse.Namespace) -> BuiltMap:
     spacing_m = log.ground.cell_m if args.spacing_m is None else args.spacing_m
     surfaces = surfaces_along(roads, ground, spacing_m=spacing_m, seen_ns=args.surveyed_ns)
     remarks = [f"{elsewhere} lanes lie on another level than the raster: no surfaces"] if elsewhere else []
-    own = (
+    zero = (
         "" if args.zero_height_m is not None else "; heights are above the city's own zero, not the ellipsoid"
     )
-    surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m{own}"
+    surrogate = f"Argoverse 2, city {log.city}: ground raster of cells of {log.ground.cell_m:g} m{zero}"
     return BuiltMap(
         surfaces=surfaces,
         links=roads.links,
@@ -196,7 +196,7 @@ def _roads(lanes: list[LaneSegment], city: CityFrame) -> RoadCentreLines:
 def _nodes(lanes: list[LaneSegment]) -> tuple[Integers, Integers]:
     """Node ids at the start and the end of each lane; where one succeeds another they share a node.
 
-    An end is numbered `2 · lane id` (start) or one more (end), and a node bears the least number of its ends.
+    An end is numbered `2 · lane id` (start) or one more (end), and a node has the least number of its ends.
     """
     parent: dict[int, int] = {}
 

@@ -1,4 +1,4 @@
-"""What every kind of `camber map build` gives: the columns of a release, and what is to be said of it."""
+"""Result of every kind of `camber map build`: the columns of a release and remarks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class BuiltMap:
 
     `surrogate`: not empty where the map was not surveyed, or heights are not as exact as their σ by a conversion that
     the user answers for: how it was made. `lineage`: (surface here, surface of the previous release that it came
-    from). `remarks`: lines for whoever builds, of what was left out and why.
+    from). `remarks`: lines for the user about omissions and their reasons.
     """
 
     surfaces: RoadSurfaces

@@ -40,7 +40,7 @@ from camber.tools.maps.importers.surfaces_along import Floats, Integers, surface
 from camber.tools.maps.importers.survey_drive import DriveRoads, RoadTrack, drive_roads
 from camber.tools.options.number_options import HEIGHT, LATITUDE, LONGITUDE, each_of, number_from
 
-_REACH_M = 4.0
+_REACH_M = 4.0  # chosen: as the default of --reach-m in `survey_drive`
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,8 +104,8 @@ def build(args: argparse.Namespace) -> BuiltMap:
     vertical: VerticalDatum | None = None
     parts, files = [], _files(args.files)
     for number, path in enumerate(files):
-        points_m, own = _placed(path, number, len(files), poses, roads.frame, args)
-        vertical = own or vertical
+        points_m, conversion = _placed(path, number, len(files), poses, roads.frame, args)
+        vertical = conversion or vertical
         parts.append(thinned(points_m, args.voxel_m) if len(points_m) else points_m)
     points_m = thinned(np.concatenate(parts), args.voxel_m)
     if not len(points_m):
@@ -148,13 +148,15 @@ def _path(roads: DriveRoads) -> Floats:
 
 def _files(paths: list[Path]) -> list[Path]:
     """The clouds themselves, those of a folder by name. Raises FormatError for a folder without any."""
-    found = []
+    clouds: list[Path] = []
     for path in paths:
-        own = sorted(p for p in path.iterdir() if p.suffix.lower() in _READERS) if path.is_dir() else [path]
-        if not own:
+        listed = (
+            sorted(p for p in path.iterdir() if p.suffix.lower() in _READERS) if path.is_dir() else [path]
+        )
+        if not listed:
             raise FormatError(str(path), "folder", f"clouds: {', '.join(_READERS)}")
-        found += own
-    return found
+        clouds += listed
+    return clouds
 
 
 # -- poses -----------------------------------------------------------------------------------------------------------
@@ -223,8 +225,8 @@ class Poses:
         if count != len(self.frame_from_pose):
             expected = f"as many poses as sweeps, {count}"
             raise FormatError(self.file, "poses", expected, actual=str(len(self.frame_from_pose)))
-        own: Floats = self.frame_from_pose[number]
-        return own
+        numbered: Floats = self.frame_from_pose[number]
+        return numbered
 
 
 def _matrices(truth: Any, frame: LocalFrame) -> Floats:

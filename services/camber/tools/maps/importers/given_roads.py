@@ -57,10 +57,10 @@ def _links(path: Path, width_m: float) -> tuple[RoadLinks, list[float]]:
     if path.suffix == ".osm":
         lanelets = read_lanelet2(path, ROADS)
         frame, lanes = lanes_of(lanelets, lanelets.height_m)
-        # Heights serve to tell levels apart only, which no datum changes.
+        # Heights only separate levels, which does not depend on the datum.
         links = road_map(lanes, frame, LaneSurvey(sigma_m=1.0, link_sigma_m=0.5, seen_ns=0), str(path))[1]
         return links, [width_m] * len(links)
     if path.suffix in (".geojson", ".json"):
         _, links, widths = read_geojson(path)
-        return links, [width_m if own is None else own for own in widths]
+        return links, [width_m if width is None else width for width in widths]
     raise FormatError(str(path), "roads", "the folder of a release, a .geojson or an .osm")

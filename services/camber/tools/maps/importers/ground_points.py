@@ -21,11 +21,13 @@ Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _NEIGHBOURS, _STD_RATIO = 20, 3.0
+# Chosen: a plane fits 8 m of road within its roughness; limits of distance, slope and counts are judgements.
 _STRETCH_M = 8.0
 _PLANE_M = 0.08
 _ITERATIONS = 300
 _NEAR_M = 0.6
 _STEEPEST_RAD = math.radians(15.0)
+# Chosen: a plane needs some tens of points, a local regression four cells; voxel keys have 21 bits.
 _LEAST_POINTS = 30
 _LEAST_CELLS = 4
 _HALF = 1 << 20
@@ -63,11 +65,11 @@ def levels_of_ground(points_m: Floats, path_m: Floats, level: Integers, half_wid
     """
     package = open3d()
     package.utility.random.seed(0)
-    found = np.full(len(points_m), NO_ROAD)
+    level_of_point = np.full(len(points_m), NO_ROAD)
     order = np.argsort(points_m[:, 0], kind="stable")
     east_m = points_m[order, 0]
-    for own in _stretches(path_m, level):
-        places = path_m[own]
+    for stretch in _stretches(path_m, level):
+        places = path_m[stretch]
         reach = half_width_m + 1.0
         low, high = places[:, :2].min(axis=0) - reach, places[:, :2].max(axis=0) + reach
         rows = order[np.searchsorted(east_m, low[0]) : np.searchsorted(east_m, high[0])]
@@ -84,8 +86,8 @@ def levels_of_ground(points_m: Floats, path_m: Floats, level: Integers, half_wid
         (a, b, c, d), inside = cloud.segment_plane(_PLANE_M, 3, _ITERATIONS)
         if abs(c) < math.cos(_STEEPEST_RAD) * math.sqrt(a * a + b * b + c * c) or abs(d / c) > _NEAR_M:
             continue
-        found[rows[inside]] = level[own[0]]
-    return found
+        level_of_point[rows[inside]] = level[stretch[0]]
+    return level_of_point
 
 
 NO_ROAD = np.iinfo(np.int64).min

@@ -18,9 +18,9 @@ from camber.road_map.tile_checks import MAX_LEVEL
 from camber.tools.maps.importers.lane_pieces import LanePiece
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane
 
-APART_M = 3.0
-_CELL_M = 2.0
-_SAMPLE_M = 0.9
+APART_M = 3.0  # chosen: below the clearance of every bridge for vehicles, above any step in one road
+_CELL_M = 2.0  # chosen: about half the width of a lane
+_SAMPLE_M = 0.9  # chosen: less than half a cell, so that no cell on a piece stays empty
 
 Pair = tuple[int, int]
 

@@ -17,7 +17,7 @@ from camber.tools.maps.importers.lane_pieces import LanePiece, pieces_of
 from camber.tools.maps.importers.lanes import Floats, Lane, named_id
 
 _STEP_M = 0.01
-"""How far a lane may be off its surfaces before that is said."""
+"""Deviation of a lane from its surfaces above which a remark is made; chosen: the order of σ of good maps."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ from camber.formats.errors import FormatError
 from camber.road_map.tile_checks import MAX_SLOPE
 from camber.tools.maps.importers.lanes import Floats, Integers, Lane
 
+# Chosen: docs/maps.md, from lanes to surfaces; a piece must be nearly straight and of nearly constant width.
 _LONGEST_M = 20.0
 _TURN_RAD = math.radians(12.0)
 _SAGITTA_M = 0.05
@@ -63,8 +64,8 @@ def _dense(lane: Lane, file: str) -> Floats:
     width_m = np.hypot(*(sections[:, 0, :2] - sections[:, -1, :2]).T)
     if not (step_m.sum() <= MOST_LENGTH_M and width_m.max() <= MOST_WIDTH_M):
         expected = f"a lane of at most {MOST_LENGTH_M / 1e3:.0f} km, at most {MOST_WIDTH_M:.0f} m wide"
-        found = f"{step_m.sum() / 1e3:.1f} km, {width_m.max():.0f} m"
-        raise FormatError(file, lane.name, expected, actual=found)
+        actual = f"{step_m.sum() / 1e3:.1f} km, {width_m.max():.0f} m"
+        raise FormatError(file, lane.name, expected, actual=actual)
     at = np.concatenate([i + np.arange(n) / n for i, n in enumerate(parts.astype(int))] + [[len(step_m)]])
     flat = sections.reshape(len(sections), -1)
     numbers = np.arange(len(flat))
@@ -215,5 +216,5 @@ def _bilinear(grid: Floats, uv: Floats, half: Floats) -> Floats:
     i, j = np.minimum(p.astype(int), n - 2), np.minimum(q.astype(int), m - 2)
     p, q = p - i, q - j
     rear, front = (grid[i + k, j] * (1.0 - q) + grid[i + k, j + 1] * q for k in (0, 1))
-    found: Floats = rear * (1.0 - p) + front * p
-    return found
+    heights: Floats = rear * (1.0 - p) + front * p
+    return heights

@@ -34,7 +34,7 @@ LANE_TYPES = (
     "driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional", "shoulder", "stop", "bus",
     "taxi", "HOV", "slipLane",
 )  # fmt: skip
-_NARROWEST_M = 0.3
+_NARROWEST_M = 0.3  # chosen: no vehicle drives on a narrower lane
 
 End = tuple[str, int, int, str]
 """Road, number of its lane section, lane, and which end of it in the direction of the road: start or end."""

@@ -1,7 +1,7 @@
 """`camber map build drive`: confirmed positions of a drive become roads: links where it went, surfaces under it.
 
 From the folder of a replay come the positions that the judge confirmed, and the antenna's height by ways that do not
-need the map. From a truth.csv come all its positions: whoever names one answers for them, and for the antenna's height.
+need the map. From a truth.csv come all its positions: the user is responsible for them, and for the antenna's height.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from camber.tools.options.number_options import HEIGHT_SIGMA, number_from
 
 _CONFIRMED = ("confirmed", "confirmed_after_verification")
 _MAP_FREE = ("fixed", "stroke", "ranging")
-_HEIGHT_AGE_NS = 1_000_000_000
-_STEP_M = 0.1
-_LINK_SIGMA_M = 0.5
+_HEIGHT_AGE_NS = 1_000_000_000  # chosen: antenna heights are published at 1 Hz or more
+_STEP_M = 0.1  # chosen: below the distance of two positions of a moving vehicle
+_LINK_SIGMA_M = 0.5  # chosen: a driver keeps to the lane's middle within this
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,8 +120,8 @@ class DriveRoads:
 
     def lines_level(self) -> Integers:
         """Level of the link of each sample (k,)."""
-        found: Integers = self.roads.links.level[self.link_row]
-        return found
+        level: Integers = self.roads.links.level[self.link_row]
+        return level
 
     def ground(self, latitude: Floats, longitude: Floats, row: Integers) -> tuple[Floats, Floats]:
         """As `surfaces_along` asks: of the level of the link that is asked for."""
@@ -207,15 +207,15 @@ def _csv_track(args: argparse.Namespace) -> RoadTrack:
 def _replay_track(args: argparse.Namespace) -> RoadTrack:
     """Raises FormatError where nothing was confirmed, or the antenna's height is not known beside it."""
     path = args.drive / "recording.mcap" if args.drive.is_dir() else args.drive
-    found, _ = load_recording(path, ("verdict", "antenna_height"))
+    messages, _ = load_recording(path, ("verdict", "antenna_height"))
     antenna = [
         m.message
-        for m in found["antenna_height"]
+        for m in messages["antenna_height"]
         if m.message.way in _MAP_FREE and m.message.height_m is not None
     ]
     antenna_ns = np.array([message.time_ns for message in antenna], np.int64)
     rows = []
-    for verdict in (m.message for m in found["verdict"]):
+    for verdict in (m.message for m in messages["verdict"]):
         if verdict.verdict not in _CONFIRMED or verdict.latitude_rad is None or verdict.height_m is None:
             continue
         height = _antenna_at(args, antenna, antenna_ns, verdict.time_ns)
@@ -252,7 +252,7 @@ def _replay_track(args: argparse.Namespace) -> RoadTrack:
 def _antenna_at(
     args: argparse.Namespace, heights: list[AntennaHeight], times_ns: Integers, time_ns: int
 ) -> tuple[float, float] | None:
-    """Height of the antenna above the road and its σ: as said, or the newest recorded, of at most a second before."""
+    """Height of the antenna above the road and its σ: as given, or the newest recorded, of at most a second before."""
     if args.antenna_height_m is not None:
         return args.antenna_height_m, args.antenna_sigma_m
     place = int(np.searchsorted(times_ns, time_ns, "right")) - 1

@@ -17,9 +17,9 @@ Floats = NDArray[np.float64]
 
 CROSSFALL_SIGMA = 0.02
 """Roads fall 1.5 to 3 % to one side or to both."""
-_GRADE_SIGMA = 0.15
-_AT_ONCE = 512
-_TINY = 1e-12
+_GRADE_SIGMA = 0.15  # chosen: steeper than nearly all roads, so that the positions decide
+_AT_ONCE = 512  # chosen: places per batch, bounds memory
+_TINY = 1e-12  # chosen: avoids division by zero
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
