@@ -28,4 +28,4 @@ def test_what_is_no_command_is_one_line(words: tuple[str, ...], capsys: pytest.C
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
-    assert f"'{words[-1]}', expected one of" in said.err
+    assert f"'{words[-1]}'" in said.err

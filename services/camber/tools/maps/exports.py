@@ -31,8 +31,8 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 
 _PROG = "camber map export"
-_MOST_CELLS = 200_000_000
-_NODATA = -9999.0
+_MOST_CELLS = 200_000_000  # chosen: bounds memory
+_NODATA = -9999.0  # chosen: the usual value of elevation models, no height on earth
 _CLOUDS: tuple[Layer, ...] = ("environment_cloud", "road_cloud")
 
 

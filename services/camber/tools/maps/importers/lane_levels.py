@@ -32,27 +32,27 @@ def cuts_and_levels(
 
     Raises FormatError where the levels that the map says contradict its heights.
     """
-    lane_of = [lane for lane, own in enumerate(pieces) for _ in own]
-    number = [k for own in pieces for k in range(len(own))]
-    pairs = _over_one_another([piece for own in pieces for piece in own])
-    own_pairs: list[list[Pair]] = [[] for _ in lanes]
+    lane_of = [lane for lane, each in enumerate(pieces) for _ in each]
+    number = [k for each in pieces for k in range(len(each))]
+    pairs = _over_one_another([piece for each in pieces for piece in each])
+    self_overlaps: list[list[Pair]] = [[] for _ in lanes]
     for a, b in pairs:
         if lane_of[a] == lane_of[b]:
-            own_pairs[lane_of[a]].append((min(number[a], number[b]), max(number[a], number[b])))
-    cuts = [_stabs(intervals) for intervals in own_pairs]
-    starts = np.cumsum([0] + [len(own) + 1 for own in cuts])
+            self_overlaps[lane_of[a]].append((min(number[a], number[b]), max(number[a], number[b])))
+    cuts = [_stabs(intervals) for intervals in self_overlaps]
+    starts = np.cumsum([0] + [len(each) + 1 for each in cuts])
     unit = [int(starts[k]) + bisect_right(cuts[k], n) for k, n in zip(lane_of, number, strict=True)]
     over = {(unit[a], unit[b]) for a, b in pairs}
     lane_of_unit = np.repeat(np.arange(len(lanes)), np.diff(starts)).tolist()
-    said = [lanes[k].level for k in lane_of_unit]
+    stated_levels = [lanes[k].level for k in lane_of_unit]
     names = [lanes[k].name for k in lane_of_unit]
     group = _side_by_side(lanes, starts)
     torn = {group[a] for a, b in over if group[a] == group[b]}
     alone = [k if g in torn else g for k, g in enumerate(group)]
     try:
-        levels = _levels(alone, over, said, names, file)
+        levels = _levels(alone, over, stated_levels, names, file)
     except FormatError:
-        levels = _levels(list(range(len(said))), over, said, names, file)
+        levels = _levels(list(range(len(stated_levels))), over, stated_levels, names, file)
     return cuts, [levels[a:b] for a, b in pairwise(starts.tolist())]
 
 
@@ -119,11 +119,15 @@ def _side_by_side(lanes: Sequence[Lane], starts: Integers) -> list[int]:
 
 
 def _levels(
-    group: Sequence[int], over: set[Pair], said: Sequence[int | None], names: Sequence[str], file: str
+    group: Sequence[int],
+    over: set[Pair],
+    stated_levels: Sequence[int | None],
+    names: Sequence[str],
+    file: str,
 ) -> list[int]:
     """Levels of units by relaxation; `over` has pairs (lower, upper) of units."""
     edges = sorted({(group[a], group[b]) for a, b in over})
-    fixed = {g: level for g, level in zip(group, said, strict=True) if level is not None}
+    fixed = {g: level for g, level in zip(group, stated_levels, strict=True) if level is not None}
     name = dict(zip(group, names, strict=True))
     level = {g: fixed.get(g, 0) for g in group}
     for _ in range(2 * MAX_LEVEL + 4):
@@ -137,9 +141,9 @@ def _levels(
             elif low not in fixed:
                 level[low] = level[high] - 1
             else:
-                found = f"{name[low]} at {level[low]}, {name[high]} over it at {level[high]}"
-                raise FormatError(file, "levels", "a higher one for what is above", actual=found)
+                actual = f"{name[low]} at {level[low]}, {name[high]} over it at {level[high]}"
+                raise FormatError(file, "levels", "a higher one for what is above", actual=actual)
         if not changed and all(abs(value) <= MAX_LEVEL for value in level.values()):
-            return [level[g] if own is None else own for g, own in zip(group, said, strict=True)]
+            return [level[g] if each is None else each for g, each in zip(group, stated_levels, strict=True)]
     low, _ = edges[0]
     raise FormatError(file, "heights", f"at most {MAX_LEVEL} levels, none above itself", actual=name[low])

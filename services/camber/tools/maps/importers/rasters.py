@@ -208,13 +208,13 @@ def to_horizontal(horizontal: Any, datum: str, file: str) -> Any:
     """From longitude, latitude [deg] of the release's datum, which must be the raster's own."""
     import pyproj
 
-    own = horizontal.geodetic_crs
+    raster_crs = horizontal.geodetic_crs
     wanted = crs_of(datum, file, "datum", "one that PROJ knows (WGS84, ITRF2014, ETRS89, …)").geodetic_crs
-    both = own.name, wanted.name
-    if own.datum != wanted.datum and both[0] != both[1] and not all(map(aligned_to_wgs84, both)):
+    both = raster_crs.name, wanted.name
+    if raster_crs.datum != wanted.datum and both[0] != both[1] and not all(map(aligned_to_wgs84, both)):
         expected = f"{wanted.name}, the release's --datum; warp the raster, or name its own"
-        raise FormatError(file, "datum", expected, actual=own.name)
-    return pyproj.Transformer.from_crs(own.to_2d(), horizontal, always_xy=True)
+        raise FormatError(file, "datum", expected, actual=raster_crs.name)
+    return pyproj.Transformer.from_crs(raster_crs.to_2d(), horizontal, always_xy=True)
 
 
 def _cell_m(dataset: Any, horizontal: Any) -> float:

@@ -43,12 +43,12 @@ class TrackHeights:
         reach = 3.0 * self.reach_m + self.half_width_m
         for begin in range(0, len(places_m), _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
-            own = places_m[part]
+            batch_m = places_m[part]
             near = (
-                (self.plane_m >= own.min(axis=0) - reach) & (self.plane_m <= own.max(axis=0) + reach)
+                (self.plane_m >= batch_m.min(axis=0) - reach) & (self.plane_m <= batch_m.max(axis=0) + reach)
             ).all(axis=1)
             if near.any():
-                height_m[part], sigma_m[part] = self._fitted(own, about_m[part], np.flatnonzero(near))
+                height_m[part], sigma_m[part] = self._fitted(batch_m, about_m[part], np.flatnonzero(near))
         return height_m, sigma_m
 
     def _fitted(self, places_m: Floats, about_m: Floats, near: NDArray[np.int64]) -> tuple[Floats, Floats]:
