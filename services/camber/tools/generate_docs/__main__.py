@@ -10,13 +10,17 @@ from pathlib import Path
 
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.tools.generate_docs import data_flow
+from camber.tools.generate_docs.decision_table import decision_table
 from camber.tools.generate_docs.parameters import parameter_table
 
 DOCS = Path(__file__).parents[4] / "docs"
 
 SECTIONS: dict[tuple[str, str], Callable[[], str]] = {
-    (f"services/{service}.md", "parameters"): partial(parameter_table, service)
-    for service in (*SERVICES, SENSORS)
+    **{
+        (f"services/{service}.md", "parameters"): partial(parameter_table, service)
+        for service in (*SERVICES, SENSORS)
+    },
+    ("services/integrity.md", "decision table"): decision_table,
 }
 """Page and name of a section → its text. It replaces what is between `<!-- generated: NAME -->` and the end mark."""
 
