@@ -208,7 +208,7 @@ def test_where_no_position_is_known_the_silence_says_so(reader: Reader) -> None:
     silent = saying(b"ICY 200 OK\r\n")
     with HostileCaster(silent) as caster, closing(opened(caster, reader, access, silence_s=0.3)) as stream:
         wait_for(lambda: stream.failures > 0)
-        assert stream.last_failure == "silent for 0.3 s; the caster has not been told a position yet"
+        assert stream.last_failure == "silent for 0.3 s; no position has been sent to the caster yet"
 
 
 @pytest.mark.parametrize("answer", [b"ICY 200 OK\r\n\r\n", OK_2 + b"\r\n"], ids=["revision 1", "revision 2"])
@@ -263,7 +263,7 @@ def refusing_sentences() -> Callable[..., int]:
 def test_a_caster_that_answers_a_letter_at_a_time_is_given_up_in_bounded_time(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.transport.ntrip_client._ANSWER_S", 0.5)
+    monkeypatch.setattr("camber.transport.ntrip_client._RESPONSE_S", 0.5)
 
     def script(peer: Peer) -> None:
         peer.request()
