@@ -123,7 +123,7 @@ ILL: dict[str, tuple[Script, str]] = {
 
 
 @pytest.mark.parametrize(("ill", "reason"), ILL.values(), ids=ILL)
-def test_the_reason_is_named_and_a_caster_that_is_well_again_is_found(
+def test_failure_is_reported_and_a_recovered_caster_is_reconnected(
     ill: Script, reason: str, reader: Reader
 ) -> None:
     with HostileCaster(ill, ill, GOOD) as caster, closing(opened(caster, reader)) as stream:
@@ -134,7 +134,7 @@ def test_the_reason_is_named_and_a_caster_that_is_well_again_is_found(
         assert "geheim" not in str(stream.last_failure)
 
 
-def test_what_was_asked_is_what_a_caster_expects(reader: Reader) -> None:
+def test_request_is_as_a_caster_expects(reader: Reader) -> None:
     asked = []
 
     def script(peer: Peer) -> None:
@@ -148,7 +148,7 @@ def test_what_was_asked_is_what_a_caster_expects(reader: Reader) -> None:
     assert b"\r\nAuthorization: Basic ZHJpdmVyOmdlaGVpbQ==\r\n" in asked[0]
 
 
-def test_a_caster_that_drops_everyone_after_a_byte_is_not_hammered(reader: Reader) -> None:
+def test_dropping_caster_is_contacted_with_growing_pauses(reader: Reader) -> None:
     with (
         HostileCaster(closing_after(b"ICY 200 OK\r\n\r\n", b"x")) as caster,
         closing(opened(caster, reader)) as stream,
@@ -158,7 +158,7 @@ def test_a_caster_that_drops_everyone_after_a_byte_is_not_hammered(reader: Reade
         assert caster.connections <= 6  # pauses of 0.1, 0.2, 0.4, 0.8, 1.6 s at least
 
 
-def test_a_caster_that_says_nothing_is_left_and_the_silence_is_named(reader: Reader) -> None:
+def test_silent_caster_is_reported(reader: Reader) -> None:
     silent = saying(b"ICY 200 OK\r\n")
     with HostileCaster(silent, GOOD) as caster, closing(opened(caster, reader, silence_s=0.4)) as stream:
         assert reader.until(stream, bool) == b"good"
@@ -192,7 +192,7 @@ def test_a_caster_that_waits_for_a_position_gets_it_before_anything_has_come(rea
     def script(peer: Peer) -> None:
         peer.request()
         peer.say(b"ICY 200 OK\r\n")  # and no empty line: that would be of the stream
-        while b"GGA" not in peer.heard:
+        while b"GGA" not in peer.sentences:
             peer.listen()
         peer.say(b"\xd3yours")
         peer.wait()
@@ -203,7 +203,7 @@ def test_a_caster_that_waits_for_a_position_gets_it_before_anything_has_come(rea
         assert stream.failures == 0
 
 
-def test_where_no_position_is_known_the_silence_says_so(reader: Reader) -> None:
+def test_missing_position_is_given_as_reason_of_silence(reader: Reader) -> None:
     access = NtripAccess(position=lambda: None)
     silent = saying(b"ICY 200 OK\r\n")
     with HostileCaster(silent) as caster, closing(opened(caster, reader, access, silence_s=0.3)) as stream:
@@ -213,24 +213,24 @@ def test_where_no_position_is_known_the_silence_says_so(reader: Reader) -> None:
 
 @pytest.mark.parametrize("answer", [b"ICY 200 OK\r\n\r\n", OK_2 + b"\r\n"], ids=["revision 1", "revision 2"])
 def test_positions_come_at_most_once_a_second_across_connections_too(answer: bytes, reader: Reader) -> None:
-    told_s: list[float] = []
+    sent_s: list[float] = []
     opened_s = time.monotonic()
 
     def script(peer: Peer) -> None:
-        told_s.extend([time.monotonic()] * peer.request().count(b"$GPGGA"))
+        sent_s.extend([time.monotonic()] * peer.request().count(b"$GPGGA"))
         peer.say(answer + b"x")
         until_s = time.monotonic() + 0.5
         while time.monotonic() < until_s:
             peer.listen()
-            told_s.extend([time.monotonic()] * peer.heard.count(b"\r\n"))
-            peer.heard = peer.heard.rpartition(b"\n")[2]
+            sent_s.extend([time.monotonic()] * peer.sentences.count(b"\r\n"))
+            peer.sentences = peer.sentences.rpartition(b"\n")[2]
 
     access = NtripAccess(position=lambda: GGA, position_interval_s=1.0)
     with HostileCaster(script) as caster, closing(opened(caster, reader, access)) as stream:
-        wait_for(lambda: len(told_s) >= 4)
+        wait_for(lambda: len(sent_s) >= 4)
         assert caster.connections > 1
         assert stream.failures > 0
-    assert told_s[3] - opened_s >= 3.0  # the first at once, and then one a second at most
+    assert sent_s[3] - opened_s >= 3.0  # the first at once, and then one a second at most
 
 
 def test_a_caster_that_does_not_take_positions_is_still_read(
@@ -307,7 +307,7 @@ def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
     asked: list[bytes] = []
     authority, tls = certificates(tmp_path, "caster.example", address="127.0.0.1")
     other, _ = certificates(tmp_path, "other.example", address="127.0.0.1")
-    own_name, of_another = certificates(tmp_path, "third.example")
+    server_name, of_another = certificates(tmp_path, "third.example")
 
     def script(peer: Peer) -> None:
         asked.append(peer.request())
@@ -315,7 +315,7 @@ def test_certificates_are_checked(reader: Reader, tmp_path: Path) -> None:
     for presented, trusted, reason in [
         (tls, None, "its certificate is not accepted: "),
         (tls, other, "its certificate is not accepted: "),
-        (of_another, own_name, "its certificate is not accepted: IP address mismatch"),
+        (of_another, server_name, "its certificate is not accepted: IP address mismatch"),
         (tls, tmp_path / "missing.pem", "missing.pem: No such file"),
         (tls, empty_file(tmp_path), "empty.pem: expected certificates in PEM"),
     ]:
@@ -337,17 +337,17 @@ def empty_file(folder: Path) -> Path:
 
 
 def test_a_caster_without_tls_gets_no_password(reader: Reader) -> None:
-    heard: list[bytes] = []
+    sentences: list[bytes] = []
 
     def script(peer: Peer) -> None:
         peer.listen()
-        heard.append(peer.heard)
+        sentences.append(peer.sentences)
         peer.say(b"HTTP/1.1 400 Bad Request\r\n\r\n")
 
     with HostileCaster(script) as caster, closing(opened(caster, reader, tls=True)) as stream:
         wait_for(lambda: stream.failures > 0)
         assert "does not speak TLS" in str(stream.last_failure)
-    assert not any(re.search(rb"Authorization|GET", data) for data in heard)
+    assert not any(re.search(rb"Authorization|GET", data) for data in sentences)
 
 
 # The end.

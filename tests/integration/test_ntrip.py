@@ -26,18 +26,18 @@ STATION = (-3_816_000.0, 3_639_000.0, 3_559_000.0)
 
 
 def message(number: int) -> bytes:
-    """A message of a base station that tells its number."""
+    """A message of a base station with its number."""
     return format_reference_station(STATION, station_id=number % 4096)
 
 
 @dataclass
 class Base:
-    """A base station's receiver, to which the caster connects; what the caster sends back to it is in `heard`."""
+    """A base station's receiver, to which the caster connects; what the caster sends back to it is in `sentences`."""
 
     pause_s: float = 0.02
     bytewise: bool = False
     muted: bool = False
-    heard: list[tuple[float, bytes]] = field(default_factory=list)
+    sentences: list[tuple[float, bytes]] = field(default_factory=list)
 
     def script(self, peer: Peer) -> None:
         """Message after message."""
@@ -48,8 +48,8 @@ class Base:
                 peer.say(part)
                 peer.listen()
                 time.sleep(self.pause_s)
-                while (end := peer.heard.find(b"\n", seen)) >= 0:
-                    self.heard.append((time.monotonic(), peer.heard[seen : end + 1]))
+                while (end := peer.sentences.find(b"\n", seen)) >= 0:
+                    self.sentences.append((time.monotonic(), peer.sentences[seen : end + 1]))
                     seen = end + 1
 
 
@@ -113,9 +113,7 @@ def messages_after(data: bytes) -> list[int]:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_messages_come_unbroken_and_the_caster_is_told_where_we_are(
-    version: int, reader: Reader, tmp_path: Path
-) -> None:
+def test_messages_are_intact_and_the_position_is_sent(version: int, reader: Reader, tmp_path: Path) -> None:
     base, port, opened_s = Base(), free_port(), time.monotonic()
     access = NtripAccess(
         user="driver", password="geheim", version=version, position=lambda: GGA, position_interval_s=1.0
@@ -127,16 +125,16 @@ def test_messages_come_unbroken_and_the_caster_is_told_where_we_are(
             open_stream(f"ntrip://127.0.0.1:{port}/BASE", on_data=reader.arrived.set, ntrip=access)
         ) as stream,
     ):
-        reader.until(stream, lambda data: len(base.heard) >= 4)
+        reader.until(stream, lambda data: len(base.sentences) >= 4)
         assert stream.failures == 0
     numbers = messages_after(reader.data)
     assert len(numbers) > 10
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    assert {sentence for _, sentence in base.heard} == {f"{GGA}\r\n".encode()}
-    assert base.heard[3][0] - opened_s >= 3.0  # the first at once, and then one a second at most
+    assert {sentence for _, sentence in base.sentences} == {f"{GGA}\r\n".encode()}
+    assert base.sentences[3][0] - opened_s >= 3.0  # the first at once, and then one a second at most
 
 
-def test_a_caster_that_is_killed_and_started_again_is_found(reader: Reader, tmp_path: Path) -> None:
+def test_restarted_caster_is_reconnected(reader: Reader, tmp_path: Path) -> None:
     port = free_port()
     url = f"ntrip://127.0.0.1:{port}/BASE"
     with (
@@ -184,7 +182,7 @@ def test_a_wrong_password_and_an_unknown_mountpoint_are_named_until_they_are_rig
     assert "geheim" not in str(stream.last_failure)
 
 
-def test_a_base_that_falls_silent_is_named_and_heard_again(reader: Reader, tmp_path: Path) -> None:
+def test_silent_base_is_reported_and_received_again(reader: Reader, tmp_path: Path) -> None:
     base, port = Base(), free_port()
     url = f"ntrip://127.0.0.1:{port}/BASE"
     with (

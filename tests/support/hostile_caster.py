@@ -27,17 +27,17 @@ class Peer:
     def __init__(self, connection: socket.socket, stop: threading.Event) -> None:
         self.socket = connection
         self._stop = stop
-        self.heard = b""
+        self.sentences = b""
 
     def request(self) -> bytes:
         """All up to the empty line."""
-        while b"\r\n\r\n" not in self.heard:
+        while b"\r\n\r\n" not in self.sentences:
             self.listen()
-        head, end, self.heard = self.heard.partition(b"\r\n\r\n")
+        head, end, self.sentences = self.sentences.partition(b"\r\n\r\n")
         return head + end
 
     def listen(self) -> None:
-        """Take what comes within a moment into `heard`; ConnectionError where the client has gone."""
+        """Take what comes within a moment into `sentences`; ConnectionError where the client has gone."""
         if self._stop.is_set():
             raise ConnectionError("the test is over")
         self.socket.settimeout(_STEP_S)
@@ -47,7 +47,7 @@ class Peer:
             return
         if not data:
             raise ConnectionError("the client has gone")
-        self.heard += data
+        self.sentences += data
 
     def say(self, data: bytes) -> None:
         self.socket.settimeout(5.0)

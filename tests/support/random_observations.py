@@ -20,7 +20,7 @@ COMMON: Carriers = {
     "J": {"1C": 1575.42e6, "2L": 1227.6e6, "5Q": 1176.45e6},
     "C": {"2I": 1561.098e6, "7I": 1207.14e6, "6I": 1268.52e6, "5P": 1176.45e6, "1P": 1575.42e6},
 }
-MOST = {"G": 63, "E": 50, "J": 10, "C": 63}
+MAX_NUMBER = {"G": 63, "E": 50, "J": 10, "C": 63}
 
 
 def random_epoch(
@@ -35,8 +35,8 @@ def random_epoch(
     """Up to so many satellites of each system, each with some of its signals, values missing here and there."""
     names, signals, wavelengths = [], [], []
     for system, known in carriers.items():
-        count = int(rng.integers(0, min(satellites, MOST[system]) + 1))
-        for number in rng.choice(np.arange(1, MOST[system] + 1), count, replace=False).tolist():
+        count = int(rng.integers(0, min(satellites, MAX_NUMBER[system]) + 1))
+        for number in rng.choice(np.arange(1, MAX_NUMBER[system] + 1), count, replace=False).tolist():
             chosen = [name for name in known if rng.random() < 0.7]
             names += [f"{system}{number:02d}"] * len(chosen)
             signals += chosen

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from camber.formats.errors import FormatError
 
 
-def test_message_names_place_field_found_and_expected() -> None:
+def test_message_contains_place_field_actual_and_expected() -> None:
     error = FormatError(
         "rover.pos", "latitude(deg)", "a number from -90 to 90", actual=b"95.0", line_number=23
     )
@@ -16,8 +16,8 @@ def test_message_names_place_field_found_and_expected() -> None:
 
 
 @given(st.binary(max_size=200) | st.text(max_size=200))
-def test_whatever_is_found_stays_on_one_short_line(found: bytes | str) -> None:
-    message = str(FormatError("f", "field", "something", actual=found))
+def test_any_input_gives_one_short_line(decoded: bytes | str) -> None:
+    message = str(FormatError("f", "field", "something", actual=decoded))
     assert len(message.splitlines()) == 1
     assert message.isprintable()
     assert len(message) < 500

@@ -122,8 +122,8 @@ def assert_same_observations(values, sent, dropped_digits):
                 ("D", epoch.doppler_hz[row], 0.0011),
                 ("S", epoch.cn0_dbhz[row], dropped_digits),
             ):
-                found = values.pop((second, f"{letter}{number:02d}", kind + signal))
-                assert abs(found - value) <= tolerance, (letter, number, kind, signal)
+                decoded = values.pop((second, f"{letter}{number:02d}", kind + signal))
+                assert abs(decoded - value) <= tolerance, (letter, number, kind, signal)
     assert not values
 
 
@@ -131,11 +131,11 @@ def assert_same_elements(sets, ephemerides):
     assert sets.keys() == ephemerides.keys()
     for name, values in sets.items():
         ephemeris = ephemerides[name]
-        behind_ns = 14 * SECOND_NS if name[0] == "C" else 0
+        offset_ns = 14 * SECOND_NS if name[0] == "C" else 0
         assert values[:3] == pytest.approx(ephemeris.clock, rel=0.0, abs=2.0**-31)
         assert values[1] == pytest.approx(ephemeris.clock[1], rel=0.0, abs=2.0**-43)
         for element, value in zip(ELEMENTS, [*values[3:19], values[19]], strict=True):
-            wanted = getattr(ephemeris, element, (ephemeris.toe_ns - behind_ns) % WEEK_NS / SECOND_NS)
+            wanted = getattr(ephemeris, element, (ephemeris.toe_ns - offset_ns) % WEEK_NS / SECOND_NS)
             if element.endswith("_rad"):
                 assert abs(np.remainder(value - wanted + PI, 2.0 * PI) - PI) < PI * 2.0**-31, (name, element)
             else:
@@ -148,8 +148,8 @@ def ephemerides():
     rng = np.random.default_rng(8)
     made = {}
     for name in SATELLITES:
-        behind_ns = 14 * SECOND_NS if name[0] == "C" else 0
-        toe_ns = 2400 * WEEK_NS + 201_600 * SECOND_NS + behind_ns
+        offset_ns = 14 * SECOND_NS if name[0] == "C" else 0
+        toe_ns = 2400 * WEEK_NS + 201_600 * SECOND_NS + offset_ns
         made_here = random_ephemeris(rng, name, toe_ns)
         # RTKLIB wants toe and toc of BeiDou alike, and IODE to be the lower bits of IODC, as satellites have it.
         other = {**made_here.other, **({"iodc": 256.0 + made_here.iode} if name[0] in "GJ" else {})}
@@ -158,7 +158,7 @@ def ephemerides():
     return made
 
 
-def test_rtklib_reads_the_receivers_stream(tmp_path, ephemerides):
+def test_rtklib_decodes_the_ubx_stream(tmp_path, ephemerides):
     sent = list(epochs(np.random.default_rng(3)))
     stream = b""
     for epoch in sent:
@@ -171,7 +171,7 @@ def test_rtklib_reads_the_receivers_stream(tmp_path, ephemerides):
     assert_same_elements(sets, ephemerides)
 
 
-def test_rtklib_reads_the_base_stations_stream(tmp_path, ephemerides):
+def test_rtklib_decodes_the_rtcm_stream(tmp_path, ephemerides):
     sent = list(epochs(np.random.default_rng(4)))
     stream = format_reference_station((-3.8e6, 3.5e6, 3.6e6), station_id=7)
     stream += b"".join(frame for ephemeris in ephemerides.values() for frame in format_ephemeris(ephemeris))

@@ -44,7 +44,7 @@ def test_a_file_is_read_from_its_beginning_and_while_it_grows(tmp_path: Path, re
         assert stream.failures == 0
 
 
-def test_a_file_that_is_not_there_yet_is_said_and_tried_again(tmp_path: Path, reader: Reader) -> None:
+def test_missing_file_is_reported_and_retried(tmp_path: Path, reader: Reader) -> None:
     path = tmp_path / "later.pos"
     with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
         wait_for(lambda: stream.failures > 0)
@@ -55,7 +55,7 @@ def test_a_file_that_is_not_there_yet_is_said_and_tried_again(tmp_path: Path, re
         assert stream.problem is None
 
 
-def test_a_file_larger_than_the_memory_comes_whole(
+def test_large_file_is_read_completely(
     tmp_path: Path, reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(byte_streams, "MAX_BACKLOG_BYTES", 20_000)
@@ -70,7 +70,7 @@ def test_a_file_larger_than_the_memory_comes_whole(
         assert stream.lost_bytes == 0
 
 
-def test_a_server_that_goes_away_is_said_and_found_again(server: socket.socket, reader: Reader) -> None:
+def test_stream_reconnects_to_a_restarted_server(server: socket.socket, reader: Reader) -> None:
     port = server.getsockname()[1]
     with closing(open_stream(f"tcp:127.0.0.1:{port}", on_data=reader.arrived.set)) as stream:
         with server.accept()[0] as peer:
@@ -84,7 +84,7 @@ def test_a_server_that_goes_away_is_said_and_found_again(server: socket.socket, 
             assert stream.problem is None
 
 
-def test_where_nobody_listens_the_reason_is_said(reader: Reader) -> None:
+def test_refused_connection_is_reported(reader: Reader) -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     with closing(open_stream(f"tcp:127.0.0.1:{port}", on_data=reader.arrived.set)) as stream:
@@ -94,7 +94,7 @@ def test_where_nobody_listens_the_reason_is_said(reader: Reader) -> None:
         assert stream.take() == b""
 
 
-def test_of_a_server_that_nobody_takes_from_the_newest_bytes_stay(
+def test_newest_bytes_are_kept_without_a_consumer(
     server: socket.socket, reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(byte_streams, "MAX_BACKLOG_BYTES", 10_000)
@@ -124,7 +124,7 @@ def test_a_serial_port_is_read_byte_for_byte(reader: Reader) -> None:
         assert stream.problem
 
 
-def test_whatever_a_port_raises_it_is_tried_again(reader: Reader) -> None:
+def test_any_exception_of_a_port_is_retried(reader: Reader) -> None:
     faults = iter([ValueError("no such baud rate"), OSError(5, "Input/output error"), RuntimeError()])
 
     class Port:
@@ -176,7 +176,7 @@ def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, re
         "http://host:1/BASE",
     ],
 )
-def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
+def test_malformed_source_is_refused_with_the_expected_form(url: str) -> None:
     with pytest.raises(ValueError, match="expected file:PATH, tcp:HOST:PORT or serial:DEVICE") as raised:
         parse_source(url)
     assert repr(url) in str(raised.value)
@@ -197,7 +197,7 @@ def test_a_source_that_is_none_is_refused_with_what_was_expected(url: str) -> No
         "ntrip://höst:2101/BASE",
     ],
 )
-def test_a_mountpoint_that_is_none_is_refused_with_what_was_expected(url: str) -> None:
+def test_malformed_mountpoint_is_refused_with_the_expected_form(url: str) -> None:
     with pytest.raises(ValueError, match="expected ntrip://HOST:PORT/MOUNT"):
         parse_source(url)
 
@@ -230,7 +230,7 @@ def test_a_password_in_an_address_is_refused_and_not_repeated(url: str) -> None:
         ({"position_interval_s": float("nan")}, "expected 1 s or more"),
     ],
 )
-def test_a_wrong_way_to_ask_a_caster_is_refused(wrong: dict[str, object], expected: str) -> None:
+def test_invalid_ntrip_access_is_refused(wrong: dict[str, object], expected: str) -> None:
     with pytest.raises(ValueError, match=expected) as raised:
         NtripAccess(**wrong)  # type: ignore[arg-type]
     assert "geheim" not in str(raised.value)
@@ -251,7 +251,7 @@ def test_a_wrong_way_to_ask_a_caster_is_refused(wrong: dict[str, object], expect
         "ntrips://[::1]:443/VRS_3_4G",
     ],
 )
-def test_a_source_is_understood_without_being_opened(url: str) -> None:
+def test_valid_sources_are_parsed_without_opening(url: str) -> None:
     assert callable(parse_source(url))
 
 
@@ -279,17 +279,17 @@ def test_pauses_grow_until_data_have_flowed_for_a_while() -> None:
     assert pauses.pause_s(0.0, refused=False) == 0.4
 
 
-def test_who_has_refused_is_asked_less_often() -> None:
+def test_pause_after_refusal_is_longer() -> None:
     pauses = ReconnectBackoff(chance=lambda: 1.0)
     assert [pauses.pause_s(0.0, refused=True) for _ in range(11)][-2:] == [60.0, 60.0]
     assert pauses.pause_s(0.0, refused=False) == 10.0
 
 
-def test_a_pause_is_never_shorter_than_half_of_what_it_may_be() -> None:
+def test_jitter_is_at_most_half_of_the_pause() -> None:
     assert ReconnectBackoff(chance=lambda: 0.0).pause_s(0.0, refused=False) == 0.1
 
 
-def test_a_server_that_says_nothing_is_left_and_found_again(server: socket.socket, reader: Reader) -> None:
+def test_silent_server_is_reconnected(server: socket.socket, reader: Reader) -> None:
     url = f"tcp:127.0.0.1:{server.getsockname()[1]}"
     with closing(open_stream(url, on_data=reader.arrived.set, silence_s=0.3)) as stream:
         with server.accept()[0]:
@@ -323,9 +323,7 @@ def raw_terminal() -> tuple[int, str]:
     return ours, name
 
 
-def test_a_port_that_is_plugged_in_again_under_another_device_is_found_by_its_name(
-    tmp_path: Path, reader: Reader
-) -> None:
+def test_persistent_name_survives_replugging(tmp_path: Path, reader: Reader) -> None:
     port = tmp_path / "usb-receiver"
     first, device = raw_terminal()
     port.symlink_to(device)
@@ -358,7 +356,7 @@ def test_a_port_is_read_by_one_reader_only(reader: Reader) -> None:
 
 
 def unanswering() -> tuple[socket.socket, list[socket.socket]]:
-    """A server whose queue is full: whoever connects hears nothing."""
+    """A server whose queue is full: clients get no answer."""
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
     listening.listen(0)

@@ -1,4 +1,4 @@
-"""What a caster is asked, and when it is told where we are."""
+"""Requests to a caster, and the schedule of positions sent to it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def lines(asked: bytes) -> list[str]:
     return text.splitlines()[:-1]
 
 
-def test_revision_2_is_asked_for_as_the_standard_says() -> None:
+def test_request_of_revision_2() -> None:
     asked = lines(request(AT, NtripAccess(user="driver", password="g:heim"), GGA))
     assert asked[0] == "GET /BASE HTTP/1.1"
     assert "Host: caster.example:2101" in asked
@@ -32,7 +32,7 @@ def test_revision_2_is_asked_for_as_the_standard_says() -> None:
     assert any(line.startswith("User-Agent: NTRIP ") for line in asked)
 
 
-def test_revision_1_knows_neither_hosts_nor_versions_nor_positions_in_a_request() -> None:
+def test_request_of_revision_1() -> None:
     asked = lines(request(AT, NtripAccess(version=1), None))
     assert asked[0] == "GET /BASE HTTP/1.0"
     assert [line.partition(":")[0] for line in asked[1:]] == ["User-Agent", "Accept", "Connection"]
@@ -87,7 +87,7 @@ def test_positions_are_sent_at_the_interval_and_never_more_than_once_a_second(
         "$GPGGA,ü*00",
     ],
 )
-def test_what_is_no_sentence_of_a_position_is_not_sent(sentence: str | None) -> None:
+def test_only_gga_sentences_are_sent(sentence: str | None) -> None:
     pace = GgaSchedule(NtripAccess(position=lambda: sentence))
     assert pace.take_due(0.0) is None
     assert "position" in pace.silence_reason
@@ -102,5 +102,5 @@ def test_a_sentence_is_sent_as_soon_as_there_is_one() -> None:
     assert pace.take_due(10.2) == GGA
 
 
-def test_who_gives_no_position_is_not_told_to() -> None:
+def test_no_position_is_sent_without_a_provider() -> None:
     assert GgaSchedule(NtripAccess()).silence_reason == ""

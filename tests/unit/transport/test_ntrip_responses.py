@@ -35,7 +35,7 @@ STREAMS = {
 
 def fed(answer: bytes, cuts: list[int]) -> bytes:
     """The bytes of the stream, where the answer comes in pieces that end at `cuts`."""
-    body, head, found = None, b"", b""
+    body, head, decoded = None, b"", b""
     for begin, end in zip([0, *cuts], [*cuts, len(answer)], strict=True):
         piece = answer[begin:end]
         if body is None:
@@ -44,12 +44,12 @@ def fed(answer: bytes, cuts: list[int]) -> bytes:
             if read is None:
                 continue
             body, piece = read
-        found += body.feed(piece)
-    return found
+        decoded += body.feed(piece)
+    return decoded
 
 
 @pytest.mark.parametrize("answer", STREAMS.values(), ids=STREAMS)
-def test_a_stream_is_found_in_whatever_pieces_it_comes(answer: bytes) -> None:
+def test_stream_is_decoded_in_any_chunks(answer: bytes) -> None:
     assert fed(answer, []) == STREAM
     assert fed(answer, list(range(1, len(answer)))) == STREAM
     for cut in range(1, len(answer)):
@@ -103,14 +103,14 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize(("answer", "reason"), REFUSALS.values(), ids=REFUSALS)
-def test_a_caster_that_gives_no_stream_is_understood(answer: bytes, reason: str) -> None:
+def test_refusals_are_reported_with_the_reason(answer: bytes, reason: str) -> None:
     with pytest.raises(RefusedError) as raised:
         assert parse_response(answer, with_password=True)
     assert reason in str(raised.value)
     assert "geheim" not in str(raised.value)
 
 
-def test_where_no_password_is_set_that_is_the_reason() -> None:
+def test_missing_password_is_the_reason() -> None:
     with pytest.raises(RefusedError, match=r"asks for user and password \(401\), and none are set"):
         parse_response(b"HTTP/1.0 401 Unauthorized\r\n", with_password=False)
 
@@ -131,7 +131,7 @@ def test_where_no_password_is_set_that_is_the_reason() -> None:
     ],
 )
 @pytest.mark.parametrize("bytewise", [True, False])
-def test_lengths_of_chunks_that_lie_end_the_stream(chunks: bytes, reason: str, bytewise: bool) -> None:
+def test_wrong_chunk_lengths_end_the_stream(chunks: bytes, reason: str, bytewise: bool) -> None:
     answer = OK_2 + b"Transfer-Encoding: chunked\r\n\r\n" + chunks
     with pytest.raises(ConnectionError, match=reason):
         fed(answer, list(range(1, len(answer))) if bytewise else [])
@@ -167,13 +167,13 @@ ANYTHING = st.one_of(
 @given(ANYTHING, st.lists(st.integers(0, 200), max_size=5))
 @example(b"ICY 200 OK\r\n\n\r", [])
 @settings(derandomize=True, max_examples=600, deadline=None)
-def test_whatever_is_answered_is_a_stream_or_a_reason(answer: bytes, cuts: list[int]) -> None:
+def test_random_responses_are_a_stream_or_a_reason(answer: bytes, cuts: list[int]) -> None:
     ends = sorted(min(cut, len(answer)) for cut in cuts)
-    found, reason = b"", ""
+    decoded, reason = b"", ""
     try:
-        found = fed(answer, ends)
+        decoded = fed(answer, ends)
     except ConnectionError as error:
         reason = str(error)
-    assert len(found) <= len(answer)
+    assert len(decoded) <= len(answer)
     assert len(reason) < 200
     assert reason.isprintable()

@@ -1,4 +1,4 @@
-"""Serial ports, in words that tell which of them is the receiver and how to name it for good."""
+"""Descriptions of serial ports, with the persistent name of a receiver."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from camber.transport.serial_ports import describe
 def port(
     device: Path | str, description: str = "n/a", usb: tuple[int, int, str] | None = None
 ) -> ListPortInfo:
-    found = ListPortInfo(str(device), skip_link_detection=True)
-    found.description = description
+    decoded = ListPortInfo(str(device), skip_link_detection=True)
+    decoded.description = description
     if usb is not None:
-        found.vid, found.pid, found.serial_number = usb
-    return found
+        decoded.vid, decoded.pid, decoded.serial_number = usb
+    return decoded
 
 
-def test_where_there_is_none_that_is_said(tmp_path: Path) -> None:
+def test_absence_of_ports_is_reported(tmp_path: Path) -> None:
     assert describe([], by_id=tmp_path / "missing") == "no serial port is there"
 
 
-def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: Path) -> None:
+def test_port_is_described_with_its_persistent_name(tmp_path: Path) -> None:
     device = tmp_path / "ttyACM0"
     device.touch()
     by_id = tmp_path / "by-id"
@@ -50,7 +50,7 @@ def test_a_receiver_is_named_by_what_it_is_and_by_what_stays_the_same(tmp_path: 
     ]
 
 
-def test_what_is_given_as_a_source_is_one() -> None:
+def test_described_source_can_be_parsed() -> None:
     for line in describe([port("/dev/ttyS0"), port("/dev/ttyUSB0")], by_id=Path("/missing")).splitlines():
         if "--source" in line:
             assert callable(parse_source(line.split()[1]))

@@ -64,7 +64,7 @@ def comparable(results: Results) -> list[object]:
     return [str(result) if isinstance(result, FormatError) else result for result in results]
 
 
-def test_an_epoch_of_position_deviations_and_date() -> None:
+def test_gga_gst_and_rmc_make_one_solution() -> None:
     (solution,) = decode(sentence(GGA) + sentence(GST) + sentence(RMC), utc_date=None)
     assert isinstance(solution, ReceiverSolution)
     assert solution.time_ns == gps_ns_from_utc(CalendarTime(2023, 7, 11, 6, 4, 32, 200_000_000))
@@ -84,7 +84,7 @@ def test_an_epoch_of_position_deviations_and_date() -> None:
     assert (eu, nu) == (0.0, 0.0)
 
 
-def test_southern_and_western_hemispheres() -> None:
+def test_southern_and_western_hemispheres_are_negative() -> None:
     solution = solution_of(sentence(GGA.replace(",N,", ",S,").replace(",E,", ",W,")))
     assert solution.latitude_rad < 0.0
     assert solution.longitude_rad < 0.0
@@ -101,7 +101,7 @@ def test_southern_and_western_hemispheres() -> None:
         (6, SolutionQuality.DEAD_RECKONING),
     ],
 )
-def test_qualities(number: int, quality: SolutionQuality) -> None:
+def test_gga_quality_is_mapped(number: int, quality: SolutionQuality) -> None:
     assert solution_of(sentence(GGA.replace(",E,4,", f",E,{number},"))).quality is quality
 
 
@@ -110,7 +110,7 @@ def test_geoid_separation_is_never_assumed() -> None:
     assert "geoid separation missing: ellipsoidal height unknown" in message
 
 
-def test_no_position_is_counted_and_no_error() -> None:
+def test_gga_without_position_is_counted_without_error() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     assert (
         decoder.feed(sentence("GNGGA,060432.20,,,,,0,00,99.99,,,,,,") + sentence("GNGGA,,,,,,0,,,,,,,,"))
@@ -120,7 +120,7 @@ def test_no_position_is_counted_and_no_error() -> None:
     assert decoder.epochs_without_position == 2
 
 
-def test_alphanumeric_station_does_not_cost_the_position() -> None:
+def test_alphanumeric_station_is_accepted() -> None:
     solution = solution_of(sentence(GGA[:-4] + "VRS1"))
     assert (solution.quality, solution.station) == (SolutionQuality.FIX, "VRS1")
     assert solution_of(sentence(GGA[:-4])).station is None
@@ -146,7 +146,7 @@ def test_alphanumeric_station_does_not_cost_the_position() -> None:
         ("060432.20", "060460.20", "expected hhmmss.ss"),
     ],
 )
-def test_a_bad_field_is_named_with_what_was_expected(old: str, new: str, expected: str) -> None:
+def test_malformed_field_is_named_with_the_expected_form(old: str, new: str, expected: str) -> None:
     message = error_of(sentence(GGA.replace(old, new, 1)))
     assert message.startswith("port at byte 0: GGA ")
     assert expected in message
@@ -161,11 +161,11 @@ def test_a_bad_field_is_named_with_what_was_expected(old: str, new: str, expecte
         GST.replace("060432.20", "060432.00"),
     ],
 )
-def test_without_deviations_of_the_same_time_the_covariance_is_not_known(gst: str | None) -> None:
+def test_covariance_is_unknown_without_gst_of_the_same_time(gst: str | None) -> None:
     assert solution_of((sentence(gst) if gst else b"") + sentence(GGA)).covariance_enu_m2 is None
 
 
-def test_a_bad_gst_is_an_error_and_leaves_the_covariance_unknown() -> None:
+def test_malformed_gst_is_an_error_and_covariance_stays_unknown() -> None:
     error, solution = decode(sentence(GST.replace("0.0113", "-1")) + sentence(GGA))
     assert isinstance(error, FormatError)
     assert "σ of latitude" in str(error)
@@ -176,13 +176,13 @@ def test_a_bad_gst_is_an_error_and_leaves_the_covariance_unknown() -> None:
 # dates
 
 
-def test_without_a_date_there_is_no_time() -> None:
+def test_position_without_date_is_an_error() -> None:
     assert "GGA date, expected an RMC or ZDA sentence" in error_of(sentence(GGA), utc_date=None)
     void = RMC.replace(",A,", ",V,")
     assert "GGA date" in error_of(sentence(GGA) + sentence(void), utc_date=None)
 
 
-def test_zda_gives_the_date_and_overrules_the_given_one() -> None:
+def test_zda_overrides_the_given_date() -> None:
     zda = sentence("GPZDA,060431.00,12,07,2023,00,00")
     (solution,) = decode(zda + sentence(GGA), utc_date=date(2020, 1, 1))
     assert isinstance(solution, ReceiverSolution)
@@ -190,24 +190,24 @@ def test_zda_gives_the_date_and_overrules_the_given_one() -> None:
 
 
 @pytest.mark.parametrize("content", ["GPZDA,060431.00,31,02,2023,00,00", RMC.replace("110723", "310223")])
-def test_a_date_that_does_not_exist_is_an_error(content: str) -> None:
+def test_impossible_date_is_an_error(content: str) -> None:
     assert "date" in error_of(sentence(content), utc_date=None)
 
 
-def test_midnight_moves_the_date_on() -> None:
+def test_date_advances_at_midnight() -> None:
     stream = b"".join(at(GGA, time) for time in ("235959.80", "235959.90", "000000.00", "000000.10"))
     times = [s.time_ns for s in decode(stream) if isinstance(s, ReceiverSolution)]
     assert [(b - a) for a, b in itertools.pairwise(times)] == [NS_PER_SECOND // 10] * 3
 
 
-def test_a_late_sentence_from_before_midnight_moves_the_date_back() -> None:
+def test_sentence_from_before_midnight_has_the_previous_date() -> None:
     stream = sentence("GPZDA,000000.00,12,07,2023,00,00") + at(GGA, "235959.90")
     (solution,) = decode(stream)
     assert isinstance(solution, ReceiverSolution)
     assert solution.time_ns == gps_ns_from_utc(CalendarTime(2023, 7, 11, 23, 59, 59, 900_000_000))
 
 
-def test_the_leap_second_of_2016() -> None:
+def test_leap_second_of_2016_is_one_second_long() -> None:
     stream = b"".join(at(GGA, time) for time in ("235959.00", "235960.00", "000000.00"))
     times = [
         s.time_ns for s in decode(stream, utc_date=date(2016, 12, 31)) if isinstance(s, ReceiverSolution)
@@ -227,7 +227,7 @@ def delays(stream: list[bytes], decoder: NmeaDecoder) -> list[int]:
     return [len(decoder.feed(part)) for part in stream]
 
 
-def test_the_last_sentence_is_learned_and_then_nothing_waits() -> None:
+def test_last_sentence_is_learnt_and_ends_the_epoch_at_once() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     stream = [at(content, f"0604{second}.00") for second in (30, 31, 32, 33) for content in (GGA, GST)]
     # The first two epochs wait for the next one; when it begins, the second has shown that GST comes last.
@@ -252,7 +252,7 @@ def test_a_missing_last_sentence_delays_until_the_next_epoch_and_not_for_ever() 
     assert delays(stream, decoder) == [0, 1, 1]
 
 
-def test_a_deviation_that_comes_too_late_is_counted_and_learned_from() -> None:
+def test_late_gst_is_counted_and_learnt_from() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     results: Results = []
     for second in (30, 31, 32):
@@ -265,7 +265,7 @@ def test_a_deviation_that_comes_too_late_is_counted_and_learned_from() -> None:
     assert decoder.late_sentences == 1
 
 
-def test_each_time_comes_out_once() -> None:
+def test_each_time_is_emitted_once() -> None:
     results = decode(sentence(GGA) + sentence(GGA.replace("GNGGA", "GPGGA")))
     assert [type(result) for result in results] == [FormatError, ReceiverSolution]
     decoder = NmeaDecoder("port", utc_date=DAY)
@@ -289,7 +289,7 @@ UBX = struct.pack("<BBBBH", 0xB5, 0x62, 0x01, 0x07, 8) + b"$GNGG\x00\xffA" + b"\
         (b"$" + GGA.encode() + b"\r\n" + sentence(GGA), "cut short"),
     ],
 )
-def test_broken_sentences_are_errors_and_the_next_is_read(data: bytes, expected: str) -> None:
+def test_malformed_sentence_is_an_error_and_the_next_is_decoded(data: bytes, expected: str) -> None:
     error, *solutions = decode(data)
     assert expected in str(error)
     assert str(error).startswith("port at byte 0: sentence")
@@ -297,14 +297,14 @@ def test_broken_sentences_are_errors_and_the_next_is_read(data: bytes, expected:
     assert solutions or "checksum" in expected
 
 
-def test_other_protocols_on_the_same_port_are_skipped_and_counted() -> None:
+def test_other_protocols_are_skipped_and_counted() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     assert decoder.feed(UBX.replace(b"GNGG", b"\x00\x01\x02\x03") + sentence(GGA)) == []
     assert decoder.bytes_skipped == len(UBX)
     assert len(decoder.finish()) == 1
 
 
-def test_a_sentence_that_never_ends_is_dropped_and_nothing_is_kept() -> None:
+def test_endless_sentence_is_dropped_with_bounded_memory() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     results = decoder.feed(b"$GNGGA,")
     for _ in range(100):
@@ -315,7 +315,7 @@ def test_a_sentence_that_never_ends_is_dropped_and_nothing_is_kept() -> None:
     assert len(decoder.finish()) == 1
 
 
-def test_a_last_sentence_without_line_end_is_whole_by_its_checksum() -> None:
+def test_last_sentence_needs_no_line_end() -> None:
     assert isinstance(decode(sentence(GGA)[:-2])[0], ReceiverSolution)
     assert "cut short" in str(decode(sentence(GGA)[:-3])[0])
 
@@ -324,7 +324,7 @@ SAMPLE = b"".join(epoch(f"0604{second}.00", GGA, GST, RMC) + UBX for second in r
 
 
 @given(st.binary(max_size=3000))
-def test_no_bytes_raise(data: bytes) -> None:
+def test_random_bytes_never_raise(data: bytes) -> None:
     decode(data)
     decode(SAMPLE + data + SAMPLE)
 
@@ -333,7 +333,7 @@ def test_no_bytes_raise(data: bytes) -> None:
     st.sampled_from(["GNGGA", "GPGST", "GNRMC", "GPZDA"]),
     st.lists(st.text(alphabet="0123456789.-+MNSEWAV ", max_size=12), max_size=16),
 )
-def test_no_fields_with_a_right_checksum_raise(name: str, fields: list[str]) -> None:
+def test_random_fields_never_raise(name: str, fields: list[str]) -> None:
     decode(SAMPLE + sentence(",".join((name, *fields))) + SAMPLE)
 
 
@@ -342,7 +342,7 @@ def test_no_fields_with_a_right_checksum_raise(name: str, fields: list[str]) -> 
     st.integers(0, 14),
     st.text(alphabet=st.characters(codec="ascii"), max_size=9),
 )
-def test_no_replaced_field_with_a_right_checksum_raises(content: str, index: int, value: str) -> None:
+def test_replaced_field_never_raises_or_gives_nonfinite_numbers(content: str, index: int, value: str) -> None:
     fields = content.split(",")
     fields[min(index, len(fields) - 1)] = value
     for result in decode(sentence(",".join(fields)) + SAMPLE):
@@ -351,19 +351,19 @@ def test_no_replaced_field_with_a_right_checksum_raises(content: str, index: int
 
 
 @given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
-def test_a_flipped_bit_never_makes_another_solution(byte: int, bit: int) -> None:
+def test_flipped_bit_never_makes_another_solution(byte: int, bit: int) -> None:
     damaged = bytearray(SAMPLE)
     damaged[byte] ^= 1 << bit
     good = {
         (s.time_ns, s.latitude_rad, s.height_m) for s in decode(SAMPLE) if isinstance(s, ReceiverSolution)
     }
-    found = {
+    decoded = {
         (s.time_ns, s.latitude_rad, s.height_m)
         for s in decode(bytes(damaged))
         if isinstance(s, ReceiverSolution)
     }
-    assert found <= good
-    assert len(found) >= len(good) - 1
+    assert decoded <= good
+    assert len(decoded) >= len(good) - 1
 
 
 @given(st.integers(0, len(SAMPLE)))
@@ -374,7 +374,7 @@ def test_truncation_gives_a_prefix_but_for_the_last_epoch(length: int) -> None:
 
 
 @given(st.binary(max_size=2500), st.lists(st.integers(0, 5000), max_size=8))
-def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> None:
+def test_results_do_not_depend_on_chunks(noise: bytes, cuts: list[int]) -> None:
     data = SAMPLE + noise + SAMPLE
     assert pieces(data, sorted(min(cut, len(data)) for cut in cuts)) == pieces(data, [])
 
@@ -382,7 +382,7 @@ def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> N
 @pytest.mark.parametrize(
     "noise", [b"", b"$GNGGA," + b"1" * 1500, b"$" * 5, b"$GN" + b"\xff" * 20, b"\x00" * 3000]
 )
-def test_byte_by_byte(noise: bytes) -> None:
+def test_results_byte_by_byte_are_the_same(noise: bytes) -> None:
     data = SAMPLE + noise + SAMPLE
     assert pieces(data, list(range(len(data)))) == pieces(data, [])
 
@@ -446,7 +446,7 @@ def test_written_solutions_read_back(solution: ReceiverSolution, separation: flo
 
 
 @given(solutions, st.floats(-100.0, 80.0))
-def test_written_sentences_mean_the_same_to_pynmeagps(solution: ReceiverSolution, separation: float) -> None:
+def test_pynmeagps_decodes_written_sentences(solution: ReceiverSolution, separation: float) -> None:
     gga: Any = NMEAReader.parse(format_gga(solution, geoid_separation_m=separation))
     gst: Any = NMEAReader.parse(format_gst(solution))
     rmc: Any = NMEAReader.parse(format_rmc(solution))
@@ -465,7 +465,7 @@ def test_written_sentences_mean_the_same_to_pynmeagps(solution: ReceiverSolution
         )
 
 
-def test_decoded_values_are_those_of_pynmeagps() -> None:
+def test_decoded_values_equal_those_of_pynmeagps() -> None:
     parsed: Any = NMEAReader.parse(sentence(GGA))
     solution = solution_of(sentence(GGA))
     assert math.degrees(solution.latitude_rad) == pytest.approx(parsed.lat, abs=1e-10)
@@ -473,7 +473,7 @@ def test_decoded_values_are_those_of_pynmeagps() -> None:
     assert solution.height_m == pytest.approx(parsed.alt + parsed.sep)
 
 
-def test_minutes_never_round_to_sixty() -> None:
+def test_minutes_are_never_rounded_to_sixty() -> None:
     solution = ReceiverSolution(
         time_ns=10**18,
         latitude_rad=math.radians(35.0 - 1e-12),
@@ -484,7 +484,7 @@ def test_minutes_never_round_to_sixty() -> None:
     assert b",3500.0000000,N,13700.0000000,W," in format_gga(solution, geoid_separation_m=0.0)
 
 
-def test_writing_what_is_not_finite_is_an_error() -> None:
+def test_nonfinite_numbers_are_refused_when_writing() -> None:
     with pytest.raises(ValueError, match="finite"):
         format_gga(
             ReceiverSolution(
@@ -500,7 +500,7 @@ def test_writing_what_is_not_finite_is_an_error() -> None:
         )
 
 
-def test_a_real_console_of_ubx_and_nmea_has_no_error_and_no_position() -> None:
+def test_recorded_console_has_no_error_and_no_position() -> None:
     path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / "ubx-2023-4-17_82912_serial-COM3.ubx"
     if "CAMBER_DATA" not in os.environ or not path.is_file():
         pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
@@ -520,13 +520,13 @@ def gbs(content: str, talker: str = "GN") -> bytes:
 
 def statement(data: bytes) -> ReceiverIntegrity:
     decoder = NmeaDecoder("port", utc_date=DAY)
-    (found,) = decoder.feed(data)
-    assert isinstance(found, ReceiverIntegrity)
+    (decoded,) = decoder.feed(data)
+    assert isinstance(decoded, ReceiverIntegrity)
     assert decoder.finish() == []
-    return found
+    return decoded
 
 
-def test_gbs_says_what_raim_found() -> None:
+def test_gbs_gives_the_raim_result() -> None:
     passed = statement(gbs("1.6,1.4,3.2,,,,,,"))
     assert (passed.raim, passed.suspect_satellite) == ("passed", None)
     assert passed.expected_error_enu_m == (1.4, 1.6, 3.2)
@@ -542,8 +542,8 @@ def test_gbs_says_what_raim_found() -> None:
     # With four satellites there is nothing to check.
     assert statement(gbs(",,,,,,,,")).raim == "unknown"
     assert statement(gbs(",,,07,,,,1,1")).raim == "failed"
-    for found in (passed, failed, other):
-        assert (found.jamming, found.spoofing, found.integrity_risk) == ("unknown", "unknown", None)
+    for decoded in (passed, failed, other):
+        assert (decoded.jamming, decoded.spoofing, decoded.integrity_risk) == ("unknown", "unknown", None)
 
 
 @pytest.mark.parametrize(
@@ -564,38 +564,40 @@ def test_gbs_says_what_raim_found() -> None:
         ("193", "1", "GN", "193"),
     ],
 )
-def test_gbs_names_the_satellite(number: str, system_id: str, talker: str, name: str) -> None:
+def test_gbs_satellite_name_follows_system_and_talker(
+    number: str, system_id: str, talker: str, name: str
+) -> None:
     assert statement(gbs(f"1.4,1.3,3.1,{number},,-21.4,3.8,{system_id},0", talker)).suspect_satellite == name
 
 
-def test_gbs_is_read_as_pynmeagps_reads_it() -> None:
+def test_gbs_equals_that_of_pynmeagps() -> None:
     rng = random.Random(3)
     for _ in range(200):
         values = [f"{rng.uniform(-50.0, 50.0):.{rng.randrange(4)}f}" for _ in range(4)]
         data = gbs(f"{values[0]},{values[1]},{values[2]},{rng.randrange(1, 33):02d},,{values[3]},3.5,1,0")
         oracle = NMEAReader.parse(data)
-        found = statement(data)
-        assert found.expected_error_enu_m == (oracle.errLon, oracle.errLat, oracle.errAlt)
-        assert (found.suspect_bias_m, found.suspect_bias_sigma_m) == (oracle.bias, oracle.stddev)
-        assert found.suspect_satellite == f"G{oracle.svid:02d}"
+        decoded = statement(data)
+        assert decoded.expected_error_enu_m == (oracle.errLon, oracle.errLat, oracle.errAlt)
+        assert (decoded.suspect_bias_m, decoded.suspect_bias_sigma_m) == (oracle.bias, oracle.stddev)
+        assert decoded.suspect_satellite == f"G{oracle.svid:02d}"
 
 
 def test_gbs_does_not_delay_the_position_of_its_epoch() -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     for second in range(5):
         time = f"1200{second:02d}.00"
-        found = decoder.feed(at(GGA, time))
-        found_after = decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
-        assert [type(result) for result in found_after] == [ReceiverIntegrity]
+        decoded = decoder.feed(at(GGA, time))
+        after_gbs = decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
+        assert [type(result) for result in after_gbs] == [ReceiverIntegrity]
     # Once it is learned that GGA is the last of its epoch, it does not wait for the next.
-    assert [type(result) for result in found] == [ReceiverSolution]
+    assert [type(result) for result in decoded] == [ReceiverSolution]
 
 
 @pytest.mark.parametrize(
     "content",
     ["1.6,x,3.2,,,,,,", "1.6,1.4,3.2,1e9,,,,,", "1.6,1.4,3.2,03,1.5,,,1,0", "1.6,1.4,3.2,03,,,-1.0,1,0"],
 )
-def test_gbs_with_what_is_no_number_is_an_error(content: str) -> None:
+def test_gbs_with_malformed_number_is_an_error(content: str) -> None:
     decoder = NmeaDecoder("port", utc_date=DAY)
     (error,) = decoder.feed(gbs(content))
     assert isinstance(error, FormatError)

@@ -71,13 +71,13 @@ def stream(rng: random.Random) -> bytes:
 
 
 def played(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> object:
-    frames = [found for piece in pieces for found in buffer.feed(piece)]
+    frames = [decoded for piece in pieces for decoded in buffer.feed(piece)]
     return frames + buffer.finish(), buffer.bytes_skipped, buffer.failed_checks
 
 
 @given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
 @settings(derandomize=True, max_examples=400, deadline=None)
-def test_it_finds_what_a_plain_search_finds(seed: int, protocols: tuple[FrameProtocol, ...]) -> None:
+def test_frames_equal_those_of_a_simple_search(seed: int, protocols: tuple[FrameProtocol, ...]) -> None:
     rng = random.Random(seed)
     data = stream(rng)
     expected = played(PlainFrameBuffer(*protocols), [data])
@@ -89,7 +89,7 @@ def test_it_finds_what_a_plain_search_finds(seed: int, protocols: tuple[FramePro
 
 @given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
 @settings(derandomize=True, max_examples=100, deadline=None)
-def test_frames_come_as_soon_as_a_plain_search_has_them(
+def test_frames_are_returned_as_early_as_by_a_simple_search(
     seed: int, protocols: tuple[FrameProtocol, ...]
 ) -> None:
     rng = random.Random(seed)
@@ -105,7 +105,7 @@ def test_frames_come_as_soon_as_a_plain_search_has_them(
 
 
 @pytest.mark.parametrize("size", [(1 << 16) - 1, 1 << 16, (1 << 16) + 1, 200_000])
-def test_long_pieces_are_as_short_ones(size: int) -> None:
+def test_long_chunks_equal_short_ones(size: int) -> None:
     rng = random.Random(size)
     data = b""
     while len(data) < size:
@@ -117,7 +117,7 @@ def test_long_pieces_are_as_short_ones(size: int) -> None:
 
 @pytest.mark.parametrize("size", range(MAX_SENTENCE_BYTES - 1, MAX_SENTENCE_BYTES + 3))
 @pytest.mark.parametrize("beginning", [b"$GN", b"$gn"])
-def test_sentences_are_cut_off_at_the_same_length(size: int, beginning: bytes) -> None:
+def test_sentences_are_cut_at_the_same_length_as_by_a_simple_search(size: int, beginning: bytes) -> None:
     plain, buffer = PlainFrameBuffer("nmea"), FrameBuffer("nmea")
     for piece in (beginning + b"a" * (size - 3), b"a", b"\n"):
         assert buffer.feed(piece) == plain.feed(piece)

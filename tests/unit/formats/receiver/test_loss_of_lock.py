@@ -48,11 +48,11 @@ def run(*epochs, most_more_s=0.001):
         ([(5, 5.0, 0), (3, 9.0, 0)], [False, True]),
     ],
 )
-def test_a_phase_is_lost_where_its_lock_did_not_last_from_the_last_one(epochs, lost):
+def test_loss_of_lock_since_the_last_phase(epochs, lost):
     assert run(*epochs) == lost
 
 
-def test_a_class_of_lock_times_is_lost_only_where_it_certainly_is():
+def test_lock_time_class_is_lost_only_when_certain():
     # Between 4 and 8 s: six seconds since the last phase may be in it.
     assert run((0, 4.0, 0), (6, 4.0, 0), most_more_s=4.0) == [False, False]
     assert run((0, 4.0, 0), (8, 4.0, 0), most_more_s=4.0) == [False, True]
@@ -60,7 +60,7 @@ def test_a_class_of_lock_times_is_lost_only_where_it_certainly_is():
 
 @given(st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=50)
-def test_signals_do_not_mix_and_true_locks_are_told_apart(seed):
+def test_signals_are_independent(seed):
     rng = np.random.default_rng(seed)
     locks, locked_at, last = LossOfLockDetector(), {}, {}
     for epoch in range(1, 30):

@@ -62,55 +62,55 @@ def without_beginnings(rng: random.Random, size: int) -> bytes:
 
 def frames_of(data: bytes, *protocols: str, cuts: random.Random | None = None) -> list[tuple[str, bytes]]:
     buffer = FrameBuffer(*(protocols or EVERY))
-    found, place = [], 0
+    decoded, place = [], 0
     while place < len(data):
         size = len(data) if cuts is None else cuts.choice([1, 1, 2, 3, 7, 50, 1000])
-        found += buffer.feed(data[place : place + size])
+        decoded += buffer.feed(data[place : place + size])
         place += size
-    found += buffer.finish()
-    for frame in found:
+    decoded += buffer.finish()
+    for frame in decoded:
         assert data[frame.byte_offset : frame.byte_offset + len(frame.data)] == frame.data
-    return [(frame.protocol, frame.data) for frame in found]
+    return [(frame.protocol, frame.data) for frame in decoded]
 
 
-def as_found(kind: str, data: bytes) -> tuple[str, bytes]:
+def as_frame(kind: str, data: bytes) -> tuple[str, bytes]:
     return kind, data.rstrip(b"\r\n") if kind == "nmea" else data
 
 
 @given(st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_every_frame_among_garbage_is_found_in_order_however_the_stream_is_cut(seed):
+def test_frames_among_garbage_are_returned_in_order(seed):
     rng = random.Random(seed)
     sent = [random_frame(rng) for _ in range(rng.randrange(12))]
     stream = b"".join(without_beginnings(rng, rng.choice([0, 0, 5, 300])) + data for _, data in sent)
-    expected = [as_found(*frame) for frame in sent]
+    expected = [as_frame(*frame) for frame in sent]
     assert frames_of(stream) == expected
     assert frames_of(stream, cuts=rng) == expected
 
 
 @given(st.integers(0, 2**32), st.sampled_from(EVERY), st.sampled_from(EVERY))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_a_frame_cut_short_costs_only_itself(seed, cut_kind, whole_kind):
+def test_truncated_frame_costs_only_itself(seed, cut_kind, whole_kind):
     rng = random.Random(seed)
 
     def one(kind: str) -> bytes:
         while True:
-            found, data = random_frame(rng)
-            if found == kind and len(data) > 8:
+            decoded, data = random_frame(rng)
+            if decoded == kind and len(data) > 8:
                 return data
 
     cut, whole, after = one(cut_kind), one(whole_kind), one("ubx")
     # Without its end, and without anything in it that would itself begin a frame.
     cut = cut[: rng.randrange(2, len(cut) - (3 if cut_kind == "nmea" else 1))]
     cut = cut[:1] + bytes(byte for byte in cut[1:] if byte not in b"\xb5\xd3$")
-    found = frames_of(cut + whole + after, cuts=rng)
-    assert [frame for frame in found if frame[0] != "nmea" or frame[1] != cut][-2:] == [
-        as_found(whole_kind, whole),
-        as_found("ubx", after),
+    decoded = frames_of(cut + whole + after, cuts=rng)
+    assert [frame for frame in decoded if frame[0] != "nmea" or frame[1] != cut][-2:] == [
+        as_frame(whole_kind, whole),
+        as_frame("ubx", after),
     ]
 
 
-def test_a_false_length_does_not_take_the_stream_along():
+def test_false_length_does_not_cost_the_following_frames():
     liars = [
         b"\xb5\x62\x01\x07\xff\xff",
         b"\xb5\x62\x01\x07" + (MAX_UBX_PAYLOAD_BYTES + 1).to_bytes(2, "little"),
@@ -125,14 +125,14 @@ def test_a_false_length_does_not_take_the_stream_along():
     ]
     for liar in liars:
         buffer = FrameBuffer(*EVERY)
-        found = buffer.feed(liar + POLL * 3) + buffer.finish()
-        assert [frame.data for frame in found if frame.protocol == "ubx"] == [POLL] * 3
+        decoded = buffer.feed(liar + POLL * 3) + buffer.finish()
+        assert [frame.data for frame in decoded if frame.protocol == "ubx"] == [POLL] * 3
         assert buffer.bytes_skipped == (0 if b"GGA" in liar else len(liar))
     # One that cannot be is not even waited for.
     assert [frame.data for frame in FrameBuffer("ubx").feed(liars[1] + POLL)] == [POLL]
 
 
-def test_a_failed_checksum_costs_the_two_characters_before_it():
+def test_wrong_checksum_costs_the_sync_characters():
     broken = bytearray(ubx_frame(0x01, 0x07, POLL))
     broken[-1] ^= 1
     buffer = FrameBuffer("ubx")
@@ -143,7 +143,7 @@ def test_a_failed_checksum_costs_the_two_characters_before_it():
 
 @given(st.binary(max_size=4000), st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=100, deadline=None)
-def test_random_bytes_never_raise_and_give_the_same_however_they_are_cut(data, seed):
+def test_random_bytes_never_raise_and_chunks_do_not_matter(data, seed):
     rng = random.Random(seed)
     pieces = [b"\xb5\x62", b"\xd3\x00", b"$GNGGA,", POLL, GBS, rtcm_frame(b"\x3e\xd0" + bytes(17))]
     stream = b"".join(rng.choice(pieces) + data[k : k + 40] for k in range(0, len(data), 40))
@@ -151,16 +151,16 @@ def test_random_bytes_never_raise_and_give_the_same_however_they_are_cut(data, s
     for make in (lambda: UbxDecoder("port", START_NS), lambda: MixedDecoder("port", START_NS)):
         whole, cut = make(), make()
         expected = whole.feed(stream) + whole.finish()
-        found, place = [], 0
+        decoded, place = [], 0
         while place < len(stream):
             size = rng.choice([1, 2, 3, 100])
-            found += cut.feed(stream[place : place + size])
+            decoded += cut.feed(stream[place : place + size])
             place += size
-        assert len(found + cut.finish()) == len(expected)
+        assert len(decoded + cut.finish()) == len(expected)
         assert whole.bytes_skipped == cut.bytes_skipped
 
 
-def test_memory_is_bounded_whatever_comes():
+def test_memory_is_bounded():
     rng = random.Random(4)
     decoder = MixedDecoder("port", START_NS)
     for beginning in (b"\xb5\x62\x02\x15\x00\x20", b"\xd3\x03\xff", b"$GNGGA,", b""):
@@ -186,11 +186,11 @@ def station(identity: int) -> bytes:
     return rtcm_frame(bits.to_bytes(19, "big"))
 
 
-def test_each_protocol_comes_to_its_decoder_in_the_streams_order():
+def test_results_of_all_protocols_are_in_the_streams_order():
     epoch = random_epoch(np.random.default_rng(1), START_NS, carriers={"G": {"1C": 1575.42e6}})
     position = solution(START_NS + SECOND_NS)
     decoder = MixedDecoder("port")
-    found = decoder.feed(
+    decoded = decoder.feed(
         station(1)  # before there is a date
         + format_raw_measurements(epoch)
         + b"garbage\x00"
@@ -199,50 +199,50 @@ def test_each_protocol_comes_to_its_decoder_in_the_streams_order():
         + station(2)
         + sentence("GNGBS,120000.00,1.6,1.4,3.2,,,,,,")
     )
-    found += decoder.finish()
-    kinds = [type(result).__name__ for result in found]
+    decoded += decoder.finish()
+    kinds = [type(result).__name__ for result in decoded]
     assert kinds == ["RawxEpoch", "ReferenceStation", "ReceiverIntegrity", "ReceiverSolution"]
     assert decoder.rtcm_without_time == 1
     assert decoder.bytes_skipped == len(b"garbage\x00")
-    assert found[0].epoch.time_ns == START_NS
+    assert decoded[0].epoch.time_ns == START_NS
 
 
-def test_a_position_is_given_once_where_ubx_and_nmea_say_it():
+def test_position_of_ubx_and_nmea_is_returned_once():
     decoder = MixedDecoder("port")
-    found = []
+    decoded = []
     for second in range(4):
         position = solution(START_NS + second * SECOND_NS)
-        found += decoder.feed(
+        decoded += decoder.feed(
             format_position_velocity_time(position, geoid_separation_m=30.0)
             + format_rmc(position)
             + format_gga(position, geoid_separation_m=30.0)
         )
-    found += decoder.finish()
-    times = [result.time_ns for result in found if isinstance(result, ReceiverSolution)]
+    decoded += decoder.finish()
+    times = [result.time_ns for result in decoded if isinstance(result, ReceiverSolution)]
     assert times == [START_NS + second * SECOND_NS for second in range(4)]
     assert decoder.positions_not_used == 4
 
 
-def test_a_date_from_raw_measurements_serves_positions_of_nmea():
+def test_date_of_rawx_is_used_for_nmea():
     epoch = random_epoch(np.random.default_rng(2), START_NS, carriers={"G": {"1C": 1575.42e6}})
     position = solution(START_NS + SECOND_NS)
     gga = format_gga(position, geoid_separation_m=30.0)
     lone = MixedDecoder("port")
     assert [type(result) for result in lone.feed(gga) + lone.finish()] == [FormatError]
     decoder = MixedDecoder("port")
-    found = decoder.feed(format_raw_measurements(epoch) + gga) + decoder.finish()
-    assert [type(result) for result in found] == [RawxEpoch, ReceiverSolution]
-    assert found[1].time_ns == position.time_ns
+    decoded = decoder.feed(format_raw_measurements(epoch) + gga) + decoder.finish()
+    assert [type(result) for result in decoded] == [RawxEpoch, ReceiverSolution]
+    assert decoded[1].time_ns == position.time_ns
 
 
-def test_statements_of_ubx_and_nmea_are_one():
+def test_integrity_of_ubx_and_nmea_is_one_report():
     decoder = MixedDecoder("port", START_NS)
     security = ubx_frame(0x27, 0x09, bytes([1, 0, 0, 0, 0b011, 0, 0, 0, 0b0011, 0, 0, 0]))
     position = solution(START_NS)
-    found = decoder.feed(security + format_rmc(position) + format_gga(position, geoid_separation_m=30.0))
+    decoded = decoder.feed(security + format_rmc(position) + format_gga(position, geoid_separation_m=30.0))
     time = "235942.00"  # 18 leap seconds before midnight of GPS time
-    found += decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
-    last = [result for result in found if isinstance(result, ReceiverIntegrity)][-1]
+    decoded += decoder.feed(sentence(f"GNGBS,{time},1.6,1.4,3.2,,,,,,"))
+    last = [result for result in decoded if isinstance(result, ReceiverIntegrity)][-1]
     assert (last.time_ns, last.jamming, last.spoofing, last.raim) == (START_NS, "none", "none", "passed")
 
 
@@ -268,16 +268,16 @@ def frames_of_pyubx2(data: bytes) -> list[bytes]:
     return [raw.rstrip(b"\r\n") if raw[:1] == b"$" else raw for raw, _ in reader]
 
 
-def test_recordings_have_the_frames_that_pyubx2_finds_in_them():
+def test_recorded_frames_equal_those_of_pyubx2():
     for path in recordings():
         data = path.read_bytes()
         buffer = FrameBuffer(*EVERY)
-        found = [frame.data for frame in buffer.feed(data) + buffer.finish()]
-        assert [frame for frame in found if not frame.startswith(NOT_PARSED)] == frames_of_pyubx2(data)
+        decoded = [frame.data for frame in buffer.feed(data) + buffer.finish()]
+        assert [frame for frame in decoded if not frame.startswith(NOT_PARSED)] == frames_of_pyubx2(data)
         assert buffer.failed_checks == {"ubx": 2 if "BADCK2" in path.name else 0, "rtcm": 0}
 
 
-def test_recordings_mixed_with_one_another_and_broken_lose_only_what_is_broken():
+def test_damaged_mixed_recordings_lose_only_damaged_frames():
     streams = []
     for path in recordings():
         buffer = FrameBuffer(*EVERY)
@@ -294,14 +294,14 @@ def test_recordings_mixed_with_one_another_and_broken_lose_only_what_is_broken()
         else:
             stream += whole
             expected.append(data)
-    found = [data for _, data in frames_of(stream, cuts=rng)]
-    remaining = iter(found)
+    decoded = [data for _, data in frames_of(stream, cuts=rng)]
+    remaining = iter(decoded)
     assert all(any(data == other for other in remaining) for data in expected)
     # Besides them: beginnings of sentences that were cut, and what begins within a broken message.
-    assert len(found) - len(expected) <= 60
+    assert len(decoded) - len(expected) <= 60
 
 
-def test_messages_of_recordings_give_the_same_alone_and_mixed():
+def test_mixed_and_single_protocol_decoders_agree():
     for path in recordings():
         data = path.read_bytes()
         mixed, alone = MixedDecoder(path.name, START_NS), RtcmDecoder(START_NS)

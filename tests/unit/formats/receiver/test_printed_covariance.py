@@ -1,4 +1,4 @@
-"""Covariances printed with few decimals: unknown, rounded and impossible ones are told apart."""
+"""Covariances printed with few decimals: unknown, rounded and impossible ones are distinguished."""
 
 import numpy as np
 import pytest
@@ -27,11 +27,11 @@ def test_signed_roots() -> None:
     assert (signed_root(4.0), signed_root(-4.0), signed_root(0.0)) == (2.0, -2.0, 0.0)
 
 
-def test_all_zero_is_not_known() -> None:
+def test_all_zero_deviations_are_unknown() -> None:
     assert covariance_from_printed((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ROUNDING_M) is None
 
 
-def test_a_single_zero_is_what_was_rounded_away() -> None:
+def test_single_zero_deviation_is_replaced_by_the_rounding() -> None:
     covariance = covariance_from_printed((0.0, 0.01, 0.01), (0.0, 0.0, 0.0), ROUNDING_M)
     assert covariance is not None
     assert covariance[0] == pytest.approx(ROUNDING_M**2)
@@ -48,7 +48,7 @@ def test_a_single_zero_is_what_was_rounded_away() -> None:
         ((0.0, 1.0, 1.0), (0.1, 0.0, 0.0)),
     ],
 )
-def test_the_impossible_is_refused(
+def test_impossible_covariance_is_refused(
     deviations: tuple[float, float, float], roots: tuple[float, float, float]
 ) -> None:
     with pytest.raises(ValueError, match=r"deviations|semidefinite"):

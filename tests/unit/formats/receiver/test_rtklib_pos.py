@@ -71,7 +71,7 @@ def comparable(results: list[ReceiverSolution | FormatError]) -> list[object]:
     return [str(result) if isinstance(result, FormatError) else result for result in results]
 
 
-def test_a_row_of_a_recording() -> None:
+def test_recorded_row_is_decoded() -> None:
     solution = solution_of(DATUM + COLUMNS + ROW)
     assert solution.time_ns == gps_ns_from_week_tow(2270, 194670 * NS_PER_SECOND)
     assert math.degrees(solution.latitude_rad) == pytest.approx(35.165360868, abs=1e-12)
@@ -91,7 +91,7 @@ def test_a_row_of_a_recording() -> None:
     assert solution.velocity_covariance_enu_m2_s2 is None
 
 
-def test_velocity_is_turned_from_north_east_up_to_east_north_up() -> None:
+def test_velocity_is_reordered_to_east_north_up() -> None:
     solution = solution_of(DATUM + VELOCITY_COLUMNS + VELOCITY_ROW)
     assert solution.time_ns == gps_ns_from_gpst(CalendarTime(2023, 7, 11, 6, 4, 32))
     assert solution.velocity_enu_m_s == (-0.02313, 0.01946, 0.01343)
@@ -109,7 +109,7 @@ def test_week_and_seconds_under_utc_are_ambiguous_and_refused() -> None:
     assert "header says UTC" in error_of(DATUM + COLUMNS.replace("GPST", "UTC") + ROW)
 
 
-def test_columns_are_found_by_name_and_separators_may_be_commas() -> None:
+def test_columns_go_by_name_and_separators_may_be_commas() -> None:
     header = "%  GPST,height(m),longitude(deg),latitude(deg),ns,Q\n"
     solution = solution_of(DATUM + header + "2023/07/11 06:04:32.0,41.5,136.5,35.5,9,2\r\n")
     assert (solution.height_m, solution.quality, solution.satellites) == (41.5, SolutionQuality.FLOAT, 9)
@@ -117,7 +117,7 @@ def test_columns_are_found_by_name_and_separators_may_be_commas() -> None:
     assert (solution.covariance_enu_m2, solution.age_s, solution.ratio) == (None, None, None)
 
 
-def test_zero_deviations_and_zero_ratio_mean_not_known() -> None:
+def test_zero_deviations_and_zero_ratio_are_unknown() -> None:
     fields = ROW.split()
     fields[7:13] = ["0.0000"] * 6
     fields[14] = "0.0"
@@ -127,7 +127,7 @@ def test_zero_deviations_and_zero_ratio_mean_not_known() -> None:
     assert solution.age_s == 0.03
 
 
-def test_age_of_a_single_solution_is_not_known() -> None:
+def test_age_of_a_single_solution_is_unknown() -> None:
     fields = ROW.split()
     fields[5], fields[13] = "5", "0.00"
     assert solution_of(DATUM + COLUMNS + " ".join(fields) + "\n").age_s is None
@@ -168,7 +168,7 @@ def test_rows_without_a_header_are_refused_once() -> None:
     assert "WGS84/ellipsoidal" in error_of(COLUMNS + ROW * 3)
 
 
-def test_undeclared_heights_may_be_declared_but_not_overruled() -> None:
+def test_undeclared_heights_may_be_declared_but_not_overridden() -> None:
     decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
     assert isinstance(decoder.feed((COLUMNS + ROW).encode())[0], ReceiverSolution)
     decoder = PosDecoder("rover.pos", undeclared_height="ellipsoidal")
@@ -206,7 +206,7 @@ def test_a_second_header_replaces_the_first() -> None:
         ("ratio", "-1"),
     ],
 )
-def test_a_bad_value_names_line_field_and_expectation(name: str, value: str) -> None:
+def test_malformed_value_names_line_field_and_expectation(name: str, value: str) -> None:
     message = error_of(with_value(name, value))
     assert message.startswith("rover.pos:3: ")
     assert name in message
@@ -229,7 +229,7 @@ def test_a_bad_value_names_line_field_and_expectation(name: str, value: str) -> 
         "a b",
     ],
 )
-def test_bad_times(time: str) -> None:
+def test_malformed_time_is_an_error(time: str) -> None:
     assert "rover.pos:3: time" in error_of(DATUM + COLUMNS + ROW.replace("2270 194670.000", time))
 
 
@@ -239,16 +239,16 @@ def test_missing_and_surplus_columns() -> None:
     assert "expected 15 fields" in error_of(DATUM + COLUMNS + ROW.replace("41.4082", "41,4082"))
 
 
-def test_covariance_that_is_none_is_refused() -> None:
+def test_indefinite_covariance_is_refused() -> None:
     assert "positive semidefinite" in error_of(with_value("sdne(m)", "0.0200"))
 
 
-def test_one_bad_line_costs_one_line() -> None:
+def test_malformed_line_costs_one_line() -> None:
     results = decode(DATUM + COLUMNS + ROW + ROW.replace("35.16", "95.16") + ROW)
     assert [type(result) for result in results] == [ReceiverSolution, FormatError, ReceiverSolution]
 
 
-def test_a_line_that_is_too_long_is_dropped_and_nothing_is_kept() -> None:
+def test_too_long_line_is_dropped_with_bounded_memory() -> None:
     decoder = PosDecoder("rover.pos")
     decoder.feed((DATUM + COLUMNS).encode())
     results = [result for _ in range(100) for result in decoder.feed(b"9" * 1000)]
@@ -257,7 +257,7 @@ def test_a_line_that_is_too_long_is_dropped_and_nothing_is_kept() -> None:
     assert decoder.feed(b"\n" + ROW.encode())[0] == solution_of(DATUM + COLUMNS + ROW)
 
 
-def test_a_last_line_without_newline_may_be_cut_short() -> None:
+def test_last_line_without_newline_is_an_error() -> None:
     assert "a newline at its end" in error_of(DATUM + COLUMNS + ROW[:-1])
 
 
@@ -334,7 +334,7 @@ def assert_close_covariance(
         assert a == pytest.approx(b, abs=20.0 * largest * last_digit)
 
 
-def test_writing_what_cannot_be_written_is_an_error() -> None:
+def test_unprintable_solution_is_refused() -> None:
     solution = ReceiverSolution(
         time_ns=0, latitude_rad=0.0, longitude_rad=0.0, height_m=math.nan, quality=SolutionQuality.FIX
     )
@@ -349,7 +349,7 @@ def test_writing_what_cannot_be_written_is_an_error() -> None:
         )
 
 
-def test_columns_stand_under_their_names() -> None:
+def test_columns_are_aligned_with_their_names() -> None:
     line = format_pos_line(
         ReceiverSolution(
             time_ns=0, latitude_rad=0.6, longitude_rad=2.3, height_m=41.0, quality=SolutionQuality.FIX
@@ -365,18 +365,18 @@ SAMPLE = (
 
 
 @given(st.binary(max_size=3000))
-def test_no_bytes_raise(data: bytes) -> None:
+def test_random_bytes_never_raise(data: bytes) -> None:
     decode(data)
     decode(SAMPLE + data + SAMPLE)
 
 
 @given(st.text(alphabet="%0123456789.,-+eE/: \t\nnaifGPSTUC_(m)", max_size=400))
-def test_no_text_of_the_right_letters_raises(text: str) -> None:
+def test_random_text_never_raises(text: str) -> None:
     decode(DATUM + COLUMNS + text + "\n" + ROW)
 
 
 @given(st.integers(0, len(SAMPLE) - 1), st.integers(0, 7))
-def test_no_flipped_bit_raises_or_gives_a_number_that_is_none(byte: int, bit: int) -> None:
+def test_flipped_bit_never_raises_or_gives_nonfinite_numbers(byte: int, bit: int) -> None:
     damaged = bytearray(SAMPLE)
     damaged[byte] ^= 1 << bit
     for result in decode(bytes(damaged)):
@@ -393,7 +393,7 @@ def test_truncation_gives_a_prefix_and_at_most_one_error_more(length: int) -> No
 
 
 @given(st.binary(max_size=2500), st.lists(st.integers(0, 4000), max_size=8))
-def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> None:
+def test_results_do_not_depend_on_chunks(noise: bytes, cuts: list[int]) -> None:
     data = SAMPLE + noise + b"\n" + SAMPLE
     decoder = PosDecoder("rover.pos")
     results: list[ReceiverSolution | FormatError] = []
@@ -403,7 +403,7 @@ def test_results_do_not_depend_on_the_pieces(noise: bytes, cuts: list[int]) -> N
     assert comparable(results + decoder.finish()) == comparable(decode(data))
 
 
-def test_byte_by_byte() -> None:
+def test_results_byte_by_byte_are_the_same() -> None:
     decoder = PosDecoder("rover.pos")
     data = SAMPLE + b"8" * 1500 + b"\n" + ROW.encode()
     results = [result for i in range(len(data)) for result in decoder.feed(data[i : i + 1])]
@@ -426,7 +426,7 @@ def nagoya() -> Path:
         ("rover_1Hz_spp.pos", {SolutionQuality.SINGLE: 550}),
     ],
 )
-def test_recordings_are_read_without_an_error(
+def test_recordings_are_decoded_without_error(
     nagoya: Path, name: str, qualities: dict[SolutionQuality, int]
 ) -> None:
     results = list(read_pos(nagoya / name))
@@ -437,7 +437,7 @@ def test_recordings_are_read_without_an_error(
     assert all(solution.covariance_enu_m2 is not None for solution in solutions)
 
 
-def test_both_spellings_of_time_in_the_recordings_mean_the_same(nagoya: Path) -> None:
+def test_week_and_date_times_of_recordings_agree(nagoya: Path) -> None:
     # one file writes weeks, the other dates: the fixes of the same times must be the same places, also in motion
     weeks, dates = (
         {s.time_ns: s for s in read_pos(nagoya / name) if isinstance(s, ReceiverSolution) and s.quality == 1}
@@ -455,7 +455,7 @@ def test_both_spellings_of_time_in_the_recordings_mean_the_same(nagoya: Path) ->
     assert differences_m[len(differences_m) * 9 // 10] < 0.05
 
 
-def test_a_recording_written_again_reads_the_same(nagoya: Path) -> None:
+def test_rewritten_recording_is_the_same(nagoya: Path) -> None:
     original = [s for s in read_pos(nagoya / "rover_rtk.pos") if isinstance(s, ReceiverSolution)]
     again = decode(format_pos_header() + b"".join(format_pos_line(solution) for solution in original))
     for a, b in zip(again, original, strict=True):

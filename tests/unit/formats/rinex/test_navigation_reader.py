@@ -60,33 +60,33 @@ def as_printed(e: Ephemeris) -> Ephemeris:
 def ephemerides(seed: int) -> list[Ephemeris]:
     """Around the beginnings of weeks, with messages sent up to a day before and after."""
     rng = np.random.default_rng(seed)
-    found = []
+    decoded = []
     for name in ("G01", "G32", "J07", "E05", "E36", "C01", "C63"):
         week = int(rng.integers(1400, 2600))
         of_week_s = int(rng.choice([0, 14, 600, 604_800 - 7200])) // 240 * 240 + (14 if name[0] == "C" else 0)
         e = random_ephemeris(rng, name, (week * 604_800 + of_week_s) * SECOND_NS)
-        found.append(replace(e, transmission_ns=e.toe_ns + int(rng.integers(-86_400, 7200)) * SECOND_NS))
-    return sorted(found, key=lambda e: (e.transmission_ns, e.satellite, e.toe_ns))
+        decoded.append(replace(e, transmission_ns=e.toe_ns + int(rng.integers(-86_400, 7200)) * SECOND_NS))
+    return sorted(decoded, key=lambda e: (e.transmission_ns, e.satellite, e.toe_ns))
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_what_was_written_is_read_back_to_the_last_printed_digit(seed):
+def test_written_ephemerides_are_decoded_exactly(seed):
     written = ephemerides(seed)
-    said = [
+    coefficients = [
         IonosphereCoefficients(
             system=system, alpha=(1e-8 * k, -2e-8, 3e-8, 0.0), beta=(9e4, 1e5, -2e5, 1e4 * k)
         )
         for k, system in enumerate("GCJ")
     ]
-    read, errors, decoder = decode(navigation_text(written, said))
+    read, errors, decoder = decode(navigation_text(written, coefficients))
     assert not errors
     assert read == [as_printed(e) for e in written]
-    assert list(decoder.klobuchar.values()) == said
+    assert list(decoder.klobuchar.values()) == coefficients
     assert decoder.leap_seconds in range(13, 19)
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_recording_written_again_is_the_same(name):
+def test_rewritten_recording_is_the_same(name):
     navigation = read_navigation(recording(name))
     assert navigation.problems == []
     assert navigation.leap_seconds == 18
@@ -103,7 +103,7 @@ def test_a_recording_written_again_is_the_same(name):
         ("fujisawa-2021-09-22", "SEPT265G.21O", "3034265G.21O", "SEPT2650.21P"),
     ],
 )
-def test_rtklib_solves_the_same_from_a_file_as_it_was_and_written_again(tmp_path, folder, rover, base, nav):
+def test_rtklib_solution_of_a_rewritten_file_is_the_same(tmp_path, folder, rover, base, nav):
     if RNX2RTKP is None:
         pytest.skip("rnx2rtkp is not installed")
     original = recording(f"{folder}/{nav}")
@@ -130,7 +130,7 @@ def test_rtklib_solves_the_same_from_a_file_as_it_was_and_written_again(tmp_path
     assert solutions[0] == solutions[1]
 
 
-def test_satellites_stand_where_the_pseudoranges_of_a_known_place_say():
+def test_satellite_positions_agree_with_recorded_pseudoranges():
     """Per system the receiver's clock is the same from all satellites, up to atmosphere and group delays."""
     folder = recording("rooftop-2024-06-24")
     latitude, longitude, height = map(
@@ -207,9 +207,9 @@ def header_lines(*lines: str) -> str:
     return head + "".join(f"{line:<60}IONOSPHERIC CORR\n" for line in lines)
 
 
-def test_the_ionosphere_comes_with_its_second_half():
-    def half(name: str, first: float, behind: str = "") -> str:
-        return f"{name} " + "".join(f"{first + k:12.4E}" for k in range(4)) + f" {behind}"
+def test_ionosphere_is_returned_with_its_second_half():
+    def half(name: str, first: float, suffix: str = "") -> str:
+        return f"{name} " + "".join(f"{first + k:12.4E}" for k in range(4)) + f" {suffix}"
 
     def quartet(first: float) -> tuple[float, ...]:
         return tuple(first + k for k in range(4))
@@ -226,15 +226,15 @@ def test_the_ionosphere_comes_with_its_second_half():
         half("QZSB", 70.0),
     ]
     decoder = NavigationDecoder("test.nav")
-    found = [decoder.feed(line.encode()) for line in header_lines(*lines).splitlines(keepends=True)]
-    assert found == [
+    decoded = [decoder.feed(line.encode()) for line in header_lines(*lines).splitlines(keepends=True)]
+    assert decoded == [
         *([[]] * 5),
         [IonosphereCoefficients(system="G", alpha=quartet(10.0), beta=quartet(40.0))],
         [IonosphereCoefficients(system="C", alpha=quartet(20.0), beta=quartet(50.0))],
         [IonosphereCoefficients(system="C", alpha=quartet(30.0), beta=quartet(60.0))],
         [],
     ]
-    assert decoder.klobuchar == {"G": found[5][0], "C": found[7][0]}
+    assert decoder.klobuchar == {"G": decoded[5][0], "C": decoded[7][0]}
 
 
 def test_exponents_with_d_blank_fields_and_other_writers_weeks():
@@ -270,7 +270,7 @@ def test_exponents_with_d_blank_fields_and_other_writers_weeks():
     assert read[0].transmission_ns == 2200 * 604_800 * SECOND_NS - 100 * SECOND_NS
 
 
-def test_beidou_times_run_14_seconds_behind():
+def test_beidou_time_is_14_seconds_less():
     e = next(e for e in ephemerides(2) if satellite_name(e.satellite) == "C01")
     day_ns = gps_ns_from_gpst(CalendarTime(2024, 6, 23, 0, 0, 14))
     e = replace(e, toe_ns=day_ns, toc_ns=day_ns, transmission_ns=day_ns)
@@ -296,7 +296,7 @@ def test_beidou_times_run_14_seconds_behind():
         (4, 0, "G", "lines"),
     ],
 )
-def test_a_damaged_record_costs_itself_and_says_where(line, column, text, says):
+def test_malformed_record_is_one_error_with_its_line(line, column, text, says):
     written = ephemerides(4)
     lines = navigation_text(written).split("\n")
     begin = next(k for k, content in enumerate(lines) if content.endswith("END OF HEADER")) + 1 + 8
@@ -309,7 +309,7 @@ def test_a_damaged_record_costs_itself_and_says_where(line, column, text, says):
     assert len(errors) <= 2
 
 
-def test_a_file_cut_short_loses_its_last_record_only():
+def test_truncated_file_loses_only_its_last_record():
     written = ephemerides(5)
     text = navigation_text(written)
     for cut in (1, 2, 30, 100, 300):
@@ -333,14 +333,14 @@ def test_a_file_cut_short_loses_its_last_record_only():
         ("garbage", "expected 'RINEX VERSION / TYPE'"),
     ],
 )
-def test_other_files_are_refused_in_one_line(tmp_path, first, says):
+def test_other_file_types_are_refused_in_one_line(tmp_path, first, says):
     path = tmp_path / "test.nav"
     path.write_text(first + "\n" + "more\n" * 5)
     with pytest.raises(FormatError, match=says):
         read_navigation(path)
 
 
-def test_results_do_not_depend_on_how_the_bytes_are_cut():
+def test_results_do_not_depend_on_how_the_bytes_are_chunked():
     data = navigation_text(ephemerides(6), [IONOSPHERE]).replace("\n", "\r\n").encode()
     data = data[:1500] + b"\xff\n garbage \n" + data[1600:]
     whole, whole_errors, _ = decode(data)
@@ -357,7 +357,7 @@ def test_results_do_not_depend_on_how_the_bytes_are_cut():
         assert [str(r) for r in results if isinstance(r, FormatError)] == [str(e) for e in whole_errors]
 
 
-def test_random_damage_is_never_raised():
+def test_random_damage_never_raises():
     clean = navigation_text(ephemerides(8), [IONOSPHERE]).encode()
     rng = random.Random(11)
     for _ in range(400):
@@ -374,7 +374,7 @@ def test_random_damage_is_never_raised():
         decode(bytes(data))
 
 
-def test_an_endless_header_and_an_endless_line_are_refused_with_little_memory():
+def test_endless_header_and_line_are_refused():
     decoder = NavigationDecoder("test.nav")
     decoder.feed((navigation_text(ephemerides(9)).split("\n")[0] + "\n").encode())
     for _ in range(30):

@@ -75,10 +75,10 @@ def rows_of(epoch: ObservationEpoch):
 
 
 def same(a: Sequence[ObservationEpoch], b: Sequence[ObservationEpoch]) -> bool:
-    return said(a) == said(b)
+    return comparable(a) == comparable(b)
 
 
-def said(results):
+def comparable(results):
     return [str(r) if isinstance(r, FormatError) else (r.time_ns, list(rows_of(r).items())) for r in results]
 
 
@@ -97,7 +97,7 @@ def printed(epoch: ObservationEpoch):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_random_epochs_written_are_read_back_to_the_last_bit_of_the_format(seed):
+def test_written_epochs_are_decoded_exactly(seed):
     rng = np.random.default_rng(seed)
     times = NOON_NS + np.cumsum(rng.integers(1, 10**11, 12)) // 100 * 100
     written = [random_epoch(rng, int(t), satellites=int(rng.integers(0, 15))) for t in times]
@@ -111,7 +111,7 @@ def test_random_epochs_written_are_read_back_to_the_last_bit_of_the_format(seed)
     assert decoder.header.leap_seconds == 18
 
 
-def test_the_results_do_not_depend_on_how_the_bytes_are_cut():
+def test_results_do_not_depend_on_chunks():
     rng = np.random.default_rng(3)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=5) for k in range(6)]
     data = bytearray(observation_text(epochs, STATION).replace("\n", "\r\n").encode())
@@ -120,7 +120,7 @@ def test_the_results_do_not_depend_on_how_the_bytes_are_cut():
     data[places[4] - 10] = ord("x")
     data[places[5] : places[5]] = b"stray\n" + b"y" * 20_000 + b"\n"
     decoder = RinexDecoder("test.obs")
-    whole = said(decoder.feed(bytes(data)) + decoder.finish())
+    whole = comparable(decoder.feed(bytes(data)) + decoder.finish())
     assert len(whole) == 5 + 3
     chooser = random.Random(5)
     for number in (1, 3, 40, 700):
@@ -129,10 +129,10 @@ def test_the_results_do_not_depend_on_how_the_bytes_are_cut():
         results = []
         for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True):
             results += decoder.feed(bytes(data[a:b]))
-        assert said(results + decoder.finish()) == whole
+        assert comparable(results + decoder.finish()) == whole
 
 
-def test_missing_values_are_blank_zero_or_beyond_the_lines_end():
+def test_missing_values_are_blank_zero_or_after_the_line_end():
     text = header(types=("G    8 C1C L1C D1C S1C C5Q L5Q D5Q S5Q",)) + head(3)
     text += "G01" + cell(2e7) + " " * 16 + cell(0.0) + cell(40.0) + "\n"
     text += "G02" + " " * 64 + cell(2e7) + "\n"
@@ -145,7 +145,7 @@ def test_missing_values_are_blank_zero_or_beyond_the_lines_end():
     }
 
 
-def test_without_a_strength_in_dbhz_the_digit_counts_and_nothing_stays_nothing():
+def test_signal_strength_digit_is_used_without_dbhz():
     text = header() + head(4)
     text += "G01" + cell(2e7, " ", "4") + cell(1e8, " ", "7") + "\n"
     text += "G02" + cell(2e7, " ", "4") + cell(1e8) + cell(5.0) + cell(33.25, " ", "9") + "\n"
@@ -165,19 +165,19 @@ def test_without_a_strength_in_dbhz_the_digit_counts_and_nothing_stays_nothing()
 @pytest.mark.parametrize(
     ("flag", "lost", "half"), [(" ", 0, 0), ("0", 0, 0), ("1", 1, 0), ("2", 0, 1), ("3", 1, 1), ("4", 0, 0)]
 )
-def test_the_loss_of_lock_indicator(flag, lost, half):
+def test_loss_of_lock_indicator_bits(flag, lost, half):
     (epoch,), _, _ = decode(header() + head(1) + "G01" + cell(2e7, "3") + cell(1e8, flag) + "\n")
     assert (epoch.loss_of_lock[0], epoch.half_cycle[0]) == (lost, half)
 
 
-def test_after_a_power_failure_every_phase_is_new():
+def test_power_failure_sets_loss_of_lock():
     (epoch,), errors, _ = decode(header() + head(2, flag=1) + satellite("G01") + satellite("G02"))
     assert not errors
     assert epoch.loss_of_lock.all()
     assert not epoch.half_cycle.any()
 
 
-def test_events_bring_header_lines_and_slips_that_were_repaired_are_passed_over():
+def test_events_update_the_header_and_slip_records_are_ignored():
     event = f">{'':30}4  3\n"
     text = header() + head(1) + satellite("G01")
     text += event + line("E    1 C1C", "SYS / # / OBS TYPES") + line("comment", "COMMENT")
@@ -236,7 +236,7 @@ def test_an_epoch_line_may_have_a_clock_offset_and_picoseconds():
         ("2024 01 01 00 60", False),
     ],
 )
-def test_dates_are_those_of_the_calendar(date, good):
+def test_calendar_dates_are_checked(date, good):
     epochs, errors, _ = decode(header() + f"> {date} 59.9999999  0  0\n")
     assert len(errors) == (not good)
     if good:
@@ -260,7 +260,7 @@ def test_scale_factors_divide():
     assert "1, 10, 100 or 1000" in str(errors[0])
 
 
-def test_phase_shifts_are_not_applied_a_second_time():
+def test_phase_shifts_are_not_applied():
     shift = line("G L1C  0.25000", "SYS / PHASE SHIFT")
     (with_shift,), _, _ = decode(header(shift) + head(1) + satellite("G01"))
     (without,), _, _ = decode(header() + head(1) + satellite("G01"))
@@ -278,13 +278,13 @@ def test_phase_shifts_are_not_applied_a_second_time():
         (3.03, "2I", "2I"),
     ],
 )
-def test_beidous_first_band_is_the_one_that_the_version_means(version, code, signal):
+def test_beidou_band_1_depends_on_the_version(version, code, signal):
     _, errors, decoder = decode(header(version=version, types=(f"C    2 C{code} L{code}",)))
     assert not errors
     assert decoder.header.signals == {"C": (signal,)}
 
 
-def test_types_go_on_in_a_second_line_and_pseudo_observables_are_passed_over():
+def test_type_lines_continue_and_pseudo_observables_are_ignored():
     types = (
         "G   14 C1C L1C D1C S1C C2W L2W D2W S2W C5Q L5Q D5Q S5Q C1W",
         f"{'':6} S1W",
@@ -305,7 +305,7 @@ def test_types_go_on_in_a_second_line_and_pseudo_observables_are_passed_over():
 @pytest.mark.parametrize(
     "types", ["G    5 C1C L1C D1C S1C", "G    3 C1C L1C D1C S1C", "G    x C1C L1C D1C S1C"]
 )
-def test_a_system_whose_columns_are_not_certain_is_left_out(types):
+def test_system_with_inconsistent_types_is_skipped(types):
     text = header(types=(types, "E    1 C1C")) + head(2) + satellite("G01") + "E05" + cell(2.5e7) + "\n"
     (epoch,), errors, decoder = decode(text)
     assert list(rows_of(epoch)) == [("E05", "1C")]
@@ -313,7 +313,7 @@ def test_a_system_whose_columns_are_not_certain_is_left_out(types):
     assert [e.field for e in errors] == ["SYS / # / OBS TYPES of G"]
 
 
-def test_a_type_that_is_unknown_or_given_twice_costs_its_column():
+def test_unknown_or_repeated_type_costs_its_column():
     types = "G    5 C1C C9C L1# C1C S1C"
     text = header(types=(types,)) + head(1) + "G01" + "".join(cell(1000.0 + k) for k in range(5)) + "\n"
     (epoch,), errors, _ = decode(text)
@@ -324,7 +324,7 @@ def test_a_type_that_is_unknown_or_given_twice_costs_its_column():
 @pytest.mark.parametrize(
     ("system", "offset_s"), [("GPS", 0), ("GAL", 0), ("QZS", 0), ("BDT", 14), ("   ", 0)]
 )
-def test_time_systems(system, offset_s):
+def test_time_systems_are_converted_to_gps_time(system, offset_s):
     (epoch,), errors, _ = decode(header(time_system=system) + head(0))
     assert not errors
     assert epoch.time_ns == NOON_NS + offset_s * 10**9
@@ -345,7 +345,7 @@ def test_time_systems(system, offset_s):
         ("", "header, expected END OF HEADER"),
     ],
 )
-def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path, text, says):
+def test_unreadable_files_are_refused_in_one_line(tmp_path, text, says):
     epochs, errors, decoder = decode(text + (head(1) + satellite("G01") if text else ""))
     assert not epochs
     assert len(errors) == 1
@@ -379,7 +379,7 @@ GOOD = head(3) + satellite("G01") + satellite("G02") + satellite("G03")
         ("G02  21000000.000  ", "G02  21000000.000 -", "G02 C1C"),
     ],
 )
-def test_a_damaged_line_costs_its_satellite(old, new, field):
+def test_malformed_line_costs_its_satellite(old, new, field):
     assert old in GOOD
     (first, second), errors, _ = decode(header() + GOOD.replace(old, new) + head(1, 1.0) + satellite("G01"))
     assert [k for k, _ in rows_of(first)] == ["G01", "G03"]
@@ -390,7 +390,7 @@ def test_a_damaged_line_costs_its_satellite(old, new, field):
     assert str(error).startswith("test.obs:7: ")
 
 
-def test_what_stands_beyond_the_last_type_is_damage():
+def test_text_after_the_last_type_is_an_error():
     (epoch,), errors, _ = decode(
         header() + head(2) + satellite("G01") + satellite("G02").rstrip() + "   1.0\n"
     )
@@ -413,7 +413,7 @@ def test_what_stands_beyond_the_last_type_is_damage():
         head(999),
     ],
 )
-def test_a_damaged_epoch_line_costs_its_epoch(bad):
+def test_malformed_epoch_line_costs_its_epoch(bad):
     text = header() + bad + GOOD.split("\n", 1)[1] + head(1, 1.0) + satellite("G05")
     (epoch,), errors, _ = decode(text)
     assert list(rows_of(epoch)) == [("G05", "1C")]
@@ -423,7 +423,7 @@ def test_a_damaged_epoch_line_costs_its_epoch(bad):
 
 @pytest.mark.parametrize("rest", ["", " " * 9000, " " * 9000 + "x", " " * 9000 + "\r"])
 @pytest.mark.parametrize("begun", [satellite("G01")[:-1], head(2)[:-1], "x", ""])
-def test_a_line_that_is_too_long_is_one_wherever_the_bytes_are_cut(begun: str, rest: str):
+def test_too_long_line_does_not_depend_on_chunks(begun: str, rest: str):
     """Of such a line only the beginning is kept while it comes: blanks there hide what follows them."""
     good = head(1, 1.0) + satellite("G05")
     text = header() + head(2) + begun + rest + "\n" + satellite("G02") + good
@@ -443,20 +443,20 @@ def test_a_line_that_is_too_long_is_one_wherever_the_bytes_are_cut(begun: str, r
         decoder = RinexDecoder("test.obs")
         results = decoder.feed(data[:cut]) + decoder.feed(data[cut:]) + decoder.finish()
         assert [str(r) for r in results if isinstance(r, FormatError)] == [str(e) for e in errors]
-        found = [r for r in results if isinstance(r, ObservationEpoch)]
-        assert [rows_of(e) for e in found] == [rows_of(e) for e in epochs]
+        decoded = [r for r in results if isinstance(r, ObservationEpoch)]
+        assert [rows_of(e) for e in decoded] == [rows_of(e) for e in epochs]
     if rest:
         assert errors
 
 
-def test_lines_that_belong_to_no_epoch_are_one_error_and_blank_ones_none():
+def test_stray_lines_are_one_error_and_blank_lines_none():
     text = header() + head(1) + satellite("G01") * 4 + "\n\r\n" + head(1, 1.0) + satellite("G01")
     epochs, errors, _ = decode(text)
     assert len(epochs) == 2
     assert [e.line_number for e in errors] == [7]
 
 
-def test_of_a_satellite_given_twice_the_first_counts():
+def test_first_line_of_a_repeated_satellite_counts():
     (epoch,), errors, _ = decode(
         header() + head(3) + satellite("G01") + satellite("G 1", 3e7) + satellite("G02")
     )
@@ -465,7 +465,7 @@ def test_of_a_satellite_given_twice_the_first_counts():
     assert "each once an epoch" in str(errors[0])
 
 
-def test_where_bytes_are_missing_across_epochs_the_mixture_is_given_up():
+def test_mixture_of_two_epochs_is_discarded():
     """Three lines and the next epoch's line are lost: its satellites would be counted to the epoch before."""
     names = [f"G{k:02d}" for k in range(1, 9)]
     first = head(8) + "".join(satellite(n) for n in names)
@@ -476,7 +476,7 @@ def test_where_bytes_are_missing_across_epochs_the_mixture_is_given_up():
     assert len(errors) == 2
 
 
-def test_an_epoch_without_its_end_is_an_error_at_the_end():
+def test_truncated_last_epoch_is_an_error():
     text = header() + GOOD
     whole, errors, _ = decode(text[:-1])
     assert len(whole) == 1
@@ -487,14 +487,14 @@ def test_an_epoch_without_its_end_is_an_error_at_the_end():
         assert len(errors) == 1
 
 
-def test_a_lost_end_of_header_is_said_when_it_is_known():
+def test_missing_end_of_header_is_an_error():
     text = header().replace("END OF HEADER", "END OF HEADEX") + GOOD
     epochs, errors, _ = decode(text)
     assert not epochs
     assert "END OF HEADER" in str(errors[0])
 
 
-def test_random_damage_is_never_raised():
+def test_random_damage_never_raises():
     rng = np.random.default_rng(4)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=4) for k in range(5)]
     clean = observation_text(epochs, STATION).encode()
@@ -513,7 +513,7 @@ def test_random_damage_is_never_raised():
         decode(chooser.randbytes(300) + bytes(data[chooser.randrange(len(data)) :]))
 
 
-def test_a_wrong_byte_is_never_another_value():
+def test_wrong_byte_never_gives_another_value():
     """A letter instead of any byte of the epochs: what is still read is as it was."""
     rng = np.random.default_rng(4)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=4) for k in range(3)]
@@ -523,13 +523,13 @@ def test_a_wrong_byte_is_never_another_value():
     for place in range(begin, len(clean), 7):
         data = clean[:place] + b"x" + clean[place + 1 :]
         read, errors, _ = decode(data)
-        found = {(e.time_ns, key, row) for e in read for key, row in rows_of(e).items()}
+        decoded = {(e.time_ns, key, row) for e in read for key, row in rows_of(e).items()}
         # A lost newline damages two lines.
         assert 1 <= len(errors) <= 2, data[place - 40 : place + 40]
-        assert found < rows
+        assert decoded < rows
 
 
-def test_damage_in_the_header_is_never_raised():
+def test_damaged_header_never_raises():
     clean = (
         header(line("G   10", "SYS / SCALE FACTOR"), types=("G    4 C1C L1C D1C S1C", "E    1 C1C")) + GOOD
     ).encode()
@@ -552,7 +552,7 @@ def test_damage_in_the_header_is_never_raised():
         (header(), head(999).encode() + b"\n" * 900, 300),
     ],
 )
-def test_what_never_ends_does_not_grow(beginning, piece, times):
+def test_endless_input_uses_bounded_memory(beginning, piece, times):
     tracemalloc.start()
     decoder = RinexDecoder("test.obs")
     decoder.feed(beginning.encode())
@@ -564,14 +564,14 @@ def test_what_never_ends_does_not_grow(beginning, piece, times):
     assert decoder.refused == (beginning.count("\n") == 1)
 
 
-def test_999_satellites_are_read_as_far_as_they_differ():
+def test_999_satellite_lines_give_each_satellite_once():
     lines = "".join(satellite(f"G{k % 99 + 1:02d}") for k in range(999))
     (epoch,), errors, _ = decode(header() + head(999) + lines)
     assert len(rows_of(epoch)) == 99
     assert len(errors) == 900
 
 
-def test_files_may_be_compressed_whatever_their_name(tmp_path):
+def test_compression_is_recognised_by_content(tmp_path):
     hatanaka = pytest.importorskip("hatanaka")
     rng = np.random.default_rng(6)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=6, most_range_m=4e7) for k in range(5)]
@@ -592,7 +592,7 @@ def test_files_may_be_compressed_whatever_their_name(tmp_path):
         assert same(read.epochs, plain), name
 
 
-def test_damaged_compression_is_one_error_after_what_could_be_read(tmp_path):
+def test_corrupt_gzip_is_one_error_after_the_intact_epochs(tmp_path):
     text = (header() + GOOD * 20_000).encode()
     path = tmp_path / "cut.gz"
     data = gzip.compress(text)
@@ -605,7 +605,7 @@ def test_damaged_compression_is_one_error_after_what_could_be_read(tmp_path):
         read_observations(path)
 
 
-def test_of_a_small_file_that_was_cut_off_all_is_read_that_is_left(tmp_path):
+def test_truncated_gzip_gives_all_intact_epochs(tmp_path):
     rng = np.random.default_rng(7)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=9, most_range_m=4e7) for k in range(40)]
     data = gzip.compress(observation_text(epochs, STATION).encode())
@@ -615,7 +615,7 @@ def test_of_a_small_file_that_was_cut_off_all_is_read_that_is_left(tmp_path):
     assert same(read.epochs, decode(observation_text(epochs, STATION).encode())[0][: len(read.epochs)])
 
 
-def test_damaged_hatanaka_compression_is_one_error(tmp_path):
+def test_corrupt_hatanaka_compression_is_one_error(tmp_path):
     hatanaka = pytest.importorskip("hatanaka")
     path = tmp_path / "test.crx"
     path.write_bytes(hatanaka.rnx2crx((header() + GOOD).encode())[:150] + b"\xff\x00garbage")
@@ -623,7 +623,7 @@ def test_damaged_hatanaka_compression_is_one_error(tmp_path):
         read_observations(path)
 
 
-def test_without_the_package_for_it_hatanaka_compression_is_refused_in_one_line(tmp_path, monkeypatch):
+def test_missing_hatanaka_package_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "hatanaka", None)
     path = tmp_path / "test.crx"
     path.write_text(line("3.0                 COMPACT RINEX FORMAT", "CRINEX VERS   / TYPE"))
@@ -634,7 +634,7 @@ def test_without_the_package_for_it_hatanaka_compression_is_refused_in_one_line(
     assert "\n" not in str(raised.value)
 
 
-def test_a_missing_file_is_the_operating_systems_error(tmp_path):
+def test_missing_file_raises_oserror(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_observations(tmp_path / "none.obs")
 

@@ -61,7 +61,7 @@ def slow_reader(text: str):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_value_of_a_recording_is_the_one_that_a_plain_reader_reads(name):
+def test_every_value_of_a_recording_equals_that_of_a_simple_reader(name):
     path = recording(name)
     read = read_observations(path)
     assert read.problems == []
@@ -88,7 +88,7 @@ def test_every_value_of_a_recording_is_the_one_that_a_plain_reader_reads(name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_header_of_a_recording(name):
+def test_header_of_a_recording(name):
     header = read_observations(recording(name)).header
     assert header.version == 3.04
     assert header.time_system == "GPS"
@@ -104,11 +104,11 @@ def test_the_header_of_a_recording(name):
         assert header.signals["R"] == ()
 
 
-def test_satellites_of_systems_that_are_not_read_are_counted():
+def test_unsupported_satellites_are_counted():
     assert dict(read_observations(recording(FILES[0])).skipped) == {"R": 2408}
 
 
-def test_a_recording_that_comes_epoch_by_epoch_gives_each_with_its_last_byte():
+def test_each_epoch_is_returned_with_its_last_byte():
     data = recording(FILES[0]).read_bytes()
     begin = data.index(b"\n>") + 1
     pieces = [b">" + part for part in data[begin:].split(b">")[1:]]

@@ -73,7 +73,7 @@ def read_observations(text: str):
     return labels, types, epochs
 
 
-def test_observations_are_read_back_within_the_resolution_of_the_format():
+def test_written_observations_equal_an_independent_reader():
     rng = np.random.default_rng(5)
     written = [epoch(k, rng) for k in range(4)]
     _, types, epochs = read_observations(observation_text(written, STATION))
@@ -90,16 +90,16 @@ def test_observations_are_read_back_within_the_resolution_of_the_format():
                 "S": e.cn0_dbhz[k],
             }
             for kind, value in expected.items():
-                found = values.pop((name, kind + code), None)
+                decoded = values.pop((name, kind + code), None)
                 if np.isnan(value):
-                    assert found is None
+                    assert decoded is None
                 else:
-                    assert found is not None
-                    assert found[0] == pytest.approx(value, abs=0.5001e-3)
+                    assert decoded is not None
+                    assert decoded[0] == pytest.approx(value, abs=0.5001e-3)
         assert not values
 
 
-def test_loss_of_lock_half_cycles_and_strengths_stand_beside_the_values():
+def test_indicators_follow_the_values():
     _, _, epochs = read_observations(observation_text([epoch(0, np.random.default_rng(1))], STATION))
     values = epochs[0][1]
     assert [values[k][1] for k in (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"))] == [
@@ -113,7 +113,7 @@ def test_loss_of_lock_half_cycles_and_strengths_stand_beside_the_values():
     ]  # fmt: skip
 
 
-def test_the_header_has_all_records_that_the_standard_requires_and_no_line_is_too_long():
+def test_header_has_all_required_records_in_80_columns():
     text = observation_text([epoch(k, np.random.default_rng(1)) for k in range(2)], STATION)
     labels, _, _ = read_observations(text)
     required = (
@@ -127,7 +127,7 @@ def test_the_header_has_all_records_that_the_standard_requires_and_no_line_is_to
     assert text.isascii()
 
 
-def test_no_epochs_and_a_signal_given_twice_are_refused():
+def test_empty_file_and_repeated_signal_are_refused():
     with pytest.raises(ValueError, match="needs an epoch"):
         observation_text([], STATION)
     twice = epoch(0, np.random.default_rng(1))
@@ -180,18 +180,18 @@ def read_navigation(text: str):
     """Numbers of each record by its satellite, and its calendar time."""
     lines = text.splitlines()
     at = next(k for k, line in enumerate(lines) if line[60:].startswith("END OF HEADER")) + 1
-    found = {}
+    decoded = {}
     for k in range(at, len(lines), 8):
         calendar = tuple(int(v) for v in lines[k][3:23].split())
         numbers = [float(lines[k][c : c + 19]) for c in (23, 42, 61)]
         for line in lines[k + 1 : k + 8]:
             numbers += [float(line[c : c + 19]) for c in range(4, len(line), 19)]
-        found[lines[k][:3]] = (calendar, numbers)
-    return found
+        decoded[lines[k][:3]] = (calendar, numbers)
+    return decoded
 
 
 @pytest.mark.parametrize("e", SETS, ids=lambda e: chr(e.satellite >> 8))
-def test_ephemerides_are_read_back_to_twelve_digits_in_their_systems_own_time(e):
+def test_written_ephemerides_have_12_digits_in_system_time(e):
     system = chr(e.satellite >> 8)
     ((calendar, n),) = read_navigation(navigation_text([e])).values()
     shift_ns = 14 * NS_PER_SECOND if system == "C" else 0
@@ -223,7 +223,7 @@ def test_ephemerides_are_read_back_to_twelve_digits_in_their_systems_own_time(e)
         assert n[28] == 0.0  # a flag: not more than two hours
 
 
-def test_the_navigation_header_names_the_ionosphere_and_unknown_systems_are_refused():
+def test_header_contains_the_ionosphere_and_unknown_systems_are_refused():
     gps = IonosphereCoefficients(
         system="G", alpha=(1e-8, 2e-8, -6e-8, -1.2e-7), beta=(1e5, 1.8e5, -1.3e5, -4.6e5)
     )

@@ -23,7 +23,7 @@ from camber.formats.receiver.phase_alignment import PhaseAlignment
 from camber.formats.rtcm.msm_signals import MSM_SIGNALS
 from camber.formats.rtcm.msm_writer import lock_indicator
 from camber.formats.rtcm.writer import format_observations
-from support.random_observations import COMMON, LIGHT_M_S, MOST, SECOND_NS, WEEK_NS, random_epoch
+from support.random_observations import COMMON, LIGHT_M_S, MAX_NUMBER, SECOND_NS, WEEK_NS, random_epoch
 
 LIGHT_MS_M = LIGHT_M_S * 1e-3
 LETTERS = {"1077": "G", "1097": "E", "1117": "J", "1127": "C"}
@@ -56,13 +56,13 @@ def minimum_lock_ms(indicator: int) -> int:
 
 @given(st.floats(0.0, 90_000.0))
 @settings(derandomize=True, max_examples=300)
-def test_the_lock_indicator_is_the_greatest_whose_time_has_passed(lock_s):
+def test_lock_indicator_is_the_greatest_with_minimum_below_the_lock_time(lock_s):
     indicator = int(lock_indicator(np.array([lock_s]))[0])
     assert minimum_lock_ms(indicator) <= lock_s * 1e3 + 1e-5
     assert indicator == 704 or minimum_lock_ms(indicator + 1) > lock_s * 1e3
 
 
-def test_every_indicator_is_reached_by_its_own_minimum():
+def test_minimum_lock_time_of_each_indicator_gives_the_indicator():
     minimum = np.array([minimum_lock_ms(i) for i in range(705)])
     assert lock_indicator(minimum * 1e-3).tolist() == list(range(705))
 
@@ -111,14 +111,14 @@ def assert_same(epoch: ObservationEpoch, cells):
         wavelength = LIGHT_M_S / carrier_hz(letter, signal)
         code, phase, rate, cn0, lock_ms, half = cells[letter, number, signal]
         # Half a step of DF405, DF406, DF404 and DF408; doubles of 8e7 m add some 1e-8 m.
-        for found, given_, step in (
+        for decoded, given_, step in (
             (code, epoch.pseudorange_m[row], LIGHT_MS_M * 2.0**-29),
             (phase, epoch.carrier_phase_cycles[row] * wavelength, LIGHT_MS_M * 2.0**-31),
             (rate, -epoch.doppler_hz[row] * wavelength, 1e-4),
             (cn0, epoch.cn0_dbhz[row], 2.0**-4),
         ):
-            assert math.isnan(found) == math.isnan(given_)
-            assert math.isnan(found) or abs(found - given_) <= 0.5 * step + 1e-7
+            assert math.isnan(decoded) == math.isnan(given_)
+            assert math.isnan(decoded) or abs(decoded - given_) <= 0.5 * step + 1e-7
         lock_s = epoch.lock_time_s[row]
         if math.isnan(lock_s):
             assert lock_ms == 0
@@ -130,15 +130,15 @@ def assert_same(epoch: ObservationEpoch, cells):
 
 @given(st.integers(0, 2**32), TIMES, st.integers(0, 4095), st.sampled_from([0.0, 0.15, 0.6, 1.0]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_pyrtcm_gives_the_observations_back(seed, time_ns, station_id, missing):
+def test_pyrtcm_decodes_the_observations(seed, time_ns, station_id, missing):
     epoch = random_epoch(np.random.default_rng(seed), time_ns, missing=missing)
     frames = format_observations(epoch, station_id=station_id)
     cells, headers = read_with_pyrtcm(frames)
     assert_same(epoch, cells)
     assert [letter for letter, *_ in headers] == sorted((h[0] for h in headers), key="GEJC".index)
     for place, (letter, time_ms, station, more, mask_bits) in enumerate(headers):
-        behind_ns = 14 * SECOND_NS if letter == "C" else 0
-        assert time_ms == (time_ns - behind_ns) % WEEK_NS // 1_000_000
+        offset_ns = 14 * SECOND_NS if letter == "C" else 0
+        assert time_ms == (time_ns - offset_ns) % WEEK_NS // 1_000_000
         assert station == station_id
         assert more == (place < len(headers) - 1)
         assert mask_bits <= 64
@@ -146,7 +146,7 @@ def test_pyrtcm_gives_the_observations_back(seed, time_ns, station_id, missing):
 
 @given(st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=8, deadline=None)
-def test_as_many_satellites_as_the_mask_names_are_split_over_messages(seed):
+def test_63_satellites_are_split_over_messages(seed):
     epoch = random_epoch(np.random.default_rng(seed), 2300 * WEEK_NS, satellites=63, missing=0.05)
     frames = format_observations(epoch, station_id=1, more_follow=True)
     cells, headers = read_with_pyrtcm(frames)
@@ -156,17 +156,20 @@ def test_as_many_satellites_as_the_mask_names_are_split_over_messages(seed):
     for letter, *_ in headers:
         of_system[letter] += 1
     for letter, count in of_system.items():
-        own = epoch.satellite >> 8 == ord(letter)
-        satellites, signals = np.unique(epoch.satellite[own]).size, np.unique(epoch.signal[own]).size
+        selected = epoch.satellite >> 8 == ord(letter)
+        satellites, signals = (
+            np.unique(epoch.satellite[selected]).size,
+            np.unique(epoch.signal[selected]).size,
+        )
         assert count == math.ceil(satellites / (64 // signals))
 
 
-def test_an_epoch_without_observations_is_no_message():
+def test_empty_epoch_has_no_message():
     nothing = random_epoch(np.random.default_rng(0), 0, satellites=0)
     assert format_observations(nothing, station_id=0) == []
 
 
-def test_signal_ids_and_carriers_are_those_of_other_tables():
+def test_signal_ids_and_carriers_equal_those_of_pyrtcm():
     """pyrtcm's tables and those of RINEX in this project."""
     tables = zip("GEJC", (GPS_SIG_MAP, GALILEO_SIG_MAP, QZSS_SIG_MAP, BEIDOU_SIG_MAP), strict=True)
     theirs = {(letter, name): number for letter, table in tables for number, (_, name) in table.items()}
@@ -223,20 +226,20 @@ def one(**changes) -> ObservationEpoch:
         ({"signal": np.array([signal_number("1C")] * 2)}, "G05 1C: observed twice"),
     ],
 )
-def test_what_the_message_cannot_hold_is_refused_with_field_and_range(changes, message):
+def test_values_out_of_range_are_refused_with_field_and_range(changes, message):
     with pytest.raises(ValueError, match=message) as caught:
         format_observations(one(**changes), station_id=1)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("station_id", [-1, 4096])
-def test_a_station_id_of_more_than_twelve_bits_is_refused(station_id):
+def test_station_id_beyond_12_bits_is_refused(station_id):
     with pytest.raises(ValueError, match="station id"):
         format_observations(one(), station_id=station_id)
 
 
-@pytest.mark.parametrize("most", MOST.items())
-def test_the_last_satellite_of_each_system_is_named(most):
+@pytest.mark.parametrize("most", MAX_NUMBER.items())
+def test_last_satellite_of_each_system_is_encoded(most):
     letter, number = most
     signal = next(iter(COMMON[letter]))
     satellite = np.array([satellite_number(f"{letter}{number}")] * 2)
@@ -250,7 +253,7 @@ def test_the_last_satellite_of_each_system_is_named(most):
 
 @given(st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=10, deadline=None)
-def test_a_damaged_frame_fails_its_check(seed):
+def test_crc_detects_a_flipped_bit(seed):
     rng = np.random.default_rng(seed)
     for frame in format_observations(random_epoch(rng, 2300 * WEEK_NS), station_id=5):
         for _ in range(20):
@@ -260,12 +263,12 @@ def test_a_damaged_frame_fails_its_check(seed):
         assert crc24q(frame[:-3]) == int.from_bytes(frame[-3:], "big")
 
 
-def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until_it_breaks():
+def test_removed_cycles_are_constant_until_loss_of_lock():
     rng = np.random.default_rng(4)
     counts = PhaseAlignment()
     wavelength = np.array([LIGHT_M_S / 1575.42e6, LIGHT_M_S / 1227.6e6])
     ambiguity = np.array([400_000.0, -333_333.5])
-    told = []
+    reported = []
     for k in range(40):
         if k == 20:
             ambiguity = ambiguity + np.array([0.0, 77_777.0])
@@ -282,15 +285,15 @@ def test_a_phase_with_any_count_of_cycles_is_told_to_the_same_whole_number_until
         )
         aligned = counts.align_to_pseudorange(epoch)
         format_observations(aligned, station_id=1)
-        told.append(phase - aligned.carrier_phase_cycles)
-    off = np.array(told)
+        reported.append(phase - aligned.carrier_phase_cycles)
+    off = np.array(reported)
     assert np.all(off == np.rint(off))
     assert np.unique(off[:, 0]).size == 1
     assert np.unique(off[:20, 1]).size == np.unique(off[20:, 1]).size == 1
     assert abs(off[20, 1] - off[19, 1] - 77_777.0) < 40
 
 
-def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
+def test_drifting_phase_is_realigned_with_loss_of_lock():
     counts = PhaseAlignment()
     started = None
     for k in range(300):
@@ -309,7 +312,7 @@ def test_a_phase_that_runs_away_from_its_range_starts_anew_and_says_so():
     assert started is not None
 
 
-def test_a_phase_without_any_pseudorange_is_left_out_until_there_is_one():
+def test_phase_without_pseudorange_is_omitted_until_there_is_one():
     counts = PhaseAlignment()
     without = one(pseudorange_m=np.array([np.nan, 2.2e7]))
     assert np.isnan(counts.align_to_pseudorange(without).carrier_phase_cycles).tolist() == [True, False]

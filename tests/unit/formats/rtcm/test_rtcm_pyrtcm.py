@@ -123,23 +123,23 @@ def cells_by_pyrtcm(frame: bytes) -> tuple[list[list[Any]], int]:
     return rows, unknown
 
 
-def assert_equal_to_pyrtcm(frame: bytes, found: MsmMessage) -> None:
+def assert_equal_to_pyrtcm(frame: bytes, decoded: MsmMessage) -> None:
     rows, unknown = cells_by_pyrtcm(frame)
     message = RTCMReader.parse(frame)
-    assert found.unknown_signals == unknown
-    assert (found.station_id, found.more_follow) == (message.DF003, bool(message.DF393))
+    assert decoded.unknown_signals == unknown
+    assert (decoded.station_id, decoded.more_follow) == (message.DF003, bool(message.DF393))
     time = next(
         getattr(message, name) for name in ("DF004", "DF248", "DF428", "DF427") if hasattr(message, name)
     )
-    behind_ns = MSM_SYSTEMS[TENS[int(message.identity) // 10]].gps_offset_ns
-    assert (found.time_ns - behind_ns - time * 1_000_000) % WEEK_NS == 0
+    offset_ns = MSM_SYSTEMS[TENS[int(message.identity) // 10]].gps_offset_ns
+    assert (decoded.time_ns - offset_ns - time * 1_000_000) % WEEK_NS == 0
     theirs = np.array(rows, float).reshape(-1, 9).T
-    np.testing.assert_array_equal(found.integers, theirs[:3])
+    np.testing.assert_array_equal(decoded.integers, theirs[:3])
     # Equal bits: not a number only where theirs is none.
-    np.testing.assert_array_equal(found.floats, theirs[3:])
+    np.testing.assert_array_equal(decoded.floats, theirs[3:])
 
 
-def assert_ephemeris_equal_to_pyrtcm(frame: bytes, found: Ephemeris) -> None:
+def assert_ephemeris_equal_to_pyrtcm(frame: bytes, decoded: Ephemeris) -> None:
     message = RTCMReader.parse(frame)
     system, layout, spare = EPHEMERIS_MESSAGES[int(message.identity)]
     names = [name for name in RTCM_PAYLOADS_GET[message.identity] if name != "DF002"]
@@ -148,14 +148,14 @@ def assert_ephemeris_equal_to_pyrtcm(frame: bytes, found: Ephemeris) -> None:
         field: integer(message, name)
         for field, name in zip(layout, names[:-1] if spare else names, strict=True)
     }
-    theirs = ephemeris_from_integers(system, integers, found.transmission_ns)
-    ours = {name: getattr(found, name) for name in Ephemeris.__slots__ if name != "other"}
+    theirs = ephemeris_from_integers(system, integers, decoded.transmission_ns)
+    ours = {name: getattr(decoded, name) for name in Ephemeris.__slots__ if name != "other"}
     assert ours == {name: getattr(theirs, name) for name in ours}
-    assert {k: v for k, v in found.other.items() if k != "data_sources"} == theirs.other
+    assert {k: v for k, v in decoded.other.items() if k != "data_sources"} == theirs.other
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_the_same_frames_are_valid(name: str) -> None:
+def test_same_frames_are_valid_as_in_pyrtcm(name: str) -> None:
     data = log(name)
     frames = frames_of(data)
     assert frames
@@ -166,7 +166,7 @@ def test_the_same_frames_are_valid(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LOGS)
-def test_every_message_of_a_recording_is_pyrtcms_to_the_last_bit(name: str) -> None:
+def test_recorded_messages_equal_those_of_pyrtcm(name: str) -> None:
     decoder, read = RtcmDecoder(NOW_NS), 0
     frames = frames_of(log(name))
     for frame in frames:
@@ -198,7 +198,7 @@ def test_every_message_of_a_recording_is_pyrtcms_to_the_last_bit(name: str) -> N
 @pytest.mark.parametrize("name", LOGS)
 @given(seed=SEEDS)
 @settings(derandomize=True, max_examples=20, deadline=None)
-def test_of_a_damaged_recording_the_frames_that_are_whole_are_found(name: str, seed: int) -> None:
+def test_intact_frames_of_a_damaged_recording_are_decoded(name: str, seed: int) -> None:
     data = log(name)
     frames = frames_of(data)
     random = np.random.default_rng(seed)
@@ -247,18 +247,18 @@ def any_msm(random: np.random.Generator, number: int) -> bytes:
 
 @given(SEEDS)
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_observations_of_any_content_are_pyrtcms_to_the_last_bit(seed: int) -> None:
+def test_random_observations_equal_those_of_pyrtcm(seed: int) -> None:
     random = np.random.default_rng(seed)
     number = 10 * int(random.choice(list(TENS))) + int(random.integers(4, 8))
     frame = any_msm(random, number)
-    found = read_msm(frame[3:-3], number, NOW_NS)
-    assert found is not None
-    assert_equal_to_pyrtcm(frame, found)
+    decoded = read_msm(frame[3:-3], number, NOW_NS)
+    assert decoded is not None
+    assert_equal_to_pyrtcm(frame, decoded)
 
 
 @given(SEEDS, st.sampled_from(sorted(EPHEMERIS_MESSAGES)))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_ephemerides_of_any_content_are_pyrtcms_to_the_last_bit(seed: int, number: int) -> None:
+def test_random_ephemerides_equal_those_of_pyrtcm(seed: int, number: int) -> None:
     random = np.random.default_rng(seed)
     system, layout, spare = EPHEMERIS_MESSAGES[number]
     values = {name: int(random.integers(0, 1 << FIELDS[system][name].width)) for name in layout}
@@ -268,14 +268,14 @@ def test_ephemerides_of_any_content_are_pyrtcms_to_the_last_bit(seed: int, numbe
     pairs = [(number, 12), *((values[name], FIELDS[system][name].width) for name in layout), (0, spare)]
     frame = rtcm_frame(bits_to_bytes(*pack_bits(pairs)))
     decoder = RtcmDecoder(NOW_NS)
-    (found,) = decoder.feed(frame)
-    assert isinstance(found, Ephemeris)
-    assert_ephemeris_equal_to_pyrtcm(frame, found)
+    (decoded,) = decoder.feed(frame)
+    assert isinstance(decoded, Ephemeris)
+    assert_ephemeris_equal_to_pyrtcm(frame, decoded)
 
 
 @given(SEEDS)
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_a_message_that_ends_too_early_is_refused(seed: int) -> None:
+def test_truncated_message_is_refused(seed: int) -> None:
     random = np.random.default_rng(seed)
     number = 10 * int(random.choice(list(TENS))) + int(random.integers(4, 8))
     payload = any_msm(random, number)[3:-3]

@@ -55,7 +55,7 @@ def by_signal(epoch: ObservationEpoch):
     st.sampled_from([0, 1, 13_999, 14_000, 604_799_999, 86_399_999]),
 )
 @settings(derandomize=True, max_examples=80, deadline=None)
-def test_observations_come_back_within_the_resolution(seed, away_s, of_week_ms):
+def test_decoded_observations_are_within_the_resolution(seed, away_s, of_week_ms):
     time_ns = 2300 * WEEK_NS + of_week_ms * 1_000_000
     epoch = random_epoch(np.random.default_rng(seed), time_ns, satellites=30)
     data = b"".join(format_observations(epoch, station_id=77))
@@ -64,10 +64,10 @@ def test_observations_come_back_within_the_resolution(seed, away_s, of_week_ms):
     if not epoch.satellite.size:
         assert results == []
         return
-    (found,) = results
-    assert isinstance(found, BaseStationEpoch)
-    assert (found.station_id, found.complete, found.epoch.time_ns) == (77, True, time_ns)
-    theirs, ours = by_signal(epoch), by_signal(found.epoch)
+    (decoded,) = results
+    assert isinstance(decoded, BaseStationEpoch)
+    assert (decoded.station_id, decoded.complete, decoded.epoch.time_ns) == (77, True, time_ns)
+    theirs, ours = by_signal(epoch), by_signal(decoded.epoch)
     assert ours.keys() == theirs.keys()
     for (satellite, signal), (code, phase, doppler, cn0, lock_s, _, half) in theirs.items():
         carrier = COMMON[chr(satellite >> 8)][signal_name(signal)]
@@ -116,9 +116,9 @@ def test_pyrtcm_and_the_reader_agree_about_msm4(letter, number):
     rows += [(10, ids[0], -16384, -(2**21), 0, 0, 0)]
     frame = msm4_frame(number, 9, 1000, rows)
     message = RTCMReader.parse(frame)
-    ((found,), decoder) = read_all(frame, 2300 * WEEK_NS)
+    ((decoded,), decoder) = read_all(frame, 2300 * WEEK_NS)
     assert not any(counters(decoder).values())
-    epoch = found.epoch
+    epoch = decoded.epoch
     assert message.NCell == epoch.satellite.size == len(rows)
     rough = {
         getattr(message, f"PRN_{k:02d}"): getattr(message, f"DF397_{k:02d}")
@@ -148,7 +148,7 @@ def test_pyrtcm_and_the_reader_agree_about_msm4(letter, number):
     assert math.isnan(epoch.pseudorange_m[-1])
 
 
-def test_the_least_lock_times_are_those_that_the_indicators_are_made_of():
+def test_minimum_lock_times_of_reader_and_writer_agree():
     least = minimum_lock_s()[10]
     assert lock_indicator(least[:705]).tolist() == list(range(705))
 
@@ -158,18 +158,22 @@ NAMES = st.sampled_from(["G01", "G63", "J01", "J10", "E01", "E50", "C01", "C30",
 
 @given(SEEDS, NAMES, st.integers(-60, 60))
 @settings(derandomize=True, max_examples=100, deadline=None)
-def test_ephemerides_come_back_as_the_integers_that_were_sent(seed, name, hours):
+def test_decoded_ephemerides_have_the_encoded_integers(seed, name, hours):
     toe_ns = 2300 * WEEK_NS + (14 if name[0] == "C" else 0) * SECOND_NS
     ephemeris = random_ephemeris(np.random.default_rng(seed), name, toe_ns)
     near_ns = toe_ns + hours * 3600 * SECOND_NS
     results, decoder = read_all(b"".join(format_ephemeris(ephemeris)), near_ns)
     assert not any(counters(decoder).values())
     sent = integers_from_ephemeris(ephemeris)
-    for found in results:
-        assert isinstance(found, Ephemeris)
-        assert (found.toe_ns, found.toc_ns, found.transmission_ns) == (toe_ns, ephemeris.toc_ns, near_ns)
+    for decoded in results:
+        assert isinstance(decoded, Ephemeris)
+        assert (decoded.toe_ns, decoded.toc_ns, decoded.transmission_ns) == (
+            toe_ns,
+            ephemeris.toc_ns,
+            near_ns,
+        )
         if name[0] != "E":
-            assert integers_from_ephemeris(found) == sent
+            assert integers_from_ephemeris(decoded) == sent
     if name[0] == "E":
         fnav, inav = results
         assert (fnav.other["data_sources"], inav.other["data_sources"]) == (258.0, 517.0)
@@ -183,7 +187,7 @@ def test_ephemerides_come_back_as_the_integers_that_were_sent(seed, name, hours)
 
 @given(st.floats(-1e7, 1e7), st.floats(-1e7, 1e7), st.floats(-1e7, 1e7), st.none() | st.floats(0.0, 6.0))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_a_reference_station_comes_back(x, y, z, height):
+def test_reference_station_is_decoded(x, y, z, height):
     frame = format_reference_station((x, y, z), station_id=4095, antenna_height_m=height)
     ((station,), _) = read_all(frame)
     assert isinstance(station, ReferenceStation)
@@ -205,19 +209,19 @@ def a_stream(rng, seconds=3):
 
 def described(results):
     """Comparable, NaN included."""
-    told = []
+    reported = []
     for result in results:
         if isinstance(result, BaseStationEpoch):
             columns = (getattr(result.epoch, f.name) for f in fields(result.epoch))
-            told.append((result.station_id, result.complete, *(np.asarray(c).tobytes() for c in columns)))
+            reported.append((result.station_id, result.complete, *(np.asarray(c).tobytes() for c in columns)))
         else:
-            told.append(repr(result))
-    return told
+            reported.append(repr(result))
+    return reported
 
 
 @given(SEEDS, st.lists(st.integers(0, 6000), max_size=12))
 @settings(derandomize=True, max_examples=30, deadline=None)
-def test_the_results_do_not_depend_on_how_the_stream_is_cut(seed, cuts):
+def test_results_do_not_depend_on_how_the_stream_is_chunked(seed, cuts):
     rng = np.random.default_rng(seed)
     noise = [rng.bytes(int(rng.integers(0, 40))) for _ in range(60)]
     data = b"".join(part for pair in zip(a_stream(rng), noise, strict=False) for part in pair)
@@ -229,7 +233,7 @@ def test_the_results_do_not_depend_on_how_the_stream_is_cut(seed, cuts):
 
 @given(SEEDS)
 @settings(derandomize=True, max_examples=40, deadline=None)
-def test_frames_between_foreign_bytes_are_all_found_and_the_foreign_bytes_counted(seed):
+def test_frames_between_garbage_are_decoded_and_the_garbage_counted(seed):
     rng = np.random.default_rng(seed)
     frames = a_stream(rng)
     noise = [rng.bytes(int(rng.integers(0, 60))).replace(b"\xd3", b"\x00") for _ in frames]
@@ -241,7 +245,7 @@ def test_frames_between_foreign_bytes_are_all_found_and_the_foreign_bytes_counte
 
 @given(SEEDS, st.integers(1, 30))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_flipped_lost_and_inserted_bytes_raise_nothing_and_each_byte_is_accounted_for(seed, damages):
+def test_every_byte_of_a_damaged_stream_is_accounted_for(seed, damages):
     rng = np.random.default_rng(seed)
     frames = a_stream(rng)
     data = bytearray(b"".join(frames))
@@ -266,7 +270,7 @@ def test_flipped_lost_and_inserted_bytes_raise_nothing_and_each_byte_is_accounte
 
 @given(SEEDS)
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_contents_without_meaning_in_right_frames_raise_nothing(seed):
+def test_random_content_in_valid_frames_never_raises(seed):
     """The CRC is right, the content damaged or cut short: counted or read, never raised."""
     rng = np.random.default_rng(seed)
     decoder = RtcmDecoder(NOW_NS)
@@ -294,13 +298,13 @@ def test_contents_without_meaning_in_right_frames_raise_nothing(seed):
 
 @given(st.binary(max_size=4000))
 @settings(derandomize=True, max_examples=200)
-def test_random_bytes_raise_nothing_and_are_all_skipped(data):
+def test_random_bytes_are_all_skipped(data):
     results, decoder = read_all(data)
     assert results == []
     assert decoder.bytes_skipped == len(data)
 
 
-def test_an_epoch_is_given_when_its_last_message_came_or_the_next_begins():
+def test_epoch_is_returned_with_its_last_message_or_the_next_epoch():
     rng = np.random.default_rng(1)
     one = random_epoch(rng, NOW_NS, satellites=10, missing=0.0)
     frames = format_observations(one, station_id=1)
@@ -326,7 +330,7 @@ def test_an_epoch_is_given_when_its_last_message_came_or_the_next_begins():
     assert decoder.not_read == 1
 
 
-def test_a_lock_that_is_shorter_than_the_time_since_the_last_epoch_is_a_loss():
+def test_lock_shorter_than_the_time_since_the_last_epoch_is_a_loss():
     decoder = RtcmDecoder(NOW_NS)
     rng = np.random.default_rng(2)
     base = random_epoch(rng, NOW_NS, satellites=6, missing=0.0)
@@ -340,8 +344,8 @@ def test_a_lock_that_is_shorter_than_the_time_since_the_last_epoch_is_a_loss():
     ):
         columns = {f.name: getattr(base, f.name) for f in fields(base)}
         columns |= {"time_ns": NOW_NS + k * SECOND_NS, "lock_time_s": np.full(n, lock_s)}
-        (found,) = decoder.feed(b"".join(format_observations(ObservationEpoch(**columns), station_id=1)))
-        assert found.epoch.loss_of_lock.tolist() == [lost] * n
+        (decoded,) = decoder.feed(b"".join(format_observations(ObservationEpoch(**columns), station_id=1)))
+        assert decoded.epoch.loss_of_lock.tolist() == [lost] * n
 
 
 def test_times_follow_the_stream_over_weeks():
@@ -349,11 +353,11 @@ def test_times_follow_the_stream_over_weeks():
     for k in range(12):
         time_ns = NOW_NS + k * 3 * 86_400 * SECOND_NS
         epoch = random_epoch(np.random.default_rng(k), time_ns, satellites=5, missing=0.0)
-        for found in decoder.feed(b"".join(format_observations(epoch, station_id=1))):
-            assert found.epoch.time_ns == time_ns
+        for decoded in decoder.feed(b"".join(format_observations(epoch, station_id=1))):
+            assert decoded.epoch.time_ns == time_ns
 
 
-def test_epochs_that_are_never_ended_are_given_in_parts_and_do_not_pile_up():
+def test_endless_epochs_are_returned_in_parts():
     epoch = random_epoch(np.random.default_rng(4), NOW_NS, satellites=4, missing=0.0)
     frame = format_observations(epoch, station_id=1, more_follow=True)[0]
     decoder = RtcmDecoder(NOW_NS)
@@ -362,7 +366,7 @@ def test_epochs_that_are_never_ended_are_given_in_parts_and_do_not_pile_up():
     assert decoder.incomplete == 3
 
 
-def test_of_many_stations_only_some_are_remembered():
+def test_number_of_stations_is_bounded():
     epoch = random_epoch(np.random.default_rng(5), NOW_NS, satellites=4, missing=0.0)
     decoder, begun = RtcmDecoder(NOW_NS), 0
     for station in range(100):

@@ -29,14 +29,14 @@ def crc_bit_by_bit(data: bytes) -> int:
     return crc
 
 
-def test_the_frame_that_the_standard_prints_is_made_byte_by_byte():
+def test_frame_printed_in_the_standard_is_reproduced():
     frame = format_reference_station(
         (1114104.5999, -4850729.7108, 3975521.4643), station_id=2003, systems="G", single_oscillator=False
     )
     assert frame == STANDARD_1005
 
 
-def test_the_crc_is_the_catalogued_one():
+def test_crc_of_the_catalogue():
     # The catalogue of parametrised CRCs: polynomial 0x864CFB, start 0: check value of "123456789".
     assert crc24q(b"123456789") == 0xCDE703
     assert crc24q(b"") == 0
@@ -44,11 +44,11 @@ def test_the_crc_is_the_catalogued_one():
 
 @given(st.binary(max_size=1029))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_the_crc_equals_the_division_bit_by_bit(data):
+def test_crc_equals_bitwise_division(data):
     assert crc24q(data) == crc_bit_by_bit(data)
 
 
-def test_a_payload_that_is_too_long_is_refused():
+def test_too_long_payload_is_refused():
     assert len(rtcm_frame(b"\x00" * 1023)) == 1029
     with pytest.raises(ValueError, match="1024 bytes, expected at most 1023"):
         rtcm_frame(b"\x00" * 1024)
@@ -56,7 +56,7 @@ def test_a_payload_that_is_too_long_is_refused():
 
 @given(st.integers(0, 8 * len(STANDARD_1005) - 1))
 @settings(derandomize=True, max_examples=200)
-def test_every_flipped_bit_is_found(bit):
+def test_crc_detects_every_flipped_bit(bit):
     damaged = bytearray(STANDARD_1005)
     damaged[bit // 8] ^= 0x80 >> bit % 8
     assert crc24q(bytes(damaged[:-3])) != int.from_bytes(damaged[-3:], "big")
@@ -69,19 +69,19 @@ COORDINATE = st.floats(-13_743_895.0, 13_743_895.0)
 
 @given(COORDINATE, COORDINATE, COORDINATE, st.integers(0, 4095), st.none() | st.floats(0.0, 6.5535))
 @settings(derandomize=True, max_examples=100)
-def test_pyrtcm_reads_the_reference_station(x, y, z, station_id, height):
+def test_pyrtcm_decodes_the_reference_station(x, y, z, station_id, height):
     frame = format_reference_station((x, y, z), station_id=station_id, antenna_height_m=height)
     message = RTCMReader.parse(frame)
     assert message.identity == ("1005" if height is None else "1006")
     assert station_id == message.DF003
     assert (message.DF022, message.DF023, message.DF024, message.DF141) == (1, 0, 1, 0)
-    for found, given_ in ((message.DF025, x), (message.DF026, y), (message.DF027, z)):
-        assert found == pytest.approx(given_, abs=0.5001e-4)
+    for decoded, given_ in ((message.DF025, x), (message.DF026, y), (message.DF027, z)):
+        assert decoded == pytest.approx(given_, abs=0.5001e-4)
     if height is not None:
         assert pytest.approx(height, abs=0.5001e-4) == message.DF028
 
 
-def test_a_station_that_does_not_fit_is_refused():
+def test_station_out_of_range_is_refused():
     with pytest.raises(ValueError, match=r"reference station y \[m\] is 1.4e\+07, expected -1.37439e\+07"):
         format_reference_station((0.0, 1.4e7, 0.0), station_id=1)
     with pytest.raises(ValueError, match=r"antenna height \[m\] is 7, expected 0 to 6.5535"):
@@ -94,7 +94,7 @@ def test_a_station_that_does_not_fit_is_refused():
 
 @given(st.lists(st.tuples(st.integers(1, 40), st.integers(-(2**39), 2**39)), min_size=1, max_size=40))
 @settings(derandomize=True, max_examples=100)
-def test_columns_are_packed_as_single_fields_are(fields):
+def test_packed_columns_equal_packed_fields(fields):
     bits, width = pack_bits([(value, width) for width, value in fields])
     expected = (bits << -width % 8).to_bytes((width + 7) // 8, "big")
     assert pack_columns((), [(np.array([value]), width) for width, value in fields]) == expected
@@ -106,9 +106,9 @@ def test_a_quantised_value_is_within_half_a_step_or_refused(value, width, signed
     low, high = (-(2 ** (width - 1)), 2 ** (width - 1) - 1) if signed else (0, 2**width - 1)
     # A value that is half a step outside is still rounded in.
     if (low - 0.5) * 0.25 <= value <= (high + 0.5) * 0.25:
-        found = quantize("x", value, 0.25, width, signed=signed)
-        assert abs(found * 0.25 - value) <= 0.125
-        assert low <= found <= high
+        decoded = quantize("x", value, 0.25, width, signed=signed)
+        assert abs(decoded * 0.25 - value) <= 0.125
+        assert low <= decoded <= high
     else:
         with pytest.raises(ValueError, match="x is "):
             quantize("x", value, 0.25, width, signed=signed)
@@ -164,53 +164,53 @@ NAMES = st.sampled_from(
 
 def a_toe(rng, name, week):
     step = {"C": 8, "E": 60}.get(name[0], 16)
-    behind = 14 if name[0] == "C" else 0
+    offset_s = 14 if name[0] == "C" else 0
     second = int(rng.choice([0, 604_800 - step, int(rng.integers(0, 604_800 // step)) * step]))
-    return week * WEEK_NS + (second + behind) * SECOND_NS
+    return week * WEEK_NS + (second + offset_s) * SECOND_NS
 
 
 @given(st.integers(0, 2**32), NAMES, st.integers(1400, 3900))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_pyrtcm_gives_ephemerides_back_within_the_resolution_of_each_field(seed, name, week):
+def test_pyrtcm_decodes_ephemerides_within_the_resolution(seed, name, week):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, a_toe(rng, name, week))
     frames = format_ephemeris(ephemeris)
     expected = {"G": ["1019"], "C": ["1042"], "J": ["1044"], "E": ["1045", "1046"]}[name[0]]
     assert [RTCMReader.parse(frame).identity for frame in frames] == expected
-    behind_ns = 14 * SECOND_NS if name[0] == "C" else 0
+    offset_ns = 14 * SECOND_NS if name[0] == "C" else 0
     values = {
         "af0": ephemeris.clock[0],
         "af1": ephemeris.clock[1],
         "af2": ephemeris.clock[2],
         **ephemeris.other,
     }
-    values["toe"] = (ephemeris.toe_ns - behind_ns) % WEEK_NS / SECOND_NS
-    values["toc"] = (ephemeris.toc_ns - behind_ns) % WEEK_NS / SECOND_NS
+    values["toe"] = (ephemeris.toe_ns - offset_ns) % WEEK_NS / SECOND_NS
+    values["toc"] = (ephemeris.toc_ns - offset_ns) % WEEK_NS / SECOND_NS
     for frame in frames:
         message = RTCMReader.parse(frame)
         kind = message.identity
         satellite, its_week = (getattr(message, f"DF{number:03d}") for number in SATELLITE_AND_WEEK[kind])
         first, weeks = WEEKS[kind]
         assert satellite == ephemeris.satellite & 255
-        assert its_week == ((ephemeris.toe_ns - behind_ns) // WEEK_NS - first) % weeks
+        assert its_week == ((ephemeris.toe_ns - offset_ns) // WEEK_NS - first) % weeks
         for field, number in NUMBERS[kind].items():
             _, bits, step, _ = RTCM_DATA_FIELDS[f"DF{number:03d}"]
-            found = getattr(message, f"DF{number:03d}")
+            decoded = getattr(message, f"DF{number:03d}")
             wanted = values.get(field, getattr(ephemeris, field, None))
             step = step or 1
             if field.startswith("tgd") and kind == "1042":
-                found, step = found * 1e-9, 0.1e-9
+                decoded, step = decoded * 1e-9, 0.1e-9
             if field.endswith(("rad", "rad_s")):
                 wanted = wanted / math.pi
                 if field in ("ascending_node_rad", "perigee_rad", "mean_anomaly_rad"):
-                    wanted = found + math.remainder(wanted - found, 2.0)
+                    wanted = decoded + math.remainder(wanted - decoded, 2.0)
             tolerance = 0.0 if field in TIMES else 0.5 * step * (1.0 + 1e-6)
-            assert abs(found - wanted) <= tolerance, (kind, field, bits)
+            assert abs(decoded - wanted) <= tolerance, (kind, field, bits)
 
 
 @given(st.integers(0, 2**32), NAMES, st.integers(1400, 3900), st.integers(-100, 100))
 @settings(derandomize=True, max_examples=100, deadline=None)
-def test_the_integers_make_the_same_ephemeris_and_that_the_same_integers(seed, name, week, hours):
+def test_integers_and_ephemeris_are_inverse(seed, name, week, hours):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, a_toe(rng, name, week))
     integers = integers_from_ephemeris(ephemeris)
@@ -226,7 +226,7 @@ def test_the_integers_make_the_same_ephemeris_and_that_the_same_integers(seed, n
     assert integers_from_ephemeris(again) == integers
 
 
-def test_accuracies_are_told_as_the_index_that_is_not_better():
+def test_accuracy_index_never_claims_better_accuracy():
     rng = np.random.default_rng(2)
     for name, number, cases in (
         (
@@ -249,7 +249,7 @@ def test_accuracies_are_told_as_the_index_that_is_not_better():
             assert getattr(message, f"DF{number:03d}") == index
 
 
-def test_galileo_health_is_taken_apart_as_rinex_packs_it():
+def test_galileo_health_is_unpacked_as_in_rinex():
     ephemeris = random_ephemeris(np.random.default_rng(1), "E05", 2300 * WEEK_NS)
     # E5b: health 2, data valid; E5a: health 1, invalid; E1-B: health 3, invalid.
     object.__setattr__(ephemeris, "health", 0b10_0_01_1_11_1)
@@ -278,7 +278,7 @@ def test_galileo_health_is_taken_apart_as_rinex_packs_it():
         ("G05", {"satellite": ord("J") * 256 + 11}, "satellite J11: no broadcast ephemeris"),
     ],
 )
-def test_what_an_ephemeris_cannot_say_is_refused(name, changes, message):
+def test_ephemeris_out_of_range_is_refused(name, changes, message):
     ephemeris = random_ephemeris(
         np.random.default_rng(3), name, 2300 * WEEK_NS + 14 * SECOND_NS * (name[0] == "C")
     )
@@ -288,12 +288,12 @@ def test_what_an_ephemeris_cannot_say_is_refused(name, changes, message):
         format_ephemeris(ephemeris)
 
 
-def test_ephemeris_messages_are_as_long_as_the_standard_says():
+def test_ephemeris_messages_have_the_standard_length():
     lengths = {1019: 488, 1042: 511, 1044: 485, 1045: 496, 1046: 504}
     for name in ("G05", "C25", "J02", "E07"):
-        behind = 14 * SECOND_NS if name[0] == "C" else 0
+        offset_s = 14 * SECOND_NS if name[0] == "C" else 0
         for frame in format_ephemeris(
-            random_ephemeris(np.random.default_rng(1), name, 2300 * WEEK_NS + behind)
+            random_ephemeris(np.random.default_rng(1), name, 2300 * WEEK_NS + offset_s)
         ):
             number = int(RTCMReader.parse(frame).identity)
             assert len(frame) - 6 == -(-lengths.pop(number) // 8)

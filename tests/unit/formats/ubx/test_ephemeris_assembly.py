@@ -53,8 +53,8 @@ def an_ephemeris(rng: np.random.Generator, name: str, toe_ns: int) -> Ephemeris:
 
 
 def toe_near(name: str, time_ns: int) -> int:
-    behind_ns = 14 * SECOND_NS if name[0] == "C" else 0
-    return time_ns - time_ns % (7200 * SECOND_NS) + behind_ns
+    offset_ns = 14 * SECOND_NS if name[0] == "C" else 0
+    return time_ns - time_ns % (7200 * SECOND_NS) + offset_ns
 
 
 def frames(ephemeris: Ephemeris, from_ns: int, seconds: int = 30) -> list[bytes]:
@@ -65,29 +65,29 @@ def words_of(frame: bytes) -> tuple[int, ...]:
     return struct.unpack(f"<{frame[10]}I", frame[14:-2])
 
 
-def assert_same(found: Ephemeris, sent: Ephemeris) -> None:
+def assert_same(decoded: Ephemeris, sent: Ephemeris) -> None:
     """The same integers are broadcast: equal within the resolution of each field."""
-    assert (found.satellite, found.toe_ns, found.toc_ns) == (sent.satellite, sent.toe_ns, sent.toc_ns)
-    integers, expected = integers_from_ephemeris(found), integers_from_ephemeris(sent)
+    assert (decoded.satellite, decoded.toe_ns, decoded.toc_ns) == (sent.satellite, sent.toe_ns, sent.toc_ns)
+    integers, expected = integers_from_ephemeris(decoded), integers_from_ephemeris(sent)
     if chr(sent.satellite >> 8) == "E":
         # I/NAV does not say anything of E5a.
         for name in ("e5a_invalid", "e5a_health"):
             del integers[name], expected[name]
-        assert found.other["data_sources"] == 517.0
+        assert decoded.other["data_sources"] == 517.0
     assert integers == expected
 
 
 @given(SEEDS, st.sampled_from(NAMES), WEEKS, st.integers(0, 604_799))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_an_ephemeris_comes_back_once_from_each_frame_of_its_subframes(seed, name, week, second):
+def test_ephemeris_is_decoded_once_per_frame(seed, name, week, second):
     rng = np.random.default_rng(seed)
     begin_ns = week * WEEK_NS + second * SECOND_NS
     sent = an_ephemeris(rng, name, toe_near(name, begin_ns))
     near_ns = begin_ns + int(rng.integers(-3, 4)) * 86_400 * SECOND_NS // 2
     decoder = UbxDecoder("port", near_ns)
     # BeiDou's parts have to be of one period: two of them hold a whole one.
-    found = [decoder.feed(frame) for frame in frames(sent, begin_ns, 60)]
-    ephemerides = [result for results in found for result in results]
+    decoded = [decoder.feed(frame) for frame in frames(sent, begin_ns, 60)]
+    ephemerides = [result for results in decoded for result in results]
     whole = {1, 2} if name[0] == "C" else {2}
     assert len(ephemerides) in whole
     for ephemeris in ephemerides:
@@ -98,7 +98,7 @@ def test_an_ephemeris_comes_back_once_from_each_frame_of_its_subframes(seed, nam
 
 @given(SEEDS)
 @settings(derandomize=True, max_examples=20, deadline=None)
-def test_satellites_do_not_mix_and_a_lost_subframe_is_waited_for(seed):
+def test_satellites_are_separate_and_lost_subframes_are_awaited(seed):
     rng = np.random.default_rng(seed)
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS + 14 * SECOND_NS
     sent = {name: an_ephemeris(rng, name, toe_near(name, begin_ns)) for name in NAMES}
@@ -115,7 +115,7 @@ def test_satellites_do_not_mix_and_a_lost_subframe_is_waited_for(seed):
 
 
 @pytest.mark.parametrize("name", ["G07", "J02", "E11"])
-def test_parts_of_two_issues_are_not_put_together(name):
+def test_parts_of_two_issues_are_not_combined(name):
     rng = np.random.default_rng(5)
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS
     old = replace(random_ephemeris(rng, name, begin_ns), iode=10)
@@ -128,13 +128,13 @@ def test_parts_of_two_issues_are_not_put_together(name):
     decoder = UbxDecoder("port", begin_ns)
     # All parts are there, and they are of two issues.
     assert [r for frame in (*first[:half], *then[half:]) for r in decoder.feed(frame)] == []
-    found = [r for frame in frames(new, begin_ns + 60 * SECOND_NS)[:half] for r in decoder.feed(frame)]
-    assert [result.iode for result in found] == [11]
-    assert_same(found[0], new)
+    decoded = [r for frame in frames(new, begin_ns + 60 * SECOND_NS)[:half] for r in decoder.feed(frame)]
+    assert [result.iode for result in decoded] == [11]
+    assert_same(decoded[0], new)
 
 
 @pytest.mark.parametrize("name", ["C20", "C03"])
-def test_beidous_parts_of_two_periods_are_not_put_together(name):
+def test_beidou_parts_of_two_periods_are_not_combined(name):
     begin_ns = 2300 * WEEK_NS + (302_400 + 14) * SECOND_NS
     old, new = (
         random_ephemeris(np.random.default_rng(seed), name, toe_near(name, begin_ns)) for seed in (1, 2)
@@ -143,28 +143,28 @@ def test_beidous_parts_of_two_periods_are_not_put_together(name):
     decoder = UbxDecoder("port", begin_ns)
     assert [r for frame in first[:-1] for r in decoder.feed(frame)] == []
     assert [r for frame in then[-1:] for r in decoder.feed(frame)] == []
-    found = [r for frame in frames(new, begin_ns + 60 * SECOND_NS) for r in decoder.feed(frame)]
-    assert len(found) == 1
-    assert_same(found[0], new)
+    decoded = [r for frame in frames(new, begin_ns + 60 * SECOND_NS) for r in decoder.feed(frame)]
+    assert len(decoded) == 1
+    assert_same(decoded[0], new)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_sent_twice_is_no_harm(name):
+def test_repeated_subframes_are_harmless(name):
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS + 14 * SECOND_NS
     sent = an_ephemeris(np.random.default_rng(6), name, toe_near(name, begin_ns))
     sent_frames = frames(sent, begin_ns, 60)
     decoder = UbxDecoder("port", begin_ns)
-    found = [e for frame in sent_frames for e in decoder.feed(frame + frame)]
-    found += [e for frame in sent_frames + sent_frames for e in decoder.feed(frame)]
-    assert len(found) >= 3
-    for ephemeris in found:
+    decoded = [e for frame in sent_frames for e in decoder.feed(frame + frame)]
+    decoded += [e for frame in sent_frames + sent_frames for e in decoder.feed(frame)]
+    assert len(decoded) >= 3
+    for ephemeris in decoded:
         assert_same(ephemeris, sent)
     assert decoder.messages.bad_subframes == 0
 
 
 @given(SEEDS, st.sampled_from(NAMES))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_a_word_with_a_wrong_bit_is_never_used(seed, name):
+def test_word_with_a_wrong_bit_is_never_used(seed, name):
     rng = np.random.default_rng(seed)
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS
     sent = an_ephemeris(rng, name, toe_near(name, begin_ns))
@@ -181,7 +181,7 @@ def test_a_word_with_a_wrong_bit_is_never_used(seed, name):
         assert read[name[0]](words) == read[name[0]](subframe.words)
 
 
-def test_words_of_a_receiver_are_read_as_pyubx2_gives_them():
+def test_recorded_words_equal_those_of_pyubx2():
     for name, text in RECEIVED.items():
         frame = bytes.fromhex(text)
         message = UBXReader.parse(frame)
@@ -210,7 +210,7 @@ def test_words_of_a_receiver_are_read_as_pyubx2_gives_them():
             assert abs(integers["af0_s"] * 2.0**-33) < 1e-3
 
 
-def test_messages_of_other_kinds_are_counted_and_not_mistaken():
+def test_other_navigation_messages_are_counted():
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
     for text in OTHER_MESSAGES:
         assert decoder.feed(bytes.fromhex(text)) == []
@@ -231,7 +231,7 @@ def ionosphere_page(sv_id: int = 56) -> tuple[int, ...]:
     return tuple(add_parity(data))
 
 
-def test_the_ionosphere_comes_from_page_18_of_subframe_4():
+def test_ionosphere_is_decoded_from_page_18_of_subframe_4():
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
     frame = format_subframe(
         Subframe(end_ns=0, satellite=satellite_number("G05"), signal_id=0, words=ionosphere_page())
@@ -261,17 +261,17 @@ def test_the_ionosphere_comes_from_page_18_of_subframe_4():
     assert decoder.messages.bad_subframes == 0
 
 
-def test_beidous_ionosphere_comes_from_a_receivers_subframe_1():
+def test_beidou_ionosphere_is_decoded_from_subframe_1():
     decoder = UbxDecoder("port", 2374 * WEEK_NS)
-    (found,) = decoder.feed(bytes.fromhex(RECEIVED["C27"]))
-    assert isinstance(found, IonosphereCoefficients)
+    (decoded,) = decoder.feed(bytes.fromhex(RECEIVED["C27"]))
+    assert isinstance(decoded, IonosphereCoefficients)
     # Amplitudes of some tens of ns, periods of about a day, as the model's document expects them.
-    assert found.system == "C"
-    assert 1e-9 < found.alpha[0] < 1e-7
-    assert 72_000 < found.beta[0] < 172_800
+    assert decoded.system == "C"
+    assert 1e-9 < decoded.alpha[0] < 1e-7
+    assert 72_000 < decoded.beta[0] < 172_800
 
 
-def test_without_a_time_subframes_are_counted_and_not_read():
+def test_subframes_without_time_are_counted():
     sent = an_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS)
     decoder = UbxDecoder("port")
     for frame in frames(sent, 2300 * WEEK_NS):
@@ -281,7 +281,7 @@ def test_without_a_time_subframes_are_counted_and_not_read():
 
 @given(SEEDS, st.integers(0, 16), st.sampled_from([0, 2, 3, 5]), st.integers(0, 12))
 @settings(derandomize=True, max_examples=300, deadline=None)
-def test_random_words_never_raise_and_give_nothing(seed, count, gnss_id, signal_id):
+def test_random_words_give_nothing(seed, count, gnss_id, signal_id):
     rng = np.random.default_rng(seed)
     payload = bytes([gnss_id, int(rng.integers(0, 256)), signal_id, 0, count, 0, 2, 0]) + rng.bytes(4 * count)
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
@@ -291,7 +291,7 @@ def test_random_words_never_raise_and_give_nothing(seed, count, gnss_id, signal_
     assert decoder.messages.malformed == 1
 
 
-def test_an_orbit_of_zeros_is_no_ephemeris():
+def test_orbit_of_zeros_is_refused():
     begin_ns = 2300 * WEEK_NS
     sent = replace(an_ephemeris(np.random.default_rng(1), "E05", begin_ns), sqrt_a=0.0)
     decoder = UbxDecoder("port", begin_ns)
@@ -299,8 +299,8 @@ def test_an_orbit_of_zeros_is_no_ephemeris():
     assert decoder.messages.bad_subframes == 1
 
 
-def test_an_accuracy_that_is_not_said_is_not_known():
+def test_accuracy_without_prediction_is_nan():
     sent = replace(an_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS), accuracy_m=math.nan)
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
-    (found,) = [r for frame in frames(sent, 2300 * WEEK_NS) for r in decoder.feed(frame)]
-    assert math.isnan(found.accuracy_m)
+    (decoded,) = [r for frame in frames(sent, 2300 * WEEK_NS) for r in decoder.feed(frame)]
+    assert math.isnan(decoded.accuracy_m)

@@ -57,10 +57,10 @@ def test_what_is_written_is_read(seed, time_ns, missing):
     rng = np.random.default_rng(seed)
     sent = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=6)
     sent = replace(sent, pseudorange_m=sent.pseudorange_m * float(rng.choice([1.0, -1.0, 1e-6])))
-    found, left_out = read(format_raw_measurements(sent))
-    epoch = found.epoch
+    decoded, left_out = read(format_raw_measurements(sent))
+    epoch = decoded.epoch
     assert (left_out.other_systems, left_out.unknown_signals, left_out.repeated) == (0, 0, 0)
-    assert not found.clock_reset
+    assert not decoded.clock_reset
     assert read(rawx([row()], status=3))[0].clock_reset
     assert epoch.time_ns == time_ns
     np.testing.assert_array_equal(epoch.satellite, sent.satellite)
@@ -78,17 +78,17 @@ def test_what_is_written_is_read(seed, time_ns, missing):
     assert not epoch.loss_of_lock.any()
 
 
-def test_every_signal_of_the_table_is_read_by_its_number():
+def test_every_signal_id_is_decoded_to_its_signal():
     for system, names in SIGNAL_IDS.items():
         for name, signal_id in names.items():
-            found, _ = read(rawx([row(GNSS_IDS[system], 7, signal_id)]))
-            read_name = signal_name(int(found.epoch.signal[0]))
+            decoded, _ = read(rawx([row(GNSS_IDS[system], 7, signal_id)]))
+            read_name = signal_name(int(decoded.epoch.signal[0]))
             assert read_name == name or name.endswith("X"), (system, name)
             assert SIGNAL_IDS[system][read_name] == signal_id
-            assert satellite_name(int(found.epoch.satellite[0])) == f"{system}07"
+            assert satellite_name(int(decoded.epoch.satellite[0])) == f"{system}07"
 
 
-def test_signals_of_geostationary_satellites_are_the_same_signals():
+def test_d2_ids_are_decoded_to_the_same_signals():
     for d1, d2 in ((0, 1), (2, 3), (4, 10)):
         names = [
             signal_name(int(read(rawx([row(3, 3, signal_id)]))[0].epoch.signal[0])) for signal_id in (d1, d2)
@@ -96,27 +96,27 @@ def test_signals_of_geostationary_satellites_are_the_same_signals():
         assert names[0] == names[1]
 
 
-def test_phases_of_geostationary_satellites_lack_half_a_cycle():
+def test_half_a_cycle_is_added_to_geostationary_phases():
     for number, half in ((1, 0.5), (5, 0.5), (6, 0.0), (58, 0.0), (59, 0.5), (63, 0.5)):
         epoch = read(rawx([row(3, number, 0, phase=1000.25)]))[0].epoch
         assert epoch.carrier_phase_cycles.tolist() == [1000.25 + half]
 
 
-def test_a_receiver_of_version_0_has_one_signal_of_each_system():
-    found, _ = read(rawx([row(0, 5, 200), row(3, 6, 77), row(2, 7, 9)], version=0))
-    assert [signal_name(number) for number in found.epoch.signal.tolist()] == ["1C", "2I", "1C"]
+def test_version_0_has_one_signal_per_system():
+    decoded, _ = read(rawx([row(0, 5, 200), row(3, 6, 77), row(2, 7, 9)], version=0))
+    assert [signal_name(number) for number in decoded.epoch.signal.tolist()] == ["1C", "2I", "1C"]
 
 
-def test_what_is_not_read_is_counted():
+def test_omitted_measurements_are_counted():
     rows = [
         *(row(6, 3), row(1, 130), row(7, 4), row(200, 1)),  # GLONASS, SBAS, NavIC, nobody
         *(row(0, 3, 1), row(0, 0), row(5, 11), row(0, 255)),  # no such signal, no such satellites
         *(row(0, 9, 0, 2.0e7), row(0, 9, 0, 2.5e7)),  # twice
     ]
-    found, left_out = read(rawx(rows))
+    decoded, left_out = read(rawx(rows))
     assert (left_out.other_systems, left_out.unknown_signals, left_out.repeated) == (4, 4, 1)
-    assert found.epoch.satellite.tolist() == [satellite_number("G09")]
-    assert found.epoch.pseudorange_m.tolist() == [2.0e7]
+    assert decoded.epoch.satellite.tolist() == [satellite_number("G09")]
+    assert decoded.epoch.pseudorange_m.tolist() == [2.0e7]
 
 
 @pytest.mark.parametrize(
@@ -131,14 +131,14 @@ def test_what_is_not_read_is_counted():
         (0b0101, True, False, False),
     ],
 )
-def test_the_tracking_status_says_what_is_valid(track, pseudorange, phase, half):
+def test_tracking_status_determines_valid_values(track, pseudorange, phase, half):
     epoch = read(rawx([row(track=track)]))[0].epoch
     assert math.isnan(epoch.pseudorange_m[0]) != pseudorange
     assert math.isnan(epoch.carrier_phase_cycles[0]) != phase
     assert bool(epoch.half_cycle[0]) == half
 
 
-def test_values_that_are_no_numbers_are_not_known():
+def test_nonfinite_values_are_nan():
     for bad in (math.nan, math.inf, -math.inf):
         epoch = read(rawx([row(pseudorange=bad, phase=bad, doppler=bad)]))[0].epoch
         assert np.isnan([epoch.pseudorange_m[0], epoch.carrier_phase_cycles[0], epoch.doppler_hz[0]]).all()
@@ -146,11 +146,11 @@ def test_values_that_are_no_numbers_are_not_known():
 
 def lost(*epochs) -> list[bool]:
     """(s of week, lock ms, tracking status): whether each phase is broken."""
-    locks, found = LossOfLockDetector(), []
+    locks, decoded = LossOfLockDetector(), []
     for tow_s, lock, track in epochs:
         epoch = read(rawx([row(lock=lock, track=track)], tow_s=tow_s), locks=locks)[0].epoch
-        found.append(bool(epoch.loss_of_lock[0]))
-    return found
+        decoded.append(bool(epoch.loss_of_lock[0]))
+    return decoded
 
 
 def test_loss_of_lock_follows_the_lock_time_and_the_half_cycle():
@@ -162,7 +162,7 @@ def test_loss_of_lock_follows_the_lock_time_and_the_half_cycle():
     assert lost((0, 64500, 7), (60, 64500, 7), (200, 64500, 7)) == [False, False, True]
 
 
-def test_a_week_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time():
+def test_week_roll_over_is_resolved_by_the_known_time():
     sent = rawx([row()], week=2300 - 1024)
     assert read(sent)[0].epoch.time_ns // WEEK_NS == 1276
     assert read(sent, near_ns=2290 * WEEK_NS)[0].epoch.time_ns == 2300 * WEEK_NS + 345_600 * SECOND_NS
@@ -191,33 +191,35 @@ def test_times_are_rounded_to_ns():
         ubx_frame(0x02, 0x15, bytes(15)),
     ],
 )
-def test_messages_that_contradict_themselves_are_counted_and_never_raise(frame):
+def test_inconsistent_messages_are_counted_and_never_raise(frame):
     decoder = UbxDecoder("port")
     assert decoder.feed(frame + frame) == []
     assert decoder.messages.malformed == 2
 
 
-def test_an_epoch_without_measurements_is_an_epoch():
-    found, _ = read(rawx([]))
-    assert found.epoch.satellite.shape == found.epoch.loss_of_lock.shape == (0,)
+def test_epoch_without_measurements_is_returned():
+    decoded, _ = read(rawx([]))
+    assert decoded.epoch.satellite.shape == decoded.epoch.loss_of_lock.shape == (0,)
 
 
 # ------------------------------------------------------------------------------------------------------- recordings
 
 
-def test_a_recording_gives_pyubx2s_values_to_the_last_bit():
+def test_recorded_measurements_equal_those_of_pyubx2():
     path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / "ubx-pygpsdata-RXMRAWX.log"
     if "CAMBER_DATA" not in os.environ or not path.is_file():
         pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
     data = path.read_bytes()
     decoder = UbxDecoder(path.name)
-    found = [decoder.feed(data[place : place + 777]) for place in range(0, len(data), 777)]
-    epochs = [result for results in found for result in results]
+    decoded = [decoder.feed(data[place : place + 777]) for place in range(0, len(data), 777)]
+    epochs = [result for results in decoded for result in results]
     names = {0: "G", 2: "E", 3: "C", 5: "J"}
-    told = [message for _, message in UBXReader(io.BytesIO(data))]
-    assert len(epochs) == len(told) == 14
+    reported = [message for _, message in UBXReader(io.BytesIO(data))]
+    assert len(epochs) == len(reported) == 14
     others, halves = 0, 0
-    for (result, message), earlier in zip(zip(epochs, told, strict=True), [None, *told], strict=False):
+    for (result, message), earlier in zip(
+        zip(epochs, reported, strict=True), [None, *reported], strict=False
+    ):
         epoch = result.epoch
         assert epoch.time_ns == message.week * WEEK_NS + round(message.rcvTow * 1e9)
         assert result.clock_reset == message.clkReset
@@ -254,7 +256,7 @@ FIELDS = (
 )
 
 
-def test_signal_numbers_stand_for_the_names_of_the_interface_description():
+def test_l2c_ids_of_gps_and_qzss_differ():
     # Two that are easily mixed up: L2 CL and CM have other numbers at QZSS than at GPS.
     assert (SIGNAL_IDS["G"]["2L"], SIGNAL_IDS["J"]["2L"]) == (3, 5)
     assert read(rawx([row(5, 2, 4)]))[0].epoch.signal[0] == signal_number("2S")

@@ -68,7 +68,7 @@ def lnav_data(words):
     return data
 
 
-def test_words_of_a_receiver_are_made_again_bit_by_bit():
+def test_recorded_words_are_reproduced():
     data = lnav_data(RECEIVED)
     assert data[0] >> 16 == 0x8B
     assert tuple(add_parity(data)) == RECEIVED
@@ -77,10 +77,10 @@ def test_words_of_a_receiver_are_made_again_bit_by_bit():
 @given(st.lists(st.integers(0, 2**24 - 1), min_size=10, max_size=10))
 @settings(derandomize=True, max_examples=200)
 def test_parity_holds_for_any_data(data):
-    found = lnav_data(add_parity(data))
+    decoded = lnav_data(add_parity(data))
     for place in range(10):
         solved = place in (1, 9)
-        assert found[place] >> 2 * solved == data[place] >> 2 * solved
+        assert decoded[place] >> 2 * solved == data[place] >> 2 * solved
 
 
 def lnav_values(data1, data2, data3):
@@ -141,14 +141,14 @@ GALILEO_HALF_STEPS = HALF_STEPS | {
 }  # fmt: skip
 
 
-def assert_says(found, ephemeris, half_steps):
+def assert_says(decoded, ephemeris, half_steps):
     af0, af1, af2 = ephemeris.clock
     given_ = {"af0": af0, "af1": af1, "af2": af2, **ephemeris.other}
     for name, half in half_steps.items():
-        if name not in found:
+        if name not in decoded:
             continue
         wanted = given_.get(name, getattr(ephemeris, name, None))
-        difference = found[name] - wanted
+        difference = decoded[name] - wanted
         if name in ("mean_anomaly_rad", "ascending_node_rad", "perigee_rad"):
             difference = math.remainder(difference, 2.0 * PI)
         assert abs(difference) <= half * (1.0 + 1e-6), name
@@ -170,7 +170,7 @@ def all_of(ephemeris, from_ns):
 
 @given(SEEDS, st.sampled_from(["G01", "G17", "G32", "J01", "J10"]), WEEKS, st.sampled_from([0, 12, 604_770]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_lnav_subframes_are_read_back(seed, name, week, second):
+def test_lnav_subframes_equal_an_independent_decoder(seed, name, week, second):
     rng = np.random.default_rng(seed)
     # The reference time is in the next week for the last second of this.
     toe_ns = (week + (second > 600_000)) * WEEK_NS + 7200 * SECOND_NS
@@ -187,18 +187,18 @@ def test_lnav_subframes_are_read_back(seed, name, week, second):
         assert start_ns % (30 * SECOND_NS) == (which - 1) * 6 * SECOND_NS
         assert subframe[1] >> 7 == end_ns % WEEK_NS // (6 * SECOND_NS)
         data[which] = subframe, start_ns
-    found = lnav_values(*(data[k][0] for k in (1, 2, 3)))
-    assert found["week"] == data[1][1] // WEEK_NS % 1024
-    assert found["toe"] == ephemeris.toe_ns % WEEK_NS // SECOND_NS
-    assert found["toc"] == ephemeris.toc_ns % WEEK_NS // SECOND_NS
-    assert (found["iode"], found["iode3"], found["iodc"]) == (
+    decoded = lnav_values(*(data[k][0] for k in (1, 2, 3)))
+    assert decoded["week"] == data[1][1] // WEEK_NS % 1024
+    assert decoded["toe"] == ephemeris.toe_ns % WEEK_NS // SECOND_NS
+    assert decoded["toc"] == ephemeris.toc_ns % WEEK_NS // SECOND_NS
+    assert (decoded["iode"], decoded["iode3"], decoded["iodc"]) == (
         ephemeris.iode,
         ephemeris.iode,
         ephemeris.other["iodc"],
     )
-    assert found["health"] == ephemeris.health
-    assert found["fit"] == (ephemeris.other["fit_interval_h"] > (4.0 if name[0] == "G" else 2.0))
-    assert_says(found, ephemeris, HALF_STEPS)
+    assert decoded["health"] == ephemeris.health
+    assert decoded["fit"] == (ephemeris.other["fit_interval_h"] > (4.0 if name[0] == "G" else 2.0))
+    assert_says(decoded, ephemeris, HALF_STEPS)
 
 
 # --- Galileo: OS SIS ICD, 4.3 -----------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def inav_word(words):
 
 @given(SEEDS, st.sampled_from(["E01", "E24", "E36"]), WEEKS, st.sampled_from([0, 13, 604_770]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_inav_pages_are_read_back(seed, name, week, second):
+def test_inav_pages_equal_an_independent_decoder(seed, name, week, second):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, week * WEEK_NS + 600 * SECOND_NS)
     pages = {}
@@ -247,7 +247,7 @@ def test_inav_pages_are_read_back(seed, name, week, second):
 
     for word in (1, 2, 3, 4):
         assert u(word, 7, 10) == ephemeris.iode
-    found = {
+    decoded = {
         "mean_anomaly_rad": s(1, 31, 32) * 2.0**-31 * PI,
         "eccentricity": u(1, 63, 32) * 2.0**-33,
         "sqrt_a": u(1, 95, 32) * 2.0**-19,
@@ -269,8 +269,8 @@ def test_inav_pages_are_read_back(seed, name, week, second):
         "bgd_e5a_s": s(5, 48, 10) * 2.0**-32,
         "bgd_e5b_s": s(5, 58, 10) * 2.0**-32,
     }
-    assert len(found) == len(GALILEO_HALF_STEPS) - 1  # all but GPS's group delay
-    assert_says(found, ephemeris, GALILEO_HALF_STEPS)
+    assert len(decoded) == len(GALILEO_HALF_STEPS) - 1  # all but GPS's group delay
+    assert_says(decoded, ephemeris, GALILEO_HALF_STEPS)
     assert u(1, 17, 14) * 60 == ephemeris.toe_ns % WEEK_NS // SECOND_NS
     assert u(4, 55, 14) * 60 == ephemeris.toc_ns % WEEK_NS // SECOND_NS
     assert u(4, 17, 6) == ephemeris.satellite & 255
@@ -334,7 +334,7 @@ def assert_head(u, end_ns, length_ns, subframe):
 
 @given(SEEDS, st.sampled_from(["C06", "C27", "C46", "C58"]), WEEKS, st.sampled_from([0, 14, 604_770]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_d1_subframes_are_read_back(seed, name, week, second):
+def test_d1_subframes_equal_an_independent_decoder(seed, name, week, second):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, week * WEEK_NS + (7200 + 14) * SECOND_NS)
     read = {}
@@ -348,7 +348,7 @@ def test_d1_subframes_are_read_back(seed, name, week, second):
         assert start_ns % (30 * SECOND_NS) == (which - 1) * 6 * SECOND_NS
         read[which] = u, s, start_ns
     (u1, s1, start_ns), (u2, s2, _), (u3, s3, _) = (read[k] for k in (1, 2, 3))
-    found = {
+    decoded = {
         "tgd1_s": s1((99, 10)) * 1e-10,
         "tgd2_s": s1((109, 4), (121, 6)) * 1e-10,
         "af2": s1((215, 11)) * 2.0**-66,
@@ -370,21 +370,21 @@ def test_d1_subframes_are_read_back(seed, name, week, second):
         "ascending_node_rad": s3((212, 21), (241, 11)) * 2.0**-31 * PI,
         "perigee_rad": s3((252, 11), (271, 21)) * 2.0**-31 * PI,
     }
-    assert len(found) == len(BEIDOU_HALF_STEPS) - 1
-    assert_says(found, ephemeris, BEIDOU_HALF_STEPS)
-    behind_ns = 14 * SECOND_NS
+    assert len(decoded) == len(BEIDOU_HALF_STEPS) - 1
+    assert_says(decoded, ephemeris, BEIDOU_HALF_STEPS)
+    offset_ns = 14 * SECOND_NS
     assert u1((43, 1)) == ephemeris.health
     assert u1((44, 5)) == ephemeris.other["aodc"]
     assert u1((61, 13)) == start_ns // WEEK_NS - 1356
-    assert u1((74, 9), (91, 8)) * 8 == (ephemeris.toc_ns - behind_ns) % WEEK_NS // SECOND_NS
+    assert u1((74, 9), (91, 8)) * 8 == (ephemeris.toc_ns - offset_ns) % WEEK_NS // SECOND_NS
     assert u1((288, 5)) == ephemeris.iode
     toe = u2((291, 2)) << 15 | u3((43, 10), (61, 5))
-    assert toe * 8 == (ephemeris.toe_ns - behind_ns) % WEEK_NS // SECOND_NS
+    assert toe * 8 == (ephemeris.toe_ns - offset_ns) % WEEK_NS // SECOND_NS
 
 
 @given(SEEDS, st.sampled_from(["C01", "C05", "C59", "C63"]), WEEKS, st.sampled_from([0, 14, 604_770]))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_d2_pages_of_geostationary_satellites_are_read_back(seed, name, week, second):
+def test_d2_pages_equal_an_independent_decoder(seed, name, week, second):
     rng = np.random.default_rng(seed)
     ephemeris = random_ephemeris(rng, name, week * WEEK_NS + (7200 + 14) * SECOND_NS)
     read = {}
@@ -407,7 +407,7 @@ def test_d2_pages_of_geostationary_satellites_are_read_back(seed, name, week, se
         bits = sum(n for _, n in rest)
         return read[page][1](*pieces) * 2**bits + u(next_page, *rest)
 
-    found = {
+    decoded = {
         "tgd1_s": read[1][1]((103, 10)) * 1e-10,
         "tgd2_s": read[1][1]((121, 10)) * 1e-10,
         "af0": read[3][1]((101, 12), (121, 12)) * 2.0**-33,
@@ -429,8 +429,8 @@ def test_d2_pages_of_geostationary_satellites_are_read_back(seed, name, week, se
         "perigee_rad": parts((9, [(100, 13), (121, 14)]), (10, [(47, 5)])) * 2.0**-31 * PI,
         "inclination_rate_rad_s": read[10][1]((52, 1), (61, 13)) * 2.0**-43 * PI,
     }
-    assert len(found) == len(BEIDOU_HALF_STEPS) - 1
-    assert_says(found, ephemeris, BEIDOU_HALF_STEPS)
+    assert len(decoded) == len(BEIDOU_HALF_STEPS) - 1
+    assert_says(decoded, ephemeris, BEIDOU_HALF_STEPS)
     assert u(1, (47, 1)) == ephemeris.health
     assert u(1, (48, 5)) == ephemeris.other["aodc"]
     assert u(1, (65, 13)) == read[1][2] // WEEK_NS - 1356
@@ -446,7 +446,7 @@ def test_d2_pages_of_geostationary_satellites_are_read_back(seed, name, week, se
     SEEDS, st.sampled_from(["G05", "J03", "E11", "C21", "C03"]), st.lists(st.integers(1, 40_000), max_size=6)
 )
 @settings(derandomize=True, max_examples=40, deadline=None)
-def test_intervals_side_by_side_hold_each_subframe_once(seed, name, lengths_ms):
+def test_adjacent_intervals_contain_each_subframe_once(seed, name, lengths_ms):
     rng = np.random.default_rng(seed)
     start_ns = 2300 * WEEK_NS - 30 * SECOND_NS + int(rng.integers(0, 30_000)) * 1_000_000
     ephemeris = random_ephemeris(rng, name, 2300 * WEEK_NS + (14 if name[0] == "C" else 0) * SECOND_NS)
@@ -460,7 +460,7 @@ def test_intervals_side_by_side_hold_each_subframe_once(seed, name, lengths_ms):
     assert all(start_ns <= subframe.end_ns < edges[-1] for subframe in pieces)
 
 
-def test_a_satellite_of_another_system_has_no_subframes():
+def test_unsupported_system_is_refused():
     ephemeris = random_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS)
     object.__setattr__(ephemeris, "satellite", ord("R") * 256 + 5)
     with pytest.raises(ValueError, match="R05: expected one of G, J, E, C"):

@@ -108,9 +108,9 @@ def run(*frames: bytes, near_ns: int | None = None, finish: bool = True):
 
 
 def only(results, kind):
-    found = [result for result in results if isinstance(result, kind)]
-    assert len(found) == 1
-    return found[0]
+    decoded = [result for result in results if isinstance(result, kind)]
+    assert len(decoded) == 1
+    return decoded[0]
 
 
 # --------------------------------------------------------------------------------------------------------- positions
@@ -136,32 +136,32 @@ WRITTEN = st.builds(
 def test_what_is_written_is_read(solution, precise):
     frames = [pvt(solution), hp(solution)] if precise else [pvt(solution)]
     results, messages = run(*frames)
-    found = only(results, ReceiverSolution)
+    decoded = only(results, ReceiverSolution)
     step_rad, step_m = (0.51e-9, 0.51e-4) if precise else (0.51e-7, 0.51e-3)
     # To the nanosecond: iTOW says whole ms, NAV-PVT's fraction of the second the rest.
-    assert found.time_ns == solution.time_ns
-    assert (found.quality, found.satellites) == (solution.quality, solution.satellites)
-    assert abs(found.latitude_rad - solution.latitude_rad) <= math.radians(step_rad)
-    assert abs(found.longitude_rad - solution.longitude_rad) <= math.radians(step_rad)
-    assert abs(found.height_m - solution.height_m) <= step_m
-    assert found.velocity_enu_m_s == pytest.approx(solution.velocity_enu_m_s, abs=0.51e-3)
-    assert found.velocity_covariance_enu_m2_s2 is None
+    assert decoded.time_ns == solution.time_ns
+    assert (decoded.quality, decoded.satellites) == (solution.quality, solution.satellites)
+    assert abs(decoded.latitude_rad - solution.latitude_rad) <= math.radians(step_rad)
+    assert abs(decoded.longitude_rad - solution.longitude_rad) <= math.radians(step_rad)
+    assert abs(decoded.height_m - solution.height_m) <= step_m
+    assert decoded.velocity_enu_m_s == pytest.approx(solution.velocity_enu_m_s, abs=0.51e-3)
+    assert decoded.velocity_covariance_enu_m2_s2 is None
     if solution.covariance_enu_m2 is None:
-        assert found.covariance_enu_m2 is None
+        assert decoded.covariance_enu_m2 is None
     else:
         ee, _, _, nn, _, uu = solution.covariance_enu_m2
-        each, en, eu, again, nu, up = found.covariance_enu_m2
+        each, en, eu, again, nu, up = decoded.covariance_enu_m2
         assert (en, eu, nu, each) == (0.0, 0.0, 0.0, again)
         assert math.sqrt(2 * each) == pytest.approx(math.sqrt(ee + nn), abs=step_m)
         assert math.sqrt(up) == pytest.approx(math.sqrt(uu), abs=step_m)
     if solution.age_s is None:
-        assert found.age_s is None
+        assert decoded.age_s is None
     else:
-        assert found.age_s == 120.0 if solution.age_s >= 90.0 else found.age_s >= solution.age_s
+        assert decoded.age_s == 120.0 if solution.age_s >= 90.0 else decoded.age_s >= solution.age_s
     assert messages.malformed == 0
 
 
-def test_an_epoch_comes_out_with_its_end_or_with_the_next_one():
+def test_epoch_is_returned_with_its_end_or_the_next_epoch():
     assert only(run(pvt(), eoe(), finish=False)[0], ReceiverSolution).time_ns == START_NS
     assert run(pvt(), hp(), cov(), finish=False)[0] == []
     results, messages = run(pvt(), pvt(at(0.1)), finish=False)
@@ -172,13 +172,13 @@ def test_an_epoch_comes_out_with_its_end_or_with_the_next_one():
     assert messages.late == 2
 
 
-def test_the_order_within_an_epoch_does_not_matter():
+def test_order_within_an_epoch_does_not_matter():
     expected = run(pvt(), hp(), cov(), pl(), eoe())[0]
     for frames in ((cov(), pl(), hp(), pvt()), (hp(), pvt(), pl(), cov())):
         assert run(*frames, eoe())[0] == expected
 
 
-def test_an_end_without_an_epoch_is_nothing():
+def test_end_without_an_epoch_gives_nothing():
     results, messages = run(eoe(), eoe(), near_ns=START_NS)
     assert results == []
     assert (messages.without_time, messages.epochs_without_position) == (0, 0)
@@ -201,14 +201,14 @@ def test_an_end_without_an_epoch_is_nothing():
         (6, 0b0000_0001, None),
     ],
 )
-def test_the_quality_is_what_the_receiver_says(fix_type, flags, quality):
+def test_quality_follows_fix_type_and_flags(fix_type, flags, quality):
     results, messages = run(pvt(b20=fix_type, b21=flags))
-    found = [result.quality for result in results if isinstance(result, ReceiverSolution)]
-    assert found == ([] if quality is None else [quality])
+    decoded = [result.quality for result in results if isinstance(result, ReceiverSolution)]
+    assert decoded == ([] if quality is None else [quality])
     assert messages.epochs_without_position == (quality is None)
 
 
-def test_a_position_that_the_receiver_calls_invalid_is_none():
+def test_invalid_position_is_not_returned():
     assert run(pvt(b78=1))[1].epochs_without_position == 1
     results, _ = run(pvt(), changed(hp(at(0.0)), b3=1))
     # Not the precise one: latitude to 1e-7 degrees.
@@ -217,20 +217,20 @@ def test_a_position_that_the_receiver_calls_invalid_is_none():
     )
 
 
-def test_a_precise_position_without_its_quality_is_none():
+def test_high_precision_position_without_pvt_is_not_returned():
     results, messages = run(hp(), near_ns=START_NS)
     assert results == []
     assert messages.epochs_without_position == 1
 
 
-def test_the_covariance_is_turned_from_north_east_down():
-    found = only(run(pvt(), cov())[0], ReceiverSolution)
+def test_covariance_is_rotated_from_north_east_down():
+    decoded = only(run(pvt(), cov())[0], ReceiverSolution)
     enu = (9.0, 0.5, -0.75, 4.0, 0.25, 16.0)
-    assert found.covariance_enu_m2 == enu
-    assert found.velocity_covariance_enu_m2_s2 == enu
-    found = only(run(pvt(), cov(valid=(0, 1)))[0], ReceiverSolution)
-    assert found.covariance_enu_m2 == pytest.approx((0.01, 0.0, 0.0, 0.01, 0.0, 0.02), rel=1e-2)
-    assert found.velocity_covariance_enu_m2_s2 == enu
+    assert decoded.covariance_enu_m2 == enu
+    assert decoded.velocity_covariance_enu_m2_s2 == enu
+    decoded = only(run(pvt(), cov(valid=(0, 1)))[0], ReceiverSolution)
+    assert decoded.covariance_enu_m2 == pytest.approx((0.01, 0.0, 0.0, 0.01, 0.0, 0.02), rel=1e-2)
+    assert decoded.velocity_covariance_enu_m2_s2 == enu
 
 
 @pytest.mark.parametrize(
@@ -242,13 +242,13 @@ def test_the_covariance_is_turned_from_north_east_down():
         (1.0, 0.0, 0.0, 1.0, 0.0, math.inf),
     ],
 )
-def test_what_is_no_covariance_is_not_taken_for_one(values):
+def test_invalid_covariance_is_refused(values):
     results, messages = run(pvt(), cov(position=values))
     assert only(results, ReceiverSolution).covariance_enu_m2[2:3] == (0.0,)
     assert messages.malformed == 1
 
 
-def test_zeros_are_no_covariance():
+def test_zero_covariance_is_unknown():
     results, messages = run(changed(pvt(), **{f"b{k}": 0 for k in range(40, 48)}), cov(position=(0.0,) * 6))
     assert only(results, ReceiverSolution).covariance_enu_m2 is None
     assert messages.malformed == 0
@@ -257,7 +257,7 @@ def test_zeros_are_no_covariance():
 # -------------------------------------------------------------------------------------------------------------- time
 
 
-def test_the_week_comes_from_the_date_and_else_from_what_is_known():
+def test_week_follows_the_date_or_the_known_time():
     assert only(run(pvt())[0], ReceiverSolution).time_ns == START_NS
     dateless = pvt(b11=0)
     results, messages = run(dateless)
@@ -269,16 +269,16 @@ def test_the_week_comes_from_the_date_and_else_from_what_is_known():
     # The epoch before settles it, also over the end of a week.
     last = replace(SOLUTION, time_ns=2301 * WEEK_NS - SECOND_NS)
     first = changed(pvt(replace(SOLUTION, time_ns=2301 * WEEK_NS)), b11=0)
-    found = [r.time_ns for r in run(pvt(last), first)[0] if isinstance(r, ReceiverSolution)]
-    assert found == [2301 * WEEK_NS - SECOND_NS, 2301 * WEEK_NS]
+    decoded = [r.time_ns for r in run(pvt(last), first)[0] if isinstance(r, ReceiverSolution)]
+    assert decoded == [2301 * WEEK_NS - SECOND_NS, 2301 * WEEK_NS]
 
 
-def test_a_date_that_rolled_over_in_the_receiver_is_the_one_near_the_known_time():
+def test_rolled_over_date_is_resolved_by_the_known_time():
     early = replace(SOLUTION, time_ns=START_NS - 1024 * WEEK_NS)
     assert only(run(pvt(early), near_ns=START_NS)[0], ReceiverSolution).time_ns == START_NS
 
 
-def test_a_time_that_is_a_lie_does_not_last():
+def test_wrong_time_does_not_last():
     lies = [START_NS + week * WEEK_NS - k * SECOND_NS for k, week in enumerate((500, 1000, 1023, 1400), 1)]
     for near_ns in (None, START_NS):
         results, _ = run(*(pvt(replace(SOLUTION, time_ns=lie)) for lie in lies), pvt(), near_ns=near_ns)
@@ -292,7 +292,7 @@ def raw_header(time_ns: int) -> bytes:
     return struct.pack("<dHbBBB2x", time_ns % WEEK_NS / 1e9, time_ns // WEEK_NS, 18, 0, 1, 1)
 
 
-def test_leap_seconds_are_in_the_date_and_not_in_the_time_of_week():
+def test_leap_seconds_are_handled_in_the_date_only():
     for utc in (CalendarTime(2016, 12, 31, 23, 59, 60), CalendarTime(2017, 1, 1, 0, 0, 0)):
         time_ns = gps_ns_from_utc(utc)
         assert only(run(pvt(replace(SOLUTION, time_ns=time_ns)))[0], ReceiverSolution).time_ns == time_ns
@@ -311,27 +311,27 @@ def test_times_of_receivers_without_a_fix_are_refused():
 
 
 @pytest.mark.parametrize("version", [0, 1])
-def test_the_baseline_is_in_metres_east_north_up(version):
+def test_baseline_is_in_metres_east_north_up(version):
     flags = 0b1_0011_0111 if version else 0b1_0111
-    found = only(run(pvt(), relposned(flags, version), eoe())[0], ReceiverBaseline)
-    assert found.time_ns == START_NS
-    assert found.baseline_enu_m == (-2.5034, 1.0012, -0.3056)
-    assert found.sigma_enu_m == (0.0202, 0.0101, 0.0303)
-    assert found.quality is SolutionQuality.FIX
-    assert (found.station_id, found.moving_base) == (7, bool(version))
+    decoded = only(run(pvt(), relposned(flags, version), eoe())[0], ReceiverBaseline)
+    assert decoded.time_ns == START_NS
+    assert decoded.baseline_enu_m == (-2.5034, 1.0012, -0.3056)
+    assert decoded.sigma_enu_m == (0.0202, 0.0101, 0.0303)
+    assert decoded.quality is SolutionQuality.FIX
+    assert (decoded.station_id, decoded.moving_base) == (7, bool(version))
     if version:
-        assert found.heading_rad == math.radians(291.80141)
-        assert found.heading_sigma_rad == math.radians(1.5)
+        assert decoded.heading_rad == math.radians(291.80141)
+        assert decoded.heading_sigma_rad == math.radians(1.5)
     else:
-        assert (found.heading_rad, found.heading_sigma_rad) == (None, None)
+        assert (decoded.heading_rad, decoded.heading_sigma_rad) == (None, None)
 
 
-def test_a_baseline_that_the_receiver_does_not_vouch_for_is_none():
+def test_invalid_baseline_is_not_returned():
     for flags in (0b1_0000, 0b1_0001, 0b1_0100):
         assert run(relposned(flags), near_ns=START_NS)[0] == []
-    found = only(run(relposned(0b10_0000_1101), near_ns=START_NS)[0], ReceiverBaseline)
-    assert (found.baseline_enu_m, found.sigma_enu_m) == (None, None)
-    assert found.quality is SolutionQuality.FLOAT
+    decoded = only(run(relposned(0b10_0000_1101), near_ns=START_NS)[0], ReceiverBaseline)
+    assert (decoded.baseline_enu_m, decoded.sigma_enu_m) == (None, None)
+    assert decoded.quality is SolutionQuality.FLOAT
 
 
 # --------------------------------------------------------------------------------------------------------- integrity
@@ -343,18 +343,18 @@ def last_statement(*frames: bytes) -> ReceiverIntegrity:
     return [result for result in results if isinstance(result, ReceiverIntegrity)][-1]
 
 
-def test_protection_levels_are_carried_with_their_risk():
-    found = last_statement(pvt(), pl(), eoe())
-    assert found.horizontal_protection_level_m == 5.0
-    assert found.vertical_protection_level_m == 7.0
-    assert found.integrity_risk == pytest.approx(5e-5)
-    assert found.fix_within_masks == "yes"
+def test_protection_levels_are_reported_with_their_risk():
+    decoded = last_statement(pvt(), pl(), eoe())
+    assert decoded.horizontal_protection_level_m == 5.0
+    assert decoded.vertical_protection_level_m == 7.0
+    assert decoded.integrity_risk == pytest.approx(5e-5)
+    assert decoded.fix_within_masks == "yes"
     assert last_statement(pl(frame=3), eoe()).horizontal_protection_level_m == 4.0
     for invalid in (pl(valid=0), pl(frame=0), pl(frame=4)):
-        found = last_statement(pl(), eoe(), invalid_at(invalid, TOW_MS + 1000), eoe(TOW_MS + 1000))
-        assert found.time_ns == START_NS + SECOND_NS
-        assert found.horizontal_protection_level_m is found.vertical_protection_level_m is None
-        assert found.integrity_risk is None
+        decoded = last_statement(pl(), eoe(), invalid_at(invalid, TOW_MS + 1000), eoe(TOW_MS + 1000))
+        assert decoded.time_ns == START_NS + SECOND_NS
+        assert decoded.horizontal_protection_level_m is decoded.vertical_protection_level_m is None
+        assert decoded.integrity_risk is None
 
 
 def invalid_at(frame: bytes, of_week_ms: int) -> bytes:
@@ -362,13 +362,13 @@ def invalid_at(frame: bytes, of_week_ms: int) -> bytes:
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_jamming_and_spoofing_are_carried_as_they_are_told(version):
+def test_jamming_and_spoofing_states_are_reported(version):
     for number, jamming in enumerate(("unknown", "none", "warning", "critical")):
         for other, spoofing in enumerate(("unknown", "none", "indicated", "affirmed", "unknown")):
-            found = last_statement(security(number, other, version))
-            assert (found.jamming, found.spoofing) == (jamming, spoofing)
-            found = last_statement(security(number, other, version, enabled=0))
-            assert (found.jamming, found.spoofing) == ("unknown", "unknown")
+            decoded = last_statement(security(number, other, version))
+            assert (decoded.jamming, decoded.spoofing) == (jamming, spoofing)
+            decoded = last_statement(security(number, other, version, enabled=0))
+            assert (decoded.jamming, decoded.spoofing) == ("unknown", "unknown")
 
 
 @pytest.mark.parametrize(
@@ -382,16 +382,16 @@ def test_jamming_and_spoofing_are_carried_as_they_are_told(version):
         ((), "unknown"),
     ],
 )
-def test_the_worst_front_end_counts_and_one_that_is_not_known_leaves_it_open(states, jamming):
+def test_worst_front_end_counts_and_an_unknown_one_excludes_none(states, jamming):
     assert last_statement(front_ends(*states)).jamming == jamming
 
 
-def test_of_two_statements_on_jamming_the_worse_one_counts():
+def test_worse_of_two_jamming_reports_counts():
     assert last_statement(security(1, 1), front_ends(3, 1)).jamming == "critical"
     assert last_statement(front_ends(0, 0), security(1, 1)).jamming == "none"
 
 
-def test_statements_are_held_for_two_seconds_and_then_not_known():
+def test_reports_are_valid_for_two_seconds():
     def jamming(seconds: float) -> str:
         return last_statement(
             pvt(), security(2, 1), eoe(), pvt(at(seconds)), eoe(TOW_MS + round(seconds * 1e3))
@@ -400,13 +400,13 @@ def test_statements_are_held_for_two_seconds_and_then_not_known():
     assert [jamming(1.0), jamming(2.0), jamming(2.1)] == ["warning", "warning", "unknown"]
 
 
-def test_within_an_epoch_there_is_one_statement():
+def test_one_report_per_epoch():
     results, _ = run(pvt(), pl(), security(1, 1), front_ends(1), eoe())
-    found = only(results, ReceiverIntegrity)
-    assert (found.time_ns, found.jamming, found.vertical_protection_level_m) == (START_NS, "none", 7.0)
+    decoded = only(results, ReceiverIntegrity)
+    assert (decoded.time_ns, decoded.jamming, decoded.vertical_protection_level_m) == (START_NS, "none", 7.0)
 
 
-def test_what_the_receiver_says_of_its_fix_is_carried():
+def test_masks_and_authentication_are_reported():
     assert last_statement(pvt(b21=0)).fix_within_masks == "no"
     assert last_statement(pvt()).authenticated == "unknown"
     assert last_statement(pvt(b79=1 << 6)).authenticated == "yes"
@@ -436,7 +436,7 @@ def test_messages_of_wrong_length_or_version_are_counted(frame):
     assert messages.malformed == 1
 
 
-def test_a_position_that_cannot_be_is_refused():
+def test_impossible_position_is_refused():
     beyond = format_position_velocity_time(SOLUTION, geoid_separation_m=0.0)
     for place, value in ((28, 910_000_000), (24, 1_810_000_000), (32, 200_000_000), (32, -30_000_000)):
         bits_to_bytes = value.to_bytes(4, "little", signed=True)
@@ -483,14 +483,14 @@ RECORDINGS = (
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_a_recording_gives_pyubx2s_positions_to_the_last_bit(name):
+def test_recorded_positions_equal_those_of_pyubx2(name):
     data = recorded(name)
     decoder = UbxDecoder(name, None)
     results = [
         r for k in range(0, len(data), 333) for r in decoder.feed(data[k : k + 333])
     ] + decoder.finish()
     solutions = [result for result in results if isinstance(result, ReceiverSolution)]
-    told: dict[int, dict[str, object]] = {}
+    reported: dict[int, dict[str, object]] = {}
     for _, message in UBXReader(io.BytesIO(data), protfilter=2, quitonerror=0):
         if message is not None and message.identity in ("NAV-PVT", "NAV-HPPOSLLH", "NAV-COV", "NAV-PL"):
             of_week_ms = int.from_bytes(
@@ -499,32 +499,32 @@ def test_a_recording_gives_pyubx2s_positions_to_the_last_bit(name):
                 else message.payload[4 if message.identity == "NAV-HPPOSLLH" else 0 :][:4],
                 "little",
             )
-            told.setdefault(of_week_ms, {})[message.identity] = message
-    told = {key: messages for key, messages in told.items() if "NAV-PVT" in messages}
-    good = [messages for messages in told.values() if messages["NAV-PVT"].fixType == 3]
+            reported.setdefault(of_week_ms, {})[message.identity] = message
+    reported = {key: messages for key, messages in reported.items() if "NAV-PVT" in messages}
+    good = [messages for messages in reported.values() if messages["NAV-PVT"].fixType == 3]
     assert len(solutions) == len(good)
-    assert decoder.messages.epochs_without_position == len(told) - len(good)
+    assert decoder.messages.epochs_without_position == len(reported) - len(good)
     qualities = {(0, 0): SolutionQuality.SINGLE, (0, 1): SolutionQuality.DGPS, (2, 1): SolutionQuality.FIX}
-    for found, messages in zip(solutions, good, strict=True):
+    for decoded, messages in zip(solutions, good, strict=True):
         position = messages["NAV-PVT"]
         time = CalendarTime(
             *(position.year, position.month, position.day, position.hour, position.min, position.second)
         )
-        assert found.time_ns == gps_ns_from_utc(time) + position.nano
-        assert found.quality == qualities[position.carrSoln, position.diffSoln]
-        assert found.satellites == position.numSV
-        assert found.velocity_enu_m_s == (position.velE / 1e3, position.velN / 1e3, -position.velD / 1e3)
+        assert decoded.time_ns == gps_ns_from_utc(time) + position.nano
+        assert decoded.quality == qualities[position.carrSoln, position.diffSoln]
+        assert decoded.satellites == position.numSV
+        assert decoded.velocity_enu_m_s == (position.velE / 1e3, position.velN / 1e3, -position.velD / 1e3)
         place = messages.get("NAV-HPPOSLLH", position)
-        assert found.latitude_rad == math.radians(place.lat)
-        assert found.longitude_rad == math.radians(place.lon)
-        assert found.height_m == place.height / 1e3
+        assert decoded.latitude_rad == math.radians(place.lat)
+        assert decoded.longitude_rad == math.radians(place.lon)
+        assert decoded.height_m == place.height / 1e3
         if "NAV-COV" in messages:
             cov = messages["NAV-COV"]
-            assert found.covariance_enu_m2 == (
+            assert decoded.covariance_enu_m2 == (
                 *(cov.posCovEE, cov.posCovNE, -cov.posCovED),
                 *(cov.posCovNN, -cov.posCovND, cov.posCovDD),
             )
-            assert found.velocity_covariance_enu_m2_s2 == (
+            assert decoded.velocity_covariance_enu_m2_s2 == (
                 *(cov.velCovEE, cov.velCovNE, -cov.velCovED),
                 *(cov.velCovNN, -cov.velCovND, cov.velCovDD),
             )
@@ -534,12 +534,12 @@ def test_a_recording_gives_pyubx2s_positions_to_the_last_bit(name):
         else:
             each = 0.5 * (place.hAcc / 1e3) * (place.hAcc / 1e3)
             expected = (each, 0.0, 0.0, each, 0.0, (place.vAcc / 1e3) * (place.vAcc / 1e3))
-            assert found.covariance_enu_m2 == pytest.approx(expected, rel=1e-15)
+            assert decoded.covariance_enu_m2 == pytest.approx(expected, rel=1e-15)
     statements = [result for result in results if isinstance(result, ReceiverIntegrity)]
     # The one receiver with NAV-PL says that its levels are not valid.
     assert all(statement.horizontal_protection_level_m is None for statement in statements)
     assert [s.fix_within_masks for s in statements] == [
-        "yes" if messages["NAV-PVT"].gnssFixOk else "no" for messages in told.values()
+        "yes" if messages["NAV-PVT"].gnssFixOk else "no" for messages in reported.values()
     ]
     assert not [result for result in results if isinstance(result, ReceiverBaseline)]
     assert decoder.messages.malformed == 0

@@ -57,7 +57,7 @@ def parsed(frame: bytes):
     return UBXReader.parse(frame)
 
 
-def test_checksums_are_those_of_published_frames():
+def test_frames_equal_published_ones():
     # Polls of MON-VER and NAV-PVT, as they stand in many manuals.
     assert ubx_frame(0x0A, 0x04, b"") == bytes.fromhex("B5620A0400000E34")
     assert ubx_frame(0x01, 0x07, b"") == bytes.fromhex("B5620107000008 19".replace(" ", ""))
@@ -65,7 +65,7 @@ def test_checksums_are_those_of_published_frames():
 
 @given(st.binary(max_size=3000))
 @settings(derandomize=True, max_examples=60)
-def test_the_checksum_equals_the_loop_of_the_interface_description(body):
+def test_checksum_equals_the_loop_of_the_interface_description(body):
     a = b = 0
     for byte in body:
         a = (a + byte) & 255
@@ -75,7 +75,7 @@ def test_the_checksum_equals_the_loop_of_the_interface_description(body):
 
 @given(st.integers(0, 2**32), TIMES, st.sampled_from([0.0, 0.15, 0.6, 1.0]))
 @settings(derandomize=True, max_examples=40, deadline=None)
-def test_pyubx2_gives_the_measurements_back(seed, time_ns, missing):
+def test_pyubx2_decodes_the_measurements(seed, time_ns, missing):
     rng = np.random.default_rng(seed)
     epoch = random_epoch(rng, time_ns, carriers=CARRIERS, missing=missing, satellites=10)
     epoch = replace(epoch, pseudorange_m=epoch.pseudorange_m * rng.choice([1.0, -1.0, 1e-6, 100.0]))
@@ -98,8 +98,8 @@ def test_pyubx2_gives_the_measurements_back(seed, time_ns, missing):
         if geostationary:
             name, signal_id = GEOSTATIONARY.get(signal_name(int(epoch.signal[row])), (name, signal_id))
         assert SIGID[gnss, signal_id] == name
-        found = tuple(getattr(message, field + at) for field in ("gnssId", "svId", "sigId", "freqId"))
-        assert found == (gnss, number, signal_id, 0)
+        decoded = tuple(getattr(message, field + at) for field in ("gnssId", "svId", "sigId", "freqId"))
+        assert decoded == (gnss, number, signal_id, 0)
         for valid, field, value in (
             ("prValid", "prMes", epoch.pseudorange_m[row]),
             ("cpValid", "cpMes", epoch.carrier_phase_cycles[row] - 0.5 * geostationary),
@@ -135,13 +135,13 @@ def one_signal(**changes):
     return replace(epoch, **first)
 
 
-def test_without_deviations_a_weaker_signal_has_greater_ones():
-    told = []
+def test_weaker_signal_has_greater_standard_deviations():
+    reported = []
     for cn0 in (50.0, 40.0, 30.0, math.nan, 20.0):
         message = parsed(format_raw_measurements(one_signal(cn0_dbhz=cn0)))
-        told.append((message.prStd_01, message.cpStd_01, message.doStd_01))
-    assert told == sorted(told)
-    assert told[0] < told[2] < told[4]
+        reported.append((message.prStd_01, message.cpStd_01, message.doStd_01))
+    assert reported == sorted(reported)
+    assert reported[0] < reported[2] < reported[4]
 
 
 @pytest.mark.parametrize(
@@ -157,12 +157,12 @@ def test_without_deviations_a_weaker_signal_has_greater_ones():
         ({"lock_time_s": -0.1}, "1C: lock time is negative"),
     ],
 )
-def test_what_the_message_cannot_hold_is_refused(changes, message):
+def test_values_out_of_range_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         format_raw_measurements(one_signal(**changes))
 
 
-def test_data_and_pilot_together_are_told_as_the_pilot_and_a_signal_only_once():
+def test_data_and_pilot_are_encoded_as_pilot_and_repeats_refused():
     epoch = one_signal(satellite=satellite_number("E07"), signal=signal_number("7X"))
     message = parsed(format_raw_measurements(epoch))
     assert (message.gnssId_01, message.svId_01, message.sigId_01) == (2, 7, 6)
@@ -185,13 +185,13 @@ def test_more_than_255_measurements_are_refused():
 
 @given(st.integers(0, 2**32))
 @settings(derandomize=True, max_examples=60, deadline=None)
-def test_a_damaged_message_fails_its_checksum(seed):
+def test_checksum_detects_a_changed_byte(seed):
     rng = np.random.default_rng(seed)
     frame = bytearray(format_raw_measurements(one_signal()))
     # A single byte changed anywhere but in the synchronisation is always seen.
     frame[int(rng.integers(2, len(frame)))] ^= int(rng.integers(1, 256))
-    body, told = bytes(frame[2:-2]), bytes(frame[-2:])
-    assert checksum(body) != told
+    body, reported = bytes(frame[2:-2]), bytes(frame[-2:])
+    assert checksum(body) != reported
     with pytest.raises(UBXParseError):
         parsed(bytes(frame))
 
@@ -214,13 +214,21 @@ SOLUTION = st.builds(
 
 @given(SOLUTION, st.floats(-100.0, 100.0))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_pyubx2_gives_the_position_back(solution, separation_m):
+def test_pyubx2_decodes_nav_pvt(solution, separation_m):
     message = parsed(format_position_velocity_time(solution, geoid_separation_m=separation_m))
     assert message.identity == "NAV-PVT"
     assert message.iTOW == solution.time_ns % WEEK_NS // 1_000_000
     utc = utc_from_gps_ns(solution.time_ns)
-    told = (message.year, message.month, message.day, message.hour, message.min, message.second, message.nano)
-    assert told == tuple(utc)
+    reported = (
+        message.year,
+        message.month,
+        message.day,
+        message.hour,
+        message.min,
+        message.second,
+        message.nano,
+    )
+    assert reported == tuple(utc)
     assert (message.validDate, message.validTime, message.fullyResolved) == (1, 1, 1)
     assert message.lat == pytest.approx(math.degrees(solution.latitude_rad), abs=0.51e-7)
     assert message.lon == pytest.approx(math.degrees(solution.longitude_rad), abs=0.51e-7)
@@ -255,7 +263,7 @@ def test_pyubx2_gives_the_position_back(solution, separation_m):
 
 @given(SOLUTION, st.floats(-100.0, 100.0))
 @settings(derandomize=True, max_examples=150, deadline=None)
-def test_pyubx2_gives_the_precise_position_back(solution, separation_m):
+def test_pyubx2_decodes_nav_hpposllh(solution, separation_m):
     message = parsed(format_high_precision_position(solution, geoid_separation_m=separation_m))
     assert message.identity == "NAV-HPPOSLLH"
     assert message.iTOW == solution.time_ns % WEEK_NS // 1_000_000
@@ -266,7 +274,7 @@ def test_pyubx2_gives_the_precise_position_back(solution, separation_m):
     assert message.hMSL == pytest.approx((solution.height_m - separation_m) * 1e3, abs=0.051)
 
 
-def test_a_position_that_is_no_number_is_refused():
+def test_nonfinite_position_is_refused():
     solution = ReceiverSolution(
         time_ns=2300 * WEEK_NS,
         latitude_rad=math.nan,
