@@ -13,6 +13,7 @@ from camber.formats.rtcm.writer import format_ephemeris, format_observations, fo
 from camber.formats.ubx.subframe_schedule import subframes_between
 from camber.formats.ubx.writer import format_raw_measurements, format_subframe
 from support.random_observations import COMMON, LIGHT_M_S, SECOND_NS, WEEK_NS, random_ephemeris
+from support.simple_rinex import epochs_of
 
 CONVBIN = shutil.which("convbin")
 pytestmark = pytest.mark.skipif(CONVBIN is None, reason="convbin is not installed (Debian: rtklib)")
@@ -74,28 +75,12 @@ def converted(folder, data: bytes, kind: str):
     command = [CONVBIN, "-r", kind, "-v", "3.04", "-od", "-os", "-o", "obs", "-n", "nav"]
     command += ["-tr", when.strftime("%Y/%m/%d"), when.strftime("%H:%M:%S"), "stream"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True, stdin=subprocess.DEVNULL, timeout=60)
-    return read_observations((folder / "obs").read_text()), read_navigation((folder / "nav").read_text())
-
-
-def read_observations(text):
-    """(second, satellite, type such as C1C) → value."""
-    head, body = text.split("END OF HEADER")
-    types, system = {}, ""
-    for line in head.splitlines():
-        if "SYS / # / OBS TYPES" in line:
-            system = line[0] if line[0] != " " else system
-            types.setdefault(system, []).extend(line[6:58].split())
-    values, second = {}, None
-    for line in body.splitlines()[1:]:
-        if line.startswith(">"):
-            hour, minute, seconds = line[13:].split()[:3]
-            second = round(int(hour) * 3600 + int(minute) * 60 + float(seconds))
-            continue
-        for place, kind in enumerate(types[line[0]]):
-            value = line[3 + 16 * place : 17 + 16 * place].strip()
-            if value:
-                values[second, line[:3], kind] = float(value)
-    return values
+    values = {
+        (time_ns // SECOND_NS % 86_400, *key): value
+        for time_ns, row in epochs_of((folder / "obs").read_text())
+        for key, (value, _, _) in row.items()
+    }
+    return values, read_navigation((folder / "nav").read_text())
 
 
 def read_navigation(text):

@@ -1,4 +1,4 @@
-"""Recorded observation files, every value against a slow reader that follows the standard's columns."""
+"""Recorded observation files, every value against a simple reader that follows the standard's columns."""
 
 import os
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 
 from camber.formats.observations import satellite_name, signal_name
 from camber.formats.rinex.observation_reader import RinexDecoder
-from camber.geodesy.gps_time import CalendarTime, gps_ns_from_gpst
 from support.gnss_files import read_observations
+from support.simple_rinex import epochs_of
 
 DATA = os.environ.get("CAMBER_DATA")
 FILES = (
@@ -27,37 +27,13 @@ def recording(name: str) -> Path:
     return Path(DATA) / name
 
 
-def slow_reader(text: str):
-    """(time ns, {(satellite, signal): {kind: (value, lli, ssi)}}) of the epochs with flag 0."""
-    lines = iter(text.splitlines())
-    types: dict[str, list[str]] = {}
-    system = ""
-    for line in lines:
-        if line[60:].startswith("SYS / # / OBS TYPES"):
-            system = line[0].strip() or system
-            types.setdefault(system, []).extend(line[7:60].split())
-        if line[60:].startswith("END OF HEADER"):
-            break
-    for head in lines:
-        assert head[0] == ">"
-        assert head[31] == "0"
-        whole, fraction = head[18:29].split(".")
-        fields = (int(head[a:b]) for a, b in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18)))
-        time_ns = gps_ns_from_gpst(CalendarTime(*fields, int(whole), int(fraction) * 100))
-        rows: dict[tuple[str, str], dict[str, tuple[float, str, str]]] = {}
-        for _ in range(int(head[32:35])):
-            line = next(lines)
-            if line[0] not in "GJEC":
-                continue
-            for k, name in enumerate(types[line[0]]):
-                cell = line[3 + 16 * k : 19 + 16 * k].ljust(16)
-                if name[0] in ATTRIBUTES and cell[:14].strip() and float(cell[:14]) != 0.0:
-                    rows.setdefault((line[:3], name[1:]), {})[name[0]] = (
-                        float(cell[:14]),
-                        cell[14].strip(),
-                        cell[15],
-                    )
-        yield time_ns, rows
+def expected_rows(values):
+    """{(satellite, signal): {kind: (value, LLI)}} of the supported systems, without zeros."""
+    rows: dict[tuple[str, str], dict[str, tuple[float, str]]] = {}
+    for (satellite, name), (value, lli, _) in values.items():
+        if satellite[0] in "GJEC" and name[0] in ATTRIBUTES and value != 0.0:
+            rows.setdefault((satellite, name[1:]), {})[name[0]] = value, lli.strip()
+    return rows
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -65,7 +41,7 @@ def test_every_value_of_a_recording_equals_that_of_a_simple_reader(name):
     path = recording(name)
     read = read_observations(path)
     assert read.problems == []
-    expected = list(slow_reader(path.read_text("latin-1")))
+    expected = [(time_ns, expected_rows(v)) for time_ns, v in epochs_of(path.read_text("latin-1"))]
     assert [e.time_ns for e in read.epochs] == [time_ns for time_ns, _ in expected]
     values = 0
     for epoch, (_, rows) in zip(read.epochs, expected, strict=True):

@@ -10,6 +10,7 @@ from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_n
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from support.gnss_files import observation_text
+from support.simple_rinex import epochs_of, header_of
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 23, 59, 59, 900_000_000))
 STATION = StationHeader(marker="ROVER", position_ecef_m=(-3810975.7625, 3566658.9114, 3653334.735))
@@ -34,62 +35,20 @@ def epoch(number: int, rng: np.random.Generator) -> ObservationEpoch:
     )
 
 
-def read_observations(text: str):
-    """Types by system, then (time ns, {(satellite, type): (value, lli, ssi)}) by the columns of tables A2, A3."""
-    lines = text.splitlines()
-    types: dict[str, list[str]] = {}
-    labels = []
-    system = ""
-    k = 0
-    while True:
-        line = lines[k]
-        label = line[60:].strip()
-        labels.append(label)
-        if label == "SYS / # / OBS TYPES":
-            system = line[0] if line[0] != " " else system
-            types.setdefault(system, []).extend(line[7:60].split())
-        k += 1
-        if label == "END OF HEADER":
-            break
-    epochs = []
-    while k < len(lines):
-        head = lines[k]
-        assert head[0] == ">"
-        assert head[31] == "0"
-        year, month, day, hour, minute = (
-            int(head[a:b]) for a, b in ((2, 6), (7, 9), (10, 12), (13, 15), (16, 18))
-        )
-        whole, fraction = head[18:29].split(".")
-        when = CalendarTime(year, month, day, hour, minute, int(whole), int(fraction) * 100)
-        values = {}
-        count = int(head[32:35])
-        for row in lines[k + 1 : k + 1 + count]:
-            for j, kind in enumerate(types[row[0]]):
-                cell = row[3 + 16 * j : 19 + 16 * j].ljust(16)
-                if cell[:14].strip():
-                    values[row[:3], kind] = (float(cell[:14]), cell[14], cell[15])
-        epochs.append((gps_ns_from_gpst(when), values))
-        k += 1 + count
-    return labels, types, epochs
-
-
 def test_written_observations_equal_an_independent_reader():
     rng = np.random.default_rng(5)
     written = [epoch(k, rng) for k in range(4)]
-    _, types, epochs = read_observations(observation_text(written, STATION))
+    text = observation_text(written, STATION)
+    _, types = header_of(text)
+    epochs = list(epochs_of(text))
     assert {s: len(t) for s, t in types.items()} == {"G": 8, "J": 4, "E": 4, "C": 8}
     assert [time_ns for time_ns, _ in epochs] == [e.time_ns for e in written]
     for e, (_, values) in zip(written, epochs, strict=True):
         for k, (s, f) in enumerate(zip(e.satellite, e.signal, strict=True)):
             name = f"{chr(s >> 8)}{s & 255:02d}"
             code = f"{chr(f >> 8)}{chr(f & 255)}"
-            expected = {
-                "C": e.pseudorange_m[k],
-                "L": e.carrier_phase_cycles[k],
-                "D": e.doppler_hz[k],
-                "S": e.cn0_dbhz[k],
-            }
-            for kind, value in expected.items():
+            values_of_row = (e.pseudorange_m[k], e.carrier_phase_cycles[k], e.doppler_hz[k], e.cn0_dbhz[k])
+            for kind, value in zip("CLDS", values_of_row, strict=True):
                 decoded = values.pop((name, kind + code), None)
                 if np.isnan(value):
                     assert decoded is None
@@ -100,22 +59,15 @@ def test_written_observations_equal_an_independent_reader():
 
 
 def test_indicators_follow_the_values():
-    _, _, epochs = read_observations(observation_text([epoch(0, np.random.default_rng(1))], STATION))
-    values = epochs[0][1]
-    assert [values[k][1] for k in (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"))] == [
-        "1",
-        "2",
-        " ",
-        "3",
-    ]
-    assert [values[k][2] for k in (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"), ("J07", "L2L"))] == [
-        "3", "5", "8", "9", "1",
-    ]  # fmt: skip
+    ((_, values),) = epochs_of(observation_text([epoch(0, np.random.default_rng(1))], STATION))
+    keys = (("C01", "L2I"), ("C01", "L7I"), ("G02", "L1C"), ("G02", "L2L"), ("J07", "L2L"))
+    assert [values[key][1] for key in keys[:4]] == ["1", "2", " ", "3"]
+    assert [values[key][2] for key in keys] == ["3", "5", "8", "9", "1"]
 
 
 def test_header_has_all_required_records_in_80_columns():
     text = observation_text([epoch(k, np.random.default_rng(1)) for k in range(2)], STATION)
-    labels, _, _ = read_observations(text)
+    labels, _ = header_of(text)
     required = (
         "RINEX VERSION / TYPE", "PGM / RUN BY / DATE", "MARKER NAME", "MARKER TYPE", "OBSERVER / AGENCY",
         "REC # / TYPE / VERS", "ANT # / TYPE", "APPROX POSITION XYZ", "ANTENNA: DELTA H/E/N", "SYS / # / OBS TYPES",

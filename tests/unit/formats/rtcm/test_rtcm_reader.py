@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pyrtcm import RTCMReader
 
 from camber.formats.broadcast.bit_fields import bits_to_bytes, pack_bits
 from camber.formats.broadcast.ephemeris_fields import integers_from_ephemeris
-from camber.formats.observations import Ephemeris, ObservationEpoch, satellite_name, signal_name
+from camber.formats.observations import Ephemeris, ObservationEpoch, signal_name
 from camber.formats.rtcm.msm_reader import minimum_lock_s
 from camber.formats.rtcm.msm_writer import lock_indicator
 from camber.formats.rtcm.reader import BaseStationEpoch, ReferenceStation, RtcmDecoder
@@ -86,66 +85,6 @@ def test_decoded_observations_are_within_the_resolution(seed, away_s, of_week_ms
         assert row[4] <= lock_s + 1e-8
         assert lock_indicator(np.array([row[4]])) == lock_indicator(np.array([lock_s]))
         assert row[5:] == [False, half]
-
-
-def msm4_frame(letter_number, station, time_ms, rows):
-    """An MSM4, field by field; rows of (satellite, id, code, phase, lock, half cycle, C/N0) as they are sent."""
-    satellites = sorted({row[0] for row in rows})
-    ids = sorted({row[1] for row in rows})
-    cells = {(row[0], row[1]): row[2:] for row in rows}
-    order = [(s, i) for s in satellites for i in ids]
-    chosen = [cells[key] for key in order if key in cells]
-    parts = [(letter_number, 12), (station, 12), (time_ms, 30), (0, 1), (0, 18)]
-    parts += [(int(n in satellites), 1) for n in range(1, 65)] + [(int(i in ids), 1) for i in range(1, 33)]
-    parts += [(int(key in cells), 1) for key in order]
-    parts += [(70 + s, 8) for s in satellites] + [(s * 3, 10) for s in satellites]
-    for place, width in enumerate((15, 22, 4, 1, 6)):
-        parts += [(cell[place], width) for cell in chosen]
-    return rtcm_frame(bits_to_bytes(*pack_bits(parts)))
-
-
-@pytest.mark.parametrize(("letter", "number"), [("G", 1074), ("E", 1094), ("J", 1114), ("C", 1124)])
-def test_pyrtcm_and_the_reader_agree_about_msm4(letter, number):
-    rng = np.random.default_rng(number)
-    ids = {"G": (2, 16, 23), "E": (2, 15), "J": (2, 16), "C": (2, 14)}[letter]
-    rows = [
-        (s, i, int(rng.integers(-16384, 16384)), int(rng.integers(-(2**21), 2**21)), int(rng.integers(0, 16)),
-         int(rng.integers(0, 2)), int(rng.integers(0, 64)))
-        for s in (1, 4, 9) for i in ids if rng.random() < 0.8
-    ]  # fmt: skip
-    rows += [(10, ids[0], -16384, -(2**21), 0, 0, 0)]
-    frame = msm4_frame(number, 9, 1000, rows)
-    message = RTCMReader.parse(frame)
-    ((decoded,), decoder) = read_all(frame, 2300 * WEEK_NS)
-    assert not any(counters(decoder).values())
-    epoch = decoded.epoch
-    assert message.NCell == epoch.satellite.size == len(rows)
-    rough = {
-        getattr(message, f"PRN_{k:02d}"): getattr(message, f"DF397_{k:02d}")
-        + getattr(message, f"DF398_{k:02d}")
-        for k in range(1, message.NSat + 1)
-    }
-    per_ms = LIGHT_M_S * 1e-3
-    for k in range(message.NCell):
-        at = f"_{k + 1:02d}"
-        prn, signal = getattr(message, "CELLPRN" + at), getattr(message, "CELLSIG" + at)
-        offset = 192 if letter == "J" else 0
-        assert satellite_name(int(epoch.satellite[k])) == f"{letter}{int(prn) - offset:02d}"
-        assert signal_name(int(epoch.signal[k])) == signal
-        code, phase = getattr(message, "DF400" + at), getattr(message, "DF401" + at)
-        wavelength = LIGHT_M_S / COMMON[letter][signal]
-        wanted = math.nan if code == -(2.0**-10) else (rough[prn] + code) * per_ms
-        assert epoch.pseudorange_m[k] == pytest.approx(wanted, abs=1e-6, nan_ok=True)
-        wanted = math.nan if phase == -(2.0**-8) else (rough[prn] + phase) * per_ms / wavelength
-        assert epoch.carrier_phase_cycles[k] == pytest.approx(wanted, abs=1e-5, nan_ok=True)
-        indicator = getattr(message, "DF402" + at)
-        # Table 3.5-74: 0, 32 ms, 64 ms, … 524288 ms.
-        assert epoch.lock_time_s[k] == (0.0 if indicator == 0 else 0.016 * 2**indicator)
-        assert epoch.half_cycle[k] == getattr(message, "DF420" + at)
-        wanted = getattr(message, "DF403" + at) or math.nan
-        assert epoch.cn0_dbhz[k] == pytest.approx(wanted, nan_ok=True)
-        assert math.isnan(epoch.doppler_hz[k])
-    assert math.isnan(epoch.pseudorange_m[-1])
 
 
 def test_minimum_lock_times_of_reader_and_writer_agree():
