@@ -91,7 +91,7 @@ from support.small_map import surface, surfaces
 START_NS = 1_400_000_000 * 1_000_000_000
 STEP_NS = 200_000_000
 TOE_NS = START_NS // WEEK_NS * WEEK_NS + 7200 * 1_000_000_000
-BDT_BEHIND_NS = 14 * 1_000_000_000
+GPS_MINUS_BDT_NS = 14 * 1_000_000_000
 
 
 def _rtcm(random: Random) -> list[list[bytes]]:
@@ -104,7 +104,7 @@ def _rtcm(random: Random) -> list[list[bytes]]:
             epoch = random_epoch(rng, START_NS + number * STEP_NS)
             frames += format_observations(epoch, station_id=station)
             name = random.choice(("G05", "E11", "J02", "C19"))
-            toe_ns = TOE_NS + (BDT_BEHIND_NS if name == "C19" else 0)
+            toe_ns = TOE_NS + (GPS_MINUS_BDT_NS if name == "C19" else 0)
             frames += format_ephemeris(random_ephemeris(rng, name, toe_ns))
         streams.append([frame[3:-3] for frame in frames])
     return streams
@@ -161,9 +161,9 @@ def _ubx(random: Random) -> list[list[bytes]]:
     for solutions in (_solutions(random) for _ in range(8)):
         frames = []
         for name in ("G05", "E11", "J02", "C19", "C03"):
-            toe_ns = TOE_NS + (BDT_BEHIND_NS if name[0] == "C" else 0)
+            toe_ns = TOE_NS + (GPS_MINUS_BDT_NS if name[0] == "C" else 0)
             ephemeris = random_ephemeris(rng, name, toe_ns)
-            # As satellites have it: the parts of one issue are told by it.
+            # As satellites have it: the parts of one issue are recognised by it.
             issue = {"iodc": float(ephemeris.iode)} if name[0] in "GJ" else {}
             ephemeris = replace(ephemeris, other={**ephemeris.other, **issue})
             # Two periods, of which one is whole wherever it begins.
@@ -385,10 +385,14 @@ def _lanelets(random: Random) -> list[list[bytes]]:
     """Of a made-up town lanelets with a few points each, element by element."""
     town = lanelet_maps.town()
     few = [
-        replace(own, left=own.left[::12] + own.left[-1:], right=own.right[::15] + own.right[-1:])
-        for own in town.lanelets
+        replace(
+            lanelet,
+            left=lanelet.left[::12] + lanelet.left[-1:],
+            right=lanelet.right[::15] + lanelet.right[-1:],
+        )
+        for lanelet in town.lanelets
     ]
-    used = {ref for own in few for ref in own.left + own.right}
+    used = {ref for lanelet in few for ref in lanelet.left + lanelet.right}
     rows = {ref: row for ref, row in town.row_of.items() if ref in used}
     text = lanelet2_bytes(replace(town, row_of=rows, lanelets=random.sample(few, 2)))
     return [text.splitlines(keepends=True)]
@@ -396,8 +400,8 @@ def _lanelets(random: Random) -> list[list[bytes]]:
 
 def _read_lanelets(data: bytes) -> None:
     """As `camber map build` does."""
-    found = lanelet_map(data, "fuzz")
-    frame, lanes = lanes_of_lanelets(found, found.height_m)
+    parsed = lanelet_map(data, "fuzz")
+    frame, lanes = lanes_of_lanelets(parsed, parsed.height_m)
     road_map(lanes, frame, _KNOWN, "fuzz")
 
 

@@ -263,7 +263,7 @@ def refusing_sentences() -> Callable[..., int]:
 def test_a_caster_that_answers_a_letter_at_a_time_is_given_up_in_bounded_time(
     reader: Reader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("camber.transport.ntrip_client._RESPONSE_S", 0.5)
+    monkeypatch.setattr("camber.transport.ntrip_client.RESPONSE_TIMEOUT_S", 0.5)
 
     def script(peer: Peer) -> None:
         peer.request()
@@ -370,6 +370,4 @@ def test_closing_ends_the_thread_in_whatever_it_waits_for(reader: Reader, tmp_pa
             wait_for(lambda caster=caster: caster.connections > 0)
             time.sleep(0.2)
             stream.close()
-            wait_for(
-                lambda stream=stream: not stream._thread.is_alive(), within_s=2.0
-            )  # all waits are longer
+            wait_for(lambda stream=stream: not stream.running, within_s=2.0)  # all waits are longer

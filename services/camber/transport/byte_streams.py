@@ -49,6 +49,16 @@ class ByteStream:
         self._thread = threading.Thread(target=self._run, name="byte-stream", daemon=True)
         self._thread.start()
 
+    @property
+    def backlog_bytes(self) -> int:
+        """Bytes received and not taken yet."""
+        return len(self._bytes)
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread still reads or reconnects."""
+        return self._thread.is_alive()
+
     def take(self) -> bytes:
         """Return all bytes received since the last call."""
         with self._lock:
@@ -85,7 +95,7 @@ class ByteStream:
         last_s = time.monotonic()
         first_s: float | None = None
         while not self._stop.is_set():
-            if source.lossless and len(self._bytes) > MAX_BACKLOG_BYTES - CHUNK_BYTES:
+            if source.lossless and self.backlog_bytes > MAX_BACKLOG_BYTES - CHUNK_BYTES:
                 self._stop.wait(0.01)
                 continue
             data = source.read()

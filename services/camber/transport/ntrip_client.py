@@ -19,7 +19,7 @@ from camber.transport.ntrip_responses import Body, IcyBody, parse_response
 from camber.transport.tcp_connection import TcpConnection, tls_context
 
 MIN_POSITION_INTERVAL_S = 1.0  # chosen: once per epoch of a receiver at 1 Hz
-_RESPONSE_S = 10.0  # chosen: generous for a caster under load
+RESPONSE_TIMEOUT_S = 10.0  # chosen: generous for a caster under load
 _ADDRESS = re.compile(r"ntrip(s?)://(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+)):([0-9]{1,5})/([!-~]+)")
 _GGA = re.compile(r"\$[A-Z]{2}GGA,[ -)+-~]{1,100}\*[0-9A-Fa-f]{2}")
 
@@ -146,7 +146,7 @@ class NtripSource:
             self._unsent = self._unsent[self._connection.send(self._unsent) :]
 
     def _request(self, unsent: bytes, access: NtripAccess) -> tuple[Body, bytes]:
-        deadline_s = time.monotonic() + _RESPONSE_S
+        deadline_s = time.monotonic() + RESPONSE_TIMEOUT_S
         received = b""
         while time.monotonic() < deadline_s:
             unsent = unsent[self._connection.send(unsent) :] if unsent else b""
@@ -154,7 +154,7 @@ class NtripSource:
             response = parse_response(received, with_password=access.user is not None)
             if response is not None:
                 return response
-        raise TimeoutError(f"the caster has not answered in {_RESPONSE_S:g} s")
+        raise TimeoutError(f"the caster has not answered in {RESPONSE_TIMEOUT_S:g} s")
 
 
 def request(mountpoint: Mountpoint, access: NtripAccess, sentence: str | None) -> bytes:

@@ -63,9 +63,9 @@ def test_large_file_is_read_completely(
     path = tmp_path / "long.pos"
     path.write_bytes(content)
     with closing(open_stream(f"file:{path}", on_data=reader.arrived.set)) as stream:
-        wait_for(lambda: len(stream._bytes) > 15_000)
+        wait_for(lambda: stream.backlog_bytes > 15_000)
         time.sleep(0.05)  # were it to run away, it would by now
-        assert len(stream._bytes) <= 20_000
+        assert stream.backlog_bytes <= 20_000
         assert reader.until(stream, lambda data: len(data) >= len(content)) == content
         assert stream.lost_bytes == 0
 
@@ -104,7 +104,7 @@ def test_newest_bytes_are_kept_without_a_consumer(
     ) as stream:
         with server.accept()[0] as peer:
             peer.sendall(content)
-            wait_for(lambda: stream.lost_bytes + len(stream._bytes) == len(content))
+            wait_for(lambda: stream.lost_bytes + stream.backlog_bytes == len(content))
         assert stream.take() == content[-10_000:]
         assert stream.lost_bytes == len(content) - 10_000
 
@@ -153,7 +153,7 @@ def test_closing_ends_the_thread_and_closes_the_source(server: socket.socket, re
         peer.settimeout(PATIENCE_S)
         stream.close()
         assert peer.recv(1) == b""
-    wait_for(lambda: not stream._thread.is_alive())
+    wait_for(lambda: not stream.running)
 
 
 @pytest.mark.parametrize(
@@ -375,7 +375,7 @@ def test_closing_while_connecting_ends_the_thread(reader: Reader) -> None:
     assert stream.failures == 0
     assert stream.problem == "not connected yet"
     stream.close()
-    wait_for(lambda: not stream._thread.is_alive(), within_s=2.0)  # a connection is given up after 5 s
+    wait_for(lambda: not stream.running, within_s=2.0)  # a connection is given up after 5 s
     assert stream.failures == 0
     for each in [listening, *waiting]:
         each.close()

@@ -72,6 +72,11 @@ class RtcmDecoder:
         return self._frames.bytes_skipped
 
     @property
+    def stations(self) -> int:
+        """Base stations whose lock times are kept."""
+        return len(self._locks)
+
+    @property
     def failed_checks(self) -> int:
         """Frames with a wrong CRC."""
         return self._frames.failed_checks["rtcm"]

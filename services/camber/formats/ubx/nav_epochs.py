@@ -3,23 +3,8 @@
 from __future__ import annotations
 
 from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.ubx import nav_reader as nav
 from camber.formats.ubx.gps_week import navigation_time_ns, resolve_week_rollover
-from camber.formats.ubx.nav_reader import (
-    COV,
-    HPPOSLLH,
-    PL,
-    PVT,
-    Covariances,
-    NavPosition,
-    PositionVelocityTime,
-    ProtectionLevels,
-    ReceiverBaseline,
-    read_baseline,
-    read_covariances,
-    read_high_precision_position,
-    read_position_velocity_time,
-    read_protection_levels,
-)
 from camber.geodesy.covariance import EnuCovariance
 
 
@@ -28,25 +13,25 @@ class NavigationEpoch:
 
     def __init__(self, of_week_ms: int) -> None:
         self.of_week_ms = of_week_ms
-        self.pvt: PositionVelocityTime | None = None
-        self.protection: ProtectionLevels | None = None
-        self.baseline: ReceiverBaseline | None = None
+        self.pvt: nav.PositionVelocityTime | None = None
+        self.protection: nav.ProtectionLevels | None = None
+        self.baseline: nav.ReceiverBaseline | None = None
         """Its time is not set yet."""
-        self._high_precision: NavPosition | None = None
-        self._covariances = Covariances(None, None)
+        self._high_precision: nav.NavPosition | None = None
+        self._covariances = nav.Covariances(None, None)
 
     def take(self, message_id: int, payload: bytes) -> None:
         """Decode one message of this epoch; ValueError where it is malformed."""
-        if message_id == PVT:
-            self.pvt = read_position_velocity_time(payload)
-        elif message_id == HPPOSLLH:
-            self._high_precision = read_high_precision_position(payload)
-        elif message_id == COV:
-            self._covariances = read_covariances(payload)
-        elif message_id == PL:
-            self.protection = read_protection_levels(payload)
+        if message_id == nav.PVT:
+            self.pvt = nav.read_position_velocity_time(payload)
+        elif message_id == nav.HPPOSLLH:
+            self._high_precision = nav.read_high_precision_position(payload)
+        elif message_id == nav.COV:
+            self._covariances = nav.read_covariances(payload)
+        elif message_id == nav.PL:
+            self.protection = nav.read_protection_levels(payload)
         else:
-            self.baseline = read_baseline(payload)
+            self.baseline = nav.read_baseline(payload)
 
     def time_ns(self, near_ns: int | None, reference_ns: int | None) -> int | None:
         """Return the time to ms, with NAV-PVT to ns; None where the week is unknown. ValueError for impossible times.
@@ -89,7 +74,7 @@ class NavigationEpoch:
         )
 
 
-def _covariance_from_accuracies(position: NavPosition) -> EnuCovariance | None:
+def _covariance_from_accuracies(position: nav.NavPosition) -> EnuCovariance | None:
     if position.horizontal_m is None or position.vertical_m is None:
         return None
     axis = 0.5 * position.horizontal_m * position.horizontal_m

@@ -15,26 +15,22 @@ from camber.formats.receiver.frame_buffer import FrameBuffer
 from camber.formats.receiver.integrity_report import IntegrityReport
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
 from camber.formats.receiver.solution import ReceiverSolution
+from camber.formats.ubx import nav_reader as nav
 from camber.formats.ubx.ephemeris_assembly import EphemerisAssembler, SubframeWords
 from camber.formats.ubx.nav_epochs import NavigationEpoch
-from camber.formats.ubx.nav_reader import (
-    COV,
-    EOE,
-    HPPOSLLH,
-    PL,
-    PVT,
-    RELPOSNED,
-    ReceiverBaseline,
-    time_of_week_ms,
-)
 from camber.formats.ubx.rawx_reader import RawxEpoch, read_raw_measurements
 from camber.schemas.gnss import ReceiverIntegrity
 
 UbxResult = (
-    RawxEpoch | Ephemeris | IonosphereCoefficients | ReceiverSolution | ReceiverBaseline | ReceiverIntegrity
+    RawxEpoch
+    | Ephemeris
+    | IonosphereCoefficients
+    | ReceiverSolution
+    | nav.ReceiverBaseline
+    | ReceiverIntegrity
 )
 _NAV, _RXM, _MON, _SEC = 0x01, 0x02, 0x0A, 0x27
-_NAVIGATION_IDS = {PVT, HPPOSLLH, COV, RELPOSNED, PL, EOE}
+_NAVIGATION_IDS = {nav.PVT, nav.HPPOSLLH, nav.COV, nav.RELPOSNED, nav.PL, nav.EOE}
 
 
 class UbxMessages:
@@ -140,8 +136,8 @@ class UbxMessages:
         return [] if epoch is not None else self._integrity_report(time_ns)
 
     def _navigation(self, message_id: int, payload: bytes) -> list[UbxResult]:
-        of_week_ms = time_of_week_ms(message_id, payload)
-        if message_id == EOE:
+        of_week_ms = nav.time_of_week_ms(message_id, payload)
+        if message_id == nav.EOE:
             return self._end_epoch()
         results = list[UbxResult]()
         if self._epoch is None or self._epoch.of_week_ms != of_week_ms:
@@ -150,7 +146,7 @@ class UbxMessages:
                 return []
             results = self._end_epoch()
             self._epoch = NavigationEpoch(of_week_ms)
-        self.has_positions |= message_id == PVT
+        self.has_positions |= message_id == nav.PVT
         try:
             self._epoch.take(message_id, payload)
         except ValueError:

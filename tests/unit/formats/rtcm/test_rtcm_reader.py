@@ -315,4 +315,4 @@ def test_number_of_stations_is_bounded():
         assert [result.station_id for result in results] == ([station - 16] if station >= 16 else [])
     assert begun == 16
     assert len(decoder.finish()) == 16
-    assert len(decoder._locks) == 16
+    assert decoder.stations == 16
