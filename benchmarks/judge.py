@@ -31,7 +31,7 @@ from camber.schemas.base import Message
 from camber.schemas.channels import BY_NAME, inputs_of
 from camber.schemas.codec import decode, encode, encoding_of
 from camber.schemas.drive import load_manifest
-from camber.validation.judged_fixes import Judged, put_together
+from camber.validation.judged_fixes import JudgedFix, pair_fixes_with_verdicts
 
 DRIVE_S = 120.0
 LIVE_S = 90.0
@@ -152,12 +152,12 @@ def cpu(drive: Path, folder: Path) -> Figure:
     return lower("judge, CPU an epoch, bytes to bytes", "ms", ours, peer, "its messages decoded and encoded")
 
 
-def asked(row: Judged) -> bool:
+def asked(row: JudgedFix) -> bool:
     """Were other estimates asked for?"""
     return row.verdict is not None and (row.verdict.trials > 1 or "other estimates" in row.verdict.detail)
 
 
-def latencies_ms(rows: list[Judged]) -> list[float]:
+def latencies_ms(rows: list[JudgedFix]) -> list[float]:
     """From the arrival of a fix at the recorder to that of its verdict."""
     arrivals = [(row.fix_arrival_ns, row.verdict_arrival_ns) for row in rows]
     return [(then - first) / 1e6 for first, then in arrivals if first is not None and then is not None]
@@ -180,7 +180,7 @@ def latency(drive: Path, out: Path) -> list[Figure]:
     options = ["--set", "positions=engine", "--set", f"end_s={LIVE_S}", "--quiet"]
     subprocess.run([*command, *options], check=True, stdin=subprocess.DEVNULL, timeout=LIVE_S + 240.0)
     messages, _ = load_recording(out / "recording.mcap")
-    rows = put_together(messages["fix"], messages["verdict"])
+    rows = pair_fixes_with_verdicts(messages["fix"], messages["verdict"])
     again = [row for row in rows if asked(row)]
     most = max((row.verdict.trials - 1 for row in again if row.verdict is not None), default=0)
     factor = json.loads((out / "summary.json").read_text())["speed_factor"]

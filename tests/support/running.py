@@ -26,7 +26,7 @@ from camber.replay.short_drive import START_NS
 from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
 from camber.validation.evaluation import CHANNELS, evaluate
-from camber.validation.truth import truth_of
+from camber.validation.reference_trajectory import truth_of
 
 MACHINE = frozenset({"latency_ms", "notes", "speed_factor", "wall_s"})
 """What of a summary depends on the machine and its load; nothing else may."""

@@ -26,7 +26,7 @@ from camber.schemas.drive import DriveManifest, load_manifest
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import SEED, number_from
 from camber.validation.evaluate import evaluate_folder, headline
-from camber.validation.truth import truth_of
+from camber.validation.reference_trajectory import truth_of
 
 
 class StoppedBySignal(KeyboardInterrupt):

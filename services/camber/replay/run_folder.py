@@ -26,7 +26,7 @@ from pydantic import Field, ValidationError
 from camber.formats.errors import FormatError
 from camber.replay.drive_inputs import DriveInputs
 from camber.schemas.base import Model, Sigma
-from camber.validation.truth import Truth, offset_of
+from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of
 
 # All that np.load has raised on files that are no archive of arrays, or a damaged one.
 _NO_ARRAYS = (
@@ -97,7 +97,7 @@ class RunFolder:
         self.summary_path = path / "summary.json"
         self.report_path = path / "report.html"
 
-    def write_drive(self, facts: DriveFacts, truth: Truth | None) -> None:
+    def write_drive(self, facts: DriveFacts, truth: ReferenceTrajectory | None) -> None:
         """Write drive.json and, where there is truth, truth.npz. ValueError where `facts.truth` says
         otherwise."""
         if facts.truth != (truth is not None):
@@ -132,13 +132,13 @@ class RunFolder:
         """Read run.json; nothing is known where there is none."""
         return _read_json(self.run_path, RunFacts) if self.run_path.exists() else RunFacts()
 
-    def read_truth(self) -> Truth:
+    def read_truth(self) -> ReferenceTrajectory:
         """Read truth.npz."""
         name = self.truth_path.name
         try:
             # Opened here: np.load leaves the file open where it is no archive.
             with self.truth_path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-                return Truth(**{array: arrays[array] for array in _ARRAYS})
+                return ReferenceTrajectory(**{array: arrays[array] for array in _ARRAYS})
         except OSError as error:
             expected = "a readable file, as drive.json says that there is truth"
             raise FormatError(name, "file", expected, actual=error.strerror or str(error)) from None

@@ -1,13 +1,12 @@
-"""What simpler judges would have said of the same fixes: a headline never stands alone.
+"""Baselines: decisions of simpler judges on the same fixes.
 
     ratio_test_only  every fix that passed the ratio test is confirmed
-    height_only      |(h_m + h_a) − h_r| ≤ fixed tolerance is confirmed, more is erroneous: H (2) and nothing else
-    always_unknown   nothing is ever confirmed: safe and of no use
+    height_only      |(h_m + h_a) − h_r| ≤ fixed tolerance is confirmed, else erroneous: JP7707657B2 eq. (2) alone
+    always_unknown   nothing is confirmed: trivially safe
 
-*Height only* takes road elevation h_m and antenna height h_a as the judge had them: those of the recorded pose and
-antenna height, no older at the fix's time than their channels allow; where either is not known, so is the answer.
-It has no rule for the start (provisional poses count), no uncertainties, no horizontal check, no verification and
-no learned correction.
+*Height only* takes road elevation h_m and antenna height h_a from the recorded pose and antenna height, no older than
+their channels allow; where either is unknown, so is the decision. It has no start-up rule (provisional poses count), no
+uncertainties, no horizontal check, no verification and no learned correction.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from camber.schemas.base import Float64
 from camber.schemas.channels import BY_NAME
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
-from camber.validation.figures import Flags, Judgement, Tentative
+from camber.validation.fix_statistics import CandidateFixes, FixDecisions, Flags
 
 
-def ratio_test_only(fixes: Tentative) -> Judgement:
+def ratio_test_only(fixes: CandidateFixes) -> FixDecisions:
     """Every fix is confirmed."""
-    return _judgement(fixes, np.ones(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
+    return _decisions(fixes, np.ones(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
 
 
-def always_unknown(fixes: Tentative) -> Judgement:
+def always_unknown(fixes: CandidateFixes) -> FixDecisions:
     """No fix is confirmed."""
-    return _judgement(fixes, np.zeros(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
+    return _decisions(fixes, np.zeros(len(fixes.time_ns), bool), np.zeros(len(fixes.time_ns), bool))
 
 
-def height_only(fixes: Tentative, difference_m: Float64, tolerance_m: float) -> Judgement:
-    """The height check alone; `difference_m` (n,) as `height_differences_m` gives it."""
-    return _judgement(fixes, np.abs(difference_m) <= tolerance_m, np.abs(difference_m) > tolerance_m)
+def height_only(fixes: CandidateFixes, difference_m: Float64, tolerance_m: float) -> FixDecisions:
+    """The height check alone, of `difference_m` (n,) by `height_differences_m`."""
+    return _decisions(fixes, np.abs(difference_m) <= tolerance_m, np.abs(difference_m) > tolerance_m)
 
 
 def height_differences_m(
@@ -55,8 +54,7 @@ def height_differences_m(
 
 
 class _Latest:
-    """The value in force at a time: the last one at or before it, unless that is older than the channel
-    allows."""
+    """The latest value at or before a time; NaN where it is older than the channel allows."""
 
     def __init__(self, values: list[tuple[int, float]], channel: str) -> None:
         values = sorted(values, key=lambda item: item[0])
@@ -80,9 +78,9 @@ def _antenna_m(height: AntennaHeight) -> float:
     return height.height_m if height.status == "known" and height.height_m is not None else float("nan")
 
 
-def _judgement(fixes: Tentative, confirmed: Flags, erroneous: Flags) -> Judgement:
+def _decisions(fixes: CandidateFixes, confirmed: Flags, erroneous: Flags) -> FixDecisions:
     unknown = ~(confirmed | erroneous)
-    return Judgement(
+    return FixDecisions(
         confirmed=confirmed,
         erroneous=erroneous,
         unknown=unknown,

@@ -1,4 +1,4 @@
-"""`camber evaluate DIR`: make summary.json and report.html of a run again from what it left behind."""
+"""`camber evaluate DIR`: write summary.json and report.html of a run again from its recording."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from camber.validation.report.page import render
 def evaluate_folder(folder: RunFolder, *, partial: bool = False) -> Evaluation:
     """Evaluate the run in `folder` and write summary.json and report.html into it.
 
-    Raises FormatError for anything missing or damaged; with `partial`, what can be read of a damaged
-    recording is evaluated, and summary and report say so.
+    Raises FormatError for anything missing or damaged; with `partial`, the readable part of a damaged recording is
+    evaluated, and summary and report list the damage.
     """
     drive, run = folder.read_drive(), folder.read_run()
     truth = folder.read_truth() if drive.truth else None
@@ -35,8 +35,8 @@ def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any
     try:
         recorded, errors = load_recording(path, CHANNELS)
     except OSError as error:
-        found = error.strerror or str(error)
-        raise FormatError(path.name, "file", "a readable recording", actual=found) from None
+        actual = error.strerror or str(error)
+        raise FormatError(path.name, "file", "a readable recording", actual=actual) from None
     if errors and not partial:
         raise errors[0]
     return recorded, [str(error) for error in errors]
@@ -45,9 +45,11 @@ def _load(folder: RunFolder, partial: bool) -> tuple[dict[str, list[Recorded[Any
 def main(argv: Sequence[str]) -> int:
     """The command; returns the exit code: 0, or 2 after one line on standard error."""
     parser = argparse.ArgumentParser(prog="camber evaluate", description=__doc__)
-    parser.add_argument("directory", type=Path, help="folder that a replay or a recording has left")
+    parser.add_argument("directory", type=Path, help="folder of a replay or a recording")
     parser.add_argument(
-        "--partial", action="store_true", help="evaluate what can be read of a damaged recording, and say so"
+        "--partial",
+        action="store_true",
+        help="evaluate the readable part of a damaged recording",
     )
     arguments = parser.parse_args(argv)
     folder = RunFolder(arguments.directory)
@@ -67,7 +69,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def headline(summary: dict[str, Any]) -> str:
-    """The figures in a few lines, for a terminal; what is not known is `not known`."""
+    """The most important statistics as text for a terminal."""
     confirmed, right, episodes = summary["confirmed"], summary["right"], summary["episodes"]
     lines = [
         f"{summary['drive']}: {summary['epochs']} epochs, {summary['tentative']['fixed']} fixes, "

@@ -1,5 +1,4 @@
-"""From what was recorded and the truth to figures: pure, the same for a replay and for a drive on the
-road."""
+"""Statistics of a recorded or replayed drive against its truth."""
 
 from __future__ import annotations
 
@@ -15,9 +14,16 @@ from camber.replay.run_folder import DriveFacts, RunFacts
 from camber.schemas.base import Float64, Int64
 from camber.schemas.gnss import Fix
 from camber.validation.baselines import always_unknown, height_differences_m, height_only, ratio_test_only
-from camber.validation.figures import Episode, Judgement, Tentative, episodes_of, figures, some_known
-from camber.validation.judged_fixes import CONFIRMED_WORDS, Judged, put_together
-from camber.validation.localization_summary import Localized
+from camber.validation.fix_statistics import (
+    CandidateFixes,
+    Episode,
+    FixDecisions,
+    decision_statistics,
+    episodes_of,
+    is_evaluable,
+)
+from camber.validation.judged_fixes import CONFIRMED_VERDICTS, JudgedFix, pair_fixes_with_verdicts
+from camber.validation.localization_summary import LocalizerRecord
 from camber.validation.protection import (
     Positions,
     availability,
@@ -27,57 +33,57 @@ from camber.validation.protection import (
     positions_by_epoch,
     stanford,
 )
-from camber.validation.truth import Truth
+from camber.validation.reference_trajectory import ReferenceTrajectory
 
 CHANNELS = ("motion", "fix", "verdict", "position", "pose", "scan_match", "antenna_height")
-"""What evaluation reads of a recording."""
+"""Channels of a recording that are evaluated."""
 
 _NOWHERE = (np.nan, np.nan, np.nan)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Evaluation:
-    """The summary, and what it was made from, for the report.
+    """The summary, and the data behind it for the report.
 
-    `rows` in the order of time, `tentative_error_enu_m` and `confirmed_error_m` (3D) for each, NaN where
-    there is no such position or no truth; `fixes` are the rows `fix_rows`, of which `episodes` speak.
+    `rows` in the order of time, with `tentative_error_enu_m` and `confirmed_error_m` (3D), NaN without such a position
+    or without truth; `fixes` and `episodes` are of the rows `fix_rows`.
     """
 
     summary: dict[str, Any]
-    rows: list[Judged]
+    rows: list[JudgedFix]
     tentative_error_enu_m: Float64
     confirmed_error_m: Float64
-    fixes: Tentative
+    fixes: CandidateFixes
     fix_rows: Int64
     episodes: list[Episode]
     positions: Positions
-    localized: Localized
+    localizer_record: LocalizerRecord
 
 
 def evaluate(
     recorded: Mapping[str, Sequence[Recorded[Any]]],
     drive: DriveFacts,
     run: RunFacts,
-    truth: Truth | None,
+    truth: ReferenceTrajectory | None,
     *,
     damage: Sequence[str] = (),
 ) -> Evaluation:
-    """Compute the figures of one drive.
+    """Return the statistics of one drive.
 
-    `recorded` has the messages by channel (`CHANNELS`; a missing one counts as empty); `damage` says what of
-    the recording could not be read and is passed on. Without truth, everything that rests on it is None.
+    `recorded` has the messages by channel (`CHANNELS`; a missing one counts as empty); `damage` lists what could not be
+    read of the recording. Without truth, everything that needs it is None.
     """
-    rows = put_together(recorded.get("fix", ()), recorded.get("verdict", ()))
+    rows = pair_fixes_with_verdicts(recorded.get("fix", ()), recorded.get("verdict", ()))
     tentative_error_m, confirmed_error_m = _errors(rows, truth, drive.offset_enu_m)
-    fix_rows, judgement = _camber(rows, confirmed_error_m)
-    fixes = Tentative(
+    fix_rows, decisions = _decisions(rows, confirmed_error_m)
+    fixes = CandidateFixes(
         time_ns=np.array([rows[i].time_ns for i in fix_rows.tolist()], dtype=np.int64),
         error_m=np.linalg.norm(tentative_error_m[fix_rows], axis=1),
     )
     positions = positions_by_epoch(
         recorded.get("position", ()), truth, drive.offset_enu_m, drive.alert_limit_m
     )
-    localized = Localized.of(recorded)
+    localizer_record = LocalizerRecord.from_recording(recorded)
     epochs = _epoch_times(recorded.get("motion", ()), positions)
     known = truth is not None
     summary = {
@@ -88,11 +94,17 @@ def evaluate(
         "duration_s": float(epochs[-1] - epochs[0]) / 1e9 if len(epochs) else None,
         "tentative": {
             "fixed": len(fix_rows),
-            "wrong": int(fixes.wrong.sum()) if known and some_known(fixes.error_m) else None,
+            "wrong": int(fixes.wrong.sum()) if known and is_evaluable(fixes.error_m) else None,
             "truth_unknown": int(np.isnan(fixes.error_m).sum()),
         },
-        **figures(fixes, judgement, truth=known),
-        "controls": _controls(rows, fix_rows, fixes, recorded, drive.fixed_tolerance_m, known),
+        **decision_statistics(fixes, decisions, truth=known),
+        "controls": _baselines(
+            fixes,
+            [fix for i in fix_rows.tolist() if (fix := rows[i].fix) is not None],
+            recorded,
+            tolerance_m=drive.fixed_tolerance_m,
+            truth=known,
+        ),
         "position": {
             "availability": availability(positions, epochs),
             "alert_limit_m": _alert_limit_m(positions, drive),
@@ -102,7 +114,7 @@ def evaluate(
         "stanford": stanford(positions) if known else None,
         "levels": levels_by_source(positions) if known else None,
         "verdicts": _verdicts(rows),
-        "localizer": localized.summary(),
+        "localizer": localizer_record.summary(),
         "latency_ms": percentiles(_latencies_ms(rows), {"p50": 0.5, "p99": 0.99}),
         "speed_factor": run.speed_factor,
         "wall_s": run.wall_s,
@@ -116,16 +128,16 @@ def evaluate(
         confirmed_error_m=confirmed_error_m,
         fixes=fixes,
         fix_rows=fix_rows,
-        episodes=episodes_of(fixes, judgement),
+        episodes=episodes_of(fixes, decisions),
         positions=positions,
-        localized=localized,
+        localizer_record=localizer_record,
     )
 
 
 def _errors(
-    rows: Sequence[Judged], truth: Truth | None, offset_enu_m: tuple[float, float, float]
+    rows: Sequence[JudgedFix], truth: ReferenceTrajectory | None, offset_enu_m: tuple[float, float, float]
 ) -> tuple[Float64, Float64]:
-    """Errors of the tentative fixes, east, north, up (n, 3), and of the confirmed positions, 3D (n,)."""
+    """Errors east, north, up of the candidate fixes (n, 3), and 3D errors of the confirmed positions (n,)."""
     fixed_error_m = np.full((len(rows), 3), np.nan)
     confirmed_error_m = np.full(len(rows), np.nan)
     if truth is None or not rows:
@@ -133,8 +145,8 @@ def _errors(
     time_ns = np.array([row.time_ns for row in rows], dtype=np.int64)
     fixed = np.array([_point(row.fix if row.tentative else None) for row in rows])
     confirmed = np.array([row.confirmed_position or _NOWHERE for row in rows])
-    fixed_error_m = truth.error_enu_m(time_ns, fixed[:, 0], fixed[:, 1], fixed[:, 2], offset_enu_m)
-    enu_m = truth.error_enu_m(time_ns, confirmed[:, 0], confirmed[:, 1], confirmed[:, 2], offset_enu_m)
+    fixed_error_m = truth.error_enu_m(time_ns, *fixed.T, offset_enu_m=offset_enu_m)
+    enu_m = truth.error_enu_m(time_ns, *confirmed.T, offset_enu_m=offset_enu_m)
     return fixed_error_m, np.linalg.norm(enu_m, axis=1)
 
 
@@ -142,57 +154,55 @@ def _point(fix: Fix | None) -> tuple[float, float, float]:
     return _NOWHERE if fix is None else (fix.latitude_rad, fix.longitude_rad, fix.height_m)
 
 
-def _camber(rows: Sequence[Judged], confirmed_error_m: Float64) -> tuple[Int64, Judgement]:
-    """Rows of the tentative fixes, each once, and what Camber said of them.
+def _decisions(rows: Sequence[JudgedFix], confirmed_error_m: Float64) -> tuple[Int64, FixDecisions]:
+    """Rows of the candidate fixes, each once, and Camber's decisions on them.
 
-    Where a fix has several verdicts, it is confirmed if any confirmed it (consumers had that one), else the
-    last counts.
+    A fix with several verdicts is confirmed if any of them confirmed it (consumers had that one), else the last counts.
     """
-    words: dict[tuple[int, int], str] = {}
+    verdicts: dict[tuple[int, int], str] = {}
     row_of: dict[tuple[int, int], int] = {}
     for i, row in enumerate(rows):
         if row.fix is not None and row.tentative:
             key = (row.fix.fix_id, row.fix.time_ns)
             row_of.setdefault(key, i)
-            if row.confirmed or words.get(key) not in CONFIRMED_WORDS:
-                words[key] = row.word
-    confirmed = np.array([words[key] in CONFIRMED_WORDS for key in row_of], dtype=bool)
-    erroneous = np.array([words[key] == "erroneous" for key in row_of], dtype=bool)
+            if row.confirmed or verdicts.get(key) not in CONFIRMED_VERDICTS:
+                verdicts[key] = row.verdict_name
+    confirmed = np.array([verdicts[key] in CONFIRMED_VERDICTS for key in row_of], dtype=bool)
+    erroneous = np.array([verdicts[key] == "erroneous" for key in row_of], dtype=bool)
     confirmed_rows = np.array([i for i, row in enumerate(rows) if row.confirmed], dtype=np.int64)
-    return np.array(list(row_of.values()), dtype=np.int64), Judgement(
+    return np.array(list(row_of.values()), dtype=np.int64), FixDecisions(
         confirmed=confirmed,
         erroneous=erroneous,
         unknown=~(confirmed | erroneous),
-        unknown_count=sum(row.word == "unknown" for row in rows),
+        unknown_count=sum(row.verdict_name == "unknown" for row in rows),
         confirmed_time_ns=np.array([rows[i].time_ns for i in confirmed_rows.tolist()], dtype=np.int64),
         confirmed_error_m=confirmed_error_m[confirmed_rows],
     )
 
 
-def _controls(
-    rows: Sequence[Judged],
-    fix_rows: Int64,
-    fixes: Tentative,
+def _baselines(
+    fixes: CandidateFixes,
+    messages: Sequence[Fix],
     recorded: Mapping[str, Sequence[Recorded[Any]]],
+    *,
     tolerance_m: float,
     truth: bool,
 ) -> dict[str, Any]:
-    messages = [fix for i in fix_rows.tolist() if (fix := rows[i].fix) is not None]
     difference_m = height_differences_m(
         messages, recorded.get("pose", ()), recorded.get("antenna_height", ())
     )
     return {
-        "ratio_test_only": figures(fixes, ratio_test_only(fixes), truth=truth),
+        "ratio_test_only": decision_statistics(fixes, ratio_test_only(fixes), truth=truth),
         "height_only": {
             "tolerance_m": tolerance_m,
-            **figures(fixes, height_only(fixes, difference_m, tolerance_m), truth=truth),
+            **decision_statistics(fixes, height_only(fixes, difference_m, tolerance_m), truth=truth),
         },
-        "always_unknown": figures(fixes, always_unknown(fixes), truth=truth),
+        "always_unknown": decision_statistics(fixes, always_unknown(fixes), truth=truth),
     }
 
 
 def _epoch_times(motion: Sequence[Recorded[Any]], positions: Positions) -> Int64:
-    """The epoch grid: the distinct times of motion, or of positions where the drive has no motion."""
+    """The distinct times of motion, or of positions where the drive has no motion."""
     times = np.array([item.message.time_ns for item in motion], dtype=np.int64)
     return np.unique(times) if len(times) else positions.time_ns
 
@@ -202,25 +212,25 @@ def _alert_limit_m(positions: Positions, drive: DriveFacts) -> float | None:
     return drive.alert_limit_m or (float(limits[0]) if len(limits) == 1 else None)
 
 
-def _verdicts(rows: Sequence[Judged]) -> dict[str, Any]:
-    said = [row.verdict for row in rows if row.verdict is not None]
+def _verdicts(rows: Sequence[JudgedFix]) -> dict[str, Any]:
+    verdicts = [row.verdict for row in rows if row.verdict is not None]
     judged = [
         (row.fix.fix_id, row.fix.time_ns) for row in rows if row.fix is not None and row.verdict is not None
     ]
-    by_reason = Counter((verdict.verdict, verdict.reason) for verdict in said)
+    by_reason = Counter((verdict.verdict, verdict.reason) for verdict in verdicts)
     return {
-        "count": len(said),
+        "count": len(verdicts),
         "by_reason": [
-            {"verdict": word, "reason": reason, "count": count}
-            for (word, reason), count in sorted(by_reason.items(), key=lambda item: (-item[1], item[0]))
+            {"verdict": name, "reason": reason, "count": count}
+            for (name, reason), count in sorted(by_reason.items(), key=lambda item: (-item[1], item[0]))
         ],
         "fixes_without_verdict": sum(row.verdict is None for row in rows),
         "repeated": len(judged) - len(set(judged)),
     }
 
 
-def _latencies_ms(rows: Sequence[Judged]) -> Float64:
-    """From the arrival of a fix at the recorder to that of its verdict."""
+def _latencies_ms(rows: Sequence[JudgedFix]) -> Float64:
+    """Time from the arrival of a fix at the recorder to that of its verdict."""
     return np.array(
         [
             (row.verdict_arrival_ns - row.fix_arrival_ns) / 1e6

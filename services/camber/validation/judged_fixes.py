@@ -1,4 +1,4 @@
-"""Fixes and the verdicts on them, put together again from a recording."""
+"""Fixes of a recording paired with their verdicts."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from camber.formats.drive.recording import Recorded
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
 
-CONFIRMED_WORDS = ("confirmed", "confirmed_after_verification")
+CONFIRMED_VERDICTS = ("confirmed", "confirmed_after_verification")
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedFix:
     """A fix with a verdict on it, a fix without one, or a verdict on an epoch without a fix."""
 
     fix: Fix | None
@@ -36,18 +36,18 @@ class Judged:
         return self.fix is not None and self.fix.quality == "fixed"
 
     @property
-    def word(self) -> str:
-        """The verdict's word; `no_verdict` where nothing was said, which is not trust either."""
+    def verdict_name(self) -> str:
+        """The verdict, or `no_verdict`, which is no confirmation either."""
         return "no_verdict" if self.verdict is None else self.verdict.verdict
 
     @property
     def confirmed(self) -> bool:
-        """Whether consumers were given this as a position."""
-        return self.word in CONFIRMED_WORDS
+        """Whether consumers were given this as a confirmed position."""
+        return self.verdict_name in CONFIRMED_VERDICTS
 
     @property
     def confirmed_position(self) -> tuple[float, float, float] | None:
-        """What was confirmed (latitude, longitude, height): the verdict's, maybe a new estimate, else the fix's."""
+        """Latitude, longitude, height of the verdict (a re-estimated position, maybe), else of the fix."""
         if not self.confirmed or self.verdict is None:
             return None
         for message in (self.verdict, self.fix):
@@ -58,31 +58,37 @@ class Judged:
         return None
 
 
-def put_together(fixes: Iterable[Recorded[Fix]], verdicts: Iterable[Recorded[Verdict]]) -> list[Judged]:
+def pair_fixes_with_verdicts(
+    fixes: Iterable[Recorded[Fix]], verdicts: Iterable[Recorded[Verdict]]
+) -> list[JudgedFix]:
     """One row for every verdict and for every fix without one, in the order of time.
 
-    A fix that was published again (same id, same time) counts once. A verdict belongs to the fix of its id;
-    where a restarted gnss has used an id twice, to the one nearest in time. A second verdict on a fix is a
-    row of its own: consumers had it.
+    A fix that was published again (same id, same time) counts once. A verdict belongs to the fix of its id, or, where
+    a restarted gnss used the id twice, to the one nearest in time. A second verdict on a fix has a row of its own.
     """
     by_id: dict[int, list[Recorded[Fix]]] = defaultdict(list)
     for fix in fixes:
         same_id = by_id[fix.message.fix_id]
         if all(other.message.time_ns != fix.message.time_ns for other in same_id):
             same_id.append(fix)
-    rows: list[Judged] = []
+    rows: list[JudgedFix] = []
     judged: set[tuple[int, int]] = set()
     for verdict in verdicts:
-        found = _nearest(by_id, verdict.message)
-        if found is None:
-            rows.append(Judged(None, verdict.message, None, verdict.arrival_ns))
-        else:
-            judged.add((found.message.fix_id, found.message.time_ns))
-            rows.append(Judged(found.message, verdict.message, found.arrival_ns, verdict.arrival_ns))
+        judged_fix = _nearest(by_id, verdict.message)
+        if judged_fix is not None:
+            judged.add((judged_fix.message.fix_id, judged_fix.message.time_ns))
+        rows.append(
+            JudgedFix(
+                fix=None if judged_fix is None else judged_fix.message,
+                verdict=verdict.message,
+                fix_arrival_ns=None if judged_fix is None else judged_fix.arrival_ns,
+                verdict_arrival_ns=verdict.arrival_ns,
+            )
+        )
     for same_id in by_id.values():
         for fix in same_id:
             if (fix.message.fix_id, fix.message.time_ns) not in judged:
-                rows.append(Judged(fix.message, None, fix.arrival_ns, None))
+                rows.append(JudgedFix(fix=fix.message, verdict=None, fix_arrival_ns=fix.arrival_ns))
     return sorted(rows, key=lambda row: row.time_ns)
 
 

@@ -1,4 +1,4 @@
-"""Poses and scan matches as columns, and how far the poses are from the truth."""
+"""Poses and scan matches as columns, and the errors of poses against the truth."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.covariance import confidence_scale
 from camber.replay.truth_interpolation import interpolate_truth
 from camber.schemas.pose import Pose, ScanMatch
-from camber.validation.truth import truth_of
+from camber.validation.reference_trajectory import truth_of
 
 M = TypeVar("M", Pose, ScanMatch)
-Words = NDArray[np.str_]
+Names = NDArray[np.str_]
 INSIDE_PROBABILITY = 0.99
+"""Of the error ellipse; Kikuchi (TUMSAT), reliability index: 99 %."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseColumns:
     """n poses; numbers are NaN where there is none. `covariance` (n, 3, 3) of east, north [m] and yaw [rad]."""
 
     time_ns: Integers
-    mode: Words
-    provenance: Words
+    mode: Names
+    provenance: Names
     latitude_rad: Floats
     longitude_rad: Floats
     yaw_rad: Floats
@@ -37,60 +38,60 @@ class PoseColumns:
     level: Floats
 
     @classmethod
-    def of(cls, poses: Sequence[Pose]) -> PoseColumns:
-        """In the order in which they came."""
+    def from_poses(cls, poses: Sequence[Pose]) -> PoseColumns:
+        """In the order received."""
         upper = np.array([pose.covariance_east_north_yaw or [np.nan] * 6 for pose in poses]).reshape(-1, 6)
         return cls(
-            np.array([pose.time_ns for pose in poses], np.int64),
-            np.array([pose.mode for pose in poses], np.str_),
-            np.array([pose.provenance for pose in poses], np.str_),
-            _numbers(poses, lambda pose: pose.latitude_rad),
-            _numbers(poses, lambda pose: pose.longitude_rad),
-            _numbers(poses, lambda pose: pose.yaw_rad),
-            upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3),
-            _numbers(poses, lambda pose: pose.road.elevation_m),
-            _numbers(poses, lambda pose: pose.road.level),
+            time_ns=np.array([pose.time_ns for pose in poses], np.int64),
+            mode=np.array([pose.mode for pose in poses], np.str_),
+            provenance=np.array([pose.provenance for pose in poses], np.str_),
+            latitude_rad=_numbers(poses, lambda pose: pose.latitude_rad),
+            longitude_rad=_numbers(poses, lambda pose: pose.longitude_rad),
+            yaw_rad=_numbers(poses, lambda pose: pose.yaw_rad),
+            covariance=upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3),
+            elevation_m=_numbers(poses, lambda pose: pose.road.elevation_m),
+            level=_numbers(poses, lambda pose: pose.road.level),
         )
 
     @property
     def radius_m(self) -> Floats:
-        """Larger half axis (n,) of the ellipse that holds the place with `INSIDE_PROBABILITY`."""
+        """Semi-major axis (n,) of the ellipse that contains the position with `INSIDE_PROBABILITY`."""
         ee, en, nn = self.covariance[:, 0, 0], self.covariance[:, 0, 1], self.covariance[:, 1, 1]
         larger = 0.5 * (ee + nn) + np.hypot(0.5 * (ee - nn), en)
         return np.sqrt(confidence_scale(INSIDE_PROBABILITY) * larger)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MatchColumns:
     """n scan matches; `layer_mean_distance_m` (n, layers); numbers are NaN where there is none."""
 
     time_ns: Integers
-    status: Words
+    status: Names
     overlap: Floats
     layer_mean_distance_m: Floats
     sensor_height_m: Floats
     ground_height_m: Floats
 
     @classmethod
-    def of(cls, matches: Sequence[ScanMatch]) -> MatchColumns:
-        """In the order in which they came."""
+    def from_matches(cls, matches: Sequence[ScanMatch]) -> MatchColumns:
+        """In the order received."""
         layers = max((match.layers for match in matches), default=0)
         distance_m = np.array([match.distances_m(layers) for match in matches]).reshape(len(matches), layers)
         return cls(
-            np.array([match.time_ns for match in matches], np.int64),
-            np.array([match.status for match in matches], np.str_),
-            _numbers(matches, lambda match: match.overlap),
-            distance_m,
-            _numbers(matches, lambda match: match.sensor_height_m),
-            _numbers(matches, lambda match: match.ground_height_m),
+            time_ns=np.array([match.time_ns for match in matches], np.int64),
+            status=np.array([match.status for match in matches], np.str_),
+            overlap=_numbers(matches, lambda match: match.overlap),
+            layer_mean_distance_m=distance_m,
+            sensor_height_m=_numbers(matches, lambda match: match.sensor_height_m),
+            ground_height_m=_numbers(matches, lambda match: match.ground_height_m),
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseErrors:
-    """Of n poses against the truth; NaN where one of the two is not known.
+    """Errors of n poses against the truth; NaN where one of the two is unknown.
 
-    `share_of_ellipse` is the squared error over that of the ellipse's edge: up to 1 the truth is inside.
+    `share_of_ellipse` is the squared error over that of the ellipse's edge: at most 1 inside.
     `level` is 0 where pose and truth name another level, 1 where the same.
     """
 
@@ -103,27 +104,27 @@ class PoseErrors:
 
     @property
     def horizontal_m(self) -> Floats:
-        """(n,)"""
+        """Horizontal error (n,)."""
         return np.hypot(self.along_m, self.cross_m)
 
     @classmethod
-    def of(cls, poses: PoseColumns, table: TruthTable) -> PoseErrors:
-        """Along and across the truth's own heading. The road's height and level are a simulator's: NaN without them."""
-        # The horizontal error does not care for the height: that of the truth's first epoch will do.
+    def from_truth(cls, poses: PoseColumns, table: TruthTable) -> PoseErrors:
+        """Along and across the truth's heading. Only simulated truth has the road's height and level, else NaN."""
+        # The horizontal error does not depend on the height: any one near the ground is good enough.
         height_m = np.full(len(poses.time_ns), table.height_m[0])
         enu_m = truth_of(table).error_enu_m(
-            poses.time_ns, poses.latitude_rad, poses.longitude_rad, height_m, (0.0, 0.0, 0.0)
+            poses.time_ns, poses.latitude_rad, poses.longitude_rad, height_m, offset_enu_m=(0.0, 0.0, 0.0)
         )
         yaw_rad = _at(table, poses.time_ns, lambda truth: truth.yaw_rad)
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         east_m, north_m = enu_m[:, 0], enu_m[:, 1]
         return cls(
-            east_m * cos + north_m * sin,
-            -east_m * sin + north_m * cos,
-            wrap_pi_array(poses.yaw_rad - yaw_rad),
-            _share_of_ellipse(enu_m[:, :2], poses.covariance[:, :2, :2]),
-            poses.elevation_m - _interpolated(table, "road_height_m", poses.time_ns),
-            _same(poses.level, _nearest(table, "level", poses.time_ns)),
+            along_m=east_m * cos + north_m * sin,
+            cross_m=-east_m * sin + north_m * cos,
+            yaw_rad=wrap_pi_array(poses.yaw_rad - yaw_rad),
+            share_of_ellipse=_share_of_ellipse(enu_m[:, :2], poses.covariance[:, :2, :2]),
+            elevation_m=poses.elevation_m - _interpolated(table, "road_height_m", poses.time_ns),
+            level=_same(poses.level, _nearest(table, "level", poses.time_ns)),
         )
 
 
@@ -140,7 +141,7 @@ def _at(table: TruthTable, time_ns: Integers, get: Callable[[TruthTable], Floats
 
 
 def _interpolated(table: TruthTable, name: str, time_ns: Integers) -> Floats:
-    """A further column of the truth where the truth is known."""
+    """An optional column of the truth, interpolated; NaN where it is unknown."""
     if name not in table.more:
         return np.full(len(time_ns), np.nan)
     known = ~np.isnan(_at(table, time_ns, lambda truth: truth.height_m))
@@ -150,7 +151,7 @@ def _interpolated(table: TruthTable, name: str, time_ns: Integers) -> Floats:
 
 
 def _nearest(table: TruthTable, name: str, time_ns: Integers) -> Floats:
-    """The same for a column that does not go from one value to the next."""
+    """An optional column of the truth, of the nearest epoch; NaN where it is unknown."""
     if name not in table.more:
         return np.full(len(time_ns), np.nan)
     after = np.searchsorted(table.time_ns, time_ns).clip(1, max(len(table) - 1, 1))

@@ -1,4 +1,4 @@
-"""What a replay's summary and report say of the localizer and of the antenna's height."""
+"""Poses, scan matches and antenna heights of a recording, and their summary."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from camber.schemas.base import Float64, Int64
 from camber.validation.localization_columns import MatchColumns, PoseColumns
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Localized:
-    """Poses, matches, and for each way of knowing it the antenna's height: times (n,) and metres (n,)."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LocalizerRecord:
+    """Poses, matches, and by method the antenna heights: times (n,) and metres (n,)."""
 
     poses: PoseColumns
     matches: MatchColumns
     heights: dict[str, tuple[Int64, Float64]]
 
     @classmethod
-    def of(cls, recorded: Mapping[str, Sequence[Recorded[Any]]]) -> Localized:
+    def from_recording(cls, recorded: Mapping[str, Sequence[Recorded[Any]]]) -> LocalizerRecord:
         """From the messages by channel; a missing one counts as empty."""
         return cls(
-            PoseColumns.of([item.message for item in recorded.get("pose", ())]),
-            MatchColumns.of([item.message for item in recorded.get("scan_match", ())]),
-            _heights([item.message for item in recorded.get("antenna_height", ())]),
+            poses=PoseColumns.from_poses([item.message for item in recorded.get("pose", ())]),
+            matches=MatchColumns.from_matches([item.message for item in recorded.get("scan_match", ())]),
+            heights=_heights([item.message for item in recorded.get("antenna_height", ())]),
         )
 
     def summary(self) -> dict[str, Any]:
-        """Counts by word, and medians; None where there is nothing."""
+        """Counts of modes and statuses, and medians; None without a value."""
         distance_m = self.matches.layer_mean_distance_m
         return {
             "modes": dict(Counter(self.poses.mode.tolist()).most_common()),
@@ -41,20 +41,20 @@ class Localized:
             "layer_mean_distance_m": [_median(column) for column in distance_m.T],
             "sensor_height_m": _median(self.matches.sensor_height_m),
             "ground_height_m": _median(self.matches.ground_height_m),
-            "antenna_height_m": {way: _median(height_m) for way, (_, height_m) in self.heights.items()},
+            "antenna_height_m": {method: _median(height_m) for method, (_, height_m) in self.heights.items()},
         }
 
 
 def _heights(messages: Sequence[AntennaHeight]) -> dict[str, tuple[Int64, Float64]]:
-    said: dict[str, list[tuple[int, float]]] = {}
+    heights: dict[str, list[tuple[int, float]]] = {}
     for message in messages:
         if message.way is not None and message.height_m is not None:
-            said.setdefault(message.way, []).append((message.time_ns, message.height_m))
+            heights.setdefault(message.way, []).append((message.time_ns, message.height_m))
         for other in message.others:
-            said.setdefault(other.way, []).append((message.time_ns, other.height_m))
+            heights.setdefault(other.way, []).append((message.time_ns, other.height_m))
     return {
-        way: (np.array([t for t, _ in rows], np.int64), np.array([h for _, h in rows], np.float64))
-        for way, rows in sorted(said.items())
+        method: (np.array([t for t, _ in rows], np.int64), np.array([h for _, h in rows], np.float64))
+        for method, rows in sorted(heights.items())
     }
 
 

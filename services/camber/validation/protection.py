@@ -1,6 +1,6 @@
-"""Does the position hold what it promises? Availability, errors, error ellipses, protection levels.
+"""Statistics of published positions: availability, errors, coverage of error ellipses, protection levels.
 
-Source: R. Kikuchi, reliability index (ellipse, HPL, Stanford chart).
+Source: Kikuchi (TUMSAT), reliability index (ellipse, HPL, Stanford chart).
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import numpy.typing as npt
 from camber.formats.drive.recording import Recorded
 from camber.schemas.base import Float64, Int64
 from camber.schemas.integrity import Position
-from camber.validation.figures import Flags
-from camber.validation.truth import Truth
+from camber.validation.fix_statistics import Flags
+from camber.validation.reference_trajectory import ReferenceTrajectory
 
 # The published ellipse holds 99.9 %; C = −2 ln(1 − P) scales its axes' squares to 99 % (exactly 2/3).
 _SQUARE_AT_99 = math.log(0.01) / math.log(0.001)
 _SMALLEST_AXIS_M = 1e-9
+"""In place of zero as a divisor: far below any published axis."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Positions:
-    """The last position published of each epoch, in the order of time: arrays (n,); NaN where it said
-    nothing.
+    """The last published position of each epoch, in the order of time: arrays (n,), NaN where not given.
 
-    `error_enu_m` (n, 3) is NaN too where the truth is not known.
+    `error_enu_m` (n, 3) is NaN also where the truth is unknown.
     """
 
     time_ns: Int64
@@ -50,20 +50,20 @@ class Positions:
 
     @property
     def horizontal_error_m(self) -> Float64:
-        """(n,)"""
+        """Horizontal error (n,)."""
         return np.hypot(self.error_enu_m[:, 0], self.error_enu_m[:, 1])
 
     def square_in_ellipse(self) -> Float64:
-        """(n,) squared distance of the truth in units of the 99.9 % ellipse: inside it up to 1."""
+        """Squared distance (n,) of the truth in units of the 99.9 % ellipse: at most 1 inside."""
         return self._square_in(self.semi_major_999_m, self.semi_minor_999_m)
 
     def square_in_ellipse_99(self) -> Float64:
-        """(n,) the same of the 99 % ellipse: the published one, else the other made smaller."""
-        smaller = self.square_in_ellipse() / _SQUARE_AT_99
+        """Squared distance (n,) in units of the 99 % ellipse: the published one, else the 99.9 % one scaled."""
+        scaled = self.square_in_ellipse() / _SQUARE_AT_99
         if self.semi_major_99_m is None or self.semi_minor_99_m is None:
-            return smaller
+            return scaled
         published = self._square_in(self.semi_major_99_m, self.semi_minor_99_m)
-        return np.where(np.isnan(self.semi_major_99_m), smaller, published)
+        return np.where(np.isnan(self.semi_major_99_m), scaled, published)
 
     def _square_in(self, major_m: Float64, minor_m: Float64) -> Float64:
         c, s = np.cos(self.orientation_rad), np.sin(self.orientation_rad)
@@ -75,11 +75,11 @@ class Positions:
 
 def positions_by_epoch(
     recorded: Sequence[Recorded[Position]],
-    truth: Truth | None,
+    truth: ReferenceTrajectory | None,
     offset_enu_m: tuple[float, float, float],
     alert_limit_m: float | None,
 ) -> Positions:
-    """Columns of the positions that count; `alert_limit_m` None takes each position's own."""
+    """Columns of the last position of each epoch; `alert_limit_m` overrides that of the positions."""
     last = {item.message.time_ns: item.message for item in recorded}
     messages = [last[time_ns] for time_ns in sorted(last)]
 
@@ -91,7 +91,7 @@ def positions_by_epoch(
     latitude, longitude, height = column("latitude_rad"), column("longitude_rad"), column("height_m")
     error_m = np.full((len(messages), 3), np.nan)
     if truth is not None:
-        error_m = truth.error_enu_m(time_ns, latitude, longitude, height, offset_enu_m)
+        error_m = truth.error_enu_m(time_ns, latitude, longitude, height, offset_enu_m=offset_enu_m)
     limit = column("alert_limit_m") if alert_limit_m is None else np.full(len(messages), alert_limit_m)
     return Positions(
         time_ns=time_ns,
@@ -113,8 +113,7 @@ def positions_by_epoch(
 
 
 def percentiles(values: Float64, names: dict[str, float]) -> dict[str, float | None]:
-    """Values that occurred, such that at least this share of the finite ones is no larger; None where none
-    is."""
+    """Quantiles of the finite values that are values themselves (inverted CDF); None without a finite value."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return dict.fromkeys(names)
@@ -127,16 +126,16 @@ def availability(positions: Positions, epoch_time_ns: Int64) -> float | None:
         return None
     if not len(positions.time_ns):
         return 0.0
-    row, found = last_of_epochs(positions.time_ns, epoch_time_ns)
+    row, exists = last_row_of_epochs(positions.time_ns, epoch_time_ns)
     small = positions.semi_major_999_m < positions.alert_limit_m
-    return float((small[row] & found).mean())
+    return float((small[row] & exists).mean())
 
 
-def last_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
-    """The last row within half a step of each epoch (n,), and whether there is one. Both are in the order of time.
+def last_row_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
+    """The last row within half a step of each epoch (n,), and whether one exists; both times ascend.
 
-    Sensors and receivers sample by clocks of their own, so an epoch's position is dated a little beside it; and what
-    was said of it before its fix came is no longer what holds.
+    Sensors and receivers have separate clocks, so a position's time is near its epoch's, not equal; and a position that
+    was published before the epoch's fix arrived is superseded.
     """
     if not len(time_ns) or not len(epoch_ns):
         return np.zeros(len(epoch_ns), np.int64), np.zeros(len(epoch_ns), bool)
@@ -146,8 +145,7 @@ def last_of_epochs(time_ns: Int64, epoch_ns: Int64) -> tuple[Int64, Flags]:
 
 
 def coverage(positions: Positions) -> dict[str, Any]:
-    """By source: how many epochs have ellipse and truth, and the share with the truth inside 99 % and 99.9
-    %."""
+    """By source: epochs with ellipse and truth, and the shares with the truth inside 99 % and 99.9 %."""
     square, square_99 = positions.square_in_ellipse(), positions.square_in_ellipse_99()
     known = np.isfinite(square)
     sources = [*sorted(set(positions.source[known].tolist())), "all"]
@@ -167,17 +165,17 @@ def coverage(positions: Positions) -> dict[str, Any]:
 def stanford(positions: Positions) -> dict[str, dict[str, int]]:
     """Counts of the regions of the Stanford chart, for the 99.9 % radius, HPL and VPL.
 
-    With level L, error e, alert limit A: nominal e ≤ L < A; misleading L < e, L < A; hazardous of those: e >
-    A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is held against the vertical alert
-    limit, where there is one.
+    With protection level L, error e, alert limit A: nominal e ≤ L < A; misleading L < e, L < A; hazardous those of
+    them with e > A; unavailable L ≥ A, e ≤ L; unavailable_misleading L ≥ A, e > L. VPL is compared with the vertical
+    alert limit, where there is one.
     """
     return _charts(positions, np.ones(len(positions.time_ns), bool))
 
 
 def levels_by_source(positions: Positions) -> dict[str, Any]:
-    """By source, and of all: the Stanford charts of HPL and VPL, and how tight the levels are.
+    """By source and in total: Stanford charts of HPL and VPL, and the tightness of the protection levels.
 
-    `ratio` is the median level by the median error; None where there is no level or no truth.
+    `ratio` is the median level over the median error; None without level or truth.
     """
     sources = sorted(set(positions.source.tolist()) - {"none"})
     result: dict[str, Any] = {}
@@ -203,12 +201,14 @@ def _tightness(level_m: Float64, error_m: Float64) -> dict[str, float | None]:
 def _charts(positions: Positions, rows: Flags) -> dict[str, dict[str, int]]:
     horizontal, vertical = positions.horizontal_error_m, np.abs(positions.error_enu_m[:, 2])
     limit = positions.alert_limit_m
-    upwards = positions.vertical_alert_limit_m
-    upwards = limit if upwards is None else np.where(np.isnan(upwards), limit, upwards)
+    vertical_limit = positions.vertical_alert_limit_m
+    vertical_limit = (
+        limit if vertical_limit is None else np.where(np.isnan(vertical_limit), limit, vertical_limit)
+    )
     levels = {
         "radius_999": (positions.semi_major_999_m, horizontal, limit),
         "hpl": (positions.hpl_m, horizontal, limit),
-        "vpl": (positions.vpl_m, vertical, upwards),
+        "vpl": (positions.vpl_m, vertical, vertical_limit),
     }
     return {name: _regions(*(column[rows] for column in columns)) for name, columns in levels.items()}
 

@@ -10,18 +10,18 @@ import pytest
 
 from camber.formats.errors import FormatError
 from camber.replay.run_folder import DriveFacts, RunFacts, RunFolder
-from camber.validation.truth import Truth
+from camber.validation.reference_trajectory import ReferenceTrajectory
 
 NS = 1_373_000_000_000_000_000
 FACTS = DriveFacts(
     drive="a drive", surrogates=("map: made", "wheels: made"), truth=True, offset_enu_m=(0.1, 0.2, -0.3),
     alert_limit_m=1.5, fixed_tolerance_m=0.25,
 )  # fmt: skip
-TRUTH = Truth(
-    np.array([NS, NS + 1], dtype=np.int64),
-    np.array([0.6, 0.61]),
-    np.array([2.3, 2.31]),
-    np.array([40.0, 41.0]),
+TRUTH = ReferenceTrajectory(
+    time_ns=np.array([NS, NS + 1], dtype=np.int64),
+    latitude_rad=np.array([0.6, 0.61]),
+    longitude_rad=np.array([2.3, 2.31]),
+    height_m=np.array([40.0, 41.0]),
 )
 
 
@@ -43,7 +43,7 @@ def test_a_run_that_was_no_replay_has_no_speed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("truth", [None, TRUTH])
-def test_facts_and_truth_must_agree(tmp_path: Path, truth: Truth | None) -> None:
+def test_facts_and_truth_must_agree(tmp_path: Path, truth: ReferenceTrajectory | None) -> None:
     facts = FACTS.model_copy(update={"truth": truth is None})
     with pytest.raises(ValueError, match="truth is"):
         RunFolder(tmp_path).write_drive(facts, truth)

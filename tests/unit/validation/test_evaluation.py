@@ -1,4 +1,4 @@
-"""From recorded messages to the summary: a drive of six epochs by hand, then a recorded one."""
+"""The summary of recorded messages: a drive of six epochs by hand, then a recorded one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import Motion
 from camber.schemas.pose import Pose, Road
 from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.truth import Truth
+from camber.validation.reference_trajectory import ReferenceTrajectory
 from support.gnss_files import read_pos
 
 START_NS = 1_373_000_000_000_000_000
@@ -40,7 +40,7 @@ def time_ns(epoch: int) -> int:
 
 
 def geodetic(east: float, north: float, up: float) -> dict[str, float]:
-    """A position with this error after the offset; the vehicle stands at the frame's origin."""
+    """A position with this error after the offset; the vehicle is at the frame's origin."""
     enu = (east + OFFSET[0], north + OFFSET[1], up + OFFSET[2])
     return dict(
         zip(("latitude_rad", "longitude_rad", "height_m"), FRAME.geodetic_from_enu(*enu), strict=True)
@@ -53,8 +53,8 @@ def fix(epoch: int, error: tuple[float, float, float], *, fix_id: int | None = N
     return Fix(time_ns=time_ns(epoch), fix_id=number, **geodetic(*error), **values)
 
 
-def verdict(epoch: int, word: str, reason: str = "height_agrees", **more: Any) -> Verdict:
-    return Verdict(time_ns=time_ns(epoch), verdict=word, reason=reason, **({"fix_id": epoch} | more))
+def verdict(epoch: int, outcome: str, reason: str = "height_agrees", **more: Any) -> Verdict:
+    return Verdict(time_ns=time_ns(epoch), verdict=outcome, reason=reason, **({"fix_id": epoch} | more))
 
 
 def position(epoch: int, error: tuple[float, float], major_m: float | None, **more: Any) -> Position:
@@ -64,9 +64,14 @@ def position(epoch: int, error: tuple[float, float], major_m: float | None, **mo
     return Position(time_ns=time_ns(epoch), **values)
 
 
-def truth(epochs: int = 6) -> Truth:
+def truth(epochs: int = 6) -> ReferenceTrajectory:
     times = np.array([time_ns(i) for i in range(epochs)], dtype=np.int64)
-    return Truth(times, np.full(epochs, 0.6), np.full(epochs, 2.3), np.full(epochs, 40.0))
+    return ReferenceTrajectory(
+        time_ns=times,
+        latitude_rad=np.full(epochs, 0.6),
+        longitude_rad=np.full(epochs, 2.3),
+        height_m=np.full(epochs, 40.0),
+    )
 
 
 def facts(**more: Any) -> DriveFacts:
@@ -134,7 +139,7 @@ def test_positions_count_once_an_epoch_by_the_last_one_published() -> None:
     assert s["position"]["error_m"] == pytest.approx({"p50": 1.0, "p95": 5.0, "p999": 5.0}, abs=1e-6)
 
 
-def test_the_ellipse_is_held_against_the_truth_by_source() -> None:
+def test_coverage_of_the_ellipse_is_counted_by_source() -> None:
     coverage = run(by_hand())["coverage"]
     # rtk: 0.05 of 0.1 inside both, 5 of 0.1 outside. sensors, as shares of the 99.9 % radius: 0.83 (inside
     # 99.9 %, outside 99 %, whose radius is √(2/3) = 0.816 of it), 1.11 (outside), 0.67 (inside both).
@@ -145,14 +150,14 @@ def test_the_ellipse_is_held_against_the_truth_by_source() -> None:
 
 def test_the_stanford_chart_is_counted_by_region() -> None:
     # (error, radius): (0.05, 0.1) (0.5, 0.6) nominal; (1, 0.9) misleading; (5, 0.1) hazardous as well;
-    # (2, 3) above the alert limit and held.
+    # (2, 3) above the alert limit and within the level.
     assert run(by_hand())["stanford"]["radius_999"] == {
         "epochs": 5, "nominal": 2, "misleading": 2, "hazardous": 1, "unavailable": 1, "unavailable_misleading": 0,
     }  # fmt: skip
     assert run(by_hand())["stanford"]["hpl"]["epochs"] == 0
 
 
-def test_an_ellipse_is_turned_as_it_says() -> None:
+def test_an_ellipse_has_the_published_orientation() -> None:
     drive = by_hand()
     along = {"semi_major_999_m": 1.0, "semi_minor_999_m": 0.1, "orientation_rad": math.pi / 2}
     drive["position"] = [wrap(position(0, (0.0, 0.7), 1.0, **along))]
@@ -167,7 +172,7 @@ def test_latency_is_from_fix_to_verdict_at_the_recorder() -> None:
     assert run(by_hand())["latency_ms"] == {"p50": 3.0, "p99": 10.0}
 
 
-def test_verdicts_are_counted_by_word_and_reason() -> None:
+def test_verdicts_are_counted_by_outcome_and_reason() -> None:
     counts = {(e["verdict"], e["reason"]): e["count"] for e in run(by_hand())["verdicts"]["by_reason"]}
     assert counts == {
         ("confirmed", "height_agrees"): 2, ("erroneous", "height_disagrees"): 2,
@@ -189,7 +194,7 @@ def with_heights(*, pose_age: int = 0, status: str = "known") -> dict[str, list[
     return drive
 
 
-def test_the_controls_judge_the_same_fixes() -> None:
+def test_the_baselines_judge_the_same_fixes() -> None:
     c = run(with_heights())["controls"]
     assert c["ratio_test_only"]["confirmed"] == {"count": 4, "wrong": 2, "truth_unknown": 0}
     assert (c["ratio_test_only"]["right"]["kept"], c["ratio_test_only"]["episodes"]["missed"]) == (1.0, 1)
@@ -203,7 +208,7 @@ def test_the_controls_judge_the_same_fixes() -> None:
 
 
 @pytest.mark.parametrize("case", ["no pose", "road unknown", "pose too old"])
-def test_without_a_fresh_road_height_only_says_unknown(case: str) -> None:
+def test_without_a_fresh_road_height_only_is_unknown(case: str) -> None:
     drive = {
         "no pose": by_hand(),
         "road unknown": with_heights(status="unknown"),
@@ -214,7 +219,7 @@ def test_without_a_fresh_road_height_only_says_unknown(case: str) -> None:
     assert height_only["confirmed"]["count"] == 0
 
 
-def test_without_truth_nothing_that_rests_on_it_is_a_number() -> None:
+def test_without_truth_nothing_that_needs_it_is_a_number() -> None:
     e = evaluate(with_heights(), facts(truth=False), RunFacts(), None)
     s = e.summary
     assert (s["truth"], s["tentative"]["fixed"], s["confirmed"]["count"]) == (False, 4, 2)
@@ -239,7 +244,7 @@ def test_the_position_of_an_epoch_is_the_last_one_within_half_a_step() -> None:
     assert run(recorded)["position"]["availability"] == pytest.approx(3 / 6)
 
 
-def test_an_empty_recording_has_no_figures_but_counts_of_zero() -> None:
+def test_an_empty_recording_has_counts_of_zero_and_nothing_else() -> None:
     s = evaluate({}, facts(), RunFacts(), truth()).summary
     assert (s["epochs"], s["tentative"]["fixed"], s["confirmed"]["count"]) == (0, 0, 0)
     assert s["position"]["availability"] is None
@@ -247,7 +252,7 @@ def test_an_empty_recording_has_no_figures_but_counts_of_zero() -> None:
     assert json.loads(json.dumps(s, allow_nan=False)) == s
 
 
-def test_a_new_estimate_is_judged_where_it_is_and_not_where_the_fix_was() -> None:
+def test_a_re_estimated_position_counts_by_its_error_and_not_the_fix_s() -> None:
     drive = by_hand()
     better = verdict(3, "confirmed_after_verification", **geodetic(0.0, 0.0, 0.1))
     drive["verdict"][3] = wrap(better)
@@ -305,8 +310,11 @@ def nagoya() -> Evaluation:
     folder = Path(data) / "nagoya-2023-07-11"
     table = np.loadtxt(folder / "reference.csv", delimiter=",", skiprows=1, usecols=range(5))
     times = [gps_ns_from_week_tow(int(week), round(tow * 10) * 10**8) for tow, week in table[:, :2]]
-    reference = Truth(
-        np.array(times, dtype=np.int64), np.radians(table[:, 2]), np.radians(table[:, 3]), table[:, 4].copy()
+    reference = ReferenceTrajectory(
+        time_ns=np.array(times, dtype=np.int64),
+        latitude_rad=np.radians(table[:, 2]),
+        longitude_rad=np.radians(table[:, 3]),
+        height_m=table[:, 4].copy(),
     )
     fixes = [
         Fix(
@@ -344,17 +352,20 @@ def test_levels_are_counted_by_source_with_their_tightness() -> None:
         wrap(position(1, (1.2, 0.0), 0.5, **levels)),
         wrap(position(2, (0.2, 0.0), 0.5, source="sensors")),
     ]
-    found = run(drive)["levels"]
-    assert set(found) == {"rtk", "sensors", "all"}
-    hpl = found["rtk"]["hpl"]
+    by_source = run(drive)["levels"]
+    assert set(by_source) == {"rtk", "sensors", "all"}
+    hpl = by_source["rtk"]["hpl"]
     assert (hpl["epochs"], hpl["nominal"], hpl["misleading"], hpl["hazardous"]) == (2, 1, 1, 0)
     assert (hpl["median_level_m"], hpl["ratio"]) == (1.0, pytest.approx(1.0 / 0.7))
-    assert found["rtk"]["vpl"]["unavailable"] == 2
-    assert found["sensors"]["hpl"]["median_level_m"] is None
+    assert by_source["rtk"]["vpl"]["unavailable"] == 2
+    assert by_source["sensors"]["hpl"]["median_level_m"] is None
 
 
 def test_the_99_percent_ellipse_is_the_published_one_where_there_is_one() -> None:
     drive = by_hand()
-    own = {"semi_major_99_m": 0.6, "semi_minor_99_m": 0.6}
-    drive["position"] = [wrap(position(0, (0.5, 0.0), 0.55, **own)), wrap(position(1, (0.5, 0.0), 0.55))]
+    published = {"semi_major_99_m": 0.6, "semi_minor_99_m": 0.6}
+    drive["position"] = [
+        wrap(position(0, (0.5, 0.0), 0.55, **published)),
+        wrap(position(1, (0.5, 0.0), 0.55)),
+    ]
     assert run(drive)["coverage"]["rtk"] == {"epochs": 2, "inside_99": 0.5, "inside_999": 1.0}

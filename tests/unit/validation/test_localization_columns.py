@@ -47,44 +47,50 @@ def pose(after_s: float, along_m: float, cross_m: float, **changed: Any) -> Pose
 
 
 def errors(*poses: Pose, **more: list[float]) -> PoseErrors:
-    return PoseErrors.of(PoseColumns.of(poses), truth(**more))
+    return PoseErrors.from_truth(PoseColumns.from_poses(poses), truth(**more))
 
 
 def test_errors_are_along_and_across_the_truths_heading() -> None:
-    found = errors(pose(0.5, 1.3, 0.2), pose(0.75, 1.5, -0.1))
-    assert found.along_m == pytest.approx([0.3, 0.0], abs=1e-5)
-    assert found.cross_m == pytest.approx([0.2, -0.1], abs=1e-5)
-    assert found.horizontal_m == pytest.approx([math.hypot(0.3, 0.2), 0.1], abs=1e-5)
+    result = errors(pose(0.5, 1.3, 0.2), pose(0.75, 1.5, -0.1))
+    assert result.along_m == pytest.approx([0.3, 0.0], abs=1e-5)
+    assert result.cross_m == pytest.approx([0.2, -0.1], abs=1e-5)
+    assert result.horizontal_m == pytest.approx([math.hypot(0.3, 0.2), 0.1], abs=1e-5)
 
 
-def test_a_yaw_is_compared_the_short_way_round() -> None:
-    found = errors(pose(0.5, 1.0, 0.0, yaw_rad=YAW_RAD + 0.1 - 2.0 * math.pi))
-    assert found.yaw_rad == pytest.approx([0.1])
+def test_yaw_errors_are_wrapped() -> None:
+    result = errors(pose(0.5, 1.0, 0.0, yaw_rad=YAW_RAD + 0.1 - 2.0 * math.pi))
+    assert result.yaw_rad == pytest.approx([0.1])
 
 
-def test_what_is_not_known_of_pose_or_truth_is_no_error_of_zero() -> None:
+def test_errors_are_nan_where_pose_or_truth_is_unknown() -> None:
     lost = Pose(time_ns=START_NS, mode="none", provenance="none", road=UNKNOWN)
-    found = errors(lost, pose(2.6, 5.0, 0.0), road_height_m=[40.0] * 5, level=[0.0] * 5)
-    for column in (found.along_m, found.cross_m, found.yaw_rad, found.share_of_ellipse, found.elevation_m):
+    result = errors(lost, pose(2.6, 5.0, 0.0), road_height_m=[40.0] * 5, level=[0.0] * 5)
+    for column in (
+        result.along_m,
+        result.cross_m,
+        result.yaw_rad,
+        result.share_of_ellipse,
+        result.elevation_m,
+    ):
         assert np.isnan(column).all()
-    assert np.isnan(found.level).all()
+    assert np.isnan(result.level).all()
 
 
 def test_the_ellipse_is_that_of_99_per_cent() -> None:
     edge = math.sqrt(-2.0 * math.log(0.01))
     turned = [at(1.0 * math.cos(YAW_RAD), 1.0 * math.sin(YAW_RAD) + 0.1 * edge)]
-    found = errors(pose(0.5, 1.0, 0.0, latitude_rad=turned[0][0], longitude_rad=turned[0][1]))
-    assert found.share_of_ellipse == pytest.approx([1.0], abs=1e-4)
-    assert PoseColumns.of([pose(0.5, 1.0, 0.0)]).radius_m == pytest.approx([0.2 * edge])
+    result = errors(pose(0.5, 1.0, 0.0, latitude_rad=turned[0][0], longitude_rad=turned[0][1]))
+    assert result.share_of_ellipse == pytest.approx([1.0], abs=1e-4)
+    assert PoseColumns.from_poses([pose(0.5, 1.0, 0.0)]).radius_m == pytest.approx([0.2 * edge])
 
 
 def test_shares_of_a_correlated_ellipse_are_those_of_its_inverse() -> None:
     covariance = (0.05, 0.02, 0.0, 0.03, 0.0, 1e-4)
-    found = errors(pose(0.5, 1.2, 0.3, covariance_east_north_yaw=covariance))
+    result = errors(pose(0.5, 1.2, 0.3, covariance_east_north_yaw=covariance))
     cos, sin = math.cos(YAW_RAD), math.sin(YAW_RAD)
     error = np.array([0.2 * cos - 0.3 * sin, 0.2 * sin + 0.3 * cos])
     square = error @ np.linalg.inv([[0.05, 0.02], [0.02, 0.03]]) @ error
-    assert found.share_of_ellipse == pytest.approx([square / (-2.0 * math.log(0.01))], rel=1e-4)
+    assert result.share_of_ellipse == pytest.approx([square / (-2.0 * math.log(0.01))], rel=1e-4)
 
 
 def test_elevation_and_level_are_those_of_the_road_at_that_time() -> None:
@@ -94,20 +100,20 @@ def test_elevation_and_level_are_those_of_the_road_at_that_time() -> None:
         for elevation, level in ((40.55, 0), (41.0, 1), (42.0, 0))
     ]
     poses = [pose(s, 2 * s, 0.0, road=road) for s, road in zip((0.25, 0.9, 1.1), roads, strict=True)]
-    found = errors(*poses, road_height_m=[40.0, 41.0, 42.0, 43.0, 44.0], level=[0.0, 0.0, 1.0, 1.0, 1.0])
-    assert found.elevation_m == pytest.approx([0.05, -0.8, -0.2], abs=1e-9)
-    assert found.level.tolist() == [1.0, 1.0, 0.0]
+    result = errors(*poses, road_height_m=[40.0, 41.0, 42.0, 43.0, 44.0], level=[0.0, 0.0, 1.0, 1.0, 1.0])
+    assert result.elevation_m == pytest.approx([0.05, -0.8, -0.2], abs=1e-9)
+    assert result.level.tolist() == [1.0, 1.0, 0.0]
 
 
-def test_a_truth_without_a_road_says_nothing_of_it() -> None:
-    found = errors(pose(0.5, 1.0, 0.0))
-    assert np.isnan(found.elevation_m).all()
-    assert np.isnan(found.level).all()
+def test_a_truth_without_a_road_gives_no_errors_of_it() -> None:
+    result = errors(pose(0.5, 1.0, 0.0))
+    assert np.isnan(result.elevation_m).all()
+    assert np.isnan(result.level).all()
 
 
 def test_covariances_are_symmetric_and_missing_ones_are_nan() -> None:
     upper = (0.05, 0.02, 0.001, 0.03, 0.002, 1e-3)
-    columns = PoseColumns.of([pose(0.0, 0.0, 0.0, covariance_east_north_yaw=upper), pose(0.0, 0.0, 0.0,
+    columns = PoseColumns.from_poses([pose(0.0, 0.0, 0.0, covariance_east_north_yaw=upper), pose(0.0, 0.0, 0.0,
                               covariance_east_north_yaw=None)])  # fmt: skip
     assert columns.covariance[0].tolist() == [[0.05, 0.02, 0.001], [0.02, 0.03, 0.002], [0.001, 0.002, 1e-3]]
     assert np.isnan(columns.covariance[1]).all()
@@ -122,9 +128,9 @@ def test_matches_with_different_layers_share_columns() -> None:
         ),
         ScanMatch(time_ns=START_NS, status="ambiguous", layer_mean_distance_m=np.array([0.3])),
     ]
-    columns = MatchColumns.of(matches)
+    columns = MatchColumns.from_matches(matches)
     assert columns.status.tolist() == ["lost", "converged", "ambiguous"]
     expected = [[np.nan, np.nan], [0.1, 0.2], [0.3, np.nan]]
     assert np.array_equal(columns.layer_mean_distance_m, expected, equal_nan=True)
     assert np.array_equal(columns.overlap, [np.nan, 0.7, np.nan], equal_nan=True)
-    assert MatchColumns.of([]).layer_mean_distance_m.shape == (0, 0)
+    assert MatchColumns.from_matches([]).layer_mean_distance_m.shape == (0, 0)

@@ -1,4 +1,4 @@
-"""What summary and report say of the localizer and of the antenna's height."""
+"""Localizer and antenna height in summary and report."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def match(step: int, status: Any, layers_m: list[float] | None, height_m: float 
     )
 
 
-def height(step: int, way: Any, height_m: float, **others: float) -> AntennaHeight:
+def height(step: int, method: Any, height_m: float, **others: float) -> AntennaHeight:
     further = tuple(HeightByMethod(way=other, height_m=h, sigma_m=0.02) for other, h in others.items())  # type: ignore[arg-type]
     return AntennaHeight(
         time_ns=START_NS + step * STEP_NS,
         status="known",
-        way=way,
+        way=method,
         height_m=height_m,
         sigma_m=0.02,
         others=further,
@@ -73,7 +73,7 @@ def drive() -> Evaluation:
     )
 
 
-def test_the_summary_counts_by_word_and_has_medians() -> None:
+def test_the_summary_has_counts_and_medians() -> None:
     assert drive().summary["localizer"] == {
         "modes": {"scan_match": 2, "none": 1},
         "matches": {"converged": 2, "lost": 1},
@@ -84,7 +84,7 @@ def test_the_summary_counts_by_word_and_has_medians() -> None:
     }
 
 
-def test_the_page_has_a_row_for_each_word_and_the_heights() -> None:
+def test_the_page_has_a_row_for_each_mode_and_status_and_the_heights() -> None:
     page = render(drive())
     row = r'<td class="left">{}</td><td class="left">{}</td><td>{}</td><td>{}'
     assert re.search(row.format("pose", "scan match", 2, "66.7"), page)
@@ -104,7 +104,7 @@ def test_the_page_has_a_row_for_each_word_and_the_heights() -> None:
     }
 
 
-def test_a_run_without_a_localizer_says_so() -> None:
+def test_a_run_without_a_localizer_is_reported() -> None:
     page = render(evaluated({}))
-    assert "The localizer said nothing." in page
+    assert "The localizer published nothing." in page
     assert json.dumps(evaluated({}).summary["localizer"]["layer_mean_distance_m"]) == "[]"

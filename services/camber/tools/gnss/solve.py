@@ -28,7 +28,7 @@ from camber.tools.gnss.solve_plot import solution_figure
 from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import number_from
 from camber.validation.plots import require_matplotlib, svg_text
-from camber.validation.truth import offset_of, truth_of
+from camber.validation.reference_trajectory import offset_of, truth_of
 
 _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
@@ -192,7 +192,7 @@ def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> F
         return None
     truth = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
     error_enu_m = truth.error_enu_m(
-        solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_of(manifest)
+        solved.time_ns, places[:, 0], places[:, 1], places[:, 2], offset_enu_m=offset_of(manifest)
     )
     distance_m: Floats = np.linalg.norm(error_enu_m, axis=1)
     return distance_m

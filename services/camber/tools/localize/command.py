@@ -162,8 +162,8 @@ def _write(
     inputs: DriveInputs, drive: LocalizedDrive, release: Release, views: _Views, out: Path
 ) -> list[Path]:
     """Everything but the paragraph; returns the files."""
-    poses, matches = PoseColumns.of(drive.poses), MatchColumns.of(drive.matches)
-    errors = None if inputs.truth is None else PoseErrors.of(poses, inputs.truth)
+    poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
+    errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
     texts = {
         "poses.csv": poses_csv(drive.poses, errors),
         "matches.csv": matches_csv(drive.matches),
@@ -187,9 +187,11 @@ def _said(inputs: DriveInputs, drive: LocalizedDrive, what: What) -> str:
     surrogates = list(inputs.manifest.surrogate_notes())
     if what.anchors != "none":
         surrogates.append(f"anchors from {what.anchors}: a judge that is never wrong")
-    poses = PoseColumns.of(drive.poses)
-    errors = None if inputs.truth is None else PoseErrors.of(poses, inputs.truth)
-    return paragraph(inputs.manifest.name, drive, poses, MatchColumns.of(drive.matches), errors, surrogates)
+    poses = PoseColumns.from_poses(drive.poses)
+    errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
+    return paragraph(
+        inputs.manifest.name, drive, poses, MatchColumns.from_matches(drive.matches), errors, surrogates
+    )
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -19,8 +19,8 @@ from camber.replay.drive_inputs import DriveInputs
 from camber.schemas.drive import ManifestError
 from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Verdict
-from camber.validation.figures import RIGHT_M
-from camber.validation.truth import Truth, offset_of, truth_of
+from camber.validation.fix_statistics import RIGHT_M
+from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of, truth_of
 
 Anchors = Literal["none", "truth", "right-fixes"]
 _EVERY_NS = 1_000_000_000
@@ -83,13 +83,15 @@ def _fix(solution: ReceiverSolution, datum: str, last_ns: int | None, now_ns: in
         return []
 
 
-def _right(fixes: Sequence[Fix], truth: Truth, inputs: DriveInputs) -> list[Verdict]:
+def _right(fixes: Sequence[Fix], truth: ReferenceTrajectory, inputs: DriveInputs) -> list[Verdict]:
     if not fixes:
         return []
     places = np.array([(fix.latitude_rad, fix.longitude_rad, fix.height_m) for fix in fixes])
     time_ns = np.array([fix.time_ns for fix in fixes], np.int64)
     error_m = np.linalg.norm(
-        truth.error_enu_m(time_ns, places[:, 0], places[:, 1], places[:, 2], offset_of(inputs.manifest)),
+        truth.error_enu_m(
+            time_ns, places[:, 0], places[:, 1], places[:, 2], offset_enu_m=offset_of(inputs.manifest)
+        ),
         axis=1,
     )
     return [

@@ -10,7 +10,7 @@ import numpy as np
 from camber.formats.observations import Floats
 from camber.tools.gnss.recording_summary import time_text
 from camber.tools.localize.localizer_run import LocalizedDrive
-from camber.validation.localization_columns import MatchColumns, PoseColumns, PoseErrors, Words
+from camber.validation.localization_columns import MatchColumns, Names, PoseColumns, PoseErrors
 
 
 def paragraph(
@@ -36,7 +36,7 @@ def paragraph(
     return " ".join(part for part in parts if part)
 
 
-def _shares(words: Words) -> str:
+def _shares(words: Names) -> str:
     counts = Counter(words.tolist())
     return ", ".join(
         f"{count:,} {word.replace('_', ' ')} ({count / len(words):.1%})"

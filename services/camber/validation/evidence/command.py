@@ -21,7 +21,7 @@ from typing import Any
 
 from camber.tools.options.number_options import PROCESSES, SEED, number_from, whole_from
 from camber.validation.evidence.faults import run_faults
-from camber.validation.evidence.nagoya import REQUIRED, run_seed
+from camber.validation.evidence.nagoya import REQUIREMENTS, run_seed
 from camber.validation.evidence.page import page
 from camber.validation.evidence.simulated_drives import WITHOUT, run_drive
 from camber.validation.lab.page import page as lab_page
@@ -84,7 +84,7 @@ def _jobs(part: str, args: argparse.Namespace, notes: list[str]) -> Iterator[Job
             notes.append("Nagoya was skipped: CAMBER_DATA is not set, so there is no recording.")
             return
         for seed in range(args.first_seed, args.first_seed + args.seeds):
-            for required in REQUIRED:
+            for required in REQUIREMENTS:
                 sigma_m = required.map_sigma_m
                 name = f"sigma-{sigma_m:.2f}-seed-{seed:03d}"
                 yield Job(

@@ -21,7 +21,7 @@ from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
 from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.truth import truth_of
+from camber.validation.reference_trajectory import truth_of
 
 AFTER_S = 15.0
 """A cause may be named so long after the fault's end, and not later: what lasts has ended."""
@@ -59,7 +59,7 @@ where one of the surfaces is named on which the fault was met.
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class FaultWindow:
     """When a fault acts, GPS time; one that acts again on the same link has a window for each time."""
 
     kind: str
@@ -67,7 +67,7 @@ class Window:
     end_ns: int
 
 
-def windows_of(truth: TruthTable) -> list[Window]:
+def fault_windows(truth: TruthTable) -> list[FaultWindow]:
     """The faults of a simulated drive's truth, in the order of time."""
     found = []
     for name, column in truth.more.items():
@@ -77,13 +77,15 @@ def windows_of(truth: TruthTable) -> list[Window]:
         edges = np.flatnonzero(np.diff(acts.astype(np.int8)))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             found.append(
-                Window(name.removeprefix(_PREFIX), int(truth.time_ns[begin]), int(truth.time_ns[end - 1]))
+                FaultWindow(
+                    name.removeprefix(_PREFIX), int(truth.time_ns[begin]), int(truth.time_ns[end - 1])
+                )
             )
     return sorted(found, key=lambda window: window.begin_ns)
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Said:
+class FaultIndication:
     """A word, and the surface of which it was said where it was said of one."""
 
     time_ns: int
@@ -91,32 +93,32 @@ class Said:
     surface_id: int = NO_SURFACE
 
 
-def said_of(driven: DriveOutput) -> list[Said]:
+def indications_of(driven: DriveOutput) -> list[FaultIndication]:
     """All that may name a fault: words of verdicts, causes, matches, antenna heights, poses, issues."""
-    said: list[Said] = []
+    said: list[FaultIndication] = []
     for item in driven.recorded.get("verdict", ()):
-        said.append(Said(item.message.time_ns, f"verdict {item.message.reason}"))
+        said.append(FaultIndication(item.message.time_ns, f"verdict {item.message.reason}"))
         if item.message.cause == "road":
-            said.append(Said(item.message.time_ns, "cause road", item.message.surface_id))
+            said.append(FaultIndication(item.message.time_ns, "cause road", item.message.surface_id))
         elif item.message.cause != "none":
-            said.append(Said(item.message.time_ns, f"cause {item.message.cause}"))
+            said.append(FaultIndication(item.message.time_ns, f"cause {item.message.cause}"))
     for item in driven.recorded.get("scan_match", ()):
         if item.message.status != "converged":
-            said.append(Said(item.message.time_ns, f"match {item.message.status}"))
+            said.append(FaultIndication(item.message.time_ns, f"match {item.message.status}"))
     for item in driven.recorded.get("antenna_height", ()):
         if item.message.status != "known":
-            said.append(Said(item.message.time_ns, f"antenna_height {item.message.status}"))
+            said.append(FaultIndication(item.message.time_ns, f"antenna_height {item.message.status}"))
     for item in driven.recorded.get("pose", ()):
         reasons = item.message.reason.split("; ")
-        said += [Said(item.message.time_ns, f"pose: {text}") for text in reasons if text]
+        said += [FaultIndication(item.message.time_ns, f"pose: {text}") for text in reasons if text]
     for issue in driven.issues:
         named = _SURFACE.search(issue.text) if issue.code == "road_changed" else None
         surface_id = NO_SURFACE if named is None else int(named[1])
-        said.append(Said(issue.time_ns, f"{issue.service} {issue.code}", surface_id))
+        said.append(FaultIndication(issue.time_ns, f"{issue.service} {issue.code}", surface_id))
     return sorted(said)
 
 
-def during(said: Iterable[Said], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
+def during(said: Iterable[FaultIndication], begin_ns: int, end_ns: int) -> dict[str, dict[str, float]]:
     """What was said from one time to another: how often, and how long after the first time it first began [s].
 
     Without `begun_s` it was said before already, and never began anew. `said` is in the order of time.
@@ -160,8 +162,8 @@ def run_faults(
     truth = inputs.truth
     assert truth is not None  # a simulated drive has one
     evaluation = evaluate(driven.recorded, drive_facts(inputs), RunFacts(), truth_of(truth))
-    said, start_ns = said_of(driven), inputs.tick_times_ns[0]
-    windows = windows_of(truth)
+    said, start_ns = indications_of(driven), inputs.tick_times_ns[0]
+    windows = fault_windows(truth)
     last_ns = int(truth.time_ns[-1])
     rows = [
         _row(window, windows[number + 1 :], last_ns, said, evaluation, driven.recorded["verdict"], start_ns)
@@ -182,10 +184,10 @@ def run_faults(
 
 
 def _row(
-    window: Window,
-    later: Sequence[Window],
+    window: FaultWindow,
+    later: Sequence[FaultWindow],
     last_ns: int,
-    said: Sequence[Said],
+    said: Sequence[FaultIndication],
     evaluation: Evaluation,
     verdicts: Sequence[Recorded[Any]],
     start_ns: int,
@@ -218,7 +220,7 @@ def _row(
     }
 
 
-def named_until_ns(window: Window, later: Iterable[Window], last_ns: int) -> int:
+def named_until_ns(window: FaultWindow, later: Iterable[FaultWindow], last_ns: int) -> int:
     """Until when a fault may be named: no longer than until one begins that the same words would name.
 
     Another may begin while this one acts, too: a link is driven again, a second fault is at work on it.
@@ -229,7 +231,9 @@ def named_until_ns(window: Window, later: Iterable[Window], last_ns: int) -> int
     return max(window.end_ns, most_ns)
 
 
-def _of_here(said: Iterable[Said], window: Window, verdicts: Sequence[Recorded[Any]]) -> list[Said]:
+def _of_here(
+    said: Iterable[FaultIndication], window: FaultWindow, verdicts: Sequence[Recorded[Any]]
+) -> list[FaultIndication]:
     """Without what was said of surfaces on which the fault was not met."""
     here = {NO_SURFACE} | {
         item.message.surface_id

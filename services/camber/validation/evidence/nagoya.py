@@ -16,13 +16,13 @@ from camber.replay.one_process import replay_in_one_process
 from camber.replay.run_folder import RunFacts, drive_facts
 from camber.schemas.drive import load_manifest
 from camber.validation.evaluation import Evaluation, evaluate
-from camber.validation.truth import truth_of
+from camber.validation.reference_trajectory import truth_of
 
-CONTROLS = ("ratio_test_only", "height_only", "always_unknown")
+BASELINES = ("ratio_test_only", "height_only", "always_unknown")
 
 
 @dataclass(frozen=True, slots=True)
-class Required:
+class Requirement:
     """What a judge must keep to with the map's σ at a value: wrong epochs confirmed over 50 seeds, right ones."""
 
     map_sigma_m: float
@@ -30,7 +30,7 @@ class Required:
     right_confirmed: float
 
 
-REQUIRED = (Required(0.05, 1, 0.985), Required(0.10, 10, 0.95))
+REQUIREMENTS = (Requirement(0.05, 1, 0.985), Requirement(0.10, 10, 0.95))
 
 
 def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def run_seed(manifest: Path, folder: Path, *, seed: int, map_sigma_m: float) -> 
         "fixed": summary["tentative"]["fixed"],
         "wrong": summary["tentative"]["wrong"],
         "judges": {"camber": _figures(summary)}
-        | {name: _figures(summary["controls"][name]) for name in CONTROLS},
+        | {name: _figures(summary["controls"][name]) for name in BASELINES},
         "held_back": held_back(evaluation),
         "wrong_confirmed": wrong_confirmed(evaluation, inputs.tick_times_ns[0]),
         "availability": summary["position"]["availability"],

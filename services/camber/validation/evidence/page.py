@@ -7,19 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from camber.validation.block_bootstrap import share_interval, share_of
 from camber.validation.evidence.faults import AFTER_S
-from camber.validation.evidence.nagoya import CONTROLS, REQUIRED, Required, total
+from camber.validation.evidence.nagoya import BASELINES, REQUIREMENTS, Requirement, total
 from camber.validation.evidence.simulated_drives import (
     BLOCK_S,
+    KIKUCHI,
     LIMITS_M,
     MODES,
     MORE_CONFIRMED,
     REQUIRED_BELOW,
     WITHOUT,
-    R,
-    stacked,
+    stacked_blocks,
 )
+from camber.validation.markdown import percent, table
+from camber.validation.statistics import share_interval, share_of
 
 Results = Sequence[dict[str, Any]]
 NOT_RUN = "Not run."
@@ -50,21 +51,6 @@ def page(nagoya: Results, drives: Results, faults: Results, lab: str | None, not
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
-
-
-def percent(share: float | None, digits: int = 2) -> str:
-    """A share for people; *none* where there was nothing to count. 99.996 % is not 100 %."""
-    if share is None:
-        return "none"
-    if share < 1.0:
-        share = min(share, 1.0 - 0.01 * 10.0**-digits)
-    return f"{100.0 * share:.{digits}f} %"
-
-
 # -- Nagoya -----------------------------------------------------------------------------------------------------------
 
 
@@ -77,7 +63,7 @@ def nagoya_part(results: Results) -> str:
         "map and no vehicle sensors: they are made from the reference, for each seed anew, and so is nothing of the "
         "satellites. The episodes of wrong fixes are therefore the same for all seeds, and n is theirs.\n"
     ]
-    for required in REQUIRED:
+    for required in REQUIREMENTS:
         chosen = [r for r in results if r["map_sigma_m"] == required.map_sigma_m]
         text.append(
             _nagoya_table(chosen, required) if chosen else f"σ {required.map_sigma_m:.2f} m: not run.\n"
@@ -85,10 +71,10 @@ def nagoya_part(results: Results) -> str:
     return "\n".join(text)
 
 
-def _nagoya_table(results: Results, required: Required) -> str:
+def _nagoya_table(results: Results, required: Requirement) -> str:
     seeds = sorted(r["seed"] for r in results)
     rows = []
-    for judge in ("camber", *CONTROLS):
+    for judge in ("camber", *BASELINES):
         t = total(results, judge)
         bound = percent(3.0 / t["episodes"], 0) if t["episodes"] and not t["missed"] else "—"
         rows.append(
@@ -176,7 +162,7 @@ def _metres(value: float | None) -> str:
 
 
 def drives_part(results: Results) -> str:
-    """R's table beside ours, then coverage by mode."""
+    """KIKUCHI's table beside ours, then coverage by mode."""
     if not results:
         return NOT_RUN
     text = []
@@ -279,10 +265,10 @@ def _levels(results: Results) -> str:
 
 
 def _errors(results: Results) -> str:
-    blocks = stacked(results, None)
+    blocks = stacked_blocks(results, None)
     epochs, known = blocks[:, 0], blocks[:, 1]
-    rows = [("availability", percent(R.availability, 0), "100 %", percent(share_of(known, epochs)), "")]
-    for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, R.below, REQUIRED_BELOW, strict=True)):
+    rows = [("availability", percent(KIKUCHI.availability, 0), "100 %", percent(share_of(known, epochs)), "")]
+    for k, (limit_m, theirs, asked) in enumerate(zip(LIMITS_M, KIKUCHI.below, REQUIRED_BELOW, strict=True)):
         below = blocks[:, 2 + k]
         rows.append(
             (
@@ -297,11 +283,13 @@ def _errors(results: Results) -> str:
 
 
 def _coverage(results: Results) -> str:
-    theirs = dict(R.inside_99)
+    theirs = dict(KIKUCHI.inside_99)
     rows = []
     for mode in (*MODES, "all"):
         blocks = (
-            np.sum([stacked(results, m) for m in MODES], axis=0) if mode == "all" else stacked(results, mode)
+            np.sum([stacked_blocks(results, m) for m in MODES], axis=0)
+            if mode == "all"
+            else stacked_blocks(results, mode)
         )
         n, inside_99, inside_999 = blocks.T
         if not n.sum():

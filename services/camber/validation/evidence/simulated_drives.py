@@ -17,9 +17,9 @@ from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools.simulate import simulate
 from camber.validation.evaluation import evaluate
-from camber.validation.figures import Flags
-from camber.validation.protection import Positions, last_of_epochs, levels_by_source
-from camber.validation.truth import truth_of
+from camber.validation.fix_statistics import Flags
+from camber.validation.protection import Positions, last_row_of_epochs, levels_by_source
+from camber.validation.reference_trajectory import truth_of
 
 MODES = ("rtk", "doppler", "sensors", "scan_match")
 LIMITS_M = (1.0, 1.5, 2.0)
@@ -31,8 +31,8 @@ BLOCK_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """R's own figures (Nagoya, 19,320 epochs): availability, shares below `LIMITS_M`, shares inside by mode."""
+class PublishedFigures:
+    """KIKUCHI's own figures (Nagoya, 19,320 epochs): availability, shares below `LIMITS_M`, shares inside by mode."""
 
     availability: float = 1.0
     below: tuple[float, float, float] = (0.918, 0.959, 0.999)
@@ -44,7 +44,7 @@ class Source:
     )
 
 
-R = Source()
+KIKUCHI = PublishedFigures()
 REQUIRED_BELOW = (0.99, 0.999, 1.0)
 
 
@@ -83,18 +83,20 @@ def run_drive(
         "controls": summary["controls"],
         "levels": levels_by_source(evaluation.positions),
         "usable": summary["position"]["availability"],
-        **blocks_of(evaluation.positions, np.unique([m.message.time_ns for m in driven.recorded["motion"]])),
+        **block_counts(
+            evaluation.positions, np.unique([m.message.time_ns for m in driven.recorded["motion"]])
+        ),
     }
 
 
-def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
+def block_counts(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
     """Counts by block of the drive's epochs (n,).
 
     `errors` (b, 5): epochs, those with a position whose error is known, those below each of `LIMITS_M`; `modes`, by
     mode (b, 3): positions with an ellipse and an error, those with the truth inside at 99 and at 99.9 %. The position
-    of an epoch is `last_of_epochs`.
+    of an epoch is `last_row_of_epochs`.
     """
-    row, found = last_of_epochs(positions.time_ns, epoch_ns)
+    row, found = last_row_of_epochs(positions.time_ns, epoch_ns)
     block = ((epoch_ns - epoch_ns[:1]) / 1e9 // BLOCK_S).astype(np.int64)
     n = int(block.max()) + 1 if len(block) else 0
 
@@ -119,7 +121,7 @@ def blocks_of(positions: Positions, epoch_ns: Int64) -> dict[str, Any]:
     return {"errors": errors, "modes": modes}
 
 
-def stacked(results: Sequence[dict[str, Any]], mode: str | None) -> Float64:
+def stacked_blocks(results: Sequence[dict[str, Any]], mode: str | None) -> Float64:
     """The blocks of several drives, one after the other: of the errors (b, 5), or of a mode (b, 3)."""
     width = 5 if mode is None else 3
     tables = [np.array(r["errors"] if mode is None else r["modes"][mode], np.float64) for r in results]

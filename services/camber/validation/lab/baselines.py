@@ -22,11 +22,11 @@ Integers = NDArray[np.int64]
 
 JUDGE = "height and LiDAR"
 ALL = "all, with residuals"
-CONTROLS = ("ratio only", "residuals only", "height only", "LiDAR only", JUDGE, ALL, "always no")
+BASELINES = ("ratio only", "residuals only", "height only", "LiDAR only", JUDGE, ALL, "always no")
 """In the order of tables. `JUDGE` is the judge's determination without what the engine says of its residuals."""
 
 
-class Controls:
+class BaselineDecisions:
     """Which of n fixes each control confirms, by the product's limits, beside poses of one σ."""
 
     def __init__(self, rules: ConsistencyParameters, pose_sigma_m: float) -> None:

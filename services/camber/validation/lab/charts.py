@@ -37,10 +37,10 @@ def charts(figures: dict[str, Any]) -> dict[str, str]:
     """SVG by file name."""
     levels = figures["levels"]
     with plot_style():
-        drawn = {"missed.svg": _missed_figure(figures)}
+        weighted_draws = {"missed.svg": _missed_figure(figures)}
         for mode, counts in levels["modes"].items():
-            drawn[f"stanford-{mode}.svg"] = _stanford_figure(mode, levels, counts)
-        return {name: svg_text(figure) for name, figure in drawn.items()}
+            weighted_draws[f"stanford-{mode}.svg"] = _stanford_figure(mode, levels, counts)
+        return {name: svg_text(figure) for name, figure in weighted_draws.items()}
 
 
 def _stanford_figure(mode: str, levels: dict[str, Any], counts: dict[str, Any]) -> Figure:

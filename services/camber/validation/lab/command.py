@@ -12,7 +12,7 @@ from camber.tools.options.error_report import report_failures
 from camber.tools.options.number_options import PROCESSES, SEED, whole_from
 from camber.validation.lab.charts import charts
 from camber.validation.lab.page import page
-from camber.validation.lab.run import Size, run
+from camber.validation.lab.run import RunSize, run
 from camber.validation.plots import require_matplotlib
 
 _PROG = "camber lab"
@@ -46,7 +46,7 @@ def _write(options: argparse.Namespace) -> None:
     trials = QUICK_TRIALS if options.quick else options.trials
     options.out.mkdir(parents=True, exist_ok=True)
     print(f"seed {options.seed}, {trials:,} episodes of each kind", file=sys.stderr)
-    figures = run(Size(trials, options.seed), options.processes, lambda text: print(text, file=sys.stderr))
+    figures = run(RunSize(trials, options.seed), options.processes, lambda text: print(text, file=sys.stderr))
     (options.out / "lab.json").write_text(json.dumps(figures, indent=1), "utf-8")
     text = page(figures)
     (options.out / "lab.md").write_text(text, "utf-8")

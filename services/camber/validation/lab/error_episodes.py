@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
-from camber.validation.lab.error_model import ASSUMED, Assumptions, Scene
+from camber.validation.lab.error_model import ASSUMPTIONS, Assumptions, Scene
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Faults:
+class FaultOffsets:
     """Added to episodes (n, …), unknown to all: to the pose east and north, the road's height, the antenna's, and to
     the fix itself (a base station that is wrong); claims stay as they are."""
 
@@ -26,7 +26,7 @@ class Faults:
     fix_m: Floats
 
     @classmethod
-    def none(cls, n: int) -> Faults:
+    def none(cls, n: int) -> FaultOffsets:
         """No fault at all."""
         return cls(np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros((n, 3)))
 
@@ -52,13 +52,13 @@ def episodes(
     shapes: FixShapes,
     scene: Scene,
     rng: np.random.Generator,
-    faults: Faults | None = None,
+    faults: FaultOffsets | None = None,
     length: Integers | None = None,
-    assumed: Assumptions = ASSUMED,
+    assumed: Assumptions = ASSUMPTIONS,
 ) -> Episodes:
     """One of each shape. Durations are log-uniform unless lengths (n,) in epochs are given."""
     n = len(shapes.sky)
-    faults = faults or Faults.none(n)
+    faults = faults or FaultOffsets.none(n)
     if length is None:
         seconds = np.exp(rng.uniform(np.log(assumed.shortest_s), np.log(assumed.longest_s), n))
         length = np.maximum(np.round(seconds * assumed.epochs_per_s), 1).astype(np.int64)

@@ -60,19 +60,19 @@ class Scene:
         return f"LiDAR {self.pose_sigma_m:.2f} m, map {self.map_sigma_m:.2f} m"
 
 
-ASSUMED = Assumptions()
+ASSUMPTIONS = Assumptions()
 
 
-def trusted_fix(claimed_m2: Floats, rules: Rules) -> Floats:
+def inflated_covariance(claimed_m2: Floats, rules: Rules) -> Floats:
     """Covariances (n, 3, 3) of right fixes from the claimed ones, by the judge's rule (`inflate_covariance`)."""
     true = rules.true_sigma
     floor = np.diag([true.horizontal_m**2, true.horizontal_m**2, true.vertical_m**2])
     return np.asarray(true.scale**2 * claimed_m2 + floor)
 
 
-def judged_covariance(claimed_m2: Floats, slope: Floats, scene: Scene, rules: Rules) -> Floats:
+def innovation_covariance(claimed_m2: Floats, slope: Floats, scene: Scene, rules: Rules) -> Floats:
     """S (n, 3, 3) as the judge makes it, of fixes with claimed covariances (n, 3, 3) on slopes (n, 2)."""
     n = len(claimed_m2)
     pose = np.broadcast_to(np.eye(2) * scene.pose_sigma_m**2, (n, 2, 2))
-    height = np.full(n, scene.map_sigma_m**2 + ASSUMED.antenna_sigma_m**2)
-    return difference_covariance(trusted_fix(claimed_m2, rules), pose, height, slope)
+    height = np.full(n, scene.map_sigma_m**2 + ASSUMPTIONS.antenna_sigma_m**2)
+    return difference_covariance(inflated_covariance(claimed_m2, rules), pose, height, slope)

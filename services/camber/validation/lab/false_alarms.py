@@ -18,8 +18,8 @@ from camber.integrity.rules import Rules
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, fix_shapes
-from camber.validation.lab.baselines import Controls
-from camber.validation.lab.error_model import ASSUMED, Scene, judged_covariance
+from camber.validation.lab.baselines import BaselineDecisions
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +59,9 @@ class WeightedRate:
         return self.total**2 / self.squares if self.squares > 0.0 else 0.0
 
 
-def drawn(covariance_m2: Floats, rng: np.random.Generator, widened: float = WIDENED) -> tuple[Floats, Floats]:
+def weighted_draws(
+    covariance_m2: Floats, rng: np.random.Generator, widened: float = WIDENED
+) -> tuple[Floats, Floats]:
     """Draws (n, d) for covariances (n, d, d), and their weights (n,): half as they are, half `widened`."""
     n, d = covariance_m2.shape[:2]
     white = rng.normal(size=(n, d)) * np.where(rng.random(n) < 0.5, 1.0, widened)[:, None]
@@ -69,7 +71,7 @@ def drawn(covariance_m2: Floats, rng: np.random.Generator, widened: float = WIDE
     return value, 2.0 / (1.0 + wide)
 
 
-def rate_of(weights: Floats, happens: NDArray[np.bool_]) -> WeightedRate:
+def weighted_rate(weights: Floats, happens: NDArray[np.bool_]) -> WeightedRate:
     """Of weighted draws (n,)."""
     w = weights[happens]
     return WeightedRate(float(w.sum()), float((w**2).sum()), len(weights))
@@ -84,12 +86,12 @@ def right_fixes(seed: int, block: int, skies: int, name: str) -> FixShapes:
 def right_covariance(shapes: FixShapes, slope: Floats, scene: Scene) -> Floats:
     """True covariance (n, 3, 3) of right fixes' differences."""
     n = len(shapes.sky)
-    fix = shapes.reflected_m2 + ASSUMED.constant_variance_m2 * np.eye(3)
+    fix = shapes.reflected_m2 + ASSUMPTIONS.constant_variance_m2 * np.eye(3)
     j = np.tile(np.eye(3), (n, 1, 1))
     j[:, 2, :2] = -slope
     t: Floats = j @ fix @ j.transpose(0, 2, 1)
     t[:, [0, 1], [0, 1]] += scene.pose_sigma_m**2
-    t[:, 2, 2] += scene.map_sigma_m**2 + ASSUMED.antenna_sigma_m**2
+    t[:, 2, 2] += scene.map_sigma_m**2 + ASSUMPTIONS.antenna_sigma_m**2
     return t
 
 
@@ -101,17 +103,17 @@ def alarms_block(
     shapes = right_fixes(seed, block, skies, "alarms")
     found = []
     for scene in scenes:
-        controls = Controls(rules.determination, scene.pose_sigma_m)
+        controls = BaselineDecisions(rules.determination, scene.pose_sigma_m)
         rng = stream(seed, f"lab/alarms/{scene.name}/{block}")
         rates = {name: WeightedRate() for name in ("false_alarm", "held_back", "all")}
         for _ in range(repeats):
             n = len(shapes.sky)
-            slope = ASSUMED.slope_sigma * rng.normal(size=(n, 2))
-            d, weights = drawn(right_covariance(shapes, slope, scene), rng)
-            s = judged_covariance(shapes.claimed_m2, slope, scene, rules)
+            slope = ASSUMPTIONS.slope_sigma * rng.normal(size=(n, 2))
+            d, weights = weighted_draws(right_covariance(shapes, slope, scene), rng)
+            s = innovation_covariance(shapes.claimed_m2, slope, scene, rules)
             contradicted = controls.contradicted(d, s)
-            rates["false_alarm"].add(rate_of(weights, contradicted))
-            rates["held_back"].add(rate_of(weights, ~contradicted & ~controls.agreed(d, s)))
-            rates["all"].add(rate_of(weights, np.ones(n, np.bool_)))
+            rates["false_alarm"].add(weighted_rate(weights, contradicted))
+            rates["held_back"].add(weighted_rate(weights, ~contradicted & ~controls.agreed(d, s)))
+            rates["all"].add(weighted_rate(weights, np.ones(n, np.bool_)))
         found.append(rates)
     return found

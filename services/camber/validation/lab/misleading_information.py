@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from camber.integrity.rules import Rules
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
-from camber.validation.lab.baselines import Controls
-from camber.validation.lab.bound_coverage import LEVELS, bounds, of_fixes, prior_shares
-from camber.validation.lab.error_episodes import Faults, episodes
-from camber.validation.lab.error_model import ASSUMED, Scene, judged_covariance, trusted_fix
-from camber.validation.lab.false_alarms import WeightedRate, rate_of, right_fixes
+from camber.validation.lab.baselines import BaselineDecisions
+from camber.validation.lab.bound_coverage import LEVEL_PARAMETERS, bounds, of_fixes, prior_shares
+from camber.validation.lab.error_episodes import FaultOffsets, episodes
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene, inflated_covariance, innovation_covariance
+from camber.validation.lab.false_alarms import WeightedRate, right_fixes, weighted_rate
 from camber.validation.lab.missed_detection import wrong_fixes
 
 Floats = NDArray[np.float64]
@@ -36,10 +36,10 @@ ALERT_LIMIT_M = 1.5
 SCENE = Scene(0.05, 0.05)
 SLIDES_M, WITHIN_M = 5.0, 6.0
 _NEAR_M, _SKIES, _REPEATS = 0.15, 400, 40
-_TO_LEVEL = math.sqrt(-2.0 * math.log(LEVELS.integrity_risk))
+_TO_LEVEL = math.sqrt(-2.0 * math.log(LEVEL_PARAMETERS.integrity_risk))
 
 
-def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
+def misleading_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
     """Sums of one block: tails of right integers, of wrong ones beside a right pose, and weighted coincidences."""
     right = right_fixes(seed, block, _SKIES, "hazard")
     wrong = wrong_fixes("search", seed, block + 2_000_000, _SKIES)
@@ -56,9 +56,9 @@ def hazard_block(seed: int, block: int, rules: Rules) -> dict[str, Any]:
     }
 
 
-def hazard_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
+def misleading_figures(blocks: list[dict[str, Any]]) -> dict[str, Any]:
     """The rate per epoch, its upper bound, and the parts."""
-    shares, fault = WeightedRate(), LEVELS.pose_fault_prior
+    shares, fault = WeightedRate(), LEVEL_PARAMETERS.pose_fault_prior
     for block in blocks:
         shares.add(block["prior"])
     prior = shares.rate
@@ -121,21 +121,21 @@ def _larger(covariance_m2: Floats) -> Floats:
 
 def _usable_at_most(shapes: FixShapes, rules: Rules) -> NDArray[np.bool_]:
     """May a level be below the alert limit at all? It is at least that of the larger axis of a right fix, on a line."""
-    sigma = np.sqrt(_larger(trusted_fix(shapes.claimed_m2, rules)))
+    sigma = np.sqrt(_larger(inflated_covariance(shapes.claimed_m2, rules)))
     # Two sides of a line at 1e-7: 5.3 σ; the margin makes it more.
     found: NDArray[np.bool_] = 5.3 * sigma < ALERT_LIMIT_M
     return found
 
 
 def _right_tail(shapes: FixShapes, rules: Rules) -> Floats:
-    variance = _larger(shapes.reflected_m2) + ASSUMED.constant_variance_m2
+    variance = _larger(shapes.reflected_m2) + ASSUMPTIONS.constant_variance_m2
     tail = _rayleigh(np.full(len(variance), ALERT_LIMIT_M), variance)
     return np.where(_usable_at_most(shapes, rules), tail, 0.0)
 
 
 def _beside_right_pose(shapes: FixShapes, rules: Rules) -> Floats:
     slope = np.zeros((len(shapes.sky), 2))
-    s = judged_covariance(shapes.claimed_m2, slope, SCENE, rules)
+    s = innovation_covariance(shapes.claimed_m2, slope, SCENE, rules)
     reach = np.sqrt(rules.determination.limits().position[0] * _larger(s))
     gap = np.full(len(reach), ALERT_LIMIT_M) - reach
     return np.where(
@@ -154,12 +154,12 @@ def _coincidence(shapes: FixShapes, rules: Rules, rng: np.random.Generator) -> W
     normal = np.exp(-0.5 * (near / _NEAR_M) ** 2) / (_NEAR_M * math.sqrt(2.0 * math.pi))
     line = (np.abs(at) <= SLIDES_M) / (2.0 * SLIDES_M) / normal[:, 0]
     disc = (np.hypot(*pose.T) <= WITHIN_M) / (math.pi * WITHIN_M**2) / (normal[:, 0] * normal[:, 1])
-    run = episodes(shapes, SCENE, rng, replace(Faults.none(n), pose_m=pose), np.ones(n, np.int64))
-    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
-    agreed = Controls(rules.determination, SCENE.pose_sigma_m).agreed(run.difference_m, s)
+    run = episodes(shapes, SCENE, rng, replace(FaultOffsets.none(n), pose_m=pose), np.ones(n, np.int64))
+    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    agreed = BaselineDecisions(rules.determination, SCENE.pose_sigma_m).agreed(run.difference_m, s)
     level = np.full(n, np.inf)
     if agreed.any():
-        fix = trusted_fix(shapes.claimed_m2[agreed], rules)
+        fix = inflated_covariance(shapes.claimed_m2[agreed], rules)
         claimed = of_fixes(
             run.error_m[agreed, :2],
             run.difference_m[agreed],
@@ -171,4 +171,4 @@ def _coincidence(shapes: FixShapes, rules: Rules, rng: np.random.Generator) -> W
         level[agreed] = bounds(claimed).level_m
     error = np.hypot(run.error_m[:, 0], run.error_m[:, 1])
     happens = agreed & (level < ALERT_LIMIT_M) & (error > np.maximum(level, ALERT_LIMIT_M))
-    return rate_of(np.where(slides, line, disc), happens)
+    return weighted_rate(np.where(slides, line, disc), happens)

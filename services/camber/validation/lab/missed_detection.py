@@ -17,9 +17,9 @@ from camber.integrity.rules import Rules
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.random_skies import random_skies
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes, Kind, fix_shapes
-from camber.validation.lab.baselines import ALL, CONTROLS, Controls
+from camber.validation.lab.baselines import ALL, BASELINES, BaselineDecisions
 from camber.validation.lab.error_episodes import Episodes, episodes
-from camber.validation.lab.error_model import ASSUMED, Scene, judged_covariance
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -27,14 +27,14 @@ Booleans = NDArray[np.bool_]
 
 THRESHOLDS_M = (0.5, 1.0)
 EDGES_M = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0, np.inf])
-_LONGEST = int(ASSUMED.longest_s * ASSUMED.epochs_per_s) + 1
+_LONGEST = int(ASSUMPTIONS.longest_s * ASSUMPTIONS.epochs_per_s) + 1
 _AT_ONCE = 1000
 _TRIES = 20
-LATE_EPOCHS = round(ASSUMED.epochs_per_s)
+LATE_EPOCHS = round(ASSUMPTIONS.epochs_per_s)
 
 
 @dataclass(slots=True)
-class Missed:
+class MissedDetections:
     """Counts that add up. By threshold: `harmful` episodes (t,), by control and threshold `missed`, `late` (c, t), and
     Σ over skies of their squares `missed_squared`, `harmful_skies` (t,). By control and size: `in_bin` (b,),
     `confirmed_in_bin` (c, b). Stretches of `ALL` in epochs: `stretch` (t, k), of episodes that it did alert.
@@ -42,19 +42,19 @@ class Missed:
 
     harmful: Integers = field(default_factory=lambda: np.zeros(len(THRESHOLDS_M), np.int64))
     skies: Integers = field(default_factory=lambda: np.zeros(len(THRESHOLDS_M), np.int64))
-    missed: Integers = field(default_factory=lambda: np.zeros((len(CONTROLS), len(THRESHOLDS_M)), np.int64))
-    late: Integers = field(default_factory=lambda: np.zeros((len(CONTROLS), len(THRESHOLDS_M)), np.int64))
+    missed: Integers = field(default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64))
+    late: Integers = field(default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64))
     missed_squared: Integers = field(
-        default_factory=lambda: np.zeros((len(CONTROLS), len(THRESHOLDS_M)), np.int64)
+        default_factory=lambda: np.zeros((len(BASELINES), len(THRESHOLDS_M)), np.int64)
     )
     in_bin: Integers = field(default_factory=lambda: np.zeros(len(EDGES_M) - 1, np.int64))
     confirmed_in_bin: Integers = field(
-        default_factory=lambda: np.zeros((len(CONTROLS), len(EDGES_M) - 1), np.int64)
+        default_factory=lambda: np.zeros((len(BASELINES), len(EDGES_M) - 1), np.int64)
     )
     stretch: Integers = field(default_factory=lambda: np.zeros((len(THRESHOLDS_M), _LONGEST), np.int64))
     epochs: int = 0
 
-    def add(self, other: Missed) -> None:
+    def add(self, other: MissedDetections) -> None:
         """Take another block's counts in."""
         for name in self.__slots__:
             setattr(self, name, getattr(self, name) + getattr(other, name))
@@ -62,7 +62,7 @@ class Missed:
 
 def missed_block(
     kind: Kind, scenes: tuple[Scene, ...], seed: int, block: int, skies: int, repeats: int, rules: Rules
-) -> list[Missed]:
+) -> list[MissedDetections]:
     """Counts for each scene of the wrong fixes of one block's skies, so many episodes of each."""
     shapes = wrong_fixes(kind, seed, block, skies)
     found = []
@@ -79,18 +79,20 @@ def wrong_fixes(kind: Kind, seed: int, block: int, skies: int) -> FixShapes:
     return shapes.chosen(np.hypot(shapes.shift_m[:, 0], shapes.shift_m[:, 1]) >= EDGES_M[0])
 
 
-def _counted(shapes: FixShapes, scene: Scene, repeats: int, rules: Rules, rng: np.random.Generator) -> Missed:
-    total, controls = Missed(), Controls(rules.determination, scene.pose_sigma_m)
+def _counted(
+    shapes: FixShapes, scene: Scene, repeats: int, rules: Rules, rng: np.random.Generator
+) -> MissedDetections:
+    total, controls = MissedDetections(), BaselineDecisions(rules.determination, scene.pose_sigma_m)
     n = len(shapes.sky)
     _, sky = np.unique(shapes.sky, return_inverse=True)
-    of_sky = np.zeros((int(sky.max(initial=-1)) + 1, len(CONTROLS), len(THRESHOLDS_M)), np.int64)
+    of_sky = np.zeros((int(sky.max(initial=-1)) + 1, len(BASELINES), len(THRESHOLDS_M)), np.int64)
     harmful_sky = np.zeros((len(of_sky), len(THRESHOLDS_M)), np.bool_)
     for _ in range(repeats):
         for begin in range(0, n, _AT_ONCE):
             part = np.arange(begin, min(begin + _AT_ONCE, n))
             chosen = shapes.chosen(part)
             run = episodes(chosen, scene, rng)
-            s = judged_covariance(chosen.claimed_m2, run.slope, scene, rules)
+            s = innovation_covariance(chosen.claimed_m2, run.slope, scene, rules)
             confirmed = controls.confirmed(run.difference_m, s, run.episode, chosen.residuals_agree)
             _count(total, run, chosen, confirmed, of_sky, harmful_sky, sky[part])
     total.missed_squared += (of_sky**2).sum(axis=0)
@@ -99,7 +101,7 @@ def _counted(shapes: FixShapes, scene: Scene, repeats: int, rules: Rules, rng: n
 
 
 def _count(
-    total: Missed, run: Episodes, shapes: FixShapes, confirmed: dict[str, Booleans],
+    total: MissedDetections, run: Episodes, shapes: FixShapes, confirmed: dict[str, Booleans],
     of_sky: Integers, harmful_sky: Booleans, sky: Integers,
 ) -> None:  # fmt: skip
     horizontal = np.hypot(run.error_m[:, 0], run.error_m[:, 1])
@@ -107,7 +109,7 @@ def _count(
     size = np.hypot(shapes.shift_m[:, 0], shapes.shift_m[:, 1])
     into = np.searchsorted(EDGES_M, size, "right") - 1
     total.in_bin += np.bincount(into, minlength=len(EDGES_M) - 1)
-    for c, name in enumerate(CONTROLS):
+    for c, name in enumerate(BASELINES):
         anywhere = np.logical_or.reduceat(confirmed[name], run.first)
         total.confirmed_in_bin[c] += np.bincount(into[anywhere], minlength=len(EDGES_M) - 1)
     for t, threshold_m in enumerate(THRESHOLDS_M):
@@ -115,8 +117,8 @@ def _count(
         ever = np.logical_or.reduceat(harmful, run.first)
         total.harmful[t] += int(ever.sum())
         harmful_sky[sky[ever], t] = True
-        for c, name in enumerate(CONTROLS):
-            longest, alerted = stretches(harmful, confirmed[name], run.first, run.length)
+        for c, name in enumerate(BASELINES):
+            longest, alerted = longest_confirmed_runs(harmful, confirmed[name], run.first, run.length)
             missed = ever & (longest > 0)
             total.missed[c, t] += int(missed.sum())
             total.late[c, t] += int((ever & ((longest >= LATE_EPOCHS) | ~alerted)).sum())
@@ -126,7 +128,7 @@ def _count(
 
 
 @compiled
-def stretches(
+def longest_confirmed_runs(
     harmful: Booleans, confirmed: Booleans, first: Integers, length: Integers
 ) -> tuple[Integers, Booleans]:
     """Of each episode (n,): the most epochs on end that are harmful and confirmed, and whether any harmful one is

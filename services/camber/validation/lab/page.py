@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from camber.validation.evidence.page import table
+from camber.validation.markdown import table
 
 CONTROLS_SHOWN = (
     "ratio only", "residuals only", "height only", "LiDAR only", "height and LiDAR", "all, with residuals", "always no",
@@ -45,13 +45,12 @@ def _asked(figures: dict[str, Any]) -> Iterator[str]:
     yield "### What is asked"
     yield ""
     rows = [
-        (what, asked, found, "yes" if met else "**no**")
-        for what, asked, found, met in asked_and_found(figures)
+        (what, asked, found, "yes" if met else "**no**") for what, asked, found, met in requirements(figures)
     ]
     yield table(("figure", "asked", "found", "met"), rows)
 
 
-def asked_and_found(figures: dict[str, Any]) -> Iterator[tuple[str, str, str, bool]]:
+def requirements(figures: dict[str, Any]) -> Iterator[tuple[str, str, str, bool]]:
     """What, what is asked, what was found, and whether that is met."""
     for kind in ("search", "cycles"):
         for pose_sigma_m, beyond_m in ((0.05, 0.5), (0.10, 1.0)):

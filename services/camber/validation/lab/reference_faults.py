@@ -15,76 +15,78 @@ from numpy.typing import NDArray
 from camber.integrity.rules import Rules
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
-from camber.validation.lab.baselines import JUDGE, Controls
-from camber.validation.lab.error_episodes import Episodes, Faults, episodes
-from camber.validation.lab.error_model import ASSUMED, Scene, judged_covariance
+from camber.validation.lab.baselines import JUDGE, BaselineDecisions
+from camber.validation.lab.error_episodes import Episodes, FaultOffsets, episodes
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene, innovation_covariance
 from camber.validation.lab.false_alarms import right_fixes
 from camber.validation.lab.missed_detection import THRESHOLDS_M, wrong_fixes
 
 Floats = NDArray[np.float64]
 Generator = np.random.Generator
-Fault = Callable[[FixShapes, Generator], Faults]
+Fault = Callable[[FixShapes, Generator], FaultOffsets]
 
 SCENE = Scene(0.05, 0.05)
-_LENGTH = round(10.0 * ASSUMED.epochs_per_s)
+_LENGTH = round(10.0 * ASSUMPTIONS.epochs_per_s)
 
 
 def _signs(n: int, rng: Generator) -> Floats:
     return np.where(rng.random(n) < 0.5, -1.0, 1.0)
 
 
-def _pose(pose_m: Floats) -> Faults:
+def _pose(pose_m: Floats) -> FaultOffsets:
     n = len(pose_m)
-    return Faults(pose_m, np.zeros(n), np.zeros(n), np.zeros((n, 3)))
+    return FaultOffsets(pose_m, np.zeros(n), np.zeros(n), np.zeros((n, 3)))
 
 
 def _road(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> Faults:
+    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
         n = len(shapes.sky)
-        return Faults(np.zeros((n, 2)), size_m * _signs(n, rng), np.zeros(n), np.zeros((n, 3)))
+        return FaultOffsets(np.zeros((n, 2)), size_m * _signs(n, rng), np.zeros(n), np.zeros((n, 3)))
 
     return of
 
 
 def _antenna(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> Faults:
+    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
         n = len(shapes.sky)
-        return Faults(np.zeros((n, 2)), np.zeros(n), np.full(n, size_m), np.zeros((n, 3)))
+        return FaultOffsets(np.zeros((n, 2)), np.zeros(n), np.full(n, size_m), np.zeros((n, 3)))
 
     return of
 
 
-def _slides(shapes: FixShapes, rng: Generator) -> Faults:
+def _slides(shapes: FixShapes, rng: Generator) -> FaultOffsets:
     n = len(shapes.sky)
     return _pose(shapes.along * (_signs(n, rng) * rng.uniform(0.5, 3.0, n))[:, None])
 
 
-def _symmetric(shapes: FixShapes, rng: Generator) -> Faults:
+def _symmetric(shapes: FixShapes, rng: Generator) -> FaultOffsets:
     n = len(shapes.sky)
     angle = rng.uniform(0.0, 2.0 * np.pi, n)
     return _pose(rng.uniform(2.0, 6.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
 def _base(size_m: float) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> Faults:
+    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
         n = len(shapes.sky)
         vector = rng.normal(size=(n, 3))
         vector *= size_m / np.linalg.norm(vector, axis=1, keepdims=True)
-        return Faults(np.zeros((n, 2)), np.zeros(n), np.zeros(n), vector)
+        return FaultOffsets(np.zeros((n, 2)), np.zeros(n), np.zeros(n), vector)
 
     return of
 
 
 def _both(one: Fault, other: Fault) -> Fault:
-    def of(shapes: FixShapes, rng: Generator) -> Faults:
+    def of(shapes: FixShapes, rng: Generator) -> FaultOffsets:
         a, b = one(shapes, rng), other(shapes, rng)
-        return Faults(a.pose_m + b.pose_m, a.road_m + b.road_m, a.antenna_m + b.antenna_m, a.fix_m + b.fix_m)
+        return FaultOffsets(
+            a.pose_m + b.pose_m, a.road_m + b.road_m, a.antenna_m + b.antenna_m, a.fix_m + b.fix_m
+        )
 
     return of
 
 
 FAULTS: dict[str, Fault] = {
-    "none": lambda shapes, rng: Faults.none(len(shapes.sky)),
+    "none": lambda shapes, rng: FaultOffsets.none(len(shapes.sky)),
     "map, step of 0.15 m": _road(0.15),
     "map, step of 0.5 m": _road(0.5),
     "level, 5 m": _road(5.0),
@@ -125,7 +127,7 @@ class FaultCounts:
 def faults_block(seed: int, block: int, skies: int, repeats: int, rules: Rules) -> dict[str, FaultCounts]:
     """Counts for each fault."""
     right, wrong = right_fixes(seed, block, skies, "faults"), wrong_fixes("search", seed, block, skies)
-    controls = Controls(rules.determination, SCENE.pose_sigma_m)
+    controls = BaselineDecisions(rules.determination, SCENE.pose_sigma_m)
     found = {}
     for name, fault in FAULTS.items():
         rng = stream(seed, f"lab/faults/{name}/{block}")
@@ -139,10 +141,15 @@ def faults_block(seed: int, block: int, skies: int, repeats: int, rules: Rules) 
 
 
 def _right(
-    counts: FaultCounts, shapes: FixShapes, fault: Fault, controls: Controls, rules: Rules, rng: Generator
+    counts: FaultCounts,
+    shapes: FixShapes,
+    fault: Fault,
+    controls: BaselineDecisions,
+    rules: Rules,
+    rng: Generator,
 ) -> None:
     run = episodes(shapes, SCENE, rng, fault(shapes, rng), np.ones(len(shapes.sky), np.int64))
-    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
     confirmed, harmful = controls.agreed(run.difference_m, s), _harmful(run)
     counts.right += len(confirmed)
     counts.confirmed += int(confirmed.sum())
@@ -152,10 +159,15 @@ def _right(
 
 
 def _wrong(
-    counts: FaultCounts, shapes: FixShapes, fault: Fault, controls: Controls, rules: Rules, rng: Generator
+    counts: FaultCounts,
+    shapes: FixShapes,
+    fault: Fault,
+    controls: BaselineDecisions,
+    rules: Rules,
+    rng: Generator,
 ) -> None:
     run = episodes(shapes, SCENE, rng, fault(shapes, rng), np.full(len(shapes.sky), _LENGTH))
-    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
     confirmed = controls.confirmed(run.difference_m, s, run.episode, shapes.residuals_agree)[JUDGE]
     harmful = _harmful(run)
     counts.episodes += int(np.logical_or.reduceat(harmful, run.first).sum())

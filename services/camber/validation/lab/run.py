@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import Kind
-from camber.validation.lab.baselines import CONTROLS
-from camber.validation.lab.bound_coverage import DRAWS, LEVELS, levels_block, levels_figures
-from camber.validation.lab.error_model import ASSUMED, Scene
+from camber.validation.lab.baselines import BASELINES
+from camber.validation.lab.bound_coverage import DRAWS, LEVEL_PARAMETERS, coverage_block, coverage_figures
+from camber.validation.lab.error_model import ASSUMPTIONS, Scene
 from camber.validation.lab.false_alarms import WeightedRate, alarms_block
-from camber.validation.lab.misleading_information import hazard_block, hazard_figures
-from camber.validation.lab.missed_detection import EDGES_M, THRESHOLDS_M, Missed, missed_block
-from camber.validation.lab.rate_bounds import clopper_pearson
+from camber.validation.lab.misleading_information import misleading_block, misleading_figures
+from camber.validation.lab.missed_detection import EDGES_M, THRESHOLDS_M, MissedDetections, missed_block
 from camber.validation.lab.reference_faults import SCENE, FaultCounts, faults_block
 from camber.validation.lab.work_blocks import Results, Task, workers
+from camber.validation.statistics import clopper_pearson
 
 HEADLINE = (Scene(0.05, 0.05), Scene(0.10, 0.05))
-BESIDE = (
+SENSITIVITY_SCENES = (
     Scene(0.03, 0.05), Scene(0.05, 0.03), Scene(0.05, 0.10), Scene(0.10, 0.10), Scene(0.20, 0.05), Scene(0.50, 0.05),
 )  # fmt: skip
 """The last two: dead reckoning after some seconds."""
@@ -36,7 +36,7 @@ _DRAWS_OF_TRIAL, _SKIES_OF_ALARMS = 4, 500
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
+class RunSize:
     """`trials` episodes of wrong fixes of each kind in each of the two headline scenes; the rest follows from it."""
 
     trials: int
@@ -51,7 +51,7 @@ class Size:
         return blocks, max(1, round(self.trials / (blocks * of_block)))
 
 
-def run(size: Size, processes: int, say: Callable[[str], None]) -> dict[str, Any]:
+def run(size: RunSize, processes: int, say: Callable[[str], None]) -> dict[str, Any]:
     """The lab's figures, as `lab.json` holds them. `say` is told what is under way."""
     rules = Rules()
     began = time.monotonic()
@@ -76,8 +76,8 @@ def run(size: Size, processes: int, say: Callable[[str], None]) -> dict[str, Any
         "trials": size.trials,
         "rules": asdict(rules.determination),
         "true_sigma": asdict(rules.true_sigma),
-        "level_rules": asdict(LEVELS),
-        "assumptions": asdict(ASSUMED),
+        "level_rules": asdict(LEVEL_PARAMETERS),
+        "assumptions": asdict(ASSUMPTIONS),
         "missed": missed,
         "alarms": alarms,
         "faults": faults,
@@ -86,16 +86,16 @@ def run(size: Size, processes: int, say: Callable[[str], None]) -> dict[str, Any
     }
 
 
-def _missed(kind: Kind, size: Size, rules: Rules, results: Results) -> list[dict[str, Any]]:
+def _missed(kind: Kind, size: RunSize, rules: Rules, results: Results) -> list[dict[str, Any]]:
     blocks, repeats = size.blocks(kind)
     few = max(1, repeats // _BESIDE_SHARE)
     skies = _SKIES_OF_BLOCK[kind]
     tasks = [
         Task(missed_block, (kind, scenes, size.seed, block, skies, count, rules))
         for block in range(blocks)
-        for scenes, count in ((HEADLINE, repeats), (BESIDE, few))
+        for scenes, count in ((HEADLINE, repeats), (SENSITIVITY_SCENES, few))
     ]
-    totals = {scene: Missed() for scene in (*HEADLINE, *BESIDE)}
+    totals = {scene: MissedDetections() for scene in (*HEADLINE, *SENSITIVITY_SCENES)}
     for task, found in zip(tasks, results(tasks), strict=True):
         for scene, counts in zip(task.arguments[1], found, strict=True):
             totals[scene].add(counts)
@@ -106,7 +106,7 @@ def _named(scene: Scene) -> dict[str, Any]:
     return {"pose_sigma_m": scene.pose_sigma_m, "map_sigma_m": scene.map_sigma_m}
 
 
-def _missed_figures(m: Missed) -> dict[str, Any]:
+def _missed_figures(m: MissedDetections) -> dict[str, Any]:
     return {
         "epochs": m.epochs,
         "thresholds": [
@@ -114,7 +114,7 @@ def _missed_figures(m: Missed) -> dict[str, Any]:
                 "beyond_m": threshold_m,
                 "harmful_episodes": int(m.harmful[t]),
                 "skies": int(m.skies[t]),
-                "controls": {name: _control(m, c, t) for c, name in enumerate(CONTROLS)},
+                "controls": {name: _control(m, c, t) for c, name in enumerate(BASELINES)},
                 "time_to_alert": _time_to_alert(m.stretch[t]),
             }
             for t, threshold_m in enumerate(THRESHOLDS_M)
@@ -124,14 +124,14 @@ def _missed_figures(m: Missed) -> dict[str, Any]:
                 "from_m": float(EDGES_M[b]),
                 "to_m": None if np.isinf(EDGES_M[b + 1]) else float(EDGES_M[b + 1]),
                 "episodes": int(m.in_bin[b]),
-                "confirmed": {name: int(m.confirmed_in_bin[c, b]) for c, name in enumerate(CONTROLS)},
+                "confirmed": {name: int(m.confirmed_in_bin[c, b]) for c, name in enumerate(BASELINES)},
             }
             for b in range(len(EDGES_M) - 1)
         ],
     }
 
 
-def _control(m: Missed, c: int, t: int) -> dict[str, Any]:
+def _control(m: MissedDetections, c: int, t: int) -> dict[str, Any]:
     """Episodes of one sky are alike: the bound counts Σ misses² / Σ misses of a sky as one."""
     missed, harmful = int(m.missed[c, t]), int(m.harmful[t])
     together = max(float(m.missed_squared[c, t]) / missed, 1.0) if missed else 1.0
@@ -154,7 +154,7 @@ def _time_to_alert(stretch: NDArray[np.int64]) -> dict[str, Any]:
     total = int(stretch.sum())
     if not total:
         return {"episodes": 0}
-    step_s = 1.0 / ASSUMED.epochs_per_s
+    step_s = 1.0 / ASSUMPTIONS.epochs_per_s
     beyond = total - np.cumsum(stretch)
     return {
         "episodes": total,
@@ -165,8 +165,8 @@ def _time_to_alert(stretch: NDArray[np.int64]) -> dict[str, Any]:
     }
 
 
-def _alarms(size: Size, rules: Rules, results: Results) -> list[dict[str, Any]]:
-    scenes = (*HEADLINE, *BESIDE)
+def _alarms(size: RunSize, rules: Rules, results: Results) -> list[dict[str, Any]]:
+    scenes = (*HEADLINE, *SENSITIVITY_SCENES)
     skies = max(1, round(size.trials / 50 / _SKIES_OF_ALARMS))
     repeats = max(1, round(_DRAWS_OF_TRIAL * size.trials / (skies * _SKIES_OF_ALARMS)))
     tasks = [
@@ -193,7 +193,7 @@ def _weighted(rate: WeightedRate) -> dict[str, Any]:
     }
 
 
-def _faults(size: Size, rules: Rules, results: Results) -> dict[str, Any]:
+def _faults(size: RunSize, rules: Rules, results: Results) -> dict[str, Any]:
     blocks = max(1, min(20, size.trials // 10_000))
     repeats = max(1, size.trials // (blocks * 400 * 20))
     tasks = [Task(faults_block, (size.seed, block, 400, repeats, rules)) for block in range(blocks)]
@@ -208,9 +208,9 @@ def _faults(size: Size, rules: Rules, results: Results) -> dict[str, Any]:
     return {**_named(SCENE), "rows": rows}
 
 
-def _levels(size: Size, rules: Rules, results: Results) -> tuple[dict[str, Any], dict[str, Any]]:
+def _levels(size: RunSize, rules: Rules, results: Results) -> tuple[dict[str, Any], dict[str, Any]]:
     """Twelve blocks of 10,000 draws of each mode, fewer of a small run."""
     blocks, draws = max(1, min(12, size.trials // 8_000)), min(max(size.trials, 1_000), DRAWS)
-    levels = results([Task(levels_block, (size.seed, block, rules, draws)) for block in range(blocks)])
-    hazard = results([Task(hazard_block, (size.seed, block, rules)) for block in range(blocks)])
-    return levels_figures(list(levels)), hazard_figures(list(hazard))
+    levels = results([Task(coverage_block, (size.seed, block, rules, draws)) for block in range(blocks)])
+    hazard = results([Task(misleading_block, (size.seed, block, rules)) for block in range(blocks)])
+    return coverage_figures(list(levels)), misleading_figures(list(hazard))

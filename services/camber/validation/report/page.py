@@ -1,7 +1,7 @@
-"""report.html: one page that says how a drive went, with everything in it and nothing fetched.
+"""report.html: the results of one drive as a self-contained page that fetches nothing.
 
-Tables are made here, charts by the page's own script from the data embedded as JSON. Every text that comes
-from outside passes through `html.escape` or `embedded_json`.
+Tables are made here, charts by the script of the template from the data embedded as JSON. Every untrusted text passes
+through `html.escape` or `embedded_json`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 from camber.formats.drive.truth_csv import WRONG_M
 from camber.schemas.base import Float64
 from camber.validation.evaluation import Evaluation
-from camber.validation.figures import EPISODE_GAP_S, RIGHT_M
-from camber.validation.judged_fixes import Judged
+from camber.validation.fix_statistics import EPISODE_GAP_S, RIGHT_M
+from camber.validation.judged_fixes import JudgedFix
 from camber.validation.report.chart_data import chart_data, embedded_json, start_ns_of
 
 _NBSP = "\u00a0"
@@ -41,8 +41,8 @@ def render(evaluation: Evaluation) -> str:
         "subtitle": _subtitle(summary),
         "banners": _banners(summary),
         "tiles": _tiles(summary),
-        "controls": _controls(summary),
-        "controls_note": _controls_note(summary),
+        "baselines": _baselines(summary),
+        "baselines_note": _baselines_note(summary),
         "error_note": _ERROR_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford_note": _STANFORD_NOTE if summary["truth"] else _NO_TRUTH,
         "stanford": _stanford(summary),
@@ -56,30 +56,30 @@ def render(evaluation: Evaluation) -> str:
         "data": embedded_json(chart_data(evaluation)),
     }
     template = files("camber.validation.report").joinpath("template.html").read_text("utf-8")
-    # In one pass, so that no text from outside is taken for a place in the template.
+    # In one pass, so that untrusted text cannot contain a placeholder.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 
-_NO_TRUTH = "This drive has no truth: what rests on it is not known."
+_NO_TRUTH = "This drive has no truth: figures that need it are not known."
 _ERROR_NOTE = (
     "Distance in 3D from the truth at the antenna, after the constant offset of the drive. "
-    "Rings: fixes that passed the ratio test. Dots: positions that were confirmed."
+    "Rings: candidate fixes (ratio test passed). Dots: confirmed positions."
 )
 _STANFORD_NOTE = (
-    "Each epoch's position: its error against the radius it claimed. Above the diagonal the claim held; "
-    "below it the position was misleading, and hazardous where the error passed the alert limit."
+    "Error of each epoch's position and its protection level. Below the diagonal the error exceeds the level: "
+    "misleading information, hazardous where the error exceeds the alert limit too."
 )
 _DEFINITIONS = f"""<dl>
-<dt>tentative</dt><dd>a fix that passed the ratio test; nobody may trust it yet</dd>
+<dt>candidate fix</dt><dd>a fix that passed the ratio test and has not been judged; <i>tentative</i> in messages</dd>
 <dt>wrong, right</dt><dd>more than {WRONG_M} m, up to {RIGHT_M} m from the truth in 3D at the antenna, after
-the constant offset; a fix between them is neither</dd>
-<dt>episode</dt><dd>wrong fixes with no right one between them and no more than {EPISODE_GAP_S:g} s apart;
-missed when a wrong position was confirmed in it</dd>
-<dt>3/n</dt><dd>with none of n episodes missed, the rate of missed episodes is below 3/n (95 %), and no
-better</dd> <dt>ratio test only</dt><dd>every fix that passed the ratio test is confirmed</dd>
+the constant offset; between them neither</dd>
+<dt>episode</dt><dd>wrong fixes without a right one between them, at most {EPISODE_GAP_S:g} s apart; missed
+where a wrong position was confirmed in it</dd>
+<dt>3/n</dt><dd>upper 95 % bound of the rate of missed episodes, with none of n missed</dd>
+<dt>ratio test only</dt><dd>every fix that passed the ratio test is confirmed</dd>
 <dt>height only</dt><dd>fix height against recorded road elevation + antenna height, one fixed tolerance: no
-rule for the start, no uncertainties, no horizontal check, no verification, no learning</dd>
-<dt>always <i>unknown</i></dt><dd>nothing is ever confirmed: safe and of no use</dd>
+start-up rule, no uncertainties, no horizontal check, no verification, no learning</dd>
+<dt>always <i>unknown</i></dt><dd>nothing is confirmed: trivially safe</dd>
 <dt>available</dt><dd>the epoch's 99.9 % horizontal radius is below the alert limit</dd>
 </dl>"""
 
@@ -90,20 +90,22 @@ def _subtitle(summary: dict[str, Any]) -> str:
         minutes, seconds = divmod(round(summary["duration_s"]), 60)
         parts.append(f"{minutes} min {seconds} s")
     if summary["speed_factor"] is not None:
-        parts.append(f"run {summary['speed_factor']:.3g} times as fast as driven")
+        parts.append(f"replayed at {summary['speed_factor']:.3g} times real time")
     parts.append("with truth" if summary["truth"] else "without truth")
     return " · ".join(parts)
 
 
 def _banners(summary: dict[str, Any]) -> str:
-    found = [("bad", "Only a part of the recording could be read", summary["damage"])]
-    found.append(("", "Surrogates: not measured, but made for this run", summary["surrogates"]))
-    found.append(("", "Notes on this run", summary["notes"]))
+    banners = (
+        ("bad", "Only part of the recording could be read", summary["damage"]),
+        ("", "Surrogates: synthesised for this run, not measured", summary["surrogates"]),
+        ("", "Notes on this run", summary["notes"]),
+    )
     return "".join(
         f'<div class="banner {kind}"><strong>{title}</strong><ul>'
         + "".join(f"<li>{_text(line)}</li>" for line in lines)
         + "</ul></div>"
-        for kind, title, lines in found
+        for kind, title, lines in banners
         if lines
     )
 
@@ -113,11 +115,11 @@ def _tiles(summary: dict[str, Any]) -> str:
     position, error_m, latency = summary["position"], summary["position"]["error_m"], summary["latency_ms"]
     limit_m = position["alert_limit_m"]
     fixes = f"{_count(summary['tentative']['wrong'])} of {summary['tentative']['fixed']:,} fixes were wrong"
-    untold = confirmed["truth_unknown"]
-    fixes += f"; {untold:,} confirmed where the truth is not known" if untold else ""
+    without_truth = confirmed["truth_unknown"]
+    fixes += f"; {without_truth:,} confirmed where the truth is not known" if without_truth else ""
     limit = f"{limit_m:g}{_NBSP}m" if limit_m else "its alert limit"
     tiles = [
-        _tile("Wrong positions confirmed", confirmed["wrong"], confirmed["count"] - untold, fixes),
+        _tile("Wrong positions confirmed", confirmed["wrong"], confirmed["count"] - without_truth, fixes),
         _tile("Wrong episodes missed", episodes["missed"], episodes["n"], _bound(episodes)),
         _plain_tile("Right fixes kept", _percent(right["kept"]), f"of {_count(right['count'])} right fixes"),
         _plain_tile(
@@ -136,9 +138,9 @@ def _tiles(summary: dict[str, Any]) -> str:
 
 
 def _tile(name: str, bad: int | None, of: int | None, more: str) -> str:
-    """A tile that is good at zero, bad above, and neither where nothing was there to fail."""
+    """A tile that is good at zero, bad above, and neutral where nothing could fail."""
     if bad is None:
-        return _plain_tile(name, _NOT_KNOWN, "no truth to say so")
+        return _plain_tile(name, _NOT_KNOWN, "no truth")
     kind = "bad" if bad else "good" if of else ""
     return _plain_tile(name, f"{bad:,} <small>of {_count(of)}</small>", more, kind)
 
@@ -156,7 +158,7 @@ def _bound(episodes: dict[str, Any]) -> str:
     if episodes["n"] is None or episodes["missed"]:
         return "" if episodes["n"] is None else "no bound: some were missed"
     if episodes["bound"] is None:
-        return "no wrong episode: nothing is shown"
+        return "no wrong episode: no bound"
     cautious = episodes["cautious"]
     return (
         f"rate below {_upper(episodes['bound'])} (3/n); counted with gaps of {cautious['gap_s']:g} s, "
@@ -164,12 +166,12 @@ def _bound(episodes: dict[str, Any]) -> str:
     )
 
 
-def _controls_note(summary: dict[str, Any]) -> str:
+def _baselines_note(summary: dict[str, Any]) -> str:
     tolerance_m = summary["controls"]["height_only"]["tolerance_m"]
-    return f"<i>Height only</i> uses a fixed tolerance of {tolerance_m:g} m and Camber's own elevations."
+    return f"<i>Height only</i> uses a fixed tolerance of {tolerance_m:g} m and Camber's elevations."
 
 
-def _controls(summary: dict[str, Any]) -> str:
+def _baselines(summary: dict[str, Any]) -> str:
     head = [
         "Judge", "Confirmed", "wrong among them", "Right fixes kept", "right fixes called erroneous",
         "Fixes called erroneous", "Fixes left unknown", "Episodes missed", "3/n",
@@ -190,7 +192,7 @@ def _controls(summary: dict[str, Any]) -> str:
             f"<td{_flag(missed)}>{_NOT_KNOWN if n is None else f'{missed} of {n}'}</td>",
             f"<td>{_NONE if bound is None else _upper(bound)}</td>",
         ]
-        rows.append(f"<tr{' class=own' if name == 'Camber' else ''}>{''.join(cells)}</tr>")
+        rows.append(f"<tr{' class=camber' if name == 'Camber' else ''}>{''.join(cells)}</tr>")
     return _table(head, rows)
 
 
@@ -200,8 +202,8 @@ def _reasons(summary: dict[str, Any]) -> str:
         return '<p class="absent">No verdict was recorded.</p>'
     most = by_reason[0]["count"]
     rows = [
-        f"<tr><td>{_dot(entry['verdict'])}{_words(entry['verdict'])}</td>"
-        f'<td class="left">{_words(entry["reason"])}</td><td>{entry["count"]:,}</td>'
+        f"<tr><td>{_dot(entry['verdict'])}{_spaced(entry['verdict'])}</td>"
+        f'<td class="left">{_spaced(entry["reason"])}</td><td>{entry["count"]:,}</td>'
         f'<td class="left"><span class="bar" style="width:{max(1, round(80 * entry["count"] / most))}px;'
         f'background:{_colour(entry["verdict"])}"></span></td></tr>'
         for entry in by_reason
@@ -209,7 +211,7 @@ def _reasons(summary: dict[str, Any]) -> str:
     silent = summary["verdicts"]["fixes_without_verdict"]
     if silent:
         rows.append(
-            f'<tr><td>{_dot("no_verdict")}no verdict</td><td class="left">nothing was said</td>'
+            f'<tr><td>{_dot("no_verdict")}no verdict</td><td class="left">none published</td>'
             f"<td>{silent:,}</td><td></td></tr>"
         )
     return _table(["Verdict", "<Reason", "Verdicts", "<"], rows)
@@ -219,7 +221,7 @@ def _coverage(summary: dict[str, Any]) -> str:
     if summary["coverage"] is None:
         return f'<p class="absent">{_NO_TRUTH}</p>'
     rows = [
-        f"<tr><td>{_words(source)}</td><td>{c['epochs']:,}</td>"
+        f"<tr><td>{_spaced(source)}</td><td>{c['epochs']:,}</td>"
         f"<td{_flag(c['inside_99'] is not None and c['inside_99'] < 0.99)}>{_percent(c['inside_99'])}</td>"
         f"<td{_flag(c['inside_999'] is not None and c['inside_999'] < 0.999)}>"
         f"{_percent(c['inside_999'], 2)}</td></tr>"
@@ -249,9 +251,9 @@ def _stanford(summary: dict[str, Any]) -> str:
 
 
 def _levels(summary: dict[str, Any]) -> str:
-    """By source: the regions of HPL and VPL, and how tight they are."""
+    """By source: the regions of HPL and VPL, and their tightness."""
     rows = [
-        f"<tr><td>{_words(source)}, {name.upper()}</td><td>{c['epochs']:,}</td>"
+        f"<tr><td>{_spaced(source)}, {name.upper()}</td><td>{c['epochs']:,}</td>"
         f"<td{_flag(c['misleading'])}>{c['misleading']:,}</td><td{_flag(c['hazardous'])}>{c['hazardous']:,}</td>"
         f"<td>{c['unavailable']:,}</td><td>{c['median_level_m']:.2f} m</td><td>{c['median_error_m']:.2f} m</td></tr>"
         for source, levels in summary["levels"].items()
@@ -263,23 +265,25 @@ def _levels(summary: dict[str, Any]) -> str:
 
 
 def _localizer(summary: dict[str, Any]) -> str:
-    said = summary["localizer"]
+    localizer = summary["localizer"]
     rows = [
-        f'<tr><td class="left">{what}</td><td class="left">{_words(word)}</td><td>{count:,}</td>'
+        f'<tr><td class="left">{what}</td><td class="left">{_spaced(name)}</td><td>{count:,}</td>'
         f"<td>{_percent(count / sum(counts.values()))}</td></tr>"
-        for what, counts in (("pose", said["modes"]), ("scan match", said["matches"]))
-        for word, count in counts.items()
+        for what, counts in (("pose", localizer["modes"]), ("scan match", localizer["matches"]))
+        for name, count in counts.items()
     ]
     if not rows:
-        return '<p class="note">The localizer said nothing.</p>'
+        return '<p class="note">The localizer published nothing.</p>'
     heights = {
-        "sensor, by matches": said["sensor_height_m"],
-        "sensor, by its own ground": said["ground_height_m"],
-        **{f"antenna, by {way}": height for way, height in said["antenna_height_m"].items()},
+        "sensor, by matches": localizer["sensor_height_m"],
+        "sensor, by the ground in its sweeps": localizer["ground_height_m"],
+        **{f"antenna, by {method}": height for method, height in localizer["antenna_height_m"].items()},
     }
-    known = [f"{_words(name)} {height:.3f}{_NBSP}m" for name, height in heights.items() if height is not None]
-    told = f'<p class="note">Median height above the road: {"; ".join(known)}.</p>' if known else ""
-    return _table(["<Of what", "<Mode or status", "Count", "Share"], rows) + told
+    known = [
+        f"{_spaced(name)} {height:.3f}{_NBSP}m" for name, height in heights.items() if height is not None
+    ]
+    note = f'<p class="note">Median height above the road: {"; ".join(known)}.</p>' if known else ""
+    return _table(["<Of what", "<Mode or status", "Count", "Share"], rows) + note
 
 
 def _episodes_note(summary: dict[str, Any]) -> str:
@@ -287,11 +291,11 @@ def _episodes_note(summary: dict[str, Any]) -> str:
         return _NO_TRUTH
     cautious = summary["episodes"]["cautious"]
     if cautious is None:
-        return "No fix has a truth beside it."
+        return "The truth is not known at any fix."
     return (
         f"{summary['episodes']['n']} episodes with gaps of up to {EPISODE_GAP_S:g} s, "
-        f"{cautious['n']} with gaps of up to {cautious['gap_s']:g} s: the more cautious count of independent "
-        "trials. Choose one to see it."
+        f"{cautious['n']} with gaps of up to {cautious['gap_s']:g} s: the conservative count of independent "
+        "trials. Click on one to show it in the charts."
     )
 
 
@@ -311,29 +315,29 @@ def _episodes(evaluation: Evaluation) -> str:
             f"<td>{end_s - begin_s:.1f} s</td>",
             f"<td>{len(at)}</td>",
             *(f"<td>{_metres(_largest(values))}</td>" for values in size),
-            f'<td class="left">{_what_happened([evaluation.rows[i] for i in at.tolist()])}</td>',
+            f'<td class="left">{_verdict_counts([evaluation.rows[i] for i in at.tolist()])}</td>',
             '<td class="left bad">missed</td>' if episode.missed else '<td class="left">caught</td>',
         ]
         rows.append(
             f'<tr class="go" tabindex="0" data-start="{begin_s:.3f}" data-end="{end_s:.3f}">'
             f"{''.join(cells)}</tr>"
         )
-    head = ["Episode", "Start", "Length", "Fixes", "Largest 3D", "horizontal", "vertical", "<What was said"]
+    head = ["Episode", "Start", "Length", "Fixes", "Largest 3D", "horizontal", "vertical", "<Verdicts"]
     return _table([*head, "<Outcome"], rows)
 
 
-def _what_happened(rows: list[Judged]) -> str:
+def _verdict_counts(rows: list[JudgedFix]) -> str:
     counts: dict[str, int] = {}
     for row in rows:
-        counts[row.word] = counts.get(row.word, 0) + 1
-    return ", ".join(f"{_dot(word)}{count} {_words(word)}" for word, count in counts.items()) or "–"
+        counts[row.verdict_name] = counts.get(row.verdict_name, 0) + 1
+    return ", ".join(f"{_dot(name)}{count} {_spaced(name)}" for name, count in counts.items()) or "–"
 
 
-# how things are written
+# formats
 
 
 def _table(head: list[str], rows: list[str]) -> str:
-    """A table; a heading that begins with < stands to the left."""
+    """A table; a heading that begins with < is aligned to the left."""
     cells = "".join(f'<th class="left">{h[1:]}</th>' if h.startswith("<") else f"<th>{h}</th>" for h in head)
     return f"<table><thead><tr>{cells}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
@@ -342,7 +346,7 @@ def _text(value: str) -> str:
     return html.escape(value, quote=True)
 
 
-def _words(name: str) -> str:
+def _spaced(name: str) -> str:
     return _text(name.replace("_", " "))
 
 
@@ -355,7 +359,7 @@ def _count(value: int | None) -> str:
 
 
 def _percent(share: float | None, decimals: int = 1) -> str:
-    """A share in per cent; only all of it is written as 100."""
+    """A share in percent; only 1 is written as 100 %."""
     if share is None:
         return _NOT_KNOWN
     step = 10.0**-decimals
@@ -363,7 +367,7 @@ def _percent(share: float | None, decimals: int = 1) -> str:
 
 
 def _upper(bound: float) -> str:
-    """A bound in whole per cent, rounded up: it must still hold as it is written."""
+    """A bound in whole percent, rounded up so that it still holds."""
     return f"{math.ceil(100 * bound - 1e-9)}{_NBSP}%"
 
 
@@ -384,10 +388,10 @@ def _clock(time_s: float) -> str:
     return f"{int(minutes):02d}:{seconds:04.1f}"
 
 
-def _colour(word: str) -> str:
+def _colour(verdict: str) -> str:
     names = {"confirmed_after_verification": "verified", "no_verdict": "silent"}
-    return f"var(--{names.get(word, word)})"
+    return f"var(--{names.get(verdict, verdict)})"
 
 
-def _dot(word: str) -> str:
-    return f'<span class="dot" style="background:{_colour(word)}"></span>'
+def _dot(verdict: str) -> str:
+    return f'<span class="dot" style="background:{_colour(verdict)}"></span>'

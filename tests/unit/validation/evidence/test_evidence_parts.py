@@ -14,14 +14,14 @@ from camber.simulator.faults.schedule import Fault
 from camber.validation.evidence import command as evidence
 from camber.validation.evidence.faults import (
     NAMED_BY,
-    Said,
-    Window,
+    FaultIndication,
+    FaultWindow,
     during,
+    fault_windows,
+    indications_of,
     named_until_ns,
-    said_of,
-    windows_of,
 )
-from camber.validation.evidence.simulated_drives import BLOCK_S, blocks_of, stacked
+from camber.validation.evidence.simulated_drives import BLOCK_S, block_counts, stacked_blocks
 from camber.validation.protection import Positions
 
 NS = 1_000_000_000
@@ -45,7 +45,7 @@ def positions(error_m: list[float], source: list[str], axis_m: float = 1.0) -> P
 
 def test_a_block_counts_epochs_errors_and_what_lies_in_the_ellipses() -> None:
     made = positions([0.1, 0.9, 1.2, 1.7, 2.5], ["rtk", "sensors", "sensors", "sensors", "rtk"])
-    counted = blocks_of(made, made.time_ns)
+    counted = block_counts(made, made.time_ns)
     # Epochs, with an error, below 1.0, 1.5 and 2.0 m.
     assert counted["errors"] == [[4, 4, 2, 3, 4], [1, 1, 0, 0, 0]]
     # The 99 % ellipse reaches to 0.816 of the 99.9 % one.
@@ -56,7 +56,7 @@ def test_a_block_counts_epochs_errors_and_what_lies_in_the_ellipses() -> None:
 
 def test_an_epoch_without_a_position_counts_against_availability_alone() -> None:
     made = positions([0.1, np.nan], ["rtk", "none"])
-    assert blocks_of(made, made.time_ns)["errors"] == [[2, 1, 1, 1, 1]]
+    assert block_counts(made, made.time_ns)["errors"] == [[2, 1, 1, 1, 1]]
 
 
 def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_its_own() -> None:
@@ -64,7 +64,7 @@ def test_a_position_farther_from_an_epoch_than_half_a_step_is_not_its_own() -> N
     step_ns = int(BLOCK_S / 4 * NS)
     later_ns = np.append(made.time_ns + step_ns // 5, made.time_ns[-1] + step_ns)
     # The fifth epoch has none.
-    assert np.sum(blocks_of(made, later_ns)["errors"], axis=0).tolist() == [5, 4, 4, 4, 4]
+    assert np.sum(block_counts(made, later_ns)["errors"], axis=0).tolist() == [5, 4, 4, 4, 4]
 
 
 def test_the_last_that_was_said_of_an_epoch_is_its_position() -> None:
@@ -79,24 +79,24 @@ def test_the_last_that_was_said_of_an_epoch_is_its_position() -> None:
     both["time_ns"][4:] += 2_000_000
     order = np.argsort(both["time_ns"], kind="stable")
     made = Positions(**{name: column[order] for name, column in both.items()})
-    counted = blocks_of(made, sensors.time_ns)
+    counted = block_counts(made, sensors.time_ns)
     assert counted["modes"]["rtk"] == [[4, 4, 4]]
     assert counted["modes"]["sensors"] == [[0, 0, 0]]
     assert counted["errors"] == [[4, 4, 4, 4, 4]]
 
 
 def test_a_drive_without_positions_has_epochs_that_lack_them() -> None:
-    counted = blocks_of(positions([], []), np.arange(3, dtype=np.int64) * NS)
+    counted = block_counts(positions([], []), np.arange(3, dtype=np.int64) * NS)
     assert counted["errors"] == [[3, 0, 0, 0, 0]]
     assert counted["modes"]["rtk"] == [[0, 0, 0]]
 
 
 def test_blocks_of_several_drives_stand_one_after_the_other() -> None:
     made = [positions([0.1] * n, ["rtk"] * n) for n in (4, 8)]
-    counted = [blocks_of(drive, drive.time_ns) for drive in made]
-    assert stacked(counted, None).shape == (3, 5)
-    assert stacked(counted, "rtk").sum() == 36
-    assert stacked([], None).shape == (0, 5)
+    counted = [block_counts(drive, drive.time_ns) for drive in made]
+    assert stacked_blocks(counted, None).shape == (3, 5)
+    assert stacked_blocks(counted, "rtk").sum() == 36
+    assert stacked_blocks([], None).shape == (0, 5)
 
 
 def truth_with(**faults: list[float]) -> TruthTable:
@@ -112,19 +112,24 @@ def test_each_time_that_a_fault_acts_is_a_window_in_the_order_of_time() -> None:
     truth = truth_with(
         fault_wrong_map=[0, 0, 1, 1, 0, 1], fault_jamming=[1, 0, 0, 0, 0, 0], map_wrong_m=[1, 1, 1, 1, 1, 1]
     )
-    found = [(w.kind, w.begin_ns // NS, w.end_ns // NS) for w in windows_of(truth)]
+    found = [(w.kind, w.begin_ns // NS, w.end_ns // NS) for w in fault_windows(truth)]
     assert found == [("jamming", 0, 0), ("wrong_map", 2, 3), ("wrong_map", 5, 5)]
 
 
 def test_what_was_said_in_a_window_is_counted_with_the_time_when_it_began() -> None:
-    said = [Said(10 * NS, "a"), Said(30 * NS, "b"), Said(31 * NS, "b"), Said(90 * NS, "b")]
+    said = [
+        FaultIndication(10 * NS, "a"),
+        FaultIndication(30 * NS, "b"),
+        FaultIndication(31 * NS, "b"),
+        FaultIndication(90 * NS, "b"),
+    ]
     assert during(said, 20 * NS, 50 * NS) == {"b": {"count": 2, "begun_s": 10.0}}
 
 
 def test_what_lasts_from_before_a_window_names_nothing_in_it_until_it_has_ceased_and_begins_anew() -> None:
-    lasting = [Said(k * NS, "cause antenna") for k in range(10)]
+    lasting = [FaultIndication(k * NS, "cause antenna") for k in range(10)]
     assert during(lasting, 5 * NS, 9 * NS) == {"cause antenna": {"count": 5}}
-    anew = [*lasting, Said(20 * NS, "cause antenna")]
+    anew = [*lasting, FaultIndication(20 * NS, "cause antenna")]
     assert during(anew, 5 * NS, 20 * NS) == {"cause antenna": {"count": 6, "begun_s": 15.0}}
 
 
@@ -140,7 +145,7 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
     }
     issue = ReportedIssue(time_ns=0, service="gnss", code="repeated_epoch", text="")
     driven = DriveOutput(recorded=recorded, issues=[issue])
-    assert [word.text for word in said_of(driven)] == [
+    assert [word.text for word in indications_of(driven)] == [
         "gnss repeated_epoch",
         "match lost",
         "cause base",
@@ -153,8 +158,14 @@ def test_what_may_name_a_fault_is_heard_from_every_service_and_in_the_order_of_t
 
 
 def test_a_fault_may_be_named_until_one_begins_that_the_same_words_name() -> None:
-    dropped, again = Window("dropped_process", 10 * NS, 10 * NS), Window("changed_road", 11 * NS, 20 * NS)
-    jump, silence = Window("time_jump", 30 * NS, 35 * NS), Window("missing_epochs", 40 * NS, 45 * NS)
+    dropped, again = (
+        FaultWindow("dropped_process", 10 * NS, 10 * NS),
+        FaultWindow("changed_road", 11 * NS, 20 * NS),
+    )
+    jump, silence = (
+        FaultWindow("time_jump", 30 * NS, 35 * NS),
+        FaultWindow("missing_epochs", 40 * NS, 45 * NS),
+    )
     assert named_until_ns(dropped, [again], 90 * NS) == 25 * NS
     assert named_until_ns(jump, [silence], 90 * NS) == 40 * NS - 1
     assert named_until_ns(silence, [], 50 * NS) == 50 * NS
@@ -165,10 +176,10 @@ def test_a_road_is_named_by_the_surfaces_that_are_said_to_have_changed() -> None
     text = "surface 8 lies +0.30 m from map version 1"
     issue = ReportedIssue(time_ns=6, service="integrity", code="road_changed", text=text)
     driven = DriveOutput(recorded={"verdict": [SimpleNamespace(message=verdict)]}, issues=[issue])
-    assert said_of(driven) == [
-        Said(5, "cause road", 7),
-        Said(5, "verdict height_agrees"),
-        Said(6, "integrity road_changed", 8),
+    assert indications_of(driven) == [
+        FaultIndication(5, "cause road", 7),
+        FaultIndication(5, "verdict height_agrees"),
+        FaultIndication(6, "integrity road_changed", 8),
     ]
 
 

@@ -10,37 +10,40 @@ import pytest
 from camber.integrity.rules import Rules
 from camber.validation.lab.bound_coverage import (
     ALERT_LIMITS_M,
-    LEVELS,
+    LEVEL_PARAMETERS,
     MODES,
     VELOCITY_SIGMA_M_S,
-    Claimed,
+    ClaimedPositions,
     bounds,
     claimed_growth,
-    levels_block,
-    levels_figures,
+    coverage_block,
+    coverage_figures,
     of_fixes,
     prior_shares,
 )
 from camber.validation.lab.false_alarms import right_fixes
-from camber.validation.lab.misleading_information import hazard_block, hazard_figures
+from camber.validation.lab.misleading_information import misleading_block, misleading_figures
 
 SEED = 13
 
 
-def _normal(n: int, sigma_m: float, times: float = 1.0) -> Claimed:
+def _normal(n: int, sigma_m: float, times: float = 1.0) -> ClaimedPositions:
     rng = np.random.default_rng(SEED)
     covariance = np.tile(np.eye(2) * sigma_m**2, (n, 1, 1, 1))
     error = times * sigma_m * rng.normal(size=(n, 2))
-    return Claimed(error, np.ones((n, 1)), np.zeros((n, 1, 2)), covariance, np.zeros(n))
+    return ClaimedPositions(error, np.ones((n, 1)), np.zeros((n, 1, 2)), covariance, np.zeros(n))
 
 
 def test_the_ellipse_of_a_normal_error_holds_what_its_margin_makes_of_it() -> None:
     found = bounds(_normal(10_000, 0.08))
-    expected = 1.0 - 0.01 ** (LEVELS.horizontal_margin**2)
+    expected = 1.0 - 0.01 ** (LEVEL_PARAMETERS.horizontal_margin**2)
     inside = np.mean(np.hypot(*found.in_99.T) <= 1.0)
     assert inside == pytest.approx(expected, abs=4.0 * math.sqrt(0.0075 / 10_000))
     assert found.level_m[0] == pytest.approx(
-        0.08 * LEVELS.horizontal_margin * math.sqrt(-2.0 * math.log(LEVELS.integrity_risk)), rel=1e-3
+        0.08
+        * LEVEL_PARAMETERS.horizontal_margin
+        * math.sqrt(-2.0 * math.log(LEVEL_PARAMETERS.integrity_risk)),
+        rel=1e-3,
     )
 
 
@@ -52,7 +55,7 @@ def test_ellipses_turn_with_their_covariance() -> None:
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     covariance = turn @ np.diag([0.3**2, 0.05**2]) @ turn.T
     error = np.array([turn @ (0.9, 0.0), turn @ (0.0, 0.9)])
-    claimed = Claimed(
+    claimed = ClaimedPositions(
         error, np.ones((2, 1)), np.zeros((2, 1, 2)), np.tile(covariance, (2, 1, 1, 1)), np.zeros(2)
     )
     length = np.hypot(*bounds(claimed).in_99.T)
@@ -61,7 +64,7 @@ def test_ellipses_turn_with_their_covariance() -> None:
 
 def test_the_sum_of_velocities_grows_as_an_integrated_gauss_markov_process() -> None:
     variances, sigma_m_s = claimed_growth()
-    rules = LEVELS.doppler
+    rules = LEVEL_PARAMETERS.doppler
     assert sigma_m_s == pytest.approx(
         math.hypot(rules.sigma_scale * VELOCITY_SIGMA_M_S, rules.sigma_floor_m_s)
     )
@@ -90,13 +93,13 @@ def test_the_lab_draws_as_many_wrong_fixes_as_the_prior_of_their_satellites_says
     assert set(shares[shapes.satellites <= 7]) == {0.95}
     assert set(shares[(shapes.satellites > 7) & (shapes.satellites <= 12)]) == {0.3}
     assert set(shares[shapes.satellites > 12]) == {0.1}
-    hazard = hazard_figures([hazard_block(SEED, 0, Rules())])
+    hazard = misleading_figures([misleading_block(SEED, 0, Rules())])
     assert 0.1 < hazard["wrong_fix_prior"] < 0.95
 
 
 def test_a_block_counts_every_mode_and_its_figures_are_shares_of_its_draws() -> None:
-    block = levels_block(SEED, 0, Rules(), 2_000)
-    figures = levels_figures([block])
+    block = coverage_block(SEED, 0, Rules(), 2_000)
+    figures = coverage_figures([block])
     assert set(figures["modes"]) == set(MODES)
     for counts in figures["modes"].values():
         assert counts["inside_99"]["share"] <= counts["inside_999"]["share"]
@@ -108,7 +111,7 @@ def test_a_block_counts_every_mode_and_its_figures_are_shares_of_its_draws() -> 
 
 
 def test_hazard_is_the_sum_of_its_parts_by_their_shares() -> None:
-    figures = hazard_figures([hazard_block(SEED, 0, Rules())])
+    figures = misleading_figures([misleading_block(SEED, 0, Rules())])
     parts = figures["parts"]
     assert figures["upper_95"] == pytest.approx(sum(part["share"] * part["upper_95"] for part in parts))
     assert sum(part["share"] for part in parts) == pytest.approx(1.0)

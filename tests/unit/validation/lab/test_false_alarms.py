@@ -8,7 +8,7 @@ import pytest
 from camber.integrity.checks.chi2_test import chi2_limit, distances, upper_triangle
 from camber.integrity.rules import Rules
 from camber.validation.lab.error_model import Scene
-from camber.validation.lab.false_alarms import WeightedRate, alarms_block, drawn, rate_of
+from camber.validation.lab.false_alarms import WeightedRate, alarms_block, weighted_draws, weighted_rate
 
 SEED = 7
 
@@ -22,8 +22,8 @@ def _covariances(n: int, rng: np.random.Generator) -> np.ndarray:
 def test_the_tail_of_a_normal_difference_is_that_of_chi_squared(probability: float) -> None:
     rng = np.random.default_rng(SEED)
     s = _covariances(400_000, rng)
-    d, weights = drawn(s, rng)
-    rate = rate_of(weights, distances(tuple(d.T), upper_triangle(s)).joint > chi2_limit(probability, 3))
+    d, weights = weighted_draws(s, rng)
+    rate = weighted_rate(weights, distances(tuple(d.T), upper_triangle(s)).joint > chi2_limit(probability, 3))
     assert rate.effective > 100.0
     sigma = np.sqrt(rate.squares) / rate.draws
     assert abs(rate.rate - probability) < 4.0 * sigma
@@ -34,11 +34,11 @@ def test_importance_sampling_and_plain_sampling_find_the_same_rate_of_a_thousand
     rng = np.random.default_rng(SEED)
     s = _covariances(500_000, rng)
     limit = chi2_limit(1e-3, 2)
-    d, weights = drawn(s, rng)
-    by_weights = rate_of(weights, distances(tuple(d.T), upper_triangle(s)).position > limit)
-    plain, ones = drawn(s, rng, 1.0)
+    d, weights = weighted_draws(s, rng)
+    by_weights = weighted_rate(weights, distances(tuple(d.T), upper_triangle(s)).position > limit)
+    plain, ones = weighted_draws(s, rng, 1.0)
     assert (ones == 1.0).all()
-    counted = rate_of(ones, distances(tuple(plain.T), upper_triangle(s)).position > limit)
+    counted = weighted_rate(ones, distances(tuple(plain.T), upper_triangle(s)).position > limit)
     sigma = np.hypot(np.sqrt(by_weights.squares) / by_weights.draws, np.sqrt(counted.squares) / counted.draws)
     assert abs(by_weights.rate - counted.rate) < 4.0 * sigma
     assert by_weights.effective > 3.0 * counted.effective
@@ -46,7 +46,7 @@ def test_importance_sampling_and_plain_sampling_find_the_same_rate_of_a_thousand
 
 def test_weights_are_one_in_the_mean_and_two_at_most() -> None:
     rng = np.random.default_rng(SEED)
-    _, weights = drawn(_covariances(200_000, rng), rng)
+    _, weights = weighted_draws(_covariances(200_000, rng), rng)
     assert weights.mean() == pytest.approx(1.0, abs=0.01)
     assert weights.max() <= 2.0
 

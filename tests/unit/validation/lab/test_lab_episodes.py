@@ -10,11 +10,11 @@ import pytest
 from camber.integrity.checks.consistency import ConsistencyParameters
 from camber.integrity.rules import Rules
 from camber.simulator.satellites.wrong_fix_shapes import FixShapes
-from camber.validation.lab.baselines import ALL, CONTROLS, JUDGE, Controls
-from camber.validation.lab.error_episodes import Faults, episodes
-from camber.validation.lab.error_model import Assumptions, Scene, judged_covariance
+from camber.validation.lab.baselines import ALL, BASELINES, JUDGE, BaselineDecisions
+from camber.validation.lab.error_episodes import FaultOffsets, episodes
+from camber.validation.lab.error_model import Assumptions, Scene, innovation_covariance
 from camber.validation.lab.false_alarms import right_covariance
-from camber.validation.lab.missed_detection import THRESHOLDS_M, missed_block, stretches
+from camber.validation.lab.missed_detection import THRESHOLDS_M, longest_confirmed_runs, missed_block
 from camber.validation.lab.reference_faults import FAULTS
 
 SEED = 11
@@ -84,7 +84,9 @@ def test_a_wrong_fix_moves_with_its_rate_and_faults_move_what_they_concern() -> 
             for name in shapes.__slots__
         )
     )
-    faults = Faults(np.array([[0.5, 0.0]]), np.array([0.2]), np.array([0.1]), np.array([[0.0, 0.0, 1.0]]))
+    faults = FaultOffsets(
+        np.array([[0.5, 0.0]]), np.array([0.2]), np.array([0.1]), np.array([[0.0, 0.0, 1.0]])
+    )
     run = episodes(shapes, still, np.random.default_rng(SEED), faults, np.array([11]), assumed)
     assert run.error_m[10] == pytest.approx([1.1, 2.0, 3.9], abs=1e-4)
     assert run.difference_m[10] == pytest.approx([0.6, 2.0, 3.6], abs=1e-4)
@@ -97,8 +99,8 @@ def test_height_alone_misses_as_often_as_the_normal_distribution_says() -> None:
     shapes = _shapes(n, (0.0, 5.0, 0.35))
     rng = np.random.default_rng(SEED)
     run = episodes(shapes, SCENE, rng, length=np.ones(n, np.int64), assumed=assumed)
-    s = judged_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
-    said = Controls(rules.determination, SCENE.pose_sigma_m).confirmed(
+    s = innovation_covariance(shapes.claimed_m2, run.slope, SCENE, rules)
+    said = BaselineDecisions(rules.determination, SCENE.pose_sigma_m).confirmed(
         run.difference_m, s, run.episode, shapes.residuals_agree
     )
     sigma = math.sqrt(0.01**2 + assumed.frame_sigma_m**2 + SCENE.map_sigma_m**2 + assumed.antenna_sigma_m**2)
@@ -107,15 +109,15 @@ def test_height_alone_misses_as_often_as_the_normal_distribution_says() -> None:
     assert not said[JUDGE].any()
     assert said["ratio only"].all()
     assert not said["always no"].any()
-    assert list(said) == list(CONTROLS)
+    assert list(said) == list(BASELINES)
 
 
 def test_what_the_shortcut_leaves_out_could_agree_with_nothing() -> None:
     rng = np.random.default_rng(SEED)
     n, rules = 20_000, Rules()
     d = rng.normal(size=(n, 3)) * (0.3, 0.3, 0.2)
-    s = judged_covariance(np.tile(np.eye(3) * 1e-4, (n, 1, 1)), np.zeros((n, 2)), SCENE, rules)
-    controls = Controls(rules.determination, SCENE.pose_sigma_m)
+    s = innovation_covariance(np.tile(np.eye(3) * 1e-4, (n, 1, 1)), np.zeros((n, 2)), SCENE, rules)
+    controls = BaselineDecisions(rules.determination, SCENE.pose_sigma_m)
     said = controls.confirmed(d, s, np.arange(n), np.ones(n, np.bool_))
     assert (said[JUDGE] == controls.agreed(d, s)).all()
     assert 0 < said[JUDGE].sum() < said["LiDAR only"].sum()
@@ -126,7 +128,7 @@ def test_the_longest_stretch_is_of_one_episode_and_an_alert_is_a_harmful_epoch_t
 ):
     harmful = np.array([1, 1, 1, 1, 0, 1, 1, 1], np.bool_)
     confirmed = np.array([1, 1, 0, 1, 1, 1, 1, 1], np.bool_)
-    longest, alerted = stretches(harmful, confirmed, np.array([0, 5]), np.array([5, 3]))
+    longest, alerted = longest_confirmed_runs(harmful, confirmed, np.array([0, 5]), np.array([5, 3]))
     assert longest.tolist() == [2, 3]
     assert alerted.tolist() == [True, False]
 
@@ -134,7 +136,7 @@ def test_the_longest_stretch_is_of_one_episode_and_an_alert_is_a_harmful_epoch_t
 def test_controls_that_ask_for_more_miss_less_and_counts_add_up() -> None:
     found = missed_block("cycles", (Scene(0.05, 0.05), Scene(0.2, 0.05)), 3, 0, 12, 1, Rules())
     for m in found:
-        missed = dict(zip(CONTROLS, m.missed, strict=True))
+        missed = dict(zip(BASELINES, m.missed, strict=True))
         assert (missed["ratio only"] == m.harmful).all()
         assert (missed["always no"] == 0).all()
         assert (missed[ALL] <= missed[JUDGE]).all()
@@ -143,7 +145,7 @@ def test_controls_that_ask_for_more_miss_less_and_counts_add_up() -> None:
         assert (m.confirmed_in_bin <= m.in_bin).all()
         assert m.harmful[0] >= m.harmful[1] > 0
         assert m.stretch.sum(axis=1).tolist() <= m.harmful.tolist()
-    both = [dict(zip(CONTROLS, m.missed[:, 0], strict=True))[JUDGE] for m in found]
+    both = [dict(zip(BASELINES, m.missed[:, 0], strict=True))[JUDGE] for m in found]
     assert both[0] < both[1]
     assert THRESHOLDS_M == (0.5, 1.0)
 
@@ -154,7 +156,7 @@ def test_a_level_of_five_metres_and_a_base_that_is_metres_off_contradict_every_t
         rng = np.random.default_rng(SEED)
         shapes = _shapes(n)
         run = episodes(shapes, Scene(0.05, 0.05), rng, FAULTS[name](shapes, rng), np.ones(n, np.int64))
-        s = judged_covariance(shapes.claimed_m2, run.slope, Scene(0.05, 0.05), rules)
-        controls = Controls(rules.determination, 0.05)
+        s = innovation_covariance(shapes.claimed_m2, run.slope, Scene(0.05, 0.05), rules)
+        controls = BaselineDecisions(rules.determination, 0.05)
         assert not controls.agreed(run.difference_m, s).any()
         assert controls.contradicted(run.difference_m, s).mean() > 0.8

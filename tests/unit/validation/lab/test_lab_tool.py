@@ -14,7 +14,7 @@ from camber.integrity.rules import Rules
 from camber.validation.lab import command as lab
 from camber.validation.lab.error_model import Scene
 from camber.validation.lab.false_alarms import alarms_block
-from camber.validation.lab.missed_detection import Missed, missed_block
+from camber.validation.lab.missed_detection import MissedDetections, missed_block
 from camber.validation.lab.page import page
 from camber.validation.lab.work_blocks import Task, workers
 
@@ -46,7 +46,7 @@ def test_how_many_processes_there_are_changes_no_figure() -> None:
         one, two = list(alone(tasks)), list(beside(tasks))
     assert pickle.dumps(one[3]) == pickle.dumps(two[3])
     for by_one, by_two in zip(one[:3], two[:3], strict=True):
-        for name in Missed.__slots__:
+        for name in MissedDetections.__slots__:
             assert np.array_equal(getattr(by_one[0], name), getattr(by_two[0], name))
     assert not np.array_equal(one[0][0].in_bin, one[1][0].in_bin)
 

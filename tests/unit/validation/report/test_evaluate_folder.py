@@ -1,4 +1,4 @@
-"""`camber evaluate`: the figures again from a folder, or one line and exit code 2."""
+"""`camber evaluate`: summary and report from a folder, or one line and exit code 2."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from camber.schemas.gnss import Fix
 from camber.schemas.integrity import Position, Verdict
 from camber.schemas.motion import Motion
 from camber.validation.evaluate import main
+from camber.validation.reference_trajectory import ReferenceTrajectory
 from camber.validation.report.chart_data import embedded_json
-from camber.validation.truth import Truth
 
 NS = 1_373_000_000_000_000_000
 HOSTILE = '</script><script>alert(1)</script> & "x" {{data}} {{drive}}'
@@ -32,9 +32,9 @@ def epoch(i: int) -> list[tuple[str, Message]]:
     high = i % 10 == 5
     place = PLACE | {"height_m": 43.0 if high else 40.0}
     fix = Fix(time_ns=time_ns, fix_id=i, origin="receiver", quality="fixed", covariance_enu_m2=None, **place)
-    word, reason = ("erroneous", "height_disagrees") if high else ("confirmed", "height_agrees")
+    outcome, reason = ("erroneous", "height_disagrees") if high else ("confirmed", "height_agrees")
     verdict = Verdict(
-        time_ns=time_ns, fix_id=i, verdict=word, reason=reason, tolerance_m=0.2,
+        time_ns=time_ns, fix_id=i, verdict=outcome, reason=reason, tolerance_m=0.2,
         height_difference_m=-3.0 if high else 0.01,
     )  # fmt: skip
     position = Position(
@@ -49,7 +49,12 @@ def make(path: Path, *, truth: bool = True, drive: str = "made", count: int = 30
     folder = RunFolder(path)
     rows = max(1, count)
     times = NS + 200_000_000 * np.arange(rows, dtype=np.int64)
-    reference = Truth(times, np.full(rows, 0.6), np.full(rows, 2.3), np.full(rows, 40.0))
+    reference = ReferenceTrajectory(
+        time_ns=times,
+        latitude_rad=np.full(rows, 0.6),
+        longitude_rad=np.full(rows, 2.3),
+        height_m=np.full(rows, 40.0),
+    )
     facts = DriveFacts(drive=drive, surrogates=(HOSTILE,), truth=truth, alert_limit_m=1.5)
     folder.write_drive(facts, reference if truth else None)
     folder.write_run(RunFacts(speed_factor=50.0, wall_s=1.2))
@@ -129,7 +134,7 @@ def test_a_part_of_a_recording_is_evaluated_only_when_asked_and_says_so(
     assert isinstance(s["damage"], list)
     assert len(s["damage"]) == 1
     assert "only partly read" in capsys.readouterr().err
-    assert "Only a part of the recording could be read" in folder.report_path.read_text("utf-8")
+    assert "Only part of the recording could be read" in folder.report_path.read_text("utf-8")
 
 
 class _Page(HTMLParser):
@@ -162,7 +167,7 @@ def page_of(folder: RunFolder) -> _Page:
     return page
 
 
-def test_texts_from_outside_stay_texts(tmp_path: Path) -> None:
+def test_untrusted_text_stays_text(tmp_path: Path) -> None:
     page = page_of(make(tmp_path, drive=HOSTILE))
     assert page.elements.count("script") == 2
     assert page.text.count(HOSTILE) >= 3  # title, heading, surrogates
@@ -175,7 +180,7 @@ def test_embedded_json_cannot_end_the_element_it_stands_in() -> None:
     assert json.loads(text) == {"a": HOSTILE + "<!--"}
 
 
-def test_the_report_asks_nobody_for_anything(tmp_path: Path) -> None:
+def test_the_report_fetches_nothing(tmp_path: Path) -> None:
     folder = make(tmp_path)
     page = page_of(folder)
     assert page.addresses == []
@@ -192,7 +197,7 @@ def test_the_charts_have_every_epoch_and_null_for_what_is_not_known(tmp_path: Pa
     assert {len(column) for column in data["rows"].values()} == {300}
     assert {len(column) for column in data["positions"].values()} == {300}
     assert (data["rows"]["error"][5], data["rows"]["confirmed_error"][5]) == (3.0, None)
-    assert data["words"][data["rows"]["word"][5]] == "erroneous"
+    assert data["verdict_names"][data["rows"]["verdict"][5]] == "erroneous"
     assert set(data["positions"]["hpl"]) == {None}
 
 

@@ -1,15 +1,14 @@
-"""The figures of one judge over the tentative fixes of a drive: the same for Camber and for every control.
+"""Statistics of decisions on the candidate fixes of a drive: the same for Camber and for every baseline.
 
 Definitions (3D, at the antenna, after the constant offset):
     wrong    error > 0.5 m;  right  error ≤ 0.2 m;  between them a fix is neither
-    episode  wrong fixes (or wrong confirmed positions) one after the other, no right fix between them, each no
-             more than `EPISODE_GAP_S` after the one before
+    episode  consecutive wrong fixes (or wrong confirmed positions) without a right fix between them, each at most
+             `EPISODE_GAP_S` after the previous one
     missed   an episode in which at least one wrong position was confirmed
 
 Epochs of one episode share their cause, so only episodes count as trials: with none of n missed, the rate of
-missed episodes is bounded by 3/n (95 %), no better. Beyond one second a street has other reflections, a
-vehicle that stands has not: `cautious` counts again with 10 s, and its n is the one to quote where vehicles
-stand much.
+missed episodes is bounded by 3/n (95 %). After one second a moving vehicle has other reflections, a stopped
+one has not: `cautious` counts again with 10 s; quote its n where vehicles often stop.
 """
 
 from __future__ import annotations
@@ -24,18 +23,21 @@ from camber.formats.drive.truth_csv import WRONG_M
 from camber.schemas.base import Float64, Int64
 
 RIGHT_M = 0.2
+"""Chosen: several σ of a correct fix and of the reference, and less than one wrong cycle usually moves a position."""
 EPISODE_GAP_S = 1.0
+"""Chosen: a moving vehicle has other reflections after it (see above)."""
 CAUTIOUS_GAP_S = 10.0
+"""Chosen: the largest reflection time constant of `camber lab` (`Assumptions.reflection_time_s`)."""
 _JITTER_S = 0.05  # of receiver times that are nominally a whole period apart
 
 Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tentative:
-    """The fixes that passed the ratio test, in the order of their times: arrays (n,).
+class CandidateFixes:
+    """Fixes that passed the ratio test, in the order of time: arrays (n,).
 
-    `error_m` is in 3D and NaN where the truth is not known there: such a fix is neither right nor wrong.
+    `error_m` is in 3D, NaN where the truth is unknown: such a fix is neither right nor wrong.
     """
 
     time_ns: Int64
@@ -52,12 +54,12 @@ class Tentative:
         return self.error_m <= RIGHT_M
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judgement:
-    """What one judge said: flags (n,) over the tentative fixes, and all positions (m,) that it confirmed.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FixDecisions:
+    """Decisions of one judge: flags (n,) over the candidate fixes, and all positions (m,) that it confirmed.
 
-    A confirmed position may be another one than the tentative fix (a new estimate), or of an epoch without
-    one. `unknown_count` counts every word *unknown*, also on epochs without a fix.
+    A confirmed position may differ from the candidate fix (re-estimation), or be of an epoch without one.
+    `unknown_count` counts every verdict *unknown*, also on epochs without a fix.
     """
 
     confirmed: Flags
@@ -68,9 +70,9 @@ class Judgement:
     confirmed_error_m: Float64
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """One episode of wrong positions; `fixes` are rows of `Tentative`."""
+    """An episode of wrong positions; `fixes` are rows of `CandidateFixes`."""
 
     start_ns: int
     end_ns: int
@@ -83,11 +85,13 @@ class Episode:
         return self.confirmed_wrong > 0
 
 
-def episodes_of(fixes: Tentative, judgement: Judgement, gap_s: float = EPISODE_GAP_S) -> list[Episode]:
+def episodes_of(
+    fixes: CandidateFixes, decisions: FixDecisions, gap_s: float = EPISODE_GAP_S
+) -> list[Episode]:
     """The episodes, in the order of time."""
-    n, m = len(fixes.time_ns), len(judgement.confirmed_time_ns)
-    time_ns = np.concatenate((fixes.time_ns, judgement.confirmed_time_ns))
-    missed = np.concatenate((np.zeros(n, bool), judgement.confirmed_error_m > WRONG_M))
+    n, m = len(fixes.time_ns), len(decisions.confirmed_time_ns)
+    time_ns = np.concatenate((fixes.time_ns, decisions.confirmed_time_ns))
+    missed = np.concatenate((np.zeros(n, bool), decisions.confirmed_error_m > WRONG_M))
     wrong = np.concatenate((fixes.wrong, np.zeros(m, bool))) | missed
     right = np.concatenate((fixes.right, np.zeros(m, bool)))
     row = np.concatenate((np.arange(n), np.full(m, -1)))
@@ -95,16 +99,16 @@ def episodes_of(fixes: Tentative, judgement: Judgement, gap_s: float = EPISODE_G
     order = relevant[np.argsort(time_ns[relevant], kind="stable")]
 
     groups: list[list[int]] = []
-    rights_between = True
+    right_between = True
     for i in order.tolist():
         if not wrong[i]:
-            rights_between = True
+            right_between = True
             continue
         apart = not groups or time_ns[i] - time_ns[groups[-1][-1]] > (gap_s + _JITTER_S) * 1e9
-        if apart or rights_between:
+        if apart or right_between:
             groups.append([])
         groups[-1].append(i)
-        rights_between = False
+        right_between = False
     return [
         Episode(
             start_ns=int(time_ns[group[0]]),
@@ -116,19 +120,19 @@ def episodes_of(fixes: Tentative, judgement: Judgement, gap_s: float = EPISODE_G
     ]
 
 
-def some_known(error_m: Float64) -> bool:
-    """Whether counting these errors says anything: one of them is known, or there is none to know."""
+def is_evaluable(error_m: Float64) -> bool:
+    """Whether errors can be counted: at least one is known, or there is none."""
     return not len(error_m) or bool(np.isfinite(error_m).any())
 
 
-def figures(fixes: Tentative, judgement: Judgement, *, truth: bool) -> dict[str, Any]:
-    """The figures of one judge; what depends on a truth is None where there is none, or none at any fix."""
-    error_m = judgement.confirmed_error_m
+def decision_statistics(fixes: CandidateFixes, decisions: FixDecisions, *, truth: bool) -> dict[str, Any]:
+    """Statistics of one judge; what needs a truth is None where it is unknown at every fix."""
+    error_m = decisions.confirmed_error_m
     right = fixes.right
-    fixes_known = truth and some_known(fixes.error_m)
-    confirmed_known = truth and some_known(error_m)
-    any_known = truth and some_known(np.concatenate((fixes.error_m, error_m)))
-    kept = float(judgement.confirmed[right].mean()) if right.any() else None
+    fixes_known = truth and is_evaluable(fixes.error_m)
+    confirmed_known = truth and is_evaluable(error_m)
+    any_known = truth and is_evaluable(np.concatenate((fixes.error_m, error_m)))
+    kept = float(decisions.confirmed[right].mean()) if right.any() else None
     return {
         "confirmed": {
             "count": len(error_m),
@@ -138,20 +142,20 @@ def figures(fixes: Tentative, judgement: Judgement, *, truth: bool) -> dict[str,
         "right": {
             "count": int(right.sum()) if fixes_known else None,
             "kept": kept if fixes_known else None,
-            "erroneous": int(judgement.erroneous[right].sum()) if fixes_known else None,
+            "erroneous": int(decisions.erroneous[right].sum()) if fixes_known else None,
         },
-        "erroneous": {"count": int(judgement.erroneous.sum())},
-        "unknown": {"count": judgement.unknown_count, "of_fixed": int(judgement.unknown.sum())},
-        "episodes": _episode_figures(fixes, judgement) if any_known else dict.fromkeys(_EPISODE_NAMES),
+        "erroneous": {"count": int(decisions.erroneous.sum())},
+        "unknown": {"count": decisions.unknown_count, "of_fixed": int(decisions.unknown.sum())},
+        "episodes": _episode_statistics(fixes, decisions) if any_known else dict.fromkeys(_EPISODE_NAMES),
     }
 
 
 _EPISODE_NAMES = ("wrong", "missed", "longest_s", "n", "bound", "cautious")
 
 
-def _episode_figures(fixes: Tentative, judgement: Judgement) -> dict[str, Any]:
-    episodes = episodes_of(fixes, judgement)
-    cautious = episodes_of(fixes, judgement, CAUTIOUS_GAP_S)
+def _episode_statistics(fixes: CandidateFixes, decisions: FixDecisions) -> dict[str, Any]:
+    episodes = episodes_of(fixes, decisions)
+    cautious = episodes_of(fixes, decisions, CAUTIOUS_GAP_S)
     return {
         **_counts(episodes),
         "longest_s": max(((e.end_ns - e.start_ns) / 1e9 for e in episodes), default=0.0),
