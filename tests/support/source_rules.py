@@ -13,7 +13,7 @@ import tokenize
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from support.tree import ROOT, SOURCE_ROOTS, tracked_files
@@ -41,8 +41,11 @@ class Violation:
     text: str
 
     def __str__(self) -> str:
-        name = self.path.relative_to(ROOT) if self.path.is_relative_to(ROOT) else self.path
-        return f"{name}:{self.line}: {self.rule}: {self.text}"
+        return f"{_shown(self.path)}:{self.line}: {self.rule}: {self.text}"
+
+
+def _shown(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.as_posix()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,14 +82,13 @@ def identifier_words(name: str) -> str:
 
 def word_violations(path: Path, text: str) -> Iterator[Violation]:
     """Words not to use, in the identifiers that a file defines, in its comments, docstrings and other texts."""
-    relative = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
-    listed = [word for word in words() if not relative.startswith(word.excepted or ("\0",))]
+    listed = [word for word in words() if not _shown(path).startswith(word.excepted or ("\0",))]
     if path.suffix == ".py":
-        tree = ast.parse(text)
-        for line, name in _defined_names(tree):
-            for word in listed:
-                if word.in_identifiers and f" {word.word} " in identifier_words(name):
-                    yield Violation(path=path, line=line, rule=f"word '{word.word}' in identifier", text=name)
+        forbidden = "|".join(re.escape(word.word) for word in listed if word.in_identifiers)
+        in_identifier = re.compile(f" ({forbidden}) ")
+        for line, name in _defined_names(text):
+            for match in in_identifier.finditer(identifier_words(name)):
+                yield Violation(path=path, line=line, rule=f"word '{match[1]}' in identifier", text=name)
     in_texts = [word.word for word in listed if word.in_texts]
     pattern = re.compile(rf"\b(?:{'|'.join(map(re.escape, in_texts))})\b", re.IGNORECASE)
     for line, content in _texts(path, text):
@@ -96,8 +98,8 @@ def word_violations(path: Path, text: str) -> Iterator[Violation]:
             yield Violation(path=path, line=at, rule=f"word '{match[0].lower()}' in text", text=shown)
 
 
-def _defined_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    for node in ast.walk(tree):
+def _defined_names(text: str) -> Iterator[tuple[int, str]]:
+    for node in _nodes(text):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
             yield node.lineno, node.name
         elif isinstance(node, ast.arg):
@@ -110,10 +112,28 @@ def _defined_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.asname
 
 
-def _texts(path: Path, text: str) -> Iterator[tuple[int, str]]:
-    if path.suffix != ".py":
-        yield 1, re.sub(r"`[^`\n]+`", lambda code: " " * len(code[0]), text)
-        return
+@lru_cache(maxsize=1)
+def _parsed(text: str) -> ast.Module:
+    return ast.parse(text)
+
+
+@lru_cache(maxsize=1)
+def _nodes(text: str) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(_parsed(text)))
+
+
+def _texts(path: Path, text: str) -> Iterable[tuple[int, str]]:
+    if path.suffix == ".py":
+        return _python_texts(text)
+    return [(1, re.sub(r"`[^`\n]+`", lambda code: " " * len(code[0]), text))]
+
+
+@lru_cache(maxsize=1)
+def _python_texts(text: str) -> tuple[tuple[int, str], ...]:
+    return tuple(_comments_and_strings(text))
+
+
+def _comments_and_strings(text: str) -> Iterator[tuple[int, str]]:
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type in (tokenize.STRING, tokenize.COMMENT):
             yield token.start[0], re.sub(r"`[^`\n]+`", lambda code: " " * len(code[0]), token.string)
@@ -121,7 +141,7 @@ def _texts(path: Path, text: str) -> Iterator[tuple[int, str]]:
 
 def interface_violations(path: Path, text: str) -> Iterator[Violation]:
     """Calls of Camber's own functions with many positional arguments; dataclasses that are not keyword-only."""
-    for node in ast.walk(ast.parse(text)):
+    for node in _nodes(text):
         if isinstance(node, ast.Call) and len(node.args) > MOST_POSITIONAL and _calls_camber(node.func):
             rule = f"{len(node.args)} positional arguments"
             yield Violation(path=path, line=node.lineno, rule=rule, text=ast.unparse(node.func))
@@ -168,7 +188,7 @@ def product_files() -> list[Path]:
 
 def constant_violations(path: Path, text: str) -> Iterator[Violation]:
     """Module-level numbers without a comment on their line, above their block, or a docstring below."""
-    body, lines = ast.parse(text).body, text.splitlines()
+    body, lines = _parsed(text).body, text.splitlines()
     block_has_source, last = False, -1
     for at, node in enumerate(body):
         target = _number_assigned(node)
@@ -234,7 +254,7 @@ def class_violations(paths: Iterable[Path]) -> Iterator[Violation]:
     for name, defined in sorted(places.items()):
         if len(defined) > 1:
             for path, line in defined:
-                others = ", ".join(str(other.relative_to(ROOT)) for other, _ in defined if other != path)
+                others = ", ".join(_shown(other) for other, _ in defined if other != path)
                 yield Violation(
                     path=path, line=line, rule="class name with several meanings", text=f"{name}: {others}"
                 )
