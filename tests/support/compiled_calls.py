@@ -26,19 +26,18 @@ def main(service: str) -> int:
     package = importlib.import_module(f"camber.{service}")
     warm_up = importlib.import_module(f"camber.{service}.warm_up")
     importlib.import_module(f"camber.{service}.service")
-    own = [
-        importlib.import_module(f"camber.{service}.{found.name}")
-        for found in pkgutil.iter_modules(package.__path__)
-        if found.name != "__main__"
+    of_service = [
+        importlib.import_module(module.name)
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if not module.name.endswith("__main__")
     ]
-    shared = [
-        each for name, each in sys.modules.items() if name.startswith(("camber.formats.", "camber.geodesy."))
-    ]
+    shared_folders = ("camber.formats.", "camber.road_map.", "camber.geodesy.")
+    shared = [module for name, module in sys.modules.items() if name.startswith(shared_folders)]
     warm_up.warm_up()
     if hasattr(warm_up, "compile_readers"):
         warm_up.compile_readers()
-    called = {each: by for module in (*own, *shared) for each, by in _calls(module, compiled=False)}
-    within = {each for module in (*own, *shared) for each, _ in _calls(module, compiled=True)}
+    called = {each: by for module in (*of_service, *shared) for each, by in _calls(module, compiled=False)}
+    within = {each for module in (*of_service, *shared) for each, _ in _calls(module, compiled=True)}
     missing = [
         f"{each.py_func.__module__}.{each.py_func.__name__}, called by {by}"
         for each, by in called.items()
