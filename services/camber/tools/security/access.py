@@ -1,12 +1,12 @@
-"""`camber access`: who may say what on the cloud's router, made from the table of channels.
+"""`camber access`: generate and check access-control rules of routers, derived from the table of channels.
 
-    camber access cloud --certs FOLDER --out cloud.json5               for all that FOLDER has issued and not revoked
+    camber access cloud --certs FOLDER --out cloud.json5               all certificates in FOLDER that are not revoked
     camber access cloud --vehicle car-1 --vehicle car-2 --consumer dashboard --out cloud.json5
     camber access vehicle car-1 --connect tls/cloud.example:7448 --out vehicle.json5
-    camber access table                                                the rules for people, as in docs/security.md
-    camber access check vehicle.json5                                  is what this certificate says heard?
+    camber access table                                                the rules in Markdown, as in docs/security.md
+    camber access check vehicle.json5                                  test whether this certificate may publish
 
-`camber router --config-file FILE` and `zenohd --config FILE` take what comes out. A router reads it when it starts.
+`camber router --config-file FILE` and `zenohd --config FILE` accept the generated file. A router reads it at startup.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Returns 2 where nothing was made; from `check` 1 where we are not heard, 3 where nobody is reached."""
-    words = sys.argv[1:] if argv is None else argv
-    args = _parser().parse_args(words)
-    args.made_by = shlex.join(["camber", "access", *_without_out(words)])
+    """Return 0 on success, 2 on failure; `check` returns 1 where publishing is denied, 3 where no router answers."""
+    arguments = sys.argv[1:] if argv is None else argv
+    args = _parser().parse_args(arguments)
+    args.made_by = shlex.join(["camber", "access", *_without_out(arguments)])
     try:
         code: int = args.work(args)
         return code
@@ -52,83 +52,89 @@ def _parser() -> argparse.ArgumentParser:
         prog="camber access", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    cloud = commands.add_parser("cloud", help="configuration of a router of the cloud")
+    cloud = commands.add_parser("cloud", help="write the configuration of a cloud router")
     cloud.set_defaults(work=_cloud)
-    cloud.add_argument("--certs", type=Path, metavar="FOLDER", help="all that this authority has issued")
+    cloud.add_argument(
+        "--certs", type=Path, metavar="FOLDER", help="folder of the CA: include all certificates issued"
+    )
     for kind in ("vehicle", "consumer", "judge", "operator"):
         cloud.add_argument(
             f"--{kind}",
             action="append",
             default=[],
             metavar="NAME",
-            help="repeatable; NAME=CN where the common name of the certificate is another",
+            help="repeatable; NAME=CN where the certificate's common name differs from NAME",
         )
     cloud.add_argument(
         "--router",
         action="append",
         metavar="CN",
-        help="names of all routers (cloud); the first is this",
+        help="common names of all cloud routers, this one first (default cloud)",
     )
-    cloud.add_argument("--listen", action="append", help=f"({LISTEN_CLOUD})")
-    cloud.add_argument("--connect", action="append", default=[], help="another router of the cloud")
-    vehicle = commands.add_parser("vehicle", help="configuration of a vehicle's router")
+    cloud.add_argument("--listen", action="append", help=f"endpoint to listen on (default {LISTEN_CLOUD})")
+    cloud.add_argument("--connect", action="append", default=[], help="endpoint of another cloud router")
+    vehicle = commands.add_parser("vehicle", help="write the configuration of a vehicle's router")
     vehicle.set_defaults(work=_vehicle)
     vehicle.add_argument("name", metavar="NAME")
     vehicle.add_argument(
-        "--connect", action="append", required=True, help="the cloud's; more: if one is away"
+        "--connect", action="append", required=True, help="endpoint of a cloud router; repeat for failover"
     )
-    vehicle.add_argument("--listen", action="append", help=f"within the vehicle ({LISTEN_VEHICLE})")
+    vehicle.add_argument(
+        "--listen", action="append", help=f"endpoint within the vehicle (default {LISTEN_VEHICLE})"
+    )
     vehicle.add_argument(
         "--to",
         nargs="+",
         choices=[kind for kind in _KINDS if kind != "vehicle"],
         default=["map_update", "consumer"],
-        help="who there is in the cloud that this vehicle lets its words out to (map_update consumer)",
+        help="cloud parties that may receive this vehicle's messages (default map_update consumer)",
     )
     for command in (cloud, vehicle):
         command.add_argument(
-            "--tls", type=Path, default=FOLDER, help=f"folder of ca.pem and the pair ({FOLDER})"
+            "--tls", type=Path, default=FOLDER, help=f"folder of CA, certificate and key (default {FOLDER})"
         )
-        command.add_argument("--out", type=Path, metavar="FILE", help="(standard output)")
-    table = commands.add_parser("table", help="who may say what, in Markdown")
+        command.add_argument("--out", type=Path, metavar="FILE", help="output file (default standard output)")
+    table = commands.add_parser("table", help="print the access rules as a Markdown table")
     table.set_defaults(work=lambda _: print(table_text(), end="") or 0)
-    check = commands.add_parser("check", help="is what this certificate says heard?")
+    check = commands.add_parser("check", help="test whether this certificate may publish")
     check.set_defaults(work=_check)
     check.add_argument("file", type=Path, metavar="FILE", help="configuration of a router")
-    check.add_argument("--name", help="vehicle in whose name (that of the rules, or of the certificate)")
+    check.add_argument(
+        "--name", help="vehicle to publish as (default: from the rules, else from the certificate)"
+    )
     check.add_argument("--timeout-s", type=SECONDS, default=5.0)
     return parser
 
 
 def _cloud(args: argparse.Namespace) -> int:
     issued = [] if args.certs is None else Authority(args.certs).issued()
-    parties = [] if args.certs is not None else [Party("map_update", "map_update")]
+    parties = [] if args.certs is not None else [Party(kind="map_update", name="map_update")]
     of_folder = {row.name: row.common_name for row in issued if row.kind == "router" and row.revoked is None}
     routers = [of_folder.get(name, name) for name in args.router or ()] + list(of_folder.values())
     for row in issued:
         if row.kind != "router" and row.revoked is None:
-            parties.append(Party(row.kind, row.name, row.common_name))
+            parties.append(Party(kind=row.kind, name=row.name, common_name=row.common_name))
     for kind in _KINDS:
         for text in getattr(args, kind, ()):
             name, _, common_name = text.partition("=")
-            parties.append(Party(kind, name, common_name))
-    parties = list(dict.fromkeys(parties))  # renewed ones share their name
+            parties.append(Party(kind=kind, name=name, common_name=common_name))
+    parties = list(dict.fromkeys(parties))  # a renewed certificate keeps its name
     for party in parties:
         check_name(party.name)
     routers = list(dict.fromkeys(routers or ["cloud"]))
     revoked = {row.common_name for row in issued if row.revoked is not None}
     for common_name in (*routers, *(party.certificate for party in parties)):
         if common_name in revoked:
-            raise CertsError(f"{common_name}: is revoked in {args.certs}")
+            raise CertsError(f"{common_name}: revoked in {args.certs}")
     config = cloud_config(
         parties,
         routers=routers,
         listen=args.listen or [LISTEN_CLOUD],
         connect=args.connect,
         folder=args.tls,
-        own=name_of(routers[0]),  # as `camber certs` names the file
+        certificate_name=name_of(routers[0]),  # as `camber certs` names the file
     )
-    about = f"A router of the cloud: {len(parties)} certificates may join, each with its own rules; others nothing."
+    about = f"Cloud router: {len(parties)} certificates, each with its own rules; all others are denied."
     _write(args.out, text_of(config, about=about, made_by=args.made_by))
     return 0
 
@@ -136,10 +142,12 @@ def _cloud(args: argparse.Namespace) -> int:
 def _vehicle(args: argparse.Namespace) -> int:
     check_name(args.name)
     for endpoint in args.connect:
-        if not endpoint.startswith(OVER_TLS):  # its rules take what comes otherwise for a service within
+        if not endpoint.startswith(
+            OVER_TLS
+        ):  # the rules treat any other protocol as a service inside the vehicle
             raise ValueError(f"--connect {endpoint}: expected tls/… or quic/…")
     for endpoint in args.listen or ():
-        if endpoint.partition("/")[0] not in INSIDE:  # and what comes over TLS for the cloud
+        if endpoint.partition("/")[0] not in INSIDE:  # the rules treat TLS as the link to the cloud
             raise ValueError(f"--listen {endpoint}: expected {' or '.join(f'{name}/…' for name in INSIDE)}")
     config = vehicle_config(
         args.name,
@@ -147,11 +155,9 @@ def _vehicle(args: argparse.Namespace) -> int:
         listen=args.listen or [LISTEN_VEHICLE],
         kinds=args.to,
         folder=args.tls,
-        own=args.name,
+        certificate_name=args.name,
     )
-    about = (
-        f"The router in the vehicle {args.name}: all within it, one link to the cloud, and little over that."
-    )
+    about = f"Router of vehicle {args.name}: everything inside; one restricted link to the cloud."
     _write(args.out, text_of(config, about=about, made_by=args.made_by))
     return 0
 
@@ -160,13 +166,13 @@ def _check(args: argparse.Namespace) -> int:
     try:
         _, connect, table = router_endpoints(args.file)
         settings = settings_of(connect, table)
-        own = name_of(certificate_name(Path(table["connect_certificate"])))
-        name = args.name or name_in(router_rules(args.file)) or own
-        heard = can_publish(settings, name, timeout_s=args.timeout_s)
+        common_name = name_of(certificate_name(Path(table["connect_certificate"])))
+        name = args.name or name_in(router_rules(args.file)) or common_name
+        access = can_publish(settings, name, timeout_s=args.timeout_s)
     except (BusError, TlsError) as error:
         print(f"camber access: {args.file}: {error}", file=sys.stderr)
         return 3
-    if heard == "permitted":
+    if access == "permitted":
         print(f"accepted as {name} at {', '.join(settings.connect)}")
         return 0
     print(f"camber access: {denial_message(settings, name)}", file=sys.stderr)
@@ -174,9 +180,9 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def settings_of(connect: Sequence[str], table: dict[str, object]) -> ZenohSettings:
-    """What a router's own configuration would be as that of a client. Raises ValueError where it joins nobody."""
+    """Return client settings equivalent to a router's uplink. Raises ValueError where it has none over TLS."""
     if not connect or not table.get("connect_certificate"):
-        raise ValueError("it joins no other router over TLS, so there is nobody to be heard by")
+        raise ValueError("connects to no other router over TLS, so there is no access to check")
     return ZenohSettings(
         mode="client",
         connect=list(connect),
@@ -203,13 +209,13 @@ def _write(path: Path | None, text: str) -> None:
     print(f"{path} written", file=sys.stderr)
 
 
-def _without_out(words: Sequence[str]) -> list[str]:
+def _without_out(arguments: Sequence[str]) -> list[str]:
     kept, skip = [], False
-    for word in words:
-        if skip or word == "--out" or word.startswith("--out="):
-            skip = word == "--out"
+    for argument in arguments:
+        if skip or argument == "--out" or argument.startswith("--out="):
+            skip = argument == "--out"
             continue
-        kept.append(word)
+        kept.append(argument)
     return kept
 
 

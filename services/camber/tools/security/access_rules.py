@@ -1,16 +1,16 @@
-"""Who may say what: Zenoh's access control, made from the table of channels and a list of names.
+"""Zenoh access-control rules, derived from the table of channels and a list of parties.
 
-What nobody is allowed is denied. A party is a certificate's common name and what it stands for. A channel is open
-between two of them where the table has one among its producers and the other among its consumers; so within a vehicle
-nothing is open to the outside, and no rule ever names two vehicles. Rules are those of the cloud's router; a vehicle's
-own router has their mirror for its one link, so that neither has to trust the file of the other.
+Default deny. A party is a certificate's common name with its kind. A channel is open between two kinds where the table
+lists one as producer and the other as consumer, so channels internal to a vehicle stay internal, and no rule names two
+vehicles. The rules are those of the cloud's router; a vehicle's router applies the mirrored rules on its uplink, so
+neither side has to trust the other's file.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -21,7 +21,7 @@ from camber.schemas.channels import CHANNELS, SENSORS, VEHICLE_SERVICES, Channel
 Kind = Literal["vehicle", "map_update", "consumer", "judge", "operator"]
 Flow = Literal["ingress", "egress"]
 FLEET = "fleet"
-"""The vehicle's name in keys of services of the cloud."""
+"""Vehicle name in the keys of cloud services."""
 INSIDE = ("tcp", "unixsock-stream")
 MESSAGES = (
     "put",
@@ -47,9 +47,9 @@ _ROLES: dict[Kind, frozenset[str]] = {
 _SERVICE: dict[Kind, str] = {"map_update": "map_update", "judge": "integrity"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Party:
-    """A certificate and what it stands for; `name` is the vehicle's, or the common name itself."""
+    """A certificate holder; `name` is the vehicle's name, or the common name itself."""
 
     kind: Kind
     name: str
@@ -57,13 +57,13 @@ class Party:
 
     @property
     def certificate(self) -> str:
-        """The common name that stands in the certificate."""
+        """The certificate's common name."""
         return self.common_name or self.name
 
 
-@dataclass(frozen=True, slots=True)
-class Allowed:
-    """One message that may pass the cloud's router, on its way in from a party or out to it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AllowedMessage:
+    """One Zenoh message type on a key that may pass the cloud's router, to (egress) or from (ingress) a party."""
 
     flow: Flow
     message: str
@@ -71,84 +71,85 @@ class Allowed:
 
 
 def open_channels(kinds: Iterable[Kind]) -> Iterator[tuple[Channel, Kind, Kind]]:
-    """Each channel with a kind that speaks (publishes, asks) and one that hears (subscribes, answers)."""
+    """Yield each channel with a kind that sends (publishes, queries) and one that receives (subscribes, replies)."""
     present = [kind for kind in _ROLES if kind in set(kinds)]
-    for channel, speaker, hearer in product(CHANNELS, present, present):
-        if channel.delivery != "barrier" and _speaks(channel, speaker) and _hears(channel, hearer, speaker):
-            yield channel, speaker, hearer
+    for channel, sender, receiver in product(CHANNELS, present, present):
+        if channel.delivery != "barrier" and _sends(channel, sender) and _receives(channel, receiver, sender):
+            yield channel, sender, receiver
 
 
-def _speaks(channel: Channel, kind: Kind) -> bool:
-    # An upload is a vehicle's word: by hand it is sent from the vehicle, with its certificate.
+def _sends(channel: Channel, kind: Kind) -> bool:
+    # `camber upload` runs in the vehicle, with the vehicle's certificate: tools need no right of their own.
     if channel.delivery == "upload" and "tools" in channel.producers:
         return kind == "vehicle"
-    # Its health check asks map_update with the certificate of map_update.
-    return bool(_ROLES[kind] & set(channel.producers)) or (kind == "map_update" and _of_itself(channel))
+    # The container health check queries map_update with map_update's certificate.
+    return bool(_ROLES[kind] & set(channel.producers)) or (kind == "map_update" and _is_per_service(channel))
 
 
-def _hears(channel: Channel, kind: Kind, speaker: Kind) -> bool:
-    if speaker == kind:
-        return kind == "map_update" and _of_itself(channel)
-    if speaker == "map_update" and _of_itself(channel):
+def _receives(channel: Channel, kind: Kind, sender: Kind) -> bool:
+    if sender == kind:
+        return kind == "map_update" and _is_per_service(channel)
+    if sender == "map_update" and _is_per_service(channel):
         return False
     return bool(_ROLES[kind] & set(channel.consumers))
 
 
-def _of_itself(channel: Channel) -> bool:
+def _is_per_service(channel: Channel) -> bool:
     return "{service}" in channel.key
 
 
-def allowed(party: Party, kinds: Iterable[Kind]) -> list[Allowed]:
-    """All that the cloud's router lets pass from and to one party, where parties of `kinds` exist."""
+def allowed_messages(party: Party, kinds: Iterable[Kind]) -> list[AllowedMessage]:
+    """Return all that the cloud's router lets pass from and to one party, where parties of `kinds` exist."""
     kinds = set(kinds) | {party.kind}
-    found: dict[Allowed, None] = {}
+    messages: dict[AllowedMessage, None] = {}
 
     def add(flow: Flow, message: str, *keys: str) -> None:
-        found.update(dict.fromkeys(Allowed(flow, message, key) for key in keys))
+        messages.update(dict.fromkeys(AllowedMessage(flow=flow, message=message, key=key) for key in keys))
 
-    for channel, speaker, hearer in open_channels(kinds):
-        keys, wide = _keys(channel, party, speaker, hearer)
-        asked = channel.reply is not None
-        if speaker == party.kind:
-            add("ingress", "query" if asked else "put", *keys)
-            # Who hears may do so of all vehicles at once, and declares just that.
-            add("egress", "declare_queryable" if asked else "declare_subscriber", *keys, *wide)
-            if asked:
+    for channel, sender, receiver in open_channels(kinds):
+        keys, wildcard_keys = _keys(channel, party, sender, receiver)
+        is_query = channel.reply is not None
+        send, declare = ("query", "declare_queryable") if is_query else ("put", "declare_subscriber")
+        if sender == party.kind:
+            add("ingress", send, *keys)
+            # A receiver may subscribe to all vehicles at once, and its declaration then carries the wildcard.
+            add("egress", declare, *keys, *wildcard_keys)
+            if is_query:
                 add("egress", "reply", *keys)
-        if hearer == party.kind:
-            add("ingress", "declare_queryable" if asked else "declare_subscriber", *keys)
-            add("egress", "query" if asked else "put", *keys)
-            if asked:
+        if receiver == party.kind:
+            add("ingress", declare, *keys)
+            add("egress", send, *keys)
+            if is_query:
                 add("ingress", "reply", *keys)
-    for flow, message, key in _alive(party, kinds):
+    for flow, message, key in _liveliness(party, kinds):
         add(flow, message, key)
     for message in ("put", "declare_subscriber"):
         add("ingress", message, _echo(party))
         add("egress", message, _echo(party))
-    return list(found)
+    return list(messages)
 
 
 def _echo(party: Party) -> str:
-    """Where this party hears itself: that of the name in which it speaks, a judge in any."""
+    """Return the key on which this party receives its own probe; a judge may publish as any vehicle."""
     return echo_key({"judge": "*", "map_update": FLEET}.get(party.kind, party.name))
 
 
-def _keys(channel: Channel, party: Party, speaker: Kind, hearer: Kind) -> tuple[list[str], list[str]]:
-    """The party's own keys of a channel, and those with a `*` under which others may declare them."""
-    # Services of the cloud go by the name of the fleet; a judge there by that of each vehicle.
-    in_fleet = hearer == "map_update" and "{service}" in channel.key
-    service = _SERVICE.get(hearer, "*")
-    wide = channel.key_for(FLEET if in_fleet else "*").replace("{service}", service)
+def _keys(channel: Channel, party: Party, sender: Kind, receiver: Kind) -> tuple[list[str], list[str]]:
+    """Return the party's keys of a channel, and the wildcard keys under which others may declare them."""
+    # Cloud services use the fleet's name in keys; a judge in the cloud uses that of each vehicle.
+    in_fleet = receiver == "map_update" and "{service}" in channel.key
+    service = _SERVICE.get(receiver, "*")
+    wildcard = channel.key_for(FLEET if in_fleet else "*").replace("{service}", service)
     if party.kind != "vehicle" or in_fleet:
-        return [wide], []
-    own = channel.key_for(party.name)
-    if "{service}" not in own:
-        return [own], [wide]
-    return [own.replace("{service}", name) for name in _WITHIN], [wide]
+        return [wildcard], []
+    key = channel.key_for(party.name)
+    if "{service}" not in key:
+        return [key], [wildcard]
+    return [key.replace("{service}", name) for name in _WITHIN], [wildcard]
 
 
-def _alive(party: Party, kinds: set[Kind]) -> Iterator[tuple[Flow, str, str]]:
-    """Who is there is known to those that ask for it: a judge in the cloud, and operators."""
+def _liveliness(party: Party, kinds: set[Kind]) -> Iterator[tuple[Flow, str, str]]:
+    """Yield the liveliness messages allowed: only a judge in the cloud and operators may watch liveliness."""
     watched = {"judge", "operator"} & kinds
     every = ALIVE.format(vehicle="*", service="*")
     if party.kind == "vehicle" and watched:
@@ -173,7 +174,7 @@ def _alive(party: Party, kinds: set[Kind]) -> Iterator[tuple[Flow, str, str]]:
 
 
 def cloud_access_control(parties: Sequence[Party], routers: Sequence[str]) -> dict[str, Any]:
-    """`access_control` of the cloud's routers; `routers` are the common names of all of them, who trust one another."""
+    """Return `access_control` of the cloud's routers; `routers`: common names of all, which trust one another."""
     for names in ([*routers, *(p.certificate for p in parties)], [p.name for p in parties]):
         for name, times in Counter(names).items():
             if times > 1:
@@ -183,22 +184,22 @@ def cloud_access_control(parties: Sequence[Party], routers: Sequence[str]) -> di
     control.subject("routers", {"cert_common_names": list(routers)}, [_everything()])
     for party in parties:
         subject = {"cert_common_names": [party.certificate]}
-        # With the kind before it no common name can be the id of another's subject or rule.
-        control.subject(f"{party.kind} {party.certificate}", subject, _rules(allowed(party, kinds)))
-    return control.made()
+        # The kind as prefix keeps any common name from colliding with the id of another subject or rule.
+        control.subject(f"{party.kind} {party.certificate}", subject, _rules(allowed_messages(party, kinds)))
+    return control.config()
 
 
 def vehicle_access_control(vehicle: str, kinds: Iterable[Kind]) -> dict[str, Any]:
-    """`access_control` of a vehicle's own router: all within, and over the link what the cloud's router lets pass."""
-    turned: dict[Flow, Flow] = {"ingress": "egress", "egress": "ingress"}
+    """Return `access_control` of a vehicle's router: everything inside, the cloud's rules mirrored on the uplink."""
+    opposite: dict[Flow, Flow] = {"ingress": "egress", "egress": "ingress"}
     mirror = [
-        Allowed(turned[item.flow], item.message, item.key)
-        for item in allowed(Party("vehicle", vehicle), kinds)
+        replace(item, flow=opposite[item.flow])
+        for item in allowed_messages(Party(kind="vehicle", name=vehicle), kinds)
     ]
     control = _Control()
     control.subject("inside", {"link_protocols": list(INSIDE)}, [_everything()])
     control.subject("cloud", {"link_protocols": list(OUTSIDE)}, _rules(mirror))
-    return control.made()
+    return control.config()
 
 
 class _Control:
@@ -215,7 +216,7 @@ class _Control:
         self._subjects.append({"id": name, **matches})
         self._policies.append({"rules": ids, "subjects": [name]})
 
-    def made(self) -> dict[str, Any]:
+    def config(self) -> dict[str, Any]:
         return {
             "enabled": True,
             "default_permission": "deny",
@@ -229,8 +230,8 @@ def _everything() -> dict[str, Any]:
     return {"flows": ["ingress", "egress"], "messages": list(MESSAGES), "key_exprs": ["**"]}
 
 
-def _rules(items: Sequence[Allowed]) -> list[dict[str, Any]]:
-    """As few rules as say the same: messages with the same keys share one."""
+def _rules(items: Sequence[AllowedMessage]) -> list[dict[str, Any]]:
+    """Return the smallest set of equivalent rules: message types with the same keys share one."""
     keys: dict[tuple[Flow, str], list[str]] = {}
     for item in items:
         keys.setdefault((item.flow, item.message), []).append(item.key)

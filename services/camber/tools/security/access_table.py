@@ -1,18 +1,18 @@
-"""The access rules as a table for people: made from the rules themselves."""
+"""The access rules as a Markdown table, derived from the rules themselves."""
 
 from __future__ import annotations
 
 from typing import get_args
 
 from camber.schemas.channels import CHANNELS
-from camber.tools.security.access_rules import Allowed, Kind, Party, allowed
+from camber.tools.security.access_rules import AllowedMessage, Kind, Party, allowed_messages
 
 _KINDS: tuple[Kind, ...] = get_args(Kind)
-_WORDS = {
+_ACTIONS = {
     ("ingress", "put"): "publishes",
-    ("ingress", "declare_subscriber"): "hears",
-    ("ingress", "query"): "asks",
-    ("ingress", "declare_queryable"): "answers",
+    ("ingress", "declare_subscriber"): "subscribes",
+    ("ingress", "query"): "queries",
+    ("ingress", "declare_queryable"): "replies",
 }
 _HEADINGS = {
     "vehicle": "vehicle `V`",
@@ -24,8 +24,11 @@ _HEADINGS = {
 
 
 def table_text() -> str:
-    """One row for each channel that is open to somebody, one column for each kind of certificate."""
-    rules = {kind: allowed(Party(kind, "V" if kind == "vehicle" else kind), _KINDS) for kind in _KINDS}
+    """Return one row for each channel open to any kind of certificate, one column for each kind."""
+    rules = {
+        kind: allowed_messages(Party(kind=kind, name="V" if kind == "vehicle" else kind), _KINDS)
+        for kind in _KINDS
+    }
     lines = [
         "| channel | key | " + " | ".join(_HEADINGS[kind] for kind in _KINDS) + " |",
         "|---|---" + "|---" * len(_KINDS) + "|",
@@ -38,17 +41,17 @@ def table_text() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cell(rules: list[Allowed], key: str) -> str:
-    """What this kind does on a key of the table; with whose key, where it is not just its own vehicle's."""
-    said = []
-    for item in rules:
-        word = _WORDS.get((item.flow, item.message))
-        if word is not None and _is_of(item.key, key):
-            said.append(word)
-    return ", ".join(dict.fromkeys(said))
+def _cell(rules: list[AllowedMessage], key: str) -> str:
+    """Return what the rules allow on a key of the table."""
+    actions = [
+        _ACTIONS[item.flow, item.message]
+        for item in rules
+        if (item.flow, item.message) in _ACTIONS and _matches(item.key, key)
+    ]
+    return ", ".join(dict.fromkeys(actions))
 
 
-def _is_of(key: str, pattern: str) -> bool:
+def _matches(key: str, pattern: str) -> bool:
     parts, wanted = key.split("/"), pattern.split("/")
     return len(parts) == len(wanted) and all(
         part == want or want.startswith("{") for part, want in zip(parts, wanted, strict=True)

@@ -1,12 +1,13 @@
-"""Certificates of a fleet: an authority in a folder, and what it has issued.
+"""Certificate authority of a fleet, kept in a folder with the index of what it has issued.
 
-    ca.pem, ca.key          the authority; the key leaves this folder never
+    ca.pem, ca.key          the authority; the key never leaves this folder
     NAME.pem, NAME.key      one for each router, vehicle, service and consumer
-    issued.json             all that were issued, by serial number: `Issued`
-    issued.lock             held by whoever issues or revokes; NAME.key.new, NAME.pem.new: a pair that is being written
+    issued.json             all certificates issued: `IssuedCertificate`
+    issued.lock             held while issuing or revoking
+    NAME.key.new, .pem.new  a pair being written
 
-The common name is what access rules go by. It is the name itself; after a revocation, `NAME+2` and so on: Zenoh knows
-no revocation lists, so what was revoked is a common name that is no more in the rules, and it never comes back.
+Access rules refer to the common name: the name itself, and after a revocation `NAME+2` and so on. Zenoh has no
+revocation lists, so a revoked common name is removed from the rules and never used again.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 INDEX, LOCK = "issued.json", "issued.lock"
 LONGEST_NAME = 60
 """A common name has at most 64 characters (RFC 5280, ub-common-name), and `+2` may follow the name."""
-_BACKDATED = timedelta(minutes=5)  # clocks that are a little behind take it at once
+_BACKDATED = timedelta(minutes=5)  # chosen: accepted at once by machines whose clocks are minutes slow
 _RESERVED = frozenset({"ca", "fleet", "*"})
 _NAME: TypeAdapter[str] = TypeAdapter(Name)
 _LABEL = r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?"
-_HOST = re.compile(rf"(?=.{{1,253}}$)(?!(.*\.)?\d+$)(\*\.)?({_LABEL}\.)*{_LABEL}")  # none ends in a number
+_HOST = re.compile(rf"(?=.{{1,253}}$)(?!(.*\.)?\d+$)(\*\.)?({_LABEL}\.)*{_LABEL}")  # last label not a number
 
 
 class CertsError(Exception):
-    """What cannot be done, in one line."""
+    """An operation on certificates failed; one line for the user."""
 
 
-@dataclass(frozen=True, slots=True)
-class Issued:
-    """One certificate; times are ISO 8601, UTC."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IssuedCertificate:
+    """One row of the index; times are ISO 8601, UTC."""
 
     name: str
     kind: Kind
@@ -74,7 +75,7 @@ class Authority:
         folder.mkdir(parents=True, exist_ok=True)
         key = ec.generate_private_key(ec.SECP256R1())
         builder = (
-            _builder(name, _distinguished(name), key, now, days)
+            _builder(name, issuer=_distinguished(name), key=key, now=now, days=days)
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_key_usage(signs=True), critical=True)
         )
@@ -85,11 +86,11 @@ class Authority:
             authority._save([])
         return authority
 
-    def issued(self) -> list[Issued]:
+    def issued(self) -> list[IssuedCertificate]:
         """All certificates so far, oldest first."""
         path = self.folder / INDEX
         try:
-            return [Issued(**row) for row in json.loads(path.read_text("utf-8"))]
+            return [IssuedCertificate(**row) for row in json.loads(path.read_text("utf-8"))]
         except FileNotFoundError:
             raise CertsError(f"{path}: no such file; `camber certs make` makes an authority") from None
         except (OSError, ValueError, TypeError) as error:
@@ -104,28 +105,30 @@ class Authority:
         days: float,
         now: datetime,
         renew: bool = False,
-    ) -> Issued:
-        """A certificate and its key.
+    ) -> IssuedCertificate:
+        """Issue a certificate and its key.
 
-        `renew`: in place of the one that is there, which stays valid until its end; without `hosts` for the same hosts.
+        `renew` replaces the existing files (the old certificate stays valid until it expires); without `hosts` the new
+        one is for the same hosts.
         """
         check_name(name)
         check_hosts(hosts)
         with self._changing() as known:
-            return self._issue(known, name, kind, hosts, days, now, renew)
+            return self._issue(known, name, kind, hosts=hosts, days=days, now=now, renew=renew)
 
     def _issue(
         self,
-        known: list[Issued],
+        known: list[IssuedCertificate],
         name: str,
         kind: Kind,
+        *,
         hosts: Sequence[str],
         days: float,
         now: datetime,
         renew: bool,
-    ) -> Issued:
+    ) -> IssuedCertificate:
         if kind == "router" and renew and not hosts:
-            hosts = _hosts_of(read_certificate(self.folder / f"{name}.pem"))
+            hosts = hosts_of(read_certificate(self.folder / f"{name}.pem"))
         if kind == "router" and not hosts:
             raise CertsError(
                 f"{name}: a router's certificate needs the host names or addresses it is reached at"
@@ -155,7 +158,7 @@ class Authority:
         if kind == "router":
             usages.append(ExtendedKeyUsageOID.SERVER_AUTH)
         builder = (
-            _builder(common_name, authority.subject, key, now, days)
+            _builder(common_name, issuer=authority.subject, key=key, now=now, days=days)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_key_usage(signs=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
@@ -163,34 +166,36 @@ class Authority:
                 x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key()), critical=False
             )
         )
-        # Strict verifiers want a name of today's kind in each, also where nobody is joined at one.
+        # Strict verifiers require a subject alternative name in every certificate, also in a client's.
         names = [_general_name(host) for host in hosts] or [
             x509.UniformResourceIdentifier(f"urn:camber:{name}")
         ]
         builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
         certificate = builder.sign(signing_key, hashes.SHA256())
-        row = Issued(
-            name, kind, common_name, f"{certificate.serial_number:x}", _iso(certificate.not_valid_after_utc)
+        row = IssuedCertificate(
+            name=name,
+            kind=kind,
+            common_name=common_name,
+            serial=f"{certificate.serial_number:x}",
+            until=_iso(certificate.not_valid_after_utc),
         )
         self._save([*known, row])
         _write_pair(self.folder / name, key, certificate)
         return row
 
-    def revoke(self, name: str, *, now: datetime) -> list[Issued]:
-        """Mark all certificates under the present common name of `name` as revoked; returns them."""
+    def revoke(self, name: str, *, now: datetime) -> list[IssuedCertificate]:
+        """Mark all valid certificates of `name` as revoked; returns them."""
         with self._changing() as known:
-            taken = [row for row in known if row.name == name and row.revoked is None]
-            if not taken:
-                raise CertsError(
-                    f"{name}: no certificate of {self.folder} that is not revoked bears this name"
-                )
-            self._save([replace(row, revoked=_iso(now)) if row in taken else row for row in known])
-        return taken
+            revoked = [row for row in known if row.name == name and row.revoked is None]
+            if not revoked:
+                raise CertsError(f"{name}: {self.folder} has no valid certificate of this name")
+            self._save([replace(row, revoked=_iso(now)) if row in revoked else row for row in known])
+        return revoked
 
     @contextmanager
-    def _changing(self) -> Iterator[list[Issued]]:
-        """All certificates so far, while nobody else issues or revokes; what an interruption has left is put right."""
-        self.issued()  # no lock is left in a folder that is no authority's
+    def _changing(self) -> Iterator[list[IssuedCertificate]]:
+        """Hold the lock, recover from an interrupted write, and yield all certificates so far."""
+        self.issued()  # raises before a lock file is left in a folder that is not an authority's
         with self._locked():
             _finish_pairs(self.folder)
             yield self.issued()
@@ -214,14 +219,14 @@ class Authority:
             raise CertsError(f"{path}: not the key of ca.pem")
         return certificate, key
 
-    def _save(self, rows: list[Issued]) -> None:
+    def _save(self, rows: list[IssuedCertificate]) -> None:
         path = self.folder / INDEX
         text = json.dumps([asdict(row) for row in rows], indent=1) + "\n"
-        _written_beside(path, text.encode(), 0o644).replace(path)
+        _write_temporary(path, text.encode(), 0o644).replace(path)
 
 
 def check_name(name: str) -> None:
-    """Raises CertsError for a name that cannot be a part of a key."""
+    """Raise CertsError for a name that cannot be part of a bus key."""
     try:
         _NAME.validate_python(name)
     except ValidationError:
@@ -229,17 +234,17 @@ def check_name(name: str) -> None:
             f"{name!r}: not a name: a letter or digit, then up to 63 of A-Za-z0-9_.:@+-"
         ) from None
     if name in _RESERVED or name != name_of(name):
-        raise CertsError(f"{name}: this name has a meaning of its own")
+        raise CertsError(f"{name}: this name is reserved")
 
 
 def check_length(name: str) -> None:
-    """Raises CertsError for a new name that leaves no room for what a revocation adds."""
+    """Raise CertsError for a new name that leaves no room for the suffix after a revocation."""
     if len(name) > LONGEST_NAME:
         raise CertsError(f"{name}: {len(name)} characters, expected at most {LONGEST_NAME}")
 
 
 def check_hosts(hosts: Sequence[str]) -> None:
-    """Raises CertsError for what is neither an address nor a host name."""
+    """Raise CertsError for what is neither an IP address nor a host name."""
     for host in hosts:
         try:
             ipaddress.ip_address(host)
@@ -261,23 +266,22 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 
 def common_name(name: x509.Name) -> str:
-    """The common name in a distinguished name; empty: it has none."""
-    found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
+    """Return the common name of a distinguished name; empty where it has none."""
+    attributes = name.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(attributes[0].value) if attributes else ""
 
 
-def _hosts_of(certificate: x509.Certificate) -> list[str]:
-    """The host names and addresses for which a certificate stands."""
+def hosts_of(certificate: x509.Certificate) -> list[str]:
+    """Return the host names and addresses that a certificate is valid for."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
         return []
-    addresses = names.get_values_for_type(x509.IPAddress)
-    return [*names.get_values_for_type(x509.DNSName), *map(str, addresses)]
+    return [str(name.value) for name in names if not isinstance(name, x509.UniformResourceIdentifier)]
 
 
 def _builder(
-    name: str, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: float
+    name: str, *, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: float
 ) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
@@ -323,19 +327,20 @@ def _must_be_free(stem: Path) -> None:
 
 
 def _write_pair(stem: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
-    """Both reach the disk before one gets its name, the key first: `_finish_pairs` does the rest of an interruption."""
+    """Write both files to disk, then rename them, key first: `_finish_pairs` completes an interrupted write."""
     secret = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     public = certificate.public_bytes(serialization.Encoding.PEM)
     pairs = [(stem.with_name(stem.name + end), data, mode) for end, data, mode in
              ((".key", secret, 0o600), (".pem", public, 0o644))]  # fmt: skip
-    fresh = [_written_beside(*pair) for pair in pairs]
+    fresh = [_write_temporary(*pair) for pair in pairs]
     for new, (path, _, _) in zip(fresh, pairs, strict=True):
         new.replace(path)
 
 
-def _written_beside(path: Path, data: bytes, mode: int) -> Path:
+def _write_temporary(path: Path, data: bytes, mode: int) -> Path:
+    """Write `path`.new through to the disk and return its path."""
     fresh = path.with_name(path.name + ".new")
     fresh.unlink(missing_ok=True)
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
@@ -346,7 +351,7 @@ def _written_beside(path: Path, data: bytes, mode: int) -> Path:
 
 
 def _finish_pairs(folder: Path) -> None:
-    """A certificate whose key has its name already gets its own; what else was being written is discarded."""
+    """Complete or discard interrupted writes: a certificate is kept where its key was already renamed."""
     for fresh in folder.glob("*.pem.new"):
         path = fresh.with_suffix("")
         key, new_key = path.with_suffix(".key"), path.with_suffix(".key.new")

@@ -1,13 +1,13 @@
-"""`camber certs`: certificates for a fleet: who may join the cloud's router, and under which name.
+"""`camber certs`: create a certificate authority; issue, renew, revoke, list and show certificates of a fleet.
 
     camber certs make FOLDER --host cloud.example --vehicle car-1 --vehicle car-2 --consumer dashboard
-    camber certs issue FOLDER car-3 --kind vehicle --days 30     one more, or --renew one
-    camber certs revoke FOLDER car-2                             no more in the list of `camber access`
+    camber certs issue FOLDER car-3 --kind vehicle --days 30     issue one more, or replace one with --renew
+    camber certs revoke FOLDER car-2                             `camber access` no longer lists it
     camber certs list FOLDER
-    camber certs show FILE…                                      who, by whom, until when
+    camber certs show FILE…                                      subject, issuer, validity
 
-Where there is an authority already, let it sign: all that Camber asks of a certificate is its common name, the name of
-the vehicle. docs/security.md says what each kind may do.
+An existing authority can sign instead: Camber requires only that the common name is the name of the vehicle.
+docs/security.md lists what each kind may do.
 """
 
 from __future__ import annotations
@@ -26,21 +26,25 @@ from camber.tools.security.certificates import (
     KINDS,
     Authority,
     CertsError,
-    Issued,
+    IssuedCertificate,
     Kind,
     check_hosts,
     check_length,
     check_name,
     common_name,
+    hosts_of,
     read_certificate,
 )
 
-DAYS, AUTHORITY_DAYS = 30.0, 3650.0
+DAYS, AUTHORITY_DAYS = (
+    30.0,
+    3650.0,
+)  # chosen: short, since Zenoh has no revocation lists; the authority ten years
 _DAYS = number_from(0.001, 36_500.0, "days")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Returns 2 where something could not be done, and from `show` 1 where a certificate is not valid now."""
+    """Return 0 on success, 2 on failure; `show` returns 1 where a certificate is not valid now."""
     args = _parser().parse_args(argv)
     try:
         code: int = args.work(args)
@@ -55,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="camber certs", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    make = commands.add_parser("make", help="a new authority, and a certificate for each that is named")
+    make = commands.add_parser("make", help="create an authority and a certificate for each name given")
     make.set_defaults(work=_make)
     make.add_argument("folder", type=Path, metavar="FOLDER")
     make.add_argument("--name", default="Camber development", help="name of the authority")
@@ -66,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     for kind in ("vehicle", "consumer", "judge", "operator"):
         make.add_argument(f"--{kind}", action="append", default=[], metavar="NAME", help="repeatable")
     make.add_argument("--authority-days", type=_DAYS, default=AUTHORITY_DAYS, metavar="DAYS")
-    issue = commands.add_parser("issue", help="a certificate, signed by the authority of the folder")
+    issue = commands.add_parser("issue", help="issue a certificate signed by the authority of the folder")
     issue.set_defaults(work=_issue)
     issue.add_argument("folder", type=Path, metavar="FOLDER")
     issue.add_argument("name", metavar="NAME")
@@ -75,21 +79,21 @@ def _parser() -> argparse.ArgumentParser:
         "--host",
         action="append",
         default=[],
-        help="of a router; repeatable (with --renew: those that it has)",
+        help="host name or address of a router; repeatable (with --renew default: unchanged)",
     )
-    issue.add_argument("--renew", action="store_true", help="a new one in place of the one that is there")
+    issue.add_argument("--renew", action="store_true", help="replace the existing certificate")
     for command in (make, issue):
         command.add_argument(
-            "--days", type=_DAYS, default=DAYS, help=f"how long certificates are valid ({DAYS:.0f})"
+            "--days", type=_DAYS, default=DAYS, help=f"validity of certificates (default {DAYS:.0f})"
         )
-    revoke = commands.add_parser("revoke", help="take a name out of the access list")
+    revoke = commands.add_parser("revoke", help="revoke all certificates of a name")
     revoke.set_defaults(work=_revoke)
     revoke.add_argument("folder", type=Path, metavar="FOLDER")
     revoke.add_argument("name", metavar="NAME")
-    listing = commands.add_parser("list", help="what was issued")
+    listing = commands.add_parser("list", help="list the certificates issued")
     listing.set_defaults(work=_list)
     listing.add_argument("folder", type=Path, metavar="FOLDER")
-    show = commands.add_parser("show", help="who, by whom, until when")
+    show = commands.add_parser("show", help="print subject, issuer and validity of certificate files")
     show.set_defaults(work=_show)
     show.add_argument("files", type=Path, nargs="+", metavar="FILE")
     return parser
@@ -100,7 +104,7 @@ def _make(args: argparse.Namespace) -> int:
     wanted: list[tuple[str, Kind]] = [(args.router, "router"), ("map_update", "map_update")]
     for kind in KINDS:
         wanted += [(name, kind) for name in getattr(args, kind, ()) if kind not in ("router", "map_update")]
-    check_hosts(args.host)  # all of it before anything is made: an authority is made once
+    check_hosts(args.host)  # check all arguments first: an authority can be created only once
     names = [name for name, _ in wanted]
     for name in names:
         check_name(name)
@@ -111,7 +115,7 @@ def _make(args: argparse.Namespace) -> int:
     print(f"{args.folder / 'ca.pem'}: {args.name}, {args.authority_days:g} days")
     for name, kind in wanted:
         hosts = args.host if kind == "router" else ()
-        _say(args.folder, authority.issue(name, kind, hosts=hosts, days=args.days, now=now))
+        _print_issued(args.folder, authority.issue(name, kind, hosts=hosts, days=args.days, now=now))
     return 0
 
 
@@ -119,15 +123,15 @@ def _issue(args: argparse.Namespace) -> int:
     row = Authority(args.folder).issue(
         args.name, args.kind, hosts=args.host, days=args.days, now=datetime.now(UTC), renew=args.renew
     )
-    _say(args.folder, row)
+    _print_issued(args.folder, row)
     return 0
 
 
 def _revoke(args: argparse.Namespace) -> int:
     for row in Authority(args.folder).revoke(args.name, now=datetime.now(UTC)):
-        print(f"{row.name}: {row.common_name}, serial {row.serial}, revoked; it would end {row.until}")
+        print(f"{row.name}: {row.common_name}, serial {row.serial}, revoked; it expires {row.until}")
     print(
-        "Not yet in force: make the router's rules anew with `camber access cloud`, and start the router again."
+        "Not yet in force: regenerate the router's rules with `camber access cloud`, then restart the router."
     )
     return 0
 
@@ -160,12 +164,12 @@ def _show(args: argparse.Namespace) -> int:
         )
         print(f"  until  {certificate.not_valid_after_utc.isoformat(' ')}, {_state(left)}")
         print(f"  serial {certificate.serial_number:x}")
-        if hosts := _hosts(certificate):
+        if hosts := hosts_of(certificate):
             print(f"  hosts  {', '.join(hosts)}")
     return 0 if good else 1
 
 
-def _say(folder: Path, row: Issued) -> None:
+def _print_issued(folder: Path, row: IssuedCertificate) -> None:
     print(f"{folder / row.name}.pem: {row.kind} {row.common_name}, until {row.until}")
 
 
@@ -185,16 +189,8 @@ def _uses(certificate: x509.Certificate) -> str:
             return "an authority"
         usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     except x509.ExtensionNotFound:
-        return "no use named"
-    return "joins and is joined" if ExtendedKeyUsageOID.SERVER_AUTH in usage else "joins"
-
-
-def _hosts(certificate: x509.Certificate) -> list[str]:
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return []
-    return [str(name.value) for name in names if not isinstance(name, x509.UniformResourceIdentifier)]
+        return "no extended key usage"
+    return "client and server" if ExtendedKeyUsageOID.SERVER_AUTH in usage else "client"
 
 
 if __name__ == "__main__":

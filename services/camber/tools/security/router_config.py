@@ -12,17 +12,20 @@ from camber.runtime.tls import tls_table
 from camber.tools.security.access_rules import Kind, Party, cloud_access_control, vehicle_access_control
 
 _SHORT_LIST = re.compile(r"\[[^\[\]{}]*\]")
-_LINE = 90
+_LINE_CHARACTERS = 90
+"""Chosen: a list of keys up to this long stays on one line of the generated file."""
 _COMMON: dict[str, Any] = {
-    # It tells nobody where the others are: who meets around it meets around its rules.
+    # No discovery: sessions that found each other directly would bypass the access rules.
     "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-    # No keys under @/ by which the router could be inspected or changed from the bus.
+    # No admin keys (@/…) through which the router could be inspected or reconfigured from the bus.
     "adminspace": {"enabled": False},
 }
-_SESSIONS_IN_A_VEHICLE = 128
-_SESSIONS_IN_THE_CLOUD = 10_000
+_VEHICLE_SESSIONS = 128
+"""Chosen: a vehicle runs some ten processes; leaves room for tools."""
+_CLOUD_SESSIONS = 10_000
+"""Chosen: twice the 5,000 vehicles of the largest planned fleet (docs/security.md)."""
 _LARGEST_MESSAGE_BYTES = 4 << 20
-"""Over the link: uploads and map blobs are at most 256 kB; what is larger is nothing of ours."""
+"""Chosen: 16 times the largest message on the link (uploads and map blobs are at most 256 kB)."""
 
 
 def cloud_config(
@@ -32,15 +35,18 @@ def cloud_config(
     listen: Sequence[str],
     connect: Sequence[str] = (),
     folder: Path,
-    own: str,
+    certificate_name: str,
 ) -> dict[str, Any]:
-    """A router of the cloud; `connect` are others of it, `folder` holds ca.pem, and `own`.pem and `own`.key."""
+    """Return the configuration of a cloud router.
+
+    `connect`: endpoints of other cloud routers. `folder` holds ca.pem and the pair `certificate_name`.pem, .key.
+    """
     return {
         "mode": "router",
         **_COMMON,
         "listen": {"endpoints": list(listen)},
         "connect": {"endpoints": list(connect), "timeout_ms": -1, "exit_on_failure": False},
-        "transport": _transport(folder, own, sessions=_SESSIONS_IN_THE_CLOUD, largest=True),
+        "transport": _transport(folder, certificate_name, sessions=_CLOUD_SESSIONS, limit_message_size=True),
         "access_control": cloud_access_control(parties, routers),
     }
 
@@ -52,12 +58,12 @@ def vehicle_config(
     listen: Sequence[str],
     kinds: Iterable[Kind],
     folder: Path,
-    own: str,
+    certificate_name: str,
 ) -> dict[str, Any]:
-    """A vehicle's router: services within join it as clients, and it joins one router of the cloud as a client.
+    """Return the configuration of a vehicle's router: services join it as clients, it joins the cloud as a client.
 
-    As a client it has one link, knows nobody else, and takes the next endpoint where one does not answer. Peers within
-    would hear clients, but not one another: it has no way to bring them together.
+    As a client it has one uplink and falls back to the next endpoint where one does not answer. Services must not join
+    as peers: they would receive from clients, but not from one another.
     """
     return {
         "mode": "client",
@@ -70,28 +76,34 @@ def vehicle_config(
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
         },
         "gateway": {"south": [{"filters": [{"modes": ["client", "peer"]}]}]},
-        "transport": _transport(folder, own, sessions=_SESSIONS_IN_A_VEHICLE, largest=False),
+        "transport": _transport(
+            folder, certificate_name, sessions=_VEHICLE_SESSIONS, limit_message_size=False
+        ),
         "access_control": vehicle_access_control(vehicle, kinds),
     }
 
 
 def text_of(config: dict[str, Any], *, about: str, made_by: str) -> str:
-    """As a file: JSON, which is JSON5, under two lines that say what it is and how it was made."""
+    """Return the configuration as JSON5: JSON after two comment lines on what it is and the command that made it."""
     text = _SHORT_LIST.sub(_on_one_line, json.dumps(config, indent=2))
-    return f"// {about}\n// Made by `{made_by}`: change that, not this.\n{text}\n"
+    return f"// {about}\n// Made by `{made_by}`: regenerate, do not edit.\n{text}\n"
 
 
-def _on_one_line(found: re.Match[str]) -> str:
-    line = " ".join(found[0].split()).replace("[ ", "[").replace(" ]", "]")
-    return line if len(line) <= _LINE else found[0]
+def _on_one_line(match: re.Match[str]) -> str:
+    line = " ".join(match[0].split()).replace("[ ", "[").replace(" ]", "]")
+    return line if len(line) <= _LINE_CHARACTERS else match[0]
 
 
-def _transport(folder: Path, own: str, *, sessions: int, largest: bool) -> dict[str, Any]:
+def _transport(
+    folder: Path, certificate_name: str, *, sessions: int, limit_message_size: bool
+) -> dict[str, Any]:
     link: dict[str, Any] = {
         "tx": {"lease": 2000},
-        "tls": tls_table(folder / "ca.pem", folder / f"{own}.pem", folder / f"{own}.key"),
+        "tls": tls_table(
+            folder / "ca.pem", folder / f"{certificate_name}.pem", folder / f"{certificate_name}.key"
+        ),
     }
-    if largest:
+    if limit_message_size:
         link["rx"] = {"max_message_size": _LARGEST_MESSAGE_BYTES}
     return {
         "unicast": {"max_sessions": sessions, "accept_pending": 64},

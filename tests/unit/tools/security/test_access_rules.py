@@ -16,9 +16,9 @@ from camber.runtime.session import OUTSIDE
 from camber.schemas.channels import BY_NAME, CHANNELS
 from camber.tools.security import access
 from camber.tools.security.access_rules import (
-    Allowed,
+    AllowedMessage,
     Party,
-    allowed,
+    allowed_messages,
     cloud_access_control,
     open_channels,
     vehicle_access_control,
@@ -31,7 +31,7 @@ SAYS = {"put", "query", "declare_queryable", "reply"}
 FILES = sorted((ROOT / "deploy/zenoh").glob("*.json5"))
 
 
-def keys(rules: list[Allowed], flow: str, *messages: str) -> set[str]:
+def keys(rules: list[AllowedMessage], flow: str, *messages: str) -> set[str]:
     return {rule.key for rule in rules if rule.flow == flow and rule.message in messages}
 
 
@@ -47,7 +47,7 @@ def test_nothing_is_allowed_that_is_not_listed() -> None:
 
 
 def test_every_rule_is_someones_and_every_subject_has_a_certificate_or_a_link() -> None:
-    control = cloud_access_control([Party(kind, f"my-{kind}") for kind in ALL], ["cloud"])
+    control = cloud_access_control([Party(kind=kind, name=f"my-{kind}") for kind in ALL], ["cloud"])
     ids = [rule["id"] for rule in control["rules"]]
     assert len(ids) == len(set(ids))
     assert sorted(i for policy in control["policies"] for i in policy["rules"]) == sorted(ids)
@@ -59,8 +59,16 @@ def test_every_rule_is_someones_and_every_subject_has_a_certificate_or_a_link() 
 
 
 def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
-    parties = [Party("consumer", "routers"), Party("vehicle", "c", "routers 1"), Party("judge", "vehicle")]
-    parties += [Party("vehicle", "a"), Party("operator", "b", "vehicle a"), Party("consumer", "d", "a 1")]
+    parties = [
+        Party(kind="consumer", name="routers"),
+        Party(kind="vehicle", name="c", common_name="routers 1"),
+        Party(kind="judge", name="vehicle"),
+    ]
+    parties += [
+        Party(kind="vehicle", name="a"),
+        Party(kind="operator", name="b", common_name="vehicle a"),
+        Party(kind="consumer", name="d", common_name="a 1"),
+    ]
     control = cloud_access_control(parties, ["cloud"])
     for table in ("rules", "subjects"):
         ids = [row["id"] for row in control[table]]
@@ -69,7 +77,7 @@ def test_no_name_of_a_party_makes_an_id_that_is_there_already() -> None:
 
 @pytest.mark.parametrize("others", [("map_update", "consumer"), ALL])
 def test_a_vehicle_says_nothing_but_in_its_own_name(others: tuple[str, ...]) -> None:
-    for rule in allowed(Party("vehicle", "car-1"), others):
+    for rule in allowed_messages(Party(kind="vehicle", name="car-1"), others):
         if rule.flow == "ingress" and rule.message in {*SAYS, "liveliness_token"}:
             own = rule.key.startswith(("camber/v1/car-1/", "camber/v1/fleet/car-1/"))
             asks_for_the_map = rule.message == "query" and rule.key.startswith("camber/v1/fleet/map/")
@@ -78,7 +86,7 @@ def test_a_vehicle_says_nothing_but_in_its_own_name(others: tuple[str, ...]) -> 
 
 
 def test_nothing_of_one_vehicle_goes_to_another() -> None:
-    first, second = (allowed(Party("vehicle", name), ALL) for name in ("car-1", "car-2"))
+    first, second = (allowed_messages(Party(kind="vehicle", name=name), ALL) for name in ("car-1", "car-2"))
     out = keys(first, "ingress", "put", "reply", "liveliness_token")
     into = keys(second, "egress", "put", "reply", "liveliness_token")
     assert out
@@ -89,14 +97,14 @@ def test_nothing_of_one_vehicle_goes_to_another() -> None:
 def test_only_map_update_publishes_releases_and_answers_for_the_fleet() -> None:
     of_fleet = {"release", "map_root", "map_blob", "upload", "upload_batch"}
     for kind in ALL:
-        rules = allowed(Party(kind, "car-1"), ALL)
+        rules = allowed_messages(Party(kind=kind, name="car-1"), ALL)
         said = keys(rules, "ingress", "put", "reply", "declare_queryable")
         wanted = {BY_NAME[name].answered_at("car-1") for name in of_fleet}
         assert bool(said & wanted) == (kind == "map_update"), kind
 
 
 def test_consumers_only_hear_verdicts_and_positions() -> None:
-    rules = allowed(Party("consumer", "dashboard"), ALL)
+    rules = allowed_messages(Party(kind="consumer", name="dashboard"), ALL)
     assert keys(rules, "ingress", *SAYS) == {"camber/v1/dashboard/echo"}
     assert keys(rules, "ingress", "declare_subscriber") == {
         "camber/v1/*/integrity/verdict",
@@ -115,7 +123,7 @@ def test_without_a_judge_in_the_cloud_its_inputs_stay_in_the_vehicle() -> None:
     of_vehicle = {channel.name for channel in CHANNELS if channel.key.startswith("camber/v1/{vehicle}/")}
     # Health and log level are those of map_update itself.
     assert crossing & of_vehicle == {"verdict", "position", "health", "log_level"}
-    rules = allowed(Party("vehicle", "car-1"), ("map_update", "consumer"))
+    rules = allowed_messages(Party(kind="vehicle", name="car-1"), ("map_update", "consumer"))
     assert keys(rules, "ingress", "put") == {
         "camber/v1/car-1/integrity/verdict",
         "camber/v1/car-1/integrity/position",
@@ -134,16 +142,19 @@ def test_a_vehicles_own_router_lets_out_what_the_clouds_lets_in_and_no_more() ->
         for flow, message, key in product(rule["flows"], rule["messages"], rule["key_exprs"])
     }
     turned = {"ingress": "egress", "egress": "ingress"}
-    clouds = allowed(Party("vehicle", "car-1"), ["map_update", "consumer"])
+    clouds = allowed_messages(Party(kind="vehicle", name="car-1"), ["map_update", "consumer"])
     assert own == {(turned[rule.flow], rule.message, rule.key) for rule in clouds}
 
 
 @pytest.mark.parametrize(
     "parties",
     [
-        [Party("vehicle", "car-1"), Party("consumer", "car-1")],
-        [Party("vehicle", "car-1", "x"), Party("vehicle", "car-2", "x")],
-        [Party("consumer", "cloud")],
+        [Party(kind="vehicle", name="car-1"), Party(kind="consumer", name="car-1")],
+        [
+            Party(kind="vehicle", name="car-1", common_name="x"),
+            Party(kind="vehicle", name="car-2", common_name="x"),
+        ],
+        [Party(kind="consumer", name="cloud")],
     ],
     ids=["one name", "one certificate", "the router's"],
 )

@@ -17,7 +17,7 @@ from cryptography.x509.verification import PolicyBuilder, Store
 from camber.runtime.session import router_endpoints
 from camber.runtime.tls import check_table
 from camber.tools.security import access, certs
-from camber.tools.security.certificates import Authority, Issued, common_name, read_certificate
+from camber.tools.security.certificates import Authority, IssuedCertificate, common_name, read_certificate
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFi
     capsys.readouterr()
     assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
     said = capsys.readouterr().out
-    assert "who    cloud (joins and is joined)" in said
+    assert "who    cloud (client and server)" in said
     assert "by     Camber development" in said
     assert "19 days left" in said
     assert "hosts  cloud.example, 10.0.0.1" in said
@@ -218,8 +218,8 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
     ("words", "why"),
     [
         (["issue", "car 3", "--kind", "vehicle"], "not a name"),
-        (["issue", "fleet", "--kind", "vehicle"], "a meaning of its own"),
-        (["issue", "car-1+2", "--kind", "vehicle"], "a meaning of its own"),
+        (["issue", "fleet", "--kind", "vehicle"], "reserved"),
+        (["issue", "car-1+2", "--kind", "vehicle"], "reserved"),
         (["issue", "edge", "--kind", "router"], "needs the host names"),
         (["issue", "car-1", "--kind", "consumer"], "was issued as vehicle"),
         (["issue", "c" * 61, "--kind", "vehicle"], "61 characters, expected at most 60"),
@@ -232,7 +232,7 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
         (["issue", "edge", "--kind", "router", "--host", "10.0.0.256"], "host '10.0.0.256': expected"),
         (["issue", "edge", "--kind", "router", "--host", "[::1]"], "host '[::1]': expected"),
         (["issue", "edge", "--kind", "router", "--host", "a..b"], "host 'a..b': expected"),
-        (["revoke", "car-9"], "bears this name"),
+        (["revoke", "car-9"], "no valid certificate"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -283,7 +283,12 @@ def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_li
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, until = "c" * 64, "2030-01-01T00:00:00+00:00"
-    Authority(folder)._save([*Authority(folder).issued(), Issued(name, "vehicle", name, "1", until)])
+    Authority(folder)._save(
+        [
+            *Authority(folder).issued(),
+            IssuedCertificate(name=name, kind="vehicle", common_name=name, serial="1", until=until),
+        ]
+    )
     words = ["issue", str(folder), name, "--kind", "vehicle"]
     assert certs.main([*words, "--renew"]) == 0
     assert certs.main(["revoke", str(folder), name]) == 0
