@@ -143,7 +143,7 @@ def test_a_signal_ends_a_file_that_any_reader_of_mcap_takes(
         process.send_signal(number)
         said, _ = process.communicate(timeout=30.0)
     assert process.returncode == 0
-    assert "0 dropped, 0 were no messages" in said
+    assert "0 dropped, 0 malformed" in said
     found, errors = contents(tmp_path / "out")
     assert errors == []
     assert {item.channel for item in found} == {"motion", "fix"}

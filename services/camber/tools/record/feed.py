@@ -1,10 +1,10 @@
-"""`camber feed`: a recorded drive, live: at its own pace, dated now, onto the bus of services that are running.
+"""`camber feed`: publish a recorded drive in real time, with times shifted to the present, to running services.
 
-What the vehicle's sensors said goes out as they said it, with times moved to the present. The receiver's solutions
-are written anew as RTKLIB lines, because the times are in them. Raw observations have times that are tied to the
-satellites' orbits: they are fed only where the drive's own time is still to come, and then all of it at its own time
-(`camber simulate --live --starts-in`). With `--loop` the vehicle drives to the end, back in reverse gear, and so on: it
-never jumps from the end to the beginning, which no vehicle does.
+Sensor messages keep their content; their times are shifted. The receiver's solutions are rewritten as RTKLIB lines,
+because these contain the times. Raw observations cannot be shifted, since their times are tied to the satellites'
+orbits: they are fed only where the drive starts in the future, and then at the drive's own times
+(`camber simulate --live --starts-in`). With `--loop` the vehicle drives to the end, back in reverse gear, and so on,
+because no vehicle jumps from the end to the beginning.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from camber.formats.errors import FormatError
 from camber.formats.nmea.epochs import NmeaDecoder
 from camber.formats.receiver.rtklib_pos import PosDecoder, format_pos_header, format_pos_line
 from camber.formats.receiver.solution import ReceiverSolution
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.replay.drive_inputs import DriveInputs, prepare_drive
 from camber.replay.sweep_files import SweepFile, SweepReader
 from camber.runtime.bus import Bus
@@ -39,24 +40,25 @@ from camber.tools.options.bus_options import bus_settings
 from camber.tools.options.stop_signals import stopped_by_signals
 
 _PROG = "camber feed"
-_NS = 1_000_000_000
 _ROUTER = "tcp/127.0.0.1:7447"
-_ASK_ROUTER_S = 0.5
-_LONGEST_WAIT_NS = 3600 * _NS
-_LATE_NS = _NS // 2  # what is later than this would only be refused as stale
-_AWAY_NS = 60 * _NS  # of a machine that slept; after longer without motion no localizer holds its pose
+_RETRY_ROUTER_S = 0.5  # chosen: as often as services retry the router
+_LONGEST_WAIT_NS = (
+    3600 * NS_PER_SECOND
+)  # chosen: a drive that starts later is fed at once, with shifted times
+_LATE_NS = NS_PER_SECOND // 2  # chosen: consumers would refuse later messages as stale (table of channels)
+_AWAY_NS = 60 * NS_PER_SECOND  # chosen: after a longer suspend without motion no localizer holds its pose
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FedSweep:
-    """A sweep to be read when it is due, fed `moved_ns` after the time of its file; backwards, after minus that."""
+    """A sweep to be read when it is due, at the time of its file plus `moved_ns`; backward: `moved_ns` minus that."""
 
     file: SweepFile
     moved_ns: int = 0
     backward: bool = False
 
     def dated(self, sweep: Sweep) -> Sweep:
-        """The sweep at the time at which it is fed. Backwards its points come in reverse, and its begin is its end."""
+        """Return the sweep at the time it is fed; backward with its points reversed, starting at its former end."""
         if not self.backward:
             return sweep.model_copy(update={"time_ns": sweep.time_ns + self.moved_ns})
         begin_ns = int(sweep.offset_ns.min(initial=0))
@@ -70,29 +72,29 @@ class FedSweep:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Epoch:
-    """What arrives at one time: solutions of the receiver, samples of other sensors by channel, sweeps."""
+    """All inputs that arrive at one time: receiver solutions, samples of other sensors by channel, sweeps."""
 
     time_ns: int
-    solutions: tuple[ReceiverSolution, ...]
-    samples: tuple[tuple[str, Message], ...]
+    solutions: tuple[ReceiverSolution, ...] = ()
+    samples: tuple[tuple[str, Message], ...] = ()
     sweeps: tuple[FedSweep, ...] = ()
     raw: tuple[ReceiverBytes, ...] = ()
 
     def moved(self, offset_ns: int) -> Epoch:
-        """The same, `offset_ns` later; raw observations cannot be."""
+        """Return the epoch `offset_ns` later; without raw observations, which cannot be shifted."""
         if offset_ns == 0:
             return self
         return Epoch(
-            self.time_ns + offset_ns,
-            tuple(replace(solution, time_ns=solution.time_ns + offset_ns) for solution in self.solutions),
-            tuple((name, _dated(message, message.time_ns + offset_ns)) for name, message in self.samples),
-            tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
+            time_ns=self.time_ns + offset_ns,
+            solutions=tuple(replace(item, time_ns=item.time_ns + offset_ns) for item in self.solutions),
+            samples=tuple((name, _dated(item, item.time_ns + offset_ns)) for name, item in self.samples),
+            sweeps=tuple(replace(sweep, moved_ns=sweep.moved_ns + offset_ns) for sweep in self.sweeps),
         )
 
     def messages(self, reader: SweepReader) -> Iterator[tuple[str, Message]]:
-        """What goes onto the bus: channel and message; sweeps are read now."""
+        """Yield channel and message of all to publish; sweeps are read now."""
         for raw in self.raw:
             yield "receiver_bytes", raw
         if self.solutions:
@@ -105,7 +107,7 @@ class Epoch:
 
 
 def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
-    """The drive, with the receiver's bytes read; lines that say nothing are left out."""
+    """Return the epochs of a drive with the receiver's bytes decoded; epochs without content are omitted."""
     receiver = inputs.manifest.receiver
     date = None if receiver is None else receiver.utc_date
     decoders: dict[str, PosDecoder | NmeaDecoder] = {
@@ -126,17 +128,20 @@ def epochs_of(inputs: DriveInputs) -> tuple[Epoch, ...]:
             *(("ranging", sample) for sample in tick.ranging),
         )
         solutions = tuple(item for item in read if isinstance(item, ReceiverSolution))
-        sweeps = tuple(FedSweep(file) for file in tick.sweeps)
+        sweeps = tuple(FedSweep(file=file) for file in tick.sweeps)
         raw = tuple(part for part in tick.receiver if part.protocol not in decoders)
         if solutions or samples or sweeps or raw:
-            epochs.append(Epoch(tick.time_ns, solutions, samples, sweeps, raw))
+            epochs.append(
+                Epoch(time_ns=tick.time_ns, solutions=solutions, samples=samples, sweeps=sweeps, raw=raw)
+            )
     return tuple(epochs)
 
 
 def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
-    """The same way in reverse gear, from the end to the beginning, in the same period of time.
+    """Return the same route in reverse gear, from the end to the beginning, in the same period of time.
 
-    A sweep comes when the one before it ended, because that is when its own turn began. Of the first nobody knows that.
+    A reversed sweep ends when the original one began, which is when the previous sweep ended; the first is omitted,
+    since its begin is unknown.
     """
     span_ns = epochs[0].time_ns + epochs[-1].time_ns
     back, later = list[Epoch](), tuple[FedSweep, ...]()
@@ -145,19 +150,19 @@ def reversed_drive(epochs: Sequence[Epoch]) -> tuple[Epoch, ...]:
         later = epoch.sweeps or later
         back.append(
             Epoch(
-                span_ns - epoch.time_ns,
-                tuple(_backward_solution(solution, span_ns) for solution in reversed(epoch.solutions)),
-                tuple(
-                    (name, _backward_sample(message, span_ns)) for name, message in reversed(epoch.samples)
+                time_ns=span_ns - epoch.time_ns,
+                solutions=tuple(_backward_solution(item, span_ns) for item in reversed(epoch.solutions)),
+                samples=tuple(
+                    (name, _backward_sample(item, span_ns)) for name, item in reversed(epoch.samples)
                 ),
-                tuple(_backward_sweep(sweep, span_ns) for sweep in reversed(due)),
+                sweeps=tuple(_backward_sweep(sweep, span_ns) for sweep in reversed(due)),
             )
         )
     return tuple(back)
 
 
 def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
-    """There; with `loop` also back, there, back, for ever."""
+    """Yield the drive forward; with `loop` then backward, forward and so on without end."""
     yield epochs
     backward = reversed_drive(epochs) if loop else ()
     while loop:
@@ -166,11 +171,11 @@ def passes(epochs: Sequence[Epoch], *, loop: bool) -> Iterator[Sequence[Epoch]]:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Feed one drive; 0 done or stopped, 2 the drive cannot be used, 3 the bus cannot be joined."""
+    """Feed one drive; 0 finished or stopped, 2 the drive cannot be used, 3 the bus cannot be joined."""
     args = _parser().parse_args(argv)
     try:
         manifest = load_manifest(args.drive, args.set)
-        # A map made for the drive goes where it is in nobody's way: it is not fed.
+        # Preparing a drive may build a map, which is not fed: it goes to a temporary folder.
         with stopped_by_signals() as stop, tempfile.TemporaryDirectory(prefix="camber-feed-") as work_folder:
             feed(
                 manifest,
@@ -203,10 +208,10 @@ def feed(
     loop: bool = False,
     prog: str,
 ) -> None:
-    """Play a drive onto the bus of a vehicle (None: the manifest's) to its end, or until `stop` is set.
+    """Publish a drive on the bus of a vehicle (None: the manifest's) to its end, or until `stop` is set.
 
-    A router that is not there is waited for; where settings of the bus are wrong, the process ends. Raises
-    ManifestError, FormatError, BusError, OSError.
+    Waits for the router; exits the process where settings of the bus are wrong. Raises ManifestError, FormatError,
+    BusError, OSError.
     """
     options = argparse.Namespace(config=None, connect=connect)
     settings = bus_settings(options, prog=prog, vehicle=vehicle or manifest.vehicle)
@@ -222,67 +227,74 @@ def feed(
     if bus is None:
         return
     try:
-        _feed(passes(epochs, loop=loop), bus, stop, manifest.name, prog)
+        feed_passes(passes(epochs, loop=loop), bus, stop, drive=manifest.name, prog=prog)
     finally:
         bus.close()
 
 
 def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus | None:
-    """The bus, as soon as its router is there; None where `stop` came first. It says once that it waits.
+    """Wait for the router and return the bus; None where `stop` is set first. Reports once that it waits.
 
-    Raises BusError for what no waiting helps: an endpoint that is none, a certificate.
+    Raises BusError where waiting cannot help: an invalid endpoint, a certificate.
     """
-    said = False
+    reported = False
     while not stop.is_set():
         try:
-            session = open_session(settings.zenoh, timeout_s=_ASK_ROUTER_S)
+            session = open_session(settings.zenoh, timeout_s=_RETRY_ROUTER_S)
             return Bus(session, settings, "vehicle", SystemClock())
         except NobodyThereError as error:
-            if not said:
+            if not reported:
                 print(f"{prog}: {error}; waiting", file=sys.stderr, flush=True)
-            said = True
-            stop.wait(_ASK_ROUTER_S)  # some failures come at once
+            reported = True
+            stop.wait(_RETRY_ROUTER_S)  # some failures come at once
     return None
 
 
-def _feed(
-    ways: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, drive: str, prog: str = _PROG
+def feed_passes(
+    drive_passes: Iterator[Sequence[Epoch]],
+    bus: Bus,
+    stop: threading.Event,
+    *,
+    drive: str,
+    prog: str = _PROG,
 ) -> None:
-    ways = iter(ways)
-    first = next(ways)
+    """Publish pass after pass, reporting each on standard error, until none is left or `stop` is set."""
+    first = next(drive_passes)
     start_ns = bus.now_ns()
     if 0 < first[0].time_ns - start_ns <= _LONGEST_WAIT_NS:
         start_ns = first[0].time_ns
         print(
-            f"{prog}: {drive} begins in {(start_ns - bus.now_ns()) / _NS:.0f} s", file=sys.stderr, flush=True
+            f"{prog}: {drive} begins in {(start_ns - bus.now_ns()) / NS_PER_SECOND:.0f} s",
+            file=sys.stderr,
+            flush=True,
         )
     elif any(epoch.raw for epoch in first):
-        print(f"{prog}: {drive} is dated now, without its raw observations", file=sys.stderr, flush=True)
-    for number, way in enumerate(chain([first], ways), start=1):
-        duration_s = (way[-1].time_ns - way[0].time_ns) / _NS
+        print(f"{prog}: {drive}: times shifted to now, raw observations omitted", file=sys.stderr, flush=True)
+    for number, epochs in enumerate(chain([first], drive_passes), start=1):
+        duration_s = (epochs[-1].time_ns - epochs[0].time_ns) / NS_PER_SECOND
         print(f"{prog}: {drive}, {duration_s:.0f} s, pass {number}", file=sys.stderr, flush=True)
         reader = SweepReader()
-        start_ns, missed = _feed_pass(way, bus, stop, start_ns, reader)
-        late = f"this machine was late: {missed} of {len(way)} epochs were not said"
+        start_ns, missed = feed_pass(epochs, bus, stop, start_ns=start_ns, reader=reader)
+        late = f"this machine was too slow: {missed} of {len(epochs)} epochs were not published"
         for note in (*reader.notes(), *([late] if missed else [])):
             print(f"{prog}: {note}", file=sys.stderr, flush=True)
         if stop.is_set():
             return
 
 
-def _feed_pass(
-    way: Sequence[Epoch], bus: Bus, stop: threading.Event, start_ns: int, reader: SweepReader
+def feed_pass(
+    epochs: Sequence[Epoch], bus: Bus, stop: threading.Event, *, start_ns: int, reader: SweepReader
 ) -> tuple[int, int]:
-    """Publish each epoch when its time has come; returns when the next pass may start, and how many were too late.
+    """Publish each epoch when it is due; returns when the next pass may start, and how many epochs were too late.
 
-    Those are left out: the vehicle drove on meanwhile, and to say them later would say that it stood still with its
-    wheels turning. After a long sleep the drive goes on from where it was.
+    Late epochs are dropped: published later, they would show a vehicle that stands still with turning wheels. After a
+    suspend of the machine the drive continues where it was.
     """
-    # Whole milliseconds: more decimals of a time than that are not in an RTKLIB line.
-    offset_ns = (start_ns - way[0].time_ns) // 1_000_000 * 1_000_000
+    # Whole milliseconds: an RTKLIB line has no more decimals of a time.
+    offset_ns = (start_ns - epochs[0].time_ns) // 1_000_000 * 1_000_000
     missed = 0
-    for epoch in way:
-        if stop.wait(max(epoch.time_ns + offset_ns - bus.now_ns(), 0) / _NS):
+    for epoch in epochs:
+        if stop.wait(max(epoch.time_ns + offset_ns - bus.now_ns(), 0) / NS_PER_SECOND):
             break
         late_ns = bus.now_ns() - epoch.time_ns - offset_ns
         if late_ns > _AWAY_NS:
@@ -292,12 +304,12 @@ def _feed_pass(
             continue
         for name, message in epoch.moved(offset_ns).messages(reader):
             bus.publish(name, message)
-    step_ns = (way[-1].time_ns - way[0].time_ns) // max(len(way) - 1, 1)
-    return way[-1].time_ns + offset_ns + step_ns, missed
+    step_ns = (epochs[-1].time_ns - epochs[0].time_ns) // max(len(epochs) - 1, 1)
+    return epochs[-1].time_ns + offset_ns + step_ns, missed
 
 
 def _pos_lines(solution: ReceiverSolution) -> bytes:
-    """The solution with the header before it: a gnss that starts later must be able to read it too."""
+    """Return the solution's line preceded by the header, so that a gnss started later can read it too."""
     velocity = solution.velocity_enu_m_s is not None
     return format_pos_header(velocity=velocity) + format_pos_line(solution, velocity=velocity)
 
@@ -325,7 +337,7 @@ def _backward_sample(message: Message, span_ns: int) -> Message:
 
 
 def add_bus_arguments(parser: argparse._ActionsContainer) -> None:
-    """Where a drive is fed to: `--connect`, `--vehicle`."""
+    """Add `--connect` and `--vehicle`: the bus that a drive is fed to."""
     parser.add_argument("--connect", action="append", metavar="ENDPOINT", help=f"router; default {_ROUTER}")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the manifest's)")
 
@@ -334,7 +346,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest of the drive")
     add_bus_arguments(parser)
-    parser.add_argument("--loop", action="store_true", help="there and back again, until stopped")
+    parser.add_argument(
+        "--loop", action="store_true", help="drive forward and back in reverse gear until stopped"
+    )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
     )

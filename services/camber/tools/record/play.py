@@ -1,12 +1,11 @@
-"""`camber play`: a recording back onto a bus, at the times of now or at those recorded.
+"""`camber play`: publish a recording on a bus, with times shifted to now or as recorded.
 
-By default all times in the messages are moved to the present, and each message goes out when it was measured: live
-services and consumers, which refuse what is old, take them as they took them then. Bytes of a receiver have their own
-times inside, which cannot be moved: they are left out. With `--times recorded` nothing is changed, at any speed; only
-consumers that do not judge ages (`Subscription(…, live=False)`, `camber record`) take that. To run services over a
-drive at another speed there is `camber replay`.
+By default all times in the messages are shifted to the present, so that live services and consumers, which refuse stale
+messages, accept them. Bytes of a receiver contain times that cannot be shifted: they are omitted. With
+`--times recorded` nothing is changed, at any speed; only consumers that do not check ages accept that
+(`Subscription(…, live=False)`, `camber record`). To run services over a drive at another speed use `camber replay`.
 
-It declares each producer that it plays, as that service would, and refuses where one of them is there already.
+It declares liveliness for each producer that it plays, and refuses to start where one of them is already on the bus.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from camber.formats.drive.recording import Recorded, RecordingError, read_recording
+from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.runtime.bus import Bus
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import QueryClient
@@ -34,22 +34,21 @@ from camber.tools.options.stop_signals import stopped_by_signals
 from camber.tools.record.time_shift import NS_PER_FIX_ID, moved
 
 _PROG = "camber play"
-_NS = 1_000_000_000
-_LISTEN_S = 1.0
-_LATE_S = 0.5
-_LONG_GAP_S = 10.0
+_LISTEN_S = 1.0  # chosen: several periods of motion and sweeps
+_LATE_S = 0.5  # chosen: consumers would refuse later messages as stale (table of channels)
+_LONG_GAP_S = 10.0  # chosen: after a longer silence a user would think that play hangs
 _RECORDED = tuple(c for c in BY_NAME.values() if c.delivery in ("small", "bulk"))
 PLAYABLE = tuple(c for c in _RECORDED if c.key.startswith("camber/v1/{vehicle}/"))
-_OF_OTHERS = tuple(c for c in _RECORDED if c not in PLAYABLE)
-"""What a vehicle hears and no part of it says."""
+_RECEIVED_ONLY = tuple(c for c in _RECORDED if c not in PLAYABLE)
+"""Channels that a vehicle receives and none of its services publishes."""
 _HELP = """\
-exit codes: 0 played, or stopped as asked; 1 a producer is on the bus already, or the recording is damaged (what stands
-before the damage was played); 2 wrong usage, no such file, or nothing to play; 3 no bus.
+exit codes: 0 played, or stopped by a signal; 1 a producer is already on the bus, or the recording is damaged (messages
+before the damage were played); 2 wrong usage, no such file, or nothing to play; 3 no bus.
 """
 
 
-class Refused(RuntimeError):  # noqa: N818 (the name says what is the matter)
-    """This recording cannot be played onto this bus; one line."""
+class PlaybackError(RuntimeError):
+    """This recording cannot be played on this bus; one line."""
 
 
 def main(argv: Sequence[str]) -> int:
@@ -57,33 +56,33 @@ def main(argv: Sequence[str]) -> int:
     args = _parser().parse_args(argv)
     if args.speed != 1.0 and args.times == "now":
         print(
-            f"{_PROG}: --speed {args.speed:g}: with times of now expected 1: a vehicle that moves faster than its "
-            "wheels say is no vehicle; --times recorded, or camber replay",
+            f"{_PROG}: --speed {args.speed:g}: expected 1 with --times now, because distance and wheel speed would "
+            "disagree; use --times recorded or camber replay",
             file=sys.stderr,
         )
         return 2
     try:
         channels = _chosen(args.channels, args.without)
         names, vehicle = _producers(args.files, channels)
-    except (OSError, Refused) as error:
+    except (OSError, PlaybackError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle or vehicle)
     try:
-        refuse_where_they_are(settings, names, channels, timeout_s=args.timeout)
+        check_no_producer(settings, names, channels, timeout_s=args.timeout)
         with stopped_by_signals() as stop:
             player = Player(
                 settings, names, stop, speed=args.speed, now=args.times == "now", timeout_s=args.timeout
             )
             try:
-                heard = _OF_OTHERS if args.channels is None else ()
-                errors = player.play(_messages(args.files, (*channels, *heard)))
+                received = _RECEIVED_ONLY if args.channels is None else ()
+                errors = player.play(_messages(args.files, (*channels, *received)))
             finally:
                 player.close()
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 3
-    except Refused as error:
+    except PlaybackError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 1
     print(player.summary(), flush=True)
@@ -92,29 +91,29 @@ def main(argv: Sequence[str]) -> int:
     return 1 if errors else 0
 
 
-def refuse_where_they_are(
+def check_no_producer(
     settings: ServiceSettings, producers: Collection[str], channels: Sequence[Channel], *, timeout_s: float
 ) -> None:
-    """Raises Refused where one of these producers has declared itself, or is heard within a second."""
+    """Raise PlaybackError where one of these producers declares liveliness, or publishes within a second."""
     with QueryClient(settings, timeout_s=timeout_s) as asker:
         alive = asker.alive(settings.vehicle).get(settings.vehicle, frozenset())
     there = {"vehicle" if name == SENSORS else name for name in alive} & set(producers)
-    if not there:  # what is no service declares nothing
+    if not there:  # a program that is not a Camber service declares no liveliness
         played = [channel for channel in channels if set(channel.producers) & set(producers)]
         with RawSubscription(settings, played, timeout_s=timeout_s) as tap:
             time.sleep(_LISTEN_S)
             there = {BY_NAME[item.channel].producers[0] for item in tap.take()}
     if there:
         names = ", ".join(sorted(there))
-        own = ",".join(channel.name for channel in channels if set(channel.producers) & there)
-        raise Refused(
-            f"{names} of {settings.vehicle} is on this bus: expected nobody else who publishes the same; "
-            f"--without {own}, or another --vehicle"
+        same = ",".join(channel.name for channel in channels if set(channel.producers) & there)
+        raise PlaybackError(
+            f"{names} of {settings.vehicle} is on this bus, expected no other publisher of the same channels; "
+            f"use --without {same}, or another --vehicle"
         )
 
 
 class Player:
-    """Publishes messages as their producers would. Raises BusError."""
+    """Publishes messages as their original producers. Raises BusError."""
 
     def __init__(
         self,
@@ -141,7 +140,7 @@ class Player:
             bus.announce()
 
     def play(self, messages: Iterator[Recorded[Any] | RecordingError]) -> list[RecordingError]:
-        """Each when it is due, in their order; returns what was wrong with the recording."""
+        """Publish each message when it is due, in order; returns the errors of the recording."""
         errors: list[RecordingError] = []
         first_ns: int | None = None
         began_s, offset_ns = 0.0, 0
@@ -156,7 +155,7 @@ class Player:
                 first_ns, began_s = item.message.time_ns, time.monotonic()
                 if self._now:
                     offset_ns = (self._clock.now_ns() - first_ns) // NS_PER_FIX_ID * NS_PER_FIX_ID
-            due_s = began_s + (item.message.time_ns - first_ns) / _NS / self._speed
+            due_s = began_s + (item.message.time_ns - first_ns) / NS_PER_SECOND / self._speed
             wait_s = max(due_s - time.monotonic(), 0.0)
             if wait_s > _LONG_GAP_S:
                 print(
@@ -171,12 +170,12 @@ class Player:
         return errors
 
     def close(self) -> None:
-        """Leave the bus; all of them share one session."""
+        """Leave the bus."""
         for bus in self._buses.values():
             bus.close()
 
     def summary(self) -> str:
-        """One line for people."""
+        """Return one line with counts of played, omitted and late messages."""
         counts = ", ".join(f"{name} {count}" for name, count in sorted(self.played.items()))
         left = ", ".join(f"{name} {count}" for name, count in sorted(self.left_out.items()))
         late = (
@@ -187,7 +186,7 @@ class Player:
         return f"played {counts or 'nothing'}{f'; left out: {left}' if left else ''}{late}"
 
     def _is_left_out(self, channel: str) -> bool:
-        return BY_NAME[channel] in _OF_OTHERS or (self._now and channel == "receiver_bytes")
+        return BY_NAME[channel] in _RECEIVED_ONLY or (self._now and channel == "receiver_bytes")
 
     def _publish(self, item: Recorded[Any], offset_ns: int) -> None:
         message = moved(item.message, offset_ns) if offset_ns else item.message
@@ -211,14 +210,14 @@ def _chosen(names: str | None, without: str | None) -> tuple[Channel, ...]:
     left_out = [] if without is None else without.split(",")
     for name in (*wanted, *left_out):
         if name not in known:
-            raise Refused(f"channel {name!r}: expected some of {', '.join(known)}")
+            raise PlaybackError(f"channel {name!r}: expected some of {', '.join(known)}")
     return tuple(c for c in PLAYABLE if c.name in wanted and c.name not in left_out)
 
 
 def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[str], str]:
-    """Who published what these files hold of these channels, and the vehicle that their keys name.
+    """Return the producers of these channels' messages in the files, and the vehicle in their keys.
 
-    Raises Refused where they hold nothing, or what is not of one vehicle: two sources are never mixed.
+    Raises PlaybackError where there are no messages, or messages of several vehicles: sources are never mixed.
     """
     names: set[str] = set()
     vehicles: set[str] = set()
@@ -230,12 +229,12 @@ def _producers(files: Sequence[Path], channels: Sequence[Channel]) -> tuple[set[
                 try:
                     vehicles.add(channel.vehicle_in(item.key))
                 except ValueError as error:
-                    raise Refused(f"{path}: {item.channel}: {error}") from None
+                    raise PlaybackError(f"{path}: {item.channel}: {error}") from None
     every = ", ".join(map(str, files))
     if not names:
-        raise Refused(f"{every}: no message of these channels that this version can read")
+        raise PlaybackError(f"{every}: no message of these channels that this version can read")
     if len(vehicles) > 1:
-        raise Refused(f"{every}: of {', '.join(sorted(vehicles))}, expected one vehicle")
+        raise PlaybackError(f"{every}: messages of {', '.join(sorted(vehicles))}, expected one vehicle")
     return names, vehicles.pop()
 
 
@@ -243,22 +242,27 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MCAP files, in their order")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="MCAP files, in order")
     parser.add_argument(
-        "--times", choices=("now", "recorded"), default="now", help="times in messages (default now)"
+        "--times",
+        choices=("now", "recorded"),
+        default="now",
+        help="shift times to now, or keep them (default now)",
     )
     parser.add_argument(
         "--speed",
         type=number_from(0.001, 1000.0),
         default=1.0,
         metavar="F",
-        help="with recorded times; 2 is twice as fast",
+        help="playback speed, with --times recorded only (default 1)",
     )
     parser.add_argument("--channels", metavar="A,B", help="only these (default: all that were recorded)")
-    parser.add_argument("--without", metavar="A,B", help="not these")
+    parser.add_argument("--without", metavar="A,B", help="omit these channels")
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: the recorded one)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=SECONDS, default=5.0, metavar="S", help="for the bus (default 5)")
+    parser.add_argument(
+        "--timeout", type=SECONDS, default=5.0, metavar="S", help="timeout for joining the bus (default 5)"
+    )
     return parser
 
 

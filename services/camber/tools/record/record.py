@@ -1,7 +1,7 @@
-"""`camber record`: what is on the bus of a vehicle, byte for byte, into MCAP files with their schemas inside.
+"""`camber record`: record the messages on a vehicle's bus, byte for byte, into MCAP files with schemas.
 
-Until SIGTERM or SIGINT, which end the file properly. A file that a kill or a power cut has left without an end can be
-read up to its last whole chunk: 256 kB, or 10 s.
+SIGTERM or SIGINT ends the recording and closes the file. After a kill or a power cut a file can be read up to its last
+complete chunk (256 kB, or 10 s).
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from camber.schemas.channels import BY_NAME, CHANNELS, Channel
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS, number_from
 from camber.tools.options.stop_signals import stopped_by_signals
-from camber.tools.record.record_files import Limits, RecordFiles
+from camber.tools.record.recording_files import RecordingFiles, RecordingLimits
 
 _PROG = "camber record"
-_WRITE_EVERY_S = 0.2
-_MB = 1 << 20
+_WRITE_EVERY_S = 0.2  # chosen: few wake-ups; at most this much more is in memory than on the way to the disk
+_MB = 1 << 20  # bytes of a MiB
 RECORDABLE = tuple(c for c in CHANNELS if c.delivery in ("small", "bulk"))
 _HELP = """\
-exit codes: 0 stopped as asked; 1 the disk took no more, what it has can be read; 2 wrong usage; 3 no bus. While it
-waits for the bus a signal ends it at once.
+exit codes: 0 stopped by a signal or --duration; 1 writing failed (files so far are readable); 2 wrong usage; 3 no bus.
+While it waits for the bus a signal ends it at once.
 """
 
 
 def main(argv: Sequence[str]) -> int:
-    """Record until told to stop."""
+    """Record until a signal or the end of --duration."""
     args = _parser().parse_args(argv)
     try:
         channels = chosen(args.channels, args.without, sweeps=args.sweeps)
         if args.keep_mb is not None and args.keep_mb < 2.0 * args.max_mb:
-            # One file is being written, and what goes must not be all that was written before it.
+            # One file is being written, and deleting must leave at least one complete file before it.
             raise ValueError(
                 f"--keep-mb {args.keep_mb:g}: expected at least {2.0 * args.max_mb:g}, twice --max-mb"
             )
@@ -46,29 +46,29 @@ def main(argv: Sequence[str]) -> int:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 2
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
-    limits = Limits(
+    limits = RecordingLimits(
         file_bytes=round(args.max_mb * _MB),
         file_s=None if args.max_minutes is None else 60.0 * args.max_minutes,
         kept_bytes=None if args.keep_mb is None else round(args.keep_mb * _MB),
         free_bytes=round(args.leave_mb * _MB),
     )
     try:
-        files = RecordFiles(args.out, settings.vehicle, limits)
+        files = RecordingFiles(args.out, settings.vehicle, limits)
     except OSError as error:
         print(f"{_PROG}: --out {args.out}: {error.strerror or error}", file=sys.stderr)
         return 2
-    # No file has to be ended yet, and none of Python's handlers runs while Zenoh waits for a router.
+    # No file is open yet, and Python's signal handlers do not run while Zenoh waits for a router.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         with RawSubscription(settings, channels, timeout_s=args.timeout) as tap, stopped_by_signals() as stop:
             names = ", ".join(channel.name for channel in channels)
             print(f"{_PROG}: {settings.vehicle}: {names}, into {args.out}", file=sys.stderr, flush=True)
             end_s = time.monotonic() + (float("inf") if args.duration is None else args.duration)
-            said: Counter[str] = Counter()
+            reported: Counter[str] = Counter()
             while not stop.wait(_WRITE_EVERY_S) and time.monotonic() < end_s and files.problem is None:
-                said = _write(tap, files, said)
+                reported = _write(tap, files, reported)
             tap.close()
-            _write(tap, files, said)
+            _write(tap, files, reported)
             files.close()
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
@@ -83,35 +83,41 @@ def main(argv: Sequence[str]) -> int:
 
 
 def chosen(names: str | None, without: str | None, *, sweeps: bool) -> tuple[Channel, ...]:
-    """The channels to record; sweeps only where they are named or wanted. Raises ValueError."""
+    """Return the channels to record; sweeps only where named, or with `sweeps`. Raises ValueError."""
     every = [channel.name for channel in RECORDABLE if channel.delivery != "bulk" or sweeps]
     wanted = set(every if names is None else names.split(","))
     left_out = set() if without is None else set(without.split(","))
     known = {channel.name for channel in RECORDABLE}
     for name in sorted((wanted | left_out) - known):
-        expected = "a question" if name in BY_NAME else f"not one of {', '.join(sorted(known))}"
+        expected = (
+            "a query channel, which is not recorded"
+            if name in BY_NAME
+            else f"not one of {', '.join(sorted(known))}"
+        )
         raise ValueError(f"channel {name!r}: {expected}")
-    found = tuple(c for c in RECORDABLE if c.name in (wanted | ({"sweep"} if sweeps else set())) - left_out)
-    if not found:
+    channels = tuple(
+        c for c in RECORDABLE if c.name in (wanted | ({"sweep"} if sweeps else set())) - left_out
+    )
+    if not channels:
         raise ValueError("no channel is left")
-    return found
+    return channels
 
 
-def summary(files: RecordFiles) -> str:
-    """One line for people: what was written, and what was not."""
+def summary(files: RecordingFiles) -> str:
+    """Return one line with counts of written, dropped and malformed messages."""
     counts = ", ".join(f"{name} {count}" for name, count in sorted(files.by_channel.items()))
     size = sum(path.stat().st_size for path in files.files if path.exists())
     return (
-        f"{files.written} messages in {len(files.files)} files, {size / 1e6:.1f} MB ({counts or 'nothing came'}); "
-        f"{files.dropped} dropped, {files.malformed} were no messages"
+        f"{files.written} messages in {len(files.files)} files, {size / 1e6:.1f} MB ({counts or 'none received'}); "
+        f"{files.dropped} dropped, {files.malformed} malformed"
     )
 
 
-def _write(tap: RawSubscription, files: RecordFiles, said: Counter[str]) -> Counter[str]:
-    """Write what has come; say what had to be dropped because the disk is slower than the bus."""
+def _write(tap: RawSubscription, files: RecordingFiles, reported: Counter[str]) -> Counter[str]:
+    """Write the messages received; report those dropped because the disk is slower than the bus."""
     items, dropped = tap.take(), Counter(tap.dropped)
-    files.write(items, time.monotonic(), lost=dropped.total() - said.total())
-    if dropped != said:
+    files.write(items, time.monotonic(), lost=dropped.total() - reported.total())
+    if dropped != reported:
         counts = ", ".join(f"{name} {count}" for name, count in sorted(dropped.items()))
         print(
             f"{_PROG}: the disk is slower than the bus, dropped so far: {counts}", file=sys.stderr, flush=True
@@ -123,30 +129,34 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the files")
-    parser.add_argument("--channels", metavar="A,B", help="only these (default: all but sweeps)")
-    parser.add_argument("--without", metavar="A,B", help="not these")
-    parser.add_argument("--sweeps", action="store_true", help="sweeps too: a megabyte each")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder for the files")
+    parser.add_argument("--channels", metavar="A,B", help="record only these (default: all but sweeps)")
+    parser.add_argument("--without", metavar="A,B", help="omit these channels")
+    parser.add_argument("--sweeps", action="store_true", help="record sweeps too, about 1 MB each")
     above_0, mb = number_from(0.001, 1e8), number_from(1.0, 1e8)
-    parser.add_argument("--duration", type=above_0, metavar="S", help="end after so many seconds")
-    parser.add_argument("--max-mb", type=mb, default=1024.0, metavar="MB", help="of a file (default 1024)")
-    parser.add_argument("--max-minutes", type=above_0, metavar="MIN", help="of a file")
+    parser.add_argument("--duration", type=above_0, metavar="S", help="stop after S seconds")
+    parser.add_argument(
+        "--max-mb", type=mb, default=1024.0, metavar="MB", help="maximum size of a file (default 1024)"
+    )
+    parser.add_argument("--max-minutes", type=above_0, metavar="MIN", help="maximum duration of a file")
     parser.add_argument(
         "--keep-mb",
         type=mb,
         metavar="MB",
-        help="of all files of this vehicle: the oldest go; at least twice --max-mb",
+        help="maximum size of all files of this vehicle: the oldest are deleted; at least twice --max-mb",
     )
     parser.add_argument(
         "--leave-mb",
         type=number_from(0.0, 1e8),
         default=500.0,
         metavar="MB",
-        help="of the disk, to others (default 500)",
+        help="free disk space to leave (default 500)",
     )
     parser.add_argument("--vehicle", metavar="V", help="name of the vehicle (default vehicle)")
     add_bus_options(parser)
-    parser.add_argument("--timeout", type=SECONDS, metavar="S", help="for the bus (default: wait for it)")
+    parser.add_argument(
+        "--timeout", type=SECONDS, metavar="S", help="timeout for joining the bus (default: wait)"
+    )
     return parser
 
 

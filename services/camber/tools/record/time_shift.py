@@ -1,4 +1,4 @@
-"""A recorded message at another time: all instants in it moved alike, durations and everything else as they were."""
+"""Shift a recorded message in time: all instants by one offset; durations and all other fields unchanged."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from camber.schemas.base import EARLIEST_NS, Message, Model
 M = TypeVar("M", bound=Message)
 
 NS_PER_FIX_ID = 1_000_000
-"""Fixes are called by the millisecond of their epoch: moved too, or a judge would take them for those it has judged."""
+"""A fix_id is the millisecond of its epoch, shifted too: integrity ignores a fix_id that already had its verdict."""
 
 
 def moved(message: M, offset_ns: int) -> M:
-    """`message`, `offset_ns` later; a whole number of milliseconds, because fixes are called by theirs."""
+    """Return `message` shifted by `offset_ns`: whole milliseconds, the unit of fix ids."""
     if offset_ns % NS_PER_FIX_ID:
         raise ValueError(f"offset of {offset_ns} ns, expected whole milliseconds")
     return typing.cast(M, _moved(message, offset_ns))
 
 
 def instants(model: type[Model]) -> tuple[str, ...]:
-    """The fields of a model that are instants."""
+    """Return the names of a model's fields that are instants."""
     return tuple(name for name, info in model.model_fields.items() if _is_instant(info))
 
 
@@ -47,7 +47,7 @@ def _moved(model: Model, offset_ns: int) -> Model:
 
 @functools.cache
 def _plan(model: type[Model]) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Names of instants, of ids of fixes, and of fields that may hold parts."""
+    """Return the names of fields that are instants, that are fix ids, and that may contain models."""
     ids = tuple(name for name in model.model_fields if name == "fix_id")
     parts = tuple(name for name, info in model.model_fields.items() if _holds_a_model(info.annotation))
     return instants(model), ids, parts
@@ -64,8 +64,8 @@ def _is_earliest(item: Any) -> bool:
 
 
 def _metadata(annotation: Any) -> list[Any]:
-    own = list(annotation.__metadata__) if hasattr(annotation, "__metadata__") else []
-    return own + [item for argument in typing.get_args(annotation) for item in _metadata(argument)]
+    direct = list(annotation.__metadata__) if hasattr(annotation, "__metadata__") else []
+    return direct + [item for argument in typing.get_args(annotation) for item in _metadata(argument)]
 
 
 def _holds_a_model(annotation: Any) -> bool:

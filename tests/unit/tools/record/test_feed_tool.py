@@ -118,21 +118,23 @@ def test_reversed_twice_is_the_drive(epochs: tuple[Epoch, ...]) -> None:
 
 
 def test_a_sensor_that_gave_nothing_gives_nothing_on_the_way_back() -> None:
-    epoch = Epoch(_START_NS, (), (("motion", Motion(time_ns=_START_NS, wheel_speed_m_s=1.0)),))
+    epoch = Epoch(time_ns=_START_NS, samples=(("motion", Motion(time_ns=_START_NS, wheel_speed_m_s=1.0)),))
     (back,) = motions(reversed_drive([epoch]))
     assert (back.wheel_speed_m_s, back.yaw_rate_rad_s) == (-1.0, None)
 
 
 def test_without_loop_the_drive_is_fed_once_and_with_it_there_and_back(epochs: tuple[Epoch, ...]) -> None:
     assert [*passes(epochs, loop=False)] == [epochs]
-    ways = passes(epochs, loop=True)
+    drive_passes = passes(epochs, loop=True)
     back = reversed_drive(epochs)
-    assert [next(ways) for _ in range(4)] == [epochs, back, epochs, back]
+    assert [next(drive_passes) for _ in range(4)] == [epochs, back, epochs, back]
 
 
 def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
-    next_ns, missed = feed._feed_pass(epochs[:50], bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    next_ns, missed = feed.feed_pass(
+        epochs[:50], bus, FakeStop(bus), start_ns=_START_NS, reader=SweepReader()
+    )  # type: ignore[arg-type]
     assert [
         at - message.time_ns for at, _, message in bus.sent if abs(at - message.time_ns) > 1_000_000
     ] == []
@@ -144,11 +146,13 @@ def test_messages_go_out_when_they_are_due_and_are_dated_so(epochs: tuple[Epoch,
 def test_what_a_machine_was_too_late_for_is_left_out_and_nothing_is_moved(epochs: tuple[Epoch, ...]) -> None:
     """As a vehicle drives on: its wheels turned, so it is further."""
     bus = FakeBus(_START_NS)
-    ended = feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 3.05}), _START_NS, SweepReader())  # type: ignore[arg-type]
+    ended = feed.feed_pass(
+        epochs[:50], bus, FakeStop(bus, {20: 3.05}), start_ns=_START_NS, reader=SweepReader()
+    )  # type: ignore[arg-type]
     times = [message.time_ns for _, name, message in bus.sent if name == "motion"]
     # The one that was waited for would be 3.05 s late, and twelve more would be by over half a second.
-    said = [n for n in range(50) if not 20 <= n < 33]
-    assert times == [_START_NS + n * _NS // 5 for n in said]
+    published = [n for n in range(50) if not 20 <= n < 33]
+    assert times == [_START_NS + n * _NS // 5 for n in published]
     assert ended == (_START_NS + 10 * _NS, 13)
     assert max(at - message.time_ns for at, _, message in bus.sent) <= _NS // 2
 
@@ -157,7 +161,9 @@ def test_after_a_machine_slept_for_long_the_drive_goes_on_from_where_it_was(
     epochs: tuple[Epoch, ...],
 ) -> None:
     bus = FakeBus(_START_NS)
-    ended = feed._feed_pass(epochs[:50], bus, FakeStop(bus, {20: 90.0}), _START_NS, SweepReader())  # type: ignore[arg-type]
+    ended = feed.feed_pass(
+        epochs[:50], bus, FakeStop(bus, {20: 90.0}), start_ns=_START_NS, reader=SweepReader()
+    )  # type: ignore[arg-type]
     moved = [message for _, name, message in bus.sent if name == "motion"]
     assert len(moved) == 50
     assert max(at - message.time_ns for at, _, message in bus.sent) < 1_000_000
@@ -165,17 +171,20 @@ def test_after_a_machine_slept_for_long_the_drive_goes_on_from_where_it_was(
     assert ended[1] == 0
 
 
-def test_passes_that_a_machine_was_late_for_are_said(epochs: tuple[Epoch, ...], capsys) -> None:
+def test_passes_that_a_machine_was_late_for_are_reported(epochs: tuple[Epoch, ...], capsys) -> None:
     bus = FakeBus(_START_NS)
-    feed._feed(iter([epochs[:50]]), bus, FakeStop(bus, {20: 3.05}), "drive")  # type: ignore[arg-type]
-    assert "camber feed: this machine was late: 13 of 50 epochs were not said" in capsys.readouterr().err
+    feed.feed_passes(iter([epochs[:50]]), bus, FakeStop(bus, {20: 3.05}), drive="drive")  # type: ignore[arg-type]
+    assert (
+        "camber feed: this machine was too slow: 13 of 50 epochs were not published"
+        in capsys.readouterr().err
+    )
 
 
-def test_it_stops_when_told_to(epochs: tuple[Epoch, ...]) -> None:
+def test_it_stops_on_request(epochs: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
     stop = FakeStop(bus)
     stop.set()
-    feed._feed(passes(epochs, loop=True), bus, stop, "drive")  # type: ignore[arg-type]
+    feed.feed_passes(passes(epochs, loop=True), bus, stop, drive="drive")  # type: ignore[arg-type]
     assert bus.sent == []
 
 
@@ -228,7 +237,7 @@ def sweeps_of(bus: FakeBus) -> list[tuple[int, Sweep]]:
 
 def test_sweeps_go_out_at_their_time_and_are_dated_so(swept: tuple[Epoch, ...]) -> None:
     bus = FakeBus(_START_NS)
-    feed._feed_pass(swept, bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    feed.feed_pass(swept, bus, FakeStop(bus), start_ns=_START_NS, reader=SweepReader())  # type: ignore[arg-type]
     fed = sweeps_of(bus)
     assert [sweep.time_ns - _START_NS for _, sweep in fed] == [k * SWEEP_NS for k in (3, 4, 5)]
     assert all(abs(at - sweep.time_ns) <= 1_000_000 for at, sweep in fed)
@@ -238,7 +247,7 @@ def test_sweeps_go_out_at_their_time_and_are_dated_so(swept: tuple[Epoch, ...]) 
 def test_on_the_way_back_a_sweep_turns_the_other_way(swept: tuple[Epoch, ...]) -> None:
     back = reversed_drive(swept)
     bus = FakeBus(_START_NS)
-    feed._feed_pass(back, bus, FakeStop(bus), _START_NS, SweepReader())  # type: ignore[arg-type]
+    feed.feed_pass(back, bus, FakeStop(bus), start_ns=_START_NS, reader=SweepReader())  # type: ignore[arg-type]
     fed = sweeps_of(bus)
     span_ns = swept[-1].time_ns - swept[0].time_ns
     # A turn from 0.4 to 0.5 s is one from span − 0.5 to span − 0.4 s, but for the nanosecond of the first point.
@@ -257,7 +266,7 @@ def test_a_damaged_sweep_costs_itself_and_one_line(
     damaged = next(epoch for epoch in swept if epoch.sweeps).sweeps[0].file.path
     damaged.write_bytes(damaged.read_bytes()[:-1])
     bus = FakeBus(_START_NS)
-    feed._feed(passes(swept, loop=False), bus, FakeStop(bus), "drive")  # type: ignore[arg-type]
+    feed.feed_passes(passes(swept, loop=False), bus, FakeStop(bus), drive="drive")  # type: ignore[arg-type]
     assert len(sweeps_of(bus)) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "sweep" in line]
     assert f"1 sweep could not be read and left out, the first: {damaged.name}" in line

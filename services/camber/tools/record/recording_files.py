@@ -1,4 +1,4 @@
-"""Files of a recording that goes on: a new one by size or time, the oldest deleted, none on a disk nearly full."""
+"""Rotation of recording files: a new one by size or duration, the oldest deleted, none on a nearly full disk."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from camber.formats.drive.recording import Recorder
 from camber.runtime.raw_subscription import RawSample
 
 SUFFIX = ".mcap"
-_FLUSH_AFTER_S = 10.0
-_PART_BYTES = 16 << 20
+_FLUSH_AFTER_S = 10.0  # chosen: at most this much is lost to a power cut
+_PART_BYTES = 16 << 20  # chosen: within what `Recorder` buffers between two ticks
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """When a file ends, how much of all is kept, and how much of the disk is left to others; None: no limit."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingLimits:
+    """Size and duration of one file, size of all files kept, and free disk space to leave; None: no limit."""
 
     file_bytes: int | None = 1 << 30
     file_s: float | None = None
@@ -30,14 +30,14 @@ class Limits:
     free_bytes: int = 500 << 20
 
 
-class RecordFiles:
-    """Writes what was tapped. `problem` says why nothing is written any more; then `dropped` counts the rest.
+class RecordingFiles:
+    """Writes raw messages into rotating files. After `problem` is set nothing is written and `dropped` counts the rest.
 
-    Files are called by prefix, UTC of their begin, and number; none that is there is written over. Raises OSError
-    where the first one cannot be made.
+    File names are prefix, UTC of the first message, and number; existing files are never overwritten. Raises OSError
+    where the first file cannot be created.
     """
 
-    def __init__(self, folder: Path, prefix: str, limits: Limits) -> None:
+    def __init__(self, folder: Path, prefix: str, limits: RecordingLimits) -> None:
         self.written = self.dropped = self.malformed = 0
         self.problem: str | None = None
         self.by_channel: Counter[str] = Counter()
@@ -48,13 +48,13 @@ class RecordFiles:
         folder.mkdir(parents=True, exist_ok=True)
 
     def write(self, items: list[RawSample], now_s: float, *, lost: int = 0) -> None:
-        """Write these to the file that is due now, and that `lost` were dropped before; `now_s` is monotonic."""
+        """Write messages to the current file and note that `lost` were dropped before; `now_s` is monotonic."""
         for part in _parts(items):
             self._write(part, now_s, lost)
             lost = 0
 
     def close(self) -> None:
-        """End the file."""
+        """Close the current file."""
         self._end_file()
 
     def _write(self, items: list[RawSample], now_s: float, lost: int) -> None:
@@ -96,7 +96,7 @@ class RecordFiles:
         self._delete_oldest()
 
     def _open_file(self, name: str) -> None:
-        """With the next number that nobody has: another recorder may write into the same folder."""
+        """Open the file of the next free number: another recorder may write into the same folder."""
         for number in itertools.count(len(self.files)):
             path = self._folder / f"{name}-{number:03d}{SUFFIX}"
             try:
@@ -107,10 +107,10 @@ class RecordFiles:
             return
 
     def _too_full(self) -> str | None:
-        free, least = shutil.disk_usage(self._folder).free, self._limits.free_bytes
-        if free >= least:
+        free_bytes, limit_bytes = shutil.disk_usage(self._folder).free, self._limits.free_bytes
+        if free_bytes >= limit_bytes:
             return None
-        return f"{self._folder}: {free >> 20} MB left on the disk, {least >> 20} MB are for others"
+        return f"{self._folder}: {free_bytes >> 20} MB free on the disk, expected at least {limit_bytes >> 20} MB"
 
     def _is_full(self, now_s: float) -> bool:
         limits = self._limits
@@ -129,26 +129,24 @@ class RecordFiles:
             self.problem = f"{self._folder}: {recorder.problem}"
 
     def _delete_oldest(self) -> None:
-        """Of this prefix, those of earlier runs among them; never the one that is being written."""
+        """Delete the oldest files of this prefix, also of earlier runs, never the one being written."""
         if self._limits.kept_bytes is None:
             return
-        of_this = re.compile(rf"{re.escape(self._prefix)}-\d{{8}}T\d{{6}}Z-\d{{3,}}{re.escape(SUFFIX)}")
+        pattern = re.compile(rf"{re.escape(self._prefix)}-\d{{8}}T\d{{6}}Z-\d{{3,}}{re.escape(SUFFIX)}")
         files = sorted(
-            (p for p in self._folder.iterdir() if of_this.fullmatch(p.name) and p != self.files[-1]),
+            (p for p in self._folder.iterdir() if pattern.fullmatch(p.name) and p != self.files[-1]),
             key=lambda path: path.name,
         )
         total = sum(_size(path) for path in files)
         while files and total > self._limits.kept_bytes:
             oldest = files.pop(0)
             total -= _size(oldest)
-            with contextlib.suppress(
-                OSError
-            ):  # somebody else's: it stays, and those after it need not go for it
+            with contextlib.suppress(OSError):  # of another user: it stays and counts as deleted
                 oldest.unlink()
 
 
 def _parts(items: list[RawSample]) -> Iterator[list[RawSample]]:
-    """What a recorder takes within one tick, in the order of arrival; one part, empty, where nothing came."""
+    """Yield parts that a recorder accepts within one tick, in order of arrival; one empty part for no messages."""
     part: list[RawSample] = []
     part_bytes = 0
     for item in items:

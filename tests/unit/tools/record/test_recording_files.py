@@ -16,12 +16,12 @@ from camber.schemas.codec import encode
 from camber.schemas.lidar import Sweep
 from camber.schemas.motion import Motion
 from camber.tools.record.record import chosen, main
-from camber.tools.record.record_files import Limits, RecordFiles
+from camber.tools.record.recording_files import RecordingFiles, RecordingLimits
 from support.messages import build
 
 T = 1_300_000_000 * 10**9
 UNIX = 1_700_000_000 * 10**9
-OPEN = Limits(free_bytes=0)
+OPEN = RecordingLimits(free_bytes=0)
 
 
 def motions(first: int, count: int) -> list[RawSample]:
@@ -44,7 +44,7 @@ def sequences(path: Path) -> list[int]:
 
 
 def test_a_file_ends_when_it_is_long_enough_and_nothing_is_lost_between(tmp_path: Path) -> None:
-    files = RecordFiles(tmp_path, "car", Limits(file_s=10.0, free_bytes=0))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=10.0, free_bytes=0))
     for n in range(5):
         files.write(motions(10 * n, 10), now_s=100.0 + 4.0 * n)
     files.close()
@@ -54,7 +54,7 @@ def test_a_file_ends_when_it_is_long_enough_and_nothing_is_lost_between(tmp_path
 
 
 def test_a_file_ends_when_it_is_large_enough(tmp_path: Path) -> None:
-    files = RecordFiles(tmp_path, "car", Limits(file_bytes=100_000, free_bytes=0))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_bytes=100_000, free_bytes=0))
     for n in range(40):
         files.write(motions(1000 * n, 1000), now_s=float(n))
     files.close()
@@ -66,7 +66,7 @@ def test_a_file_ends_when_it_is_large_enough(tmp_path: Path) -> None:
 def test_the_oldest_go_also_those_of_earlier_runs_and_never_of_others(tmp_path: Path) -> None:
     (tmp_path / "car-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
     (tmp_path / "bus-20200101T000000Z-000.mcap").write_bytes(b"x" * 500_000)
-    files = RecordFiles(tmp_path, "car", Limits(file_s=1.0, kept_bytes=20_000, free_bytes=0))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=1.0, kept_bytes=20_000, free_bytes=0))
     for n in range(30):
         files.write(motions(100 * n, 100), now_s=2.0 * n)
     files.close()
@@ -81,7 +81,7 @@ def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Pa
     others = {"car-2-20200101T000000Z-000.mcap", "car-notes.mcap"}
     for name in others:
         (tmp_path / name).write_bytes(b"x" * 500_000)
-    files = RecordFiles(tmp_path, "car", Limits(kept_bytes=20_000, free_bytes=0))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(kept_bytes=20_000, free_bytes=0))
     files.write(motions(0, 10), now_s=0.0)
     files.close()
     assert {path.name for path in tmp_path.iterdir()} == {files.files[0].name, *others}
@@ -90,7 +90,7 @@ def test_files_of_a_vehicle_whose_name_begins_alike_are_not_deleted(tmp_path: Pa
 def test_an_old_file_that_cannot_be_deleted_hinders_nothing(tmp_path: Path) -> None:
     stuck = tmp_path / "car-20200101T000000Z-000.mcap"
     stuck.mkdir()  # unlink says no, also to root
-    files = RecordFiles(tmp_path, "car", Limits(file_s=1.0, kept_bytes=1, free_bytes=0))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(file_s=1.0, kept_bytes=1, free_bytes=0))
     for n in range(3):
         files.write(motions(10 * n, 10), now_s=2.0 * n)
     files.close()
@@ -99,13 +99,13 @@ def test_an_old_file_that_cannot_be_deleted_hinders_nothing(tmp_path: Path) -> N
 
 
 def test_recorders_of_one_second_and_one_folder_keep_what_the_others_wrote(tmp_path: Path) -> None:
-    first, second = (RecordFiles(tmp_path, "car", OPEN) for _ in range(2))
+    first, second = (RecordingFiles(tmp_path, "car", OPEN) for _ in range(2))
     for n in range(3):
         first.write(motions(10 * n, 10), now_s=float(n))
         second.write(motions(5 + 10 * n, 10), now_s=float(n))
     first.close()
     second.close()
-    later = RecordFiles(tmp_path, "car", OPEN)
+    later = RecordingFiles(tmp_path, "car", OPEN)
     later.write(motions(0, 5), now_s=9.0)
     later.close()
     assert [path.name[-8:] for files in (first, second, later) for path in files.files] == [
@@ -128,7 +128,7 @@ def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path
         offset_ns=np.zeros(n, np.int32),
     )
     one = RawSample("sweep", "camber/v1/car/vehicle/sweep", encode(sweep, source="vehicle", sequence=0), UNIX)
-    files = RecordFiles(tmp_path, "car", OPEN)
+    files = RecordingFiles(tmp_path, "car", OPEN)
     files.write([one] * 50, now_s=0.0)
     files.close()
     assert 50 * len(one.data) > 64 << 20
@@ -136,7 +136,7 @@ def test_all_that_the_tap_has_kept_is_written_though_it_is_much_at_once(tmp_path
 
 
 def test_a_kill_costs_seconds_whatever_times_stand_in_the_messages(tmp_path: Path) -> None:
-    files = RecordFiles(tmp_path, "car", OPEN)
+    files = RecordingFiles(tmp_path, "car", OPEN)
     files.write(
         motions(10**9, 1), now_s=0.0
     )  # three years ahead: a clock that is set back, or somebody's mistake
@@ -153,14 +153,14 @@ def test_where_the_disk_is_nearly_full_the_file_is_ended_properly(
     usage = namedtuple("usage", "total used free")
     free = [10 << 20]
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(0, 0, free[0]))
-    files = RecordFiles(tmp_path, "car", Limits(free_bytes=5 << 20))
+    files = RecordingFiles(tmp_path, "car", RecordingLimits(free_bytes=5 << 20))
     files.write(motions(0, 10), now_s=0.0)
     free[0] = 1 << 20
     files.write(motions(10, 10), now_s=1.0)
     files.write(motions(20, 10), now_s=2.0)
     files.close()
     assert files.problem is not None
-    assert "1 MB left on the disk" in files.problem
+    assert "1 MB free on the disk" in files.problem
     assert sequences(files.files[0]) == list(range(20))
     assert (files.written, files.dropped) == (20, 10)
 
@@ -168,7 +168,7 @@ def test_where_the_disk_is_nearly_full_the_file_is_ended_properly(
 def test_what_was_dropped_before_stands_in_the_file(tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
-    files = RecordFiles(tmp_path, "car", OPEN)
+    files = RecordingFiles(tmp_path, "car", OPEN)
     files.write(motions(0, 10), now_s=0.0)
     files.write(motions(10, 10), now_s=1.0, lost=7)
     files.close()
@@ -181,7 +181,7 @@ def test_what_was_dropped_before_stands_in_the_file(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError):  # noqa: PT011 (which one depends on the system)
-        RecordFiles(tmp_path / "file", "car", OPEN)
+        RecordingFiles(tmp_path / "file", "car", OPEN)
 
 
 def test_all_channels_but_sweeps_unless_they_are_wanted() -> None:
