@@ -51,7 +51,9 @@ def test_recordings_of_two_vehicles_are_not_mixed(tmp_path: Path, capsys: pytest
     for files in ([one, two], [both]):
         assert tool.main([*map(str, files), "--vehicle", "bench"]) == 2
         said = capsys.readouterr().err
-        assert said == f"camber play: {', '.join(map(str, files))}: messages of c1, c2, expected one vehicle\n"
+        assert (
+            said == f"camber play: {', '.join(map(str, files))}: messages of c1, c2, expected one vehicle\n"
+        )
 
 
 @pytest.mark.parametrize("key", ["motion", "a/b", "camber/v1/*/vehicle/motion"])
