@@ -1,4 +1,4 @@
-"""A caster that lies, dawdles or drops its clients: a named reason, bounded, and back when it is well again."""
+"""Casters that send wrong, slow or no data: a reported reason, bounded waits, and reconnection."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def opened(
 
 
 def saying(*parts: bytes) -> Script:
-    """Answers so, and then says nothing more."""
+    """Send this response, and then nothing more."""
 
     def script(peer: Peer) -> None:
         peer.request()
@@ -253,7 +253,7 @@ def test_a_caster_that_does_not_take_positions_is_still_read(
 
 
 def refusing_sentences() -> Callable[..., int]:
-    """What a connection's `send` does when the queue to the other side is full."""
+    """A `send` that sends no sentences, as with a full queue."""
     from camber.transport.tcp_connection import TcpConnection
 
     send = TcpConnection.send

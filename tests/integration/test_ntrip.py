@@ -1,4 +1,4 @@
-"""A real caster, RTKLIB's str2str, on the loopback: cut off, restarted, locked, slow; and two sources at once."""
+"""RTKLIB's caster, str2str: interrupted, restarted, with passwords, slow; and two sources at once."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def message(number: int) -> bytes:
 
 @dataclass
 class Base:
-    """A base station's receiver, to which the caster connects; what the caster sends back to it is in `sentences`."""
+    """A base station receiver; `sentences` is the data that the caster sends back to it."""
 
     pause_s: float = 0.02
     bytewise: bool = False
@@ -40,7 +40,7 @@ class Base:
     sentences: list[tuple[float, bytes]] = field(default_factory=list)
 
     def script(self, peer: Peer) -> None:
-        """Message after message."""
+        """Send one message after another."""
         seen = 0
         for number in range(1_000_000):
             data = b"" if self.muted else message(number)
@@ -63,7 +63,7 @@ def free_port() -> int:
 def caster(
     base: HostileCaster, port: int, folder: Path, password: str = "geheim"
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """A caster with one mountpoint, BASE; it gives the base what its clients send."""
+    """A caster with the mount point BASE, which forwards the data of its clients to the base station."""
     program = shutil.which("str2str")
     if program is None:
         pytest.skip("str2str of RTKLIB is not installed")
@@ -213,7 +213,7 @@ def test_a_caster_that_gives_a_byte_at_a_time_is_slow_but_not_silent(reader: Rea
 
 
 def test_a_rover_and_its_base_are_read_at_once_while_both_come_and_go(reader: Reader, tmp_path: Path) -> None:
-    """For some seconds; every byte that comes is of its own source."""
+    """For some seconds; no stream contains bytes of the other source."""
     stop_s = time.monotonic() + 6.0
     of_base, port = Reader(), free_port()
 

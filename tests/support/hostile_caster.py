@@ -1,4 +1,4 @@
-"""A server on the loopback that does to its clients what a script says; and certificates for it."""
+"""A scripted TCP server, and certificates for it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Script = Callable[["Peer"], None]
 
 
 class Peer:
-    """One connection, as the server has it."""
+    """A connection of the server."""
 
     def __init__(self, connection: socket.socket, stop: threading.Event) -> None:
         self.socket = connection
@@ -30,14 +30,14 @@ class Peer:
         self.sentences = b""
 
     def request(self) -> bytes:
-        """All up to the empty line."""
+        """Receive all up to the empty line."""
         while b"\r\n\r\n" not in self.sentences:
             self.listen()
         head, end, self.sentences = self.sentences.partition(b"\r\n\r\n")
         return head + end
 
     def listen(self) -> None:
-        """Take what comes within a moment into `sentences`; ConnectionError where the client has gone."""
+        """Receive into `sentences` for a moment; ConnectionError where the client has gone."""
         if self._stop.is_set():
             raise ConnectionError("the test is over")
         self.socket.settimeout(_STEP_S)
@@ -54,13 +54,13 @@ class Peer:
         self.socket.sendall(data)
 
     def wait(self, seconds: float = 60.0) -> None:
-        """Say nothing, until the client has gone or the test is over."""
+        """Send nothing until the client has gone or the test is over."""
         for _ in range(int(seconds / _STEP_S)):
             self.listen()
 
 
 class HostileCaster:
-    """Treats its first connection as the first script says, and so on; the last script is for all that follow."""
+    """Runs the first script for the first connection, and so on; the last one for all others."""
 
     def __init__(self, *scripts: Script, tls: ssl.SSLContext | None = None) -> None:
         self._scripts = scripts

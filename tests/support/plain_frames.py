@@ -23,25 +23,25 @@ _LOOKS_LIKE_A_SENTENCE = re.compile(rb"\$[A-Z]{2}")
 
 
 class PlainFrameBuffer:
-    """As `FrameBuffer`: the same results, and the same counts."""
+    """Has the results and counts of `FrameBuffer`."""
 
     def __init__(self, *protocols: FrameProtocol) -> None:
         self.bytes_skipped = 0
-        """Bytes that belong to no frame; where NMEA is looked for, without carriage returns and line feeds."""
+        """Bytes that are not part of a frame; with NMEA, without carriage returns and line feeds."""
         self.failed_checks = {protocol: 0 for protocol in protocols if protocol != "nmea"}
-        """Things that began like a frame and had a wrong checksum."""
+        """Frames with a wrong checksum."""
         self._buffer = bytearray()
         self._buffer_offset = 0
         self._beginning = re.compile(b"|".join(_BEGINNINGS[protocol] for protocol in protocols), re.DOTALL)
         self._ignored = b"\r\n" if "nmea" in protocols else b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The frames that the bytes complete."""
+        """Return the frames that the bytes complete."""
         self._buffer += data
         return self._scan(last=False)
 
     def finish(self) -> list[Frame]:
-        """Call at the end of the stream: frames behind one that was not completed, a last sentence without line end."""
+        """Return the remaining frames at the end of the stream."""
         return self._scan(last=True)
 
     def _scan(self, *, last: bool) -> list[Frame]:
@@ -69,7 +69,7 @@ class PlainFrameBuffer:
         return frames
 
     def _size(self, start: int, *, last: bool) -> int | None:
-        """Bytes of the frame that begins here, or, negative, of what is none and is skipped; None: not yet known."""
+        """Return the size of the frame, negative for bytes to skip, None for an incomplete frame."""
         protocol = _PROTOCOL_OF[self._buffer[start]]
         if protocol == "nmea":
             return self._sentence_size(start, last=last)

@@ -32,7 +32,7 @@ def random_epoch(
     missing: float = 0.15,
     most_range_m: float = 7.6e7,
 ) -> ObservationEpoch:
-    """Up to so many satellites of each system, each with some of its signals, values missing here and there."""
+    """Random satellites of each system, each with some of its signals; a part `missing` of the values is NaN."""
     names, signals, wavelengths = [], [], []
     for system, known in carriers.items():
         count = int(rng.integers(0, min(satellites, MAX_NUMBER[system]) + 1))
@@ -70,7 +70,7 @@ def random_epoch(
 
 
 def random_ephemeris(rng: np.random.Generator, name: str, toe_ns: int) -> Ephemeris:
-    """Every field within what its system can say, often near the end of its range."""
+    """Every field within the range of its system, often near the limit."""
 
     def around(most: float) -> float:
         return float(most * rng.choice([-0.96, 0.96, *rng.uniform(-0.96, 0.96, 4)]))

@@ -1,4 +1,4 @@
-"""Consumers of byte streams that wait for what has to come, never for a time."""
+"""Consumers of byte streams that wait for a condition, never for a time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PATIENCE_S = 20.0
 
 
 class Reader:
-    """What a consumer has taken so far."""
+    """A consumer of a stream."""
 
     def __init__(self) -> None:
         self.arrived = threading.Event()

@@ -1,4 +1,4 @@
-"""The message of a format error is one clear line, whatever was found."""
+"""The text of a format error is one line for any input."""
 
 from hypothesis import given
 from hypothesis import strategies as st

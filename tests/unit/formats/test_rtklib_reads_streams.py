@@ -1,4 +1,4 @@
-"""RTKLIB's convbin reads the streams: observations and ephemerides of all systems, from UBX and from RTCM."""
+"""RTKLIB's convbin decodes observations and ephemerides of all systems, from UBX and from RTCM."""
 
 import shutil
 import subprocess

@@ -1,4 +1,4 @@
-"""Bytes of a receiver: a file that grows, a server that comes back, a serial port; bounded, and never given up."""
+"""Byte streams of a growing file, a TCP server and a serial port: bounded memory, and reconnection."""
 
 from __future__ import annotations
 
@@ -315,7 +315,7 @@ def test_a_file_may_be_silent_for_ever(tmp_path: Path, reader: Reader) -> None:
 
 
 def raw_terminal() -> tuple[int, str]:
-    """A pair of terminals: where we write, and the name of the port that is read."""
+    """A pair of pseudo-terminals: the end to write to, and the name of the port."""
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     name = os.ttyname(theirs)

@@ -1,4 +1,4 @@
-"""Answers of casters of either revision, in pieces of any size: a stream, or a clear reason why there is none."""
+"""Responses of casters of both revisions, in chunks of any size: a stream, or a reason for refusal."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from camber.transport.ntrip_responses import HEAD_LIMIT_BYTES, parse_response
 from camber.transport.tcp_connection import RefusedError
 
 STREAM = b"\xd3\x00\x13>\xd0\x00\x03\n\r\nA: b\r\n\r\n0\r\n"
-"""Bytes like those of a stream, with all that the framing around it is made of."""
+"""Bytes of a stream that contain all characters of the framing."""
 OK_2 = b"HTTP/1.1 200 OK\r\nNtrip-Version: Ntrip/2.0\r\nContent-Type: gnss/data\r\n"
 
 
@@ -34,7 +34,7 @@ STREAMS = {
 
 
 def fed(answer: bytes, cuts: list[int]) -> bytes:
-    """The bytes of the stream, where the answer comes in pieces that end at `cuts`."""
+    """The bytes of the stream of a response in chunks that end at `cuts`."""
     body, head, decoded = None, b"", b""
     for begin, end in zip([0, *cuts], [*cuts, len(answer)], strict=True):
         piece = answer[begin:end]

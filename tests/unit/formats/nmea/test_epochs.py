@@ -1,4 +1,4 @@
-"""NMEA streams: epochs put together, dates, heights, what is refused, and that no bytes make the decoder raise."""
+"""NMEA streams: epochs, dates, heights, refused content, and malformed input that must never raise."""
 
 import itertools
 import math
@@ -518,7 +518,7 @@ def gbs(content: str, talker: str = "GN") -> bytes:
     return sentence(f"{talker}GBS,120000.00,{content}")
 
 
-def statement(data: bytes) -> ReceiverIntegrity:
+def gbs_report(data: bytes) -> ReceiverIntegrity:
     decoder = NmeaDecoder("port", utc_date=DAY)
     (decoded,) = decoder.feed(data)
     assert isinstance(decoded, ReceiverIntegrity)
@@ -527,21 +527,21 @@ def statement(data: bytes) -> ReceiverIntegrity:
 
 
 def test_gbs_gives_the_raim_result() -> None:
-    passed = statement(gbs("1.6,1.4,3.2,,,,,,"))
+    passed = gbs_report(gbs("1.6,1.4,3.2,,,,,,"))
     assert (passed.raim, passed.suspect_satellite) == ("passed", None)
     assert passed.expected_error_enu_m == (1.4, 1.6, 3.2)
     assert passed.time_ns == gps_ns_from_utc(CalendarTime(DAY.year, DAY.month, DAY.day, 12, 0, 0))
     # The example of u-blox' interface description, and one of Trimble's.
-    failed = statement(gbs("1.4,1.3,3.1,03,,-21.4,3.8,1,0", "GP"))
+    failed = gbs_report(gbs("1.4,1.3,3.1,03,,-21.4,3.8,1,0", "GP"))
     assert (failed.raim, failed.suspect_satellite) == ("failed", "G03")
     assert (failed.suspect_bias_m, failed.suspect_bias_sigma_m) == (-21.4, 3.8)
     assert failed.missed_detection_probability is None
-    other = statement(gbs("-0.031,-0.186,0.219,19,0.000,-0.354,6.972", "GP"))
+    other = gbs_report(gbs("-0.031,-0.186,0.219,19,0.000,-0.354,6.972", "GP"))
     assert other.expected_error_enu_m == (-0.186, -0.031, 0.219)
     assert (other.suspect_satellite, other.missed_detection_probability) == ("G19", 0.0)
     # With four satellites there is nothing to check.
-    assert statement(gbs(",,,,,,,,")).raim == "unknown"
-    assert statement(gbs(",,,07,,,,1,1")).raim == "failed"
+    assert gbs_report(gbs(",,,,,,,,")).raim == "unknown"
+    assert gbs_report(gbs(",,,07,,,,1,1")).raim == "failed"
     for decoded in (passed, failed, other):
         assert (decoded.jamming, decoded.spoofing, decoded.integrity_risk) == ("unknown", "unknown", None)
 
@@ -567,7 +567,7 @@ def test_gbs_gives_the_raim_result() -> None:
 def test_gbs_satellite_name_follows_system_and_talker(
     number: str, system_id: str, talker: str, name: str
 ) -> None:
-    assert statement(gbs(f"1.4,1.3,3.1,{number},,-21.4,3.8,{system_id},0", talker)).suspect_satellite == name
+    assert gbs_report(gbs(f"1.4,1.3,3.1,{number},,-21.4,3.8,{system_id},0", talker)).suspect_satellite == name
 
 
 def test_gbs_equals_that_of_pynmeagps() -> None:
@@ -576,7 +576,7 @@ def test_gbs_equals_that_of_pynmeagps() -> None:
         values = [f"{rng.uniform(-50.0, 50.0):.{rng.randrange(4)}f}" for _ in range(4)]
         data = gbs(f"{values[0]},{values[1]},{values[2]},{rng.randrange(1, 33):02d},,{values[3]},3.5,1,0")
         oracle = NMEAReader.parse(data)
-        decoded = statement(data)
+        decoded = gbs_report(data)
         assert decoded.expected_error_enu_m == (oracle.errLon, oracle.errLat, oracle.errAlt)
         assert (decoded.suspect_bias_m, decoded.suspect_bias_sigma_m) == (oracle.bias, oracle.stddev)
         assert decoded.suspect_satellite == f"G{oracle.svid:02d}"

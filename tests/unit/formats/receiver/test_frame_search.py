@@ -1,4 +1,4 @@
-"""The search for frames beside a plain one: the same frames, skipped bytes and failed checks, whatever comes."""
+"""The frame search compared with a simple one: the same frames, skipped bytes and failed checksums."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ PROTOCOLS: tuple[tuple[FrameProtocol, ...], ...] = (
 )
 
 
-def liar(rng: random.Random) -> bytes:
-    """A beginning, with a length of any kind, and some bytes of what it announces."""
+def false_beginning(rng: random.Random) -> bytes:
+    """The beginning of a frame with a random length."""
     length = rng.choice([0, 1, 7, 100, 1023, MAX_UBX_PAYLOAD_BYTES, MAX_UBX_PAYLOAD_BYTES + 1, 0xFFFF])
     ubx = b"\xb5\x62\x01\x07" + length.to_bytes(2, "little")
     rtcm = b"\xd3" + min(length, 1023).to_bytes(2, "big")
@@ -50,19 +50,19 @@ def sentence(rng: random.Random) -> bytes:
 
 
 def within(rng: random.Random) -> bytes:
-    """A right frame inside of a false one, and the other way round."""
+    """A valid frame inside an invalid one."""
     inner = frame(rng)
-    return ubx_frame(1, 2, liar(rng) + inner)[: rng.choice([-1, 10_000])]
+    return ubx_frame(1, 2, false_beginning(rng) + inner)[: rng.choice([-1, 10_000])]
 
 
 PARTS: tuple[Callable[[random.Random], bytes], ...] = (
-    liar,
+    false_beginning,
     damaged_frame,
     frame,
     sentence,
     within,
     lambda rng: rng.randbytes(rng.choice([1, 10, 500])),
-    lambda rng: liar(rng) * rng.randrange(1, 200),
+    lambda rng: false_beginning(rng) * rng.randrange(1, 200),
 )
 
 
@@ -70,7 +70,7 @@ def stream(rng: random.Random) -> bytes:
     return b"".join(rng.choice(PARTS)(rng) for _ in range(rng.randrange(30)))
 
 
-def played(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> object:
+def frames_and_counts(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> object:
     frames = [decoded for piece in pieces for decoded in buffer.feed(piece)]
     return frames + buffer.finish(), buffer.bytes_skipped, buffer.failed_checks
 
@@ -80,11 +80,11 @@ def played(buffer: FrameBuffer | PlainFrameBuffer, pieces: list[bytes]) -> objec
 def test_frames_equal_those_of_a_simple_search(seed: int, protocols: tuple[FrameProtocol, ...]) -> None:
     rng = random.Random(seed)
     data = stream(rng)
-    expected = played(PlainFrameBuffer(*protocols), [data])
-    assert played(FrameBuffer(*protocols), [data]) == expected
+    expected = frames_and_counts(PlainFrameBuffer(*protocols), [data])
+    assert frames_and_counts(FrameBuffer(*protocols), [data]) == expected
     cuts = sorted(rng.sample(range(len(data) + 1), min(len(data), rng.choice([1, 5, 100]))))
     pieces = [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
-    assert played(FrameBuffer(*protocols), pieces) == expected
+    assert frames_and_counts(FrameBuffer(*protocols), pieces) == expected
 
 
 @given(st.integers(0, 2**32), st.sampled_from(PROTOCOLS))
@@ -111,8 +111,8 @@ def test_long_chunks_equal_short_ones(size: int) -> None:
     while len(data) < size:
         data += stream(rng)
     data = data[:size]
-    expected = played(PlainFrameBuffer("ubx", "nmea", "rtcm"), [data])
-    assert played(FrameBuffer("ubx", "nmea", "rtcm"), [data]) == expected
+    expected = frames_and_counts(PlainFrameBuffer("ubx", "nmea", "rtcm"), [data])
+    assert frames_and_counts(FrameBuffer("ubx", "nmea", "rtcm"), [data]) == expected
 
 
 @pytest.mark.parametrize("size", range(MAX_SENTENCE_BYTES - 1, MAX_SENTENCE_BYTES + 3))

@@ -1,4 +1,4 @@
-"""Lock times: whether a phase goes on where the signal's last one ended."""
+"""Loss of lock derived from lock times."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SECOND_NS = 1_000_000_000
 
 
 def run(*epochs, most_more_s=0.001):
-    """(time s, lock s or None without a phase, state): which of them are lost."""
+    """Which of (time s, lock s or None without a phase, state) have lost lock."""
     locks, lost = LossOfLockDetector(), []
     for time_s, lock_s, state in epochs:
         has = np.array([lock_s is not None])

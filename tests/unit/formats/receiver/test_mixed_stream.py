@@ -1,4 +1,4 @@
-"""UBX, NMEA and RTCM on one port: the frames that are found, whatever stands between them, and what is made of them."""
+"""UBX, NMEA and RTCM on one port, with garbage between them."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def random_frame(rng: random.Random) -> tuple[str, bytes]:
     return kind, sentence(content)
 
 
-def without_beginnings(rng: random.Random, size: int) -> bytes:
-    """Garbage in which nothing begins."""
+def without_sync(rng: random.Random, size: int) -> bytes:
+    """Garbage without any sync character."""
     return bytes(byte for byte in rng.randbytes(size) if byte not in b"\xb5\xd3$")
 
 
@@ -82,7 +82,7 @@ def as_frame(kind: str, data: bytes) -> tuple[str, bytes]:
 def test_frames_among_garbage_are_returned_in_order(seed):
     rng = random.Random(seed)
     sent = [random_frame(rng) for _ in range(rng.randrange(12))]
-    stream = b"".join(without_beginnings(rng, rng.choice([0, 0, 5, 300])) + data for _, data in sent)
+    stream = b"".join(without_sync(rng, rng.choice([0, 0, 5, 300])) + data for _, data in sent)
     expected = [as_frame(*frame) for frame in sent]
     assert frames_of(stream) == expected
     assert frames_of(stream, cuts=rng) == expected
@@ -111,7 +111,7 @@ def test_truncated_frame_costs_only_itself(seed, cut_kind, whole_kind):
 
 
 def test_false_length_does_not_cost_the_following_frames():
-    liars = [
+    false_beginnings = [
         b"\xb5\x62\x01\x07\xff\xff",
         b"\xb5\x62\x01\x07" + (MAX_UBX_PAYLOAD_BYTES + 1).to_bytes(2, "little"),
         b"\xb5\x62\x01\x07" + MAX_UBX_PAYLOAD_BYTES.to_bytes(2, "little"),
@@ -123,13 +123,13 @@ def test_false_length_does_not_cost_the_following_frames():
         b"\xd3",
         b"$",
     ]
-    for liar in liars:
+    for false_beginning in false_beginnings:
         buffer = FrameBuffer(*EVERY)
-        decoded = buffer.feed(liar + POLL * 3) + buffer.finish()
+        decoded = buffer.feed(false_beginning + POLL * 3) + buffer.finish()
         assert [frame.data for frame in decoded if frame.protocol == "ubx"] == [POLL] * 3
-        assert buffer.bytes_skipped == (0 if b"GGA" in liar else len(liar))
+        assert buffer.bytes_skipped == (0 if b"GGA" in false_beginning else len(false_beginning))
     # One that cannot be is not even waited for.
-    assert [frame.data for frame in FrameBuffer("ubx").feed(liars[1] + POLL)] == [POLL]
+    assert [frame.data for frame in FrameBuffer("ubx").feed(false_beginnings[1] + POLL)] == [POLL]
 
 
 def test_wrong_checksum_costs_the_sync_characters():
@@ -165,7 +165,7 @@ def test_memory_is_bounded():
     decoder = MixedDecoder("port", START_NS)
     for beginning in (b"\xb5\x62\x02\x15\x00\x20", b"\xd3\x03\xff", b"$GNGGA,", b""):
         for _ in range(30):
-            decoder.feed(beginning + without_beginnings(rng, 3000))
+            decoder.feed(beginning + without_sync(rng, 3000))
             assert decoder.bytes_pending <= MAX_UBX_PAYLOAD_BYTES + 3000 + MAX_SENTENCE_BYTES
 
 
@@ -263,7 +263,7 @@ NOT_PARSED = (b"\xb5\x62\x06\x8a", b"\xd3\x00\x3b\x51\x6f")
 
 
 def frames_of_pyubx2(data: bytes) -> list[bytes]:
-    """With its own checks of all three checksums."""
+    """The frames with checksums verified by pyubx2."""
     reader = UBXReader(io.BytesIO(data), protfilter=7, quitonerror=0, validate=1)
     return [raw.rstrip(b"\r\n") if raw[:1] == b"$" else raw for raw, _ in reader]
 

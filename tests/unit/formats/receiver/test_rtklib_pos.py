@@ -1,4 +1,4 @@
-"""`.pos` files: what is read, what is refused and why, and that no bytes make the reader raise."""
+"""`.pos` files: accepted and refused content, and malformed input that must never raise."""
 
 import itertools
 import math

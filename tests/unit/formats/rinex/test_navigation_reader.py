@@ -1,4 +1,4 @@
-"""Navigation files: written and read back, against RTKLIB and a known position, damaged, RINEX 4."""
+"""Navigation files: written and decoded, against RTKLIB and a known position, malformed, RINEX 4."""
 
 import os
 import random
@@ -47,8 +47,8 @@ def printed(value: float) -> float:
     return float(f"{value:.12E}")
 
 
-def as_printed(e: Ephemeris) -> Ephemeris:
-    """What the format can hold of an ephemeris."""
+def as_represented(e: Ephemeris) -> Ephemeris:
+    """The ephemeris as the format represents it."""
     changes = {f.name: printed(v) for f in fields(e) if isinstance(v := getattr(e, f.name), float)}
     other = {name: printed(value) for name, value in e.other.items()}
     if satellite_name(e.satellite)[0] == "J":
@@ -58,7 +58,7 @@ def as_printed(e: Ephemeris) -> Ephemeris:
 
 
 def ephemerides(seed: int) -> list[Ephemeris]:
-    """Around the beginnings of weeks, with messages sent up to a day before and after."""
+    """Ephemerides around week boundaries, transmitted up to a day before and after."""
     rng = np.random.default_rng(seed)
     decoded = []
     for name in ("G01", "G32", "J07", "E05", "E36", "C01", "C63"):
@@ -80,7 +80,7 @@ def test_written_ephemerides_are_decoded_exactly(seed):
     ]
     read, errors, decoder = decode(navigation_text(written, coefficients))
     assert not errors
-    assert read == [as_printed(e) for e in written]
+    assert read == [as_represented(e) for e in written]
     assert list(decoder.klobuchar.values()) == coefficients
     assert decoder.leap_seconds in range(13, 19)
 
@@ -196,7 +196,7 @@ def test_rinex_4_announces_each_record():
         body += f"> ION {satellite} {message}\n    2024 06 24 00 00 00{a}\n    {b}\n    {8e4:19.12E}{0.0:19.12E}\n"
     read, errors, decoder = decode(rinex_4(body))
     assert not errors
-    assert read == [as_printed(e) for e in written]
+    assert read == [as_represented(e) for e in written]
     assert decoder.skipped == {"G CNAV": 2, "J CNAV": 1, "E CNAV": 2, "C CNAV": 2}
     gps = IonosphereCoefficients(system="G", alpha=(1e-8, 2e-8, 3e-8, 4e-8), beta=(5e4, 6e4, 7e4, 8e4))
     assert decoder.klobuchar == {"G": gps, "C": replace(gps, system="C")}
@@ -251,14 +251,14 @@ def test_exponents_with_d_blank_fields_and_other_writers_weeks():
     for other_week in (2200 % 1024, 2199):
         changed = lines.copy()
         changed[k] = lines[k].replace(week, f"{other_week:19.12E}")
-        assert decode("\n".join(changed))[0] == [as_printed(e)]
+        assert decode("\n".join(changed))[0] == [as_represented(e)]
     changed = lines.copy()
     changed[k] = lines[k].replace(week, f"{2150.0:19.12E}")
     assert "week 2150" in str(decode("\n".join(changed))[1][0])
     with_d = [
         line.replace("E", "D") if "HEADER" not in line and "RINEX" not in line else line for line in lines
     ]
-    assert decode("\n".join(with_d))[0] == [as_printed(e)]
+    assert decode("\n".join(with_d))[0] == [as_represented(e)]
     # The last line: time of transmission and fit interval. Both may be missing.
     read, errors, _ = decode("\n".join([*lines[:-1], " " * 4]))
     assert not errors
@@ -303,7 +303,7 @@ def test_malformed_record_is_one_error_with_its_line(line, column, text, says):
     old = lines[begin + line]
     lines[begin + line] = old[:column] + text + old[column + len(text) :]
     read, errors, _ = decode("\n".join(lines))
-    assert read == [as_printed(e) for k, e in enumerate(written) if k != 1]
+    assert read == [as_represented(e) for k, e in enumerate(written) if k != 1]
     assert str(errors[0]).startswith(f"test.nav:{begin + 1}: ")
     assert says in str(errors[0])
     assert len(errors) <= 2
@@ -314,7 +314,7 @@ def test_truncated_file_loses_only_its_last_record():
     text = navigation_text(written)
     for cut in (1, 2, 30, 100, 300):
         read, errors, _ = decode(text[:-cut])
-        expected = [as_printed(e) for e in written]
+        expected = [as_represented(e) for e in written]
         # A missing newline, or a blank less, takes no number away.
         assert read[: len(written) - 1] == expected[:-1]
         assert len(read) + len(errors) == len(written)

@@ -1,4 +1,4 @@
-"""Observation files: written and read back, all that the format allows, and whatever may be wrong with the bytes."""
+"""Observation files: written and decoded, all variants of the format, and malformed input."""
 
 import gzip
 import random
@@ -83,7 +83,7 @@ def comparable(results):
 
 
 def printed(epoch: ObservationEpoch):
-    """What the format can hold of an epoch: three decimals, zero as not observed, flags beside phases only."""
+    """The epoch as the format represents it: three decimals, zero as not observed, flags for phases only."""
     expected = {}
     for key, (code, phase, doppler, cn0, lost, half) in rows_of(epoch).items():
         values = [
@@ -424,7 +424,7 @@ def test_malformed_epoch_line_costs_its_epoch(bad):
 @pytest.mark.parametrize("rest", ["", " " * 9000, " " * 9000 + "x", " " * 9000 + "\r"])
 @pytest.mark.parametrize("begun", [satellite("G01")[:-1], head(2)[:-1], "x", ""])
 def test_too_long_line_does_not_depend_on_chunks(begun: str, rest: str):
-    """Of such a line only the beginning is kept while it comes: blanks there hide what follows them."""
+    """Only the beginning of such a line is kept, and trailing blanks there must not hide the rest."""
     good = head(1, 1.0) + satellite("G05")
     text = header() + head(2) + begun + rest + "\n" + satellite("G02") + good
     data, first = text.encode(), len(header() + head(2))
@@ -466,7 +466,7 @@ def test_first_line_of_a_repeated_satellite_counts():
 
 
 def test_mixture_of_two_epochs_is_discarded():
-    """Three lines and the next epoch's line are lost: its satellites would be counted to the epoch before."""
+    """Three lines and the next epoch line are lost: its satellites would be taken as those of the previous epoch."""
     names = [f"G{k:02d}" for k in range(1, 9)]
     first = head(8) + "".join(satellite(n) for n in names)
     second = head(8, 1.0) + "".join(satellite(n, 2.2e7) for n in names)
@@ -514,7 +514,7 @@ def test_random_damage_never_raises():
 
 
 def test_wrong_byte_never_gives_another_value():
-    """A letter instead of any byte of the epochs: what is still read is as it was."""
+    """A letter replaces a byte: the remaining values are unchanged."""
     rng = np.random.default_rng(4)
     epochs = [random_epoch(rng, NOON_NS + k * 10**9, satellites=4) for k in range(3)]
     clean = observation_text(epochs, STATION).encode()

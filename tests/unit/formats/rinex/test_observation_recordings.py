@@ -1,4 +1,4 @@
-"""Recorded observation files, every value against a simple reader that follows the standard's columns."""
+"""Recorded observation files: every value compared with that of a simple reader."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""RINEX files read back by a small reader of the test's own, column by column as the standard's tables have them."""
+"""Written RINEX files, decoded by simple readers that follow the columns of the standard's tables."""
 
 from dataclasses import replace
 

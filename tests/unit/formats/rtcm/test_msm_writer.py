@@ -1,4 +1,4 @@
-"""MSM7: pyrtcm reads every message and gives the observations back within the resolution of each field."""
+"""MSM7: pyrtcm decodes every message within the resolution of each field."""
 
 import math
 from collections import defaultdict
@@ -169,7 +169,7 @@ def test_empty_epoch_has_no_message():
 
 
 def test_signal_ids_and_carriers_equal_those_of_pyrtcm():
-    """pyrtcm's tables and those of RINEX in this project."""
+    """Compared with the tables of pyrtcm and with the RINEX carriers."""
     tables = zip("GEJC", (GPS_SIG_MAP, GALILEO_SIG_MAP, QZSS_SIG_MAP, BEIDOU_SIG_MAP), strict=True)
     theirs = {(letter, name): number for letter, table in tables for number, (_, name) in table.items()}
     ours = {

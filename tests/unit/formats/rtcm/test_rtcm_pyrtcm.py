@@ -59,7 +59,7 @@ def log(name: str) -> bytes:
 
 @cache
 def frames_of(data: bytes) -> list[bytes]:
-    """The frames that pyrtcm finds and whose CRC it calls right. (Some messages 1302 it cannot parse.)"""
+    """The frames of pyrtcm with a correct CRC. (Some messages 1302 it cannot parse.)"""
     reader = RTCMReader(io.BytesIO(data), quitonerror=0, parsed=0)
     return [raw for raw, _ in reader if calc_crc24q(raw) == 0]
 
@@ -73,7 +73,7 @@ def integer(message: RTCMMessage, name: str, index: int | None = None) -> int:
 
 
 def cells_by_pyrtcm(frame: bytes) -> tuple[list[list[Any]], int]:
-    """A row a cell of a known signal: satellite, signal, half cycle and the values that the integers say."""
+    """A row per cell of a known signal: satellite, signal, half cycle and the scaled values."""
     message = RTCMReader.parse(frame)
     number = int(message.identity)
     system, kind = TENS[number // 10], number % 10
@@ -217,7 +217,7 @@ def test_intact_frames_of_a_damaged_recording_are_decoded(name: str, seed: int) 
 
 
 def any_msm(random: np.random.Generator, number: int) -> bytes:
-    """A well-formed message whose fields are anything, the words for "not known" among them."""
+    """A well-formed message with random fields, including the codes of "unknown"."""
     most = MSM_SYSTEMS[TENS[number // 10]].satellites
     satellites = np.sort(
         random.choice(np.arange(1, most + 1), int(random.integers(0, min(most, 20) + 1)), False)

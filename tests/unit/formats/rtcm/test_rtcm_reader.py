@@ -1,4 +1,4 @@
-"""Reading RTCM: what was written comes back, pyrtcm agrees, and no bytes make the reader raise."""
+"""RTCM decoder: encoded content is decoded, and malformed input is counted and never raises."""
 
 import math
 from dataclasses import fields
@@ -135,8 +135,8 @@ def test_reference_station_is_decoded(x, y, z, height):
     assert station.antenna_height_m == (None if height is None else pytest.approx(height, abs=0.5001e-4))
 
 
-def a_stream(rng, seconds=3):
-    """Station, ephemerides and observations of some seconds: frames and what of them must come back."""
+def encoded_stream(rng, seconds=3):
+    """Frames of a base station, ephemerides and observations of some seconds."""
     frames = [format_reference_station((-3.8e6, 3.5e6, 3.6e6), station_id=5)]
     for name in ("G05", "E12", "C30", "J02"):
         toe_ns = 2300 * WEEK_NS + (14 if name[0] == "C" else 0) * SECOND_NS
@@ -147,7 +147,7 @@ def a_stream(rng, seconds=3):
 
 
 def described(results):
-    """Comparable, NaN included."""
+    """The results in a comparable form, including NaN."""
     reported = []
     for result in results:
         if isinstance(result, BaseStationEpoch):
@@ -163,7 +163,7 @@ def described(results):
 def test_results_do_not_depend_on_how_the_stream_is_chunked(seed, cuts):
     rng = np.random.default_rng(seed)
     noise = [rng.bytes(int(rng.integers(0, 40))) for _ in range(60)]
-    data = b"".join(part for pair in zip(a_stream(rng), noise, strict=False) for part in pair)
+    data = b"".join(part for pair in zip(encoded_stream(rng), noise, strict=False) for part in pair)
     whole, decoder = read_all(data)
     pieces, again = read_all(data, cuts=[cut for cut in cuts if cut < len(data)])
     assert described(pieces) == described(whole)
@@ -174,7 +174,7 @@ def test_results_do_not_depend_on_how_the_stream_is_chunked(seed, cuts):
 @settings(derandomize=True, max_examples=40, deadline=None)
 def test_frames_between_garbage_are_decoded_and_the_garbage_counted(seed):
     rng = np.random.default_rng(seed)
-    frames = a_stream(rng)
+    frames = encoded_stream(rng)
     noise = [rng.bytes(int(rng.integers(0, 60))).replace(b"\xd3", b"\x00") for _ in frames]
     results, decoder = read_all(b"".join(n + f for n, f in zip(noise, frames, strict=True)))
     clean, _ = read_all(b"".join(frames))
@@ -186,7 +186,7 @@ def test_frames_between_garbage_are_decoded_and_the_garbage_counted(seed):
 @settings(derandomize=True, max_examples=150, deadline=None)
 def test_every_byte_of_a_damaged_stream_is_accounted_for(seed, damages):
     rng = np.random.default_rng(seed)
-    frames = a_stream(rng)
+    frames = encoded_stream(rng)
     data = bytearray(b"".join(frames))
     for _ in range(damages):
         place = int(rng.integers(0, len(data)))
@@ -210,11 +210,11 @@ def test_every_byte_of_a_damaged_stream_is_accounted_for(seed, damages):
 @given(SEEDS)
 @settings(derandomize=True, max_examples=150, deadline=None)
 def test_random_content_in_valid_frames_never_raises(seed):
-    """The CRC is right, the content damaged or cut short: counted or read, never raised."""
+    """With a correct CRC and malformed or truncated content."""
     rng = np.random.default_rng(seed)
     decoder = RtcmDecoder(NOW_NS)
     sent = 0
-    for frame in a_stream(rng, seconds=1):
+    for frame in encoded_stream(rng, seconds=1):
         payload = bytearray(frame[3:-3])
         for _ in range(4):
             damaged = bytearray(payload)

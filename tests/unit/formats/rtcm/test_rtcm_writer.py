@@ -1,4 +1,4 @@
-"""RTCM frames, the reference station and ephemerides: published frames byte by byte, the rest read by pyrtcm."""
+"""RTCM frames, the base station and ephemerides: published frames byte by byte, others decoded by pyrtcm."""
 
 import math
 

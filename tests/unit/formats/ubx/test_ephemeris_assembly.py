@@ -1,4 +1,4 @@
-"""RXM-SFRBX: ephemerides come back from the subframes they were written as, and from those a receiver sent."""
+"""RXM-SFRBX: ephemerides decoded from encoded subframes, and from those recorded from a receiver."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ OTHER_MESSAGES = (
 )
 
 
-def an_ephemeris(rng: np.random.Generator, name: str, toe_ns: int) -> Ephemeris:
-    """One whose issues of data belong together."""
+def consistent_ephemeris(rng: np.random.Generator, name: str, toe_ns: int) -> Ephemeris:
+    """An ephemeris with consistent issues of data."""
     ephemeris = random_ephemeris(rng, name, toe_ns)
     if "iodc" in ephemeris.other:
         iodc = float(int(rng.integers(0, 4)) << 8 | ephemeris.iode)
@@ -82,7 +82,7 @@ def assert_same(decoded: Ephemeris, sent: Ephemeris) -> None:
 def test_ephemeris_is_decoded_once_per_frame(seed, name, week, second):
     rng = np.random.default_rng(seed)
     begin_ns = week * WEEK_NS + second * SECOND_NS
-    sent = an_ephemeris(rng, name, toe_near(name, begin_ns))
+    sent = consistent_ephemeris(rng, name, toe_near(name, begin_ns))
     near_ns = begin_ns + int(rng.integers(-3, 4)) * 86_400 * SECOND_NS // 2
     decoder = UbxDecoder("port", near_ns)
     # BeiDou's parts have to be of one period: two of them hold a whole one.
@@ -101,7 +101,7 @@ def test_ephemeris_is_decoded_once_per_frame(seed, name, week, second):
 def test_satellites_are_separate_and_lost_subframes_are_awaited(seed):
     rng = np.random.default_rng(seed)
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS + 14 * SECOND_NS
-    sent = {name: an_ephemeris(rng, name, toe_near(name, begin_ns)) for name in NAMES}
+    sent = {name: consistent_ephemeris(rng, name, toe_near(name, begin_ns)) for name in NAMES}
     subframes = sorted(
         (s for e in sent.values() for s in subframes_between(e, begin_ns, begin_ns + 120 * SECOND_NS)),
         key=lambda subframe: subframe.end_ns,
@@ -151,7 +151,7 @@ def test_beidou_parts_of_two_periods_are_not_combined(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_repeated_subframes_are_harmless(name):
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS + 14 * SECOND_NS
-    sent = an_ephemeris(np.random.default_rng(6), name, toe_near(name, begin_ns))
+    sent = consistent_ephemeris(np.random.default_rng(6), name, toe_near(name, begin_ns))
     sent_frames = frames(sent, begin_ns, 60)
     decoder = UbxDecoder("port", begin_ns)
     decoded = [e for frame in sent_frames for e in decoder.feed(frame + frame)]
@@ -167,7 +167,7 @@ def test_repeated_subframes_are_harmless(name):
 def test_word_with_a_wrong_bit_is_never_used(seed, name):
     rng = np.random.default_rng(seed)
     begin_ns = 2300 * WEEK_NS + 302_400 * SECOND_NS
-    sent = an_ephemeris(rng, name, toe_near(name, begin_ns))
+    sent = consistent_ephemeris(rng, name, toe_near(name, begin_ns))
     subframe = subframes_between(sent, begin_ns, begin_ns + 30 * SECOND_NS)[0]
     place, bit = int(rng.integers(0, len(subframe.words))), int(rng.integers(0, 30))
     words = list(subframe.words)
@@ -272,7 +272,7 @@ def test_beidou_ionosphere_is_decoded_from_subframe_1():
 
 
 def test_subframes_without_time_are_counted():
-    sent = an_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS)
+    sent = consistent_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS)
     decoder = UbxDecoder("port")
     for frame in frames(sent, 2300 * WEEK_NS):
         assert decoder.feed(frame) == []
@@ -293,14 +293,14 @@ def test_random_words_give_nothing(seed, count, gnss_id, signal_id):
 
 def test_orbit_of_zeros_is_refused():
     begin_ns = 2300 * WEEK_NS
-    sent = replace(an_ephemeris(np.random.default_rng(1), "E05", begin_ns), sqrt_a=0.0)
+    sent = replace(consistent_ephemeris(np.random.default_rng(1), "E05", begin_ns), sqrt_a=0.0)
     decoder = UbxDecoder("port", begin_ns)
     assert [r for frame in frames(sent, begin_ns) for r in decoder.feed(frame)] == []
     assert decoder.messages.bad_subframes == 1
 
 
 def test_accuracy_without_prediction_is_nan():
-    sent = replace(an_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS), accuracy_m=math.nan)
+    sent = replace(consistent_ephemeris(np.random.default_rng(1), "G05", 2300 * WEEK_NS), accuracy_m=math.nan)
     decoder = UbxDecoder("port", 2300 * WEEK_NS)
     (decoded,) = [r for frame in frames(sent, 2300 * WEEK_NS) for r in decoder.feed(frame)]
     assert math.isnan(decoded.accuracy_m)

@@ -1,4 +1,4 @@
-"""RXM-RAWX: what was written is read, what a receiver sent is what pyubx2 makes of it, and nonsense is refused."""
+"""RXM-RAWX: encoded and recorded measurements are decoded as by pyubx2; inconsistent messages are refused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read(frame: bytes, *, locks: LossOfLockDetector | None = None, near_ns: int 
 
 
 def rawx(rows, *, tow_s=345_600.0, week=2300, status=1, version=1, count=None):
-    """Rows: (gnss, sv, sig, pseudorange, phase, Doppler, lock ms, C/N0, status)."""
+    """Encode rows of (gnss, sv, sig, pseudorange, phase, Doppler, lock ms, C/N0, status)."""
     payload = struct.pack(
         "<dHbBBB2x", tow_s, week, 18, len(rows) if count is None else count, status, version
     )
@@ -145,7 +145,7 @@ def test_nonfinite_values_are_nan():
 
 
 def lost(*epochs) -> list[bool]:
-    """(s of week, lock ms, tracking status): whether each phase is broken."""
+    """Whether the phase of each (s of week, lock ms, tracking status) has lost lock."""
     locks, decoded = LossOfLockDetector(), []
     for tow_s, lock, track in epochs:
         epoch = read(rawx([row(lock=lock, track=track)], tow_s=tow_s), locks=locks)[0].epoch

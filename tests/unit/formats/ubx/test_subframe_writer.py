@@ -1,4 +1,4 @@
-"""Navigation words: read by small decoders written here from the interface documents, and a receiver's own words."""
+"""Subframes decoded by independent decoders of the interface specifications, and recorded words of a receiver."""
 
 import math
 
@@ -141,7 +141,7 @@ GALILEO_HALF_STEPS = HALF_STEPS | {
 }  # fmt: skip
 
 
-def assert_says(decoded, ephemeris, half_steps):
+def assert_within_resolution(decoded, ephemeris, half_steps):
     af0, af1, af2 = ephemeris.clock
     given_ = {"af0": af0, "af1": af1, "af2": af2, **ephemeris.other}
     for name, half in half_steps.items():
@@ -155,7 +155,7 @@ def assert_says(decoded, ephemeris, half_steps):
 
 
 def all_of(ephemeris, from_ns):
-    """What is sent in 30 s and a frame more, each message parsed by pyubx2."""
+    """All messages of 30 s, parsed by pyubx2."""
     messages = []
     for subframe in subframes_between(ephemeris, from_ns, from_ns + 30 * SECOND_NS):
         message = UBXReader.parse(format_subframe(subframe))
@@ -198,7 +198,7 @@ def test_lnav_subframes_equal_an_independent_decoder(seed, name, week, second):
     )
     assert decoded["health"] == ephemeris.health
     assert decoded["fit"] == (ephemeris.other["fit_interval_h"] > (4.0 if name[0] == "G" else 2.0))
-    assert_says(decoded, ephemeris, HALF_STEPS)
+    assert_within_resolution(decoded, ephemeris, HALF_STEPS)
 
 
 # --- Galileo: OS SIS ICD, 4.3 -----------------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ def test_inav_pages_equal_an_independent_decoder(seed, name, week, second):
         "bgd_e5b_s": s(5, 58, 10) * 2.0**-32,
     }
     assert len(decoded) == len(GALILEO_HALF_STEPS) - 1  # all but GPS's group delay
-    assert_says(decoded, ephemeris, GALILEO_HALF_STEPS)
+    assert_within_resolution(decoded, ephemeris, GALILEO_HALF_STEPS)
     assert u(1, 17, 14) * 60 == ephemeris.toe_ns % WEEK_NS // SECOND_NS
     assert u(4, 55, 14) * 60 == ephemeris.toc_ns % WEEK_NS // SECOND_NS
     assert u(4, 17, 6) == ephemeris.satellite & 255
@@ -371,7 +371,7 @@ def test_d1_subframes_equal_an_independent_decoder(seed, name, week, second):
         "perigee_rad": s3((252, 11), (271, 21)) * 2.0**-31 * PI,
     }
     assert len(decoded) == len(BEIDOU_HALF_STEPS) - 1
-    assert_says(decoded, ephemeris, BEIDOU_HALF_STEPS)
+    assert_within_resolution(decoded, ephemeris, BEIDOU_HALF_STEPS)
     offset_ns = 14 * SECOND_NS
     assert u1((43, 1)) == ephemeris.health
     assert u1((44, 5)) == ephemeris.other["aodc"]
@@ -430,7 +430,7 @@ def test_d2_pages_equal_an_independent_decoder(seed, name, week, second):
         "inclination_rate_rad_s": read[10][1]((52, 1), (61, 13)) * 2.0**-43 * PI,
     }
     assert len(decoded) == len(BEIDOU_HALF_STEPS) - 1
-    assert_says(decoded, ephemeris, BEIDOU_HALF_STEPS)
+    assert_within_resolution(decoded, ephemeris, BEIDOU_HALF_STEPS)
     assert u(1, (47, 1)) == ephemeris.health
     assert u(1, (48, 5)) == ephemeris.other["aodc"]
     assert u(1, (65, 13)) == read[1][2] // WEEK_NS - 1356

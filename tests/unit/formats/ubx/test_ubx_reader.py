@@ -1,4 +1,4 @@
-"""UBX streams: positions by epoch, what the receiver says of its integrity, and pyubx2's values of recordings."""
+"""UBX streams: positions by epoch, integrity reports, and the values of pyubx2 for recordings."""
 
 from __future__ import annotations
 
@@ -337,21 +337,21 @@ def test_invalid_baseline_is_not_returned():
 # --------------------------------------------------------------------------------------------------------- integrity
 
 
-def last_statement(*frames: bytes) -> ReceiverIntegrity:
+def last_report(*frames: bytes) -> ReceiverIntegrity:
     results, messages = run(*frames, near_ns=START_NS)
     assert messages.malformed == 0
     return [result for result in results if isinstance(result, ReceiverIntegrity)][-1]
 
 
 def test_protection_levels_are_reported_with_their_risk():
-    decoded = last_statement(pvt(), pl(), eoe())
+    decoded = last_report(pvt(), pl(), eoe())
     assert decoded.horizontal_protection_level_m == 5.0
     assert decoded.vertical_protection_level_m == 7.0
     assert decoded.integrity_risk == pytest.approx(5e-5)
     assert decoded.fix_within_masks == "yes"
-    assert last_statement(pl(frame=3), eoe()).horizontal_protection_level_m == 4.0
+    assert last_report(pl(frame=3), eoe()).horizontal_protection_level_m == 4.0
     for invalid in (pl(valid=0), pl(frame=0), pl(frame=4)):
-        decoded = last_statement(pl(), eoe(), invalid_at(invalid, TOW_MS + 1000), eoe(TOW_MS + 1000))
+        decoded = last_report(pl(), eoe(), invalid_at(invalid, TOW_MS + 1000), eoe(TOW_MS + 1000))
         assert decoded.time_ns == START_NS + SECOND_NS
         assert decoded.horizontal_protection_level_m is decoded.vertical_protection_level_m is None
         assert decoded.integrity_risk is None
@@ -365,9 +365,9 @@ def invalid_at(frame: bytes, of_week_ms: int) -> bytes:
 def test_jamming_and_spoofing_states_are_reported(version):
     for number, jamming in enumerate(("unknown", "none", "warning", "critical")):
         for other, spoofing in enumerate(("unknown", "none", "indicated", "affirmed", "unknown")):
-            decoded = last_statement(security(number, other, version))
+            decoded = last_report(security(number, other, version))
             assert (decoded.jamming, decoded.spoofing) == (jamming, spoofing)
-            decoded = last_statement(security(number, other, version, enabled=0))
+            decoded = last_report(security(number, other, version, enabled=0))
             assert (decoded.jamming, decoded.spoofing) == ("unknown", "unknown")
 
 
@@ -383,17 +383,17 @@ def test_jamming_and_spoofing_states_are_reported(version):
     ],
 )
 def test_worst_front_end_counts_and_an_unknown_one_excludes_none(states, jamming):
-    assert last_statement(front_ends(*states)).jamming == jamming
+    assert last_report(front_ends(*states)).jamming == jamming
 
 
 def test_worse_of_two_jamming_reports_counts():
-    assert last_statement(security(1, 1), front_ends(3, 1)).jamming == "critical"
-    assert last_statement(front_ends(0, 0), security(1, 1)).jamming == "none"
+    assert last_report(security(1, 1), front_ends(3, 1)).jamming == "critical"
+    assert last_report(front_ends(0, 0), security(1, 1)).jamming == "none"
 
 
 def test_reports_are_valid_for_two_seconds():
     def jamming(seconds: float) -> str:
-        return last_statement(
+        return last_report(
             pvt(), security(2, 1), eoe(), pvt(at(seconds)), eoe(TOW_MS + round(seconds * 1e3))
         ).jamming
 
@@ -407,9 +407,9 @@ def test_one_report_per_epoch():
 
 
 def test_masks_and_authentication_are_reported():
-    assert last_statement(pvt(b21=0)).fix_within_masks == "no"
-    assert last_statement(pvt()).authenticated == "unknown"
-    assert last_statement(pvt(b79=1 << 6)).authenticated == "yes"
+    assert last_report(pvt(b21=0)).fix_within_masks == "no"
+    assert last_report(pvt()).authenticated == "unknown"
+    assert last_report(pvt(b79=1 << 6)).authenticated == "yes"
 
 
 # ---------------------------------------------------------------------------------------------------------- bad input
@@ -469,7 +469,7 @@ def test_any_content_of_any_message_never_raises(kind, payload, version):
 # ------------------------------------------------------------------------------------------------------- recordings
 
 
-def recorded(name: str) -> bytes:
+def recorded_log(name: str) -> bytes:
     path = Path(os.environ.get("CAMBER_DATA", "")) / "receiver-logs" / name
     if "CAMBER_DATA" not in os.environ or not path.is_file():
         pytest.skip("the recording receiver-logs is not there (CAMBER_DATA)")
@@ -484,7 +484,7 @@ RECORDINGS = (
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_positions_equal_those_of_pyubx2(name):
-    data = recorded(name)
+    data = recorded_log(name)
     decoder = UbxDecoder(name, None)
     results = [
         r for k in range(0, len(data), 333) for r in decoder.feed(data[k : k + 333])
@@ -537,7 +537,7 @@ def test_recorded_positions_equal_those_of_pyubx2(name):
             assert decoded.covariance_enu_m2 == pytest.approx(expected, rel=1e-15)
     statements = [result for result in results if isinstance(result, ReceiverIntegrity)]
     # The one receiver with NAV-PL says that its levels are not valid.
-    assert all(statement.horizontal_protection_level_m is None for statement in statements)
+    assert all(gbs_report.horizontal_protection_level_m is None for gbs_report in statements)
     assert [s.fix_within_masks for s in statements] == [
         "yes" if messages["NAV-PVT"].gnssFixOk else "no" for messages in reported.values()
     ]

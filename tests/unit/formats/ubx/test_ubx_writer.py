@@ -1,4 +1,4 @@
-"""UBX: pyubx2 parses every message and gives raw measurements and positions back within the resolution."""
+"""UBX: pyubx2 decodes raw measurements and positions within the resolution."""
 
 import math
 from dataclasses import replace
