@@ -34,12 +34,10 @@ _IONOSPHERE_NAMES = {"G": "GPS", "J": "QZS", "C": "BDS"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StationHeader:
-    """Names of a receiver's header, and the antenna's approximate ECEF position [m]."""
+    """Marker of a receiver's header, and the antenna's approximate ECEF position [m]."""
 
     marker: str
     position_ecef_m: tuple[float, float, float]
-    receiver: str = "CAMBER SIMULATED"
-    antenna: str = "NONE"
     marker_type: str = "NON_GEODETIC"
 
 
@@ -128,8 +126,8 @@ def _observation_header(
         _line(f"{station.marker:<20}", "MARKER NUMBER"),
         _line(f"{station.marker_type:<20}", "MARKER TYPE"),
         _line(f"{'camber':<20}{'camber':<40}", "OBSERVER / AGENCY"),
-        _line(f"{'1':<20}{station.receiver:<20}{'1':<20}", "REC # / TYPE / VERS"),
-        _line(f"{'1':<20}{station.antenna:<20}", "ANT # / TYPE"),
+        _line(f"{'1':<20}{'CAMBER SIMULATED':<20}{'1':<20}", "REC # / TYPE / VERS"),
+        _line(f"{'1':<20}{'NONE':<20}", "ANT # / TYPE"),
         _line(f"{x:14.4f}{y:14.4f}{z:14.4f}", "APPROX POSITION XYZ"),
         _line(f"{0.0:14.4f}{0.0:14.4f}{0.0:14.4f}", "ANTENNA: DELTA H/E/N"),
     ]
