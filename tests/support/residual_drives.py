@@ -15,7 +15,7 @@ START_NS = 1_400_000_000 * 1_000_000_000
 SPEED_M_S, RATE_HZ, SURFACE_M, LINK_M = 10.0, 10, 50.0, 200.0
 EARTH_M = 6_350_000.0
 """Of the meridian there, a little too small: twenty metres are a little more."""
-KEY = ReferenceKey("stroke", "engine:WGS84", 3)
+KEY = ReferenceKey(antenna="stroke", base="engine:WGS84", map_version=3)
 
 
 def residual(epoch: float = 0, **changes: Any) -> FixResidual:

@@ -22,7 +22,7 @@ def age_s(time_ns: int, now_ns: int) -> float:
     return (now_ns - time_ns) / 1e9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EpochInputs:
     """The inputs nearest to a time `at_ns`, and which services are alive."""
 

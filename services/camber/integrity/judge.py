@@ -57,7 +57,7 @@ class Judge:
             return None
         reason = self._fixes.check_epoch(fix, now_ns, self.rules) or unusable_fix(fix, self.rules)
         if reason is not None:
-            return FixJudgement(fix, "unknown", reason, testable=False)
+            return FixJudgement(fix=fix, verdict="unknown", reason=reason, testable=False)
         return self.examine(fix, alive)
 
     def examine(self, fix: Fix, alive: frozenset[str], trials: int = 1) -> FixJudgement:

@@ -14,7 +14,7 @@ from camber.schemas.integrity import Cause, Evidence, Reason, Verdict, VerdictVa
 from camber.schemas.pose import Pose
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FixJudgement:
     """The one judgement of a fix; `pose`, `antenna`, `road` and `comparison` as far as it came.
 

@@ -52,7 +52,7 @@ class LatestInputs:
 
     def inputs(self, at_ns: int, alive: frozenset[str]) -> EpochInputs:
         """What is known for a judgement at this time: the pose nearest to it."""
-        return EpochInputs(self._nearest_pose(at_ns), self._antenna, alive)
+        return EpochInputs(pose=self._nearest_pose(at_ns), antenna=self._antenna, alive=alive)
 
     def speed_at(self, time_ns: int, max_age_s: float) -> float | None:
         """The wheels' speed, None where it is too far from this time."""

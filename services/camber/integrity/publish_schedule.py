@@ -1,4 +1,4 @@
-"""What consumers have been told last, and so whether they must be told now: silence is never an answer."""
+"""Times of the last messages, and whether a new one is due: consumers always have a current status."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class PublishSchedule:
         return not 0 <= now_ns - self._verdict_at_ns < _REPEAT_NS
 
     def position_is_due(self, now_ns: int, max_age_s: float) -> bool:
-        """Is the newest position too old, and has that not just been said?"""
+        """Is the newest position too old, and was that not just published?"""
         fresh = now_ns - self._position_ns <= max_age_s * 1e9
         return not fresh and not 0 <= now_ns - self._none_at_ns < _REPEAT_NS
 
     def forget_after(self, limit_ns: int) -> None:
-        """The clock was set back: nothing can have been said of later than this."""
+        """The clock was set back: no message can be of a later time."""
         if max(self._position_ns, self._rtk_ns) > limit_ns:
             self._position_ns = self._rtk_ns = 0

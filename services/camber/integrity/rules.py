@@ -16,7 +16,7 @@ SAME_EPOCH_S = 0.02
 """A fix and a pose not further apart than this are of one epoch."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
     """Limits of the determination and of what it rests on.
 

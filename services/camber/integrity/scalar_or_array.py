@@ -2,7 +2,7 @@
 lab of millions, and numpy takes longer over one number than over a hundred.
 
 Formulas are written with operators and these. Plain floats are Python's own: a formula divides by what it knows is not
-nought (NaN will do), for that would raise. Both kinds of number give the same bits.
+zero (NaN will do), for that would raise. Both kinds of number give the same bits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def any_of(condition: FloatOrArray) -> bool:
 
 def where(condition: FloatOrArray, yes: FloatOrArray, no: FloatOrArray) -> FloatOrArray:
     """`yes` where it applies, else `no`; what does not apply may be anything."""
-    if condition is True or condition is False:  # by far the most often asked, and the soonest told
+    if condition is True or condition is False:  # by far the most frequent case, and the fastest
         return yes if condition else no
     return np.where(condition, yes, no) if isinstance(condition, np.ndarray) else yes if condition else no
 
@@ -40,7 +40,7 @@ def logical_not(condition: FloatOrArray) -> FloatOrArray:
 
 
 def positive_or_nan(value: FloatOrArray) -> FloatOrArray:
-    """The value where it is above nought and finite, else NaN: what may be divided by and has a root."""
+    """The value where it is above zero and finite, else NaN: what may be divided by and has a root."""
     return where((value > 0.0) & (value < math.inf), value, math.nan)
 
 
@@ -55,7 +55,7 @@ def sqrt(value: FloatOrArray) -> FloatOrArray:
 
 
 def log(value: FloatOrArray) -> FloatOrArray:
-    """Natural logarithm of what is above nought."""
+    """Natural logarithm of a positive number."""
     return np.log(value) if isinstance(value, np.ndarray) else math.log(value)
 
 

@@ -48,8 +48,8 @@ class IntegrityService(Service[IntegritySettings]):
         self._state = settings.state_dir / "correction.json" if settings.state_dir else None
         self._judge = Judge(self._rules, _load_learning(self._state, self._rules.learning, bus))
         self._saved = self._judge.learning.samples
-        self._newest_ns = 0  # of all that was heard
-        self._pending: list[tuple[Fix, int]] = []  # with the time at which each was heard
+        self._newest_ns = 0  # of all messages received
+        self._pending: list[tuple[Fix, int]] = []  # with the time at which each was received
         self._schedule = PublishSchedule()
         self._levels = settings.level_rules()
         self._positions = PositionOutput(self._rules, self._levels)
@@ -153,7 +153,7 @@ class IntegrityService(Service[IntegritySettings]):
         rules, fix = self._rules.re_estimation, judgement.fix
         asked_ns, inputs = self.bus.now_ns(), self._judge.latest.inputs(fix.time_ns, alive)
         pose, missing = inputs.pose, inputs.missing(fix.time_ns, self._rules)
-        # A provisional pose follows the fixes: it can tell nothing.
+        # A provisional pose follows the fixes: it is no independent evidence.
         if pose is None or missing is not None or is_provisional(pose):
             return judgement
         if not self._gnss.is_ready(asked_ns):
@@ -189,7 +189,7 @@ class IntegrityService(Service[IntegritySettings]):
         )
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:
-        """A consumer must hear *unknown*, not nothing, when there is no fix or no pose."""
+        """Publish *unknown* when there is no fix or no pose."""
         verdict_is_due = not self._pending and self._schedule.verdict_is_due(now_ns)
         position_is_due = self._schedule.position_is_due(now_ns, self._rules.pose_max_age_s)
         if not (verdict_is_due or position_is_due):

@@ -34,7 +34,8 @@ class IntegritySettings(ServiceSettings):
         description="what a fix is asked; not continuity and receiver alone, which speak for none",
     )
     tolerance: Literal["from_covariances", "fixed"] = Field(
-        "from_covariances", description="of the height: by the uncertainties at hand, or one number, H (3)"
+        "from_covariances",
+        description="of the height: by the uncertainties at hand, or one number, JP7707657B2 eq. (3)",
     )
     tolerance_m: float = Field(
         0.2, gt=0.0, le=1.0, description="that number: largest height difference of a right position"
@@ -70,7 +71,8 @@ class IntegritySettings(ServiceSettings):
     )
     vertical_alert_limit_m: float = Field(2.0, gt=0.0, description="the same upwards")
     levels: Literal["integrity_risk", "reliability_index"] = Field(
-        "integrity_risk", description="protection levels at a risk, wrong fixes included, or R's formulas"
+        "integrity_risk",
+        description="protection levels at a risk, wrong fixes included, or the reliability index",
     )
     integrity_risk: float = Field(
         1e-7, gt=0.0, lt=0.1, description="probability, each epoch, that the error exceeds a level"
@@ -86,7 +88,10 @@ class IntegritySettings(ServiceSettings):
         1e-8, ge=0.0, lt=1.0, description="pose or Doppler off unnoticed beyond its covariance, each epoch"
     )
     false_match_prior: float = Field(
-        1e-3, ge=0.0, le=1.0, description="scan matching bears out a pose that a wrong fix pulled metres off"
+        1e-3,
+        ge=0.0,
+        le=1.0,
+        description="scan matching agrees with a pose that a wrong fix pulled metres off",
     )
     matches_apart_m: float = Field(
         20.0, gt=0.0, description="so far apart two matches are not wrong for the same reason"
@@ -119,9 +124,12 @@ class IntegritySettings(ServiceSettings):
         0.3, gt=0.0, description="most by which the distance between two may differ from the wheels', and 2 %"
     )
     learning: Mode = Field(
-        "per_cause", description="what is learnt: the antenna's part of a difference, or by H (5) all of it"
+        "per_cause",
+        description="what is learnt: the antenna's part of a difference, or by JP7707657B2 eq. (5) all of it",
     )
-    learning_gain: float = Field(0.01, gt=0.0, lt=1.0, description="g of H (5), where learning is document")
+    learning_gain: float = Field(
+        0.01, gt=0.0, lt=1.0, description="g of JP7707657B2 eq. (5), where learning is document"
+    )
     learning_least_speed_m_s: float = Field(
         3.0, ge=0.0, description="upper edge of the stop range: slower learns nothing"
     )
@@ -209,14 +217,14 @@ class IntegritySettings(ServiceSettings):
 
     def _determination(self) -> ConsistencyParameters:
         return ConsistencyParameters(
-            self.tests,
-            self.tolerance,
-            self.tolerance_m,
-            self.height_cap_m,
-            self.position_cap_m,
-            self.false_alarm_rate,
-            self.hold_back_rate,
-            self.fix_sigma_cap_m,
+            tests=self.tests,
+            tolerance=self.tolerance,
+            tolerance_m=self.tolerance_m,
+            height_cap_m=self.height_cap_m,
+            position_cap_m=self.position_cap_m,
+            false_alarm_rate=self.false_alarm_rate,
+            hold_back_rate=self.hold_back_rate,
+            fix_sigma_cap_m=self.fix_sigma_cap_m,
         )
 
     def rules(self) -> Rules:
@@ -237,7 +245,9 @@ class IntegritySettings(ServiceSettings):
             motion_max_age_s=age("motion"),
             receiver_max_age_s=age("receiver_integrity"),
             alert_limit_m=self.alert_limit_m,
-            true_sigma=TrueSigma(self.sigma_scale, self.sigma_horizontal_m, self.sigma_vertical_m),
+            true_sigma=TrueSigma(
+                scale=self.sigma_scale, horizontal_m=self.sigma_horizontal_m, vertical_m=self.sigma_vertical_m
+            ),
             learning=LearningRules(
                 gain=self.learning_gain,
                 least_speed_m_s=self.learning_least_speed_m_s,
@@ -247,24 +257,34 @@ class IntegritySettings(ServiceSettings):
                 correlation_m=self.map_correlation_m,
             ),
             start=StartRules(
-                self.start_fixes, self.start_duration_s, self.start_gap_s, self.start_distance_m
+                fixes=self.start_fixes,
+                duration_s=self.start_duration_s,
+                longest_gap_s=self.start_gap_s,
+                distance_m=self.start_distance_m,
             ),
             series=SeriesRules(
-                self.series_gap_s, self.series_chain, self.series_horizontal_m, self.series_vertical_m
+                longest_gap_s=self.series_gap_s,
+                longest_chain=self.series_chain,
+                horizontal_m=self.series_horizontal_m,
+                vertical_m=self.series_vertical_m,
             ),
             verification=VerificationRules(
-                self.verified_by,
-                self.verified_fix_sigma_m,
-                self.continuity_fixes,
-                self.continuity_s,
-                self.scan_sigma_m,
-                self.phase_ambiguities,
+                enough=self.verified_by,
+                fix_sigma_m=self.verified_fix_sigma_m,
+                continuity_fixes=self.continuity_fixes,
+                continuity_s=self.continuity_s,
+                scan_sigma_m=self.scan_sigma_m,
+                phase_ambiguities=self.phase_ambiguities,
             ),
             re_estimation=ReEstimationRules(
-                self.re_estimation,
-                self.most_trials,
-                self.re_estimate_unresolved,
-                AgreementRules(self.agreement_m, self.agreement_success, self.agreement_ambiguities),
+                method=self.re_estimation,
+                most_trials=self.most_trials,
+                unresolved=self.re_estimate_unresolved,
+                agreement=AgreementRules(
+                    distance_m=self.agreement_m,
+                    success=self.agreement_success,
+                    least_ambiguities=self.agreement_ambiguities,
+                ),
             ),
         )
 

@@ -1,4 +1,4 @@
-"""What a vehicle tells the fleet: the road's height under its fixes, free of the map's own, the verdict as a flag.
+"""Uploads of a vehicle to the fleet: the road's height under its fixes, free of the map's own, the verdict as a flag.
 
 Epochs that did not pass are uploaded too: were only passed ones sent, a real change of the road would censor itself.
 The height is h_r − h_a alone, without the learnt correction, and h_a is never that of scan matching: it is above the
@@ -28,9 +28,9 @@ from camber.schemas.integrity import VerdictValue
 
 _VERDICTS: tuple[VerdictValue, ...] = get_args(VerdictValue)
 _QUALITIES: tuple[Quality, ...] = get_args(Quality)
-LARGEST_SIGMA_M = 10.0
-MOST_ROWS = 64
-_DAY_NS = 86_400_000_000_000
+LARGEST_SIGMA_M = 10.0  # as map_update.admission's default of `largest_sigma_m`: it refuses more
+MOST_ROWS = 64  # chosen: 5 s at 10 Hz are 50 rows
+_DAY_NS = 86_400_000_000_000  # 24 h of 3600 s
 
 
 def upload_for(judgement: FixJudgement, vehicle: str, sigma: TrueSigma) -> ElevationUpload | None:

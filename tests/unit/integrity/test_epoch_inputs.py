@@ -89,7 +89,7 @@ def test_every_reason_of_an_unknown_road_is_passed_on_or_road_unknown(reason):
 
 
 def test_without_a_pose_there_is_no_road():
-    assert EpochInputs(None, antenna(), ALL).missing_road(at(0), RULES) == "pose_missing"
+    assert EpochInputs(pose=None, antenna=antenna(), alive=ALL).missing_road(at(0), RULES) == "pose_missing"
 
 
 def test_a_service_that_just_left_is_still_believed_within_its_age_limit():

@@ -13,7 +13,7 @@ from camber.schemas.antenna import HeightByMethod
 from support.judging import ROAD_M, antenna, at, fix, pose, road
 
 SIGMA = TrueSigma(scale=4.0, horizontal_m=0.05, vertical_m=0.05)
-POINT = RoadPoint(ROAD_M, 0.03, surface_id=7)
+POINT = RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, surface_id=7)
 EVERY_S = 5.0  # 25 epochs, and START_NS is on the grid
 
 
@@ -34,7 +34,7 @@ def test_every_verdict_is_uploaded_with_its_word(verdict):
 
 
 def test_the_height_is_the_fix_less_the_antenna_and_owes_nothing_to_the_map():
-    result = upload(fix=fix(up_m=0.5), road=RoadPoint(99.0, 0.03, surface_id=8))
+    result = upload(fix=fix(up_m=0.5), road=RoadPoint(elevation_m=99.0, sigma_m=0.03, surface_id=8))
     assert result.road_height_m == pytest.approx(ROAD_M + 0.5)
     assert result.road_height_sigma_m == pytest.approx((16 * 1e-4 + 0.05**2 + 0.02**2) ** 0.5)
     assert result.position_covariance_enu_m2[0] == pytest.approx(16 * 2.5e-5 + 0.05**2)
@@ -92,7 +92,7 @@ def test_a_later_release_gives_a_fix_the_same_id():
         {"pose": None},
         {"road": None},
         {"antenna": None},
-        {"road": RoadPoint(ROAD_M, 0.03)},
+        {"road": RoadPoint(elevation_m=ROAD_M, sigma_m=0.03)},
         {"pose": pose(road=road(map_version=None))},
         {"fix": fix(quality="float")},
         {"fix": fix(covariance_enu_m2=None)},

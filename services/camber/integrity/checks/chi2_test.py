@@ -33,7 +33,7 @@ UpperTriangle: TypeAlias = tuple[
 """(ee, en, eu, nn, nu, uu) of symmetric matrices, each a float or (n,)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Distances:
     """Squared distances in standard deviations: of the height, the horizontal position, and both together.
 
@@ -107,7 +107,7 @@ def mahalanobis_terms(
     """dᵀ S⁻¹ d of the horizontal position alone and of all, and the three pivots of S, whose product is det S.
 
     Golub and Van Loan, Matrix Computations, 4.1.2: S = L D Lᵀ with the horizontal axes first, so that the first two
-    terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is nought or less: not
+    terms of dᵀ S⁻¹ d are those of the horizontal position alone. No pivot of a covariance is zero or negative: not
     numbers where it is none.
     """
     (east, north, up), (ee, en, eu, nn, nu, uu) = difference_m, covariance_m2

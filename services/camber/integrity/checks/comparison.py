@@ -21,7 +21,7 @@ _ACCELERATION_M_S2 = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FixComparison:
     """The difference (3,) of a fix, its covariance S (3, 3) if the fix is right, and what was found.
 
@@ -54,9 +54,9 @@ class FixComparison:
 
     def describe(self, pose_sigma_m: float) -> str:
         """All figures, for the detail of a verdict."""
-        aside_m = math.hypot(*self.position_m)
+        apart_m = math.hypot(*self.position_m)
         parts = [
-            f"{aside_m:.2f} m from the pose of σ {pose_sigma_m:.2f} m, {self.acceptance_radius_m:.2f} m would agree"
+            f"{apart_m:.2f} m from the pose of σ {pose_sigma_m:.2f} m, {self.acceptance_radius_m:.2f} m would agree"
         ]
         if self.height_m is not None:
             sigma = f"σ {self.height_sigma_m:.2f} m, {self.tolerance_m:.2f} m would agree"

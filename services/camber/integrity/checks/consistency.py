@@ -3,10 +3,10 @@
 Each test that is asked has two limits, from a rate of false alarms and from a rate of right fixes that may be held
 back; both rates are shared evenly by the tests asked, so that all of them together keep to it, whatever they have in
 common. The height has a cap besides: however badly road and antenna are known, a difference beyond it never agrees.
-With a fixed tolerance, H (2) and (3), the height agrees or contradicts and there is nothing between. So has the
-position: however wide a fix claims to be, it agrees only as near to the pose as a right fix is.
+With a fixed tolerance, JP7707657B2 eqs. (2) and (3), the height agrees or contradicts and there is nothing between.
+The position has a cap too: however wide a fix claims to be, it agrees only as near to the pose as a right fix is.
 
-The judge asks of one, in plain floats, the lab of millions: there is one implementation (`either_number`). numpy only,
+The judge asks of one, in plain floats, the lab of millions: there is one implementation (`scalar_or_array`). numpy only,
 metres.
 """
 
@@ -54,7 +54,7 @@ ALL_TESTS: tuple[Test, ...] = (
 _SPEAK_FOR: frozenset[Test] = frozenset(
     {"height", "position", "joint", "phase_residuals", "subset_agreement"}
 )
-Said = TypeVar("Said")
+OutcomeT = TypeVar("OutcomeT")
 _DEGREES: dict[Test, int] = {"height": 1, "position": 2, "joint": 3}
 
 ALL_AGREE, HEIGHT_UNVERIFIED, POSITION_UNVERIFIED = 0, 1, 2
@@ -70,7 +70,7 @@ REASONS: tuple[Reason, ...] = (
 """The reason for each outcome."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ConsistencyParameters:
     """Which tests are asked, and by which limits.
 
@@ -127,14 +127,14 @@ class ConsistencyParameters:
             return within, beyond
 
         return ConsistencyLimits(
-            self,
-            pair("height", "height" in self.tests),
-            pair("position", self.asks_position),
-            pair("joint", "joint" in self.tests),
+            rules=self,
+            height=pair("height", "height" in self.tests),
+            position=pair("position", self.asks_position),
+            joint=pair("joint", "joint" in self.tests),
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ConsistencyLimits:
     """Of each test the squared distance up to which a fix agrees, and that beyond which it contradicts.
 
@@ -147,8 +147,8 @@ class ConsistencyLimits:
     joint: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Consistency(Generic[Said]):
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Consistency(Generic[OutcomeT]):
     """What the tests say of fixes: one outcome each, the words of the tests, and what they rest on; each one number or
     (n,), a tolerance that is fixed always one.
 
@@ -157,8 +157,8 @@ class Consistency(Generic[Said]):
     is asked.
     """
 
-    outcome: Said
-    position: Said
+    outcome: OutcomeT
+    position: OutcomeT
     distances: Distances
     tolerance_m: FloatOrArray
     acceptance_radius_m: FloatOrArray
@@ -214,8 +214,8 @@ def consistency_of(
     )
     horizontal_outcome = position if "position" in rules.tests else where(far, UNVERIFIED, AGREES)
     outcome: FloatOrArray = ALL_AGREE
-    # What is said later overrides what was said before.
-    for applies, said in (
+    # A later row overrides the rows before it.
+    for applies, code in (
         (joint == UNVERIFIED, POSITION_UNVERIFIED),
         ((joint == UNVERIFIED) & (result.height >= result.position), HEIGHT_UNVERIFIED),
         ((horizontal_outcome == UNVERIFIED) | insufficient_power, POSITION_UNVERIFIED),
@@ -225,8 +225,14 @@ def consistency_of(
         (height == CONTRADICTS, HEIGHT_CONTRADICTS),
         ((height == CONTRADICTS) & (horizontal_outcome == CONTRADICTS), BOTH_CONTRADICT),
     ):
-        outcome = where(applies, said, outcome)
-    return Consistency(outcome, position, result, tolerance_m, acceptance_radius_m)
+        outcome = where(applies, code, outcome)
+    return Consistency(
+        outcome=outcome,
+        position=position,
+        distances=result,
+        tolerance_m=tolerance_m,
+        acceptance_radius_m=acceptance_radius_m,
+    )
 
 
 def _tolerance_m(sigma_m: FloatOrArray, limits: ConsistencyLimits) -> FloatOrArray:

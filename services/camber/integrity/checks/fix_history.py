@@ -51,7 +51,12 @@ class FixHistory:
 
     def start_after(self, fix: Fix, speed_m_s: float | None) -> StartCount:
         """Agreeing fixes in a row, if this is one more."""
-        start = StartFix(fix.time_ns, fix.latitude_rad, fix.longitude_rad, speed_m_s)
+        start = StartFix(
+            time_ns=fix.time_ns,
+            latitude_rad=fix.latitude_rad,
+            longitude_rad=fix.longitude_rad,
+            speed_m_s=speed_m_s,
+        )
         return self._start.after(start, self._rules.start)
 
     def is_consistent_with_previous(self, fix: Fix, pose_then: Pose | None, pose_now: Pose | None) -> bool:
@@ -81,12 +86,12 @@ class FixHistory:
         """The chain with a position found right as its head."""
         fix = judgement.fix
         link = ChainedFix(
-            fix.time_ns,
-            fix.latitude_rad,
-            fix.longitude_rad,
-            fix.height_m,
-            road.slope_east,
-            road.slope_north,
+            time_ns=fix.time_ns,
+            latitude_rad=fix.latitude_rad,
+            longitude_rad=fix.longitude_rad,
+            height_m=fix.height_m,
+            slope_east=road.slope_east,
+            slope_north=road.slope_north,
         )
         return next_in_chain(link, self.chain, verified=judgement.verdict != "confirmed")
 

@@ -13,7 +13,7 @@ import numpy as np
 from camber.schemas.pose import Road, RoadPatch
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadPoint:
     """The road at one point: elevation `h_m` and its σ in metres, slope to east and north, which surface it is."""
 
@@ -24,7 +24,7 @@ class RoadPoint:
     surface_id: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeightModel:
     """Of the antenna above the road: `h_a`, the correction `h_e`, and the σ of both together, metres."""
 
@@ -61,7 +61,13 @@ def road_at(road: Road, east_m: float, north_m: float) -> RoadPoint | None:
     if not math.hypot(east_m, north_m) <= road.extent_m:
         return None
     elevation_m = road.elevation_m + road.slope_east * east_m + road.slope_north * north_m
-    return RoadPoint(elevation_m, road.sigma_m, road.slope_east, road.slope_north, road.surface_id)
+    return RoadPoint(
+        elevation_m=elevation_m,
+        sigma_m=road.sigma_m,
+        slope_east=road.slope_east,
+        slope_north=road.slope_north,
+        surface_id=road.surface_id,
+    )
 
 
 def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | None:
@@ -74,4 +80,10 @@ def _sampled(patch: RoadPatch, east_m: float, north_m: float) -> RoadPoint | Non
         return None
     slope_east, slope_north = float(patch.slope_east[k]), float(patch.slope_north[k])
     elevation_m = float(patch.elevation_m[k]) + slope_east * float(east[k]) + slope_north * float(north[k])
-    return RoadPoint(elevation_m, float(patch.sigma_m[k]), slope_east, slope_north, int(patch.surface_id[k]))
+    return RoadPoint(
+        elevation_m=elevation_m,
+        sigma_m=float(patch.sigma_m[k]),
+        slope_east=slope_east,
+        slope_north=slope_north,
+        surface_id=int(patch.surface_id[k]),
+    )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from camber.geodesy.horizontal_offsets import east_north_between
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StartRules:
     """How many agreeing fixes in a row, over at least which time, with which longest gap between two.
 
@@ -28,7 +28,7 @@ class StartRules:
     distance_share: float = 0.02
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StartFix:
     """A fix that agrees with the road and the provisional pose; the speed is that of the wheels, None: not known."""
 
@@ -38,7 +38,7 @@ class StartFix:
     speed_m_s: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StartCount:
     """Agreeing fixes in a row so far."""
 
@@ -49,8 +49,8 @@ class StartCount:
     def after(self, fix: StartFix, rules: StartRules) -> StartCount:
         """The count after one more fix that agrees; 1 where it does not follow the one before."""
         if self.last is None or not follows(self.last, fix, rules):
-            return StartCount(1, fix.time_ns, fix)
-        return StartCount(self.fixes + 1, self.first_ns, fix)
+            return StartCount(fixes=1, first_ns=fix.time_ns, last=fix)
+        return StartCount(fixes=self.fixes + 1, first_ns=self.first_ns, last=fix)
 
     def enough(self, rules: StartRules) -> bool:
         """May the last of them be confirmed?"""

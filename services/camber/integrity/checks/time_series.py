@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SeriesRules:
     """How long a right fix vouches for the next, and how well both must agree."""
 
@@ -20,7 +20,7 @@ class SeriesRules:
     vertical_m: float = 0.12
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ChainedFix:
     """A fix found right, the road's slope there, and how many fixes back the last confirmed one is."""
 

@@ -29,7 +29,7 @@ VerificationEvidence = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationRules:
     """Which witnesses suffice, and when they count.
 
@@ -68,7 +68,7 @@ def phase_residuals_agree(fix: Fix, rules: VerificationRules) -> bool:
     return fix.phase_residuals == "consistent" and enough
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AmbiguityHistory:
     """What is remembered of the integers of the fixes so far: of the chain that the height has confirmed.
 
@@ -115,7 +115,7 @@ class AmbiguityHistory:
             return replace(
                 self, confirmed=self.confirmed + 1, last_ns=fix.time_ns, newest=True, disputed_ns=None
             )
-        return AmbiguityHistory(1, fix.time_ns, fix.time_ns, newest=True)
+        return AmbiguityHistory(confirmed=1, first_ns=fix.time_ns, last_ns=fix.time_ns, newest=True)
 
     def _goes_on(self, fix: Fix) -> bool:
         if fix.ambiguity_continuity != "continuous" or fix.continuous_since_ns is None or not self.confirmed:

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_OUTLIER = 3.0
-_ROUNDS = 3
-_LEAST_SCATTER = 0.1
-_ENOUGH_FOR_SCATTER = 8
+_OUTLIER = 3.0  # σ; chosen: the usual three-sigma rejection
+_ROUNDS = 3  # chosen: of estimate and rejection in turn
+_LEAST_SCATTER = 0.1  # of the variance given; chosen: few residuals that fit by chance make no drift certain
+_ENOUGH_FOR_SCATTER = 8  # chosen: from here the median absolute deviation replaces the σ given
 _NORMAL_MAD = 1.4826  # σ of a normal distribution by its median absolute deviation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class HeightDifferences:
     """n stretches: difference, variance of fix and antenna, σ of the map, place (n, 2) in metres, time."""
 
@@ -36,11 +36,11 @@ class HeightDifferences:
     def only(self, kept: NDArray[np.bool_]) -> HeightDifferences:
         """Some of them."""
         return HeightDifferences(
-            self.up_m[kept],
-            self.variance_m2[kept],
-            self.map_sigma_m[kept],
-            self.place_m[kept],
-            self.time_s[kept],
+            up_m=self.up_m[kept],
+            variance_m2=self.variance_m2[kept],
+            map_sigma_m=self.map_sigma_m[kept],
+            place_m=self.place_m[kept],
+            time_s=self.time_s[kept],
         )
 
     def covariance_m2(self, correlation_m: float) -> Floats:
@@ -50,7 +50,7 @@ class HeightDifferences:
         return alike + np.diag(self.variance_m2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CommonOffset:
     """Value by data and prior; σ of what the data's errors put into it; what it changes by in a second.
 
@@ -72,11 +72,11 @@ def estimate_common_offset(
     value_m, precision, information = _estimate(kept, correlation_m, prior_m, prior_sigma_m)
     slope, slope_sigma, span_s = _slope(kept, correlation_m)
     return CommonOffset(
-        value_m,
-        float(np.sqrt(information)) / precision,
-        len(kept.up_m),
-        abs(slope) / slope_sigma if slope_sigma > 0.0 else 0.0,
-        abs(slope) * span_s,
+        value_m=value_m,
+        sigma_m=float(np.sqrt(information)) / precision,
+        used=len(kept.up_m),
+        drift_sigmas=abs(slope) / slope_sigma if slope_sigma > 0.0 else 0.0,
+        drift_m=abs(slope) * span_s,
     )
 
 

@@ -1,8 +1,8 @@
-"""Learning of the height correction `h_e` (H (4), (5)): what the antenna is off, and no more than that.
+"""Learning of the height correction `h_e` (JP7707657B2 eqs. (4), (5)): the error of the antenna height alone.
 
 Learnt only from confirmed positions, at a speed outside the stop range (no re-learning at one spot). Two modes:
 
-- **document**: H (5) as it stands, one number for everything, with gain and cap.
+- **document**: JP7707657B2 eq. (5) as printed, one number for everything, with gain and cap.
 - **per cause** (default): the common part of the height differences on many stretches of road, robustly and with the
   map's error known to be alike along the road. Roads that have changed are left to the map (uploads, a new release); a
   base that is wrong is not learnt, nor is what drifts: that is how spoofing pulls slowly. Capped in value and rate.
@@ -27,13 +27,13 @@ from camber.integrity.learning.offset_causes import CauseRules, Diagnosis, Offse
 from camber.integrity.learning.residuals import CellCollector, FixResidual, ReferenceKey, ResidualCell
 
 Mode = Literal["per_cause", "document"]
-_MOST_CELLS = 96
-_MOST_PARTS = 16
-_LONGEST_STEP_S = 10.0
+_MOST_CELLS = 96  # chosen: some 2 km in cells of 20 m, many times the correlation length of the map's error
+_MOST_PARTS = 16  # chosen: more base stations and map versions than one drive meets; bounds the memory
+_LONGEST_STEP_S = 10.0  # chosen: a pause in the fixes must not let the correction jump by the rate times it
 _LEAST_SIGMA_M = 0.01  # of a stretch: no fix is better, whatever it claims
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LearningRules:
     """Gain `g` of (5) for the document's mode; lower edge of the speeds at which is learnt; cap of `h_e`; mode.
 
@@ -55,7 +55,7 @@ class LearningRules:
     causes: CauseRules = field(default_factory=CauseRules)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Correction:
     """`h_e` in force, σ of what learning has put into it (what was not known before is the antenna's own), and from
     how many positions or stretches it was learnt."""
@@ -65,7 +65,7 @@ class Correction:
     samples: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class CorrectionState:
     """What was learnt with one antenna and one base, and from which map last."""
 
@@ -81,7 +81,7 @@ class CorrectionState:
 
 
 class Learning:
-    """Hears the residual of every judged fix in the order of time; gives the correction in force, and causes."""
+    """Learns the height correction and causes of offsets from the residuals of all judged fixes, in the order of time."""
 
     def __init__(
         self, rules: LearningRules, parts: Sequence[CorrectionState] = (), roads: Sequence[RoadChange] = ()
@@ -93,7 +93,7 @@ class Learning:
 
     @property
     def samples(self) -> int:
-        """How often has been learnt: whoever keeps it on a disk can tell whether there is something new."""
+        """Number of learning steps so far; it grows where there is something new to save."""
         return sum(part.correction.samples for part in self._parts.values())
 
     @property
@@ -110,7 +110,7 @@ class Learning:
         if (part.base, part.map_version) == (key.base, key.map_version) or self.rules.mode == "document":
             return correction
         sigma_m = math.hypot(correction.sigma_m, self.rules.release_sigma_m)
-        return Correction(correction.correction_m, sigma_m, correction.samples)
+        return Correction(correction_m=correction.correction_m, sigma_m=sigma_m, samples=correction.samples)
 
     def diagnosis(self, surface_id: int | None) -> Diagnosis:
         """The cause of a lasting difference on this surface, if one is known."""
@@ -148,13 +148,13 @@ class Learning:
         )
 
     def _learn_by_gain(self, residual: FixResidual) -> None:
-        """H (4) and (5); unchanged where the new one would be beyond the cap."""
+        """JP7707657B2 eqs. (4) and (5); unchanged where the new one would be beyond the cap."""
         part, observed_m = self._part(residual.key), residual.known_up_m
         assert observed_m is not None
         gain, before = self.rules.gain, part.correction
         learnt_m = (1.0 - gain) * before.correction_m + gain * observed_m
         if abs(learnt_m) <= self.rules.cap_m:
-            part.correction = Correction(learnt_m, 0.0, before.samples + 1)
+            part.correction = Correction(correction_m=learnt_m, sigma_m=0.0, samples=before.samples + 1)
 
     def _learn(self, cell: ResidualCell) -> None:
         """One step towards the common part of the stretches remembered."""
@@ -174,7 +174,9 @@ class Learning:
         step_m = min(max(target_m - before_m, -most_m), most_m)
         learnt_m = min(max(before_m + step_m, -self.rules.cap_m), self.rules.cap_m)
         sigma_m = math.hypot(result.sigma_m, target_m - learnt_m)
-        part.correction = Correction(learnt_m, sigma_m, part.correction.samples + 1)
+        part.correction = Correction(
+            correction_m=learnt_m, sigma_m=sigma_m, samples=part.correction.samples + 1
+        )
 
     def _target_m(self, part: CorrectionState, result: CommonOffset) -> float:
         """Where the correction should go: where it was before a drift began; where it is, if that is beyond the cap."""
@@ -221,7 +223,7 @@ class Learning:
         since = [m for cell, m in part.cells if cell.end_ns > onset_ns]
         if since:
             known = part.correction
-            part.correction = Correction(since[0], known.sigma_m, known.samples)
+            part.correction = Correction(correction_m=since[0], sigma_m=known.sigma_m, samples=known.samples)
         if not keep:
             part.cells = deque(before, _MOST_CELLS)
 
@@ -236,7 +238,12 @@ class Learning:
         return part
 
     def _begin(self, key: ReferenceKey) -> CorrectionState:
-        part = CorrectionState(key.antenna, key.base, key.map_version, prior_sigma_m=self.rules.prior_sigma_m)
+        part = CorrectionState(
+            antenna=key.antenna,
+            base=key.base,
+            map_version=key.map_version,
+            prior_sigma_m=self.rules.prior_sigma_m,
+        )
         model = self._same_antenna(key)
         if model is not None:
             self._open(part, model.correction)
@@ -246,9 +253,11 @@ class Learning:
         return part
 
     def _open(self, part: CorrectionState, correction: Correction) -> None:
-        """Begin from what is known, less surely: the differences heard so far were others."""
+        """Begin from what is known, less surely: the differences so far had another cause."""
         sigma_m = math.hypot(correction.sigma_m, self.rules.release_sigma_m)
-        part.correction = Correction(correction.correction_m, sigma_m, correction.samples)
+        part.correction = Correction(
+            correction_m=correction.correction_m, sigma_m=sigma_m, samples=correction.samples
+        )
         part.prior_m, part.prior_sigma_m = correction.correction_m, sigma_m
         part.held_m = None
         part.cells.clear()
@@ -266,10 +275,10 @@ def _may_be_the_road(diagnosis: Diagnosis) -> bool:
 def _differences(cells: Sequence[tuple[ResidualCell, float]]) -> HeightDifferences:
     first = cells[0][0]
     return HeightDifferences(
-        np.array([cell.up_m for cell, _ in cells], np.float64),
-        np.array([cell.fix_sigma_m**2 + _LEAST_SIGMA_M**2 for cell, _ in cells]),
-        np.array([cell.map_sigma_m for cell, _ in cells]),
-        np.array(
+        up_m=np.array([cell.up_m for cell, _ in cells], np.float64),
+        variance_m2=np.array([cell.fix_sigma_m**2 + _LEAST_SIGMA_M**2 for cell, _ in cells]),
+        map_sigma_m=np.array([cell.map_sigma_m for cell, _ in cells]),
+        place_m=np.array(
             [
                 east_north_between(
                     first.latitude_rad, first.longitude_rad, cell.latitude_rad, cell.longitude_rad
@@ -277,5 +286,5 @@ def _differences(cells: Sequence[tuple[ResidualCell, float]]) -> HeightDifferenc
                 for cell, _ in cells
             ]
         ),
-        np.array([(cell.begin_ns - first.begin_ns) / 1e9 for cell, _ in cells]),
+        time_s=np.array([(cell.begin_ns - first.begin_ns) / 1e9 for cell, _ in cells]),
     )

@@ -1,4 +1,4 @@
-"""What learning is told of a judged fix: how far it is off the model, how well that is known, to what it belongs."""
+"""Residual of a judged fix for the learning: its offset from the model, the uncertainty of that, and its reference."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def base_of(fix: Fix) -> str:
 
 def key_of(base: str, pose: Pose | None, antenna: AntennaHeight | None) -> ReferenceKey:
     """To what a lasting difference of height belongs."""
-    way = antenna.way if antenna is not None and antenna.way is not None else ""
+    method = antenna.way if antenna is not None and antenna.way is not None else ""
     version = pose.road.map_version if pose is not None else None
-    return ReferenceKey(way, base, version if version is not None else 0)
+    return ReferenceKey(antenna=method, base=base, map_version=version if version is not None else 0)
 
 
 def residual_of(judgement: FixJudgement, result: FixComparison, speed_m_s: float | None) -> FixResidual:
     """Of a fix that was compared, whatever the verdict; `speed_m_s` of the wheels, None: not known."""
     fix, pose, antenna, road = judgement.fix, judgement.pose, judgement.antenna, judgement.road
     residual = FixResidual(
-        fix.time_ns,
-        judgement.verdict,
-        fix.latitude_rad,
-        fix.longitude_rad,
+        time_ns=fix.time_ns,
+        verdict=judgement.verdict,
+        latitude_rad=fix.latitude_rad,
+        longitude_rad=fix.longitude_rad,
         speed_m_s=speed_m_s,
         key=key_of(base_of(fix), pose, antenna),
         link_id=pose.link_id if pose is not None else None,

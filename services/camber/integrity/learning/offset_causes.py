@@ -1,6 +1,6 @@
-"""Why do fixes and height model differ, and go on to: antenna, road, base, or what one vehicle cannot tell?
+"""Why do fixes and height model differ, and go on to: antenna, road, base, or what one vehicle cannot determine?
 
-All judged fixes are heard, also those found erroneous: one wrong fix is a wrong fix, but where stretch after stretch
+All judged fixes count, also the erroneous ones: one wrong fix is a wrong fix, but where stretch after stretch
 differs by the same vector, something else is wrong.
 
 - **base** (or datum): fixes are off by one vector. Its horizontal part shows against a pose that owes nothing to them:
@@ -35,11 +35,11 @@ ISSUE_CODES: dict[Cause, str] = {
 }
 """Under which a named cause stands in health."""
 
-_MOST_CELLS = 40
-_BEFORE = 3
+_MOST_CELLS = 40  # chosen: the newest cells that are searched for a common offset; bounds time and memory
+_BEFORE = 3  # cells before an offset that must not have it; chosen: one alone may be noise
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CauseRules:
     """When a difference is large, when it is one, when it lasts, and when it is not that of one road.
 
@@ -61,7 +61,7 @@ class CauseRules:
     least_cells: int = 4
     far_m: float = 5.0
     least_far_s: float = 8.0
-    least_aside_s: float = 30.0
+    least_horizontal_s: float = 30.0
     least_s: float = 15.0
     antenna_links: int = 3
     antenna_distance_m: float = 400.0
@@ -69,7 +69,7 @@ class CauseRules:
     link_cells: int = 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
     """A cause with its onset, its vector as far as it is known, and for a road its surface.
 
@@ -96,7 +96,7 @@ class _Seen:
     correction_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadChange:
     """A surface that lies otherwise than this version of the map says."""
 
@@ -107,7 +107,7 @@ class RoadChange:
 
 
 class OffsetCauses:
-    """Hears residuals in the order of time. `roads`: those known to have changed, by surface."""
+    """Determines the cause from residuals in the order of time. `roads`: those known to have changed, by surface."""
 
     def __init__(self, rules: CauseRules, roads: Sequence[RoadChange] = ()) -> None:
         self.rules = rules
@@ -122,10 +122,10 @@ class OffsetCauses:
         self._news: list[Diagnosis] = []
 
     def at(self, surface_id: int | None) -> Diagnosis:
-        """The cause of a difference on this surface: a road that is known goes before what is not told apart."""
+        """The cause of a difference on this surface: a road known to have changed goes before an ambiguous cause."""
         road = self.roads.get(surface_id) if surface_id is not None else None
-        told_apart = self.common.cause not in ("none", "ambiguous")
-        return self.common if road is None or told_apart else _diagnosis_of(road)
+        is_determined = self.common.cause not in ("none", "ambiguous")
+        return self.common if road is None or is_determined else _diagnosis_of(road)
 
     def news(self) -> list[Diagnosis]:
         """What has been named since the last call."""
@@ -213,7 +213,12 @@ class OffsetCauses:
         if not (verified or again) or surface_id in self.roads:
             return
         onset_ns = earlier[1] if again and earlier is not None else begin_ns
-        road = RoadChange(surface_id, here[0].cell.key.map_version, offset_m, onset_ns)
+        road = RoadChange(
+            surface_id=surface_id,
+            map_version=here[0].cell.key.map_version,
+            offset_m=offset_m,
+            onset_ns=onset_ns,
+        )
         self.roads[surface_id] = road
         self._news.append(_diagnosis_of(road))
 
@@ -228,7 +233,7 @@ def _is_large(cell: ResidualCell, difference_m: float, rules: CauseRules) -> boo
     return abs(difference_m) > max(rules.least_height_m, 3.0 * sigma_m)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Offset:
     """What cells have in common; None where it is not observed. `horizontal_outcome`: the horizontal part is one."""
 
@@ -253,7 +258,9 @@ def _offset_of(seen: Sequence[_Seen], first: int, rules: CauseRules) -> _Offset 
         [_along(s.cell, east_north_m) for s in before], 1.0
     )
     return (
-        _Offset(up_m, up_is_one, east_north_m, horizontal_outcome)
+        _Offset(
+            up_m=up_m, up_is_one=up_is_one, east_north_m=east_north_m, horizontal_outcome=horizontal_outcome
+        )
         if up_is_one or horizontal_outcome
         else None
     )
@@ -328,33 +335,35 @@ def _cause_of(
     """Of a row of cells that differ by one vector."""
     if (cells[-1].end_ns - cells[0].begin_ns) / 1e9 < _least_s(offset, rules):
         return NO_OFFSET
-    diagnosis = Diagnosis("ambiguous", cells[0].begin_ns, offset.up_m, offset.east_north_m)
+    diagnosis = Diagnosis(
+        cause="ambiguous", onset_ns=cells[0].begin_ns, up_m=offset.up_m, east_north_m=offset.east_north_m
+    )
     if offset.horizontal_outcome:
-        return _said(replace(diagnosis, cause="base"), "fixes are off by one vector")
+        return _with_detail(replace(diagnosis, cause="base"), "fixes are off by one vector")
     if before is not None:
         new_antenna = before.key.antenna != cells[0].key.antenna
         new_base = before.key.base != cells[0].key.base
         if new_base and not new_antenna:
-            return _said(replace(diagnosis, cause="base"), "since the base changed")
+            return _with_detail(replace(diagnosis, cause="base"), "since the base changed")
         if new_antenna and not new_base:
-            return _said(replace(diagnosis, cause="antenna"), "since the antenna changed")
+            return _with_detail(replace(diagnosis, cause="antenna"), "since the antenna changed")
     cells_on = Counter(cell.link_id for cell in cells if cell.link_id is not None)
     links = sum(count >= rules.link_cells for count in cells_on.values())
     driven_m = sum(distance_m(a, b) for a, b in itertools.pairwise(cells))
     if links < rules.antenna_links or driven_m < rules.antenna_distance_m:
-        return _said(diagnosis, f"antenna or road, {links} links so far")
+        return _with_detail(diagnosis, f"antenna or road, {links} links so far")
     if offset.east_north_m is None:
-        return _said(diagnosis, "antenna or base: no pose that owes nothing to fixes")
-    return _said(replace(diagnosis, cause="antenna"), f"alike on {links} links")
+        return _with_detail(diagnosis, "antenna or base: no pose that owes nothing to fixes")
+    return _with_detail(replace(diagnosis, cause="antenna"), f"alike on {links} links")
 
 
 def _least_s(offset: _Offset, rules: CauseRules) -> float:
     if not offset.horizontal_outcome or offset.east_north_m is None:
         return rules.least_s
-    return rules.least_far_s if math.hypot(*offset.east_north_m) > rules.far_m else rules.least_aside_s
+    return rules.least_far_s if math.hypot(*offset.east_north_m) > rules.far_m else rules.least_horizontal_s
 
 
-def _said(diagnosis: Diagnosis, why: str) -> Diagnosis:
+def _with_detail(diagnosis: Diagnosis, why: str) -> Diagnosis:
     parts = [f"{diagnosis.up_m:+.2f} m up"] if diagnosis.up_m is not None else []
     if diagnosis.east_north_m is not None:
         parts.append("{:+.2f} m east, {:+.2f} m north".format(*diagnosis.east_north_m))
@@ -363,4 +372,11 @@ def _said(diagnosis: Diagnosis, why: str) -> Diagnosis:
 
 def _diagnosis_of(road: RoadChange) -> Diagnosis:
     text = f"surface {road.surface_id} lies {road.offset_m:+.2f} m from map version {road.map_version}"
-    return Diagnosis("road", road.onset_ns, road.offset_m, None, road.surface_id, text)
+    return Diagnosis(
+        cause="road",
+        onset_ns=road.onset_ns,
+        up_m=road.offset_m,
+        east_north_m=None,
+        surface_id=road.surface_id,
+        text=text,
+    )

@@ -14,10 +14,10 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.schemas.integrity import VerdictValue
 
 MOST_FIXES = 256
-"""In one cell: whoever stands still learns nothing new of the road."""
+"""In one cell; chosen: a vehicle that stands observes nothing new of the road."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceKey:
     """What an offset belongs to: how the antenna's height is known, whose fixes these are, which map."""
 
@@ -26,11 +26,12 @@ class ReferenceKey:
     map_version: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FixResidual:
     """One judged fix less its model, without any learnt correction; None: not known.
 
-    `up_m` is `h_r − (h_m + h_a)` of H (4), `fix_sigma_m` that of fix and antenna together, `map_sigma_m` the road's.
+    `up_m` is `h_r − (h_m + h_a)` of JP7707657B2 eq. (4), `fix_sigma_m` that of fix and antenna together,
+    `map_sigma_m` the road's.
     `east_m`, `north_m` are fix less pose, `horizontal_sigma_m` is theirs in the worst direction; `anchored_ns` is the
     time of the newest confirmed fix that the pose leans on, None where it leans on none. `link_id` is the road's, from
     crossing to crossing; a surface is a piece of it.
@@ -72,7 +73,7 @@ class FixResidual:
         return (self.east_m, self.north_m, self.horizontal_sigma_m) if usable else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualCell:
     """The fixes of one stretch on one surface: medians, and how many of the fixes were verified against the height.
 
@@ -131,12 +132,12 @@ def cell_of(residuals: list[FixResidual]) -> ResidualCell:
         east_m, north_m, sigma_m = (statistics.median(column) for column in zip(*sides, strict=True))
         horizontal_m = (east_m, north_m, sigma_m)
     return ResidualCell(
-        first.key,
-        first.surface_id,
-        first.time_ns,
-        residuals[-1].time_ns,
-        first.latitude_rad,
-        first.longitude_rad,
+        key=first.key,
+        surface_id=first.surface_id,
+        begin_ns=first.time_ns,
+        end_ns=residuals[-1].time_ns,
+        latitude_rad=first.latitude_rad,
+        longitude_rad=first.longitude_rad,
         up_m=statistics.median(up_m for up_m, _ in ups) if ups else None,
         fix_sigma_m=statistics.median(r.fix_sigma_m for _, r in ups) if ups else 0.0,
         map_sigma_m=statistics.median(r.map_sigma_m for _, r in ups) if ups else 0.0,

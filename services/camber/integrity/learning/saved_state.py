@@ -79,7 +79,12 @@ def from_text(text: str, rules: LearningRules) -> Learning:
     return Learning(
         rules,
         [_part_of(part, rules) for part in kept.parts],
-        [RoadChange(r.surface_id, r.map_version, r.offset_m, r.onset_ns) for r in kept.roads],
+        [
+            RoadChange(
+                surface_id=r.surface_id, map_version=r.map_version, offset_m=r.offset_m, onset_ns=r.onset_ns
+            )
+            for r in kept.roads
+        ],
     )
 
 
@@ -87,10 +92,10 @@ def _part_of(kept: _SavedCorrection, rules: LearningRules) -> CorrectionState:
     """As a prior it is less sure than it was: load and tyres change while a vehicle stands."""
     sigma_m = max(kept.sigma_m, rules.release_sigma_m)
     return CorrectionState(
-        kept.antenna,
-        kept.base,
-        kept.map_version,
-        Correction(kept.correction_m, kept.sigma_m, kept.samples),
+        antenna=kept.antenna,
+        base=kept.base,
+        map_version=kept.map_version,
+        correction=Correction(correction_m=kept.correction_m, sigma_m=kept.sigma_m, samples=kept.samples),
         prior_m=kept.correction_m,
         prior_sigma_m=sigma_m,
     )

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from camber.schemas.base import Covariance3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrueSigma:
     """Factor on the claimed σ, and floors an axis."""
 

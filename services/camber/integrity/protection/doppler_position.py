@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 _KEPT = 32  # velocities: a verdict comes after those of its epoch
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DopplerRules:
     """How far velocities are believed.
 
@@ -52,11 +52,11 @@ class DopplerRules:
     steepest: float = 0.3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Displacement:
     """Since the confirmed position: metres (3,) east, north, up, their covariance (3, 3), and the yaw of the vehicle.
 
-    `checked`: the wheels have been heard all the time.
+    `checked`: there was a wheel speed all the time.
     """
 
     since_ns: int
@@ -66,7 +66,7 @@ class Displacement:
     checked: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Velocity:
     time_ns: int
     metres_s: Floats
@@ -74,7 +74,7 @@ class _Velocity:
     yaw_rad: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Sum:
     since_ns: int
     velocity: _Velocity
@@ -87,7 +87,7 @@ class _Sum:
 
 
 class DopplerPosition:
-    """Hears velocities, wheel speeds and confirmed positions; says how far the antenna has come since the last one."""
+    """Integrates satellite velocities, checked by wheel speeds: the displacement since the last confirmed position."""
 
     def __init__(self, rules: DopplerRules) -> None:
         self._rules = rules
@@ -124,7 +124,12 @@ class DopplerPosition:
         nothing = np.zeros((3, 3))
         at_start = replace(first[0], time_ns=time_ns)
         running: _Sum | None = _Sum(
-            time_ns, at_start, np.zeros(3), nothing, nothing, checked=wheels_m_s is not None
+            since_ns=time_ns,
+            velocity=at_start,
+            metres=np.zeros(3),
+            covariance_m2=nothing,
+            with_velocity=nothing,
+            checked=wheels_m_s is not None,
         )
         for velocity in later:
             running = self._after(running, velocity) if running is not None else None
@@ -161,7 +166,13 @@ class DopplerPosition:
             + turned_m**2 * np.eye(3)
         )
         metres = result.metres + ahead_s * velocity.metres_s
-        return Displacement(result.since_ns, metres, covariance, velocity.yaw_rad, result.checked)
+        return Displacement(
+            since_ns=result.since_ns,
+            metres=metres,
+            covariance_m2=covariance,
+            yaw_rad=velocity.yaw_rad,
+            checked=result.checked,
+        )
 
     def _read(self, velocity: SatelliteVelocity) -> _Velocity | None:
         claimed = _matrix(velocity.covariance_enu_m2_s2)
@@ -170,7 +181,12 @@ class DopplerPosition:
         covariance = self._rules.sigma_scale**2 * claimed + self._rules.sigma_floor_m_s**2 * np.eye(3)
         heading = velocity.heading_rad
         yaw = None if heading is None else wrap_pi(0.5 * math.pi - heading)
-        return _Velocity(velocity.time_ns, np.array(velocity.velocity_enu_m_s), covariance, yaw)
+        return _Velocity(
+            time_ns=velocity.time_ns,
+            metres_s=np.array(velocity.velocity_enu_m_s),
+            covariance_m2_s2=covariance,
+            yaw_rad=yaw,
+        )
 
     def _after(self, last: _Sum, now: _Velocity) -> _Sum | None:
         """The sum with one more velocity; None where it ends."""
@@ -193,14 +209,30 @@ class DopplerPosition:
         wheels_m_s = self._speed_at(now.time_ns)
         if wheels_m_s is None:
             return _Sum(
-                last.since_ns, now, metres, covariance, with_velocity, last.path_m, last.slip_m, False
+                since_ns=last.since_ns,
+                velocity=now,
+                metres=metres,
+                covariance_m2=covariance,
+                with_velocity=with_velocity,
+                path_m=last.path_m,
+                slip_m=last.slip_m,
+                checked=False,
             )
         over_m_s = _over_m_s(now, wheels_m_s)
         path_m, slip_m = last.path_m + abs(wheels_m_s) * step_s, last.slip_m + over_m_s * step_s
         path_limit = rules.path_gate_m + rules.path_share * path_m + rules.sigmas * _largest_sigma(covariance)
         if not (self._is_driven(now, wheels_m_s) and abs(slip_m) <= path_limit):
             return None
-        return _Sum(last.since_ns, now, metres, covariance, with_velocity, path_m, slip_m, last.checked)
+        return _Sum(
+            since_ns=last.since_ns,
+            velocity=now,
+            metres=metres,
+            covariance_m2=covariance,
+            with_velocity=with_velocity,
+            path_m=path_m,
+            slip_m=slip_m,
+            checked=last.checked,
+        )
 
     def _is_driven(self, velocity: _Velocity, wheels_m_s: float) -> bool:
         """Is it one that a vehicle whose wheels turn so fast can have, along its way and upwards?"""

@@ -3,13 +3,13 @@
 If a confirmed fix is wrong, the truth is where road and pose say: its error is then N(d, covariance of the pose), d
 being the difference of fix and model. Confirmed fixes anchor the pose: one that was wrong and has passed has pulled it
 along, and agrees with it afterwards. `LatentFaultHypothesis` holds how likely that is and how far off; it fades as
-episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching bears the pose
-out place after place (`MatchCorroboration`).
+episodes of wrong fixes end, which a pose that has been pulled along would show, and where scan matching agrees
+with the pose place after place (`MatchCorroboration`).
 
 A fix whose height agrees and whose place the pose contradicts: either may be wrong (`PoseDispute`). Until
 one that agrees, the vehicle may be where the fix was.
 
-A height that is the road's is off where the road has changed since the survey. What fixes have said of the road is not
+A height that is the road's is off where the road has changed since the survey. What fixes show of the road is not
 remembered: a level grows with the logarithm of the odds, so to know for certain that a road has changed would raise it
 by a fifth.
 """
@@ -40,13 +40,13 @@ Source = Literal["rtk", "doppler", "sensors", "scan_match"]
 GeodeticPosition = tuple[float, float, float | None]
 
 UNKNOWN_HEIGHT_M2 = 1e6  # the variance beside a height that is None
-_MOST_LOG_ODDS = 30.0
+_MOST_LOG_ODDS = 30.0  # chosen: odds of 1e13 are certainty in floats, and exp does not overflow
 _NOT_OF_THE_POSE = frozenset({"phase_residuals_contradict", "receiver_warns", "common_offset"})
 """It is the fix by its own account, or the base: neither says that the pose is wrong."""
 _MATCH_SIGMAS = 4.0  # σ of a match that lie within the offset suspected
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LatentFaultHypothesis:
     """That what fixes and pose stand on is a wrong fix: odds, and mean squares of the offset (each axis, upwards).
 
@@ -61,7 +61,9 @@ class LatentFaultHypothesis:
     @classmethod
     def initial(cls, rules: WrongFixRules) -> LatentFaultHypothesis:
         """Of a pose that rests on fixes of which nothing is known here."""
-        return cls(None, math.exp(log_odds_of_share(rules.prior)), *rules.second_moment_m2)
+        horizontal_m2, up_m2 = rules.second_moment_m2
+        odds = math.exp(log_odds_of_share(rules.prior))
+        return cls(time_ns=None, odds=odds, horizontal_m2=horizontal_m2, up_m2=up_m2)
 
     def remaining_share(self, time_ns: int, rules: WrongFixRules) -> float:
         """The share of it that is left at a later time: episodes of wrong fixes end."""
@@ -83,10 +85,10 @@ class LatentFaultHypothesis:
         (east_m, north_m, up_m), (ee, _, nn) = wrong.mean_m, wrong.horizontal_m2
         horizontal_m2, up_m2 = max(east_m * east_m + ee, north_m * north_m + nn), up_m * up_m + wrong.up_m2
         return LatentFaultHypothesis(
-            time_ns,
-            total,
-            self.horizontal_m2 + share * (horizontal_m2 - self.horizontal_m2),
-            self.up_m2 + share * (up_m2 - self.up_m2),
+            time_ns=time_ns,
+            odds=total,
+            horizontal_m2=self.horizontal_m2 + share * (horizontal_m2 - self.horizontal_m2),
+            up_m2=self.up_m2 + share * (up_m2 - self.up_m2),
         )
 
     def corroborate(self, before: LatentFaultHypothesis, rules: LevelRules) -> LatentFaultHypothesis:
@@ -98,12 +100,15 @@ class LatentFaultHypothesis:
     def part(self, weight: float) -> MixtureComponent:
         """What was pulled along."""
         return MixtureComponent(
-            weight, (0.0, 0.0, 0.0), (self.horizontal_m2, 0.0, self.horizontal_m2), self.up_m2
+            weight=weight,
+            mean_m=(0.0, 0.0, 0.0),
+            horizontal_m2=(self.horizontal_m2, 0.0, self.horizontal_m2),
+            up_m2=self.up_m2,
         )
 
 
 class MatchCorroboration:
-    """Places at which scan matching bears the pose out, so far apart that what deceives it at one is gone at the next.
+    """Scan matches that agree with the pose, so far apart that what makes one wrong is gone at the next.
 
     A witness is a match that is newer than what is suspected, and sharp beside the offset that is suspected.
     """
@@ -133,12 +138,12 @@ class MatchCorroboration:
         return suspicion.corroborate(before, self._rules)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PoseDispute:
     """A fix whose height agrees and whose place the pose contradicts: one of both is wrong, and which is not known.
 
-    `east_m`, `north_m` from the pose to the fix, `covariance_enu_m2` of the fix, `begun_ns` when the first said so.
-    `matches` newer than that have borne the pose out, the last at the place `matched_at`.
+    `east_m`, `north_m` from the pose to the fix, `covariance_enu_m2` of the fix, `begun_ns` the time of the first.
+    `matches` newer than that agree with the pose, the last at the place `matched_at`.
     """
 
     begun_ns: int
@@ -150,11 +155,11 @@ class PoseDispute:
     matched_at: tuple[float, float] | None = None
 
     def weight(self, rules: LevelRules) -> float:
-        """How likely it is the pose. It does not fade: a pose gone astray stays so."""
+        """How likely it is the pose. It does not fade: a wrong pose stays wrong."""
         return rules.disputed_pose_prior * rules.false_match_prior**self.matches
 
     def update(self, pose: Pose, rules: LevelRules) -> PoseDispute:
-        """After a pose: a newer match bears it out, and another one as far on as what deceives a match reaches."""
+        """Count a match that is newer than the dispute and `matches_apart_m` from the last one."""
         if pose.mode != "scan_match" or pose.latitude_rad is None or pose.longitude_rad is None:
             return self
         here = pose.latitude_rad, pose.longitude_rad
@@ -193,15 +198,20 @@ def updated_dispute(
     # Where the map knows no road under the fix, its height speaks neither for it nor against it.
     if result.outcome != POSITION_CONTRADICTS and judgement.reason != "position_disagrees":
         return before
+    east_m, north_m = result.position_m
     newest = PoseDispute(
-        fix.time_ns, fix.time_ns, *result.position_m, inflate_covariance(fix.covariance_enu_m2, sigma)
+        begun_ns=fix.time_ns,
+        time_ns=fix.time_ns,
+        east_m=east_m,
+        north_m=north_m,
+        covariance_enu_m2=inflate_covariance(fix.covariance_enu_m2, sigma),
     )
     if before is None:
         return newest
     return replace(newest, begun_ns=before.begun_ns, matches=before.matches, matched_at=before.matched_at)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PositionCandidate:
     """A position with its mixture; `wrong` is the probability that a wrong fix stands behind it, None: no fix does."""
 
@@ -235,21 +245,26 @@ def confirmed_fix(
     pulled = before.remaining_share(fix.time_ns, rules.wrong_fix) * before.odds
     total = 1.0 + odds + pulled
     parts = (
-        MixtureComponent(1.0 / total, (0.0, 0.0, 0.0), _horizontal(covariance), covariance[5]),
+        MixtureComponent(
+            weight=1.0 / total,
+            mean_m=(0.0, 0.0, 0.0),
+            horizontal_m2=_horizontal(covariance),
+            up_m2=covariance[5],
+        ),
         *_by_road(wrong, odds / total, rules),
         _wider(before.part(pulled / total), covariance),
     )
     probability = (odds + pulled) / total
     candidate = PositionCandidate(
-        "rtk",
-        fix.time_ns,
-        (fix.latitude_rad, fix.longitude_rad, fix.height_m),
-        covariance,
-        judgement.pose.yaw_rad if judgement.pose is not None else None,
+        source="rtk",
+        time_ns=fix.time_ns,
+        geodetic=(fix.latitude_rad, fix.longitude_rad, fix.height_m),
+        covariance_enu_m2=covariance,
+        yaw_rad=judgement.pose.yaw_rad if judgement.pose is not None else None,
         # If the pose is at fault too, they agree by accident, and nothing says where the vehicle is.
-        ErrorMixture(parts, probability * rules.pose_fault_prior),
-        probability,
-        fix.fix_id,
+        mixture=ErrorMixture(parts, probability * rules.pose_fault_prior),
+        wrong=probability,
+        fix_id=fix.fix_id,
     )
     return ConfirmedPosition(candidate, before.after(fix.time_ns, odds, wrong, rules.wrong_fix))
 
@@ -271,14 +286,14 @@ def of_doppler(
     )
     grown = tuple(_wider(part, added) for part in base.mixture.parts)
     return PositionCandidate(
-        "doppler",
-        time_ns,
-        (to_latitude_rad, longitude_rad + east_m / around_m, height_m + up_m),
-        (ee, en, eu, nn, nu, uu),
-        moved.yaw_rad,
-        ErrorMixture(grown, base.mixture.lost + rules.pose_fault_prior),
-        base.wrong,
-        base.fix_id,
+        source="doppler",
+        time_ns=time_ns,
+        geodetic=(to_latitude_rad, longitude_rad + east_m / around_m, height_m + up_m),
+        covariance_enu_m2=(ee, en, eu, nn, nu, uu),
+        yaw_rad=moved.yaw_rad,
+        mixture=ErrorMixture(grown, base.mixture.lost + rules.pose_fault_prior),
+        wrong=base.wrong,
+        fix_id=base.fix_id,
     )
 
 
@@ -298,7 +313,12 @@ def of_pose(
     assert pose.covariance_east_north_yaw is not None
     ee, en, _, nn, _, _ = pose.covariance_east_north_yaw
     height_m, up_m2 = height_on_road(inputs, correction_m, rules)
-    alone = MixtureComponent(1.0, (0.0, 0.0, 0.0), (ee, en, nn), up_m2 if height_m is not None else math.inf)
+    alone = MixtureComponent(
+        weight=1.0,
+        mean_m=(0.0, 0.0, 0.0),
+        horizontal_m2=(ee, en, nn),
+        up_m2=up_m2 if height_m is not None else math.inf,
+    )
     parts: tuple[MixtureComponent, ...]
     wrong: float | None = None
     if not rests_on_fixes(pose):
@@ -306,22 +326,22 @@ def of_pose(
     else:
         wrong = suspicion.odds / (1.0 + suspicion.odds)
         pulled = MixtureComponent(
-            wrong,
-            (0.0, 0.0, 0.0),
-            (ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
-            alone.up_m2,  # the height is that of the road
+            weight=wrong,
+            mean_m=(0.0, 0.0, 0.0),
+            horizontal_m2=(ee + suspicion.horizontal_m2, en, nn + suspicion.horizontal_m2),
+            up_m2=alone.up_m2,  # the height is that of the road
         )
         parts = (*_by_road(alone, 1.0 - wrong, levels), *_by_road(pulled, wrong, levels))
     if dispute is not None:
         parts = dispute.with_alternative(parts, alone, dispute.weight(levels))
     return PositionCandidate(
-        "scan_match" if pose.mode == "scan_match" else "sensors",
-        pose.time_ns,
-        (pose.latitude_rad, pose.longitude_rad, height_m),
-        (ee, en, 0.0, nn, 0.0, up_m2),
-        pose.yaw_rad,
-        ErrorMixture(parts, levels.pose_fault_prior),
-        wrong,
+        source="scan_match" if pose.mode == "scan_match" else "sensors",
+        time_ns=pose.time_ns,
+        geodetic=(pose.latitude_rad, pose.longitude_rad, height_m),
+        covariance_enu_m2=(ee, en, 0.0, nn, 0.0, up_m2),
+        yaw_rad=pose.yaw_rad,
+        mixture=ErrorMixture(parts, levels.pose_fault_prior),
+        wrong=wrong,
     )
 
 
@@ -377,7 +397,12 @@ def _if_wrong(
     horizontal_m2, vertical_m2 = rules.second_moment_m2
     prior_log_odds = rules.prior_log_odds(judgement.fix.satellites)
     if result is None or pose is None or pose.covariance_east_north_yaw is None:
-        unknown = MixtureComponent(1.0, (0.0, 0.0, 0.0), (horizontal_m2, 0.0, horizontal_m2), vertical_m2)
+        unknown = MixtureComponent(
+            weight=1.0,
+            mean_m=(0.0, 0.0, 0.0),
+            horizontal_m2=(horizontal_m2, 0.0, horizontal_m2),
+            up_m2=vertical_m2,
+        )
         return judgement.trials * math.exp(prior_log_odds), unknown
     east_m, north_m, up_m = result.difference_m.tolist()
     (s_ee, s_en, s_eu), (_, s_nn, s_nu), (_, _, s_uu) = result.covariance_m2.tolist()
@@ -393,12 +418,17 @@ def _if_wrong(
     against = log_odds_of(
         (east_m, north_m, up_m),
         (s_ee, s_en, s_eu, s_nn, s_nu, s_uu),
-        rules,
-        prior_log_odds,
-        judgement.trials,
+        rules=rules,
+        prior_log_odds=prior_log_odds,
+        trials=judgement.trials,
     )
     # Road and antenna may know the height better than the fix does: a fix that is doubted is no surer for it.
-    wrong = MixtureComponent(1.0, (east_m, north_m, up_m), (ee, en, nn), max(model_m2, covariance[5]))
+    wrong = MixtureComponent(
+        weight=1.0,
+        mean_m=(east_m, north_m, up_m),
+        horizontal_m2=(ee, en, nn),
+        up_m2=max(model_m2, covariance[5]),
+    )
     return math.exp(min(against, _MOST_LOG_ODDS)), wrong
 
 
@@ -408,8 +438,18 @@ def _by_road(
     """A part whose height is the road's, once on the road as it was surveyed and once where that has changed."""
     changed, sigma_m = rules.changed_road_prior, rules.changed_road_sigma_m
     return (
-        MixtureComponent((1.0 - changed) * weight, part.mean_m, part.horizontal_m2, part.up_m2),
-        MixtureComponent(changed * weight, part.mean_m, part.horizontal_m2, part.up_m2 + sigma_m * sigma_m),
+        MixtureComponent(
+            weight=(1.0 - changed) * weight,
+            mean_m=part.mean_m,
+            horizontal_m2=part.horizontal_m2,
+            up_m2=part.up_m2,
+        ),
+        MixtureComponent(
+            weight=changed * weight,
+            mean_m=part.mean_m,
+            horizontal_m2=part.horizontal_m2,
+            up_m2=part.up_m2 + sigma_m * sigma_m,
+        ),
     )
 
 
@@ -421,4 +461,6 @@ def _wider(part: MixtureComponent, covariance: Sequence[float]) -> MixtureCompon
     """With the errors of a covariance added."""
     (ee, en, nn) = part.horizontal_m2
     added = (float(ee + covariance[0]), float(en + covariance[1]), float(nn + covariance[3]))
-    return MixtureComponent(part.weight, part.mean_m, added, float(part.up_m2 + covariance[5]))
+    return MixtureComponent(
+        weight=part.weight, mean_m=part.mean_m, horizontal_m2=added, up_m2=float(part.up_m2 + covariance[5])
+    )

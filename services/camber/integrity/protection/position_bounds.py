@@ -29,9 +29,9 @@ _SURELY = 1.01  # levels are found to a ten-thousandth of the risk
 Horizontal = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class IndexRules:
-    """R's formulas: σ of a confirmed fix, and how much σ each 0.1 s by Doppler and by the vehicle's sensors adds.
+    """Kikuchi (TUMSAT), reliability index: σ of a confirmed fix, and its growth in each 0.1 s by Doppler and by sensors.
 
     The levels are those of the error ellipse that holds `probability`.
     """
@@ -42,12 +42,12 @@ class IndexRules:
     sensors_m: float = 0.03
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LevelRules:
     """At which risk levels hold, which are usable, and what is assumed.
 
     `pose_fault_prior`: the probability, each epoch, that a pose or a satellite velocity is off in a way that neither
-    its covariance tells nor any test has shown. `horizontal_margin` scales horizontal σ: with 1.03 the ellipses of a
+    its covariance includes nor any test has shown. `horizontal_margin` scales horizontal σ: with 1.03 the ellipses of a
     normal error hold 99.25 and 99.93 %, so that 3 % of error in a σ do not break the promise. A lower mode is taken
     where its level is less than `clearly_smaller` of that of the mode above.
 
@@ -77,7 +77,7 @@ class LevelRules:
     disputed_pose_prior: float = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MixtureComponent:
     """One way in which the position may be off: its weight, mean east, north, up, (ee, en, nn), and uu.
 
@@ -98,7 +98,7 @@ class ErrorMixture:
     lost: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
     """Metres; infinite where there is none."""
 
@@ -202,11 +202,11 @@ def _bounds(first: Horizontal, levels: Sequence[float]) -> Bounds:
     ee, en, nn = first
     major, minor = (math.sqrt(value) for value in eigenvalues_m2(first))
     return Bounds(
-        scale_99 * major,
-        scale_99 * minor,
-        scale_999 * major,
-        scale_999 * minor,
-        0.5 * math.atan2(2.0 * en, ee - nn),
-        horizontal_m,
-        vertical_m,
+        semi_major_99_m=scale_99 * major,
+        semi_minor_99_m=scale_99 * minor,
+        semi_major_999_m=scale_999 * major,
+        semi_minor_999_m=scale_999 * minor,
+        orientation_rad=0.5 * math.atan2(2.0 * en, ee - nn),
+        horizontal_level_m=horizontal_m,
+        vertical_level_m=vertical_m,
     )

@@ -35,13 +35,13 @@ from camber.schemas.gnss import SatelliteVelocity
 from camber.schemas.integrity import Position, Reason
 
 _CONTRADICTION = 27.6  # squared distance of two positions: χ²(2) at 1e-6
-_FLOOR_M2 = 0.01
+_FLOOR_M2 = 0.01  # each axis, (0.1 m)²; chosen: precise positions do not contradict by centimetres
 _AS_SURVEYED = 5.33  # σ that a height may be off at 1e-7
 _LARGEST_M = 1e9  # that a message holds
 
 
 class PositionOutput:
-    """Hears velocities, wheel speeds and judgements; says the position of an epoch. Times come in, nothing is read."""
+    """Computes the position of an epoch from velocities, wheel speeds and judgements; pure, times are given."""
 
     def __init__(self, rules: Rules, levels: LevelRules) -> None:
         self._rules, self._levels = rules, levels
@@ -80,7 +80,7 @@ class PositionOutput:
 
     def confirmed(self, judgement: FixJudgement, correction_m: float, inputs: EpochInputs) -> Position:
         """The position of the epoch of a confirmed fix. Raises ValueError for any other: unknown is never trusted."""
-        self._hear_match(inputs)
+        self._update_by_match(inputs)
         result = confirmed_fix(judgement, self._suspicion, self._levels, self._rules.true_sigma)
         self._suspicion = result.suspicion
         if self._base is None or result.candidate.time_ns > self._base.time_ns:
@@ -91,15 +91,15 @@ class PositionOutput:
 
     def at(self, time_ns: int, inputs: EpochInputs, correction_m: float) -> Position:
         """The position of an epoch without a confirmed fix: what there is of it, or why there is none."""
-        self._hear_match(inputs)
+        self._update_by_match(inputs)
         pose, missing = self._of_pose(time_ns, inputs, correction_m)
         doppler = self._of_doppler(time_ns, pose)
         if doppler is None and missing is not None:
             return unavailable_position(time_ns, missing, self._rules, self._levels)
         return self._best([doppler, pose], inputs)
 
-    def _hear_match(self, inputs: EpochInputs) -> None:
-        """What scan matching says of what was suspected, or disputed, before this epoch."""
+    def _update_by_match(self, inputs: EpochInputs) -> None:
+        """Update fault hypothesis and dispute by the scan match of this epoch."""
         if inputs.pose is not None:
             self._suspicion = self._matched.update(inputs.pose, self._suspicion)
             if self._dispute is not None:
@@ -118,7 +118,14 @@ class PositionOutput:
         old = not abs(age_s(moved_ns, time_ns)) <= self._levels.time_to_alert_s
         if old or not abs(age_s(pose.time_ns, time_ns)) <= SAME_EPOCH_S:
             return None, "pose_stale"
-        result = of_pose(inputs, correction_m, self._suspicion, self._rules, self._levels, self._dispute)
+        result = of_pose(
+            inputs,
+            correction_m,
+            suspicion=self._suspicion,
+            rules=self._rules,
+            levels=self._levels,
+            dispute=self._dispute,
+        )
         return result, None
 
     def _of_doppler(self, time_ns: int, pose: PositionCandidate | None) -> PositionCandidate | None:
@@ -137,7 +144,7 @@ class PositionOutput:
             pose.geodetic[1],
             result.geodetic[0],
             result.geodetic[1],
-            result.geodetic[2] or 0.0,
+            height_m=result.geodetic[2] or 0.0,
         )
         if _distance2(east_m, north_m, pose.covariance_enu_m2, result.covariance_enu_m2) <= _CONTRADICTION:
             return result
@@ -150,16 +157,16 @@ class PositionOutput:
         bounds = self._bounds(best)
         for other in others:
             limit_m = self._levels.clearly_smaller * bounds.horizontal_level_m
-            # Mostly one look at the tails tells that the level is larger, and no bound needs to be found.
+            # One evaluation of the tail mostly shows that the level is larger: its bound is not needed.
             if self._levels.levels == "integrity_risk" and is_beyond(other.mixture, limit_m, self._levels):
                 continue
             result = self._bounds(other)
-            if result.horizontal_level_m < limit_m and self._bears_out(best, bounds, other, result):
+            if result.horizontal_level_m < limit_m and self._height_agrees(best, bounds, other, result):
                 best, bounds = other, result
         self._index.keep(best.time_ns, bounds)
         return self._position(best, bounds, inputs)
 
-    def _bears_out(
+    def _height_agrees(
         self, best: PositionCandidate, bounds: Bounds, other: PositionCandidate, result: Bounds
     ) -> bool:
         """Is the height of the other within the vertical level that was found, as far as both are known?

@@ -14,7 +14,7 @@ part counts in full.
 P falls with L, and its slope comes with it: L is found by Newton's steps of ln P over L², between what was seen to keep
 to the risk and what was not.
 
-The judge asks of one mixture, in plain floats, the lab of many: there is one implementation (`either_number`). An input
+The judge asks of one mixture, in plain floats, the lab of many: there is one implementation (`scalar_or_array`). An input
 that is not finite, a covariance that is none, or no risk left to spend gives an infinite level.
 """
 
@@ -32,7 +32,7 @@ TailComponent: TypeAlias = tuple[FloatOrArray, FloatOrArray, FloatOrArray, Float
 """Of one part of the mixture: weight, mean along and across the major axis, larger and smaller variance; each a float
 or (n,)."""
 
-_NODES = 24
+_NODES = 24  # chosen: the tails are then within _MARGIN of the exact ones (test_protection_level.py)
 _ANGLES = [(k + 0.5) * (2.0 * math.pi / _NODES) for k in range(_NODES // 2)]
 _AROUND = [(math.cos(angle), math.sin(angle)) for angle in _ANGLES]
 _SQUARES = [(c * c, s * s) for c, s in _AROUND[: _NODES // 4]]
@@ -41,7 +41,7 @@ _STEPS = 40  # two or three do, some fourteen where P jumps
 _SMALLEST_M2 = 1e-30  # beside a variance that may be nothing at all
 _LEAST = 1e-300  # in place of nothing that divides or has a logarithm
 _ROWS = 4000  # at a time: what their nodes take stays in the cache
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # relative; chosen: far above the rounding of a float, 2e-16, and of no weight in a level
 _MARGIN = (
     0.03  # of the risk: what the nodes are wrong by where an ellipse is thin or a part's mean just within
 )
@@ -96,7 +96,7 @@ class _TailProbability:
         self._by = functions_of(parts[0][0])
         self._reaches: list[tuple[FloatOrArray, FloatOrArray, FloatOrArray, FloatOrArray]] = []
         self._centred: list[tuple[FloatOrArray, FloatOrArray]] = []
-        self._aside: list[
+        self._off_centre: list[
             tuple[FloatOrArray, FloatOrArray, list[tuple[FloatOrArray, FloatOrArray, FloatOrArray]]]
         ] = []
         log, sqrt = self._by.log, self._by.sqrt
@@ -118,7 +118,7 @@ class _TailProbability:
                 square = x * x + y * y + _SMALLEST_M2
                 outwards = (along_m * x + across_m * y) / sqrt(square)
                 nodes.append((-0.5 / square, outwards, outwards * outwards))
-            self._aside.append((weight, length2, nodes))
+            self._off_centre.append((weight, length2, nodes))
 
     def level_m(self, risk: FloatOrArray) -> FloatOrArray:
         """By what the nodes say."""
@@ -147,9 +147,9 @@ class _TailProbability:
             at_node = share * exp(level_m2 * rate)
             probability = probability + at_node
             slope = slope + at_node * rate
-        for weight, length2, nodes in self._aside:
+        for weight, length2, nodes in self._off_centre:
             room = level_m2 - length2
-            # By more than rounding: where P jumps the level is on the far side for whoever looks again.
+            # By more than rounding: where P jumps the level lies on the far side, also when it is evaluated again.
             nearer = room < _ROUNDING * level_m2
             room = where(nearer, _LEAST, room)
             tail, fall = 0.0, 0.0

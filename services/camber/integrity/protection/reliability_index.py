@@ -5,8 +5,8 @@
     sensors   HPL_t = HPL_{t−1} + a σ_DR      each 0.1 s
 
 with a = √C, C = −2 ln(1 − P); b_p of R is the error of its reference and zero in operation. Upwards, where R has none,
-the same with the normal distribution's quantile. A scan match, which R does not know, has its own ellipse. A wrong fix
-is not bounded: that is R's own stated weakness, and what the other mode is there for.
+the same with the normal distribution's quantile. A scan match, which R does not know, has an ellipse of its own. A
+wrong fix is not bounded, as R states: the other mode is for that.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ class ReliabilityIndex:
         if self._last is not None and self._last[0] > limit_ns:
             self._last = None
 
-    def bounds(self, source: str, time_ns: int, own: Bounds, *, known: bool) -> Bounds:
+    def bounds(self, source: str, time_ns: int, risk_bounds: Bounds, *, known: bool) -> Bounds:
         """With R's levels in place of its own, which go on from the last; `known`: there is a height."""
         rules = self._rules
         if source == "rtk":
-            return self._with(own, 0.0, 0.0, rules.rtk_m)
+            return self._with(risk_bounds, 0.0, 0.0, rules.rtk_m)
         if source == "scan_match":
-            return replace(own, horizontal_level_m=own.semi_major_99_m)
+            return replace(risk_bounds, horizontal_level_m=risk_bounds.semi_major_99_m)
         a_step_m = rules.doppler_m if source == "doppler" else rules.sensors_m
         if self._last is None:
-            return replace(own, horizontal_level_m=own.semi_major_99_m)
+            return replace(risk_bounds, horizontal_level_m=risk_bounds.semi_major_99_m)
         steps = max((time_ns - self._last[0]) / 1e9, 0.0) / _STEP_S
         before = self._last[1]
         vertical_m = before.vertical_level_m if known else math.inf
-        return self._with(own, before.horizontal_level_m, vertical_m, steps * a_step_m)
+        return self._with(risk_bounds, before.horizontal_level_m, vertical_m, steps * a_step_m)
 
-    def _with(self, own: Bounds, horizontal_m: float, vertical_m: float, sigma_m: float) -> Bounds:
+    def _with(self, risk_bounds: Bounds, horizontal_m: float, vertical_m: float, sigma_m: float) -> Bounds:
         return replace(
-            own,
+            risk_bounds,
             horizontal_level_m=horizontal_m + self._horizontal * sigma_m,
             vertical_level_m=vertical_m + self._vertical * sigma_m,
         )

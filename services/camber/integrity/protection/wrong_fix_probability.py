@@ -25,7 +25,7 @@ from camber.integrity.scalar_or_array import FloatOrArray, finite_or_inf, log, l
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WrongFixRules:
     """What is assumed of wrong fixes.
 
@@ -44,7 +44,7 @@ class WrongFixRules:
     of_few: tuple[tuple[int, float], ...] = ((7, 0.95), (12, 0.3))
 
     def prior_of(self, satellites: int | None) -> float:
-        """The share of tentative fixes with so many satellites that are wrong; None: nobody said how many."""
+        """The share of tentative fixes with so many satellites that are wrong; None: their number is not known."""
         few = [share for most, share in self.of_few if satellites is None or satellites <= most]
         return max(self.prior, *few) if few else self.prior
 
@@ -83,9 +83,15 @@ def log_odds(
     +∞ where anything is not finite, or S is no covariance. Grows with the difference along any direction, with the
     trials and with the prior.
     """
-    with np.errstate(all="ignore"):  # what is not finite is told
+    with np.errstate(all="ignore"):  # what is not finite is replaced
         return np.asarray(
-            log_odds_of(tuple(difference_m.T), upper_triangle(covariance_m2), rules, prior_log_odds, trials)
+            log_odds_of(
+                tuple(difference_m.T),
+                upper_triangle(covariance_m2),
+                rules=rules,
+                prior_log_odds=prior_log_odds,
+                trials=trials,
+            )
         )
 
 

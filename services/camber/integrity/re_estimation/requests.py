@@ -29,14 +29,14 @@ Judged = Callable[[Fix, int], FixJudgement]
 """Judges another estimate of a fix, given how many there are."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReEstimationRules:
-    """Which way, how many estimates of a fix at most, and whether epochs without a fix are asked for too.
+    """Which method, how many estimates of a fix at most, and whether epochs without a fix are asked for too.
 
     `subsets_for_height_alone` estimates have to agree where the pose is too vague to speak of the position.
     """
 
-    way: Literal["agreement", "one_by_one", "off"] = "agreement"
+    method: Literal["agreement", "one_by_one", "off"] = "agreement"
     most_trials: int = 20
     unresolved: bool = True
     agreement: AgreementRules = field(default_factory=AgreementRules)
@@ -63,7 +63,11 @@ def estimates_request(judgement: FixJudgement, rules: ReEstimationRules) -> Esti
     """What to ask gnss; None where the judgement calls for no other estimate, or a receiver made the fix."""
     fix = judgement.fix
     unresolved = judgement.reason == "not_a_fix" and fix.quality == "float" and rules.unresolved
-    if rules.way == "off" or fix.origin != "engine" or not (judgement.verdict == "erroneous" or unresolved):
+    if (
+        rules.method == "off"
+        or fix.origin != "engine"
+        or not (judgement.verdict == "erroneous" or unresolved)
+    ):
         return None
     return EstimatesRequest(time_ns=fix.time_ns, fix_id=fix.fix_id, maximum_trials=rules.most_trials)
 
@@ -80,7 +84,7 @@ def conclude_re_estimation(
     if answer.status != "available" or answer.fix_id != judgement.fix.fix_id:
         return without_estimates(judgement, answer.reason or answer.status)
     trials, disputed, subsets = judgement.trials + answer.trials, False, 0
-    if rules.way == "one_by_one":
+    if rules.method == "one_by_one":
         candidates, why, support = list(answer.candidates), "none passes", "one after the other"
     else:
         result = agreement_of(answer.candidates, rules.agreement)
@@ -89,13 +93,17 @@ def conclude_re_estimation(
         why, support = result.why, f"{subsets} agree"
     for candidate in candidates:
         other = judged(other_fix(judgement.fix, candidate), trials)
-        if other.verdict == "confirmed" and rules.way == "agreement" and not _carried(other, subsets, rules):
+        if (
+            other.verdict == "confirmed"
+            and rules.method == "agreement"
+            and not _carried(other, subsets, rules)
+        ):
             why = f"{support}, {rules.subsets_for_height_alone} are needed where only the height speaks"
         elif other.verdict == "confirmed":
             left_out = ", ".join(candidate.excluded_satellites)
             detail = f"of {answer.trials} other estimates, {support}; this one without {left_out}"
             return replace(other, evidence=(*other.evidence, "estimates"), detail=_cut(detail))
-        elif rules.way == "agreement":
+        elif rules.method == "agreement":
             why = f"{support}, {other.reason}: {other.detail}"
     detail = _joined(judgement.detail, f"{answer.trials} other estimates: {why}")
     if disputed and judgement.verdict == "erroneous":

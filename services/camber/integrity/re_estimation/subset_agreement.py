@@ -22,7 +22,7 @@ _IDENTICAL_M = (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AgreementRules:
     """When estimates agree: within `distance_m` of one another, in 3D.
 
@@ -37,7 +37,7 @@ class AgreementRules:
     lead: float = 2.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
     """The best estimate of the place that the others name, and how many different positions name it.
 
@@ -53,7 +53,7 @@ class Agreement:
 def agreement_of(candidates: Sequence[Candidate], rules: AgreementRules) -> Agreement:
     """The one estimate that is to be judged: that of the most fixed ambiguities, then of the highest success rate."""
     if not candidates:
-        return Agreement(None, why="no other estimate passes")
+        return Agreement(candidate=None, why="no other estimate passes")
     position_m = _positions_m(candidates)
     place = _places(position_m, rules.distance_m)
     support = np.array([_different(position_m[place == k]) for k in range(place.max() + 1)])
@@ -61,17 +61,22 @@ def agreement_of(candidates: Sequence[Candidate], rules: AgreementRules) -> Agre
     subsets = int(support[best])
     rival = int(max(np.delete(support, best), default=0))
     if subsets < rules.lead * rival:
-        return Agreement(None, subsets, f"{subsets} estimates name one place, {rival} another", disputed=True)
+        return Agreement(
+            candidate=None,
+            subsets=subsets,
+            why=f"{subsets} estimates name one place, {rival} another",
+            disputed=True,
+        )
     members = [candidates[k] for k in np.flatnonzero(place == best).tolist()]
     surest, needed = max(c.success_rate for c in members), rules.success[min(subsets, len(rules.success)) - 1]
     if not surest >= needed:
         why = f"the success rate of the surest of {subsets} that agree is {surest:.3f}, {needed} is needed"
-        return Agreement(None, subsets, why)
+        return Agreement(candidate=None, subsets=subsets, why=why)
     chosen = max(members, key=lambda c: (c.ambiguities, c.success_rate))
     if chosen.ambiguities < rules.least_ambiguities:
         few = f"{chosen.ambiguities} ambiguities are fixed, {rules.least_ambiguities} are needed"
-        return Agreement(None, subsets, few)
-    return Agreement(chosen, subsets)
+        return Agreement(candidate=None, subsets=subsets, why=few)
+    return Agreement(candidate=chosen, subsets=subsets)
 
 
 def _positions_m(candidates: Sequence[Candidate]) -> NDArray[np.float64]:

@@ -106,10 +106,10 @@ def _height(fix: Fix, pose: Pose) -> FixResidual | None:
         return None
     sigma_m = math.sqrt(inflate_covariance(fix.covariance_enu_m2, TrueSigma())[5])
     return FixResidual(
-        fix.time_ns,
-        "unknown",
-        fix.latitude_rad,
-        fix.longitude_rad,
+        time_ns=fix.time_ns,
+        verdict="unknown",
+        latitude_rad=fix.latitude_rad,
+        longitude_rad=fix.longitude_rad,
         up_m=fix.height_m - road.elevation_m,
         fix_sigma_m=sigma_m,
         map_sigma_m=road.sigma_m,
@@ -130,9 +130,9 @@ def _differences(cells: Sequence[ResidualCell]) -> HeightDifferences:
         return np.array(values, np.float64)
 
     return HeightDifferences(
-        column([cell.up_m for cell in known]),
-        column([cell.fix_sigma_m**2 for cell in known]),
-        column([cell.map_sigma_m for cell in known]),
-        np.array([place(cell) for cell in known]),
-        column([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known]),
+        up_m=column([cell.up_m for cell in known]),
+        variance_m2=column([cell.fix_sigma_m**2 for cell in known]),
+        map_sigma_m=column([cell.map_sigma_m for cell in known]),
+        place_m=np.array([place(cell) for cell in known]),
+        time_s=column([(cell.begin_ns - first.begin_ns) / 1e9 for cell in known]),
     )

@@ -232,10 +232,10 @@ def bounds(claimed: ClaimedPositions) -> ClaimedBounds:
         ErrorMixture(
             tuple(
                 MixtureComponent(
-                    float(claimed.weight[i, k]),
-                    (float(claimed.mean_m[i, k, 0]), float(claimed.mean_m[i, k, 1]), 0.0),
-                    _plane(claimed.covariance_m2[i, k]),
-                    1.0,
+                    weight=float(claimed.weight[i, k]),
+                    mean_m=(float(claimed.mean_m[i, k, 0]), float(claimed.mean_m[i, k, 1]), 0.0),
+                    horizontal_m2=_plane(claimed.covariance_m2[i, k]),
+                    up_m2=1.0,
                 )
                 for k in range(parts)
             ),

@@ -16,8 +16,8 @@ from support.judging import ANTENNA_M, ROAD_M, fix, pose
 
 SIGMA = TrueSigma(scale=2.0, horizontal_m=0.03, vertical_m=0.04)
 COVARIANCE = (2e-4, 1e-5, 2e-5, 3e-4, 3e-5, 5e-4)
-ROAD = RoadPoint(ROAD_M, 0.03, 0.1, -0.05, 7)
-HEIGHT = HeightModel(ANTENNA_M, -0.02, 0.025)
+ROAD = RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, slope_east=0.1, slope_north=-0.05, surface_id=7)
+HEIGHT = HeightModel(antenna_m=ANTENNA_M, correction_m=-0.02, sigma_m=0.025)
 
 
 def compared(the_fix=None, *, the_pose=None, road=ROAD, height=HEIGHT, **rules):

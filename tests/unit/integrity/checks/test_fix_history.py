@@ -15,7 +15,11 @@ CHAIN = {"ambiguity_continuity": "continuous", "continuous_since_ns": at(0)}
 
 
 def right(epoch=0, verdict="confirmed", reason="height_agrees", **changes):
-    fields = {"fix": fix(epoch, **CHAIN), "road": RoadPoint(ROAD_M, 0.03), "pose": pose(epoch)}
+    fields = {
+        "fix": fix(epoch, **CHAIN),
+        "road": RoadPoint(elevation_m=ROAD_M, sigma_m=0.03),
+        "pose": pose(epoch),
+    }
     return FixJudgement(verdict=verdict, reason=reason, **fields | changes)
 
 
@@ -49,13 +53,15 @@ def test_one_that_moved_against_the_pose_does_not(drift_m):
 
 @pytest.mark.parametrize(("up_m", "does"), [(0.1, True), (0.21, True), (0.23, False), (-0.03, False)])
 def test_where_the_road_climbs_to_the_east_the_fix_has_to(up_m, does):
-    before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.05, 0.0)))  # and the vehicle went 2 m there
+    before = after(
+        right(road=RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, slope_east=0.05, slope_north=0.0))
+    )  # and the vehicle went 2 m there
     assert before.is_consistent_with_previous(fix(1, up_m=up_m), pose(0), pose(1)) is does
 
 
 @pytest.mark.parametrize(("up_m", "does"), [(-0.2, True), (0.0, False)])
 def test_where_it_falls_to_the_north_too(up_m, does):
-    before = after(right(road=RoadPoint(ROAD_M, 0.03, 0.0, -0.1)))
+    before = after(right(road=RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, slope_east=0.0, slope_north=-0.1)))
     assert (
         before.is_consistent_with_previous(
             fix(1, north_m=2.0, up_m=up_m), pose(0), displaced_pose(1, 0.0, 2.0)

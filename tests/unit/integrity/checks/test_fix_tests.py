@@ -19,13 +19,17 @@ class Knowing(Learning):
 
     def __init__(self, correction=None):
         super().__init__(LearningRules())
-        self._known = correction or Correction(0.01, 0.02)
+        self._known = correction or Correction(correction_m=0.01, sigma_m=0.02)
 
     def diagnosis(self, surface_id):
-        return Diagnosis("road" if surface_id == 7 else "none")
+        return Diagnosis(cause="road" if surface_id == 7 else "none")
 
     def correction(self, key):
-        return self._known if key == ReferenceKey("fixed", "receiver:WGS84:", 3) else Correction()
+        return (
+            self._known
+            if key == ReferenceKey(antenna="fixed", base="receiver:WGS84:", map_version=3)
+            else Correction()
+        )
 
 
 def examined(the_fix=None, the_pose=None, learning=None, rules=None):
@@ -52,7 +56,7 @@ def test_the_correction_is_told_with_what_was_not_compared_too():
         ({"the_fix": fix(datum="ITRF2020")}, "datum_mismatch", "fix ITRF2020, map WGS84"),
         ({"the_pose": provisional()}, "starting", "1 in a row agree, 5 are needed"),
         (
-            {"learning": Knowing(Correction(math.nan, 0.01))},
+            {"learning": Knowing(Correction(correction_m=math.nan, sigma_m=0.01))},
             "road_unknown",
             "the height is not a number",
         ),

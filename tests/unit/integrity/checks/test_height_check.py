@@ -27,24 +27,34 @@ def patch(**changes):
 
 
 def test_the_antenna_must_stand_on_road_and_its_height_with_the_correction():
-    assert HeightModel(1.8, 0.0, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.8)
-    assert HeightModel(1.8, -0.1, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(41.7)
+    assert HeightModel(antenna_m=1.8, correction_m=0.0, sigma_m=0.02).expected_m(
+        RoadPoint(elevation_m=40.0, sigma_m=0.03)
+    ) == pytest.approx(41.8)
+    assert HeightModel(antenna_m=1.8, correction_m=-0.1, sigma_m=0.02).expected_m(
+        RoadPoint(elevation_m=40.0, sigma_m=0.03)
+    ) == pytest.approx(41.7)
 
 
 @given(error_m=st.floats(-0.3, 0.3))
 def test_the_correction_learnt_from_an_error_takes_the_difference_to_zero(error_m):
     receiver_m = 41.8 + error_m
     learnt_m = receiver_m - (1.8 + 40.0)  # (4)
-    assert HeightModel(1.8, learnt_m, 0.02).expected_m(RoadPoint(40.0, 0.03)) == pytest.approx(receiver_m)
+    assert HeightModel(antenna_m=1.8, correction_m=learnt_m, sigma_m=0.02).expected_m(
+        RoadPoint(elevation_m=40.0, sigma_m=0.03)
+    ) == pytest.approx(receiver_m)
 
 
 def test_its_variance_is_that_of_road_and_antenna():
-    assert HeightModel(1.8, 0.0, 0.02).variance_m2(RoadPoint(40.0, 0.03)) == pytest.approx(0.03**2 + 0.02**2)
+    assert HeightModel(antenna_m=1.8, correction_m=0.0, sigma_m=0.02).variance_m2(
+        RoadPoint(elevation_m=40.0, sigma_m=0.03)
+    ) == pytest.approx(0.03**2 + 0.02**2)
 
 
 def test_the_road_at_an_offset_is_that_of_its_plane():
     point = road_at(road(slope_east=0.1, slope_north=-0.05), 10.0, 4.0)
-    assert point == RoadPoint(pytest.approx(ROAD_M + 0.8), 0.03, 0.1, -0.05, 7)
+    assert point == RoadPoint(
+        elevation_m=pytest.approx(ROAD_M + 0.8), sigma_m=0.03, slope_east=0.1, slope_north=-0.05, surface_id=7
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,7 +80,13 @@ def test_beyond_the_extent_of_the_plane_there_is_no_road(offset):
 
 def test_of_a_patch_the_nearest_sample_speaks_with_its_own_plane_and_surface():
     point = road_at(road(patch=patch()), 9.0, 1.0)
-    assert point == RoadPoint(pytest.approx(41.0 - 0.1 - 0.2), 0.05, 0.1, -0.2, 8)
+    assert point == RoadPoint(
+        elevation_m=pytest.approx(41.0 - 0.1 - 0.2),
+        sigma_m=0.05,
+        slope_east=0.1,
+        slope_north=-0.2,
+        surface_id=8,
+    )
 
 
 @pytest.mark.parametrize("offset_m", [(9.0, 1.0), (-8.5, -11.0), (2.0, -9.5), (-1.5, 8.0), (0.5, -0.5)])
@@ -90,7 +106,11 @@ def test_of_samples_all_around_it_is_the_nearest(offset_m):
     elevation_m = 40.0 + k + slope_east[k] * (offset_m[0] - east_m[k])
     elevation_m += slope_north[k] * (offset_m[1] - north_m[k])
     assert road_at(road(patch=around), *offset_m) == RoadPoint(
-        pytest.approx(elevation_m), 0.01 * k, slope_east[k], slope_north[k], k
+        elevation_m=pytest.approx(elevation_m),
+        sigma_m=0.01 * k,
+        slope_east=slope_east[k],
+        slope_north=slope_north[k],
+        surface_id=k,
     )
 
 

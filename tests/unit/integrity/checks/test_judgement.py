@@ -25,7 +25,7 @@ FOUND = FixComparison(
 
 
 def judgement(verdict="erroneous", **changes):
-    return FixJudgement(fix(3), verdict, "height_disagrees", **changes)
+    return FixJudgement(fix=fix(3), verdict=verdict, reason="height_disagrees", **changes)
 
 
 def test_it_is_of_the_fix_and_says_what_was_found():
@@ -61,7 +61,9 @@ def test_where_nothing_was_compared_there_are_no_figures():
 
 
 def test_its_surface_is_the_one_under_the_fix_else_the_one_under_the_pose():
-    under_the_fix = judgement(pose=pose(road=road(surface_id=7)), road=RoadPoint(ROAD_M, 0.03, surface_id=8))
+    under_the_fix = judgement(
+        pose=pose(road=road(surface_id=7)), road=RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, surface_id=8)
+    )
     under_the_pose = judgement(pose=pose(road=road(surface_id=7)))
     assert verdict_of(under_the_fix, SIGMA).surface_id == 8
     assert verdict_of(under_the_pose, SIGMA).surface_id == 7

@@ -14,7 +14,13 @@ RULES = StartRules(fixes=5, duration_s=0.8, longest_gap_s=1.0, distance_m=0.3, d
 
 
 def fix(epoch, *, east_m=0.0, speed_m_s=SPEED_M_S):
-    return StartFix(at(epoch), *place(epoch, east_m), speed_m_s)
+    latitude_rad, longitude_rad = place(epoch, east_m)
+    return StartFix(
+        time_ns=at(epoch),
+        latitude_rad=latitude_rad,
+        longitude_rad=longitude_rad,
+        speed_m_s=speed_m_s,
+    )
 
 
 def count_after(fixes, rules=RULES):
@@ -62,7 +68,7 @@ def test_after_one_without_a_speed_the_next_begins_too():
 
 
 def test_a_vehicle_that_stands_counts():
-    standing = [StartFix(at(k), *place(0), 0.0) for k in range(5)]
+    standing = [replace(fix(0, speed_m_s=0.0), time_ns=at(k)) for k in range(5)]
     assert count_after(standing).enough(RULES)
 
 

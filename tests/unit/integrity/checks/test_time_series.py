@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from camber.integrity.checks.time_series import ChainedFix, SeriesRules, continues_chain, next_in_chain
 
 RULES = SeriesRules(longest_gap_s=1.0, longest_chain=3, horizontal_m=0.15, vertical_m=0.12)
-LAST = ChainedFix(10**18, 0.6, 2.4, 41.8, 0.05, 0.0)
+LAST = ChainedFix(
+    time_ns=10**18, latitude_rad=0.6, longitude_rad=2.4, height_m=41.8, slope_east=0.05, slope_north=0.0
+)
 
 
 def says(last=LAST, *, after_s=0.2, east_m=2.0, north_m=0.0, drift_m=0.0, up_m=0.1):
@@ -51,10 +53,24 @@ def test_any_other_does_not(changes):
 
 def test_a_road_that_climbs_explains_the_rise():
     assert says(up_m=0.1)
-    flat = ChainedFix(LAST.time_ns, 0.6, 2.4, 41.8, 0.0, 0.0)
+    flat = ChainedFix(
+        time_ns=LAST.time_ns,
+        latitude_rad=0.6,
+        longitude_rad=2.4,
+        height_m=41.8,
+        slope_east=0.0,
+        slope_north=0.0,
+    )
     assert not says(flat, up_m=0.13)
     assert says(flat, up_m=0.11)
-    to_the_north = ChainedFix(LAST.time_ns, 0.6, 2.4, 41.8, 0.0, 0.1)
+    to_the_north = ChainedFix(
+        time_ns=LAST.time_ns,
+        latitude_rad=0.6,
+        longitude_rad=2.4,
+        height_m=41.8,
+        slope_east=0.0,
+        slope_north=0.1,
+    )
     assert says(to_the_north, east_m=0.0, north_m=2.0, up_m=0.2)
     assert not says(to_the_north, east_m=0.0, north_m=2.0, up_m=0.0)
 

@@ -12,7 +12,7 @@ RULES = CauseRules()
 RIGHT, UP, FAR = {}, {"up_m": 0.4}, {"up_m": None, "east_m": 12.0}
 NEAR = FAR | {"east_m": 0.0}
 VERIFIED = {"up_m": 0.4, "verdict": "confirmed_after_verification"}
-KNOWN = RoadChange(99, KEY.map_version, 0.3, START_NS)
+KNOWN = RoadChange(surface_id=99, map_version=KEY.map_version, offset_m=0.3, onset_ns=START_NS)
 
 
 def at_s(number, every_s=2.0):

@@ -16,7 +16,7 @@ def test_a_named_cause_is_an_issue(cause, code):
     bus.now_ns.return_value = at(0)
     bus.is_alive.return_value = True
     service = IntegrityService(IntegritySettings(), bus)
-    service._judge.learning.causes._news.append(Diagnosis(cause, text="-0.40 m up"))
+    service._judge.learning.causes._news.append(Diagnosis(cause=cause, text="-0.40 m up"))
     service.advance(at(0))
     service.advance(at(1))
     bus.issue.assert_called_once_with(code, "-0.40 m up")

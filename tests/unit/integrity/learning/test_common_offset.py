@@ -17,11 +17,11 @@ def differences(up_m, *, gap_m=20.0, sigma_m=0.02, map_sigma_m=0.05):
     n = len(up_m)
     along_m = gap_m * np.arange(n)
     return HeightDifferences(
-        up_m,
-        np.full(n, sigma_m**2),
-        np.full(n, map_sigma_m),
-        np.column_stack((along_m, np.zeros(n))),
-        2.0 * np.arange(n),
+        up_m=up_m,
+        variance_m2=np.full(n, sigma_m**2),
+        map_sigma_m=np.full(n, map_sigma_m),
+        place_m=np.column_stack((along_m, np.zeros(n))),
+        time_s=2.0 * np.arange(n),
     )
 
 
@@ -154,7 +154,13 @@ def test_a_drift_is_the_same_from_whatever_moment_the_time_is_counted():
 def test_of_few_stretches_or_of_one_time_no_drift_is_told():
     assert part([0.0, 0.05, 0.1]).drift_sigmas == part([0.0, 0.05, 0.1]).drift_m == 0.0
     still = differences([0.0, 0.05, 0.1, 0.15])
-    at_once = HeightDifferences(still.up_m, still.variance_m2, still.map_sigma_m, still.place_m, np.zeros(4))
+    at_once = HeightDifferences(
+        up_m=still.up_m,
+        variance_m2=still.variance_m2,
+        map_sigma_m=still.map_sigma_m,
+        place_m=still.place_m,
+        time_s=np.zeros(4),
+    )
     assert estimate_common_offset(at_once, 20.0, 0.0, 0.1).drift_sigmas == 0.0
 
 

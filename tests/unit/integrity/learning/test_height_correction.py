@@ -28,7 +28,9 @@ def update(learning, first, last, **changes):
 
 
 def test_by_the_document_one_position_moves_the_correction_by_the_gain():
-    assert update(Learning(BY_GAIN), 0, 1, up_m=0.1) == Correction(pytest.approx(0.01 * 0.1), 0.0, 1)
+    assert update(Learning(BY_GAIN), 0, 1, up_m=0.1) == Correction(
+        correction_m=pytest.approx(0.01 * 0.1), sigma_m=0.0, samples=1
+    )
 
 
 def test_by_the_document_it_ends_at_what_is_observed():
@@ -172,12 +174,32 @@ def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learn
     part.cells[0] = (part.cells[0][0], oldest_m - 0.001)
     sure, large = RULES.drift_sigmas + 0.1, RULES.drift_m + 0.001
     for sigmas, metres in ((sure, 0.0), (0.0, large)):
-        assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, sigmas, metres)) == 0.07
+        assert (
+            learnt._target_m(
+                part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=sigmas, drift_m=metres)
+            )
+            == 0.07
+        )
         assert part.held_m is None
-    assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, sure, large)) == oldest_m - 0.001
+    assert (
+        learnt._target_m(
+            part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=sure, drift_m=large)
+        )
+        == oldest_m - 0.001
+    )
     part.cells.popleft()
-    assert learnt._target_m(part, CommonOffset(0.08, 0.01, 70, sure, large)) == oldest_m - 0.001
-    assert learnt._target_m(part, CommonOffset(0.07, 0.01, 70, 0.0, 0.0)) == 0.07
+    assert (
+        learnt._target_m(
+            part, CommonOffset(value_m=0.08, sigma_m=0.01, used=70, drift_sigmas=sure, drift_m=large)
+        )
+        == oldest_m - 0.001
+    )
+    assert (
+        learnt._target_m(
+            part, CommonOffset(value_m=0.07, sigma_m=0.01, used=70, drift_sigmas=0.0, drift_m=0.0)
+        )
+        == 0.07
+    )
     assert part.held_m is None
 
 
@@ -233,19 +255,26 @@ def test_it_goes_on_from_there(learnt, changes):
 def test_as_long_as_nothing_is_learnt_there_that_is_all_that_is_known_of_it(learnt, changes):
     """Here the road has changed, so nothing is learnt."""
     key = replace(KEY, **changes)
-    learnt.causes = OffsetCauses(RULES.causes, [RoadChange(24, key.map_version, 0.2, START_NS)])
+    learnt.causes = OffsetCauses(
+        RULES.causes,
+        [RoadChange(surface_id=24, map_version=key.map_version, offset_m=0.2, onset_ns=START_NS)],
+    )
     update(learnt, 1200, 1201, up_m=0.26, key=key)
     known, learnt.parts[0].held_m = learnt.correction(KEY), 0.01  # something drifted
     update(learnt, 1201, 1240, up_m=0.26, key=key)
     part, sigma_m = learnt.parts[-1], math.hypot(known.sigma_m, RULES.release_sigma_m)
-    assert part.correction == Correction(known.correction_m, sigma_m, known.samples)
+    assert part.correction == Correction(
+        correction_m=known.correction_m, sigma_m=sigma_m, samples=known.samples
+    )
     assert (part.prior_m, part.prior_sigma_m) == (known.correction_m, sigma_m)
     assert (part.held_m, len(part.cells)) == (None, 0)
 
 
 def test_a_new_map_that_has_the_changed_road_right_does_not_correct_it_twice(learnt):
     before = learnt.correction(KEY).correction_m
-    learnt.causes.roads[30] = RoadChange(30, KEY.map_version, 0.2, START_NS)
+    learnt.causes.roads[30] = RoadChange(
+        surface_id=30, map_version=KEY.map_version, offset_m=0.2, onset_ns=START_NS
+    )
     assert update(learnt, 1500, 1550, up_m=0.26).correction_m == pytest.approx(before, abs=0.003)
     new = replace(KEY, map_version=4)
     assert update(learnt, 1550, 1950, up_m=0.06, key=new).correction_m == pytest.approx(before, abs=0.01)
@@ -261,7 +290,12 @@ def test_a_base_that_returns_finds_its_part_again(learnt):
 def test_of_many_bases_the_oldest_are_forgotten():
     learning = Learning(RULES)
     for number in range(20):
-        update(learning, 30 * number, 30 * number + 30, key=ReferenceKey("stroke", f"base {number}", 3))
+        update(
+            learning,
+            30 * number,
+            30 * number + 30,
+            key=ReferenceKey(antenna="stroke", base=f"base {number}", map_version=3),
+        )
     assert len(learning.parts) == 16
     assert learning.parts[-1].base == "base 19"
 
@@ -304,14 +338,14 @@ def test_a_cause_that_is_named_before_anything_is_learnt_teaches_nothing():
 def test_an_antenna_named_while_something_drifts_does_not_make_right_what_drifted(learnt):
     (part,) = learnt.parts
     part.held_m, known = 0.0, len(part.cells)
-    learnt._forget(NO_OFFSET, Diagnosis("antenna", residual(600).time_ns), part)
+    learnt._forget(NO_OFFSET, Diagnosis(cause="antenna", onset_ns=residual(600).time_ns), part)
     assert (part.held_m, len(part.cells)) == (0.0, known)
 
 
 def test_where_a_base_went_wrong_nothing_is_held_of_what_drifted(learnt):
     (part,) = learnt.parts
     part.held_m = 0.05
-    learnt._forget(NO_OFFSET, Diagnosis("base", residual(600).time_ns), part)
+    learnt._forget(NO_OFFSET, Diagnosis(cause="base", onset_ns=residual(600).time_ns), part)
     assert part.held_m is None
 
 
@@ -389,7 +423,9 @@ def test_what_is_taken_back_leaves_it_as_sure_as_it_was_and_where_it_was_then(le
     learnt._undo(part, cells[-1][0].end_ns, keep=True)
     assert (part.correction, list(part.cells)) == (known, cells), "nothing was learnt since"
     learnt._undo(part, cells[-4][0].end_ns, keep=keep)
-    assert part.correction == Correction(cells[-3][1], known.sigma_m, known.samples)
+    assert part.correction == Correction(
+        correction_m=cells[-3][1], sigma_m=known.sigma_m, samples=known.samples
+    )
     assert list(part.cells) == (cells if keep else cells[:-3])
     assert part.cells.maxlen == 96
 

@@ -33,7 +33,7 @@ def told(result=FOUND, speed_m_s=10.0, **changes):
         "fix": fix(3, up_m=0.25, base_station="rtcm-7"),
         "pose": SEEN,
         "antenna": antenna(),
-        "road": RoadPoint(ROAD_M, 0.03, surface_id=8),
+        "road": RoadPoint(elevation_m=ROAD_M, sigma_m=0.03, surface_id=8),
     }
     return residual_of(
         FixJudgement(verdict="confirmed", reason="none", **fields | changes), result, speed_m_s
@@ -55,7 +55,7 @@ def test_it_is_told_of_which_fix_where_how_fast_and_on_which_road():
     of = told()
     assert (of.time_ns, of.verdict, of.speed_m_s, of.link_id) == (at(3), "confirmed", 10.0, 5)
     assert (of.latitude_rad, of.longitude_rad) == (fix(3).latitude_rad, fix(3).longitude_rad)
-    assert of.key == ReferenceKey("fixed", "receiver:WGS84:rtcm-7", 3)
+    assert of.key == ReferenceKey(antenna="fixed", base="receiver:WGS84:rtcm-7", map_version=3)
     assert told(pose=None).link_id is None
 
 
@@ -91,13 +91,17 @@ def test_any_other_does_not(the_pose):
 def test_to_whom_it_belongs_is_known_as_far_as_it_is_said():
     assert base_of(fix()) == "receiver:WGS84:"
     assert base_of(fix(origin="engine", datum="ITRF2020", base_station="b")) == "engine:ITRF2020:b"
-    assert key_of("b", None, None) == ReferenceKey("", "b", 0)
-    assert key_of("b", pose(road=road(map_version=None)), antenna(way=None)) == ReferenceKey("", "b", 0)
+    assert key_of("b", None, None) == ReferenceKey(antenna="", base="b", map_version=0)
+    assert key_of("b", pose(road=road(map_version=None)), antenna(way=None)) == ReferenceKey(
+        antenna="", base="b", map_version=0
+    )
     assert key_of("b", pose(road=road(map_version=4)), antenna(way="ranging")) == ReferenceKey(
-        "ranging", "b", 4
+        antenna="ranging", base="b", map_version=4
     )
 
 
 def test_the_height_is_that_of_the_antenna_the_fix_and_the_road_there():
-    of = told(road=RoadPoint(ROAD_M - 1.0, 0.03), antenna=antenna(height_m=ANTENNA_M + 0.5))
+    of = told(
+        road=RoadPoint(elevation_m=ROAD_M - 1.0, sigma_m=0.03), antenna=antenna(height_m=ANTENNA_M + 0.5)
+    )
     assert of.up_m == pytest.approx(0.75)

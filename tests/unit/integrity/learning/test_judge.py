@@ -26,7 +26,7 @@ class Knowing(Learning):
         self._cause, self._known = cause, correction or Correction()
 
     def diagnosis(self, surface_id):
-        return Diagnosis(self._cause)
+        return Diagnosis(cause=self._cause)
 
     def correction(self, key):
         return self._known
@@ -476,10 +476,10 @@ def test_a_vehicle_that_stands_teaches_nothing():
 
 
 def test_the_correction_in_force_is_told_with_the_verdict_and_its_sigma_widens_the_tolerance():
-    surely = judged(fix(up_m=0.25), learning=Knowing(correction=Correction(0.1)))
+    surely = judged(fix(up_m=0.25), learning=Knowing(correction=Correction(correction_m=0.1)))
     assert surely.confirmed
     assert surely.correction_m == 0.1
-    hardly = judged(fix(up_m=0.25), learning=Knowing(correction=Correction(0.1, 0.05)))
+    hardly = judged(fix(up_m=0.25), learning=Knowing(correction=Correction(correction_m=0.1, sigma_m=0.05)))
     assert hardly.comparison.height_sigma_m == pytest.approx(
         math.hypot(surely.comparison.height_sigma_m, 0.05)
     )
@@ -510,7 +510,7 @@ def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_with
     assert residual.map_sigma_m == 0.03
     assert residual.fix_sigma_m == pytest.approx(math.sqrt((4 * 0.01) ** 2 + 0.05**2 + 0.02**2))
     assert residual.surface_id == 7
-    assert residual.key == ReferenceKey("fixed", "receiver:WGS84:", 3)
+    assert residual.key == ReferenceKey(antenna="fixed", base="receiver:WGS84:", map_version=3)
 
 
 def test_another_base_station_has_a_part_of_its_own():
@@ -546,8 +546,8 @@ def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and
     class Asked(Learning):
         def correction(self, key):
             return (
-                Correction(0.01, 0.02)
-                if key == ReferenceKey("fixed", "receiver:WGS84:rtcm-8", 3)
+                Correction(correction_m=0.01, sigma_m=0.02)
+                if key == ReferenceKey(antenna="fixed", base="receiver:WGS84:rtcm-8", map_version=3)
                 else Correction()
             )
 
@@ -556,16 +556,20 @@ def test_the_correction_of_a_height_without_a_fix_is_that_of_its_antenna_map_and
     judge.judge(fix(0, base_station="rtcm-7"), at(0), ALL)
     assert judge.correction(inputs) == Correction()
     judge.judge(fix(1, base_station="rtcm-8"), at(1), ALL)
-    assert judge.correction(inputs) == Correction(0.01, 0.02)
+    assert judge.correction(inputs) == Correction(correction_m=0.01, sigma_m=0.02)
 
 
 def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base():
     class Asked(Learning):
         def correction(self, key):
-            return Correction(0.01, 0.02) if key == ReferenceKey("fixed", "", 3) else Correction()
+            return (
+                Correction(correction_m=0.01, sigma_m=0.02)
+                if key == ReferenceKey(antenna="fixed", base="", map_version=3)
+                else Correction()
+            )
 
     judge = judge_with(poses=[pose()], antenna_height=antenna(), learning=Asked(LearningRules()))
-    assert judge.correction(judge.latest.inputs(at(0), ALL)) == Correction(0.01, 0.02)
+    assert judge.correction(judge.latest.inputs(at(0), ALL)) == Correction(correction_m=0.01, sigma_m=0.02)
 
 
 def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():

@@ -15,8 +15,15 @@ RULES = LearningRules()
 
 
 def learning(correction_m=0.1, samples=7):
-    part = CorrectionState(KEY.antenna, KEY.base, KEY.map_version, Correction(correction_m, 0.02, samples))
-    return Learning(RULES, [part], [RoadChange(9, 3, -0.2, START_NS)])
+    part = CorrectionState(
+        antenna=KEY.antenna,
+        base=KEY.base,
+        map_version=KEY.map_version,
+        correction=Correction(correction_m=correction_m, sigma_m=0.02, samples=samples),
+    )
+    return Learning(
+        RULES, [part], [RoadChange(surface_id=9, map_version=3, offset_m=-0.2, onset_ns=START_NS)]
+    )
 
 
 @settings(derandomize=True)
@@ -46,12 +53,22 @@ def test_nothing_learnt_is_kept_as_nothing():
 
 
 def test_what_is_less_sure_than_can_be_kept_is_kept_as_a_metre():
-    vague = CorrectionState(KEY.antenna, KEY.base, KEY.map_version, Correction(0.1, 1.7, 7))
-    assert from_text(to_text(Learning(RULES, [vague])), RULES).correction(KEY) == Correction(0.1, 1.0, 7)
+    vague = CorrectionState(
+        antenna=KEY.antenna,
+        base=KEY.base,
+        map_version=KEY.map_version,
+        correction=Correction(correction_m=0.1, sigma_m=1.7, samples=7),
+    )
+    assert from_text(to_text(Learning(RULES, [vague])), RULES).correction(KEY) == Correction(
+        correction_m=0.1, sigma_m=1.0, samples=7
+    )
 
 
 def test_of_more_roads_than_can_be_kept_the_newest_are():
-    roads = [RoadChange(number, 3, 0.2, START_NS + number) for number in range(4097)]
+    roads = [
+        RoadChange(surface_id=number, map_version=3, offset_m=0.2, onset_ns=START_NS + number)
+        for number in range(4097)
+    ]
     assert [*from_text(to_text(Learning(RULES, (), roads)), RULES).causes.roads] == [*range(1, 4097)]
 
 

@@ -302,7 +302,9 @@ def test_a_surface_of_no_name_is_none():
 
 
 def test_a_new_map_forgets_the_roads_of_the_old_and_a_road_unknown_for_a_while_does_not():
-    causes = OffsetCauses(RULES, [RoadChange(1, KEY.map_version, 0.3, START_NS)])
+    causes = OffsetCauses(
+        RULES, [RoadChange(surface_id=1, map_version=KEY.map_version, offset_m=0.3, onset_ns=START_NS)]
+    )
     update(causes, 0, 100)
     update(causes, 100, 200, up_m=None, surface_id=None, key=replace(KEY, map_version=0))
     assert causes.at(1).cause == "road"
@@ -311,13 +313,13 @@ def test_a_new_map_forgets_the_roads_of_the_old_and_a_road_unknown_for_a_while_d
 
 
 def test_a_cause_common_to_all_goes_before_that_of_a_road(causes):
-    causes.roads[14] = RoadChange(14, KEY.map_version, 0.3, START_NS)
+    causes.roads[14] = RoadChange(surface_id=14, map_version=KEY.map_version, offset_m=0.3, onset_ns=START_NS)
     update(causes, 600, 1100, verdict="erroneous", up_m=-0.4)
     assert causes.at(14).cause == "antenna"
 
 
 def test_a_road_that_is_known_goes_before_what_is_not_told_apart(causes):
-    causes.roads[14] = RoadChange(14, KEY.map_version, 0.3, START_NS)
+    causes.roads[14] = RoadChange(surface_id=14, map_version=KEY.map_version, offset_m=0.3, onset_ns=START_NS)
     update(causes, 600, 780, verdict="erroneous", up_m=-0.4)
     assert (causes.at(14).cause, causes.at(15).cause) == ("road", "ambiguous")
 

@@ -41,7 +41,9 @@ def after(*judgements, levels=LEVELS):
 
 
 def position(positions, epoch=1, **changes):
-    return positions.at(at(epoch), EpochInputs(sharp_pose(epoch, **changes), antenna(epoch), ALL), 0.0)
+    return positions.at(
+        at(epoch), EpochInputs(pose=sharp_pose(epoch, **changes), antenna=antenna(epoch), alive=ALL), 0.0
+    )
 
 
 UNDISPUTED = position(after())
@@ -168,7 +170,7 @@ def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
 
 def test_either_the_pose_is_right_or_the_vehicle_is_where_the_fix_was():
     disputed = updated_dispute(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
-    alone = MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.1)
+    alone = MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.1)
     parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))
     *others, there = disputed.with_alternative(parts, alone, 0.2)
     assert [part.weight for part in (*others, there)] == pytest.approx([0.72, 0.08, 0.2])

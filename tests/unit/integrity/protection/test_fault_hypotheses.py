@@ -55,7 +55,13 @@ def by_fix(judgement, before=BEFORE):
 
 
 def by_pose(the_pose, suspicion=BEFORE, correction_m=0.0):
-    return of_pose(EpochInputs(the_pose, antenna(), ALL), correction_m, suspicion, RULES, LEVELS)
+    return of_pose(
+        EpochInputs(pose=the_pose, antenna=antenna(), alive=ALL),
+        correction_m,
+        suspicion=suspicion,
+        rules=RULES,
+        levels=LEVELS,
+    )
 
 
 def weights(candidate):
@@ -130,10 +136,14 @@ def test_a_height_that_was_not_compared_says_nothing_for_a_fix_or_of_where_it_is
 @pytest.mark.parametrize(("mean_m", "horizontal_m2"), [((3.0, 1.0, 2.0), 9.04), ((1.0, -3.0, 2.0), 9.09)])
 def test_a_suspicion_is_as_far_off_as_the_fix_may_be_along_the_worse_axis(mean_m, horizontal_m2):
     """Nothing was suspected before: what is suspected then is what the fix may be."""
-    wrong = MixtureComponent(1.0, mean_m, (0.04, 0.0, 0.09), 0.25)
-    result = LatentFaultHypothesis(at(0), 0.0, 1.0, 1.0).after(at(1), 0.5, wrong, LEVELS.wrong_fix)
+    wrong = MixtureComponent(weight=1.0, mean_m=mean_m, horizontal_m2=(0.04, 0.0, 0.09), up_m2=0.25)
+    result = LatentFaultHypothesis(time_ns=at(0), odds=0.0, horizontal_m2=1.0, up_m2=1.0).after(
+        at(1), 0.5, wrong, LEVELS.wrong_fix
+    )
     assert (result.horizontal_m2, result.up_m2) == pytest.approx((horizontal_m2, 4.25))
-    unsuspected = LatentFaultHypothesis(at(0), 0.0, 1.0, 1.0).after(at(1), 0.0, wrong, LEVELS.wrong_fix)
+    unsuspected = LatentFaultHypothesis(time_ns=at(0), odds=0.0, horizontal_m2=1.0, up_m2=1.0).after(
+        at(1), 0.0, wrong, LEVELS.wrong_fix
+    )
     assert (unsuspected.odds, unsuspected.horizontal_m2, unsuspected.up_m2) == (0.0, 1.0, 1.0)
 
 
@@ -163,21 +173,23 @@ def test_what_was_suspected_before_stands_behind_the_next_fix_as_it_fades():
 
 def test_by_doppler_it_has_come_so_far_and_is_so_much_less_sure():
     parts = (
-        MixtureComponent(0.9, NO_OFFSET, (0.01, 0.002, 0.02), 0.03),
-        MixtureComponent(0.1, (1.0, 2.0, 3.0), (0.1, 0.0, 0.2), 0.3),
+        MixtureComponent(weight=0.9, mean_m=NO_OFFSET, horizontal_m2=(0.01, 0.002, 0.02), up_m2=0.03),
+        MixtureComponent(weight=0.1, mean_m=(1.0, 2.0, 3.0), horizontal_m2=(0.1, 0.0, 0.2), up_m2=0.3),
     )
     base = PositionCandidate(
-        "rtk",
-        at(0),
-        (LATITUDE_RAD, LONGITUDE_RAD, 100.0),
-        (0.01, 0.002, 0.003, 0.02, 0.004, 0.03),
-        0.5,
-        ErrorMixture(parts, 1e-9),
-        0.1,
-        17,
+        source="rtk",
+        time_ns=at(0),
+        geodetic=(LATITUDE_RAD, LONGITUDE_RAD, 100.0),
+        covariance_enu_m2=(0.01, 0.002, 0.003, 0.02, 0.004, 0.03),
+        yaw_rad=0.5,
+        mixture=ErrorMixture(parts, 1e-9),
+        wrong=0.1,
+        fix_id=17,
     )
     p = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]])
-    moved = Displacement(at(0), np.array([30.0, -40.0, 1.5]), p, 0.7, True)
+    moved = Displacement(
+        since_ns=at(0), metres=np.array([30.0, -40.0, 1.5]), covariance_m2=p, yaw_rad=0.7, checked=True
+    )
     result = of_doppler(base, moved, at(5), LEVELS)
     frame = LocalFrame(LATITUDE_RAD, LONGITUDE_RAD, 100.0)
     there = frame.geodetic_from_east_north(30.0, -40.0, 101.5)
@@ -214,7 +226,7 @@ def test_by_doppler_and_by_the_pose_it_must_be_within_what_both_know_along_each_
         )
     )
     positions.add_wheel_speed(at(0), 10.0)
-    positions.confirmed(judged(), 0.0, EpochInputs(pose(**MATCHED), antenna(), ALL))
+    positions.confirmed(judged(), 0.0, EpochInputs(pose=pose(**MATCHED), antenna=antenna(), alive=ALL))
     horizontal = fix(east_m=off_m[0], north_m=off_m[1])
     there = pose(
         **MATCHED,
@@ -222,7 +234,7 @@ def test_by_doppler_and_by_the_pose_it_must_be_within_what_both_know_along_each_
         longitude_rad=horizontal.longitude_rad,
         covariance_east_north_yaw=(sigma_m[0] ** 2, 0.0, 0.0, sigma_m[1] ** 2, 0.0, 1e-4),
     )
-    result = positions.at(at(0), EpochInputs(there, antenna(), ALL), 0.0)
+    result = positions.at(at(0), EpochInputs(pose=there, antenna=antenna(), alive=ALL), 0.0)
     assert (result.source == "doppler") == goes_on
 
 
@@ -262,7 +274,7 @@ def test_a_pose_that_rests_on_no_fix_is_off_by_its_own_errors_alone_on_the_road_
 
 
 def test_one_that_does_may_have_been_pulled_along_but_its_height_is_that_of_the_road():
-    suspicion = LatentFaultHypothesis(at(-1), 0.25, 4.0, 9.0)
+    suspicion = LatentFaultHypothesis(time_ns=at(-1), odds=0.25, horizontal_m2=4.0, up_m2=9.0)
     result = by_pose(pose(covariance_east_north_yaw=(0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)), suspicion)
     alone, _, pulled, _ = result.mixture.parts
     assert result.source == "sensors"

@@ -27,12 +27,21 @@ SLACK = 1.0 + 5e-4
 
 def normal(s, up=0.05, rho=0.0, ratio=1.0):
     return ErrorMixture(
-        (MixtureComponent(1.0, (0.0, 0.0, 0.0), (s * s, rho * s * s * ratio, (s * ratio) ** 2), up * up),)
+        (
+            MixtureComponent(
+                weight=1.0,
+                mean_m=(0.0, 0.0, 0.0),
+                horizontal_m2=(s * s, rho * s * s * ratio, (s * ratio) ** 2),
+                up_m2=up * up,
+            ),
+        )
     )
 
 
 def with_wrong(w, s=0.055, offset=0.3, pose=0.1):
-    wrong = MixtureComponent(w, (offset, 0.0, 0.1), (pose * pose, 0.0, pose * pose), 0.05**2)
+    wrong = MixtureComponent(
+        weight=w, mean_m=(offset, 0.0, 0.1), horizontal_m2=(pose * pose, 0.0, pose * pose), up_m2=0.05**2
+    )
     return ErrorMixture((replace(normal(s).parts[0], weight=1.0 - w), wrong), w * 1e-8)
 
 
@@ -127,7 +136,15 @@ def test_a_height_that_is_not_known_has_no_level_and_takes_nothing_from_the_othe
 
 
 def test_a_position_that_is_sure_in_one_direction_has_bounds_all_the_same():
-    result = of(ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0), 0.01),)))
+    result = of(
+        ErrorMixture(
+            (
+                MixtureComponent(
+                    weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.04, 0.0, 0.0), up_m2=0.01
+                ),
+            )
+        )
+    )
     assert result.horizontal_level_m == pytest.approx(1.03 * 0.2 * 5.327, rel=1e-3)
     assert 0.0 < result.semi_minor_99_m < 1e-3
 
@@ -141,7 +158,7 @@ def test_several_positions_are_bounded_each_by_itself():
 
 def test_a_part_that_is_told_in_two_is_the_same_part():
     (part,) = normal(0.1).parts
-    other = MixtureComponent(0.1, (0.5, 0.0, 0.0), (0.02, 0.0, 0.02), 1e-4)
+    other = MixtureComponent(weight=0.1, mean_m=(0.5, 0.0, 0.0), horizontal_m2=(0.02, 0.0, 0.02), up_m2=1e-4)
     half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
     whole, told = ErrorMixture((replace(part, weight=0.9), other)), ErrorMixture((half, other, rest))
     assert of(told).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
@@ -153,7 +170,9 @@ def test_draws_of_errors_that_lie_aside_and_are_wider_one_way_exceed_the_level_a
     rules = replace(RULES, integrity_risk=0.01, horizontal_margin=1.0)
     for east_m, north_m in ((0.5, 0.2), (1.0, 1.0), (-0.4, 0.4)):
         errors = rng.multivariate_normal([east_m, north_m], [[0.25, 0.1], [0.1, 0.09]], n)
-        horizontal = MixtureComponent(1.0, (east_m, north_m, 0.0), (0.25, 0.1, 0.09), 0.01)
+        horizontal = MixtureComponent(
+            weight=1.0, mean_m=(east_m, north_m, 0.0), horizontal_m2=(0.25, 0.1, 0.09), up_m2=0.01
+        )
         share = (np.hypot(*errors.T) > of(ErrorMixture((horizontal,)), rules).horizontal_level_m).mean()
         assert 0.94 * 0.01 <= share <= 0.01 + 4.0 * math.sqrt(0.01 / n)
 
@@ -165,14 +184,24 @@ def test_what_is_no_covariance_has_no_bounds_and_is_none_of_a_position_that_is_r
     result = of(
         ErrorMixture(
             (
-                MixtureComponent(0.5, (0.0, 0.0, 0.0), (0.01, 0.0, 0.01), 0.01),
-                MixtureComponent(0.5, (0.0, 0.0, 0.0), horizontal_m2, 0.01),
+                MixtureComponent(
+                    weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.01
+                ),
+                MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=horizontal_m2, up_m2=0.01),
             )
         )
     )
     assert result.horizontal_level_m == result.semi_major_99_m == math.inf, "not beside others"
     with pytest.raises(ValueError, match="is not positive semidefinite"):
-        of(ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), horizontal_m2, 0.01),)))
+        of(
+            ErrorMixture(
+                (
+                    MixtureComponent(
+                        weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=horizontal_m2, up_m2=0.01
+                    ),
+                )
+            )
+        )
 
 
 @exactly
@@ -190,7 +219,11 @@ def test_a_level_far_beyond_is_seen_without_finding_it():
     assert not is_beyond(normal(0.1), 0.6, RULES)
     assert not is_beyond(normal(0.1), math.inf, RULES)
     assert not is_beyond(
-        ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),)), 0.0, RULES
+        ErrorMixture(
+            (MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.0, 0.0, 0.0), up_m2=1.0),)
+        ),
+        0.0,
+        RULES,
     )
 
 
@@ -204,10 +237,10 @@ def turned(mixture, angle_rad):
         mean = turn @ [east_m, north_m]
         parts.append(
             MixtureComponent(
-                part.weight,
-                (float(mean[0]), float(mean[1]), up_m),
-                (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
-                part.up_m2,
+                weight=part.weight,
+                mean_m=(float(mean[0]), float(mean[1]), up_m),
+                horizontal_m2=(float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
+                up_m2=part.up_m2,
             )
         )
     return ErrorMixture(tuple(parts), mixture.lost)
@@ -216,8 +249,12 @@ def turned(mixture, angle_rad):
 @exactly
 @given(st.floats(-3.0, 3.0), st.floats(0.0, 1.5), st.floats(-1.0, 1.0))
 def test_no_direction_is_special(angle_rad, offset, slant):
-    right = MixtureComponent(0.99, (0.0, 0.0, 0.0), (0.04, 0.0, 0.0025), 0.01)
-    wrong = MixtureComponent(0.01, (offset, 0.5 * offset, 0.2), (0.09, 0.02 * slant, 0.01), 0.04)
+    right = MixtureComponent(
+        weight=0.99, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.04, 0.0, 0.0025), up_m2=0.01
+    )
+    wrong = MixtureComponent(
+        weight=0.01, mean_m=(offset, 0.5 * offset, 0.2), horizontal_m2=(0.09, 0.02 * slant, 0.01), up_m2=0.04
+    )
     mixture = ErrorMixture((right, wrong), 1e-9)
     one, other = of(mixture), of(turned(mixture, angle_rad))
     for name in ("semi_major_99_m", "semi_minor_99_m", "semi_major_999_m", "horizontal_level_m"):
@@ -229,7 +266,9 @@ def test_no_direction_is_special(angle_rad, offset, slant):
 
 @pytest.mark.parametrize("angle_rad", [0.5, -0.5, math.pi / 4, -math.pi / 4])
 def test_a_level_far_beyond_is_seen_in_any_direction(angle_rad):
-    narrow = ErrorMixture((MixtureComponent(1.0, (0.0, 0.0, 0.0), (0.25, 0.0, 1e-4), 0.01),))
+    narrow = ErrorMixture(
+        (MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.25, 0.0, 1e-4), up_m2=0.01),)
+    )
     assert is_beyond(turned(narrow, angle_rad), 2.4, RULES)
     assert not is_beyond(turned(narrow, angle_rad), 3.0, RULES)
 
@@ -288,7 +327,7 @@ def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_fo
 
 
 def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():
-    sure = MixtureComponent(0.5, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
-    wide = MixtureComponent(0.5, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0), 0.0)
+    sure = MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.0, 0.0, 0.0), up_m2=0.0)
+    wide = MixtureComponent(weight=0.5, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(1.0, 0.0, 1.0), up_m2=0.0)
     assert is_beyond(ErrorMixture((sure, wide)), 1.0, RULES)
     assert not is_beyond(ErrorMixture((sure, sure)), 1.0, RULES)

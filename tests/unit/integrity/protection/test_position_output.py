@@ -17,11 +17,13 @@ RULES = Rules()
 
 
 def right(the_fix=None, **changes):
-    return FixJudgement(the_fix or fix(), "confirmed", "height_agrees", pose=pose(), **changes)
+    return FixJudgement(
+        fix=the_fix or fix(), verdict="confirmed", reason="height_agrees", pose=pose(), **changes
+    )
 
 
 def from_pose(the_pose, the_antenna=None, *, correction_m=0.0, alive=ALL):
-    inputs = EpochInputs(the_pose, the_antenna, alive)
+    inputs = EpochInputs(pose=the_pose, antenna=the_antenna, alive=alive)
     return PositionOutput(RULES, LevelRules()).at(the_pose.time_ns, inputs, correction_m)
 
 
@@ -100,7 +102,7 @@ def test_the_word_that_there_is_none_has_no_place():
 
 @pytest.mark.parametrize("verdict", ["unknown", "erroneous"])
 def test_a_verdict_that_confirms_nothing_has_no_position(verdict):
-    verdict = verdict_of(FixJudgement(fix(), verdict, "none", pose=pose()), TrueSigma())
+    verdict = verdict_of(FixJudgement(fix=fix(), verdict=verdict, reason="none", pose=pose()), TrueSigma())
     assert (
         verdict.latitude_rad is verdict.longitude_rad is verdict.height_m is verdict.covariance_enu_m2 is None
     )
@@ -117,7 +119,9 @@ def test_a_verdict_that_confirms_has_the_position_with_its_true_covariance():
 
 
 def test_a_verdict_without_pose_or_covariance_says_so():
-    verdict = verdict_of(FixJudgement(fix(covariance_enu_m2=None), "confirmed", "none"), TrueSigma())
+    verdict = verdict_of(
+        FixJudgement(fix=fix(covariance_enu_m2=None), verdict="confirmed", reason="none"), TrueSigma()
+    )
     assert verdict.surface_id is verdict.map_version is verdict.latitude_rad is None
     assert verdict.height_difference_m is verdict.tolerance_m is None
 

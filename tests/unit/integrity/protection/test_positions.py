@@ -57,7 +57,7 @@ def velocity(epoch, east=SPEED_M_S, north=0.0, **changes):
 
 
 def inputs(the_pose=None, the_antenna=None, alive=ALL):
-    return EpochInputs(the_pose, the_antenna, alive)
+    return EpochInputs(pose=the_pose, antenna=the_antenna, alive=alive)
 
 
 def judged(the_pose, the_fix=None, trials=1):
@@ -121,9 +121,13 @@ def test_a_confirmed_fix_that_a_matched_pose_bears_out_is_usable_at_1e_7():
 @pytest.mark.parametrize("verdict", ["unknown", "erroneous"])
 def test_any_other_is_refused(verdict):
     with pytest.raises(ValueError, match=f"is {verdict}, not confirmed"):
-        fresh().confirmed(FixJudgement(fix(), verdict, "none"), 0.0, inputs(pose(), antenna()))
+        fresh().confirmed(
+            FixJudgement(fix=fix(), verdict=verdict, reason="none"), 0.0, inputs(pose(), antenna())
+        )
     with pytest.raises(ValueError, match="not confirmed"):
-        fresh().confirmed(FixJudgement(fix(covariance_enu_m2=None), "confirmed", "none"), 0.0, inputs())
+        fresh().confirmed(
+            FixJudgement(fix=fix(covariance_enu_m2=None), verdict="confirmed", reason="none"), 0.0, inputs()
+        )
 
 
 def test_a_pose_that_knows_nothing_better_than_the_fix_cannot_make_it_usable():
@@ -138,7 +142,7 @@ def test_a_pose_that_knows_nothing_better_than_the_fix_cannot_make_it_usable():
 @pytest.mark.parametrize(("satellites", "prior"), [(16, 0.1), (10, 0.3), (6, 0.95), (None, 0.95)])
 def test_without_any_comparison_the_prior_of_the_satellites_alone_counts(satellites, prior):
     the_fix = fix(satellites=satellites)
-    result = fresh().confirmed(FixJudgement(the_fix, "confirmed", "none"), 0.0, inputs())
+    result = fresh().confirmed(FixJudgement(fix=the_fix, verdict="confirmed", reason="none"), 0.0, inputs())
     assert result.wrong_fix_probability == pytest.approx(prior)
     assert not result.usable
     assert result.yaw_rad is None
@@ -267,7 +271,10 @@ def matched(k, **changes):
 
 def latest(poses, start=None, levels=LEVELS):
     """What is left of a suspicion of even odds after poses."""
-    suspicion, places = start or LatentFaultHypothesis(at(0), 1.0, 1.0, 1.0), MatchCorroboration(levels)
+    suspicion, places = (
+        start or LatentFaultHypothesis(time_ns=at(0), odds=1.0, horizontal_m2=1.0, up_m2=1.0),
+        MatchCorroboration(levels),
+    )
     for the_pose in poses:
         suspicion = places.update(the_pose, suspicion)
     return suspicion.odds
@@ -304,8 +311,8 @@ def test_of_fixes_that_are_not_known_here_no_match_knows_the_time():
 def test_what_a_match_refutes_is_what_was_suspected_before_it():
     places, old, new = (
         MatchCorroboration(LEVELS),
-        LatentFaultHypothesis(at(0), 1.0, 1.0, 1.0),
-        LatentFaultHypothesis(at(400), 0.5, 1.0, 1.0),
+        LatentFaultHypothesis(time_ns=at(0), odds=1.0, horizontal_m2=1.0, up_m2=1.0),
+        LatentFaultHypothesis(time_ns=at(400), odds=0.5, horizontal_m2=1.0, up_m2=1.0),
     )
     places.update(matched(0), old)
     assert places.update(matched(400), old) == old
@@ -453,7 +460,9 @@ def test_a_pose_is_one_of_its_parts_whatever_has_changed(the_pose):
     for prior in (0.0, 0.01, 1.0):
         levels = LevelRules(changed_road_prior=prior)
         suspicion = LatentFaultHypothesis.initial(levels.wrong_fix)
-        result = candidate_of_pose(inputs(the_pose, antenna()), 0.0, suspicion, RULES, levels)
+        result = candidate_of_pose(
+            inputs(the_pose, antenna()), 0.0, suspicion=suspicion, rules=RULES, levels=levels
+        )
         assert sum(part.weight for part in result.mixture.parts) == pytest.approx(1.0)
         odd = [part.weight for part in result.mixture.parts if part.up_m2 > 0.2**2]
         assert sum(odd) == pytest.approx(prior)

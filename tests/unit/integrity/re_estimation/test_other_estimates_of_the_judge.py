@@ -27,12 +27,17 @@ ENGINE = {"origin": "engine"}
 
 def erroneous(**changes):
     return FixJudgement(
-        fix(0, up_m=1.0, **ENGINE | changes), "erroneous", "height_disagrees", detail="height +1.00 m"
+        fix=fix(0, up_m=1.0, **ENGINE | changes),
+        verdict="erroneous",
+        reason="height_disagrees",
+        detail="height +1.00 m",
     )
 
 
 def unresolved(**changes):
-    return FixJudgement(fix(0, **{"quality": "float", **ENGINE, **changes}), "unknown", "not_a_fix")
+    return FixJudgement(
+        fix=fix(0, **{"quality": "float", **ENGINE, **changes}), verdict="unknown", reason="not_a_fix"
+    )
 
 
 def answer(*candidates, trials=20, **changes):
@@ -54,7 +59,9 @@ class Judged:
         self.seen.append((other, trials))
         verdict = self.verdicts.pop(0)
         reason = "height_agrees" if verdict == "confirmed" else "height_disagrees"
-        return FixJudgement(other, verdict, reason, "as told", evidence=self.evidence, trials=trials)
+        return FixJudgement(
+            fix=other, verdict=verdict, reason=reason, detail="as told", evidence=self.evidence, trials=trials
+        )
 
 
 # --- what is asked ------------------------------------------------------------------------------------------------
@@ -75,10 +82,10 @@ def test_of_an_epoch_without_resolved_integers_as_set(asked, rules):
 @pytest.mark.parametrize(
     "judgement",
     [
-        FixJudgement(fix(0, **ENGINE), "confirmed", "height_agrees"),
-        FixJudgement(fix(0, **ENGINE), "confirmed_after_verification", "height_disagrees"),
-        FixJudgement(fix(0, **ENGINE), "unknown", "height_unverified"),
-        FixJudgement(fix(0, **ENGINE), "unknown", "pose_missing"),
+        FixJudgement(fix=fix(0, **ENGINE), verdict="confirmed", reason="height_agrees"),
+        FixJudgement(fix=fix(0, **ENGINE), verdict="confirmed_after_verification", reason="height_disagrees"),
+        FixJudgement(fix=fix(0, **ENGINE), verdict="unknown", reason="height_unverified"),
+        FixJudgement(fix=fix(0, **ENGINE), verdict="unknown", reason="pose_missing"),
         unresolved(quality="single"),
         unresolved(quality="none"),
         unresolved(origin="receiver"),
@@ -90,7 +97,7 @@ def test_of_no_other(judgement):
 
 
 def test_nothing_is_asked_where_it_is_switched_off():
-    assert estimates_request(erroneous(), replace(RULES, way="off")) is None
+    assert estimates_request(erroneous(), replace(RULES, method="off")) is None
 
 
 # --- by what they agree on ----------------------------------------------------------------------------------------
@@ -193,7 +200,7 @@ def test_an_estimate_brings_nothing_of_the_fix_that_failed():
 
 # --- the document's loop ------------------------------------------------------------------------------------------
 
-LOOP = replace(RULES, way="one_by_one")
+LOOP = replace(RULES, method="one_by_one")
 
 
 def test_one_after_the_other_is_judged_until_one_passes():
