@@ -6,7 +6,7 @@ common. The height has a cap besides: however badly road and antenna are known, 
 With a fixed tolerance, JP7707657B2 eqs. (2) and (3), the height agrees or contradicts and there is nothing between.
 The position has a cap too: however wide a fix claims to be, it agrees only as near to the pose as a right fix is.
 
-The judge asks of one, in plain floats, the lab of millions: there is one implementation (`scalar_or_array`). numpy only,
+The judge tests one fix, in plain floats, the lab millions: there is one implementation (`scalar_or_array`). numpy only;
 metres.
 """
 

@@ -81,7 +81,7 @@ class CorrectionState:
 
 
 class Learning:
-    """Learns the height correction and causes of offsets from the residuals of all judged fixes, in the order of time."""
+    """Learns the height correction, and the causes of offsets, from the residuals of judged fixes in order of time."""
 
     def __init__(
         self, rules: LearningRules, parts: Sequence[CorrectionState] = (), roads: Sequence[RoadChange] = ()

@@ -31,7 +31,7 @@ Horizontal = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IndexRules:
-    """Kikuchi (TUMSAT), reliability index: σ of a confirmed fix, and its growth in each 0.1 s by Doppler and by sensors.
+    """Kikuchi (TUMSAT), reliability index: σ of a confirmed fix, and its growth each 0.1 s by Doppler and by sensors.
 
     The levels are those of the error ellipse that holds `probability`.
     """

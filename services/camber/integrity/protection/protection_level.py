@@ -14,8 +14,8 @@ part counts in full.
 P falls with L, and its slope comes with it: L is found by Newton's steps of ln P over L², between what was seen to keep
 to the risk and what was not.
 
-The judge asks of one mixture, in plain floats, the lab of many: there is one implementation (`scalar_or_array`). An input
-that is not finite, a covariance that is none, or no risk left to spend gives an infinite level.
+The judge evaluates one mixture, in plain floats, the lab many: there is one implementation (`scalar_or_array`). An
+input that is not finite, a covariance that is none, or no risk left to spend gives an infinite level.
 """
 
 from __future__ import annotations
