@@ -124,7 +124,7 @@ def test_ages_count_forwards():
         ({"covariance_enu_m2": (0.0,) * 6}, None),
     ],
 )
-def test_a_solution_that_is_no_fix_by_its_own_account_is_not_judged(changes, reason):
+def test_a_solution_that_claims_to_be_no_fix_is_not_judged(changes, reason):
     assert unusable_fix(fix(**changes), RULES) == reason
 
 

@@ -13,7 +13,7 @@ from support.judging import ALL, antenna, at, candidate, fix, pose, provisional
 
 
 class BusWithGnss:
-    """A bus on which gnss answers as told, and takes as long as told."""
+    """A bus on which gnss gives the answers of the test, after the time of the test."""
 
     def __init__(self):
         self.time_ns = at(0)
@@ -53,7 +53,7 @@ def available(request, **changes):
 
 def failing(reason):
     def answer(_):
-        raise QueryFailed(reason, "as told")
+        raise QueryFailed(reason, "as given")
 
     return answer
 
@@ -67,13 +67,13 @@ class Rig:
     def epoch(self, k, **changes):
         """An epoch of which the engine's fix is a metre too high, and everything else is right."""
         self.bus.time_ns = at(k)
-        said = {
+        messages = {
             "motion": Motion(time_ns=at(k), wheel_speed_m_s=10.0),
             "antenna_height": antenna(k),
             "pose": pose(k),
             "fix": fix(k, up_m=1.0, origin="engine"),
         } | changes
-        for name, message in said.items():
+        for name, message in messages.items():
             self.handlers[name](message)
         self.service.advance(at(k))
         sent, self.bus.sent = self.bus.sent, []
@@ -122,7 +122,7 @@ def test_where_gnss_fails_so_does_the_fix_and_nothing_else(reason):
     rig.bus.answer = failing(reason)
     verdict = verdict_in(rig.epoch(0))
     assert (verdict.verdict, verdict.reason) == ("erroneous", "height_disagrees")
-    assert verdict.detail.endswith(f"no other estimates: {reason}: as told")
+    assert verdict.detail.endswith(f"no other estimates: {reason}: as given")
     assert rig.bus.counters[f"estimates.{reason}"] == 1
 
 

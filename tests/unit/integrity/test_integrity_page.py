@@ -13,9 +13,9 @@ ONLY_IN_POSITIONS = {"pose_provisional"}
 
 
 def test_every_setting_stands_on_the_page():
-    own = IntegritySettings.model_fields.keys() - ServiceSettings.model_fields.keys()
-    assert own
-    assert [name for name in own if f"| `{name}` |" not in PAGE] == []
+    specific = IntegritySettings.model_fields.keys() - ServiceSettings.model_fields.keys()
+    assert specific
+    assert [name for name in specific if f"| `{name}` |" not in PAGE] == []
 
 
 def test_every_reason_stands_in_the_table_of_verdicts():

@@ -67,7 +67,7 @@ class Rig:
         return sent
 
     def epoch(self, k, **changes):
-        """A whole epoch, right but for what is given; None: not heard."""
+        """A whole epoch, right but for what is given; None: not received."""
         self.bus.time_ns = at(k)
         messages = {
             "motion": Motion(time_ns=at(k), wheel_speed_m_s=10.0),
@@ -158,7 +158,7 @@ def test_a_provisional_pose_gives_no_position(rig):
     assert position.reason == "pose_provisional"
 
 
-def test_verdicts_are_counted_by_word(rig):
+def test_verdicts_are_counted_by_value(rig):
     rig.epoch(0)
     rig.epoch(1, fix=fix(1, up_m=1.0))
     assert rig.bus.counters["verdict.confirmed"] == rig.bus.counters["verdict.erroneous"] == 1
@@ -256,7 +256,7 @@ def without_map(k):
 @pytest.mark.parametrize("service", sorted(LIMIT_S))
 @pytest.mark.parametrize(("token_stays", "reasons"), [(False, GONE), (True, FROZEN)], ids=["gone", "frozen"])
 @pytest.mark.parametrize("step", [0.25, 0.5, 1.0], ids=["20 Hz", "10 Hz", "5 Hz"])
-def test_without_a_service_the_word_is_unknown_within_the_age_limit(service, token_stays, reasons, step):
+def test_without_a_service_the_verdict_is_unknown_within_the_age_limit(service, token_stays, reasons, step):
     rig = Rig()
     rig.epoch(0)
     if not token_stays:
@@ -287,7 +287,7 @@ def test_without_poses_the_position_is_none_however_often_fixes_come(step):
     assert sent[-1].time_ns >= at(10 - 2 * step)
 
 
-def test_from_the_first_moment_there_is_a_word(rig):
+def test_from_the_first_moment_there_is_a_verdict(rig):
     rig.bus.alive.clear()
     sent = rig.advance(0)
     assert verdicts(sent) == [("unknown", "gnss_absent")]
@@ -295,7 +295,7 @@ def test_from_the_first_moment_there_is_a_word(rig):
     assert of(sent, "verdict")[0].fix_id is None
 
 
-def test_when_all_is_well_nothing_is_said_between_the_epochs(rig):
+def test_when_all_is_well_nothing_is_published_between_the_epochs(rig):
     rig.epoch(0)
     assert rig.advance(0.6) == []
 

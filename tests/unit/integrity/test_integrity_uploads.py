@@ -29,7 +29,7 @@ def upload(epoch=0, **changes):
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_verdict_is_uploaded_with_its_word(verdict):
+def test_every_verdict_is_uploaded_with_its_value(verdict):
     assert upload(verdict=verdict).verdict == verdict
 
 
@@ -68,9 +68,11 @@ def test_the_height_is_free_of_what_was_learnt_against_the_map():
     assert upload(correction_m=0.1).road_height_m == upload().road_height_m
 
 
-def test_the_antenna_height_of_scan_matching_is_that_above_the_maps_road_so_the_surest_other_way_is_sent():
-    ways = (("ranging", 1.83, 0.03), ("scan_matching", 1.7, 0.01), ("stroke", 1.81, 0.015))
-    others = tuple(HeightByMethod(way=way, height_m=height, sigma_m=sigma) for way, height, sigma in ways)
+def test_the_antenna_height_of_scan_matching_depends_on_the_map_so_the_surest_other_method_is_sent():
+    methods = (("ranging", 1.83, 0.03), ("scan_matching", 1.7, 0.01), ("stroke", 1.81, 0.015))
+    others = tuple(
+        HeightByMethod(way=method, height_m=height, sigma_m=sigma) for method, height, sigma in methods
+    )
     result = upload(antenna=antenna(way="scan_matching", height_m=1.7, others=others))
     assert result.antenna_height_m == 1.81
     assert result.road_height_m == pytest.approx(ROAD_M + 1.8 - 1.81)

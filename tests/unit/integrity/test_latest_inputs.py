@@ -1,4 +1,4 @@
-"""What the judge has heard last: the pose nearest in time, and nothing that is too old to say anything."""
+"""The latest inputs of the judge: the pose nearest in time, and nothing that is too old."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def latest(*epochs, **changes):
     return result
 
 
-def test_before_anything_is_heard_nothing_is_known():
+def test_before_any_message_nothing_is_known():
     assert latest().pose is None
     assert latest().pose_near(at(0)) is None
     assert latest().speed_at(at(0), 1.0) is None
@@ -29,7 +29,7 @@ def test_of_several_poses_it_is_the_nearest_and_of_two_as_near_the_earlier(time,
     assert latest(0, 1, 2, 3).inputs(at(time), ALL).pose == pose(epoch)
 
 
-def test_a_pose_that_is_no_newer_is_not_heard():
+def test_a_pose_that_is_no_newer_is_ignored():
     result = latest(2, 1)
     result.add_pose(pose(2, east_m=5.0))
     assert list(result.poses) == [pose(2)]
@@ -41,12 +41,12 @@ def test_of_a_long_drive_only_the_newest_poses_are_kept():
 
 
 @pytest.mark.parametrize(("epoch", "near"), [(2.5, True), (-2.5, True), (2.51, False), (-2.51, False)])
-def test_a_pose_tells_the_way_half_a_second_before_and_after(epoch, near):
+def test_a_pose_gives_the_displacement_half_a_second_before_and_after(epoch, near):
     assert (latest(0).pose_near(at(epoch)) == pose(0)) == near
     assert near or latest(0).pose_near(at(epoch)) is None
 
 
-def test_one_without_a_place_tells_none():
+def test_one_without_a_place_gives_none():
     assert latest(0, latitude_rad=None).pose_near(at(0)) is None
 
 

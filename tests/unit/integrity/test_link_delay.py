@@ -56,16 +56,16 @@ class LateBus:
 
 
 def judged(
-    said: list, delay_s: float, setting_s: float, jitter_s: float = 0.0
+    messages: list, delay_s: float, setting_s: float, jitter_s: float = 0.0
 ) -> tuple[LateBus, dict[str, int]]:
-    """Verdicts on what is said so much later, and how many inputs were refused, by channel."""
+    """Verdicts on messages that come so much later, and how many inputs were refused, by channel."""
     bus, random = LateBus(), Random(5)
     service = IntegrityService(IntegritySettings(upload=False, link_delay_s=setting_s), bus)  # type: ignore[arg-type]
     handlers = service.handlers()
     inboxes = {name: Inbox(BY_NAME[name]) for name in handlers}
-    first_ns = min(message.time_ns for _, _, message in said)
+    first_ns = min(message.time_ns for _, _, message in messages)
     events: list[tuple[int, int, str, Any]] = []
-    for number, (at_s, name, message) in enumerate(said):
+    for number, (at_s, name, message) in enumerate(messages):
         late_s = at_s + delay_s + random.uniform(0.0, jitter_s)
         heapq.heappush(events, (first_ns + round(late_s * 1e9), number, name, message))
     next_ns = events[0][0]
@@ -86,39 +86,41 @@ def judged(
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory) -> list:
+def messages(tmp_path_factory) -> list:
     return recorded_inputs(tmp_path_factory.mktemp("drive"), DURATION_S)
 
 
 @pytest.fixture(scope="module")
-def in_vehicle(said) -> dict:
-    bus, refused = judged(said, 0.0, 0.0)
+def in_vehicle(messages) -> dict:
+    bus, refused = judged(messages, 0.0, 0.0)
     assert refused == {}
     assert {verdict.verdict for verdict in bus.verdicts.values()} >= {"confirmed", "erroneous", "unknown"}
-    assert sorted(bus.verdicts) == sorted(message.fix_id for _, name, message in said if name == "fix")
+    assert sorted(bus.verdicts) == sorted(message.fix_id for _, name, message in messages if name == "fix")
     return {fix_id: outcome(verdict) for fix_id, verdict in bus.verdicts.items()}
 
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.4, 1.5])
-def test_a_delay_that_is_known_changes_nothing_but_the_time(said, in_vehicle, delay_s: float) -> None:
-    bus, refused = judged(said, delay_s, delay_s)
+def test_a_delay_that_is_known_changes_nothing_but_the_time(messages, in_vehicle, delay_s: float) -> None:
+    bus, refused = judged(messages, delay_s, delay_s)
     assert refused == {}
     assert {fix_id: outcome(verdict) for fix_id, verdict in bus.verdicts.items()} == in_vehicle
 
 
-def test_a_delay_that_varies_below_the_setting_loses_no_fix_and_changes_no_verdict(said, in_vehicle) -> None:
+def test_a_delay_that_varies_below_the_setting_loses_no_fix_and_changes_no_verdict(
+    messages, in_vehicle
+) -> None:
     """Of what one epoch has, the last may come 50 ms after the first."""
-    bus, _ = judged(said, 0.08, 0.15, jitter_s=0.05)
+    bus, _ = judged(messages, 0.08, 0.15, jitter_s=0.05)
     result = {fix_id: outcome(verdict) for fix_id, verdict in bus.verdicts.items()}
     assert result.keys() == in_vehicle.keys()
     verdicts = {fix_id: one["verdict"] for fix_id, one in result.items()}
     assert verdicts == {fix_id: one["verdict"] for fix_id, one in in_vehicle.items()}
 
 
-def test_without_the_setting_a_delay_costs_verdicts(said, in_vehicle) -> None:
+def test_without_the_setting_a_delay_costs_verdicts(messages, in_vehicle) -> None:
     """The tests above can fail."""
-    late, refused = judged(said, 0.6, 0.0)
+    late, refused = judged(messages, 0.6, 0.0)
     assert refused
     assert len(late.verdicts) < len(in_vehicle)
-    some, _ = judged(said, 0.1, 0.0)
+    some, _ = judged(messages, 0.1, 0.0)
     assert {fix_id: outcome(verdict) for fix_id, verdict in some.verdicts.items()} != in_vehicle

@@ -37,7 +37,7 @@ def test_each_part_is_the_same_for_both(part) -> None:
         assert same(abs(part(one)), abs(other))
 
 
-def test_what_may_be_divided_by_is_above_nought_and_finite() -> None:
+def test_what_may_be_divided_by_is_positive_and_finite() -> None:
     assert [math.isnan(positive_or_nan(value)) for value in VALUES] == [*[True] * 4, *[False] * 4, True, True]
     assert [positive_or_nan(value) for value in VALUES[4:8]] == VALUES[4:8]
 

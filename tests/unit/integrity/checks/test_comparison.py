@@ -52,13 +52,13 @@ def test_a_pose_that_was_moved_on_is_as_much_wider_as_a_car_may_have_accelerated
 
 
 @pytest.mark.parametrize("unknown", ["road", "height"])
-def test_without_either_road_or_antenna_the_height_is_infinitely_far_off_too(unknown):
+def test_without_road_or_antenna_the_height_is_infinitely_far_off_too(unknown):
     result, without = compared(**{unknown: None}), compared(road=None, height=None)
     assert math.isnan(result.difference_m[2])
     assert (result.covariance_m2 == without.covariance_m2).all()
 
 
-def test_without_a_road_the_height_is_infinitely_far_off_and_the_position_is_still_told():
+def test_without_a_road_the_height_is_infinitely_far_off_and_the_position_is_still_compared():
     result = compared(fix(east_m=0.3), road=None, height=None)
     assert result.position_m == pytest.approx((0.3, 0.0), abs=1e-3)
     assert (result.height_m, result.joint_distance2) == (None, None)
@@ -66,12 +66,12 @@ def test_without_a_road_the_height_is_infinitely_far_off_and_the_position_is_sti
     assert compared(road=None, height=None, tests=("position",)).outcome == 0
 
 
-def test_where_the_height_is_not_asked_neither_it_nor_its_tolerance_is_told():
+def test_where_the_height_is_not_tested_there_is_no_height_and_no_tolerance():
     result = compared(tests=("position",))
     assert (result.height_m, result.tolerance_m, result.joint_limit) == (None, None, None)
 
 
-def test_all_figures_are_told_in_words():
+def test_the_description_has_all_figures():
     text = compared(fix(east_m=0.3, up_m=0.15)).describe(0.1)
     assert "height -0.17 m of σ" in text
     assert "0.30 m from the pose of σ 0.10 m" in text
@@ -80,7 +80,7 @@ def test_all_figures_are_told_in_words():
     assert compared(tests=("position",)).describe(0.1).startswith("0.00 m from the pose")
 
 
-def test_the_words_are_those_of_the_figures():
+def test_the_outcomes_are_those_of_the_figures():
     result = replace(
         compared(),
         difference_m=np.array([0.3, -0.4, 0.15]),

@@ -102,8 +102,10 @@ def test_the_joint_test_alone_sees_both():
 @pytest.mark.parametrize("tests", [("height",), ("joint",), ALL_TESTS])
 @pytest.mark.parametrize("sigma_m", [0.05, 0.1, 0.3, 1.0, 100.0])
 def test_beyond_the_cap_nothing_agrees_however_badly_the_height_is_known(tests, sigma_m):
-    said = reasons([(0.0, 0.0, up_m) for up_m in (0.301, -0.301, 1.0)], (0.1, 0.1, sigma_m), tests=tests)
-    assert "height_agrees" not in said
+    judged_reasons = reasons(
+        [(0.0, 0.0, up_m) for up_m in (0.301, -0.301, 1.0)], (0.1, 0.1, sigma_m), tests=tests
+    )
+    assert "height_agrees" not in judged_reasons
     assert reason((0.0, 0.0, 0.1), (0.1, 0.1, sigma_m), tests=tests) == "height_agrees"
 
 
@@ -151,19 +153,22 @@ def test_a_fix_that_claims_to_be_wide_agrees_only_as_near_to_a_sharp_pose_as_a_r
     limits = ConsistencyParameters(tests=tests).limits()
     nearest_m = math.sqrt(limits.position[0]) * np.hypot([0.05, 0.2], 0.06)
 
-    def said(east_m, north_m, fix_sigma_m):
+    def judged_reasons(east_m, north_m, fix_sigma_m):
         covariance_m2 = np.diag([0.05**2 + fix_sigma_m**2, 0.2**2 + fix_sigma_m**2, 0.01])[None]
         result = consistency_of_arrays(np.array([[east_m, north_m, 0.0]]), covariance_m2, pose_m2, limits)
         return REASONS[result.outcome[0]], result.acceptance_radius_m[0]
 
     wide_m = 0.3
-    assert said(0.9 * nearest_m[0], 0.0, wide_m)[0] == "height_agrees"
-    assert said(1.1 * nearest_m[0], 0.0, wide_m) == ("position_unverified", pytest.approx(nearest_m[1]))
-    assert said(0.0, 0.9 * nearest_m[1], wide_m)[0] == "height_agrees"
-    assert said(0.0, 1.1 * nearest_m[1], wide_m)[0] == "position_unverified"
+    assert judged_reasons(0.9 * nearest_m[0], 0.0, wide_m)[0] == "height_agrees"
+    assert judged_reasons(1.1 * nearest_m[0], 0.0, wide_m) == (
+        "position_unverified",
+        pytest.approx(nearest_m[1]),
+    )
+    assert judged_reasons(0.0, 0.9 * nearest_m[1], wide_m)[0] == "height_agrees"
+    assert judged_reasons(0.0, 1.1 * nearest_m[1], wide_m)[0] == "position_unverified"
     # What contradicts is what the fix's own covariance says: wide, it contradicts later.
-    assert said(0.6, 0.0, 0.02)[0].endswith("disagree" if tests == ("joint",) else "disagrees")
-    assert said(0.6, 0.0, wide_m)[0] == "position_unverified"
+    assert judged_reasons(0.6, 0.0, 0.02)[0].endswith("disagree" if tests == ("joint",) else "disagrees")
+    assert judged_reasons(0.6, 0.0, wide_m)[0] == "position_unverified"
 
 
 @pytest.mark.parametrize("correlation", [-0.9, -0.4, 0.0, 0.7])
@@ -263,7 +268,7 @@ def test_many_at_once_are_judged_as_each_alone(d, sigma_m):
     assert reasons(d, sigma_m) == [reason(one, sigma_m) for one in d]
 
 
-def test_the_words_of_many_are_small_numbers_one_each():
+def test_the_outcomes_of_many_are_small_numbers_one_each():
     d = np.array([(0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.0, 0.6, 0.0)])
     covariance_m2 = np.repeat(np.diag(np.square(SIGMA_M))[None], 3, axis=0)
     result = consistency_of_arrays(
@@ -273,7 +278,7 @@ def test_the_words_of_many_are_small_numbers_one_each():
     assert result.outcome.dtype == result.position.dtype == np.int8
 
 
-def test_it_is_said_which_tests_speak_for_a_fix():
+def test_an_error_names_the_tests_that_support_a_fix():
     speak = "height, position, joint, phase_residuals, subset_agreement"
     with pytest.raises(ValueError, match=f"^tests: expected one at least of {speak}$"):
         ConsistencyParameters(tests=("continuity", "receiver"))

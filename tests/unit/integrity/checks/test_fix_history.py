@@ -120,7 +120,7 @@ def test_sharp_is_what_is_so_with_its_true_sigma():
 # --- integers and start -------------------------------------------------------------------------------------------
 
 
-def test_integers_are_vouched_for_by_what_the_height_confirmed_of_the_engines_own_fix():
+def test_integers_are_confirmed_by_the_height_of_the_fix_of_the_engine():
     assert after(right(0), right(1)).integers.confirmed == 2
     assert after(right(0), right(1, trials=21)).integers.confirmed == 1
     assert after(right(0), right(1, "confirmed_after_verification")).integers.confirmed == 1

@@ -50,7 +50,7 @@ def test_only_the_latest_are_remembered():
     assert not order.register_once(ids[0])
 
 
-def test_when_the_clock_is_set_back_what_was_heard_later_is_forgotten():
+def test_when_the_clock_is_set_back_later_fixes_are_forgotten():
     order = FixSequence()
     place_all(order, 50)
     order.forget_after(at(50))

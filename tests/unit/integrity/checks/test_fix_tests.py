@@ -1,4 +1,4 @@
-"""What is said of a fix beside the word: the detail that a person reads, the cause, the correction in force."""
+"""What a judgement has besides the verdict: detail, cause, correction in force."""
 
 import math
 import re
@@ -44,7 +44,7 @@ def test_the_cause_is_that_of_the_road_below_the_fix():
     assert examined().cause == "road"
 
 
-def test_the_correction_is_told_with_what_was_not_compared_too():
+def test_a_judgement_without_comparison_has_the_correction_too():
     assert examined().correction_m == 0.01
     assert examined(fix(datum="ITRF2020")).correction_m == 0.0
     assert examined(fix(phase_residuals="contradictory")).correction_m == 0.01
@@ -86,7 +86,7 @@ def test_a_road_that_is_known_too_vaguely_says_how_vaguely():
     )
 
 
-def test_a_warning_of_the_receiver_is_told():
+def test_the_detail_has_the_warning_of_the_receiver():
     judge = SettlingJudge(Rules(), Knowing())
     judge.latest.receiver.update(ReceiverIntegrity(time_ns=at(0), spoofing="affirmed"))
     result = judge.examine(fix(), ALL)

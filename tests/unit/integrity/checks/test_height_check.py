@@ -78,7 +78,7 @@ def test_beyond_the_extent_of_the_plane_there_is_no_road(offset):
     assert road_at(road(), *offset) is None
 
 
-def test_of_a_patch_the_nearest_sample_speaks_with_its_own_plane_and_surface():
+def test_of_a_patch_plane_and_surface_of_the_nearest_sample_count():
     point = road_at(road(patch=patch()), 9.0, 1.0)
     assert point == RoadPoint(
         elevation_m=pytest.approx(41.0 - 0.1 - 0.2),

@@ -10,7 +10,7 @@ from camber.integrity.protection.covariance_inflation import TrueSigma
 from support.judging import ROAD_M, at, fix, pose, road
 
 SIGMA = TrueSigma(scale=2.0, horizontal_m=0.03, vertical_m=0.04)
-FOUND = FixComparison(
+COMPARISON = FixComparison(
     difference_m=np.array([0.3, -0.1, 0.15]),
     covariance_m2=np.eye(3),
     outcome=3,
@@ -28,12 +28,12 @@ def judgement(verdict="erroneous", **changes):
     return FixJudgement(fix=fix(3), verdict=verdict, reason="height_disagrees", **changes)
 
 
-def test_it_is_of_the_fix_and_says_what_was_found():
+def test_the_verdict_is_of_the_fix_and_has_the_comparison():
     verdict = verdict_of(
         judgement(
             detail="height -0.15 m",
             evidence=("phase_residuals",),
-            comparison=FOUND,
+            comparison=COMPARISON,
             correction_m=0.02,
             cause="road",
             trials=21,

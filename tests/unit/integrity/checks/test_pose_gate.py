@@ -22,7 +22,7 @@ def test_the_pose_is_moved_on_to_the_time_of_the_fix():
     assert (east_m, north_m) == (pytest.approx(0.5, abs=1e-3), pytest.approx(-0.3, abs=1e-3))
 
 
-def test_it_is_moved_on_the_way_it_looks():
+def test_the_pose_is_moved_on_in_its_heading():
     yaw_rad = math.radians(120.0)
     travelled_m = 0.2 * SPEED_M_S
     there = place(0, travelled_m * math.cos(yaw_rad), travelled_m * math.sin(yaw_rad))

@@ -30,7 +30,7 @@ def count_after(fixes, rules=RULES):
     return count
 
 
-def test_nothing_heard_is_not_enough():
+def test_no_fix_is_not_enough():
     assert not StartCount().enough(replace(RULES, fixes=0, duration_s=0.0))
 
 
@@ -77,7 +77,7 @@ def test_a_vehicle_that_goes_backwards_counts():
 
 
 @pytest.mark.parametrize(("east_m", "does"), [(0.49, True), (-0.49, True), (0.51, False), (-0.51, False)])
-def test_wheels_may_be_two_percent_off_the_way(east_m, does):
+def test_wheels_may_differ_by_two_percent_of_the_distance(east_m, does):
     assert follows(fix(0), fix(5, east_m=east_m), RULES) is does  # 10 m in a second
 
 

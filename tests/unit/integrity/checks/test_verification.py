@@ -102,7 +102,7 @@ def test_the_integers_of_five_fixes_that_the_height_confirmed_carry_the_next():
         "a new chain",
         "broken",
         "another chain",
-        "not said since when",
+        "since when is not known",
         "not later",
         "too long ago",
         "before",

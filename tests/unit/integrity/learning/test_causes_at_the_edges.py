@@ -51,11 +51,11 @@ def test_the_onset_is_the_first_stretch_that_differs(off):
     assert result([RIGHT] * 6 + [off] * 12).onset_ns == at_s(6)
 
 
-@pytest.mark.parametrize(("off", "amiss", "cause"), [(UP, RIGHT, "ambiguous"), (FAR, NEAR, "base")])
-def test_three_quarters_of_the_stretches_must_agree(off, amiss, cause):
-    assert result([amiss if n in (2, 5, 8) else off for n in range(12)]).cause == cause
+@pytest.mark.parametrize(("off", "outlier", "cause"), [(UP, RIGHT, "ambiguous"), (FAR, NEAR, "base")])
+def test_three_quarters_of_the_stretches_must_agree(off, outlier, cause):
+    assert result([outlier if n in (2, 5, 8) else off for n in range(12)]).cause == cause
     causes = OffsetCauses(RULES)
-    drive(causes, [amiss if n in (3, 4, 7, 8) else off for n in range(12)])
+    drive(causes, [outlier if n in (3, 4, 7, 8) else off for n in range(12)])
     assert causes.news() == []
 
 
@@ -202,7 +202,7 @@ def test_of_the_roads_known_at_the_start_only_those_of_the_map_at_hand_are_kept(
     assert set(causes.roads) == {KNOWN.surface_id}
 
 
-def test_a_drive_that_begins_on_a_road_that_differs_does_not_name_it_on_another_map_either():
+def test_a_drive_that_begins_on_a_road_that_differs_does_not_name_it_on_another_map():
     """Surface 0 has no road before it, surface 3 has."""
     causes = OffsetCauses(RULES, [replace(KNOWN, map_version=KEY.map_version - 1)])
     drive(causes, [VERIFIED] * 3 + [RIGHT] * 5 + [VERIFIED] * 2 + [RIGHT] * 2)

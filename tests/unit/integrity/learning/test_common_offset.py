@@ -79,12 +79,12 @@ def test_of_a_few_that_scatter_little_by_chance_the_next_may_still_differ_by_its
 
 
 def test_of_a_few_what_differs_by_more_than_its_sigma_explains_is_left_out():
-    """3 · √(0.02² + 0.05²) m = 0.162 m; where there are eight, what scatter is seen tells, here the map's 0.15 m."""
+    """3 · √(0.02² + 0.05²) m = 0.162 m; where there are eight, the observed scatter decides, here the map's 0.15 m."""
     assert [part([0.0] * n + [0.155]).used for n in (5, 6, 7, 8)] == [6, 7, 7, 8]
     assert part([0.0, 0.0, 0.0, 0.0, 0.17]).used == 4
 
 
-def test_of_many_the_scatter_seen_tells_between_the_maps_own_and_what_their_sigma_explain():
+def test_of_many_the_observed_scatter_counts_between_map_sigma_and_their_sigma():
     for sign in (1.0, -1.0):  # 3 · 1.4826 · 0.06 m about the middle
         for off_m, used in ((0.12, 11), (0.32, 10)):
             result = part([0.04, -0.04] * 5 + [sign * off_m], sigma_m=0.1, map_sigma_m=0.02, gap_m=100.0)
@@ -151,7 +151,7 @@ def test_a_drift_is_the_same_from_whatever_moment_the_time_is_counted():
     assert there.drift_sigmas == pytest.approx(here.drift_sigmas)
 
 
-def test_of_few_stretches_or_of_one_time_no_drift_is_told():
+def test_of_few_stretches_or_of_one_time_there_is_no_drift():
     assert part([0.0, 0.05, 0.1]).drift_sigmas == part([0.0, 0.05, 0.1]).drift_m == 0.0
     still = differences([0.0, 0.05, 0.1, 0.15])
     at_once = HeightDifferences(
@@ -166,7 +166,7 @@ def test_of_few_stretches_or_of_one_time_no_drift_is_told():
 
 @settings(derandomize=True, deadline=None, max_examples=80)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(-0.3, 0.3))
-def test_it_lies_between_the_prior_and_what_was_heard(up_m, prior_m):
+def test_it_lies_between_the_prior_and_the_residuals(up_m, prior_m):
     result = part(up_m, prior_m=prior_m, gap_m=100.0)
     low, high = min(*up_m, prior_m), max(*up_m, prior_m)
     assert low - 1e-6 <= result.value_m <= high + 1e-6

@@ -203,7 +203,7 @@ def test_what_drifts_is_held_where_it_was_at_the_oldest_stretch_remembered(learn
     assert part.held_m is None
 
 
-def test_stretches_are_told_by_metres_and_seconds_since_the_first_and_no_surer_than_a_centimetre():
+def test_cells_have_metres_and_seconds_since_the_first_and_a_sigma_of_at_least_a_centimetre():
     cells = [
         cell_of([residual(epoch, up_m=up_m, fix_sigma_m=fix_sigma_m, map_sigma_m=0.04)])
         for epoch, up_m, fix_sigma_m in ((100, 0.1, 0.0), (130, 0.2, 0.03))
@@ -248,7 +248,7 @@ def test_it_goes_on_from_there(learnt, changes):
     assert update(learnt, 1200, 2400, up_m=0.02, key=key).correction_m == pytest.approx(0.02, abs=0.015)
     part = learnt.parts[-1]
     assert (part.base, part.map_version) == (key.base, key.map_version)
-    assert len(part.cells) > 50, "the stretches heard there are remembered"
+    assert len(part.cells) > 50, "its cells are kept"
 
 
 @pytest.mark.parametrize("changes", [{"base": "receiver:WGS84"}, {"map_version": 4}], ids=str)
@@ -374,7 +374,7 @@ def test_what_may_be_the_road_is_not_learnt_and_leaves_nothing_where_it_ends(lea
     assert all(abs(cell.up_m - before) < 0.05 for cell, _ in part.cells)
 
 
-def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
+def test_cells_on_a_changed_road_are_removed():
     learning = Learning(RULES)
     update(learning, 0, 200)
     for epoch in range(200, 300):
@@ -386,7 +386,7 @@ def test_a_road_that_is_named_is_taken_out_of_what_was_heard():
     assert part.cells.maxlen == 96
 
 
-def test_a_road_that_is_named_is_taken_out_of_what_was_heard_with_another_base_too():
+def test_cells_on_a_changed_road_are_removed_with_another_base_too():
     learning, other = Learning(RULES), replace(KEY, base="receiver:WGS84")
     update(learning, 0, 300)
     for epoch in range(300):

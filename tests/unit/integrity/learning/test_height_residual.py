@@ -1,4 +1,4 @@
-"""What learning is told of a fix: what it is off, by what is known free of it, and to what that belongs."""
+"""Residuals for the learning: height and horizontal difference of a fix, their σ, and their reference."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from camber.integrity.learning.height_residual import base_of, key_of, residual_
 from camber.integrity.learning.residuals import ReferenceKey
 from support.judging import ANTENNA_M, ROAD_M, antenna, at, fix, pose, road
 
-FOUND = FixComparison(
+COMPARISON = FixComparison(
     difference_m=np.array([0.3, -0.1, 0.15]),
     covariance_m2=np.diag([0.04, 0.09, 0.0025]),
     outcome=0,
@@ -28,7 +28,7 @@ FOUND = FixComparison(
 SEEN = pose(mode="scan_match", provenance="scan_match", link_id=5, anchor_time_ns=at(-9))
 
 
-def told(result=FOUND, speed_m_s=10.0, **changes):
+def residual(result=COMPARISON, speed_m_s=10.0, **changes):
     fields = {
         "fix": fix(3, up_m=0.25, base_station="rtcm-7"),
         "pose": SEEN,
@@ -40,28 +40,28 @@ def told(result=FOUND, speed_m_s=10.0, **changes):
     )
 
 
-def test_it_is_told_how_far_the_fix_is_off_road_and_antenna_without_any_correction():
-    of = told(correction_m=0.2)
+def test_it_has_the_height_difference_without_any_correction():
+    of = residual(correction_m=0.2)
     assert of.up_m == pytest.approx(0.25)
     assert of.fix_sigma_m == pytest.approx(math.sqrt(0.05**2 - 0.03**2))
     assert (of.map_sigma_m, of.surface_id) == (0.03, 8)
 
 
 def test_a_map_that_is_less_sure_than_the_difference_leaves_nothing_to_the_fix():
-    assert told(replace(FOUND, height_sigma_m=0.02)).fix_sigma_m == 0.0
+    assert residual(replace(COMPARISON, height_sigma_m=0.02)).fix_sigma_m == 0.0
 
 
-def test_it_is_told_of_which_fix_where_how_fast_and_on_which_road():
-    of = told()
+def test_it_has_fix_place_speed_and_road():
+    of = residual()
     assert (of.time_ns, of.verdict, of.speed_m_s, of.link_id) == (at(3), "confirmed", 10.0, 5)
     assert (of.latitude_rad, of.longitude_rad) == (fix(3).latitude_rad, fix(3).longitude_rad)
     assert of.key == ReferenceKey(antenna="fixed", base="receiver:WGS84:rtcm-7", map_version=3)
-    assert told(pose=None).link_id is None
+    assert residual(pose=None).link_id is None
 
 
 @pytest.mark.parametrize("changes", [{"road": None}, {"antenna": None}, {"antenna": antenna(height_m=None)}])
-def test_without_road_or_antenna_it_is_told_the_place_only(changes):
-    of = told(**changes)
+def test_without_road_or_antenna_it_has_the_place_only(changes):
+    of = residual(**changes)
     assert (of.up_m, of.surface_id) == (None, None)
     assert (of.east_m, of.north_m) == (0.3, -0.1)
 
@@ -76,19 +76,19 @@ def test_without_road_or_antenna_it_is_told_the_place_only(changes):
     ],
 )
 def test_a_pose_that_owes_nothing_to_this_fix_says_how_far_off_it_is(mode, provenance, anchored_ns):
-    of = told(pose=pose(mode=mode, provenance=provenance, anchor_time_ns=at(-9)))
+    of = residual(pose=pose(mode=mode, provenance=provenance, anchor_time_ns=at(-9)))
     assert (of.east_m, of.north_m, of.horizontal_sigma_m) == (0.3, -0.1, pytest.approx(0.3))
     assert of.anchored_ns == anchored_ns
 
 
 @pytest.mark.parametrize("the_pose", [None, pose(provenance="fixes", anchor_time_ns=at(-9))])
 def test_any_other_does_not(the_pose):
-    of = told(pose=the_pose)
+    of = residual(pose=the_pose)
     assert (of.east_m, of.north_m, of.horizontal_sigma_m, of.anchored_ns) == (None, None, None, None)
     assert of.up_m is not None
 
 
-def test_to_whom_it_belongs_is_known_as_far_as_it_is_said():
+def test_its_reference_is_known_as_far_as_the_messages_name_it():
     assert base_of(fix()) == "receiver:WGS84:"
     assert base_of(fix(origin="engine", datum="ITRF2020", base_station="b")) == "engine:ITRF2020:b"
     assert key_of("b", None, None) == ReferenceKey(antenna="", base="b", map_version=0)
@@ -101,7 +101,7 @@ def test_to_whom_it_belongs_is_known_as_far_as_it_is_said():
 
 
 def test_the_height_is_that_of_the_antenna_the_fix_and_the_road_there():
-    of = told(
+    of = residual(
         road=RoadPoint(elevation_m=ROAD_M - 1.0, sigma_m=0.03), antenna=antenna(height_m=ANTENNA_M + 0.5)
     )
     assert of.up_m == pytest.approx(0.75)

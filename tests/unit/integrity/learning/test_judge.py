@@ -51,7 +51,7 @@ def judged(the_fix=None, *, now=0.0, alive=ALL, the_pose=None, the_antenna=None,
     return judgement
 
 
-def word_and_reason(judgement):
+def verdict_and_reason(judgement):
     return judgement.verdict, judgement.reason
 
 
@@ -77,7 +77,7 @@ class Drive:
 def test_a_fix_on_road_and_antenna_near_the_pose_is_confirmed():
     judgement = judged()
     assert judgement.confirmed
-    assert word_and_reason(judgement) == ("confirmed", "height_agrees")
+    assert verdict_and_reason(judgement) == ("confirmed", "height_agrees")
     assert judgement.evidence == ("height", "position")
     assert judgement.road is not None
     assert judgement.road.surface_id == 7
@@ -86,7 +86,7 @@ def test_a_fix_on_road_and_antenna_near_the_pose_is_confirmed():
 def test_a_fix_off_the_height_is_erroneous():
     judgement = judged(fix(up_m=0.5))
     assert not judgement.confirmed
-    assert word_and_reason(judgement) == ("erroneous", "height_disagrees")
+    assert verdict_and_reason(judgement) == ("erroneous", "height_disagrees")
     assert judgement.comparison is not None
     assert judgement.comparison.height_m == pytest.approx(-0.5)
     assert "height -0.50 m" in judgement.detail
@@ -131,7 +131,7 @@ REJECTIONS = [
     ("reason", "changes"), REJECTIONS, ids=[f"{i} {r}" for i, (r, _) in enumerate(REJECTIONS)]
 )
 def test_every_row_of_the_rejection_table_is_unknown_with_its_reason(reason, changes):
-    assert word_and_reason(judged(**changes)) == ("unknown", reason)
+    assert verdict_and_reason(judged(**changes)) == ("unknown", reason)
 
 
 @pytest.mark.parametrize(
@@ -155,10 +155,10 @@ def test_and_no_recent_right_fixes_turn_it_into_a_confirmed_one(reason, changes)
 def test_without_any_pose_or_antenna_height_there_is_no_verdict():
     nothing = judge_with().judge(fix(), at(0), ALL)
     assert nothing is not None
-    assert word_and_reason(nothing) == ("unknown", "pose_missing")
+    assert verdict_and_reason(nothing) == ("unknown", "pose_missing")
     no_antenna = judge_with(poses=[pose()]).judge(fix(), at(0), ALL)
     assert no_antenna is not None
-    assert word_and_reason(no_antenna) == ("unknown", "antenna_height_missing")
+    assert verdict_and_reason(no_antenna) == ("unknown", "antenna_height_missing")
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -197,12 +197,12 @@ def test_the_limits_of_the_position_are_those_of_the_rates_and_of_both_covarianc
     agrees_m, contradicts_m = (sigma_m * math.sqrt(chi2.isf(rate / 2, 2)) for rate in (1e-3, 1e-6))
     rules = Rules(determination=ConsistencyParameters(tests=("height", "position")))
 
-    def said(north_m):
-        return word_and_reason(judged(fix(north_m=sign * north_m), rules=rules))
+    def judged_at(north_m):
+        return verdict_and_reason(judged(fix(north_m=sign * north_m), rules=rules))
 
-    assert said(agrees_m - 0.01) == ("confirmed", "height_agrees")
-    assert said(agrees_m + 0.01) == said(contradicts_m - 0.01) == ("unknown", "position_unverified")
-    assert said(contradicts_m + 0.01) == ("erroneous", "position_disagrees")
+    assert judged_at(agrees_m - 0.01) == ("confirmed", "height_agrees")
+    assert judged_at(agrees_m + 0.01) == judged_at(contradicts_m - 0.01) == ("unknown", "position_unverified")
+    assert judged_at(contradicts_m + 0.01) == ("erroneous", "position_disagrees")
 
 
 def test_the_road_is_taken_where_the_fix_is_not_where_the_pose_is():
@@ -246,8 +246,8 @@ def test_another_fix_of_the_same_or_an_earlier_epoch_is_unknown():
     earlier = drive.judge.judge(fix(0), at(1), ALL)
     assert repeated is not None
     assert earlier is not None
-    assert word_and_reason(repeated) == ("unknown", "fix_repeated")
-    assert word_and_reason(earlier) == ("unknown", "fix_out_of_order")
+    assert verdict_and_reason(repeated) == ("unknown", "fix_repeated")
+    assert verdict_and_reason(earlier) == ("unknown", "fix_out_of_order")
     assert drive.judge.last_fix_ns == at(1)
 
 
@@ -323,7 +323,7 @@ def test_where_the_map_is_wrong_the_time_series_carries_a_right_fix():
     assert drive.epoch(0).confirmed
     judgement = drive.epoch(1, the_pose=off_map(1))
     assert judgement.confirmed
-    assert word_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
+    assert verdict_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
     assert judgement.evidence == ("time_series",)
 
 
@@ -349,7 +349,7 @@ def test_nor_without_a_right_fix_before():
     assert Drive().epoch(0, the_pose=off_map(0)).verdict == "erroneous"
 
 
-def test_nor_where_no_pose_tells_the_way_since():
+def test_nor_where_no_pose_gives_the_displacement_since():
     drive = Drive()
     drive.epoch(0)
     drive.judge.latest.poses.clear()
@@ -410,20 +410,23 @@ def test_a_restart_of_the_pose_elsewhere_begins_the_count_anew():
     assert [j.verdict for j in elsewhere] == ["unknown"] * 4 + ["confirmed"]
 
 
-def test_after_an_anchored_pose_was_lost_the_start_begins_at_nought():
+def test_after_an_anchored_pose_was_lost_the_start_begins_at_zero():
     drive = Drive()
     for k in range(5):
         drive.epoch(k, the_pose=provisional(k))
     assert drive.epoch(5).confirmed
-    assert word_and_reason(drive.epoch(6, the_pose=provisional(6))) == ("unknown", "starting")
+    assert verdict_and_reason(drive.epoch(6, the_pose=provisional(6))) == ("unknown", "starting")
 
 
 def test_above_a_provisional_pose_a_fix_elsewhere_is_not_known_and_one_off_the_height_is_wrong():
     elsewhere = judged(fix(north_m=2.0), the_pose=provisional())
-    assert word_and_reason(elsewhere) == ("unknown", "position_disagrees")
-    assert word_and_reason(judged(fix(up_m=1.0), the_pose=provisional())) == ("erroneous", "height_disagrees")
+    assert verdict_and_reason(elsewhere) == ("unknown", "position_disagrees")
+    assert verdict_and_reason(judged(fix(up_m=1.0), the_pose=provisional())) == (
+        "erroneous",
+        "height_disagrees",
+    )
     both = judged(fix(north_m=2.0, up_m=1.0), the_pose=provisional())
-    assert word_and_reason(both) == ("erroneous", "height_and_position_disagree")
+    assert verdict_and_reason(both) == ("erroneous", "height_and_position_disagree")
 
 
 def test_without_a_wheel_speed_nothing_starts():
@@ -475,7 +478,7 @@ def test_a_vehicle_that_stands_teaches_nothing():
     assert drive.judge.learning.samples == 0
 
 
-def test_the_correction_in_force_is_told_with_the_verdict_and_its_sigma_widens_the_tolerance():
+def test_the_verdict_has_the_correction_in_force_and_its_sigma_widens_the_tolerance():
     surely = judged(fix(up_m=0.25), learning=Knowing(correction=Correction(correction_m=0.1)))
     assert surely.confirmed
     assert surely.correction_m == 0.1
@@ -487,7 +490,7 @@ def test_the_correction_in_force_is_told_with_the_verdict_and_its_sigma_widens_t
 
 
 class Listening(Learning):
-    """A learning that keeps what it hears."""
+    """A learning that keeps the residuals it gets."""
 
     def __init__(self):
         super().__init__(LearningRules())
@@ -497,7 +500,7 @@ class Listening(Learning):
         self.latest.append(residual)
 
 
-def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_without_correction():
+def test_learning_gets_the_difference_without_correction_of_every_compared_fix():
     learning = Listening()
     judged(fix(up_m=0.1, east_m=0.05), learning=learning, the_pose=pose(provenance="scan_match"))
     (residual,) = learning.latest
@@ -513,7 +516,7 @@ def test_learning_hears_of_every_compared_fix_what_it_is_off_from_the_model_with
     assert residual.key == ReferenceKey(antenna="fixed", base="receiver:WGS84:", map_version=3)
 
 
-def test_another_base_station_has_a_part_of_its_own():
+def test_another_base_station_has_another_correction():
     learning = Listening()
     judged(fix(base_station="rtcm-7"), learning=learning)
     judged(fix(base_station="rtcm-8"), learning=learning)
@@ -523,7 +526,7 @@ def test_another_base_station_has_a_part_of_its_own():
     ]
 
 
-def test_of_a_pose_made_of_unconfirmed_fixes_it_hears_the_height_only():
+def test_of_a_pose_made_of_unconfirmed_fixes_it_gets_the_height_only():
     learning = Listening()
     judged(learning=learning, the_pose=pose(provenance="fixes"))
     assert learning.latest[0].east_m is None
@@ -531,7 +534,7 @@ def test_of_a_pose_made_of_unconfirmed_fixes_it_hears_the_height_only():
 
 
 @pytest.mark.parametrize(("mode", "leans"), [("dead_reckoning", True), ("scan_match", False)])
-def test_it_hears_on_which_confirmed_fix_the_pose_leans_and_on_which_link_it_is(mode, leans):
+def test_it_gets_the_confirmed_fix_that_anchors_the_pose_and_the_link(mode, leans):
     learning, the_pose = (
         Listening(),
         pose(provenance="confirmed", mode=mode, anchor_time_ns=at(-1.0), link_id=4),
@@ -572,7 +575,7 @@ def test_before_the_first_fix_it_is_that_of_the_antenna_and_the_map_with_no_base
     assert judge.correction(judge.latest.inputs(at(0), ALL)) == Correction(correction_m=0.01, sigma_m=0.02)
 
 
-def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
+def test_of_a_fix_that_is_not_where_the_vehicle_is_it_gets_the_place_only():
     learning = Listening()
     judged(fix(east_m=3.0), learning=learning, the_pose=pose(provenance="scan_match"))
     assert learning.latest[0].verdict == "erroneous"
@@ -580,7 +583,7 @@ def test_of_a_fix_that_is_not_where_the_vehicle_is_it_hears_the_place_only():
     assert learning.latest[0].up_m is None
 
 
-def test_where_nothing_was_compared_it_hears_nothing():
+def test_where_nothing_was_compared_it_gets_nothing():
     learning = Listening()
     judged(learning=learning, the_pose=pose(road=no_road()))
     judged(fix(quality="float"), learning=learning)
@@ -675,7 +678,7 @@ AGAINST = {
 def test_each_test_alone_names_its_reason(test):
     changes, expected = AGAINST[test]
     alone = by(test) if test not in ("receiver",) else by("height", test)
-    assert word_and_reason(judged(rules=alone, **changes)) == expected
+    assert verdict_and_reason(judged(rules=alone, **changes)) == expected
 
 
 @pytest.mark.parametrize("test", AGAINST)
@@ -697,7 +700,7 @@ def test_all_tests_together_name_what_is_nearest_to_the_cause():
 def test_without_the_height_neither_road_nor_antenna_is_needed():
     nothing = {"the_pose": pose(road=no_road()), "the_antenna": antenna(status="unknown")}
     judgement = judged(rules=by("position"), **nothing)
-    assert word_and_reason(judgement) == ("confirmed", "none")
+    assert verdict_and_reason(judgement) == ("confirmed", "none")
     assert judgement.evidence == ("position",)
     assert judged(**nothing).verdict == "unknown"
     assert judged(rules=by("position"), the_pose=pose(road=road(datum=None))).confirmed
@@ -706,7 +709,7 @@ def test_without_the_height_neither_road_nor_antenna_is_needed():
 
 def test_without_the_height_a_wide_pose_confirms_nothing():
     wide = judged(rules=by("position"), the_pose=pose(sigma_m=3.0))
-    assert word_and_reason(wide) == ("unknown", "position_unverified")
+    assert verdict_and_reason(wide) == ("unknown", "position_unverified")
     assert not judged(rules=by("position"), the_pose=provisional()).confirmed
 
 
@@ -722,18 +725,18 @@ def test_residuals_alone_confirm_only_what_is_consistent():
     assert consistent.evidence == ("phase_residuals",)
     assert consistent.confirmed
     unknown = judged(rules=alone)
-    assert word_and_reason(unknown) == ("unknown", "height_unverified")
+    assert verdict_and_reason(unknown) == ("unknown", "height_unverified")
     assert "nothing" in unknown.detail
 
 
-def test_consistent_residuals_stand_beside_the_other_evidence():
+def test_consistent_residuals_are_listed_with_the_other_evidence():
     assert judged(fix(phase_residuals="consistent")).evidence == ("height", "position", "phase_residuals")
 
 
 def test_subsets_alone_confirm_only_what_agrees():
     alone = by("subset_agreement")
     assert judged(fix(subset_agreement="agree"), rules=alone).evidence == ("subset_agreement",)
-    assert word_and_reason(judged(rules=alone)) == ("unknown", "height_unverified")
+    assert verdict_and_reason(judged(rules=alone)) == ("unknown", "height_unverified")
     assert judged(fix(subset_agreement="agree"), rules=by("height")).evidence == ("height",)
     assert judged(fix(subset_agreement="agree")).evidence == ("height", "position", "subset_agreement")
 
@@ -747,7 +750,7 @@ def test_subsets_that_disagree_are_the_reason_only_where_all_else_agrees():
         {"the_fix": fix(**split), "the_pose": pose(road=no_road())},
     ):
         unsplit = changes["the_fix"].model_copy(update={"subset_agreement": "unknown"})
-        assert word_and_reason(judged(**changes)) == word_and_reason(
+        assert verdict_and_reason(judged(**changes)) == verdict_and_reason(
             judged(**{**changes, "the_fix": unsplit})
         )
     held = judged(fix(**split))
@@ -758,10 +761,10 @@ def test_a_fix_whose_subsets_disagree_is_confirmed_where_enough_else_speaks_for_
     drive = Drive()
     drive.epoch(0)
     carried = drive.epoch(1, fix(1, subset_agreement="disagree"))
-    assert word_and_reason(carried) == ("confirmed_after_verification", "subsets_disagree")
+    assert verdict_and_reason(carried) == ("confirmed_after_verification", "subsets_disagree")
     assert carried.evidence == ("time_series",)
     vague = fix(2, subset_agreement="disagree", covariance_enu_m2=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
-    assert word_and_reason(drive.epoch(2, vague)) == ("unknown", "subsets_disagree")
+    assert verdict_and_reason(drive.epoch(2, vague)) == ("unknown", "subsets_disagree")
 
 
 def test_a_fix_whose_subsets_disagree_does_not_count_at_the_start():
@@ -777,7 +780,7 @@ def test_a_fix_whose_subsets_disagree_does_not_count_at_the_start():
 def test_the_fixed_tolerance_is_that_of_the_document():
     document = by("height", tolerance="fixed", tolerance_m=0.2)
     assert judged(fix(up_m=0.19), rules=document).confirmed
-    assert word_and_reason(judged(fix(up_m=0.21), rules=document)) == ("erroneous", "height_disagrees")
+    assert verdict_and_reason(judged(fix(up_m=0.21), rules=document)) == ("erroneous", "height_disagrees")
     assert judged(rules=document, the_pose=pose(road=road(sigma_m=0.25))).reason == "road_unknown"
 
 
@@ -785,7 +788,7 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
     base = Knowing(cause="base")
     for off in (fix(up_m=0.6), fix(north_m=2.0), fix(up_m=0.29), fix(east_m=30.0)):
         judgement = judged(off, learning=base)
-        assert word_and_reason(judgement) == ("unknown", "common_offset")
+        assert verdict_and_reason(judgement) == ("unknown", "common_offset")
         assert judgement.cause == "base"
         assert judgement.detail.split(":")[0].endswith(("disagrees", "unverified"))
     assert judged(learning=base).confirmed
@@ -794,11 +797,11 @@ def test_where_every_fix_is_off_alike_a_contradiction_is_not_the_fixes():
 
 def test_a_fix_beyond_the_road_and_off_the_pose_contradicts_the_pose():
     off = judged(fix(east_m=30.0))
-    assert word_and_reason(off) == ("erroneous", "position_disagrees")
+    assert verdict_and_reason(off) == ("erroneous", "position_disagrees")
     assert off.comparison is not None
     assert off.comparison.position_m == pytest.approx((30.0, 0.0), abs=1e-2)
     in_doubt = judged(fix(east_m=30.0), rules=by("height"))
-    assert word_and_reason(in_doubt) == ("unknown", "pose_too_uncertain")
+    assert verdict_and_reason(in_doubt) == ("unknown", "pose_too_uncertain")
     assert in_doubt.detail == "the fix is beyond the surface's plane"
 
 
@@ -819,11 +822,11 @@ def test_integers_that_the_height_has_confirmed_carry_a_fix_over_a_road_that_is_
         assert drive.epoch(k, chained(k)).evidence[0] == "height"
     drive.epoch(5, the_pose=pose(5, road=no_road()))
     judgement = drive.epoch(20, chained(20), far_off_map(20))  # 3 s later: no time series
-    assert word_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
+    assert verdict_and_reason(judgement) == ("confirmed_after_verification", "height_disagrees")
     assert judgement.evidence == ("ambiguity_continuity",)
 
 
-def test_a_fix_that_is_wide_by_its_own_account_is_not_verified():
+def test_a_fix_with_a_large_sigma_is_not_verified():
     drive = Drive()
     for k in range(5):
         drive.epoch(k, chained(k))
@@ -832,7 +835,7 @@ def test_a_fix_that_is_wide_by_its_own_account_is_not_verified():
     assert drive.epoch(6, chained(6), off_map(6, 1.5)).confirmed
 
 
-def test_a_fix_that_is_wide_by_its_own_account_vouches_for_none():
+def test_a_fix_with_a_large_sigma_verifies_no_other():
     drive = Drive()
     wide = (2.5e-5, 0.0, 0.0, 2.5e-5, 0.0, 0.04**2)
     assert drive.epoch(0, fix(0, covariance_enu_m2=wide)).confirmed
@@ -853,7 +856,7 @@ def test_where_the_pose_is_in_doubt_integers_that_were_confirmed_carry_a_fix_tha
     for k in range(5):
         drive.epoch(k, chained(k))
     judgement = drive.epoch(5, chained(5, north_m=0.5))
-    assert word_and_reason(judgement) == ("confirmed_after_verification", "position_unverified")
+    assert verdict_and_reason(judgement) == ("confirmed_after_verification", "position_unverified")
     assert judgement.evidence == ("ambiguity_continuity",)
 
 
@@ -872,7 +875,7 @@ def test_other_integers_than_those_just_confirmed_are_not_known_until_they_have_
     for k in range(5):
         drive.epoch(k, chained(k))
     held = drive.epoch(5, chained(5, "broken", 5))
-    assert word_and_reason(held) == ("unknown", "continuity_disagrees")
+    assert verdict_and_reason(held) == ("unknown", "continuity_disagrees")
     assert "0.2 s ago" in held.detail
     later = [drive.epoch(k, chained(k, since=5)).verdict for k in range(6, 12)]
     assert later == ["unknown"] * 4 + ["confirmed"] * 2
@@ -959,7 +962,7 @@ def test_more_uncertainty_never_confirms_what_is_beyond_the_cap(
     st.sampled_from(["agree", "disagree", "unknown"]),
     st.floats(-1.0, 1.0),
 )
-def test_no_good_word_of_the_receiver_or_the_engine_makes_up_for_the_height(
+def test_no_state_of_receiver_or_engine_makes_up_for_the_height(
     continuity, residuals, spoofing, subsets, up_m
 ):
     the_fix = fix(

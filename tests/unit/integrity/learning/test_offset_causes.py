@@ -1,4 +1,4 @@
-"""Why fixes and height model differ: told apart where one vehicle can, ambiguous where it cannot."""
+"""Why fixes and height model differ: determined where one vehicle can, ambiguous where it cannot."""
 
 import math
 from dataclasses import replace
@@ -80,7 +80,7 @@ def test_a_pose_that_leans_on_the_fixes_in_question_names_no_base():
     assert causes.common == NO_OFFSET
 
 
-def test_what_grows_aside_is_led_astray_and_no_base(causes):
+def test_a_growing_horizontal_offset_is_spoofing_and_no_base(causes):
     for epoch in range(600, 1200):
         east_m = 0.3 * (epoch - 600) / 10
         causes.update(residual(epoch, verdict="erroneous", up_m=None, east_m=east_m), 0.0)
@@ -175,7 +175,7 @@ def test_where_both_changed_at_the_onset_nothing_is_decided_by_that(causes):
 
 
 @pytest.mark.parametrize("up_m", [0.3, -0.3])
-def test_a_road_that_was_verified_otherwise_is_named_when_it_is_behind(up_m):
+def test_a_road_that_was_verified_otherwise_is_named_after_it_was_passed(up_m):
     causes = OffsetCauses(RULES)
     road(causes, 0, 160, up_m=up_m, verdict="confirmed_after_verification")
     assert causes.at(1).cause == "road"
@@ -258,7 +258,7 @@ def test_a_surface_that_differs_in_part_does_not_hide_the_next_that_differs_as_a
 
 
 @pytest.mark.parametrize("turn", range(4))
-def test_what_was_most_of_the_way_aside_before_did_not_begin_there(turn):
+def test_an_offset_that_was_mostly_there_before_did_not_begin_there(turn):
     """Along the difference counts, in whatever direction; what is across it, or not known, is no beginning."""
 
     def seen(along_m, across_m):
@@ -318,7 +318,7 @@ def test_a_cause_common_to_all_goes_before_that_of_a_road(causes):
     assert causes.at(14).cause == "antenna"
 
 
-def test_a_road_that_is_known_goes_before_what_is_not_told_apart(causes):
+def test_a_road_known_to_have_changed_goes_before_an_ambiguous_cause(causes):
     causes.roads[14] = RoadChange(surface_id=14, map_version=KEY.map_version, offset_m=0.3, onset_ns=START_NS)
     update(causes, 600, 780, verdict="erroneous", up_m=-0.4)
     assert (causes.at(14).cause, causes.at(15).cause) == ("road", "ambiguous")

@@ -1,4 +1,4 @@
-"""A fix with the road's height that the pose contradicts: one of both is wrong, and until that is told the pose is no
+"""A fix with the road's height that the pose contradicts: one of both is wrong, and until that is known the pose is no
 position to use beyond where the fix was."""
 
 from dataclasses import replace
@@ -51,11 +51,11 @@ UNDISPUTED = position(after())
 
 def test_a_pose_that_a_fix_with_the_roads_height_contradicts_is_bounded_as_far_as_the_fix_and_no_farther():
     assert UNDISPUTED.usable
-    for aside_m in (0.9, 5.0):
-        result = position(after(examined(east_m=0.6 * aside_m, north_m=0.8 * aside_m)))
-        assert aside_m < result.horizontal_protection_level_m < aside_m + 0.6
-        assert result.usable is (aside_m < 1.0)
-        assert result.reason == ("none" if aside_m < 1.0 else "pose_too_uncertain")
+    for offset_m in (0.9, 5.0):
+        result = position(after(examined(east_m=0.6 * offset_m, north_m=0.8 * offset_m)))
+        assert offset_m < result.horizontal_protection_level_m < offset_m + 0.6
+        assert result.usable is (offset_m < 1.0)
+        assert result.reason == ("none" if offset_m < 1.0 else "pose_too_uncertain")
         assert result.vertical_protection_level_m == pytest.approx(
             UNDISPUTED.vertical_protection_level_m, rel=1e-2
         )
@@ -74,7 +74,7 @@ def test_it_does_not_fade_and_ends_with_a_fix_that_agrees():
 
 
 @pytest.mark.parametrize("reason", ["phase_residuals_contradict", "receiver_warns", "common_offset"])
-def test_a_fix_that_is_wrong_by_its_own_account_or_by_its_base_says_nothing_of_the_pose(reason):
+def test_a_fix_that_is_wrong_by_itself_or_by_its_base_does_not_dispute_the_pose(reason):
     disputing = examined(east_m=5.0)
     assert position(after(replace(disputing, reason=reason))) == UNDISPUTED
     later = replace(examined(1.0), verdict="unknown", reason=reason)
@@ -120,14 +120,14 @@ def test_scan_matches_that_are_newer_than_the_dispute_bear_the_pose_out_at_a_sec
 def test_the_farther_off_the_newest_such_fix_the_larger_the_level():
     @exactly
     @given(st.floats(1.0, 20.0), st.floats(1.0, 3.0), st.floats(1e-6, 0.5), st.floats(1.0, 2.0))
-    def holds(aside_m, factor, prior, more):
+    def holds(offset_m, factor, prior, more):
         def level_m(metres, share):
             levels = replace(LEVELS, disputed_pose_prior=min(share, 1.0))
             return position(after(examined(east_m=metres), levels=levels)).horizontal_protection_level_m
 
-        least = level_m(aside_m, prior)
-        assert level_m(aside_m * factor, prior) >= least * (1.0 - 1e-3)
-        assert level_m(aside_m, prior * more) >= least * (1.0 - 1e-3)
+        least = level_m(offset_m, prior)
+        assert level_m(offset_m * factor, prior) >= least * (1.0 - 1e-3)
+        assert level_m(offset_m, prior * more) >= least * (1.0 - 1e-3)
 
     holds()
 
@@ -154,7 +154,7 @@ def test_the_dispute_is_that_of_the_newest_fix_and_began_with_the_first():
 
 
 @pytest.mark.parametrize("unknown", ["latitude_rad", "longitude_rad"])
-def test_a_match_of_which_no_place_is_known_bears_nothing_out(unknown):
+def test_a_match_without_a_place_corroborates_nothing(unknown):
     disputed = updated_dispute(examined(0.0, east_m=3.0), None, RULES.true_sigma)
     assert disputed.update(sharp_pose(1, match_time_ns=at(1)), LEVELS).matches == 1
     assert disputed.update(sharp_pose(1, match_time_ns=at(1), **{unknown: None}), LEVELS) == disputed
@@ -168,7 +168,7 @@ def test_a_newer_fix_that_says_so_too_does_not_make_one_place_two():
     assert again.update(sharp_pose(100, match_time_ns=at(100)), LEVELS).matches == 2
 
 
-def test_either_the_pose_is_right_or_the_vehicle_is_where_the_fix_was():
+def test_the_mixture_has_the_pose_and_the_place_of_the_fix():
     disputed = updated_dispute(examined(0.0, east_m=3.0, north_m=4.0), None, RULES.true_sigma)
     alone = MixtureComponent(weight=1.0, mean_m=(0.0, 0.0, 0.0), horizontal_m2=(0.01, 0.0, 0.01), up_m2=0.1)
     parts = (replace(alone, weight=0.9), replace(alone, weight=0.1))

@@ -171,7 +171,7 @@ def test_a_velocity_that_claims_to_be_exact_is_as_good_as_the_floor():
     assert result.covariance_m2 == pytest.approx(same.covariance_m2)
 
 
-def test_one_whose_errors_go_wholly_together_is_heard_too():
+def test_one_with_fully_correlated_errors_is_used_too():
     one = 0.05**2 * np.ones(6)
     result = driven(steps=1, make=lambda k: velocity(k, covariance_enu_m2_s2=tuple(one.tolist())))
     assert result.at(at(1)) is not None
@@ -275,7 +275,7 @@ def test_what_began_without_wheels_is_not_checked():
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_what_is_not_known_well_along_either_axis_may_differ_so_much_more(axis):
+def test_a_larger_sigma_along_an_axis_allows_a_larger_difference(axis):
     variances = [0.0025, 0.0025]
     variances[axis] = 1.0
     covariance = (variances[0], 0.0, 0.0, variances[1], 0.0, 0.0025)
@@ -288,7 +288,7 @@ def test_what_it_rises_by_is_not_driven():
     assert driven(make=lambda k: velocity(k, east=10.0, north=5.0)).at(at(50)) is None
 
 
-def test_slips_one_way_make_up_for_those_the_other_way():
+def test_slips_of_opposite_sign_cancel():
     """Half a metre and 2 % of the way, and 5 σ: for ten seconds 0.3 m/s too fast, then as long too slow."""
     for first in (0.3, -0.3):
         position = driven(steps=0)
@@ -333,7 +333,7 @@ def test_what_is_older_than_the_last_is_of_no_use():
     assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])
 
 
-def test_a_velocity_whose_covariance_is_none_is_not_heard():
+def test_a_velocity_with_an_invalid_covariance_is_ignored():
     position = driven()
     position.add_velocity(velocity(51, east=12.0, covariance_enu_m2_s2=(1.0, 2.0, 0.0, 1.0, 0.0, 1.0)))
     assert position.at(at(51)).metres == pytest.approx([51.0, 0.0, 0.0])

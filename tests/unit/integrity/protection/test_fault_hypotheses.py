@@ -112,7 +112,7 @@ def test_errors_of_a_fix_that_go_together_stay_together_where_it_is_right():
 
 
 @pytest.mark.parametrize("off", [{"east_m": 2.0}, {"north_m": 2.0}], ids=str)
-def test_a_provisional_pose_says_nothing_against_a_fix_beside_it_along_either_axis(off):
+def test_a_provisional_pose_is_no_evidence_against_a_fix_off_it_along_any_axis(off):
     horizontal = by_fix(judged(provisional(), satellites=16, **off)).candidate.wrong
     assert horizontal == pytest.approx(by_fix(judged(provisional(), satellites=16)).candidate.wrong, rel=0.01)
     assert by_fix(judged(satellites=16, **off)).candidate.wrong > 0.999, "a matched one does"
@@ -155,7 +155,7 @@ def test_of_a_fix_that_was_compared_with_nothing_only_its_prior_is_known():
     assert wrong.up_m2 == pytest.approx(up_m2)
 
 
-def test_what_was_suspected_before_stands_behind_the_next_fix_as_it_fades():
+def test_an_earlier_fault_hypothesis_fades_and_counts_for_the_next_fix():
     first = by_fix(judged()).suspicion
     second = by_fix(judged(), replace(first, time_ns=at(0) - 10_000_000_000)).candidate
     pulled = second.mixture.parts[-1]
@@ -257,7 +257,7 @@ def test_a_pose_rests_on_fixes_where_any_of_it_says_so(changes, rests):
     assert (by_pose(pose(**changes)).wrong is not None) is rests
 
 
-def test_a_pose_that_rests_on_no_fix_is_off_by_its_own_errors_alone_on_the_road_or_one_that_has_changed():
+def test_a_pose_that_rests_on_no_fix_has_the_components_of_its_covariance_and_of_a_changed_road():
     covariance = (0.04, 0.01, 0.0, 0.09, 0.0, 1e-4)
     result = by_pose(pose(**MATCHED, covariance_east_north_yaw=covariance, yaw_rad=0.3), correction_m=0.02)
     as_surveyed, changed = result.mixture.parts

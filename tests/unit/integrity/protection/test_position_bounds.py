@@ -156,16 +156,16 @@ def test_several_positions_are_bounded_each_by_itself():
         assert one.semi_major_999_m == pytest.approx(other.semi_major_999_m, rel=1e-3)
 
 
-def test_a_part_that_is_told_in_two_is_the_same_part():
+def test_a_part_split_in_two_is_the_same_part():
     (part,) = normal(0.1).parts
     other = MixtureComponent(weight=0.1, mean_m=(0.5, 0.0, 0.0), horizontal_m2=(0.02, 0.0, 0.02), up_m2=1e-4)
     half, rest = replace(part, weight=0.3), replace(part, weight=0.6)
-    whole, told = ErrorMixture((replace(part, weight=0.9), other)), ErrorMixture((half, other, rest))
-    assert of(told).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
-    assert of(told).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
+    whole, split = ErrorMixture((replace(part, weight=0.9), other)), ErrorMixture((half, other, rest))
+    assert of(split).horizontal_level_m == pytest.approx(of(whole).horizontal_level_m, rel=1e-9)
+    assert of(split).vertical_level_m == pytest.approx(of(whole).vertical_level_m, rel=1e-9)
 
 
-def test_draws_of_errors_that_lie_aside_and_are_wider_one_way_exceed_the_level_as_often_as_the_risk():
+def test_draws_of_biased_elongated_errors_exceed_the_level_as_often_as_the_risk():
     rng, n = np.random.default_rng(23), 400_000
     rules = replace(RULES, integrity_risk=0.01, horizontal_margin=1.0)
     for east_m, north_m in ((0.5, 0.2), (1.0, 1.0), (-0.4, 0.4)):
@@ -283,47 +283,64 @@ def at(k):
 
 
 def test_r_s_levels_grow_by_a_sigma_each_tenth_of_a_second():
-    index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    rtk = index.bounds("rtk", at(0), own, known=True)
+    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
+    rtk = index.bounds("rtk", at(0), risk_bounds, known=True)
     assert rtk.horizontal_level_m == pytest.approx(A99 * 0.025, rel=1e-4)
     assert rtk.vertical_level_m == pytest.approx(2.5758 * 0.025, rel=1e-4)
     index.keep(at(0), rtk)
-    doppler = index.bounds("doppler", at(10), own, known=True)
+    doppler = index.bounds("doppler", at(10), risk_bounds, known=True)
     assert doppler.horizontal_level_m == pytest.approx(A99 * (0.025 + 10 * 0.02), rel=1e-4)
     index.keep(at(10), doppler)
-    sensors = index.bounds("sensors", at(11), own, known=True)
+    sensors = index.bounds("sensors", at(11), risk_bounds, known=True)
     assert sensors.horizontal_level_m == pytest.approx(A99 * (0.025 + 10 * 0.02 + 0.03), rel=1e-4)
-    assert sensors.semi_major_99_m == own.semi_major_99_m
-    assert index.bounds("sensors", at(11), own, known=False).vertical_level_m == math.inf
-    assert index.bounds("sensors", at(9), own, known=True).horizontal_level_m == doppler.horizontal_level_m
+    assert sensors.semi_major_99_m == risk_bounds.semi_major_99_m
+    assert index.bounds("sensors", at(11), risk_bounds, known=False).vertical_level_m == math.inf
+    assert (
+        index.bounds("sensors", at(9), risk_bounds, known=True).horizontal_level_m
+        == doppler.horizontal_level_m
+    )
 
 
 def test_before_any_fix_and_of_a_match_the_level_is_the_ellipse():
-    index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    assert index.bounds("sensors", at(0), own, known=True).horizontal_level_m == own.semi_major_99_m
-    assert index.bounds("scan_match", at(0), own, known=True).horizontal_level_m == own.semi_major_99_m
-    index.keep(at(0), index.bounds("rtk", at(0), own, known=True))
-    assert index.bounds("scan_match", at(1), own, known=True).horizontal_level_m == own.semi_major_99_m
+    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
+    assert (
+        index.bounds("sensors", at(0), risk_bounds, known=True).horizontal_level_m
+        == risk_bounds.semi_major_99_m
+    )
+    assert (
+        index.bounds("scan_match", at(0), risk_bounds, known=True).horizontal_level_m
+        == risk_bounds.semi_major_99_m
+    )
+    index.keep(at(0), index.bounds("rtk", at(0), risk_bounds, known=True))
+    assert (
+        index.bounds("scan_match", at(1), risk_bounds, known=True).horizontal_level_m
+        == risk_bounds.semi_major_99_m
+    )
 
 
 def test_of_two_positions_of_one_time_the_levels_go_on_from_the_later():
-    index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    rtk = index.bounds("rtk", at(0), own, known=True)
-    index.keep(at(0), own)
+    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
+    rtk = index.bounds("rtk", at(0), risk_bounds, known=True)
+    index.keep(at(0), risk_bounds)
     index.keep(at(0), rtk)
-    assert index.bounds("doppler", at(0), own, known=True).horizontal_level_m == rtk.horizontal_level_m
+    assert (
+        index.bounds("doppler", at(0), risk_bounds, known=True).horizontal_level_m == rtk.horizontal_level_m
+    )
 
 
 def test_an_older_position_does_not_set_the_level_back_and_one_dated_ahead_is_forgotten():
-    index, own = ReliabilityIndex(IndexRules()), of(normal(1.0))
-    index.keep(at(10), index.bounds("rtk", at(10), own, known=True))
-    index.keep(at(5), own)
-    near = index.bounds("doppler", at(11), own, known=True).horizontal_level_m
+    index, risk_bounds = ReliabilityIndex(IndexRules()), of(normal(1.0))
+    index.keep(at(10), index.bounds("rtk", at(10), risk_bounds, known=True))
+    index.keep(at(5), risk_bounds)
+    near = index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m
     assert near == pytest.approx(A99 * 0.045, rel=1e-4)
     index.forget_future(at(10))
-    assert index.bounds("doppler", at(11), own, known=True).horizontal_level_m == near
+    assert index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m == near
     index.forget_future(at(9))
-    assert index.bounds("doppler", at(11), own, known=True).horizontal_level_m == own.semi_major_99_m
+    assert (
+        index.bounds("doppler", at(11), risk_bounds, known=True).horizontal_level_m
+        == risk_bounds.semi_major_99_m
+    )
 
 
 def test_that_a_level_is_larger_shows_in_any_part_also_after_one_that_is_sure():

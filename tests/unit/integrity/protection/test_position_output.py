@@ -90,7 +90,7 @@ def test_a_provisional_pose_or_one_of_no_use_gives_no_position(the_pose, reason)
     assert position.latitude_rad is None
 
 
-def test_the_word_that_there_is_none_has_no_place():
+def test_an_unavailable_position_has_no_place():
     position = unavailable_position(at(0), "localizer_absent", RULES)
     assert not position.usable
     assert position.reason == "localizer_absent"
@@ -134,7 +134,7 @@ errors = st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9)
 
 @settings(derandomize=True, deadline=None)
 @given(metres, metres, errors, errors)
-def test_how_far_two_positions_are_apart_is_told_by_what_both_know_of_the_plane_and_a_decimetre(
+def test_the_distance_of_two_positions_uses_both_horizontal_covariances_and_a_floor(
     east_m, north_m, one, other
 ):
     covariances = [np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T for root in (one, other)]

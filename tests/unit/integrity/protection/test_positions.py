@@ -107,7 +107,7 @@ def level(position):
 # --- confirmed fixes ---------------------------------------------------------------------------------------------
 
 
-def test_a_confirmed_fix_that_a_matched_pose_bears_out_is_usable_at_1e_7():
+def test_a_confirmed_fix_that_agrees_with_a_matched_pose_is_usable_at_1e_7():
     result = confirmed(fresh(), the_fix=fix(satellites=16))
     assert (result.source, result.usable, result.reason, result.fix_id) == ("rtk", True, "none", fix().fix_id)
     assert result.horizontal_protection_level_m < 1.0
@@ -200,7 +200,7 @@ def test_a_pose_that_is_clearly_better_takes_the_place_of_a_vague_fix():
     assert result.fix_id is None
 
 
-def beside_a_sharp_pose(up_m, east_m=0.0, **rules):
+def source_with_precise_pose(up_m, east_m=0.0, **rules):
     """The source beside a vague fix that is as far off; it is not usable."""
     off = {"height_m": ROAD_M + ANTENNA_M + up_m, "east_m": east_m}
     vague = fix(**off, covariance_enu_m2=(0.04, 0.0, 0.0, 0.04, 0.0, 1e-4))
@@ -210,16 +210,18 @@ def beside_a_sharp_pose(up_m, east_m=0.0, **rules):
 def test_a_pose_on_a_road_that_has_changed_does_not_take_the_place_of_a_usable_fix_that_shows_it():
     as_surveyed_m = 5.33 * math.hypot(0.03, 0.02)
     for sign in (1.0, -1.0):
-        assert beside_a_sharp_pose(sign * (as_surveyed_m - 0.001), alert_limit_m=1e3) == "scan_match"
-        assert beside_a_sharp_pose(sign * (as_surveyed_m + 0.001), alert_limit_m=1e3) == "rtk"
-        assert beside_a_sharp_pose(sign * (as_surveyed_m + 0.001)) == "scan_match", "the fix is not usable"
+        assert source_with_precise_pose(sign * (as_surveyed_m - 0.001), alert_limit_m=1e3) == "scan_match"
+        assert source_with_precise_pose(sign * (as_surveyed_m + 0.001), alert_limit_m=1e3) == "rtk"
+        assert source_with_precise_pose(sign * (as_surveyed_m + 0.001)) == "scan_match", (
+            "the fix is not usable"
+        )
 
 
 def test_a_pose_whose_vertical_level_a_fix_contradicts_never_takes_its_place():
     level_m = of_pose(pose(sigma_m=0.03, **MATCHED)).vertical_protection_level_m
     for sign in (1.0, -1.0):
-        assert beside_a_sharp_pose(sign * (level_m - 0.001), east_m=2.0) == "scan_match"
-        assert beside_a_sharp_pose(sign * (level_m + 0.001), east_m=2.0) == "rtk"
+        assert source_with_precise_pose(sign * (level_m - 0.001), east_m=2.0) == "scan_match"
+        assert source_with_precise_pose(sign * (level_m + 0.001), east_m=2.0) == "rtk"
 
 
 def test_where_the_height_of_a_pose_is_not_known_none_contradicts_it():
@@ -295,7 +297,7 @@ def test_matches_along_the_street_refute_a_pose_that_was_pulled_along_place_afte
     assert latest(matched(k, sigma_m=0.24) for k in range(epochs)) < 1e-8, (
         "four of its σ are within the metre"
     )
-    assert latest(matched(k, sigma_m=0.26) for k in range(epochs)) == 1.0, "it tells no metre from the next"
+    assert latest(matched(k, sigma_m=0.26) for k in range(epochs)) == 1.0, "it resolves no metre"
     assert latest(matched(k, match_time_ns=at(0)) for k in range(epochs)) == 1.0, (
         "older than what is suspected"
     )
@@ -336,7 +338,7 @@ def test_a_drive_that_began_with_fixes_alone_is_usable_once_matches_have_borne_i
     assert usable[matched][1] < 0.5 * usable[pose][1]
 
 
-def test_a_match_dated_ahead_bears_nothing_out_once_the_clock_is_right():
+def test_a_match_dated_ahead_corroborates_nothing_once_the_clock_is_right():
     positions = fresh()
     confirmed(positions, provisional(400), fix(400))
     positions.forget_future(at(0))
@@ -375,7 +377,7 @@ def test_one_that_contradicts_the_pose_ends_until_the_next_confirmed_fix(horizon
     assert positions.at(at(10), inputs(), 0.0).source == ("none" if horizontal else "doppler")
 
 
-def test_without_wheels_it_counts_only_beside_a_pose():
+def test_without_wheels_it_counts_only_with_a_pose():
     positions = fresh()
     positions.add_velocity(velocity(0))
     positions.add_wheel_speed(at(0), None)
@@ -599,7 +601,7 @@ def test_stale_missing_or_provisional_is_never_usable(mode, provenance, age, wit
     assert result.usable == (result.reason == "none")
 
 
-# --- R's formulas ------------------------------------------------------------------------------------------------
+# --- Reliability index ------------------------------------------------------------------------------------------------
 
 
 def test_by_the_reliability_index_levels_are_r_s():

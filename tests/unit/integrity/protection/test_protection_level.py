@@ -212,7 +212,7 @@ def some_mixtures(seed):
     return in_parts(weight, mean, 0.3 * mean, sigma**2, 0.2 * sigma**2), 10.0 ** rng.uniform(-9, -1, 200)
 
 
-def test_a_level_does_not_depend_on_those_that_are_found_with_it():
+def test_a_level_does_not_depend_on_those_computed_with_it():
     parts, risk = some_mixtures(4)
     for row, together in enumerate(of_rows(parts, risk)[:20]):
         one = [tuple(column[row : row + 1] for column in part) for part in parts]
@@ -264,7 +264,7 @@ def test_what_has_no_error_takes_nothing_of_the_risk_beyond_where_it_is():
 
 @pytest.mark.parametrize("at_m", [0.3, 3.0, 300.0])
 @pytest.mark.parametrize("sigma_m", [0.0, 1e-6])
-def test_of_what_lies_aside_for_certain_it_is_so_far(at_m, sigma_m):
+def test_the_level_of_a_certain_offset_is_that_offset(at_m, sigma_m):
     """All of P falls within a micrometre, but for Newton's steps."""
     near, horizontal = (0.9, 0.0, 0.0, 1e-4, 1e-4), (0.1, at_m, 0.0, sigma_m**2, 0.0)
     assert levels_m([near, horizontal], [1e-3])[0] == pytest.approx(at_m, rel=2e-4)
@@ -301,7 +301,7 @@ def test_a_part_of_which_anything_is_not_finite_has_no_level(place, value):
     assert (levels_m(many, [np.full(2, 1e-3)])[0] == math.inf).all()
 
 
-def test_one_without_a_level_takes_none_from_those_beside_it():
+def test_one_without_a_level_does_not_change_those_computed_with_it():
     variance = np.array([1.0, math.nan, 4.0, -1.0])
     result = levels_m([(np.ones(4), np.zeros(4), np.zeros(4), variance, variance)], [np.full(4, 1e-3)])[0]
     one = math.sqrt(-2.0 * math.log(SPENT * 1e-3))

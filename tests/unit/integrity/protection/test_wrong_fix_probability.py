@@ -85,7 +85,7 @@ def test_fewer_satellites_never_make_a_fix_surer_and_an_unknown_number_is_the_fe
     assert RULES.prior <= RULES.prior_of(many) <= RULES.prior_of(None) < 1.0
 
 
-def test_the_prior_is_at_least_that_of_many_satellites_whatever_is_said_of_few():
+def test_the_prior_is_at_least_that_of_many_satellites():
     rules = replace(RULES, prior=0.2, of_few=((5, 0.1), (7, 0.6), (12, 0.9)))
     assert [rules.prior_of(count) for count in (5, 7, 8, 12, 13)] == [0.9, 0.9, 0.9, 0.9, 0.2]
     assert replace(rules, of_few=()).prior_of(None) == 0.2
@@ -109,7 +109,7 @@ def test_the_prior_is_no_smaller_than_what_was_recorded_and_simulated():
         ((0, 0, 0), np.zeros((3, 3))),
     ],
 )
-def test_what_cannot_be_told_counts_as_wrong(d, s):
+def test_what_cannot_be_evaluated_counts_as_wrong(d, s):
     assert odds(d, s) == math.inf
     assert probability(np.array([odds(d, s)]))[0] == 1.0
     if np.isfinite(d).all():
@@ -151,7 +151,7 @@ def test_a_part_of_the_wrong_fixes_is_never_missed_oftener_than_there_are_such()
     assert missed_detection_probability(sharp_in_one, 16.27, rules)[0] <= 0.51
 
 
-def test_many_at_once_are_told_as_each_alone():
+def test_many_at_once_give_the_results_of_each_alone():
     many = np.stack([S, np.full((3, 3), math.nan), 4.0 * S, np.diag([1.0, -1.0, 1.0])])
     missed = missed_detection_probability(many, 16.27, RULES)
     alone = [missed_detection_probability(one[None], 16.27, RULES)[0] for one in many]

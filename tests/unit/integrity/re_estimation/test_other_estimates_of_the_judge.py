@@ -50,7 +50,7 @@ def right(n=3, **changes):
 
 
 class Judged:
-    """Judges as told, and remembers what it was shown."""
+    """Gives the verdicts of the test, and remembers the fixes."""
 
     def __init__(self, *verdicts, evidence=("height",)):
         self.verdicts, self.seen, self.evidence = list(verdicts), [], evidence
@@ -60,7 +60,12 @@ class Judged:
         verdict = self.verdicts.pop(0)
         reason = "height_agrees" if verdict == "confirmed" else "height_disagrees"
         return FixJudgement(
-            fix=other, verdict=verdict, reason=reason, detail="as told", evidence=self.evidence, trials=trials
+            fix=other,
+            verdict=verdict,
+            reason=reason,
+            detail="as given",
+            evidence=self.evidence,
+            trials=trials,
         )
 
 
@@ -124,7 +129,7 @@ def test_what_does_not_pass_leaves_the_first_judgement_final_with_all_that_was_t
     result = conclude_re_estimation(erroneous(), answer(*right()), judged, RULES)
     assert (result.verdict, result.reason, result.fix) == ("erroneous", "height_disagrees", erroneous().fix)
     assert result.trials == 21
-    assert result.detail == "height +1.00 m; 20 other estimates: 3 agree, height_disagrees: as told"
+    assert result.detail == "height +1.00 m; 20 other estimates: 3 agree, height_disagrees: as given"
 
 
 @pytest.mark.parametrize("verdict", ["unknown", "confirmed_after_verification", "erroneous"])
