@@ -1,6 +1,7 @@
 """Stretches of road: the fixes on one surface and twenty metres are one observation, by their medians."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -18,7 +19,7 @@ def test_a_stretch_ends_after_its_length_or_with_its_surface_map_antenna_or_base
     # 50 m of a surface are two stretches of 20 m and one of 10 m.
     assert [cell.fixes for cell in ended] == [20, 20, 10] * 2
     assert [cell.surface_id for cell in ended] == [0, 0, 0, 1, 1, 1]
-    keys = [KEY, type(KEY)("stroke", KEY.base, 4)]
+    keys = [KEY, replace(KEY, map_version=4)]
     assert [cell.key for cell in cells(residual(k, key=keys[k // 5]) for k in range(10))] == [keys[0]]
 
 
