@@ -25,7 +25,7 @@ _LONGEST_S = 600.0  # of the clock, on a busy machine; each test has a limit of 
 class _Fork(NamedTuple):
     mutant: str
     began_s: float
-    told: int
+    verdict_file: int
     """Here it says which test noticed, or nothing."""
 
 
@@ -87,8 +87,8 @@ def _wait(running: dict[int, _Fork], noticing: dict[str, list[str]], verdicts: T
 
 
 def _note(fork: _Fork, status: int, noticing: list[str], verdicts: TextIO) -> None:
-    with os.fdopen(fork.told) as told:
-        test = told.read()
+    with os.fdopen(fork.verdict_file) as verdict_file:
+        test = verdict_file.read()
     if test:
         if test in noticing:
             noticing.remove(test)
@@ -97,7 +97,7 @@ def _note(fork: _Fork, status: int, noticing: list[str], verdicts: TextIO) -> No
     verdicts.flush()
 
 
-def _run(mutant: str, items: list[pytest.Item], session: pytest.Session, told: int) -> NoReturn:
+def _run(mutant: str, items: list[pytest.Item], session: pytest.Session, verdict_file: int) -> NoReturn:
     """In the fork, which it ends, with 1 where a test failed."""
     from mutmut.mutation.trampoline import set_mutant_under_test
 
@@ -116,5 +116,5 @@ def _run(mutant: str, items: list[pytest.Item], session: pytest.Session, told: i
             os._exit(0)
     except BaseException:
         pass
-    os.write(told, name.encode())
+    os.write(verdict_file, name.encode())
     os._exit(1)

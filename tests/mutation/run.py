@@ -101,7 +101,7 @@ timeout_constant = 30.0
 
 
 def _mutmut(command: list[str], names: list[str], folder: Path, processes: int) -> bool:
-    """Tries these; False where mutmut could not, and says what it said. It runs the unchanged tests before."""
+    """Tries these; False where mutmut failed, with its log printed. It runs the unchanged tests before."""
     with (folder / "mutmut.log").open("wb") as log:
         ran = subprocess.run(
             [*command, "run", "--max-children", str(processes), *names],
@@ -132,10 +132,10 @@ def _tests_of(results: dict[str, str], folder: Path) -> dict[str, list[str]]:
 
 def _forked(tests: dict[str, list[str]], folder: Path, processes: int) -> dict[str, bool]:
     """Of each mutant whether a test noticed it, by forks of one collection."""
-    inside, asked, told = folder / "mutants", folder / "tests_of.json", folder / "noticed.jsonl"
+    inside, asked, verdict_file = folder / "mutants", folder / "tests_of.json", folder / "noticed.jsonl"
     asked.write_text(json.dumps({name: names for name, names in tests.items() if names}))
     options = ["-q", "-p", "forked", "-p", "no:cacheprovider", "-m", "not slow", "--rootdir", "."]
-    options += ["--mutants", str(asked), "--verdicts", str(told), "--at-once", str(processes)]
+    options += ["--mutants", str(asked), "--verdicts", str(verdict_file), "--at-once", str(processes)]
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", *options, f"tests/unit/{_PACKAGE}"],
         cwd=inside,
@@ -150,15 +150,15 @@ def _forked(tests: dict[str, list[str]], folder: Path, processes: int) -> dict[s
         raise SystemExit(
             f"mutation: pytest ended with {ran.returncode}:\n{ran.stdout[-4000:]}{ran.stderr[-4000:]}"
         )
-    return dict(json.loads(line) for line in told.read_text().splitlines())
+    return dict(json.loads(line) for line in verdict_file.read_text().splitlines())
 
 
 def _results(command: list[str], folder: Path) -> dict[str, str]:
     """What became of each mutant, by its name."""
-    told = subprocess.run(
+    listed = subprocess.run(
         [*command, "results", "--all", "true"], cwd=folder, capture_output=True, text=True, check=True
     )
-    rows = (line.strip().rsplit(": ", 1) for line in told.stdout.splitlines())
+    rows = (line.strip().rsplit(": ", 1) for line in listed.stdout.splitlines())
     return {row[0]: row[1] for row in rows if len(row) == 2}
 
 
@@ -192,7 +192,7 @@ def _report(results: dict[str, str], modules: list[str], folder: Path) -> int:
     share = _share(list(results.values()))
     print(
         f"mutation: {len(results)} mutants, {counts}: {100.0 * share:.1f} % noticed, {unexplained} unexplained, "
-        f"{slight} too slight to tell"
+        f"{slight} negligible"
     )
     return int(share < _LEAST_SHARE or unexplained > 0)
 
@@ -221,7 +221,7 @@ def _explained() -> dict[tuple[str, str, str], str]:
 def _is_slight(was: str, becomes: str) -> bool:
     """Is all that differs one number, by less than a millionth, or the `strict` of a zip of lists that are as long?
 
-    mutmut adds 1 to each number: that makes a second of 1e9 + 1 ns. `strict` would tell of a slip that nobody made.
+    mutmut adds 1 to each number: that makes a second of 1e9 + 1 ns. `strict` changes nothing for equal lengths.
     """
     if _STRICT.sub(")", was) == _STRICT.sub(")", becomes):
         return True

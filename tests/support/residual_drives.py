@@ -63,7 +63,7 @@ class Noise:
 def drive(
     learning: Learning, seed: int, seconds: float, offset_m: float, noise: Noise, drift_m_s: float = 0.0
 ) -> Iterator[float]:
-    """Let a learning hear a noisy drive; gives the correction in force after each fix.
+    """Give a noisy drive to a learning; returns the correction in force after each fix.
 
     Wrong fixes come in episodes and lie anywhere; what is within the gate is confirmed, wrong ones too.
     """
