@@ -16,7 +16,7 @@ AFTER_S = {"motion": 0.001, "antenna_height": 0.002, "fix": 0.004, "velocity": 0
 
 
 def recorded_inputs(folder: Path, duration_s: float) -> list[tuple[float, str, Any]]:
-    """Inputs of a judge in the first seconds of the short drive, with their times of sending from the start, seconds."""
+    """Inputs of a judge in the first seconds of the short drive, with the seconds at which they are sent."""
     manifest = load_manifest(write_short_drive(folder / "drive"), [f"end_s={duration_s}"])
     inputs = prepare_drive(manifest, folder / "drive")
     driven = replay_in_one_process(inputs, folder, channels=tuple(AFTER_S))
