@@ -28,13 +28,13 @@ from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.runtime.health.memory_release import return_freed_memory
 from camber.schemas.road import TileReply, TileRequest
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 
 ROUND_S = 345.0
 WARM_MINUTES = 10.0  # a whole round and more: all of the map has been seen
 
 
-class CountedTiles(MapAtHand):
+class CountedTiles(LocalMapQueries):
     """Counts the loadings of each tile, by its first part."""
 
     def __init__(self, folder: Path) -> None:

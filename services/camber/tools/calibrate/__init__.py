@@ -1,1 +1,1 @@
-"""`camber calibrate`: lever arm, antenna height and base station offset from a recorded drive."""
+"""`camber calibrate`: estimate lever arm, antenna height and base-station offset from a recorded drive."""

@@ -1,14 +1,15 @@
-"""Lever arm, antenna height and base offset from fixes beside poses that owe nothing to them.
+"""Estimate lever arm and base-station offset from fixes and poses that are independent of them.
 
-The pose is that of the antenna where the settings put it. Fix less pose is then
+The pose is that of the antenna at the lever arm set. Fix minus pose is then
 
-    d = R(yaw) (lever arm − lever arm set) + base + errors
+    d = R(yaw) (lever arm − lever arm set) + base offset + errors
 
-and the height of a fix above the road at its place is antenna height + base, up. Only turns tell a lever arm, which
-turns with the vehicle, from a base, which does not; nothing on board tells an antenna's height from a base's.
+and a fix's height above the road is antenna height + vertical base offset. A lever arm turns with the vehicle and a
+base offset does not, so the two are separable only with turns; antenna height and vertical base offset are not
+separable on board.
 
-Errors of scan matches are alike for seconds: σ are those of stretches of ten seconds as clusters (Liang and Zeger,
-Biometrika 73, 1986), not of single fixes. Wrong fixes are left out by Tukey's weights.
+Errors of scan matches are correlated over seconds: σ are cluster-robust, with stretches of ten seconds as clusters
+(Liang and Zeger, Biometrika 73, 1986). Wrong fixes are rejected by Tukey's biweight.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ from numpy.typing import NDArray
 
 from camber.formats.observations import Floats, Integers
 
-CLUSTER_S = 10.0
-LEAST_FIXES = 50
-LEAST_CLUSTERS = 4
+CLUSTER_S = 10.0  # chosen: longer than the seconds over which errors of scan matches are correlated
+LEAST_FIXES = 50  # chosen: ten seconds of fixes at 5 Hz
+LEAST_CLUSTERS = 4  # chosen: as many as there are parameters, fewer give no covariance
 LEAST_SPREAD = 0.05
-"""1 − |mean of exp(i yaw)|: below it, less than some 18° to either side, lever arm and base are one."""
-_TUKEY = 4.685
-_LEAST_SCALE_M = 0.02
-_LEAST_SIGMA_M = 0.005  # a few stretches do not tell their own scatter well
-_ROUNDS = 50
+"""Chosen: 1 − |mean of exp(i yaw)|; below it (headings within some 18°) lever arm and base are not separable."""
+_TUKEY = (
+    4.685  # Tukey's biweight, 95 % efficiency for normal errors (Beaton and Tukey, Technometrics 16, 1974)
+)
+_LEAST_SCALE_M = 0.02  # chosen: noise of an RTK fix, keeps the scale above zero for noiseless data
+_LEAST_SIGMA_M = 0.005  # chosen: a few clusters estimate their scatter poorly
+_ITERATIONS = 50  # chosen: bound; iterations end once the values change by less than 1 µm
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """n fixes beside poses: time, difference (n, 2) east and north, yaw, σ (n,) of it in its worst direction."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FixPosePairs:
+    """n pairs of fix and pose: time, fix minus pose (n, 2) east and north, yaw, σ (n,) in the worst direction."""
 
     time_ns: Integers
     east_north_m: Floats
@@ -41,12 +44,11 @@ class Pairs:
     sigma_m: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Horizontal:
-    """Forward and left of what the lever arm is off, east and north of the base, each with its σ; `used` of all pairs.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HorizontalCalibration:
+    """Lever arm error (forward, left), base offset (east, north), their σ, and the share of pairs `used`.
 
-    Where `separable` is false there were no turns: `lever_m` is what it would be with a base that is right, `base_m`
-    with a lever arm that is.
+    Where `separable` is false there were no turns: `lever_m` assumes a correct base, `base_m` a correct lever arm.
     """
 
     lever_m: Floats
@@ -57,33 +59,47 @@ class Horizontal:
     used: float
 
 
-def horizontal_of(pairs: Pairs) -> Horizontal | None:
-    """The two offsets; None where there are too few pairs to tell anything and its σ."""
+def calibrate_horizontal(pairs: FixPosePairs) -> HorizontalCalibration | None:
+    """Estimate lever arm error and base offset; None where there are too few pairs for values and σ."""
     clusters = clusters_of(pairs.time_ns)
     if len(pairs.time_ns) < LEAST_FIXES or len(np.unique(clusters)) < LEAST_CLUSTERS:
         return None
     turned, fixed = _lever_columns(pairs.yaw_rad), _base_columns(len(pairs.yaw_rad))
-    if spread_of(pairs.yaw_rad) >= LEAST_SPREAD:
+    if circular_variance(pairs.yaw_rad) >= LEAST_SPREAD:
         values, sigma, used = _fit(np.concatenate((turned, fixed), axis=2), pairs, clusters)
-        return Horizontal(values[:2], sigma[:2], values[2:], sigma[2:], True, used)
+        return HorizontalCalibration(
+            lever_m=values[:2],
+            lever_sigma_m=sigma[:2],
+            base_m=values[2:],
+            base_sigma_m=sigma[2:],
+            separable=True,
+            used=used,
+        )
     lever, lever_sigma, used = _fit(turned, pairs, clusters)
     base, base_sigma, _ = _fit(fixed, pairs, clusters)
-    return Horizontal(lever, lever_sigma, base, base_sigma, False, used)
+    return HorizontalCalibration(
+        lever_m=lever,
+        lever_sigma_m=lever_sigma,
+        base_m=base,
+        base_sigma_m=base_sigma,
+        separable=False,
+        used=used,
+    )
 
 
-def spread_of(yaw_rad: Floats) -> float:
-    """0 where all directions are one, up to 1 where there are as many one way as the other."""
+def circular_variance(yaw_rad: Floats) -> float:
+    """Return 1 − |mean of exp(i yaw)|: 0 where all headings agree, 1 where they cancel."""
     return 1.0 - float(np.abs(np.exp(1j * yaw_rad).mean()))
 
 
 def clusters_of(time_ns: Integers) -> Integers:
-    """Number (n,) of the stretch of time that each belongs to."""
+    """Return the number (n,) of the stretch of time that each epoch belongs to."""
     clusters: Integers = (time_ns - time_ns.min(initial=0)) // round(CLUSTER_S * 1e9)
     return clusters
 
 
 def _lever_columns(yaw_rad: Floats) -> Floats:
-    """(n, 2, 2): how forward and left move east and north."""
+    """Return the partial derivatives (n, 2, 2) of east and north by forward and left."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.stack((np.stack((cos, -sin), axis=1), np.stack((sin, cos), axis=1)), axis=1)
 
@@ -92,46 +108,46 @@ def _base_columns(n: int) -> Floats:
     return np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
 
 
-def _fit(columns: Floats, pairs: Pairs, clusters: Integers) -> tuple[Floats, Floats, float]:
-    """Values (k,), their σ, and the share of the pairs that agree with them. `columns` (n, 2, k).
+def _fit(columns: Floats, pairs: FixPosePairs, clusters: Integers) -> tuple[Floats, Floats, float]:
+    """Fit values (k,) by Tukey's biweight; returns them, their σ, and the share of pairs used. `columns` (n, 2, k).
 
-    Begins at the medians, so that a minority of wrong fixes, however far off, has no part in it.
+    Starts from least absolute deviations, so that a minority of wrong fixes, however large, has no influence.
     """
     n, _, k = columns.shape
     weight = 1.0 / pairs.sigma_m**2
     agreed = np.ones(n)
-    values = _from_medians(columns, pairs)
-    for _ in range(_ROUNDS):
-        left_m = pairs.east_north_m - columns @ values
-        off = np.linalg.norm(left_m, axis=1) / pairs.sigma_m
-        scale = max(1.4826 * float(np.median(off)) / 1.2, _LEAST_SCALE_M / float(np.median(pairs.sigma_m)))
-        agreed = np.clip(1.0 - (off / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
+    values = _least_absolute_deviations(columns, pairs)
+    for _ in range(_ITERATIONS):
+        residual_m = pairs.east_north_m - columns @ values
+        ratio = np.linalg.norm(residual_m, axis=1) / pairs.sigma_m
+        scale = max(1.4826 * float(np.median(ratio)) / 1.2, _LEAST_SCALE_M / float(np.median(pairs.sigma_m)))
+        agreed = np.clip(1.0 - (ratio / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
         before, values = values, _solve(columns, pairs.east_north_m, weight * agreed)[0]
         if np.allclose(before, values, rtol=0.0, atol=1e-6):
             break
     values, normal = _solve(columns, pairs.east_north_m, weight * agreed)
-    left_m = pairs.east_north_m - columns @ values
-    scores = np.einsum("nij,ni,n->nj", columns, left_m, weight * agreed)
+    residual_m = pairs.east_north_m - columns @ values
+    scores = np.einsum("nij,ni,n->nj", columns, residual_m, weight * agreed)
     numbers, inverse = np.unique(clusters, return_inverse=True)
     summed = np.zeros((len(numbers), k))
     np.add.at(summed, inverse, scores)
-    few = len(numbers) / (len(numbers) - 1.0)
-    covariance = few * normal @ (summed.T @ summed) @ normal
+    few_clusters = len(numbers) / (len(numbers) - 1.0)
+    covariance = few_clusters * normal @ (summed.T @ summed) @ normal
     return values, np.sqrt(np.diag(covariance) + _LEAST_SIGMA_M**2), float(np.mean(agreed > 0.0))
 
 
-def _from_medians(columns: Floats, pairs: Pairs) -> Floats:
-    """Least absolute deviations, nearly: squares weighed by the inverse of what they were off before."""
+def _least_absolute_deviations(columns: Floats, pairs: FixPosePairs) -> Floats:
+    """Approximate least absolute deviations by iteratively reweighted least squares."""
     n, _, k = columns.shape
     weight, values = np.ones(n), np.zeros(k)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         values = _solve(columns, pairs.east_north_m, weight)[0]
-        off_m = np.linalg.norm(pairs.east_north_m - columns @ values, axis=1)
-        weight = 1.0 / np.maximum(off_m, _LEAST_SCALE_M)
+        distance_m = np.linalg.norm(pairs.east_north_m - columns @ values, axis=1)
+        weight = 1.0 / np.maximum(distance_m, _LEAST_SCALE_M)
     return values
 
 
-def _solve(columns: Floats, seen_m: Floats, weight: NDArray[np.float64]) -> tuple[Floats, Floats]:
-    """Values, and the inverse of the normal matrix."""
+def _solve(columns: Floats, observed_m: Floats, weight: NDArray[np.float64]) -> tuple[Floats, Floats]:
+    """Return the weighted least-squares values and the inverse of the normal matrix."""
     normal = np.linalg.inv(np.einsum("nij,nik,n->jk", columns, columns, weight))
-    return normal @ np.einsum("nij,ni,n->j", columns, seen_m, weight), normal
+    return normal @ np.einsum("nij,ni,n->j", columns, observed_m, weight), normal

@@ -1,4 +1,4 @@
-"""A recorded drive's fixes beside poses made without them: the differences that calibration rests on."""
+"""Pair a recorded drive's fixes with poses that are independent of them: the observations of calibration."""
 
 from __future__ import annotations
 
@@ -18,28 +18,27 @@ from camber.integrity.learning.residuals import CellCollector, FixResidual, Resi
 from camber.integrity.protection.covariance_inflation import TrueSigma, inflate_covariance
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
-from camber.tools.calibrate.calibration import Pairs
+from camber.tools.calibrate.calibration import FixPosePairs
 
-_NEAR_S = 0.1
-_MAP_CORRELATION_M = 20.0
-_STRETCH_M = 20.0
-_LEAST_STRETCHES = 5
-_SIGMA_LIMIT_M = 0.3
-_ANY_HEIGHT_M = 10.0
-"""σ of what is known of the antenna's height beforehand: nothing."""
+_NEAR_S = 0.1  # chosen: the period of poses
+_MAP_CORRELATION_M = 20.0  # chosen: map heights of neighbouring stretches are taken as correlated
+_STRETCH_M = 20.0  # chosen: one mean height per correlation length
+_LEAST_STRETCHES = 5  # chosen: 100 m of road
+_SIGMA_LIMIT_M = 0.3  # chosen: a less precise pose has hardly any weight
+_ANY_HEIGHT_M = 10.0  # chosen: σ of an uninformative prior of the antenna height
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Paired:
-    """What a drive gives: pairs with poses of a scan match, heights (m,) of stretches of road, and how many fixes."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CalibrationData:
+    """Fixes paired with scan-matched poses, mean heights of stretches of road, and the number of fixes."""
 
-    pairs: Pairs
+    pairs: FixPosePairs
     cells: tuple[ResidualCell, ...]
     fixes: int
 
 
-def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
-    """Each fixed position with the pose nearest to it; both in the order of their times."""
+def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> CalibrationData:
+    """Pair each fixed position with the pose nearest in time; both sequences in time order."""
     rows: list[tuple[int, float, float, float, float]] = []
     cells, collector, last = list[ResidualCell](), CellCollector(_STRETCH_M), list[FixResidual]()
     times_ns = [pose.time_ns for pose in poses]
@@ -62,11 +61,14 @@ def pair(fixes: Sequence[Fix], poses: Sequence[Pose]) -> Paired:
         cells.append(cell_of(last))
     table = np.array(rows, np.float64).reshape(-1, 5)
     time_ns = np.array([row[0] for row in rows], np.int64)
-    return Paired(Pairs(time_ns, table[:, 1:3], table[:, 3], table[:, 4]), tuple(cells), len(fixed))
+    pairs = FixPosePairs(
+        time_ns=time_ns, east_north_m=table[:, 1:3], yaw_rad=table[:, 3], sigma_m=table[:, 4]
+    )
+    return CalibrationData(pairs=pairs, cells=tuple(cells), fixes=len(fixed))
 
 
-def height_of(cells: Sequence[ResidualCell]) -> CommonOffset | None:
-    """Antenna above the road, with a base that is right in height; None where there is too little road."""
+def estimate_antenna_height(cells: Sequence[ResidualCell]) -> CommonOffset | None:
+    """Estimate the antenna's height above the road for a base without vertical error; None: too little road."""
     if len(cells) < _LEAST_STRETCHES:
         return None
     return estimate_common_offset(_differences(cells), _MAP_CORRELATION_M, _middle_m(cells), _ANY_HEIGHT_M)
@@ -86,7 +88,7 @@ def _nearest(poses: Sequence[Pose], times_ns: Sequence[int], at_ns: int) -> Pose
 
 
 def _row(fix: Fix, pose: Pose) -> tuple[int, float, float, float, float] | None:
-    """Time, east, north, yaw, σ; None where the pose is no scan match, or not a sure one."""
+    """Return time, east, north, yaw, σ; None where the pose is not from a scan match, or not precise."""
     sigma_m = pose_sigma_m(pose)
     if pose.mode != "scan_match" or pose.yaw_rad is None or not 0.0 < sigma_m <= _SIGMA_LIMIT_M:
         return None
@@ -97,7 +99,7 @@ def _row(fix: Fix, pose: Pose) -> tuple[int, float, float, float, float] | None:
 
 
 def _height(fix: Fix, pose: Pose) -> FixResidual | None:
-    """The fix above the road at its place."""
+    """Return the height of the fix above the road below it."""
     assert fix.covariance_enu_m2 is not None
     if pose.road.datum != fix.datum:
         return None

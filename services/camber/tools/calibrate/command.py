@@ -1,4 +1,4 @@
-"""`camber calibrate`: lever arm, antenna height and base offset of a new vehicle, from its first recorded drive."""
+"""`camber calibrate`: estimate lever arm, antenna height and base-station offset of a vehicle from a recorded drive."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from camber.runtime.settings import ConfigError, load
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.schemas.motion import LeverArm
 from camber.schemas.toml_file import FileError
-from camber.tools.calibrate.calibration import Horizontal, horizontal_of
-from camber.tools.calibrate.calibration_run import Paired, height_of, pair
+from camber.tools.calibrate.calibration import HorizontalCalibration, calibrate_horizontal
+from camber.tools.calibrate.calibration_run import CalibrationData, estimate_antenna_height, pair
 from camber.tools.localize.drive_anchors import receiver_fixes
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import localize
 
 _PROG = "camber calibrate"
 _LOAD_SIGMA_M = 0.01
-"""By so much load and tyres move an antenna from drive to drive: a height measured on one is not surer than that."""
+"""Chosen: load and tyres move an antenna by about this from drive to drive."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Calibrate by one drive; 0 done, 2 it cannot be used, 130 interrupted."""
+    """Calibrate from one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
     try:
-        said, snippet = calibrate(load_manifest(args.drive, args.set), quiet=args.quiet)
+        summary, snippet = calibrate(load_manifest(args.drive, args.set), quiet=args.quiet)
         if args.out is not None:
             args.out.parent.mkdir(parents=True, exist_ok=True)
             args.out.write_text(snippet, "utf-8")
@@ -47,38 +47,42 @@ def main(argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print(f"{_PROG}: interrupted", file=sys.stderr)
         return 130
-    print(said if args.out is None else f"{said}\nWritten: {args.out}.")
+    print(summary if args.out is None else f"{summary}\nWritten: {args.out}.")
     if args.out is None:
         print(f"\n{snippet}", end="")
     return 0
 
 
 def calibrate(manifest: DriveManifest, *, quiet: bool = True) -> tuple[str, str]:
-    """What a drive says of its vehicle, in words and as TOML for its manifest.
+    """Return a summary of the calibration, and TOML for the manifest.
 
-    Raises ManifestError where the drive lacks what it takes or says nothing, ConfigError, FormatError, OSError.
+    Raises ManifestError where the drive lacks inputs or has too few of them, ConfigError, FormatError, OSError.
     """
     with TemporaryDirectory(prefix="camber-calibrate-") as folder:
         work = Path(folder)
-        paired = _paired(prepare_drive(manifest, work / "work"), work, quiet=quiet)
-    horizontal, height = horizontal_of(paired.pairs), height_of(paired.cells)
+        data = _calibration_data(prepare_drive(manifest, work / "work"), work, quiet=quiet)
+    horizontal, height = calibrate_horizontal(data.pairs), estimate_antenna_height(data.cells)
     if horizontal is None and height is None:
         raise ManifestError(
-            f"{manifest.name}: {paired.fixes} fixes, {len(paired.pairs.time_ns)} of them beside a scan match and "
-            f"{len(paired.cells)} stretches of known road, expected some minutes of one or the other"
+            f"{manifest.name}: {data.fixes} fixes, {len(data.pairs.time_ns)} with a scan match and "
+            f"{len(data.cells)} stretches of known road, expected some minutes of either"
         )
     arm = manifest.lever_arms.antenna
-    said = "\n".join(_lines(manifest.name, paired, horizontal, height, arm))
-    return said, _snippet(manifest.name, horizontal, height, arm)
+    counts = (
+        f"{manifest.name}: {data.fixes:,} fixes, {len(data.pairs.time_ns):,} with a scan match, "
+        f"{len(data.cells):,} stretches of known road."
+    )
+    lines = [counts, *_horizontal_lines(horizontal, arm), *_height_lines(height, arm)]
+    return "\n".join(lines), _snippet(manifest.name, horizontal, height, arm)
 
 
-def _paired(inputs: DriveInputs, work: Path, *, quiet: bool) -> Paired:
-    """Fixes beside the poses of a localizer that hears none of them."""
+def _calibration_data(inputs: DriveInputs, work: Path, *, quiet: bool) -> CalibrationData:
+    """Pair the fixes with poses of a localizer that does not receive them."""
     manifest = inputs.manifest
     fixes = receiver_fixes(inputs)
     missing = {
         "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs": not inputs.motion,
-        "initial_pose, expected one: no fix may have a part in the poses": inputs.initial_pose is None,
+        "initial_pose, expected one: poses must be independent of the fixes": inputs.initial_pose is None,
         "table map, expected one, or links and road_surfaces as surrogates": inputs.map_release is None,
     }
     for expected, is_missing in missing.items():
@@ -89,71 +93,60 @@ def _paired(inputs: DriveInputs, work: Path, *, quiet: bool) -> Paired:
     file.write_text(config_text(localizer_config(manifest, inputs.initial_pose)) + "\n", "utf-8")
     settings, _ = load(LocalizerSettings, ["--config", str(file)], prog=_PROG)
     release = release_for(inputs.map_release, manifest.datum)
-    drive = localize(inputs, settings.options(settings.initial_pose), MapAtHand(release), quiet=quiet)
+    drive = localize(inputs, settings.options(settings.initial_pose), LocalMapQueries(release), quiet=quiet)
     return pair(fixes, drive.poses)
 
 
-def _lines(
-    name: str, paired: Paired, horizontal: Horizontal | None, height: CommonOffset | None, arm: LeverArm
-) -> list[str]:
-    lines = [
-        f"{name}: {paired.fixes:,} fixes, {len(paired.pairs.time_ns):,} beside a scan match, "
-        f"{len(paired.cells):,} stretches of known road."
-    ]
-    if horizontal is None:
-        lines.append(
-            "Lever arm and horizontal base offset: not to be told without a minute of fixes beside scan matches."
-        )
-    else:
-        lines += _horizontal_lines(horizontal, arm)
-    if height is None:
-        lines.append("Antenna height: not to be told without fixes over 100 m of known road.")
-    else:
-        lines += _height_lines(height, arm)
-    return lines
-
-
-def _horizontal_lines(found: Horizontal, arm: LeverArm) -> list[str]:
-    x_m, y_m = arm.x_m + found.lever_m[0], arm.y_m + found.lever_m[1]
+def _horizontal_lines(result: HorizontalCalibration | None, arm: LeverArm) -> list[str]:
+    if result is None:
+        return [
+            "Lever arm and horizontal base offset: not estimated, expected a minute of fixes with scan matches."
+        ]
+    x_m, y_m = arm.x_m + result.lever_m[0], arm.y_m + result.lever_m[1]
     lever = (
-        f"antenna {x_m:.3f} ± {found.lever_sigma_m[0]:.3f} m forward, {y_m:.3f} ± {found.lever_sigma_m[1]:.3f} m left "
-        f"(set: {arm.x_m:g}, {arm.y_m:g})"
+        f"antenna {x_m:.3f} ± {result.lever_sigma_m[0]:.3f} m forward, "
+        f"{y_m:.3f} ± {result.lever_sigma_m[1]:.3f} m left (set: {arm.x_m:g}, {arm.y_m:g})"
     )
     base = (
-        f"{found.base_m[0]:+.3f} ± {found.base_sigma_m[0]:.3f} m east, "
-        f"{found.base_m[1]:+.3f} ± {found.base_sigma_m[1]:.3f} m north"
+        f"{result.base_m[0]:+.3f} ± {result.base_sigma_m[0]:.3f} m east, "
+        f"{result.base_m[1]:+.3f} ± {result.base_sigma_m[1]:.3f} m north"
     )
-    used = f"{1.0 - found.used:.1%} of the pairs are off it by more than errors are."
-    if found.separable:
+    used = f"{1.0 - result.used:.1%} of the pairs were rejected as outliers."
+    if result.separable:
         return [f"Lever arm: {lever}. Base offset: {base}. {used}"]
     return [
-        "Hardly a turn: lever arm and base cannot be told apart. One of two:",
-        f"  lever arm, if the base is right: {lever};",
+        "Too few turns to separate lever arm and base offset. Either:",
+        f"  lever arm, if the base is correct: {lever};",
         f"  base offset, if the lever arm is as set: {base}. {used}",
     ]
 
 
-def _height_lines(found: CommonOffset, arm: LeverArm) -> list[str]:
+def _height_lines(height: CommonOffset | None, arm: LeverArm) -> list[str]:
+    if height is None:
+        return ["Antenna height: not estimated, expected fixes over 100 m of known road."]
     lines = [
-        f"Antenna height above the road, mean of the drive: {found.value_m:.3f} ± {found.sigma_m:.3f} m "
-        f"(set: {arm.z_m:g}), if the base's height is right: nothing on board tells the two apart."
+        f"Antenna height above the road, mean of the drive: {height.value_m:.3f} ± {height.sigma_m:.3f} m "
+        f"(set: {arm.z_m:g}), if the base's height is correct: the two are not separable on board."
     ]
-    if found.drift_sigmas > 5.0:
-        lines.append(f"It changed by {found.drift_m:.2f} m over the drive: no constant height describes it.")
+    if height.drift_sigmas > 5.0:
+        lines.append(f"It changed by {height.drift_m:.2f} m over the drive: no constant height describes it.")
     return lines
 
 
-def _snippet(name: str, horizontal: Horizontal | None, height: CommonOffset | None, arm: LeverArm) -> str:
-    """Tables for drive.toml; what cannot be set there is a comment."""
-    lines = [f"# Found by camber calibrate from the drive {name}."]
+def _snippet(
+    name: str, horizontal: HorizontalCalibration | None, height: CommonOffset | None, arm: LeverArm
+) -> str:
+    """Return tables for drive.toml; the base offset, which has no setting, as a comment."""
+    lines = [f"# Estimated by camber calibrate from the drive {name}."]
     if horizontal is not None and horizontal.separable:
         east_m, north_m = horizontal.base_m
         lines.append(f"# The base's coordinates put fixes {east_m:+.3f} m east, {north_m:+.3f} m north.")
     lines.append("[lever_arms.antenna]")
     off_m = (0.0, 0.0) if horizontal is None else (float(horizontal.lever_m[0]), float(horizontal.lever_m[1]))
-    known = "" if horizontal is not None else "  # as it was set"
-    sure = "" if horizontal is None or horizontal.separable else "  # if the base is right"
-    lines += [f"x_m = {arm.x_m + off_m[0]:.3f}{known}{sure}", f"y_m = {arm.y_m + off_m[1]:.3f}{known}{sure}"]
+    note = "  # as it was set" if horizontal is None else ""
+    if horizontal is not None and not horizontal.separable:
+        note = "  # if the base is correct"
+    lines += [f"x_m = {arm.x_m + off_m[0]:.3f}{note}", f"y_m = {arm.y_m + off_m[1]:.3f}{note}"]
     if height is None:
         return "\n".join([*lines, f"z_m = {arm.z_m:.3f}  # as it was set", ""])
     sigma_m = math.hypot(height.sigma_m, _LOAD_SIGMA_M)
@@ -174,10 +167,10 @@ def _parser() -> argparse.ArgumentParser:
         "drive",
         type=Path,
         metavar="drive.toml",
-        help="manifest with fixes, motion, a map, and sweeps if there are",
+        help="manifest with fixes, motion, a map, and optionally sweeps",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="where the TOML goes; without it, to the screen"
+        "--out", type=Path, metavar="FILE", help="file for the TOML (default: standard output)"
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"

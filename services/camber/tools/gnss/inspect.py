@@ -1,4 +1,4 @@
-"""`camber gnss inspect`: what a recording of satellite navigation holds, as a table or as JSON."""
+"""`camber gnss inspect`: summarize the content of a GNSS recording as a table or as JSON."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from camber.tools.gnss.recording_summary import (
 )
 
 _PROG = "camber gnss inspect"
-_MOST_PROBLEMS = 5
-_MOST_STATIONS = 16
+_MOST_PROBLEMS = 5  # chosen: what fits the report; all are counted
+_MOST_STATIONS = 16  # chosen: bounds memory for a stream with ever new station numbers
 _COUNTERS_OF_UBX = (
     "malformed", "not_read", "without_time", "other_systems", "unknown_signals", "repeated_signals", "bad_subframes",
     "epochs_without_position", "late",
@@ -46,7 +46,7 @@ _COUNTERS_OF_RTCM = ("malformed", "not_read", "unknown_signals", "incomplete")
 
 
 def main(argv: Sequence[str]) -> int:
-    """Print what a file holds; 0 done, 2 it cannot be read, or not to its end."""
+    """Print the content of a file; 0 success, 2 it cannot be read completely."""
     args = _parser().parse_args(argv)
     try:
         report = inspect_recording(args.file, args.date)
@@ -65,22 +65,28 @@ def main(argv: Sequence[str]) -> int:
 
 
 def inspect_recording(path: Path, day: date | None = None) -> dict[str, Any]:
-    """What the file holds, as plain values; times are GPS time, None is not known.
+    """Return the content of a file as plain values; times are GPS time, None means unknown.
 
     `day` is near the recording, for protocols that do not say the week. Raises FormatError where nothing of the file
     can be read, OSError where it cannot be opened.
     """
-    near_ns = None if day is None else gps_ns_from_utc(CalendarTime(day.year, day.month, day.day, 12, 0, 0))
+    near_ns = (
+        None
+        if day is None
+        else gps_ns_from_utc(
+            CalendarTime(year=day.year, month=day.month, day=day.day, hour=12, minute=0, second=0)
+        )
+    )
     recording = RecordingFile(path, near_ns, count_messages=True)
-    held = _Held()
+    content = _RecordingContent()
     for items in recording.items():
-        held.take(items)
+        content.add_items(items)
     decoder = recording.decoder
     refused = isinstance(decoder, RinexDecoder) and decoder.header is None
     refused |= isinstance(decoder, NavigationDecoder) and decoder.version is None
-    refused |= isinstance(decoder, PosDecoder) and held.nothing
-    if refused and (held.problems or recording.damage):
-        raise recording.damage or held.problems[0]
+    refused |= isinstance(decoder, PosDecoder) and content.nothing
+    if refused and (content.problems or recording.damage):
+        raise recording.damage or content.problems[0]
     return {
         "file": path.name,
         "bytes": path.stat().st_size,
@@ -88,14 +94,14 @@ def inspect_recording(path: Path, day: date | None = None) -> dict[str, Any]:
         "week_from": recording.week_from,
         "damage": None if recording.damage is None else str(recording.damage),
         "header": _header(decoder),
-        **held.report(),
+        **content.report(),
         "messages": dict(sorted(recording.messages.items())),
         "counters": {name: count for name, count in _counters(decoder) if count},
     }
 
 
-class _Held:
-    """What has come so far, by what it is."""
+class _RecordingContent:
+    """Collects the decoded items of a recording by type."""
 
     def __init__(self) -> None:
         self.problems: list[FormatError] = []
@@ -114,8 +120,8 @@ class _Held:
         """No observations and no positions."""
         return not self._observed and self._positions.report() is None
 
-    def take(self, items: Iterable[Item]) -> None:
-        """The next piece's."""
+    def add_items(self, items: Iterable[Item]) -> None:
+        """Add the items of the next piece."""
         for item in items:
             match item:
                 case FormatError():
@@ -149,7 +155,7 @@ class _Held:
         self._observed.setdefault(source, ObservationSummary()).add(epoch)
 
     def report(self) -> dict[str, Any]:
-        """The parts of the report that come from the items."""
+        """Return the parts of the report that are derived from the items."""
         return {
             "observations": [{"of": source, **s.report()} for source, s in self._observed.items()],
             "epochs_of_further_stations": self._left_out,
@@ -173,7 +179,7 @@ class _Held:
 
 
 def _header(decoder: object) -> dict[str, Any] | None:
-    """What a RINEX header says; None where there is none."""
+    """Return the content of a RINEX header; None where there is none."""
     if isinstance(decoder, NavigationDecoder):
         return {"version": decoder.version, "leap_seconds": decoder.leap_seconds}
     header = decoder.header if isinstance(decoder, RinexDecoder) else None
@@ -194,7 +200,7 @@ def _header(decoder: object) -> dict[str, Any] | None:
 
 
 def _geodetic(ecef_m: tuple[float, float, float]) -> dict[str, float] | None:
-    """None where no place on earth is meant."""
+    """Return geodetic coordinates; None where the position is not on Earth."""
     try:
         latitude_rad, longitude_rad, height_m = geodetic_from_ecef_scalar(*ecef_m)
     except ValueError:
@@ -207,7 +213,7 @@ def _geodetic(ecef_m: tuple[float, float, float]) -> dict[str, float] | None:
 
 
 def _counters(decoder: object) -> Iterator[tuple[str, int]]:
-    """What a decoder left out, and how often."""
+    """Yield what a decoder skipped, with counts."""
     if isinstance(decoder, RinexDecoder | NavigationDecoder):
         yield from ((f"not_read.{what}", count) for what, count in sorted(decoder.skipped.items()))
     elif isinstance(decoder, PosDecoder):
@@ -230,13 +236,13 @@ def _parser() -> argparse.ArgumentParser:
         "file",
         type=Path,
         metavar="FILE",
-        help="RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos; may be packed",
+        help="RINEX 3 or 4, UBX, RTCM 3, NMEA, several of them in one stream, or RTKLIB's .pos; may be compressed",
     )
-    parser.add_argument("--json", action="store_true", help="all of it, for machines")
+    parser.add_argument("--json", action="store_true", help="print the full report as JSON")
     parser.add_argument(
         "--date",
         type=date.fromisoformat,
         metavar="YYYY-MM-DD",
-        help="a day within half a week of the recording, for RTCM, which does not say its week",
+        help="a day within half a week of the recording, for RTCM, which does not contain the week",
     )
     return parser

@@ -1,11 +1,11 @@
-"""The report of `camber gnss inspect` as text for people."""
+"""Format the report of `camber gnss inspect` as text."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-_LABEL = 14
+_LABEL_WIDTH = 14  # chosen: the longest label and a space
 _NOT_KNOWN = "not known"
 
 
@@ -38,12 +38,12 @@ def _size(size: int) -> str:
 
 
 def _section(title: str, lines: Iterator[str]) -> list[str]:
-    found = [f"  {line}".rstrip() for line in lines]
-    return ["", title, *found] if found else []
+    indented = [f"  {line}".rstrip() for line in lines]
+    return ["", title, *indented] if indented else []
 
 
 def _row(label: str, value: object) -> str:
-    return f"{label:<{_LABEL}}{value}"
+    return f"{label:<{_LABEL_WIDTH}}{value}"
 
 
 def _header(header: dict[str, Any] | None) -> Iterator[str]:
@@ -173,7 +173,7 @@ def _station(station: dict[str, Any]) -> str:
     x, y, z = station["position_ecef_m"]
     return (
         f"{station['station']}: {_place(station['position'])} (ECEF {x:.4f} {y:.4f} {z:.4f}){above}, "
-        f"said {station['times_said']:,} times"
+        f"sent {station['times_said']:,} times"
     )
 
 
@@ -245,7 +245,7 @@ def _problems(problems: dict[str, Any]) -> Iterator[str]:
 
 
 def _counted(counts: dict[str, int]) -> str:
-    return ", ".join(f"{count:,} {word}" for word, count in counts.items())
+    return ", ".join(f"{count:,} {name}" for name, count in counts.items())
 
 
 def _columns(counts: dict[str, int]) -> Iterator[str]:
@@ -256,7 +256,7 @@ def _columns(counts: dict[str, int]) -> Iterator[str]:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Columns as wide as they must be; a heading that begins with > stands to the right."""
+    """Format columns at their minimum width; a heading that begins with > is right-aligned."""
     right = [name.startswith(">") for name in head]
     lines = [[name.removeprefix(">") for name in head], *rows]
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]

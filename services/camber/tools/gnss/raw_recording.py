@@ -24,16 +24,16 @@ from camber.geodesy.local_frame import LocalFrame
 from camber.schemas.drive import RawObservations
 from camber.tools.gnss.recording_file import RecordingFile
 
-_OWN = -1
-"""The receiver of a file itself, beside the stations in it."""
+_RECEIVER = -1
+"""Key of the receiver's observations; RTCM station numbers are not negative (DF003)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RawRecording:
-    """What an engine is given. `ionosphere` are GPS's coefficients (8,), alpha and beta; None: not broadcast.
+    """Inputs of the RTK engine. `ionosphere`: GPS's coefficients (8,), alpha and beta; None: not broadcast.
 
-    `base_ecef_m` (3,) is that of the antenna's reference point, None where nothing says it; `base_position_from` says
-    in words what did. `notes` are lines on what was amiss in the files.
+    `base_ecef_m` (3,) is the antenna reference point, None where unknown; `base_position_from` names its source.
+    `notes` are lines on problems of the files.
     """
 
     rover: list[ObservationEpoch]
@@ -62,24 +62,24 @@ def load_raw(observations: RawObservations, *, near_ns: int | None = None) -> Ra
     files += [rover, base]
     notes = [note for file in files for note in file.notes()]
     # One port may carry the receiver's own observations and the corrections that go into it.
-    rover_epochs = _observed(rover, own_first=True, notes=notes)
-    base_epochs = _observed(base, own_first=False, notes=notes)
+    rover_epochs = _observed(rover, receiver_first=True, notes=notes)
+    base_epochs = _observed(base, receiver_first=False, notes=notes)
     position, position_from = _base_position(observations.base_ecef_m, base, notes)
     ionosphere = next((file.ionosphere for file in files if file.ionosphere is not None), None)
     return RawRecording(
-        rover_epochs,
-        base_epochs,
-        [ephemeris for file in files for ephemeris in file.ephemerides],
-        position,
-        position_from,
-        ionosphere,
-        tuple(notes),
+        rover=rover_epochs,
+        base=base_epochs,
+        ephemerides=[ephemeris for file in files for ephemeris in file.ephemerides],
+        base_ecef_m=position,
+        base_position_from=position_from,
+        ionosphere=ionosphere,
+        notes=tuple(notes),
     )
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _File:
-    """What one file holds; epochs by station."""
+    """Content of one file; epochs by station."""
 
     name: str
     epochs: defaultdict[int, list[ObservationEpoch]] = field(default_factory=lambda: defaultdict(list))
@@ -101,26 +101,26 @@ class _File:
         return self.ephemerides[0].toe_ns if self.ephemerides else None
 
     def notes(self) -> list[str]:
-        """What was amiss in it, a line each."""
+        """Return the problems of the file, a line each."""
         notes = []
         if self.problems:
             more = f" and {len(self.problems) - 1:,} more" if len(self.problems) > 1 else ""
             notes.append(f"{self.problems[0]}{more}")
         if self.week_guessed:
-            notes.append(f"{self.name}: nothing says the week, guessed from the date of the file")
+            notes.append(f"{self.name}: the week is unknown, guessed from the date of the file")
         return notes
 
 
 def _read(path: Path, near_ns: int | None) -> _File:
     recording = RecordingFile(path, near_ns)
-    file = _File(path.name, week_guessed=recording.week_from == "file date")
+    file = _File(name=path.name, week_guessed=recording.week_from == "file date")
     for items in recording.items():
         for item in items:
             match item:
                 case ObservationEpoch():
-                    file.epochs[_OWN].append(item)
+                    file.epochs[_RECEIVER].append(item)
                 case RawxEpoch():
-                    file.epochs[_OWN].append(item.epoch)
+                    file.epochs[_RECEIVER].append(item.epoch)
                 case BaseStationEpoch():
                     file.epochs[item.station_id].append(item.epoch)
                 case ReferenceStation():
@@ -140,14 +140,16 @@ def _read(path: Path, near_ns: int | None) -> _File:
     return file
 
 
-def _observed(file: _File, *, own_first: bool, notes: list[str]) -> list[ObservationEpoch]:
-    """The epochs of the receiver itself or of the station with most of them, whichever is asked for first."""
-    stations = sorted((key for key in file.epochs if key != _OWN), key=lambda key: -len(file.epochs[key]))
-    own = [_OWN] if _OWN in file.epochs else []
-    order = [*own, *stations] if own_first else [*stations, *own]
+def _observed(file: _File, *, receiver_first: bool, notes: list[str]) -> list[ObservationEpoch]:
+    """Return the epochs of the receiver or of the station with most epochs, preferring as asked."""
+    stations = sorted(
+        (key for key in file.epochs if key != _RECEIVER), key=lambda key: -len(file.epochs[key])
+    )
+    receiver = [_RECEIVER] if _RECEIVER in file.epochs else []
+    order = [*receiver, *stations] if receiver_first else [*stations, *receiver]
     if not order:
         raise FormatError(file.name, "observations", "at least one epoch of them")
-    if order[0] != _OWN and len(stations) > 1:
+    if order[0] != _RECEIVER and len(stations) > 1:
         notes.append(f"{file.name}: {len(stations)} stations, station {order[0]} with most epochs is used")
     return file.epochs[order[0]]
 
@@ -155,7 +157,7 @@ def _observed(file: _File, *, own_first: bool, notes: list[str]) -> list[Observa
 def _base_position(
     given: tuple[float, float, float] | None, base: _File, notes: list[str]
 ) -> tuple[Floats | None, str]:
-    """Where the base's antenna reference point is, and what says so."""
+    """Return the base's antenna reference point and the source of it."""
     if given is not None:
         return np.array(given), "the manifest"
     if base.stations:
@@ -164,8 +166,8 @@ def _base_position(
         if others:
             far_m = max(float(np.linalg.norm(np.subtract(other, position))) for other in others)
             notes.append(
-                f"{base.name}: the base says {len(others) + 1} positions up to {far_m:.3f} m apart, "
-                "that said most often is used"
+                f"{base.name}: the base sends {len(others) + 1} positions up to {far_m:.3f} m apart, "
+                "the most frequent is used"
             )
         return np.array(position), f"RTCM 1005 or 1006 of station {station}"
     header = base.header

@@ -33,7 +33,7 @@ WeekFrom = Literal["recording", "ephemerides", "caller", "file date"]
 """What settles the week where the recording does not: the last is a guess."""
 
 _EXPECTED = "RINEX 3 or 4, UBX, RTCM 3, NMEA or a solution file of RTKLIB"
-_UNIX_TIME_OF_GPS_EPOCH_S = 315_964_800
+_UNIX_TIME_OF_GPS_EPOCH_S = 315_964_800  # 1980-01-06 00:00 UTC (IS-GPS-200)
 _UBX_NAMES = {
     0x0101: "NAV-POSECEF", 0x0102: "NAV-POSLLH", 0x0103: "NAV-STATUS", 0x0104: "NAV-DOP", 0x0105: "NAV-ATT",
     0x0106: "NAV-SOL", 0x0107: "NAV-PVT", 0x0109: "NAV-ODO", 0x0111: "NAV-VELECEF", 0x0112: "NAV-VELNED",
@@ -132,7 +132,7 @@ class RecordingFile:
 
 
 def _is_whole(frame: Frame) -> bool:
-    """What looks like a sentence may be none."""
+    """Return whether the frame is valid; a NMEA candidate may fail its parser."""
     return frame.protocol != "nmea" or isinstance(parse_sentence("", frame.data, 0), Sentence)
 
 
@@ -153,14 +153,14 @@ def _reference_time_ns(payload: bytes, near_ns: int) -> int | None:
     if number not in EPHEMERIS_MESSAGES:
         return None
     system, layout, _ = EPHEMERIS_MESSAGES[number]
-    scale, found, place = GNSS_TIME_SCALES[system], dict[str, int](), 12
+    scale, fields, place = GNSS_TIME_SCALES[system], dict[str, int](), 12
     bits, width = int.from_bytes(payload, "big"), 8 * len(payload)
     for name in layout:
         place += FIELDS[system][name].width
         if place > width:
             return None
-        found[name] = bits >> (width - place) & (1 << FIELDS[system][name].width) - 1
-    of_week_ns = int(found["toe_s"] * FIELDS[system]["toe_s"].resolution) * NS_PER_SECOND
+        fields[name] = bits >> (width - place) & (1 << FIELDS[system][name].width) - 1
+    of_week_ns = int(fields["toe_s"] * FIELDS[system]["toe_s"].resolution) * NS_PER_SECOND
     turn_ns = scale.weeks * NS_PER_WEEK
-    first_ns = (scale.first_gps_week + found["week"]) * NS_PER_WEEK + of_week_ns + scale.gps_offset_ns
+    first_ns = (scale.first_gps_week + fields["week"]) * NS_PER_WEEK + of_week_ns + scale.gps_offset_ns
     return first_ns + round((near_ns - first_ns) / turn_ns) * turn_ns

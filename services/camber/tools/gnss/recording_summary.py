@@ -1,6 +1,6 @@
-"""What a recording holds, counted as it streams by: times, signals, arcs, ephemerides, positions, statements.
+"""Streaming statistics of a GNSS recording: times, signals, arcs, ephemerides, positions, receiver integrity.
 
-What is returned are plain values for JSON; None is not known.
+Reports are plain values for JSON; None means unknown.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from camber.gnss.observations.ephemeris_store import is_healthy, refusal
 from camber.gnss.observations.epoch_order import EpochOrder, Order
 from camber.schemas.gnss import ReceiverIntegrity
 
-MOST_GAPS_SHOWN = 10
-_NS = 1e-9
-_NS_PER_MS = 1_000_000
-_BATCH = 256
-_GAP = 1.5  # of the interval
-_STEPS_OF_CN0 = 10  # a dB-Hz
-_MOST_CN0_DBHZ = 100
+MOST_GAPS_SHOWN = 10  # chosen: what fits the report; all are counted
+_NS = 1e-9  # seconds in a nanosecond
+_NS_PER_MS = 1_000_000  # nanoseconds in a millisecond
+_BATCH = 256  # chosen: epochs counted in one vectorized step
+_GAP = 1.5  # chosen: a step of more intervals has lost at least one epoch
+_STEPS_OF_CN0 = 10  # chosen: 0.1 dB-Hz
+_MOST_CN0_DBHZ = 100  # chosen: above the range of RTCM DF408 (64 dB-Hz) and of any receiver
 _SYSTEM_NAMES = {"G": "GPS", "J": "QZSS", "E": "Galileo", "C": "BeiDou"}
-_WORDS = ("jamming", "spoofing", "raim", "fix_within_masks", "authenticated")
+_INTEGRITY_FIELDS = ("jamming", "spoofing", "raim", "fix_within_masks", "authenticated")
 
 
 def time_text(time_ns: int) -> str:
@@ -90,7 +90,7 @@ class TimeLine:
         }
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Signal:
     """One signal of one system: how many epochs, rows, and rows with what."""
 
@@ -316,19 +316,19 @@ class PositionSummary:
 
 
 class StatementSummary:
-    """What a receiver says of its own integrity, statement by statement."""
+    """Counts of a receiver's own integrity messages."""
 
     def __init__(self) -> None:
         self._statements = 0
-        self._words: dict[str, Counter[str]] = {name: Counter() for name in _WORDS}
+        self._values: dict[str, Counter[str]] = {name: Counter() for name in _INTEGRITY_FIELDS}
         self._levels_m: dict[str, list[float]] = {}
         self._suspects: Counter[str] = Counter()
 
     def add(self, statement: ReceiverIntegrity) -> None:
         """One more."""
         self._statements += 1
-        for name, words in self._words.items():
-            words[getattr(statement, name)] += 1
+        for name, values in self._values.items():
+            values[getattr(statement, name)] += 1
         for name in ("horizontal_protection_level_m", "vertical_protection_level_m"):
             level_m = getattr(statement, name)
             if level_m is not None:
@@ -338,12 +338,12 @@ class StatementSummary:
             self._suspects[statement.suspect_satellite] += 1
 
     def report(self) -> dict[str, Any] | None:
-        """None where nothing was said; levels as least and greatest."""
+        """Return counts and the range of protection levels; None where there were no messages."""
         if not self._statements:
             return None
         return {
             "statements": self._statements,
-            **{name: dict(words.most_common()) for name, words in self._words.items()},
+            **{name: dict(values.most_common()) for name, values in self._values.items()},
             **self._levels_m,
             "suspect_satellites": dict(self._suspects.most_common()),
         }

@@ -1,4 +1,4 @@
-"""`camber gnss solve`: positions from a recorded drive's raw observations, as a file of RTKLIB's format and a plot."""
+"""`camber gnss solve`: RTK positions from a drive's raw observations, as an RTKLIB solution file and a plot."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from camber.validation.reference_trajectory import offset_of, truth_of
 _PROG = "camber gnss solve"
 _QUALITIES = {"fixed": SolutionQuality.FIX, "float": SolutionQuality.FLOAT, "single": SolutionQuality.SINGLE}
 _SAME_TIME_NS = NS_PER_SECOND // 50
-"""Epochs of one time are so far apart at most, by the clocks of the receivers."""
+"""Chosen: receiver clocks differ by less; epochs of rover and base within this are of one time."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SolvedDrive:
-    """Every epoch of the rover, columns (n,): what the engine made of it.
+    """The engine's solution of every rover epoch, columns (n,).
 
     `quality` is `fixed`, `float`, `single` or `none`; `position_ecef_m` (n, 3) and `covariance_ecef_m2` (n, 3, 3) are
     NaN where that is `none`, `ratio` and `age_s` where there is none.
@@ -59,7 +59,7 @@ class SolvedDrive:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Solve one drive; 0 done, 2 it cannot be used, 130 interrupted."""
+    """Solve one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args = _parser().parse_args(argv)
 
     def work() -> int:
@@ -70,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
-    """Writes `engine.pos` and `engine.svg` into a folder and returns a paragraph on what came out.
+    """Write `engine.pos` and `engine.svg` into a folder; returns a summary.
 
     Raises ManifestError where the drive has no raw observations or none in its time, FormatError, OSError.
     """
@@ -96,15 +96,15 @@ def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
         least_ratio=options.least_ratio,
     )
     (out / "engine.svg").write_text(svg_text(figure), "utf-8")
-    lines = [_summary(manifest, recording, solved, errors_m, out), *recording.notes]
+    lines = [_summary(manifest, recording, solved, errors_m=errors_m, out=out), *recording.notes]
     return "\n".join(lines)
 
 
 def run_engine(
     recording: RawRecording, rover: Sequence[ObservationEpoch], options: EngineOptions
 ) -> SolvedDrive:
-    """Epochs of the rover in their order, each with the newest epoch of the base at its time; ephemerides all at once,
-    as whoever solves afterwards has them."""
+    """Solve the rover's epochs in order, each with the newest base epoch at its time; all ephemerides known at once, as
+    in post-processing."""
     sets = Counter(ephemeris.satellite for ephemeris in recording.ephemerides)
     most = max(options.ephemerides_of_satellite, *sets.values(), 0)
     engine = Engine(replace(options, ephemerides_of_satellite=most), recording.base_ecef_m)
@@ -123,24 +123,24 @@ def run_engine(
         while place < len(base) and base[place].time_ns <= epoch.time_ns + _SAME_TIME_NS:
             engine.add_base(base[place])
             place += 1
-        found = engine.solve(epoch)
-        quality[k], continuity[k], satellites[k] = found.quality, found.continuity, found.satellites
-        if found.position_ecef_m is not None and found.covariance_ecef_m2 is not None:
-            position[k], covariance[k] = found.position_ecef_m, found.covariance_ecef_m2
-        ratio[k] = math.nan if found.ratio is None else found.ratio
-        age_s[k] = math.nan if found.age_s is None else found.age_s
+        solution = engine.solve(epoch)
+        quality[k], continuity[k], satellites[k] = solution.quality, solution.continuity, solution.satellites
+        if solution.position_ecef_m is not None and solution.covariance_ecef_m2 is not None:
+            position[k], covariance[k] = solution.position_ecef_m, solution.covariance_ecef_m2
+        ratio[k] = math.nan if solution.ratio is None else solution.ratio
+        age_s[k] = math.nan if solution.age_s is None else solution.age_s
     return SolvedDrive(
-        np.array([epoch.time_ns for epoch in rover], np.int64),
-        quality,
-        continuity,
-        position,
-        covariance,
-        satellites,
-        ratio,
-        age_s,
-        engine.reasons,
-        Counter(engine.warnings),
-        None if n < 2 else (n - 1) / (time.perf_counter() - began_s),
+        time_ns=np.array([epoch.time_ns for epoch in rover], np.int64),
+        quality=quality,
+        continuity=continuity,
+        position_ecef_m=position,
+        covariance_ecef_m2=covariance,
+        satellites=satellites,
+        ratio=ratio,
+        age_s=age_s,
+        reasons=engine.reasons,
+        warnings=Counter(engine.warnings),
+        epochs_per_s=None if n < 2 else (n - 1) / (time.perf_counter() - began_s),
     )
 
 
@@ -187,7 +187,7 @@ def _pos_file(solved: SolvedDrive, places: Floats) -> bytes:
 
 
 def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> Floats | None:
-    """Distances in 3D (n,) from the truth, NaN where it is not known; None: there is no truth."""
+    """Return 3D errors (n,) against the truth, NaN where it is unknown; None without truth."""
     if manifest.truth is None:
         return None
     truth = truth_of(read_truth(manifest.truth.file, manifest.truth.format))
@@ -199,7 +199,12 @@ def _errors_m(manifest: DriveManifest, solved: SolvedDrive, places: Floats) -> F
 
 
 def _summary(
-    manifest: DriveManifest, recording: RawRecording, solved: SolvedDrive, errors_m: Floats | None, out: Path
+    manifest: DriveManifest,
+    recording: RawRecording,
+    solved: SolvedDrive,
+    *,
+    errors_m: Floats | None,
+    out: Path,
 ) -> str:
     n = len(solved.time_ns)
     counts = Counter(solved.quality.tolist())
@@ -212,7 +217,7 @@ def _summary(
         f"{manifest.name}: {n:,} epochs from {time_text(int(solved.time_ns[0]))} GPS time: {shares}.",
         f"Not fixed: {_counted(reasons)}." if reasons else "",
         f"Integers of the fixes: {_counted(chain.most_common())}." if chain else "",
-        f"Amiss: {_counted(solved.warnings.most_common())}." if solved.warnings else "",
+        f"Issues: {_counted(solved.warnings.most_common())}." if solved.warnings else "",
         f"Base position from {recording.base_position_from}.",
         "" if errors_m is None else _accuracy(errors_m[solved.quality == "fixed"]),
         "" if solved.epochs_per_s is None else f"{solved.epochs_per_s:,.0f} epochs/s.",
@@ -234,7 +239,7 @@ def _accuracy(errors_m: Floats) -> str:
 
 
 def _counted(counts: Sequence[tuple[str, int]]) -> str:
-    return ", ".join(f"{count:,} {word.replace('_', ' ')}" for word, count in counts)
+    return ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in counts)
 
 
 def _options(args: argparse.Namespace) -> EngineOptions:
@@ -266,7 +271,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path("out/solve"),
         metavar="DIR",
-        help="where engine.pos and engine.svg go",
+        help="output folder (default out/solve)",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
@@ -281,13 +286,13 @@ def _parser() -> argparse.ArgumentParser:
         "--elevation-deg",
         type=number_from(0.0, 89.0),
         default=round(math.degrees(default.lowest_elevation_rad), 6),
-        help="lower satellites are not used (default %(default)s)",
+        help="elevation mask in degrees (default %(default)s)",
     )
     parser.add_argument(
         "--cn0-dbhz",
         type=number_from(0.0, 60.0),
         default=default.least_cn0_dbhz,
-        help="weaker signals are not used (default %(default)s)",
+        help="C/N0 mask in dB-Hz (default %(default)s)",
     )
     parser.add_argument(
         "--systems",
@@ -299,6 +304,6 @@ def _parser() -> argparse.ArgumentParser:
         "--partial",
         action=argparse.BooleanOptionalAction,
         default=default.partial,
-        help="fix a part of the ambiguities where all cannot be",
+        help="partial ambiguity resolution where not all can be fixed",
     )
     return parser

@@ -1,4 +1,4 @@
-"""`camber localize`: a drive through the localizer alone, with tables, figures, a plot, and pictures of matches."""
+"""`camber localize`: run the localizer alone on a recorded drive; writes tables, a plot and match pictures."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from camber.schemas.pose import ScanMatch
 from camber.tools.localize.csv_files import matches_csv, poses_csv
 from camber.tools.localize.drive_anchors import Anchors, anchors_of, receiver_fixes
 from camber.tools.localize.drive_plot import drive_figure
-from camber.tools.localize.figures import paragraph
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.figures import drive_summary
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import LocalizedDrive, localize
 from camber.tools.localize.match_picture import match_figure
@@ -32,56 +32,60 @@ from camber.validation.plots import require_matplotlib, svg_text
 
 _PROG = "camber localize"
 _NEAR_NS = 500_000_000
-"""A picture is of the match nearest to the time asked for, no farther from it than this."""
+"""Chosen: the largest distance in time between a requested picture and the match drawn."""
 _BADNESS = {"converged": 0, "ambiguous": 1, "lost": 2}
 
 
-@dataclass(frozen=True, slots=True)
-class What:
-    """What of a drive the localizer hears, and which matches are drawn (seconds after the start)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizeOptions:
+    """Optional inputs of the localizer, and the matches to draw (seconds after the start)."""
 
     anchors: Anchors = "none"
     fixes: bool = False
     pictures_s: tuple[float, ...] = ()
     settings: tuple[str, ...] = ()
-    """Further settings, as the service takes them on its command line."""
+    """Further settings, in the form of the service's command line."""
 
 
 def main(argv: Sequence[str]) -> int:
-    """Localize one drive; 0 done, 2 it cannot be used, 130 interrupted."""
+    """Localize one drive; 0 success, 2 the drive cannot be used, 130 interrupted."""
     args, further = _parser().parse_known_args(argv)
-    what = What(args.anchors, args.fixes, tuple(args.picture), tuple(further))
+    options = LocalizeOptions(
+        anchors=args.anchors, fixes=args.fixes, pictures_s=tuple(args.picture), settings=tuple(further)
+    )
 
     def work() -> int:
-        print(localize_drive(load_manifest(args.drive, args.set), args.out, what, quiet=args.quiet))
+        print(localize_drive(load_manifest(args.drive, args.set), args.out, options, quiet=args.quiet))
         return 0
 
     return report_failures(_PROG, args.out, work)
 
 
-def localize_drive(manifest: DriveManifest, out: Path, what: What, *, quiet: bool = True) -> str:
-    """Write poses.csv, matches.csv, localize.svg and pictures into a folder; returns a paragraph on what came out.
+def localize_drive(
+    manifest: DriveManifest, out: Path, options: LocalizeOptions, *, quiet: bool = True
+) -> str:
+    """Write poses.csv, matches.csv, localize.svg and pictures into a folder; returns a summary.
 
-    Raises ManifestError where the drive lacks what it takes, ConfigError, FormatError, OSError.
+    Raises ManifestError where the drive lacks inputs, ConfigError, FormatError, OSError.
     """
     require_matplotlib()
     out.mkdir(parents=True, exist_ok=True)
     inputs = prepare_drive(manifest, out / "work")
-    settings = _settings(inputs, out, what)
-    release = _release(inputs, what, settings)
-    views = _Views(inputs.tick_times_ns[0], what.pictures_s)
+    settings = _settings(inputs, out, options)
+    release = _release(inputs, options, settings)
+    views = _MatchViews(start_ns=inputs.tick_times_ns[0], requested_s=options.pictures_s)
     drive = localize(
         inputs,
         settings.options(settings.initial_pose),
-        MapAtHand(release),
-        fixes=receiver_fixes(inputs) if what.fixes else (),
-        anchors=anchors_of(inputs, what.anchors),
-        watcher=views,
+        LocalMapQueries(release),
+        fixes=receiver_fixes(inputs) if options.fixes else (),
+        anchors=anchors_of(inputs, options.anchors),
+        observer=views,
         quiet=quiet,
     )
-    written = _write(inputs, drive, release, views, out)
+    written = _write(inputs, drive, release=release, views=views, out=out)
     lines = [
-        _said(inputs, drive, what),
+        _summary(inputs, drive, options),
         f"Written: {', '.join(map(str, written))}.",
         *views.missed(),
         *drive.notes,
@@ -89,8 +93,8 @@ def localize_drive(manifest: DriveManifest, out: Path, what: What, *, quiet: boo
     return "\n".join(lines)
 
 
-def _release(inputs: DriveInputs, what: What, settings: LocalizerSettings) -> Release:
-    """The map of a drive that has all it takes; ManifestError where one thing is missing."""
+def _release(inputs: DriveInputs, options: LocalizeOptions, settings: LocalizerSettings) -> Release:
+    """Return the map of a drive with all inputs needed; raises ManifestError where one is missing."""
     manifest = inputs.manifest
     missing = {
         "table motion, expected one, or wheel_speed and yaw_rate in surrogates.inputs": not inputs.motion,
@@ -98,7 +102,7 @@ def _release(inputs: DriveInputs, what: What, settings: LocalizerSettings) -> Re
             settings.match_sweeps and not inputs.sweeps
         ),
         "initial_pose, expected one, or --fixes or --anchors to start from": (
-            settings.initial_pose is None and not what.fixes and what.anchors == "none"
+            settings.initial_pose is None and not options.fixes and options.anchors == "none"
         ),
     }
     for expected, is_missing in missing.items():
@@ -111,57 +115,57 @@ def _release(inputs: DriveInputs, what: What, settings: LocalizerSettings) -> Re
     return release_for(inputs.map_release, manifest.datum)
 
 
-def _settings(inputs: DriveInputs, out: Path, what: What) -> LocalizerSettings:
-    """As the process would have them in a replay; left in `out`."""
+def _settings(inputs: DriveInputs, out: Path, options: LocalizeOptions) -> LocalizerSettings:
+    """Return the settings that the process would have in a replay; their file stays in `out`."""
     file = out / "localizer.toml"
     file.write_text(config_text(localizer_config(inputs.manifest, inputs.initial_pose)) + "\n", "utf-8")
-    settings, _ = load(LocalizerSettings, ["--config", str(file), *what.settings], prog=_PROG)
+    settings, _ = load(LocalizerSettings, ["--config", str(file), *options.settings], prog=_PROG)
     return settings
 
 
-@dataclass(slots=True)
-class _Views:
-    """Keeps the material of the matches that are drawn: those asked for, and the worst."""
+@dataclass(slots=True, kw_only=True)
+class _MatchViews:
+    """Collects the views of the matches to draw: those requested, and the worst."""
 
     start_ns: int
-    asked_s: tuple[float, ...]
-    asked: dict[float, MatchView] = field(default_factory=dict)
+    requested_s: tuple[float, ...]
+    requested: dict[float, MatchView] = field(default_factory=dict)
     worst: MatchView | None = None
     _least: tuple[int, float] = (-1, 0.0)
 
-    def saw(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
-        """The view is that of the last match; it is made only where it will be drawn."""
+    def on_matches(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
+        """Keep the view of the last match where it will be drawn."""
         match = matches[-1]
         badness = (_BADNESS[match.status], -(0.0 if match.overlap is None else match.overlap))
-        nearest = [at_s for at_s in self.asked_s if self._is_nearer(at_s, match.time_ns)]
+        nearest = [at_s for at_s in self.requested_s if self._is_nearer(at_s, match.time_ns)]
         if badness <= self._least and not nearest:
             return
         view = matcher.last_view
         if view is None or view.time_ns != match.time_ns:
             return
-        self.asked |= dict.fromkeys(nearest, view)
+        self.requested |= dict.fromkeys(nearest, view)
         if badness > self._least:
             self._least, self.worst = badness, view
 
     def missed(self) -> list[str]:
-        """A line for each picture asked for that there is none of."""
+        """Return a line for each requested picture that could not be drawn."""
         return [
             f"No picture at {at_s:g} s: nothing was matched there."
-            for at_s in self.asked_s
-            if at_s not in self.asked
+            for at_s in self.requested_s
+            if at_s not in self.requested
         ]
 
     def _is_nearer(self, at_s: float, time_ns: int) -> bool:
         wanted_ns = self.start_ns + round(at_s * 1e9)
-        before = self.asked.get(at_s)
+        before = self.requested.get(at_s)
         least_ns = _NEAR_NS if before is None else abs(before.time_ns - wanted_ns)
         return abs(time_ns - wanted_ns) < least_ns
 
 
 def _write(
-    inputs: DriveInputs, drive: LocalizedDrive, release: Release, views: _Views, out: Path
+    inputs: DriveInputs, drive: LocalizedDrive, *, release: Release, views: _MatchViews, out: Path
 ) -> list[Path]:
-    """Everything but the paragraph; returns the files."""
+    """Write tables, plot and pictures; returns the files."""
     poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
     errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
     texts = {
@@ -173,7 +177,7 @@ def _write(
         name, poses=poses, matches=matches, errors=errors, truth=inputs.truth, release=release
     )
     texts["localize.svg"] = svg_text(figure)
-    pictures = {f"match-{at_s:g}s.svg": view for at_s, view in views.asked.items()}
+    pictures = {f"match-{at_s:g}s.svg": view for at_s, view in views.requested.items()}
     if views.worst is not None:
         pictures = {"match-worst.svg": views.worst, **pictures}
     for file, view in pictures.items():
@@ -183,14 +187,19 @@ def _write(
     return [out / name for name in texts]
 
 
-def _said(inputs: DriveInputs, drive: LocalizedDrive, what: What) -> str:
+def _summary(inputs: DriveInputs, drive: LocalizedDrive, options: LocalizeOptions) -> str:
     surrogates = list(inputs.manifest.surrogate_notes())
-    if what.anchors != "none":
-        surrogates.append(f"anchors from {what.anchors}: a judge that is never wrong")
+    if options.anchors != "none":
+        surrogates.append(f"anchors from {options.anchors}: an integrity judge without errors")
     poses = PoseColumns.from_poses(drive.poses)
     errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
-    return paragraph(
-        inputs.manifest.name, drive, poses, MatchColumns.from_matches(drive.matches), errors, surrogates
+    return drive_summary(
+        inputs.manifest.name,
+        drive,
+        poses=poses,
+        matches=MatchColumns.from_matches(drive.matches),
+        errors=errors,
+        surrogates=surrogates,
     )
 
 
@@ -198,14 +207,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=_PROG,
         description=__doc__,
-        epilog="The localizer's settings are taken too: --no-match-sweeps is motion and links alone.",
+        epilog="Settings of the localizer are accepted too, such as --no-match-sweeps for motion and links alone.",
         allow_abbrev=False,
     )
     parser.add_argument(
         "drive", type=Path, metavar="drive.toml", help="manifest with motion, sweeps and a map"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("out/localize"), metavar="DIR", help="where tables and pictures go"
+        "--out",
+        type=Path,
+        default=Path("out/localize"),
+        metavar="DIR",
+        help="output folder (default out/localize)",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"
@@ -214,16 +227,18 @@ def _parser() -> argparse.ArgumentParser:
         "--anchors",
         choices=get_args(Anchors),
         default="none",
-        help="confirmed positions: none, the truth once a second, or the receiver's fixes that the truth proves right",
+        help="confirmed positions: none, the truth once a second, or the receiver's fixes that agree with the truth",
     )
-    parser.add_argument("--fixes", action="store_true", help="the receiver's unconfirmed fixes may start it")
+    parser.add_argument(
+        "--fixes", action="store_true", help="let the receiver's unconfirmed fixes initialize the pose"
+    )
     parser.add_argument(
         "--picture",
         type=number_from(0.0, 1e6, "s"),
         action="append",
         default=[],
         metavar="S",
-        help="draw the match nearest to so many seconds after the start; may be repeated",
+        help="draw the match nearest to S seconds after the start; repeatable",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser

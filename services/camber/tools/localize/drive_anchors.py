@@ -1,7 +1,7 @@
-"""What a drive says of its antenna's position, for a localizer that is run alone: unconfirmed fixes, and anchors.
+"""Unconfirmed fixes and anchors of a recorded drive, as inputs of a localizer that is run alone.
 
-Anchors stand for a judge that is never wrong: the truth itself, or those of the receiver's fixes that the truth proves
-right. They are surrogates, and whoever shows figures with them says so.
+Anchors are surrogates for verdicts without errors: the truth itself, or the receiver's fixes that agree with the truth.
+Results obtained with them must say so.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from camber.validation.fix_statistics import RIGHT_M
 from camber.validation.reference_trajectory import ReferenceTrajectory, offset_of, truth_of
 
 Anchors = Literal["none", "truth", "right-fixes"]
-_EVERY_NS = 1_000_000_000
-_SIGMA_M = 0.02
+_EVERY_NS = 1_000_000_000  # chosen: one anchor a second
+_SIGMA_M = 0.02  # chosen: horizontal σ of an RTK fix
 
 
 def receiver_fixes(inputs: DriveInputs) -> list[Fix]:
@@ -44,11 +44,11 @@ def receiver_fixes(inputs: DriveInputs) -> list[Fix]:
         if part.protocol not in readers:
             date = manifest.receiver.utc_date
             readers[part.protocol] = StreamReader(
-                "rover", part.protocol, manifest.receiver.file.name, part.time_ns, date
+                "rover", part.protocol, manifest.receiver.file.name, part.time_ns, utc_date=date
             )
-        for _, said in readers[part.protocol].feed(part.payload.tobytes()):
-            if isinstance(said, ReceiverSolution):
-                fixes += _fix(said, manifest.datum, fixes[-1].time_ns if fixes else None, part.time_ns)
+        for _, item in readers[part.protocol].feed(part.payload.tobytes()):
+            if isinstance(item, ReceiverSolution):
+                fixes += _fix(item, manifest.datum, fixes[-1].time_ns if fixes else None, part.time_ns)
     return fixes
 
 

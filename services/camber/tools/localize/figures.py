@@ -1,4 +1,4 @@
-"""What `camber localize` says of a drive: a paragraph of figures."""
+"""The summary of `camber localize`: a paragraph of figures."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from camber.tools.localize.localizer_run import LocalizedDrive
 from camber.validation.localization_columns import MatchColumns, Names, PoseColumns, PoseErrors
 
 
-def paragraph(
+def drive_summary(
     name: str,
     drive: LocalizedDrive,
+    *,
     poses: PoseColumns,
     matches: MatchColumns,
     errors: PoseErrors | None,
     surrogates: Sequence[str],
 ) -> str:
-    """`surrogates` are words on what entered that a vehicle would not have."""
+    """Return the summary; `surrogates` describe inputs that a vehicle would not have."""
     parts = [
         f"{name}: {len(poses.time_ns):,} poses from {time_text(int(poses.time_ns[0]))} GPS time: "
         f"{_shares(poses.mode)}.",
@@ -31,16 +32,16 @@ def paragraph(
         _layers(matches),
         _sweep_times(drive.sweep_s),
         "" if errors is None else _accuracy(errors),
-        f"Amiss: {_counted(drive.tally.issues)}." if drive.tally.issues else "",
+        f"Issues: {_counted(drive.tally.issues)}." if drive.tally.issues else "",
     ]
     return " ".join(part for part in parts if part)
 
 
-def _shares(words: Names) -> str:
-    counts = Counter(words.tolist())
+def _shares(values: Names) -> str:
+    counts = Counter(values.tolist())
     return ", ".join(
-        f"{count:,} {word.replace('_', ' ')} ({count / len(words):.1%})"
-        for word, count in counts.most_common()
+        f"{count:,} {value.replace('_', ' ')} ({count / len(values):.1%})"
+        for value, count in counts.most_common()
     )
 
 
@@ -52,7 +53,7 @@ def _why(drive: LocalizedDrive) -> str:
 
 
 def _counted(counts: Counter[str]) -> str:
-    return ", ".join(f"{count:,} {word.replace('_', ' ')}" for word, count in counts.most_common(8))
+    return ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in counts.most_common(8))
 
 
 def _layers(matches: MatchColumns) -> str:

@@ -1,4 +1,4 @@
-"""The map as the localizer asks for it, straight from a release on this machine: no process, no bus."""
+"""Answer the localizer's map queries from a release on this machine, without process or bus."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from camber.schemas.road import (
 )
 
 
-class MapAtHand:
-    """Answers at the time of the question. Raises ReleaseError where a tile has gone since `release_for` saw it."""
+class LocalMapQueries:
+    """Answers each query immediately. Raises ReleaseError where a tile was removed after `release_for`."""
 
     def __init__(self, release: Release) -> None:
         self._answers = ReleaseQueries(release)
@@ -35,14 +35,15 @@ class MapAtHand:
         return self._answers.tile(request, time_ns=request.time_ns)
 
     def is_there(self) -> bool:
-        """It is."""
+        """Always true."""
         return True
 
 
 def release_for(folder: Path, datum: str) -> Release:
-    """The release in a folder, every byte verified. Raises ReleaseError for a damaged one and for another datum."""
+    """Return the release in a folder, fully verified. Raises ReleaseError where damaged or of another datum."""
     release = read_release(folder)
     if release.manifest.datum != datum:
-        found = release.manifest.datum
-        raise ReleaseError(str(folder / ROOT_NAME), "datum", f"{datum} as of the drive", actual=found)
+        raise ReleaseError(
+            str(folder / ROOT_NAME), "datum", f"{datum} as of the drive", actual=release.manifest.datum
+        )
     return release

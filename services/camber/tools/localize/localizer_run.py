@@ -1,4 +1,4 @@
-"""A drive through the localizer alone: one process, no bus, as fast as it goes."""
+"""Run the localizer alone on a recorded drive: one process, no bus, as fast as possible."""
 
 from __future__ import annotations
 
@@ -24,39 +24,39 @@ from camber.schemas.pose import Pose, ScanMatch
 M = TypeVar("M", bound=Message)
 
 
-class Watcher(Protocol):
-    """Whoever wants to see matches while their material is at hand."""
+class MatchObserver(Protocol):
+    """Receives matches while the matcher still holds their view."""
 
-    def saw(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
-        """These have just come out."""
+    def on_matches(self, matches: Sequence[ScanMatch], matcher: ScanMatcher) -> None:
+        """Called with the matches of one step."""
 
 
-@dataclass(slots=True)
-class Tally:
-    """What the localizer says on the way: issues by code, each with its last text, and counters."""
+@dataclass(slots=True, kw_only=True)
+class IssueTally:
+    """Issues and counters that the localizer reported: issues by code, each with its last text."""
 
     issues: Counter[str] = field(default_factory=Counter)
     texts: dict[str, str] = field(default_factory=dict)
     counters: Counter[str] = field(default_factory=Counter)
 
     def issue(self, code: str, text: str) -> None:
-        """Something amiss."""
+        """Count an issue."""
         self.issues[code] += 1
         self.texts[code] = text
 
     def count(self, name: str) -> None:
-        """One more of these."""
+        """Increment a counter."""
         self.counters[name] += 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LocalizedDrive:
-    """What came out, in the order of time. `sweep_s`: what a sweep took from hearing it to its match."""
+    """Output of the localizer in time order. `sweep_s`: computing time of each sweep."""
 
     poses: list[Pose]
     matches: list[ScanMatch]
     sweep_s: list[float]
-    tally: Tally
+    tally: IssueTally
     notes: tuple[str, ...]
 
 
@@ -67,21 +67,21 @@ def localize(
     *,
     fixes: Sequence[Fix] = (),
     anchors: Sequence[Verdict] = (),
-    watcher: Watcher | None = None,
+    observer: MatchObserver | None = None,
     quiet: bool = True,
 ) -> LocalizedDrive:
-    """Hear everything as a replay would let the localizer hear it: a verdict comes after the pose of its epoch."""
-    tally, reader = Tally(), SweepReader()
+    """Feed all inputs in the order of a replay: a verdict comes after the pose of its epoch."""
+    tally, reader = IssueTally(), SweepReader()
     localization = Localization(options, answers, tally)
     matcher = localization.matcher
-    fixed, confirmed = _InTime(fixes), _InTime(anchors)
+    fixed, confirmed = _TimeOrdered(fixes), _TimeOrdered(anchors)
     poses: list[Pose] = []
     matches: list[ScanMatch] = []
     sweep_s: list[float] = []
     with tqdm(total=len(inputs.tick_times_ns), unit="epoch", disable=quiet or not sys.stderr.isatty()) as bar:
         for tick in inputs.ticks():
-            fixed.before(tick.time_ns + 1, localization.on_fix)
-            confirmed.before(tick.time_ns, localization.on_verdict)
+            fixed.deliver_before(tick.time_ns + 1, localization.on_fix)
+            confirmed.deliver_before(tick.time_ns, localization.on_verdict)
             for motion in tick.motion:
                 localization.on_motion(motion)
             sweeps = list(reader.read(tick.sweeps)) if matcher is not None else []
@@ -94,21 +94,27 @@ def localize(
             matches += step.matches
             if step.pose is not None:
                 poses.append(step.pose)
-            if watcher is not None and matcher is not None and step.matches:
-                watcher.saw(step.matches, matcher)
+            if observer is not None and matcher is not None and step.matches:
+                observer.on_matches(step.matches, matcher)
             bar.update()
-    return LocalizedDrive(poses, matches, sweep_s, tally, (*inputs.notes, *reader.notes()))
+    return LocalizedDrive(
+        poses=poses,
+        matches=matches,
+        sweep_s=sweep_s,
+        tally=tally,
+        notes=(*inputs.notes, *reader.notes()),
+    )
 
 
-class _InTime(Generic[M]):
-    """Messages in the order of their times, each handed on once."""
+class _TimeOrdered(Generic[M]):
+    """Messages in time order, each delivered once."""
 
     def __init__(self, messages: Sequence[M]) -> None:
         self._messages = messages
         self._next = 0
 
-    def before(self, time_ns: int, hear: Callable[[M], None]) -> None:
-        """Hand on those that are older than a time."""
+    def deliver_before(self, time_ns: int, receive: Callable[[M], None]) -> None:
+        """Deliver the messages older than `time_ns`."""
         while self._next < len(self._messages) and self._messages[self._next].time_ns < time_ns:
-            hear(self._messages[self._next])
+            receive(self._messages[self._next])
             self._next += 1

@@ -185,7 +185,9 @@ def _check_service_certificates(known: dict[str, Any]) -> Iterator[Finding]:
             if any(each) and each not in seen:
                 seen.add(each)
                 authority, certificate, key = each
-                yield from check_certificates(what, authority, certificate, key, now)
+                yield from check_certificates(
+                    what, authority=authority, certificate=certificate, key=key, now=now
+                )
 
 
 def _check_routers(folder: Path) -> Iterator[Finding]:
@@ -205,7 +207,9 @@ def _check_routers(folder: Path) -> Iterator[Finding]:
             authority, certificate, key = (
                 Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair)
             )
-            yield from check_certificates(what, authority, certificate, key, now)
+            yield from check_certificates(
+                what, authority=authority, certificate=certificate, key=key, now=now
+            )
 
 
 def _check_connections(known: dict[str, Any]) -> Iterator[Finding]:

@@ -193,7 +193,7 @@ def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_
 
 
 def check_certificates(
-    what: str, authority: Path | None, certificate: Path | None, key: Path | None, now: datetime
+    what: str, *, authority: Path | None, certificate: Path | None, key: Path | None, now: datetime
 ) -> Iterator[Finding]:
     """Check that certificates are readable, valid and signed by the authority, and that the key fits and is private."""
     authorities = _read(authority)

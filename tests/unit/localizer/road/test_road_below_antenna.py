@@ -13,7 +13,7 @@ from camber.localizer.filter.pose_estimate import PoseEstimate
 from camber.localizer.road.road_below_antenna import RoadBelowAntenna
 from camber.road_map.release import read_release
 from camber.schemas.pose import Road
-from camber.tools.localize.local_map_queries import MapAtHand
+from camber.tools.localize.local_map_queries import LocalMapQueries
 from support.small_map import at, link, surface, write
 
 NS = 1_500_000_000 * 1_000_000_000
@@ -62,7 +62,7 @@ class Fork:
         ]
         write(folder, rows, LINKS)
         self.counts: Counter[str] = Counter()
-        self.under = RoadBelowAntenna(15.0, MapAtHand(read_release(folder)), self)
+        self.under = RoadBelowAntenna(15.0, LocalMapQueries(read_release(folder)), self)
         self.epochs = 0
 
     def issue(self, code: str, text: str) -> None:

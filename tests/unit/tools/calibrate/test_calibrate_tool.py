@@ -18,8 +18,8 @@ from camber.schemas.drive import load_manifest
 from camber.schemas.gnss import Fix
 from camber.schemas.pose import Pose
 from camber.tools.calibrate import command as tool
-from camber.tools.calibrate.calibration import horizontal_of
-from camber.tools.calibrate.calibration_run import height_of, pair
+from camber.tools.calibrate.calibration import calibrate_horizontal
+from camber.tools.calibrate.calibration_run import estimate_antenna_height, pair
 from camber.tools.calibrate.command import calibrate
 from support import judging
 
@@ -61,7 +61,7 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_lever_arm_base_and_height_come_out_of_fixes_beside_poses() -> None:
     paired = pair(*drive())
-    found, height = horizontal_of(paired.pairs), height_of(paired.cells)
+    found, height = calibrate_horizontal(paired.pairs), estimate_antenna_height(paired.cells)
     assert found is not None
     assert height is not None
     assert found.separable
@@ -81,7 +81,7 @@ def test_only_fixed_positions_beside_a_pose_of_their_time_count() -> None:
 def test_poses_that_are_no_scan_match_tell_heights_alone() -> None:
     paired = pair(*drive(mode="dead_reckoning"))
     assert len(paired.pairs.time_ns) == 0
-    assert height_of(paired.cells) is not None
+    assert estimate_antenna_height(paired.cells) is not None
 
 
 def test_of_roads_that_are_not_known_or_of_another_datum_no_height_is_told() -> None:
@@ -89,7 +89,7 @@ def test_of_roads_that_are_not_known_or_of_another_datum_no_height_is_told() -> 
     for road in (judging.road(datum="JGD2011"), judging.road(status="unknown", elevation_m=None)):
         paired = pair(fixes, [pose.model_copy(update={"road": road}) for pose in poses])
         assert paired.cells == ()
-        assert height_of(paired.cells) is None
+        assert estimate_antenna_height(paired.cells) is None
 
 
 def test_a_stretch_belongs_to_no_antenna_or_base() -> None:
@@ -101,7 +101,7 @@ def test_a_stretch_belongs_to_no_antenna_or_base() -> None:
 
 def test_without_scan_matches_it_finds_the_height_and_says_what_it_cannot(blind: Path) -> None:
     said, snippet = calibrate(load_manifest(blind))
-    assert "not to be told without a minute of fixes beside scan matches" in said
+    assert "not estimated, expected a minute of fixes with scan matches" in said
     manifest = load_manifest(blind)
     table = tomllib.loads(snippet)
     assert table["antenna_height"]["height_m"] == pytest.approx(manifest.antenna_height.height_m, abs=0.05)
@@ -112,7 +112,7 @@ def told(
     monkeypatch: pytest.MonkeyPatch, blind: Path, fixes: list[Fix], poses: list[Pose]
 ) -> tuple[str, str]:
     """What the command makes of these."""
-    monkeypatch.setattr(tool, "_paired", lambda *_, **__: pair(fixes, poses))
+    monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair(fixes, poses))
     return calibrate(load_manifest(blind))
 
 
@@ -130,8 +130,8 @@ def test_what_was_set_and_what_was_found_stand_beside_each_other(
 
 def test_without_turns_it_says_so(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
     said, snippet = told(monkeypatch, blind, *drive(turns=False))
-    assert "Hardly a turn: lever arm and base cannot be told apart" in said
-    assert "# if the base is right" in snippet
+    assert "Too few turns to separate lever arm and base offset" in said
+    assert "# if the base is correct" in snippet
 
 
 def test_without_roads_the_height_stays_as_it_was_set(monkeypatch: pytest.MonkeyPatch, blind: Path) -> None:
@@ -140,7 +140,7 @@ def test_without_roads_the_height_stays_as_it_was_set(monkeypatch: pytest.Monkey
     said, snippet = told(
         monkeypatch, blind, fixes, [pose.model_copy(update={"road": unknown}) for pose in poses]
     )
-    assert "Antenna height: not to be told" in said
+    assert "Antenna height: not estimated" in said
     assert "antenna_height" not in tomllib.loads(snippet)
 
 
@@ -153,7 +153,7 @@ def test_a_height_that_changed_on_the_way_is_said(monkeypatch: pytest.MonkeyPatc
 def test_it_writes_the_toml_where_it_is_told_to(
     blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tool, "_paired", lambda *_, **__: pair(*drive()))
+    monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair(*drive()))
     out = tmp_path / "new" / "car.toml"
     assert cli.main(["calibrate", str(blind), "--out", str(out), "--quiet"]) == 0
     assert capsys.readouterr().out.rstrip().endswith(f"Written: {out}.")
@@ -193,7 +193,7 @@ def test_what_is_missing_is_one_line_and_code_2(
 def test_a_drive_that_says_nothing_is_one_line(
     blind: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tool, "_paired", lambda *_, **__: pair([], []))
+    monkeypatch.setattr(tool, "_calibration_data", lambda *_, **__: pair([], []))
     assert cli.main(["calibrate", str(blind)]) == 2
     assert "0 fixes" in capsys.readouterr().err
     assert cli.main(["calibrate", "nowhere.toml"]) == 2
@@ -201,5 +201,5 @@ def test_a_drive_that_says_nothing_is_one_line(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tool, "_paired", interrupted)
+    monkeypatch.setattr(tool, "_calibration_data", interrupted)
     assert cli.main(["calibrate", str(blind)]) == 130

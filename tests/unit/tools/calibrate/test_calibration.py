@@ -5,11 +5,11 @@ import pytest
 
 from camber.tools.calibrate.calibration import (
     LEAST_FIXES,
-    Horizontal,
-    Pairs,
+    FixPosePairs,
+    HorizontalCalibration,
+    calibrate_horizontal,
+    circular_variance,
     clusters_of,
-    horizontal_of,
-    spread_of,
 )
 
 SEED = 20261122
@@ -24,7 +24,7 @@ def pairs(
     turns: float = 1.0,
     wrong: float = 0.07,
     noise_m: float = 0.05,
-) -> Pairs:
+) -> FixPosePairs:
     """A drive round some blocks; errors are alike for three seconds, wrong fixes lie anywhere."""
     rng, n = np.random.default_rng(seed), int(seconds * RATE_HZ)
     yaw_rad = 0.5 * np.pi * turns * np.floor(np.arange(n) / RATE_HZ / 25.0)
@@ -38,61 +38,61 @@ def pairs(
     off = rng.random(n) < wrong
     seen_m[off] += rng.normal(0.0, 2.0, (int(off.sum()), 2))
     time_ns = (np.arange(n) / RATE_HZ * 1e9).astype(np.int64)
-    return Pairs(time_ns, seen_m, yaw_rad, np.full(n, 0.1))
+    return FixPosePairs(time_ns=time_ns, east_north_m=seen_m, yaw_rad=yaw_rad, sigma_m=np.full(n, 0.1))
 
 
-def known(found: Horizontal | None) -> Horizontal:
-    assert found is not None
-    return found
+def known(result: HorizontalCalibration | None) -> HorizontalCalibration:
+    assert result is not None
+    return result
 
 
 def test_with_turns_both_are_found_wrong_fixes_or_not() -> None:
-    found = known(horizontal_of(pairs()))
-    assert found.separable
-    assert found.lever_m == pytest.approx(LEVER_M, abs=0.02)
-    assert found.base_m == pytest.approx(BASE_M, abs=0.02)
-    assert 0.9 < found.used < 0.96
+    result = known(calibrate_horizontal(pairs()))
+    assert result.separable
+    assert result.lever_m == pytest.approx(LEVER_M, abs=0.02)
+    assert result.base_m == pytest.approx(BASE_M, abs=0.02)
+    assert 0.9 < result.used < 0.96
 
 
 def test_their_sigma_is_that_of_their_errors() -> None:
     print("seeds 0 to 59")
     off = []
     for seed in range(60):
-        found = known(horizontal_of(pairs(seed)))
+        result = known(calibrate_horizontal(pairs(seed)))
         off += [
-            *(found.lever_m - LEVER_M) / found.lever_sigma_m,
-            *(found.base_m - BASE_M) / found.base_sigma_m,
+            *(result.lever_m - LEVER_M) / result.lever_sigma_m,
+            *(result.base_m - BASE_M) / result.base_sigma_m,
         ]
     print(f"{np.std(off):.2f} of their σ")
     assert 0.7 < float(np.std(off)) < 1.4
 
 
 def test_without_turns_each_is_told_as_if_the_other_were_right() -> None:
-    found = known(horizontal_of(pairs(turns=0.0)))
-    assert not found.separable
-    assert found.lever_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
-    assert found.base_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
+    result = known(calibrate_horizontal(pairs(turns=0.0)))
+    assert not result.separable
+    assert result.lever_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
+    assert result.base_m == pytest.approx(LEVER_M + BASE_M, abs=0.03)
 
 
 def test_a_few_degrees_are_no_turn() -> None:
-    assert not known(horizontal_of(pairs(turns=0.01))).separable
+    assert not known(calibrate_horizontal(pairs(turns=0.01))).separable
 
 
 def test_a_third_of_wrong_fixes_does_not_pull_it() -> None:
-    found = known(horizontal_of(pairs(wrong=0.33)))
-    assert found.lever_m == pytest.approx(LEVER_M, abs=0.04)
-    assert found.base_m == pytest.approx(BASE_M, abs=0.04)
+    result = known(calibrate_horizontal(pairs(wrong=0.33)))
+    assert result.lever_m == pytest.approx(LEVER_M, abs=0.04)
+    assert result.base_m == pytest.approx(BASE_M, abs=0.04)
 
 
 def test_differences_without_noise_are_explained_to_the_micrometre() -> None:
-    found = known(horizontal_of(pairs(noise_m=0.0, wrong=0.0)))
-    assert np.concatenate((found.lever_m - LEVER_M, found.base_m - BASE_M)) == pytest.approx(0.0, abs=1e-6)
-    assert found.used == 1.0
+    result = known(calibrate_horizontal(pairs(noise_m=0.0, wrong=0.0)))
+    assert np.concatenate((result.lever_m - LEVER_M, result.base_m - BASE_M)) == pytest.approx(0.0, abs=1e-6)
+    assert result.used == 1.0
 
 
 @pytest.mark.parametrize("seconds", [0.0, (LEAST_FIXES - 1) / RATE_HZ, 29.0])
 def test_of_too_few_pairs_or_of_too_short_a_time_nothing_is_told(seconds: float) -> None:
-    assert horizontal_of(pairs(seconds=seconds)) is None
+    assert calibrate_horizontal(pairs(seconds=seconds)) is None
 
 
 def test_stretches_are_of_ten_seconds() -> None:
@@ -101,5 +101,5 @@ def test_stretches_are_of_ten_seconds() -> None:
 
 
 def test_directions_that_are_one_have_no_spread_and_opposite_ones_all() -> None:
-    assert spread_of(np.full(5, 2.0)) == pytest.approx(0.0)
-    assert spread_of(np.array([0.0, np.pi])) == pytest.approx(1.0)
+    assert circular_variance(np.full(5, 2.0)) == pytest.approx(0.0)
+    assert circular_variance(np.array([0.0, np.pi])) == pytest.approx(1.0)

@@ -16,7 +16,7 @@ from camber.runtime.bus import Bus
 from camber.schemas.base import Message
 from camber.schemas.codec import encode
 from camber.schemas.road import ElevationRequest, Layer, LinksRequest, Places, TileRequest
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from support.small_map import DAY_NS, FRAME, MADE_NS, at, link, surface, write
 
 NOW_NS = MADE_NS + DAY_NS
@@ -73,7 +73,7 @@ def questions() -> list[tuple[str, Message]]:
 
 def test_every_answer_is_that_of_the_map_server(folder: Path) -> None:
     service = MapServerService(MapServerSettings(release=folder), cast(Bus, _Bus()))
-    at_hand = MapAtHand(release_for(folder, "WGS84"))
+    at_hand = LocalMapQueries(release_for(folder, "WGS84"))
     assert at_hand.is_there()
     said: set[str] = set()
     for name, request in questions():

@@ -19,9 +19,9 @@ from camber.schemas.codec import encode
 from camber.schemas.drive import load_manifest
 from camber.simulator.scenario import load_scenario
 from camber.tools import simulate
-from camber.tools.localize.command import What, localize_drive
+from camber.tools.localize.command import LocalizeOptions, localize_drive
 from camber.tools.localize.drive_anchors import receiver_fixes
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import LocalizedDrive, localize
 
@@ -32,7 +32,7 @@ STREET = (
     "lidar.beams=32",
     "lidar.traffic=0",
 )
-BLIND = What(settings=("--no-match-sweeps",))
+BLIND = LocalizeOptions(settings=("--no-match-sweeps",))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def matched(street: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """What the command has left of that street, and what it said."""
     out = tmp_path_factory.mktemp("matched")
-    return out, localize_drive(load_manifest(street), out, What(pictures_s=(1.5, 99.0)))
+    return out, localize_drive(load_manifest(street), out, LocalizeOptions(pictures_s=(1.5, 99.0)))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_the_plot_and_the_pictures_are_whole(matched: tuple[Path, str]) -> None:
 
 def test_the_same_drive_gives_the_same_bytes(street: Path, matched: tuple[Path, str], tmp_path: Path) -> None:
     out, _ = matched
-    localize_drive(load_manifest(street), tmp_path, What(pictures_s=(1.5, 99.0)))
+    localize_drive(load_manifest(street), tmp_path, LocalizeOptions(pictures_s=(1.5, 99.0)))
     for path in out.glob("*.*"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
@@ -139,7 +139,7 @@ def test_a_sweep_that_cannot_be_read_costs_itself_and_a_line(street: Path, tmp_p
     shutil.copytree(street.parent, drive)
     broken = sorted((drive / "sweeps").glob("*.pcd"))[7]
     broken.write_bytes(broken.read_bytes()[:5000])
-    said = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out", What())
+    said = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out", LocalizeOptions())
     assert said.splitlines()[-1].startswith("1 sweep could not be read and left out, the first: ")
     assert broken.stem not in {row["time_ns"] for row in table(tmp_path / "out" / "matches.csv")}
 
@@ -151,7 +151,7 @@ def drive_of(inputs: DriveInputs, **heard: object) -> LocalizedDrive:
     assert inputs.map_release is not None
     settings = LocalizerSettings(match_sweeps=False, **localizer_config(inputs.manifest, inputs.initial_pose))
     options = settings.options(settings.initial_pose)
-    at_hand = MapAtHand(release_for(inputs.map_release, inputs.manifest.datum))
+    at_hand = LocalMapQueries(release_for(inputs.map_release, inputs.manifest.datum))
     return localize(inputs, options, at_hand, **heard)  # type: ignore[arg-type]
 
 
@@ -165,8 +165,10 @@ def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> N
 def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> None:
     for anchors in ("truth", "right-fixes"):
         out = tmp_path / anchors
-        said = localize_drive(load_manifest(blind), out, What(anchors=anchors, settings=BLIND.settings))  # type: ignore[arg-type]
-        assert f"Surrogate: anchors from {anchors}: a judge that is never wrong." in said
+        said = localize_drive(
+            load_manifest(blind), out, LocalizeOptions(anchors=anchors, settings=BLIND.settings)
+        )  # type: ignore[arg-type]
+        assert f"Surrogate: anchors from {anchors}: an integrity judge without errors." in said
         poses = table(out / "poses.csv")
         error_m = np.hypot(column(poses, "error_along_m"), column(poses, "error_cross_m"))
         assert np.median(error_m) < 0.1
@@ -175,7 +177,7 @@ def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> Non
 
 def test_without_a_given_pose_fixes_start_it_provisionally(blind: Path, tmp_path: Path) -> None:
     manifest = load_manifest(blind).model_copy(update={"initial_pose": None})
-    said = localize_drive(manifest, tmp_path, What(fixes=True, settings=BLIND.settings))
+    said = localize_drive(manifest, tmp_path, LocalizeOptions(fixes=True, settings=BLIND.settings))
     assert "provisional (" in said
     poses = table(tmp_path / "poses.csv")
     assert poses[0]["mode"] == "none"

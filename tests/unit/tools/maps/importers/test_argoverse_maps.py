@@ -14,7 +14,7 @@ from camber.formats.errors import FormatError
 from camber.formats.map_exchange.argoverse import Floats, LaneSegment, read_log
 from camber.road_map.release import read_release
 from camber.schemas.road import ElevationRequest
-from camber.tools.localize.local_map_queries import MapAtHand
+from camber.tools.localize.local_map_queries import LocalMapQueries
 from camber.tools.maps.importers.argoverse import CityFrame, _nodes, centre_line
 
 NAMES = ("7fab2350", "3bffdcff")
@@ -31,7 +31,7 @@ def log_folder(name: str) -> Path:
 
 def elevations(folder: Path, city: str, places_m: Floats) -> Floats:
     """Of the road under places (n, 3), as map_server answers, surface after surface."""
-    asked = MapAtHand(read_release(folder))
+    asked = LocalMapQueries(read_release(folder))
     latitude, longitude = CityFrame.of_city(city).to_geodetic(places_m[:, 0], places_m[:, 1])
     found, last = np.full(len(places_m), np.nan), None
     for k, (lat, lon) in enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True)):
