@@ -33,8 +33,8 @@ from camber.simulator.vehicle.sensor_messages import motion_messages, ranging_me
 from camber.simulator.vehicle.sensors import Surface, read_sensors
 from camber.simulator.world.district import District
 from camber.simulator.world.survey import SURVEYED_BEFORE_NS, SurveyErrors, write_survey
-from camber.tools.localize.local_map_queries import MapAtHand
-from camber.tools.localize.localizer_run import Tally
+from camber.tools.localize.local_map_queries import LocalMapQueries
+from camber.tools.localize.localizer_run import IssueTally
 from support.lidar_drives import lidar_drive
 from support.localization_drives import options_of_car
 from support.simulated_paths import path_over, sloping
@@ -141,7 +141,7 @@ def matched_drive(
     of driving."""
     drive = lidar_drive(scenario, seed, start_s=start_s, duration_s=duration_s, beams=beams)
     options = options_of_car(initial_pose=drive.given_pose().model_dump())
-    localization = Localization(options, MapAtHand(drive.map_release), Tally())
+    localization = Localization(options, LocalMapQueries(drive.map_release), IssueTally())
     messages: list[tuple[str, Message]] = []
     for tick in drive.ticks():
         if tick.motion is not None:

@@ -39,7 +39,7 @@ from camber.schemas.antenna import AntennaHeight, HeightByMethod
 from camber.schemas.base import Message
 from camber.schemas.drive import load_manifest
 from camber.simulator.faults.schedule import ChangedLoad, ChangedTyre, Fault
-from camber.tools.localize.local_map_queries import MapAtHand, release_for
+from camber.tools.localize.local_map_queries import LocalMapQueries, release_for
 from camber.tools.localize.localizer_config import localizer_config
 from camber.tools.localize.localizer_run import localize
 from support.antenna_drives import AntennaDrive, antenna_drive, matched_drive, settings_of, slope_drive
@@ -268,7 +268,7 @@ def of_drive(path: Path, ways: Sequence[str]) -> dict[str, object]:
         localizer = LocalizerSettings(**localizer_config(manifest, inputs.initial_pose))
         assert inputs.map_release is not None
         assert inputs.truth is not None
-        answers = MapAtHand(release_for(inputs.map_release, manifest.datum))
+        answers = LocalMapQueries(release_for(inputs.map_release, manifest.datum))
         localized = localize(inputs, localizer.options(localizer.initial_pose), answers)
     columns: dict[str, Sequence[Arrival[Any]]] = {
         "motion": inputs.motion,

@@ -38,8 +38,8 @@ from camber.schemas.pose import Pose, Road, ScanMatch
 from camber.simulator.random_streams import stream
 from camber.simulator.scene import Floats, Integers
 from camber.simulator.vehicle.body import CAR
-from camber.tools.localize.local_map_queries import MapAtHand
-from camber.tools.localize.localizer_run import Tally
+from camber.tools.localize.local_map_queries import LocalMapQueries
+from camber.tools.localize.localizer_run import IssueTally
 from support.lidar_drives import DriveTruth, Tick, lidar_drive
 
 ALONE_EVERY = 10
@@ -137,7 +137,7 @@ class Localized:
     seam_m: Floats
     elevation_m: Floats
     sweep_s: Floats
-    tally: Tally
+    tally: IssueTally
 
     @property
     def wrong_level(self) -> NDArray[np.bool_]:
@@ -164,8 +164,8 @@ def options_of_car(**more: Any) -> LocalizationOptions:
 def localized(drive: KeptDrive, *, lidar: bool = True, given: float = 1.0) -> Localized:
     """The localizer over a drive from its given pose, whose error and σ are this share of what they were."""
     options = options_of_car(initial_pose=_nearer(drive, given).model_dump(), match_sweeps=lidar)
-    tally = Tally()
-    localization = Localization(options, MapAtHand(read_release(drive.map_folder)), tally)
+    tally = IssueTally()
+    localization = Localization(options, LocalMapQueries(read_release(drive.map_folder)), tally)
     poses: list[Pose] = []
     matches: list[ScanMatch] = []
     sweep_s = []
@@ -211,7 +211,9 @@ def matched_alone(drive: KeptDrive, *, every: int = ALONE_EVERY) -> Errors:
     assert options.matching is not None
     truth = drive.truth
     blindfold = _Blindfold(options, drive, every)
-    matcher = ScanMatcher(options.matching, blindfold, MapAtHand(read_release(drive.map_folder)), Tally())
+    matcher = ScanMatcher(
+        options.matching, blindfold, LocalMapQueries(read_release(drive.map_folder)), IssueTally()
+    )
     rows: list[tuple[int, str]] = []
     for tick in drive.ticks:
         if tick.motion is not None:
@@ -307,7 +309,7 @@ class _Blindfold(PoseFilter):
 
 
 def _beside_truth(
-    drive: KeptDrive, poses: list[Pose], matches: list[ScanMatch], sweep_s: Floats, tally: Tally
+    drive: KeptDrive, poses: list[Pose], matches: list[ScanMatch], sweep_s: Floats, tally: IssueTally
 ) -> Localized:
     truth, frame = drive.truth, _frame(drive.truth)
     times_ns = np.array([p.time_ns for p in poses], np.int64)
