@@ -1,4 +1,4 @@
-"""`camber demo`: two minutes through a simulated city, replayed through all services."""
+"""`camber demo`: simulate two minutes of driving in a city and replay them through all services."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from camber.tools.options.number_options import SEED
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make and replay the drive; the summary goes to standard output."""
+    """Simulate and replay the drive; prints the summary."""
     parser = argparse.ArgumentParser(prog="camber demo", description=__doc__)
     parser.add_argument(
-        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="where everything goes"
+        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="output folder (default out/demo)"
     )
     parser.add_argument("--seed", type=SEED, help="seed of the drive")
     add_speed_options(parser)
     parser.add_argument(
         "--short",
         action="store_true",
-        help="instead of the city a street with wrong fixes at known times: made in a second, without numba",
+        help="use a street with wrong fixes at known times instead of the city: created in a second, without numba",
     )
     args = parser.parse_args(argv)
     check_speed(parser, args)

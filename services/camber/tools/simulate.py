@@ -1,7 +1,7 @@
-"""`camber simulate`: a scenario becomes a recorded drive with truth beside it, in the files that a vehicle gives.
+"""`camber simulate`: simulate a scenario as a recorded drive with truth, in the file formats of a vehicle.
 
-With `--live` the drive is then played onto the bus in real time, as `camber feed` does it: dated now, or, with
-`--starts-in`, at its own time and with its raw observations.
+With `--live` the drive is then published on the bus in real time, as by `camber feed`: with times shifted to now or,
+with `--starts-in`, at its own times and with raw observations.
 """
 
 from __future__ import annotations
@@ -33,17 +33,19 @@ from camber.tools.record.feed import add_bus_arguments, feed
 
 _PROG = "camber simulate"
 _MARK = "scenario.json"
-_LONG_STOP_S = 5.0  # longer than this at the end is worth a word: the way may be too short for the time
+_LONG_STOP_S = (
+    5.0  # chosen: a longer stop at the end is reported, because the route may be too short for the duration
+)
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make one drive or one fleet; 0 done, 2 it cannot be made, 3 the bus cannot be joined, 130 interrupted."""
+    """Simulate one drive or one fleet; 0 success, 2 failure, 3 the bus cannot be joined, 130 interrupted."""
     parser = _parser()
     args = parser.parse_args(argv)
     if args.out is None and not args.live:
         parser.error("expected --out DIR, --live or both")
     overrides = [*args.set, *([f"seed={args.seed}"] if args.seed is not None else [])]
-    # So that a temporary folder goes too.
+    # SIGTERM raises KeyboardInterrupt, so that the temporary folder is removed.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         if args.starts_in is not None:
@@ -81,7 +83,7 @@ def main(argv: Sequence[str]) -> int:
 
 @contextmanager
 def _folder(out: Path | None) -> Iterator[Path]:
-    """The folder asked for, or one that is gone afterwards."""
+    """Yield the folder requested, or a temporary one."""
     if out is not None:
         yield out
         return
@@ -102,7 +104,7 @@ def _live(manifest: Path, args: argparse.Namespace) -> None:
 
 
 def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
-    """Make it, with a progress bar where somebody looks; returns the manifest's path, or the folder of a fleet.
+    """Run the simulation, with a progress bar on a terminal; returns the manifest's path, or the folder of a fleet.
 
     An earlier simulation in the folder is replaced. Raises ScenarioError, and OSError where a file cannot be written.
     """
@@ -134,7 +136,7 @@ def simulate(scenario: Scenario, out: Path, *, quiet: bool) -> Path:
 
 
 def _check_room(out: Path) -> None:
-    """The folder is new, or holds an earlier simulation and nothing else's."""
+    """Raise ScenarioError unless the folder is new or contains an earlier simulation."""
     if out.is_dir() and any(out.iterdir()) and not (out / _MARK).is_file():
         raise ScenarioError(f"{out}: not empty, expected a new folder or one of an earlier simulation")
 
@@ -149,23 +151,19 @@ def _make_room(out: Path, scenario: Scenario) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("scenario", metavar="SCENARIO", help=f"a file, or one of {', '.join(shipped())}")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="where the drive goes; with --live not needed"
-    )
-    parser.add_argument(
-        "--live", action="store_true", help="then play the drive onto the bus in real time, dated now"
-    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="output folder; optional with --live")
+    parser.add_argument("--live", action="store_true", help="then publish the drive on the bus in real time")
     live = parser.add_argument_group("with --live")
     live.add_argument(
         "--starts-in",
         type=SECONDS,
         metavar="S",
-        help="the drive happens S seconds from now, and its raw observations with it; making it must not take longer",
+        help="start the drive S seconds from now, with raw observations; simulating it must not take longer",
     )
     add_bus_arguments(live)
-    parser.add_argument("--seed", type=SEED, help="seed of all that is random")
+    parser.add_argument("--seed", type=SEED, help="random seed")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the scenario"
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no last line")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar, no summary line")
     return parser
