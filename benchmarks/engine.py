@@ -14,15 +14,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from figure import Figure, higher, lower
 
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
-from camber.gnss.candidates.satellite_subsets import other_estimates
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.candidates.satellite_subsets import subset_candidates
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from support.gnss_files import read_navigation, read_observations
 
 EPOCHS = 3600
@@ -68,7 +69,7 @@ def recordings(data: Path) -> list[Recording]:
 def solve(recording: Recording) -> list[Solution]:
     """From the files to all positions."""
     rover, base = read_observations(recording.rover), read_observations(recording.base)
-    engine = Engine(EngineOptions(), np.array(recording.base_ecef_m))
+    engine = Engine(EngineSettings(), np.array(recording.base_ecef_m))
     for ephemeris in read_navigation(recording.navigation).ephemerides:
         engine.add_ephemeris(ephemeris)
     solutions, waiting = [], iter(base.epochs)
@@ -136,7 +137,7 @@ def rates(recording: Recording, folder: Path) -> list[Figure]:
 def trials(recording: Recording) -> Figure:
     """Twenty other estimates of an epoch of 25 satellites in two bands."""
     rover, base = read_observations(recording.rover), read_observations(recording.base)
-    options = EngineOptions(bands={"G": "12", "E": "17", "C": "27"})
+    options = EngineSettings(gps_bands="12", galileo_bands="17", beidou_bands="27")
     engine = Engine(options, np.array(recording.base_ecef_m))
     for ephemeris in read_navigation(recording.navigation).ephemerides:
         engine.add_ephemeris(ephemeris)
@@ -149,9 +150,9 @@ def trials(recording: Recording) -> Figure:
         satellites, bands = np.unique(solution.rows.satellite, return_counts=True)
         chosen = np.isin(solution.rows.satellite, satellites[bands == 2][:25])
         columns = {name: column[chosen] for name, column in solution.rows._asdict().items() if name != OF_ALL}
-        rows = solution.rows._replace(**columns)
+        reduced = replace(solution, rows=solution.rows._replace(**columns))
         began = time.perf_counter()
-        count, _ = other_estimates(rows, solution.approximate_ecef_m, options.limits(), "all", (), 20)
+        count, _ = subset_candidates(reduced, options.fix_criteria(), "all", most_trials=20)
         took_ms.append(1e3 * (time.perf_counter() - began))
         assert count == 20
     p99 = float(np.quantile(took_ms[5:], 0.99))

@@ -23,7 +23,7 @@ import numpy as np
 from figure import Figure, lower
 from numpy.typing import NDArray
 
-from camber.gnss.ambiguity.resolution import RESOLVED, resolve
+from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria, resolve
 from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
 
 Floats = NDArray[np.float64]
@@ -102,10 +102,20 @@ def _of_wheel() -> Path | None:
     return next(iter(sorted(Path(found.origin).parent.glob("*.so"))), None)
 
 
+_CRITERIA = FixCriteria(
+    least_ratio=0.0,
+    least_success_rate=0.0,
+    least_fixed=1,
+    partial=False,
+    failure_rate=0.0,
+    most_nodes=100_000,
+)
+
+
 def camber(floats: Floats, covariance: Floats) -> tuple[Callable[[], object], Floats]:
-    found = resolve(floats, covariance, 0.0, 0.0, 1, 100_000, False)
+    found = resolve(floats, covariance, _CRITERIA)
     assert found.status == RESOLVED
-    return lambda: resolve(floats, covariance, 0.0, 0.0, 1, 100_000, False), found.ambiguities
+    return lambda: resolve(floats, covariance, _CRITERIA), found.ambiguities
 
 
 def least_us(solve: Callable[[], object]) -> float:

@@ -46,7 +46,7 @@ def geometry(random: np.random.Generator, count: int) -> tuple[Floats, Floats]:
         code_sigma_m=float(np.exp(random.uniform(np.log(0.2), np.log(3.0)))),
         phase_sigma_m=float(random.uniform(0.002, 0.006)),
     )
-    definite, upper, variances, _ = decorrelated(covariance)
+    definite, (upper, variances, _) = decorrelated(covariance)
     assert definite
     return upper[-count:, -count:].copy(), variances[-count:].copy()
 

@@ -7,7 +7,7 @@ import typing
 
 import pytest
 
-from camber.gnss.position.rtk_engine import REASON, Warning_
+from camber.gnss.position.rtk_engine import REASON, EngineWarning
 from camber.localizer.settings import GivenPose
 from support.tree import ROOT
 
@@ -25,7 +25,7 @@ def test_every_issue_a_service_can_raise_stands_on_its_page(service: str) -> Non
     source = "".join(path.read_text("utf-8") for path in sorted(folder.rglob("*.py")))
     codes = re.findall(r'\bissue\(\s*"(\w+)"', source)
     if service == "gnss":
-        codes += [*typing.get_args(Warning_), "ephemeris_refused"]
+        codes += [*typing.get_args(EngineWarning), "ephemeris_refused"]
     assert codes
     assert [code for code in codes if f"`{code}`" not in page] == []
 

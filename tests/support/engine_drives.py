@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.observations.ephemeris_store import EphemerisStore
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from camber.simulator.satellites.observations import simulate_signals
 from camber.simulator.satellites.parameters import BASE, ROVER
@@ -60,10 +61,10 @@ def open_sky_drive(
 
 
 def engine_of(
-    drive: Drive, options: EngineOptions | None = None, base_m: NDArray[np.float64] | None = None
+    drive: Drive, options: EngineSettings | None = None, base_m: NDArray[np.float64] | None = None
 ) -> Engine:
     """An engine that knows the ephemerides and the base's position, or another one."""
-    engine = Engine(options or EngineOptions(), base_ecef_m() if base_m is None else base_m)
+    engine = Engine(options or EngineSettings(), base_ecef_m() if base_m is None else base_m)
     for e in drive.ephemerides:
         engine.add_ephemeris(e)
     return engine

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from camber.gnss.candidates.satellite_subsets import OtherEstimate, other_estimates
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.candidates.satellite_subsets import SubsetCandidate, subset_candidates
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from camber.simulator.satellites.constellation import broadcast_ephemerides, true_ephemerides
 from support.canyon_statistics import BASE_M, FRAME, canyon_run
 from support.rtklib_runs import RNX2RTKP, ecef_of, run_rtklib
@@ -87,22 +88,20 @@ class Comparison:
         }
 
 
-def best_agreed(found: list[OtherEstimate]) -> OtherEstimate | None:
+def best_agreed(found: list[SubsetCandidate]) -> SubsetCandidate | None:
     """The estimate with most that agree, then the likeliest; None where none may be taken."""
     taken = [e for e in found if e.agreeing >= LEAST_AGREEING and e.fixed >= LEAST_FIXED]
     return max(taken, key=lambda e: (e.agreeing, e.success_rate)) if taken else None
 
 
 def tally_epoch(
-    solution: Solution, options: EngineOptions, truth_m: NDArray[np.float64], fixes: Tally, trials: Tally
+    solution: Solution, options: EngineSettings, truth_m: NDArray[np.float64], fixes: Tally, trials: Tally
 ) -> None:
     rotation = FRAME.enu_from_ecef_rotation()
     if solution.quality == "fixed" and solution.position_ecef_m is not None:
         fixes.count(rotation @ (solution.position_ecef_m - truth_m))
     elif solution.rows is not None and solution.approximate_ecef_m is not None:
-        _, found = other_estimates(
-            solution.rows, solution.approximate_ecef_m, options.limits(), "all", (), TRIALS
-        )
+        _, found = subset_candidates(solution, options.fix_criteria(), "all", most_trials=TRIALS)
         best = best_agreed(found)
         if best is not None:
             trials.count(rotation @ (best.position_ecef_m - truth_m))
@@ -132,7 +131,7 @@ def compare(
             (False, total.alone, total.alone_trials),
             (True, total.aided, total.aided_trials),
         ):
-            options = EngineOptions(least_ratio=RATIO, doppler_aided=aided)
+            options = EngineSettings(least_ratio=RATIO, doppler_aided=aided)
             engine = Engine(options, base_ecef)
             for e in ephemerides:
                 engine.add_ephemeris(e)

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Iterator
 
 from camber.gnss.candidates.receiver_candidates import Refusal
-from camber.gnss.position.rtk_engine import Warning_
+from camber.gnss.position.rtk_engine import EngineWarning
 from camber.integrity.learning.offset_causes import ISSUE_CODES
 from camber.localizer.matching.sweep_preparation import SweepProblem
 from camber.map_update.service import UNAVAILABLE_ISSUES
@@ -38,7 +38,7 @@ _QUEUED = (
 _OF_QUEUES: tuple[str, ...] = ()  # these are texts where they are queued
 
 ELSEWHERE: dict[tuple[str, str], tuple[str, ...]] = {
-    ("gnss/service.py", "code"): (*typing.get_args(Warning_), "ephemeris_refused"),
+    ("gnss/service.py", "code"): (*typing.get_args(EngineWarning), "ephemeris_refused"),
     ("gnss/service.py", "refusal"): typing.get_args(Refusal),
     ("integrity/service.py", "ISSUE_CODES[named.cause]"): tuple(ISSUE_CODES.values()),
     ("integrity/service.py", "code"): _OF_QUEUES,

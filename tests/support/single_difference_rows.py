@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.gnss.observations.signal_pairs import WAVELENGTH_M, group_of
-from camber.gnss.observations.single_differences import Rows
+from camber.gnss.observations.single_differences import SingleDifferences
 
 SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "7I")}
 
@@ -17,7 +17,7 @@ SIGNALS = {"G": ("1C", "2L", "5Q"), "E": ("1C", "5Q", "7Q"), "C": ("1P", "2I", "
 class MadeUp:
     """Rows and what they were made from: `dx_m` (3,), single-difference integers (n,)."""
 
-    rows: Rows
+    rows: SingleDifferences
     dx_m: NDArray[np.float64]
     integer: NDArray[np.int64]
 
@@ -54,15 +54,26 @@ def made_up_rows(
     code = truth + noise * code_sigma * rng.normal(size=n)
     phase = truth + integer * wavelength + noise * phase_sigma * rng.normal(size=n)
     places = np.arange(n)
-    rows = Rows(
-        places, places, np.array([s for s, _, _ in parts], np.int64), group, wavelength, direction, code, phase,
-        code_sigma**2, phase_sigma**2, elevation, rng.uniform(30.0, 50.0, n), np.zeros((3, 3)),
-    )  # fmt: skip
+    rows = SingleDifferences(
+        rover=places,
+        base=places,
+        satellite=np.array([s for s, _, _ in parts], np.int64),
+        group=group,
+        wavelength_m=wavelength,
+        direction=direction,
+        code_m=code,
+        phase_m=phase,
+        code_variance_m2=code_sigma**2,
+        phase_variance_m2=phase_sigma**2,
+        elevation_rad=elevation,
+        cn0_dbhz=rng.uniform(30.0, 50.0, n),
+        atmosphere_m2=np.zeros((3, 3)),
+    )
     return MadeUp(rows, np.array(dx_m), integer)
 
 
 def double_differences(
-    rows: Rows,
+    rows: SingleDifferences,
     values: NDArray[np.float64],
     variances: NDArray[np.float64],
     used: NDArray[np.bool_],
@@ -87,7 +98,7 @@ def double_differences(
 
 
 def slow_float(
-    rows: Rows, used: NDArray[np.bool_], last: bool = False
+    rows: SingleDifferences, used: NDArray[np.bool_], last: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int]:
     """Position, covariance, χ² and degrees of freedom by double differences with their full covariance."""
     design, value, covariance, _ = double_differences(rows, rows.code_m, rows.code_variance_m2, used, last)

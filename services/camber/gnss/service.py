@@ -1,4 +1,4 @@
-"""The process of gnss: bytes of a receiver and a base, from the bus or ports of its own, become tentative positions."""
+"""GNSS receiver adapter: bytes of a receiver and a base station, from the bus or from ports → candidate fixes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.gnss.candidates.engine_candidates import fix_from_solution, observations_from, velocity_from
 from camber.gnss.candidates.receiver_candidates import fix_from, refuse
 from camber.gnss.candidates.subset_agreement import subset_agreement
-from camber.gnss.observations.receiver_streams import Heard, Stream, StreamProtocol, StreamReader
+from camber.gnss.observations.receiver_streams import Stream, StreamItem, StreamProtocol, StreamReader
 from camber.gnss.observations.rover import Rover, SolvedEpoch
 from camber.gnss.position.engine_warnings import EngineWarnings
 from camber.gnss.settings import GnssSettings
@@ -23,19 +23,18 @@ from camber.runtime.bus import Bus
 from camber.runtime.service import Service
 from camber.schemas.base import Message
 from camber.schemas.gnss import Estimates, EstimatesRequest, Fix, ReceiverBytes, ReceiverIntegrity
-from camber.schemas.motion import Motion
 from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess
 
 M = TypeVar("M", bound=Message)
-_SILENT_NS = 5_000_000_000
-_END_OF_FILE_NS = 1_000_000_000
-_CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND
+_SILENT_NS = 5_000_000_000  # chosen: health is degraded after so long without an epoch
+_END_OF_FILE_NS = 1_000_000_000  # chosen: a file is complete when nothing came for so long
+_CLOCK_WAS_SET_NS = 24 * 3600 * NS_PER_SECOND  # less than the half week that resolves the week number
 _WEEKLESS = ("ubx", "rtcm", "mixed")
 
 
-class _Port:
-    """A stream of bytes of our own, and what of it has been reported."""
+class _StreamPort:
+    """A port of this service, and how much of its failures has been reported."""
 
     def __init__(self, stream: Stream, protocol: StreamProtocol, name: str, port: ByteStream) -> None:
         self.stream, self.protocol, self.name, self.port = stream, protocol, name, port
@@ -43,14 +42,14 @@ class _Port:
 
 
 class GnssService(Service[GnssSettings]):
-    """Every epoch once, in order; what cannot be read is counted and named."""
+    """Publishes every epoch once, in order; unreadable input is counted and reported."""
 
     NAME = "gnss"
     SETTINGS = GnssSettings
 
     @classmethod
     def prepare(cls, settings: GnssSettings) -> None:
-        """Compile what is used, before anybody waits for this service."""
+        """Compile everything that is used."""
         compile_readers()
         if settings.positions == "engine":
             warm_up()
@@ -60,9 +59,8 @@ class GnssService(Service[GnssSettings]):
         self._readers: dict[tuple[Stream, StreamProtocol], StreamReader] = {}
         self._fed_ns: dict[tuple[Stream, StreamProtocol], int] = {}
         self._damage: dict[StreamReader, dict[str, int]] = {}
-        self._rover = Rover(settings.engine.options(), settings.base_ecef_m) if self._solves else None
-        engine = settings.engine
-        self._limits = engine.options().limits() if engine.subset_agreement else None
+        self._rover = Rover(settings.engine, settings.base_ecef_m) if self._solves else None
+        self._criteria = settings.engine.fix_criteria() if settings.engine.subset_agreement else None
         self._last_ns: int | None = None
         self._last_fix: Fix | None = None
         self._warnings = EngineWarnings()
@@ -74,34 +72,34 @@ class GnssService(Service[GnssSettings]):
         return self.settings.positions == "engine"
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Inputs: the bus is read where it is the source of one of the streams."""
+        """Inputs; bytes from the bus where it is the source of one of the streams."""
         handlers: dict[str, Callable[[Any], None]] = {}
         if "bus" in (self.settings.source, self.settings.base_source):
-            handlers["receiver_bytes"] = self._hear
+            handlers["receiver_bytes"] = self._receive
         if self._rover is not None:
-            handlers["motion"] = self._moved
+            handlers["motion"] = self._rover.receive_motion
         return handlers
 
     def answers(self) -> dict[str, Callable[[Sequence[Any]], Sequence[Message | None]]]:
-        """A receiver's own solution has no other estimates: the judge is told so."""
+        """Re-estimation; not available for a receiver's solution."""
         return {"estimates": lambda requests: [self._estimates(request) for request in requests]}
 
     def advance(self, now_ns: int) -> None:
-        """Read what the ports have brought, base and ephemerides first; solve."""
+        """Read the ports, base and ephemerides first; solve."""
         for port in self._ports:
             self._read(port)
         if self._rover is None:
             return
         for reader in self._silent(now_ns):
-            self._take(reader.fell_silent())
-        for epoch in self._rover.take():
+            self._dispatch(reader.fell_silent())
+        for epoch in self._rover.take_pending():
             if not self._is_refused(epoch.time_ns):
                 self._publish_solved(self._rover.solve(epoch))
         for code, text in self._warnings.new(self._rover.engine):
             self.bus.issue(code, text)
 
     def healthy(self) -> bool:
-        """Are epochs coming?"""
+        """Whether epochs arrive."""
         return self._last_ns is not None and self.bus.now_ns() - self._last_ns < _SILENT_NS
 
     def close(self) -> None:
@@ -109,7 +107,7 @@ class GnssService(Service[GnssSettings]):
         for port in self._ports:
             port.port.close()
 
-    def _open_ports(self) -> list[_Port]:
+    def _open_ports(self) -> list[_StreamPort]:
         settings = self.settings
         password = settings.ntrip_password
         access = NtripAccess(
@@ -117,7 +115,7 @@ class GnssService(Service[GnssSettings]):
             password=None if password is None else password.get_secret_value(),
             version=settings.ntrip_version,
             ca_file=settings.ntrip_ca_file,
-            position=self._sentence,
+            position=self._gga,
             position_interval_s=settings.position_interval_s,
         )
         wanted: list[tuple[Stream, StreamProtocol, str | None]] = [
@@ -125,7 +123,7 @@ class GnssService(Service[GnssSettings]):
             ("rover", settings.protocol, settings.source),
         ]
         return [
-            _Port(
+            _StreamPort(
                 stream,
                 protocol,
                 url,
@@ -135,8 +133,8 @@ class GnssService(Service[GnssSettings]):
             if url is not None and url != "bus"
         ]
 
-    def _sentence(self) -> str | None:
-        """GGA of the last position, for a caster that makes corrections for a place; called from another thread."""
+    def _gga(self) -> str | None:
+        """GGA of the last position, for casters of virtual reference stations; called from another thread."""
         fix = self._last_fix
         if fix is None:
             return None
@@ -150,28 +148,26 @@ class GnssService(Service[GnssSettings]):
         )
         return format_gga(solution, geoid_separation_m=0.0).decode("ascii")
 
-    def _read(self, port: _Port) -> None:
+    def _read(self, port: _StreamPort) -> None:
         stream = port.port
         for _ in range(stream.failures - port.failures):
             port.failures += 1
             self.bus.issue("source_lost", f"{port.name}: {stream.last_failure}")
         if stream.lost_bytes > port.lost_bytes:
-            self.bus.issue("source_overflow", f"{port.name}: {stream.lost_bytes} bytes came too fast")
+            self.bus.issue(
+                "source_overflow", f"{port.name}: {stream.lost_bytes} bytes lost, they came too fast"
+            )
             port.lost_bytes = stream.lost_bytes
         data = stream.take()
         if data:
             self._feed(port.stream, port.protocol, port.name, data)
 
-    def _hear(self, received: ReceiverBytes) -> None:
-        """From the bus; a stream that has a port of its own is not heard there too."""
+    def _receive(self, received: ReceiverBytes) -> None:
+        """Bytes from the bus; not for a stream that has a port."""
         if any(port.stream == received.stream for port in self._ports):
             self._leave_out(f"{received.stream}.{received.protocol}")
             return
         self._feed(received.stream, received.protocol, received.stream, received.payload.tobytes())
-
-    def _moved(self, motion: Motion) -> None:
-        if self._rover is not None:
-            self._rover.moved(motion)
 
     def _feed(self, stream: Stream, protocol: StreamProtocol, name: str, data: bytes) -> None:
         if not self._solves and (stream != "rover" or protocol in ("rinex", "rtcm")):
@@ -181,11 +177,11 @@ class GnssService(Service[GnssSettings]):
             self._leave_out(f"{stream}.{protocol}")
             return
         reader = self._reader(stream, protocol, name)
-        self._take(reader.feed(data))
+        self._dispatch(reader.feed(data))
         self._report_damage(reader, protocol)
 
     def _reader(self, stream: Stream, protocol: StreamProtocol, name: str) -> StreamReader:
-        """Of a stream; anew where this machine's clock was set, for what does not say its week was read wrongly."""
+        """Reader of a stream; a new one where this machine's clock was set: weeks were resolved wrongly."""
         now_ns = self.bus.now_ns()
         if (
             abs(now_ns - self._fed_ns.get((stream, protocol), now_ns)) > _CLOCK_WAS_SET_NS
@@ -195,17 +191,17 @@ class GnssService(Service[GnssSettings]):
         self._fed_ns[stream, protocol] = now_ns
         reader = self._readers.get((stream, protocol))
         if reader is None:
-            reader = StreamReader(stream, protocol, name, now_ns, self.settings.nmea_date)
+            reader = StreamReader(stream, protocol, name, near_ns=now_ns, utc_date=self.settings.nmea_date)
             self._readers[stream, protocol] = reader
         return reader
 
     def _silent(self, now_ns: int) -> list[StreamReader]:
-        """Readers of streams on which nothing came for a while."""
+        """Readers of streams without data for a while."""
         silent = [key for key, fed_ns in self._fed_ns.items() if now_ns - fed_ns > _END_OF_FILE_NS]
         return [self._readers[key] for key in silent]
 
     def _report_damage(self, reader: StreamReader, protocol: StreamProtocol) -> None:
-        """What could not be used of a stream, whenever it has become more."""
+        """Count and report unusable parts of a stream, whenever there are more."""
         damage, before = reader.damage(), self._damage.get(reader, {})
         if damage == before:
             return
@@ -219,7 +215,7 @@ class GnssService(Service[GnssSettings]):
         )
 
     def _leave_out(self, what: str) -> None:
-        """Counted; said once."""
+        """Count an unused stream, and report it once."""
         if what not in self._left_out:
             self._left_out.add(what)
             expected = (
@@ -230,18 +226,18 @@ class GnssService(Service[GnssSettings]):
             self.bus.issue("stream_not_used", f"{what}: expected {expected}")
         self.bus.count(f"not_used.{what}")
 
-    def _take(self, heard: list[Heard]) -> None:
-        for stream, said in heard:
-            match said:
+    def _dispatch(self, items: list[StreamItem]) -> None:
+        for stream, item in items:
+            match item:
                 case FormatError():
-                    self.bus.issue("unreadable_input", str(said))
+                    self.bus.issue("unreadable_input", str(item))
                 case ReceiverIntegrity():
-                    self.bus.publish("receiver_integrity", said)
+                    self.bus.publish("receiver_integrity", item)
                 case ReceiverSolution():
                     if not self._solves:
-                        self._publish_receiver(said)
+                        self._publish_receiver(item)
                 case _ if self._rover is not None:
-                    self._rover.hear(stream, said)
+                    self._rover.receive(stream, item)
 
     def _publish_receiver(self, solution: ReceiverSolution) -> None:
         if self._is_refused(solution.time_ns):
@@ -255,10 +251,10 @@ class GnssService(Service[GnssSettings]):
             self.bus.count(f"not_fixed.{solution.reason}")
         if self.settings.publish_observations:
             self._publish("observations", lambda: observations_from(solved.epoch, "rover"))
-        found = solution.velocity
-        if found is not None:
-            self._publish("velocity", lambda: velocity_from(found, solved.heading))
-        subsets = subset_agreement(solution, self._limits) if self._limits is not None else "unknown"
+        velocity = solution.velocity
+        if velocity is not None:
+            self._publish("velocity", lambda: velocity_from(velocity, solved.heading))
+        subsets = subset_agreement(solution, self._criteria) if self._criteria is not None else "unknown"
         self._publish_fix(
             lambda: fix_from_solution(solution, self.settings.datum, solved.base_station, subsets)
         )
@@ -276,7 +272,7 @@ class GnssService(Service[GnssSettings]):
             self._last_ns, self._last_fix = fix.time_ns, fix
 
     def _publish(self, channel: str, make: Callable[[], M | None]) -> M | None:
-        """What no message can have is named, and is not published."""
+        """Publish a message; values that no message can have are reported instead."""
         try:
             message = make()
         except ValidationError as error:
@@ -290,7 +286,7 @@ class GnssService(Service[GnssSettings]):
 
     def _estimates(self, request: EstimatesRequest) -> Estimates:
         if self._rover is not None:
-            return self._rover.last.estimates(request)
+            return self._rover.recent.estimates(request)
         reason = "the receiver's own solution; there are no raw observations"
         return Estimates(time_ns=request.time_ns, fix_id=request.fix_id, status="unavailable", reason=reason)
 

@@ -1,7 +1,7 @@
-"""Compile the engine before the first epoch comes: one made-up epoch of rover and base is solved.
+"""Compile the engine before the first epoch, by solving two synthetic epochs of rover and base.
 
-The compiled code is kept on disk; where it is there already this takes a second. `python -m camber.gnss.warm_up` does
-it ahead, for an image.
+The machine code is cached on disk; with a filled cache this takes a second. `python -m camber.gnss.warm_up` fills it
+for an image.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from camber.formats.receiver.mixed_stream import MixedDecoder
 from camber.formats.rtcm.writer import format_observations
 from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.candidates.satellite_subsets import other_estimates
+from camber.gnss.candidates.satellite_subsets import subset_candidates
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import (
     elevation_azimuth,
@@ -29,38 +29,35 @@ from camber.gnss.observations.satellite_states import (
     ranges,
     states_at_transmission,
 )
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
-from camber.gnss.velocity.doppler_velocity import doppler_velocity
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 
+# A synthetic sky: 30 GPS satellites, two signals, all above 17°.
 _TIME_NS = 1_400_000_000 * NS_PER_SECOND
 _PLANES, _PER_PLANE = 6, 5
 _SIGNALS = ("1C", "2L")
-_LOWEST_RAD = 0.3
+_LOWEST_RAD = 0.3  # 17°
 _BASE_ECEF_M = np.array(ecef_from_geodetic_scalar(0.6, 2.4, 50.0))
 
 
 def warm_up() -> Solution:
-    """Solve a made-up epoch with all that an epoch goes through; returns what the engine made of it."""
-    options = EngineOptions()
+    """Solve synthetic epochs through all stages; the solution of the last."""
+    settings = EngineSettings()
     rover = _BASE_ECEF_M + np.array([10.0, 20.0, 1.0]) @ enu_from_ecef_rotation(*geodetic(_BASE_ECEF_M)[:2])
-    engine = Engine(options, _BASE_ECEF_M)
+    engine = Engine(settings, _BASE_ECEF_M)
     for ephemeris in _constellation():
         engine.add_ephemeris(ephemeris)
-    solution = Solution(_TIME_NS, "none", "", None, None, 0)
+    solution = Solution(time_ns=_TIME_NS, quality="none", reason="")
     for second in range(2):
         time_ns = _TIME_NS + second * NS_PER_SECOND
         engine.add_base(_epoch(engine.ephemerides, _BASE_ECEF_M, time_ns))
-        epoch = _epoch(engine.ephemerides, rover, time_ns)
-        solution = engine.solve(epoch)
-        if solution.single is not None:
-            doppler_velocity(epoch, solution.single)
-    if solution.rows is not None and solution.approximate_ecef_m is not None:
-        other_estimates(solution.rows, solution.approximate_ecef_m, options.limits(), "all", (), 4)
+        solution = engine.solve(_epoch(engine.ephemerides, rover, time_ns))
+    subset_candidates(solution, settings.fix_criteria(), "all", most_trials=4)
     return solution
 
 
 def compile_readers() -> None:
-    """Compile what finds frames in a stream, and what reads the observations of a base: any live stream needs it."""
+    """Compile the search for frames and the decoder of a base's observations, which any live stream needs."""
     decoder = MixedDecoder("warm up", _TIME_NS)
     decoder.feed(b"\xb5\x62")
     ephemerides = EphemerisStore()
@@ -71,7 +68,7 @@ def compile_readers() -> None:
 
 
 def _constellation() -> list[Ephemeris]:
-    """GPS as it is in its textbook: circles in planes a sixth of a turn apart."""
+    """The nominal GPS constellation: near-circular orbits in six planes."""
     turn = 2.0 * np.pi
     return [
         Ephemeris(
@@ -106,7 +103,7 @@ def _constellation() -> list[Ephemeris]:
 
 
 def _epoch(ephemerides: EphemerisStore, antenna_ecef_m: Floats, time_ns: int) -> ObservationEpoch:
-    """What an antenna without errors observes in two bands; its clock is right."""
+    """Error-free observations in two bands of a receiver with a perfect clock."""
     satellites = np.array([e.satellite for e in _constellation()], np.int64)
     rows = ephemerides.rows_at(time_ns, satellites)
     code_m = np.full(satellites.size, 2.2e7)

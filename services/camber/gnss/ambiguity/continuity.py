@@ -1,14 +1,13 @@
-"""Do the integers of a fix go on from those of the fix before?
+"""Continuity of the integers from one fix to the next.
 
-Along an unbroken arc a double-difference integer never changes. Differences of integers within a group do not depend
-on the reference satellite, so fixes are compared by them, whatever their references were. That integers go on says
-that both fixes are right or both are wrong; that they do not go on says that at least one is wrong.
+Along an arc without cycle slip a double-difference integer never changes. Differences of integers within a group do not
+depend on the reference satellite, so fixes with different references can be compared. Continuous integers mean that
+both fixes are right or both are wrong; broken ones mean that at least one is wrong.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,12 +18,8 @@ from camber.gnss.observations.signal_pairs import GROUPS
 Continuity = Literal["continuous", "broken", "no_evidence"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedIntegers:
-    """The integers of one fix, columns (n,): the reference of a group among them with 0.
-
-    `arc` (n, 2) are those of rover and base.
-    """
+class FixedIntegers(NamedTuple):
+    """The integers of one fix, columns (n,), the reference of a group with 0; `arc` (n, 2) of rover and base."""
 
     satellite: Integers
     group: Integers
@@ -33,7 +28,7 @@ class FixedIntegers:
 
 
 class ContinuityTracker:
-    """Compares each fix with the last one. `least_evidence`: so many double differences must be there in both."""
+    """Compares each fix with the last one; `least_evidence`: double differences that both must share."""
 
     def __init__(self, *, least_evidence: int = 3) -> None:
         self._least = least_evidence
@@ -41,53 +36,41 @@ class ContinuityTracker:
         self._since_ns: int | None = None
 
     def update(self, time_ns: int, fix: FixedIntegers) -> tuple[Continuity, int]:
-        """What the integers of this fix say, and the time of the first fix of the unbroken chain (GPS time, ns)."""
-        verdict = "no_evidence" if self._last is None else compare(self._last, fix, self._least)
-        if verdict != "continuous" or self._since_ns is None:
+        """Continuity of this fix, and the time of the first fix of the continuous chain (GPS time, ns)."""
+        continuity = "no_evidence" if self._last is None else compare(self._last, fix, self._least)
+        if continuity != "continuous" or self._since_ns is None:
             self._since_ns = time_ns
         self._last = fix
-        return verdict, self._since_ns
+        return continuity, self._since_ns
 
-    def forget(self) -> None:
-        """The receiver or the base began anew."""
+    def reset(self) -> None:
+        """Start a new chain: the receiver or the base was restarted."""
         self._last = self._since_ns = None
 
 
 def compare(before: FixedIntegers, after: FixedIntegers, least_evidence: int) -> Continuity:
-    """Two fixes by the rows that both have on the same arcs."""
-    evidence = _evidence(
-        before.satellite, before.group, before.integer, before.arc,
-        after.satellite, after.group, after.integer, after.arc,
-    )  # fmt: skip
+    """Compare two fixes by the rows that both have on the same arcs."""
+    evidence = _evidence(before, after)
     if evidence < 0:
         return "broken"
     return "continuous" if evidence >= least_evidence else "no_evidence"
 
 
 @compiled
-def _evidence(
-    satellite: Integers,
-    group: Integers,
-    integer: Integers,
-    arc: Integers,
-    satellite_after: Integers,
-    group_after: Integers,
-    integer_after: Integers,
-    arc_after: Integers,
-) -> int:
-    """How many double differences are the same in both; −1 where one is not."""
+def _evidence(before: FixedIntegers, after: FixedIntegers) -> int:
+    """Number of double differences that are equal in both; −1 where one differs."""
     step = np.zeros(GROUPS, np.int64)
     seen = np.zeros(GROUPS, np.bool_)
     evidence = 0
-    for i in range(satellite_after.size):
-        for j in range(satellite.size):
-            g = group[j]
-            if satellite[j] != satellite_after[i] or g != group_after[i]:
+    for i in range(after.satellite.size):
+        for j in range(before.satellite.size):
+            g = before.group[j]
+            if before.satellite[j] != after.satellite[i] or g != after.group[i]:
                 continue
-            same = arc[j, 0] == arc_after[i, 0] and arc[j, 1] == arc_after[i, 1]
-            if not same or arc[j, 0] == 0 or arc[j, 1] == 0:
+            same = before.arc[j, 0] == after.arc[i, 0] and before.arc[j, 1] == after.arc[i, 1]
+            if not same or before.arc[j, 0] == 0 or before.arc[j, 1] == 0:
                 continue
-            moved = integer_after[i] - integer[j]
+            moved = after.integer[i] - before.integer[j]
             if not seen[g]:
                 seen[g], step[g] = True, moved
             elif moved != step[g]:

@@ -1,7 +1,7 @@
-"""Float position → integers → fixed position, of any part of an epoch's rows.
+"""Float solution → LAMBDA → ratio test → fixed solution, of any subset of an epoch's rows.
 
-Source: P. Teunissen, "The least-squares ambiguity decorrelation adjustment", 1995; for a single epoch the ambiguities
-follow from the phases and the float position, `â = (φ − G x̂)/λ`, `Q_a = (Q_φ + G Q_x Gᵀ)/(λ λᵀ)`.
+Source: Teunissen 1995; for a single epoch the ambiguities follow from the phases and the float position,
+`â = (φ − G x̂)/λ`, `Q_a = (Q_φ + G Q_x Gᵀ)/(λ λᵀ)`.
 """
 
 from __future__ import annotations
@@ -12,45 +12,33 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers
-from camber.gnss.ambiguity.resolution import RESOLVED, UNLIKELY, conditional_update, resolve
-from camber.gnss.observations.signal_pairs import GROUPS
-from camber.gnss.observations.single_differences import Booleans, Rows, without_clocks
-from camber.gnss.position.float_solution import FloatPosition, float_with_prior, inverse_3
+from camber.gnss.ambiguity.resolution import (
+    RESOLVED,
+    UNLIKELY,
+    FixCriteria,
+    Resolution,
+    conditional_update,
+    resolve,
+)
+from camber.gnss.observations.signal_pairs import GROUPS, Booleans
+from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
+from camber.gnss.position.float_solution import FloatPosition, PositionPrior, float_with_prior, inverse_3
 from camber.gnss.position.small_algebra import form, inner
 
-NO_POSITION = 5
-"""Status beside those of `camber.gnss.ambiguity.resolution`: too few codes for a float position."""
-CONTRADICTORY = 6
-"""Integers were found, but the phases do not go with them."""
-IMPRECISE = 7
-"""Integers were found, but not enough of them to make a position of centimetres."""
-FAR = 8
-"""The position is so far from the approximate one that it was not linearised where it is."""
+# Status beyond those of `camber.gnss.ambiguity.resolution`.
+NO_POSITION, CONTRADICTORY, IMPRECISE, FAR = range(5, 9)
+"""`NO_POSITION`: too few codes for a float position. `CONTRADICTORY`: the residuals of the fixed phases are too large.
+`IMPRECISE`: too few ambiguities are fixed for a position of centimetres. `FAR`: the position is too far from the
+linearisation point."""
 
-_FAR_M, _GROSS_M = 100.0, 1000.0
-
-_FOLLOWS_SIGMA, _FOLLOWS_PART = 0.1, 0.2
-
-
-class Limits(NamedTuple):
-    """What a fix has to pass. `normal_quantile`: of the residual test, 3.72 is a false alarm in 10,000.
-
-    `failure_rate` above 0 replaces `least_ratio` (`camber.gnss.ambiguity.resolution.resolve`).
-    """
-
-    code_outlier: float
-    least_ratio: float
-    least_success: float
-    least_fixed: int
-    most_nodes: int
-    partial: bool
-    normal_quantile: float
-    largest_sigma_m: float
-    failure_rate: float
+_FAR_M = 100.0  # derived: the curvature of a range over 100 m is 0.25 mm
+_GROSS_M = 1000.0  # derived: 3.3 µs of travel time at a range rate of 0.9 km/s: 3 mm of range
+# Chosen: an integer that other fixed ambiguities determine is certain at 5 σ (0.1 cycles) and within 0.2 cycles.
+_IMPLIED_SIGMA, _IMPLIED_FRACTION = 0.1, 0.2
 
 
 class Estimate(NamedTuple):
-    """Float and fixed position of one choice of rows, as corrections of the approximate one in ECEF (3,), (3, 3).
+    """Float and fixed position from a subset of rows, as offsets from the linearisation point in ECEF (3,), (3, 3).
 
     `status` is that of `resolution` or one of this module; fixed only where it is RESOLVED. `integer`
     (rows,) is that of a row against the reference of its group (0 there), NaN where unknown. `phase_chi2` with
@@ -76,7 +64,7 @@ class Estimate(NamedTuple):
 class Ambiguities(NamedTuple):
     """Double-difference ambiguities (n,) in cycles, covariance (n, n), covariance with the position (3, n).
 
-    `row` and `reference` (n,) say between which rows.
+    `row` and `reference` (n,) are the differenced rows.
     """
 
     value: Floats
@@ -87,8 +75,10 @@ class Ambiguities(NamedTuple):
 
 
 @compiled
-def ambiguities(rows: Rows, usable: Booleans, dx_m: Floats, covariance_m2: Floats) -> Ambiguities:
-    """Of the usable rows that have a phase, against the most precise phase of their group."""
+def ambiguities(
+    rows: SingleDifferences, usable: Booleans, dx_m: Floats, covariance_m2: Floats
+) -> Ambiguities:
+    """Ambiguities of the usable rows with a phase, against the most precise phase of their group."""
     n = rows.phase_m.size
     best = np.full(GROUPS, -1, np.int64)
     for i in range(n):
@@ -128,19 +118,19 @@ def ambiguities(rows: Rows, usable: Booleans, dx_m: Floats, covariance_m2: Float
             if a == b:
                 q += rows.phase_variance_m2[row[a]] / rows.wavelength_m[row[a]] ** 2
             covariance[a, b] = covariance[b, a] = q
-    return Ambiguities(value, covariance, mixed, row, reference)
+    return Ambiguities(value, covariance, mixed, row=row, reference=reference)
 
 
 @compiled
 def chi2_limit(freedom: int, normal_quantile: float) -> float:
-    """The χ² quantile that belongs to one of the normal distribution: Wilson & Hilferty, PNAS 17 (1931)."""
+    """χ² quantile at the probability of a normal quantile: Wilson & Hilferty, PNAS 17 (1931)."""
     part = 2.0 / (9.0 * freedom)
     return float(freedom * (1.0 - part + normal_quantile * np.sqrt(part)) ** 3)
 
 
 @compiled
-def phase_residuals(rows: Rows, integer: Floats) -> tuple[float, int]:
-    """χ² and degrees of freedom of the phases whose integers are known, in a position from these phases alone."""
+def phase_residuals(rows: SingleDifferences, integer: Floats) -> tuple[float, int]:
+    """χ² and degrees of freedom of the phases with known integers, about the position from these phases alone."""
     n = integer.size
     metres, weights = np.zeros(n), np.zeros(n)
     freedom = -3
@@ -170,8 +160,8 @@ def phase_residuals(rows: Rows, integer: Floats) -> tuple[float, int]:
 
 
 @compiled
-def _cycles(rows: Rows, row: int, reference: int, dx_m: Floats) -> float:
-    """A double-difference ambiguity in a given position."""
+def _cycles(rows: SingleDifferences, row: int, reference: int, dx_m: Floats) -> float:
+    """A double-difference ambiguity at a given position."""
     metres = rows.phase_m[row] - rows.phase_m[reference]
     for k in range(3):
         metres -= (rows.direction[row, k] - rows.direction[reference, k]) * dx_m[k]
@@ -179,8 +169,8 @@ def _cycles(rows: Rows, row: int, reference: int, dx_m: Floats) -> float:
 
 
 @compiled
-def _follows(rows: Rows, row: int, reference: int, dx_m: Floats, covariance_m2: Floats) -> bool:
-    """Does an integer follow from a position that others have fixed, beyond doubt?"""
+def _sigma_cycles(rows: SingleDifferences, row: int, reference: int, covariance_m2: Floats) -> float:
+    """σ of that ambiguity for a position's covariance."""
     variance = rows.phase_variance_m2[row] + rows.phase_variance_m2[reference]
     for k in range(3):
         for m in range(3):
@@ -189,102 +179,124 @@ def _follows(rows: Rows, row: int, reference: int, dx_m: Floats, covariance_m2: 
                 * covariance_m2[k, m]
                 * (rows.direction[row, m] - rows.direction[reference, m])
             )
-    cycles = _cycles(rows, row, reference, dx_m)
-    sigma = np.sqrt(variance) / rows.wavelength_m[row]
-    return bool(sigma < _FOLLOWS_SIGMA and abs(cycles - np.rint(cycles)) < _FOLLOWS_PART)
+    return float(np.sqrt(variance) / rows.wavelength_m[row])
 
 
 @compiled
-def _placed(rows: Rows, usable: Booleans, found: FloatPosition) -> Booleans:
-    """The usable rows (n,) without satellites of which a code is so wrong that it misplaces the satellite.
+def _without_misplaced(rows: SingleDifferences, usable: Booleans, position: FloatPosition) -> Booleans:
+    """The usable rows (n,) without satellites whose code error is so large that it misplaces the satellite.
 
-    Satellites are placed where a code says the signal left: 1 km of it is 3 mm along the orbit. What is wrong by less
-    takes its code out of the float position, but not its phase from the integers: a phase that is sound helps, one
-    that is not makes a wrong fix contradict itself.
+    A satellite's position is computed at the code's time of transmission: 1 km of code error is 3 mm of range. A
+    smaller error excludes the code from the float position, but not its phase from the ambiguities: a correct phase
+    helps, a wrong one makes a wrong fix contradict itself.
     """
     n = usable.size
-    level, count = np.zeros(GROUPS), np.zeros(GROUPS)
-    left = np.empty(n)
+    total, count = np.zeros(GROUPS), np.zeros(GROUPS)
+    residual = np.empty(n)
     for i in range(n):
-        left[i] = rows.code_m[i]
+        residual[i] = rows.code_m[i]
         for k in range(3):
-            left[i] -= rows.direction[i, k] * found.dx_m[k]
-        if found.used[i]:
-            level[rows.group[i]] += left[i]
+            residual[i] -= rows.direction[i, k] * position.dx_m[k]
+        if position.used[i]:
+            total[rows.group[i]] += residual[i]
             count[rows.group[i]] += 1.0
-    placed = usable.copy()
+    kept = usable.copy()
     for i in range(n):
         g = rows.group[i]
-        if (
-            usable[i]
-            and not found.used[i]
-            and count[g] > 0.0
-            and abs(left[i] - level[g] / count[g]) > _GROSS_M
-        ):
+        if not usable[i] or position.used[i] or not count[g] > 0.0:
+            continue
+        if abs(residual[i] - total[g] / count[g]) > _GROSS_M:
             for j in range(n):
                 if rows.satellite[j] == rows.satellite[i]:
-                    placed[j] = False
-    return placed
+                    kept[j] = False
+    return kept
+
+
+@compiled
+def _integers(
+    rows: SingleDifferences, unknown: Ambiguities, resolution: Resolution, dx_m: Floats, covariance_m2: Floats
+) -> Floats:
+    """Integers by row (n,) of a fixed solution; of a partial one those that the fixed position determines."""
+    integer = np.full(rows.phase_m.size, np.nan)
+    for a in range(unknown.value.size):
+        i, j = unknown.row[a], unknown.reference[a]
+        if resolution.fixed == unknown.value.size:
+            integer[i], integer[j] = resolution.ambiguities[a], 0.0
+            continue
+        cycles = _cycles(rows, i, j, dx_m)
+        certain = _sigma_cycles(rows, i, j, covariance_m2) < _IMPLIED_SIGMA
+        if certain and abs(cycles - np.rint(cycles)) < _IMPLIED_FRACTION:
+            integer[i], integer[j] = np.rint(cycles), 0.0
+    return integer
+
+
+@compiled
+def _float_only(status: int, position: FloatPosition, ambiguity_count: int) -> Estimate:
+    """The estimate without an attempt to resolve ambiguities."""
+    return Estimate(
+        status=status,
+        float_dx_m=position.dx_m,
+        float_covariance_m2=position.covariance_m2,
+        dx_m=position.dx_m,
+        covariance_m2=position.covariance_m2,
+        codes=position.used.sum(),
+        ambiguities=ambiguity_count,
+        fixed=0,
+        ratio=np.nan,
+        success_rate=np.nan,
+        squared_norm=np.nan,
+        phase_chi2=0.0,
+        phase_freedom=0,
+        integer=np.full(position.used.size, np.nan),
+    )
 
 
 @compiled
 def estimate(
-    rows: Rows, usable: Booleans, prior_m: Floats, prior_information: Floats, limits: Limits
+    rows: SingleDifferences, usable: Booleans, prior: PositionPrior, criteria: FixCriteria
 ) -> Estimate:
-    """The position from the usable rows (n,): float, and fixed where its integers pass all of `limits`."""
-    n = rows.phase_m.size
-    integer = np.full(n, np.nan)
-    first = float_with_prior(rows, usable, prior_m, prior_information, limits.code_outlier)
-    codes = 0
-    for i in range(n):
-        codes += 1 if first.used[i] else 0
-    status, nan = NO_POSITION, np.nan
-    if first.freedom >= 0 and not inner(first.dx_m, first.dx_m) < _FAR_M**2:
-        status = FAR
-    if first.freedom < 0 or status == FAR:
-        return Estimate(
-            status, first.dx_m, first.covariance_m2, first.dx_m, first.covariance_m2, codes, 0, 0, nan, nan, nan,
-            0.0, 0, integer,
-        )  # fmt: skip
-    unknown = ambiguities(rows, _placed(rows, usable, first), first.dx_m, first.covariance_m2)
-    count = unknown.value.size
-    if count < max(limits.least_fixed, 1):
-        return Estimate(
-            UNLIKELY, first.dx_m, first.covariance_m2, first.dx_m, first.covariance_m2, codes, count, 0, nan, nan,
-            nan, 0.0, 0, integer,
-        )  # fmt: skip
-    found = resolve(
-        unknown.value,
-        unknown.covariance,
-        limits.least_ratio,
-        limits.least_success,
-        limits.least_fixed,
-        limits.most_nodes,
-        limits.partial,
-        limits.failure_rate,
+    """Position from the usable rows (n,): float, and fixed where it passes all criteria; the prior is an offset."""
+    position = float_with_prior(rows, usable, prior, criteria.code_outlier)
+    if position.freedom < 0:
+        return _float_only(NO_POSITION, position, 0)
+    if not inner(position.dx_m, position.dx_m) < _FAR_M**2:
+        return _float_only(FAR, position, 0)
+
+    unknown = ambiguities(
+        rows, _without_misplaced(rows, usable, position), position.dx_m, position.covariance_m2
     )
-    status, chi2, freedom = found.status, 0.0, 0
-    dx, covariance = first.dx_m, first.covariance_m2
+    count = unknown.value.size
+    if count < max(criteria.least_fixed, 1):
+        return _float_only(UNLIKELY, position, count)
+    resolution = resolve(unknown.value, unknown.covariance, criteria)
+
+    status, chi2, freedom = resolution.status, 0.0, 0
+    dx, covariance, integer = position.dx_m, position.covariance_m2, np.full(usable.size, np.nan)
     if status == RESOLVED:
-        dx, covariance = conditional_update(
-            first.dx_m, first.covariance_m2, unknown.position_covariance_m, found
-        )
-        for a in range(count):
-            i, j = unknown.row[a], unknown.reference[a]
-            if found.fixed == count:
-                integer[i], integer[j] = found.ambiguities[a], 0.0
-            elif _follows(rows, i, j, dx, covariance):
-                integer[i], integer[j] = np.rint(_cycles(rows, i, j, dx)), 0.0
+        dx, covariance = conditional_update(dx, covariance, unknown.position_covariance_m, resolution)
+        integer = _integers(rows, unknown, resolution, dx_m=dx, covariance_m2=covariance)
         chi2, freedom = phase_residuals(rows, integer)
-        contradictory = found.squared_norm > chi2_limit(found.fixed, limits.normal_quantile)
+        contradictory = resolution.squared_norm > chi2_limit(resolution.fixed, criteria.residual_quantile)
         if freedom > 0:
-            contradictory = contradictory or chi2 > chi2_limit(freedom, limits.normal_quantile)
+            contradictory = contradictory or chi2 > chi2_limit(freedom, criteria.residual_quantile)
         if contradictory:
             status = CONTRADICTORY
-        elif covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > limits.largest_sigma_m**2:
+        elif covariance[0, 0] + covariance[1, 1] + covariance[2, 2] > criteria.largest_sigma_m**2:
             status = IMPRECISE
         covariance = covariance + rows.atmosphere_m2
     return Estimate(
-        status, first.dx_m, first.covariance_m2, dx, covariance, codes, count, found.fixed, found.ratio,
-        found.success_rate, found.squared_norm, chi2, freedom, integer,
-    )  # fmt: skip
+        status=status,
+        float_dx_m=position.dx_m,
+        float_covariance_m2=position.covariance_m2,
+        dx_m=dx,
+        covariance_m2=covariance,
+        codes=position.used.sum(),
+        ambiguities=count,
+        fixed=resolution.fixed,
+        ratio=resolution.ratio,
+        success_rate=resolution.success_rate,
+        squared_norm=resolution.squared_norm,
+        phase_chi2=chi2,
+        phase_freedom=freedom,
+        integer=integer,
+    )

@@ -1,7 +1,7 @@
-"""The integer vectors nearest to decorrelated float ambiguities: the second half of LAMBDA.
+"""LAMBDA, second half: search of the integer vectors nearest to decorrelated float ambiguities.
 
 Sources: Chang, Yang and Zhou, MLAMBDA, J. Geodesy 79 (2005); Schnorr and Euchner (1994): integers of a level are
-tried in the order of their distance, and the ellipsoid shrinks to the worst of the best found.
+tried in the order of their distance, and the search ellipsoid shrinks to the worst candidate kept.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ def nearest_integers(
 ) -> tuple[int, Floats, Floats, int]:
     """The `wanted` integer vectors nearest to `floats` (n,) in the metric of (U D Uᵀ)⁻¹ (`lambda_decorrelation`).
 
-    Returns how many were found, the vectors (wanted, n) and their squared norms (wanted,), nearest first, and how many
-    nodes were visited. Fewer than `wanted` (0 to be clear) means that the search was cut off at `most_nodes` or that a
+    Returns how many were obtained, the vectors (wanted, n) and their squared norms (wanted,), nearest first, and the
+    number of visited nodes. Fewer than `wanted` (namely 0) means that the search was cut off at `most_nodes` or that a
     number is not finite: nothing is known then. The floats should be within 2⁵⁰ of zero.
     """
     count = floats.size
-    found = 0
+    obtained = 0
     vectors = np.zeros((wanted, count))
     norms = np.full(wanted, np.inf)
     for place in range(count):
@@ -66,17 +66,17 @@ def nearest_integers(
                 integer[level] = np.rint(centre[level])
                 step[level] = 1.0 if centre[level] >= integer[level] else -1.0
                 continue
-            place = min(found, wanted - 1)
+            place = min(obtained, wanted - 1)
             while place > 0 and norms[place - 1] > norm:
                 norms[place] = norms[place - 1]
                 vectors[place] = vectors[place - 1]
                 place -= 1
             norms[place] = norm
             vectors[place] = integer
-            found = min(found + 1, wanted)
+            obtained = min(obtained + 1, wanted)
             limit = norms[wanted - 1]
         elif level == count - 1:
-            return found, vectors, norms, nodes
+            return obtained, vectors, norms, nodes
         else:
             level += 1
         # The next nearest integer of this level.

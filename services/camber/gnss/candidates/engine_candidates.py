@@ -1,4 +1,4 @@
-"""The engine's results as messages, and the last epochs, of which the judge may ask other estimates."""
+"""The engine's results as messages, and the recent epochs, for which the judge may request re-estimation."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from camber.formats.observations import Floats, ObservationEpoch
 from camber.geodesy.covariance import EnuCovariance
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY
 from camber.gnss.candidates.receiver_candidates import fix_id_of
-from camber.gnss.candidates.satellite_subsets import OtherEstimate, other_estimates
+from camber.gnss.candidates.satellite_subsets import SubsetCandidate, subset_candidates
 from camber.gnss.observations.satellite_states import enu_from_ecef_rotation, geodetic
-from camber.gnss.position.differenced_epoch import NO_PRIOR
-from camber.gnss.position.rtk_engine import EngineOptions, Solution
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Solution
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity
-from camber.gnss.velocity.heading_filter import Heading
+from camber.gnss.velocity.heading_filter import HeadingEstimate
 from camber.schemas.gnss import (
     Candidate,
     Estimates,
@@ -27,8 +27,7 @@ from camber.schemas.gnss import (
     SubsetAgreement,
 )
 
-_KEPT = 20
-"""Epochs: two seconds at 10 Hz, and the judge asks within one."""
+_KEPT = 20  # epochs; chosen: two seconds at 10 Hz, and the judge asks within one
 
 
 def fix_from_solution(
@@ -37,20 +36,20 @@ def fix_from_solution(
     base_station: str | None = None,
     subset_agreement: SubsetAgreement = "unknown",
 ) -> Fix | None:
-    """The tentative position of an epoch, with the name of its base; None where there is no position.
+    """The candidate fix of an epoch, with the name of its base; None where there is no position.
 
-    Raises ValidationError for one that no Fix can have, such as one below the ground by earth radii.
+    Raises ValidationError for a position that no Fix can have, such as one near the centre of the earth.
     """
     if solution.quality == "none" or solution.position_ecef_m is None or solution.covariance_ecef_m2 is None:
         return None
     latitude, longitude, height_m = geodetic(solution.position_ecef_m)
-    found = solution.estimate
+    estimate = solution.estimate
     residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
-    if found is not None and found.status == CONTRADICTORY:
+    if estimate is not None and estimate.status == CONTRADICTORY:
         residuals = "contradictory"
-    elif found is not None and solution.quality == "fixed" and found.phase_freedom > 0:
+    elif estimate is not None and solution.quality == "fixed" and estimate.phase_freedom > 0:
         residuals = "consistent"
-    fixed = solution.quality == "fixed"
+    fixed = estimate if solution.quality == "fixed" else None
     return Fix(
         time_ns=solution.time_ns,
         fix_id=fix_id_of(solution.time_ns),
@@ -64,8 +63,8 @@ def fix_from_solution(
         satellites=min(solution.satellites, 255),
         ratio=None if solution.ratio is None else min(solution.ratio, 1e9),
         age_of_corrections_s=None if solution.age_s is None else abs(solution.age_s),
-        ambiguities_fixed=found.fixed if found is not None and fixed else None,
-        success_rate=found.success_rate if found is not None and fixed else None,
+        ambiguities_fixed=None if fixed is None else fixed.fixed,
+        success_rate=None if fixed is None else fixed.success_rate,
         ambiguity_continuity=solution.continuity,
         continuous_since_ns=solution.continuous_since_ns,
         phase_residuals=residuals,
@@ -74,24 +73,24 @@ def fix_from_solution(
     )
 
 
-def velocity_from(found: DopplerVelocity, heading: Heading | None) -> SatelliteVelocity | None:
-    """Velocity and heading; None where the Dopplers gave none."""
-    if found.status != "ok":
+def velocity_from(velocity: DopplerVelocity, heading: HeadingEstimate | None) -> SatelliteVelocity | None:
+    """Velocity and heading; None where the Dopplers gave no velocity."""
+    if velocity.status != "ok":
         return None
-    east, north, up = (float(v) for v in found.velocity_enu_m_s)
+    east, north, up = (float(v) for v in velocity.velocity_enu_m_s)
     return SatelliteVelocity(
-        time_ns=found.time_ns,
+        time_ns=velocity.time_ns,
         velocity_enu_m_s=(east, north, up),
-        covariance_enu_m2_s2=_upper(found.covariance_enu_m2_s2),
-        hdop=found.hdop,
-        satellites=int(found.used.sum()),
+        covariance_enu_m2_s2=_upper(velocity.covariance_enu_m2_s2),
+        hdop=velocity.hdop,
+        satellites=int(velocity.used.sum()),
         heading_rad=None if heading is None else heading.heading_rad,
         heading_sigma_rad=None if heading is None else heading.heading_sigma_rad,
     )
 
 
 def observations_from(epoch: ObservationEpoch, station: str) -> Observations:
-    """Raw observations of one epoch, as they were."""
+    """Raw observations of one epoch, unchanged."""
     columns = (
         epoch.pseudorange_m,
         epoch.carrier_phase_cycles,
@@ -118,52 +117,50 @@ def observations_from(epoch: ObservationEpoch, station: str) -> Observations:
     )
 
 
-class LastEpochs:
-    """The newest epochs by fix id: an estimate can be made of them only."""
+class RecentEpochs:
+    """The newest epochs by fix id; only these can be re-estimated."""
 
-    def __init__(self, options: EngineOptions) -> None:
-        self._limits = options.limits()
+    def __init__(self, settings: EngineSettings) -> None:
+        self._criteria = settings.fix_criteria()
         self._kept: OrderedDict[int, Solution] = OrderedDict()
 
     def keep(self, solution: Solution) -> None:
-        """One more; the oldest goes."""
+        """Add an epoch; the oldest is dropped."""
         self._kept[fix_id_of(solution.time_ns)] = solution
         while len(self._kept) > _KEPT:
             self._kept.popitem(last=False)
 
     def estimates(self, request: EstimatesRequest) -> Estimates:
-        """All other estimates of one fix that pass the engine's tests, made without any height."""
+        """All candidates from subsets of one fix's satellites that pass the engine's tests; no height is used."""
         answer = Estimates(time_ns=request.time_ns, fix_id=request.fix_id, status="forgotten")
         solution = self._kept.get(request.fix_id)
         if solution is None:
             return answer.model_copy(update={"reason": f"not among the last {_KEPT} epochs"})
-        if solution.rows is None or solution.approximate_ecef_m is None:
+        if solution.rows is None:
             return answer.model_copy(update={"status": "unavailable", "reason": solution.reason})
-        trials, found = other_estimates(
-            solution.rows,
-            solution.approximate_ecef_m,
-            self._limits,
+        trials, subsets = subset_candidates(
+            solution,
+            self._criteria,
             request.strategy,
             request.excluded_satellites,
-            request.maximum_trials,
-            solution.prior or NO_PRIOR,
+            most_trials=request.maximum_trials,
         )
-        candidates = tuple(_candidate(other) for other in found[:100])
+        candidates = tuple(_candidate(subset) for subset in subsets[:100])
         return answer.model_copy(update={"status": "available", "trials": trials, "candidates": candidates})
 
 
-def _candidate(other: OtherEstimate) -> Candidate:
-    latitude, longitude, height_m = geodetic(other.position_ecef_m)
+def _candidate(subset: SubsetCandidate) -> Candidate:
+    latitude, longitude, height_m = geodetic(subset.position_ecef_m)
     return Candidate(
         latitude_rad=latitude,
         longitude_rad=longitude,
         height_m=height_m,
-        covariance_enu_m2=enu_covariance(other.position_ecef_m, other.covariance_ecef_m2),
-        excluded_satellites=other.excluded[:100],
-        ambiguities=other.fixed,
-        ratio=min(other.ratio, 1e9),
-        success_rate=other.success_rate,
-        agreeing_subsets=other.agreeing,
+        covariance_enu_m2=enu_covariance(subset.position_ecef_m, subset.covariance_ecef_m2),
+        excluded_satellites=subset.excluded[:100],
+        ambiguities=subset.fixed,
+        ratio=min(subset.ratio, 1e9),
+        success_rate=subset.success_rate,
+        agreeing_subsets=subset.agreeing,
     )
 
 

@@ -1,4 +1,4 @@
-"""A receiver's own solution → a tentative position. Its covariance is passed on as claimed, never believed."""
+"""Candidate fixes from the receiver's solutions; the covariance is passed on as claimed, never trusted."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _QUALITY: dict[SolutionQuality, Quality] = {
     SolutionQuality.PPP: "ppp",
     SolutionQuality.DEAD_RECKONING: "estimated",
 }
-_FUTURE_LIMIT_NS = 500_000_000
+_FUTURE_LIMIT_NS = 500_000_000  # chosen: ample for a machine's clock disciplined by NTP
 
 Refusal = Literal["repeated_epoch", "out_of_order_epoch", "epoch_from_the_future"]
 
 
 def refuse(time_ns: int, last_ns: int | None, now_ns: int) -> Refusal | None:
-    """Why an epoch is not passed on: it came before, it comes late, or its clock runs ahead of ours by > 0.5 s."""
+    """Reason why an epoch is not passed on: repeated, late, or more than 0.5 s ahead of this machine's clock."""
     if time_ns > now_ns + _FUTURE_LIMIT_NS:
         return "epoch_from_the_future"
     if last_ns is None or time_ns > last_ns:
@@ -32,12 +32,12 @@ def refuse(time_ns: int, last_ns: int | None, now_ns: int) -> Refusal | None:
 
 
 def fix_id_of(time_ns: int) -> int:
-    """The epoch in milliseconds: the same after a restart, and the same in a replay."""
+    """The epoch in milliseconds: stable over restarts and replays."""
     return time_ns // 1_000_000
 
 
 def fix_from(solution: ReceiverSolution, datum: str) -> Fix:
-    """The tentative position."""
+    """The candidate fix of a receiver's solution."""
     return Fix(
         time_ns=solution.time_ns,
         fix_id=fix_id_of(solution.time_ns),

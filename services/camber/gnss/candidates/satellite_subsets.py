@@ -1,9 +1,9 @@
-"""Other estimates of one epoch, from other choices of satellites: a second opinion for the judge.
+"""Re-estimation of one epoch from satellite subsets: further candidate fixes for the judge.
 
-Every choice is tried and every one that passes the tests is told, with how many others agree with it and how many
-were tried: nothing here knows a height of road or map, so agreement is no proof of height and height none of agreement.
-The epoch's rows are used as they are: geometry is made once. Of other epochs enters what the epoch itself had, the
-float position that its codes and Doppler have carried on, where the engine uses it; it has seen no integers.
+Source: JP7707657B2, fifth embodiment. Every subset is tried, and every one that passes the tests is reported, with the
+number of others that agree with it and the number of trials. No height of road or map is used, so agreement is
+independent of height. The single differences of the epoch are reused. Of other epochs only the epoch's Doppler prior
+is used, which depends on no integers.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, satellite_name
-from camber.gnss.ambiguity.fixed_solution import Limits, estimate
-from camber.gnss.ambiguity.resolution import RESOLVED
-from camber.gnss.observations.signal_pairs import systems_of
-from camber.gnss.observations.single_differences import Booleans, Rows
-from camber.gnss.position.differenced_epoch import NO_PRIOR, Prior
-from camber.gnss.position.float_solution import float_position
+from camber.gnss.ambiguity.fixed_solution import estimate
+from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria
+from camber.gnss.observations.signal_pairs import Booleans, systems_of
+from camber.gnss.observations.single_differences import SingleDifferences
+from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior, float_position, relative_to
+from camber.gnss.position.rtk_engine import Solution
 
 Strategy = Literal[
     "leave_one_out", "leave_one_system_out", "by_cn0", "by_elevation", "by_residual", "explicit", "all"
@@ -34,20 +34,20 @@ _ALL: tuple[Strategy, ...] = (
     "leave_one_system_out",
     "leave_one_out",
 )
-"""In turn: the number of trials is limited, and what one strategy leaves out first is what it suspects most."""
+"""Strategies in the order of trial: the number of trials is limited, and each strategy begins with its most suspect."""
 IDENTICAL_M = 1.0e-9
-"""Where a satellite that is left out had been rejected anyway, the position is the very same: no second opinion."""
-_AGREEMENT_M = 0.05
-_LEAST_SATELLITES = 4
-_LEAST_SUCCESS = 0.5
-"""Less than a fix by itself needs: agreement is asked for beside it, and each estimate tells its own."""
+"""Below it two positions come from the same measurements: the excluded satellite had been rejected anyway."""
+_AGREEMENT_M = 0.05  # chosen: 3 σ of the difference of two fixes with the same integers
+_LEAST_SATELLITES = 4  # a position and a clock
+_LEAST_SUCCESS_RATE = 0.5
+"""Chosen below that of a fix: agreement is required in addition, and each candidate reports its success rate."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OtherEstimate:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SubsetCandidate:
     """A position (3,) in ECEF with covariance (3, 3) from all satellites but those excluded.
 
-    `agreeing` counts the other trials that led to the same position from other measurements.
+    `agreeing`: number of other trials with the same position from other measurements.
     """
 
     position_ecef_m: Floats
@@ -60,76 +60,86 @@ class OtherEstimate:
     agreeing: int
 
 
-def other_estimates(
-    rows: Rows,
-    approximate_ecef_m: Floats,
-    limits: Limits,
-    strategy: Strategy,
-    excluded: Sequence[str],
-    most_trials: int,
-    prior: Prior = NO_PRIOR,
-) -> tuple[int, list[OtherEstimate]]:
-    """How many choices were tried, and all estimates that passed, in the order of trial.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _EpochSatellites:
+    """Satellites (m,) of an epoch, index (n,) of each row's satellite, and which are given for all subsets (m,)."""
 
-    `excluded` satellites are left out of every choice; with `explicit` that is the only one.
+    number: Integers
+    place: Integers
+    given: Booleans
+
+
+def subset_candidates(
+    solution: Solution,
+    criteria: FixCriteria,
+    strategy: Strategy,
+    excluded: Sequence[str] = (),
+    *,
+    most_trials: int,
+) -> tuple[int, list[SubsetCandidate]]:
+    """Number of trials, and all candidates of a differenced epoch that passed, in the order of trial.
+
+    `excluded` satellites are left out of every subset; with `explicit` that is the only one.
     """
-    satellites, place = np.unique(rows.satellite, return_inverse=True)
-    names = [satellite_name(int(number)) for number in satellites]
-    given = np.array([name not in excluded for name in names], np.bool_)
-    choices = _choices(rows, satellites, place, given, strategy, max(most_trials, 0))
-    if not choices:
+    rows, approximate_ecef_m = solution.rows, solution.approximate_ecef_m
+    if rows is None or approximate_ecef_m is None:
         return 0, []
-    masks = np.array(choices)[:, place]
-    trial = limits._replace(least_success=min(limits.least_success, _LEAST_SUCCESS))
-    prior_m = prior.position_ecef_m - approximate_ecef_m if prior.information.any() else np.zeros(3)
+    numbers, place = np.unique(rows.satellite, return_inverse=True)
+    names = [satellite_name(int(number)) for number in numbers]
+    given = np.array([name not in excluded for name in names], np.bool_)
+    satellites = _EpochSatellites(number=numbers, place=place, given=given)
+    subsets = _subsets(rows, satellites, strategy, max(most_trials, 0))
+    if not subsets:
+        return 0, []
+    masks = np.array(subsets)[:, place]
+    trial = criteria._replace(least_success_rate=min(criteria.least_success_rate, _LEAST_SUCCESS_RATE))
     status, dx, covariance, counts, quality = _estimates(
-        rows, masks, prior_m, np.ascontiguousarray(prior.information), trial
+        rows, masks, relative_to(solution.prior, approximate_ecef_m), trial
     )
     passed = np.flatnonzero(status == RESOLVED)
     apart = np.linalg.norm(dx[passed, None] - dx[None, passed], axis=2)
     agreeing = ((apart > IDENTICAL_M) & (apart < _AGREEMENT_M)).sum(axis=1)
-    found = [
-        OtherEstimate(
-            approximate_ecef_m + dx[t],
-            covariance[t],
-            tuple(name for name, used in zip(names, choices[t], strict=True) if not used),
-            int(counts[t, 0]),
-            int(counts[t, 1]),
-            float(quality[t, 0]),
-            float(quality[t, 1]),
-            int(agree),
+    candidates = [
+        SubsetCandidate(
+            position_ecef_m=approximate_ecef_m + dx[t],
+            covariance_ecef_m2=covariance[t],
+            excluded=tuple(name for name, used in zip(names, subsets[t], strict=True) if not used),
+            ambiguities=int(counts[t, 0]),
+            fixed=int(counts[t, 1]),
+            ratio=float(quality[t, 0]),
+            success_rate=float(quality[t, 1]),
+            agreeing=int(agree),
         )
         for t, agree in zip(passed.tolist(), agreeing.tolist(), strict=True)
     ]
-    return len(choices), found
+    return len(subsets), candidates
 
 
-def _choices(
-    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy, most: int
+def _subsets(
+    rows: SingleDifferences, satellites: _EpochSatellites, strategy: Strategy, most: int
 ) -> list[Booleans]:
-    """Satellites (m,) of each trial, `most` at most; none twice, none with fewer than a position needs.
+    """Satellites (m,) of each trial, `most` at most; no repetitions, none with fewer than a position needs.
 
-    Of several strategies each says its best choice in turn.
+    Several strategies take turns.
     """
+    given = satellites.given
     if strategy == "explicit":
         return [given][:most] if given.sum() >= _LEAST_SATELLITES else []
     parts = _ALL if strategy == "all" else (strategy,)
-    orders = [_left_out(rows, satellites, place, given, part) for part in parts]
-    choices: dict[bytes, Booleans] = {}
+    orders = [_left_out(rows, satellites, part) for part in parts]
+    subsets: dict[bytes, Booleans] = {}
     for left_out in (one for turn in zip_longest(*orders) for one in turn if one is not None):
-        if len(choices) >= most:
+        if len(subsets) >= most:
             break
-        choice = given & ~left_out
-        if choice.sum() >= _LEAST_SATELLITES:
-            choices.setdefault(choice.tobytes(), choice)
-    return list(choices.values())
+        subset = given & ~left_out
+        if subset.sum() >= _LEAST_SATELLITES:
+            subsets.setdefault(subset.tobytes(), subset)
+    return list(subsets.values())
 
 
-def _left_out(
-    rows: Rows, satellites: Integers, place: Integers, given: Booleans, strategy: Strategy
-) -> Booleans:
-    """What each choice (k, m) of one strategy leaves out, the most promising first."""
-    m = satellites.size
+def _left_out(rows: SingleDifferences, satellites: _EpochSatellites, strategy: Strategy) -> Booleans:
+    """Satellites left out by each trial (k, m) of one strategy, the most suspect first."""
+    m, place, given = satellites.number.size, satellites.place, satellites.given
     if strategy == "leave_one_system_out":
         systems = np.zeros(m, np.int64)
         systems[place] = systems_of(rows.group)
@@ -146,29 +156,29 @@ def _left_out(
     return alone if strategy == "leave_one_out" else np.logical_or.accumulate(alone, axis=0)[:-1]
 
 
-def _normalised_residuals(rows: Rows, usable: Booleans) -> Floats:
-    """How far each code (n,) is from the position of all, in its own standard deviations; 0 where it is not used."""
-    found = float_position(rows, usable, np.zeros(3), np.zeros((3, 3)), 3.5)
-    left = np.where(usable, rows.code_m - rows.direction @ found.dx_m, np.nan)
+def _normalised_residuals(rows: SingleDifferences, usable: Booleans) -> Floats:
+    """Absolute residual of each code (n,) from the position of all, over its σ; 0 where it is not used."""
+    position = float_position(rows, usable, NO_PRIOR, 3.5)
+    residual = np.where(usable, rows.code_m - rows.direction @ position.dx_m, np.nan)
     for group in np.unique(rows.group):
         of_group = rows.group == group
-        if found.used[of_group].any():
-            left[of_group] -= np.nanmedian(left[of_group & found.used])
-    return np.nan_to_num(np.abs(left) / np.sqrt(rows.code_variance_m2))
+        if position.used[of_group].any():
+            residual[of_group] -= np.nanmedian(residual[of_group & position.used])
+    return np.nan_to_num(np.abs(residual) / np.sqrt(rows.code_variance_m2))
 
 
 @compiled
 def _estimates(
-    rows: Rows, masks: Booleans, prior_m: Floats, prior_information: Floats, limits: Limits
+    rows: SingleDifferences, masks: Booleans, prior: PositionPrior, criteria: FixCriteria
 ) -> tuple[Integers, Floats, Floats, Integers, Floats]:
-    """Of each mask (t, n): status (t,), correction (t, 3), covariance (t, 3, 3), ambiguities and fixed (t, 2), ratio
+    """For each mask (t, n): status (t,), offset (t, 3), covariance (t, 3, 3), ambiguities and fixed (t, 2), ratio
     and success rate (t, 2)."""
     t = masks.shape[0]
     status, dx, covariance = np.empty(t, np.int64), np.empty((t, 3)), np.empty((t, 3, 3))
     counts, quality = np.empty((t, 2), np.int64), np.empty((t, 2))
     for k in range(t):
-        found = estimate(rows, masks[k], prior_m, prior_information, limits)
-        status[k], dx[k], covariance[k] = found.status, found.dx_m, found.covariance_m2
-        counts[k, 0], counts[k, 1] = found.ambiguities, found.fixed
-        quality[k, 0], quality[k, 1] = found.ratio, found.success_rate
+        result = estimate(rows, masks[k], prior, criteria)
+        status[k], dx[k], covariance[k] = result.status, result.dx_m, result.covariance_m2
+        counts[k, 0], counts[k, 1] = result.ambiguities, result.fixed
+        quality[k, 0], quality[k, 1] = result.ratio, result.success_rate
     return status, dx, covariance, counts, quality

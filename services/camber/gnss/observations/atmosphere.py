@@ -1,4 +1,4 @@
-"""What ionosphere and troposphere delay code by, from models; compiled, one satellite a call.
+"""Delay of code by ionosphere and troposphere, from models; compiled, one satellite a call.
 
 Sources: IS-GPS-200N, 20.3.3.5.2.5 and figure 20-4 (ionosphere, J. Klobuchar's model); J. Saastamoinen, "Contributions
 to the theory of atmospheric refraction", Bulletin géodésique 105 to 107 (1972-73), with the gravity term of J. Davis
@@ -18,10 +18,10 @@ from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats
 
 IONOSPHERE_CARRIER_HZ = 1575.42e6
-"""The delay on another carrier f is (this / f)² times as much."""
-LOWEST_HEIGHT_M, GREATEST_HEIGHT_M = -500.0, 9000.0
+"""GPS L1 (IS-GPS-200N); the delay on another carrier f is (this / f)² times as much."""
+LOWEST_HEIGHT_M, GREATEST_HEIGHT_M = -500.0, 9000.0  # chosen: all roads
 LOWEST_ELEVATION_RAD = math.radians(2.0)
-"""Below it, as at it: there the models hold no longer."""
+"""Lower elevations get the delay of this one: the models do not hold there."""
 
 _LOWEST_SINE = math.sin(LOWEST_ELEVATION_RAD)
 _NIELL_STEP_RAD = math.radians(15.0)
@@ -44,9 +44,9 @@ _PER_HEIGHT = (2.53e-5, 5.49e-3, 1.14e-3)
 
 
 class Troposphere(NamedTuple):
-    """Of one place: zenith delays and the coefficients of their mapping, so that each satellite costs little.
+    """Zenith delays and mapping coefficients at one position.
 
-    `known` is false, and every delay zero, for a height beyond −500 to 9000 m or a place that is NaN.
+    `known` is false, and every delay zero, for a height outside −500 m to 9000 m or a NaN position.
     """
 
     known: bool
@@ -59,48 +59,55 @@ class Troposphere(NamedTuple):
 
 @compiled
 def troposphere_at(latitude_rad: float, height_m: float) -> Troposphere:
-    """The standard atmosphere of a latitude at an ellipsoidal height, which enters nothing else."""
+    """Standard atmosphere at a latitude and an ellipsoidal height."""
     if not (LOWEST_HEIGHT_M <= height_m <= GREATEST_HEIGHT_M and abs(latitude_rad) <= 0.5 * np.pi + 1e-9):
-        return Troposphere(False, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        return Troposphere(
+            known=False,
+            dry_m=0.0,
+            wet_m=0.0,
+            height_m=0.0,
+            dry_mapping=(0.0, 0.0, 0.0),
+            wet_mapping=(0.0, 0.0, 0.0),
+        )
     dry_m, wet_m = zenith_delays_m(latitude_rad, height_m)
     place = min(max(abs(latitude_rad) / _NIELL_STEP_RAD - 1.0, 0.0), 3.999999)
     row = int(place)
     part = place - row
-    d, w = _HYDROSTATIC, _WET
     return Troposphere(
-        True,
-        dry_m,
-        wet_m,
-        height_m,
-        (
-            d[row, 0] + part * (d[row + 1, 0] - d[row, 0]),
-            d[row, 1] + part * (d[row + 1, 1] - d[row, 1]),
-            d[row, 2] + part * (d[row + 1, 2] - d[row, 2]),
-        ),
-        (
-            w[row, 0] + part * (w[row + 1, 0] - w[row, 0]),
-            w[row, 1] + part * (w[row + 1, 1] - w[row, 1]),
-            w[row, 2] + part * (w[row + 1, 2] - w[row, 2]),
-        ),
+        known=True,
+        dry_m=dry_m,
+        wet_m=wet_m,
+        height_m=height_m,
+        dry_mapping=_interpolated(_HYDROSTATIC, row, part),
+        wet_mapping=_interpolated(_WET, row, part),
+    )
+
+
+@compiled
+def _interpolated(table: Floats, row: int, part: float) -> tuple[float, float, float]:
+    return (
+        table[row, 0] + part * (table[row + 1, 0] - table[row, 0]),
+        table[row, 1] + part * (table[row + 1, 1] - table[row, 1]),
+        table[row, 2] + part * (table[row + 1, 2] - table[row, 2]),
     )
 
 
 @compiled
 def slant_troposphere_m(troposphere: Troposphere, sin_elevation: float) -> float:
-    """Delay [m] towards a satellite; zero where it is not known: below the horizon, NaN, a place without any."""
+    """Delay [m] towards a satellite; zero where it is not known: below the horizon, NaN, an unknown position."""
     if not (troposphere.known and 0.0 < sin_elevation <= 1.0 + 1e-9):
         return 0.0
     sine = max(sin_elevation, _LOWEST_SINE)
     da, db, dc = troposphere.dry_mapping
     wa, wb, wc = troposphere.wet_mapping
-    above = 1.0 / sine - _continued(sine, _PER_HEIGHT[0], _PER_HEIGHT[1], _PER_HEIGHT[2])
-    of_dry = _continued(sine, da, db, dc) + above * troposphere.height_m * 1e-3
-    return troposphere.dry_m * of_dry + troposphere.wet_m * _continued(sine, wa, wb, wc)
+    height_mapping = 1.0 / sine - _continued(sine, _PER_HEIGHT[0], _PER_HEIGHT[1], _PER_HEIGHT[2])
+    dry_mapping = _continued(sine, da, db, dc) + height_mapping * troposphere.height_m * 1e-3
+    return troposphere.dry_m * dry_mapping + troposphere.wet_m * _continued(sine, wa, wb, wc)
 
 
 @compiled
 def troposphere_m(latitude_rad: float, height_m: float, elevation_rad: float) -> float:
-    """Both in one, where there is one satellite only."""
+    """Troposphere delay [m] towards one satellite."""
     return slant_troposphere_m(troposphere_at(latitude_rad, height_m), math.sin(elevation_rad))
 
 
@@ -116,13 +123,13 @@ def zenith_delays_m(latitude_rad: float, height_m: float) -> tuple[float, float]
 
 @compiled
 def _continued(sine: float, a: float, b: float, c: float) -> float:
-    """Marini's fraction as Herring normed it to one at the zenith (Niell 1996, eq. 4)."""
+    """Marini's continued fraction, normalised to one at the zenith (Niell 1996, eq. 4)."""
     return (1.0 + a / (1.0 + b / (1.0 + c))) / (sine + a / (sine + b / (sine + c)))
 
 
 @compiled
 def has_ionosphere(coefficients: Floats) -> bool:
-    """Whether these are the eight coefficients of `klobuchar_m`; (0,) says that there are none."""
+    """Whether these are the eight coefficients of `klobuchar_m`; (0,) means none."""
     usable = coefficients.size == 8
     for k in range(coefficients.size):
         usable = usable and abs(coefficients[k]) < 1e9

@@ -1,8 +1,7 @@
-"""The base: its last epoch, its coordinate, and whether the two belong together.
+"""The base station: its last epoch, its coordinate, and whether the two are consistent.
 
-A fix is as right as the base's coordinate: a wrong one moves every fix by as much, and no test of integers sees it. The
-base's own single point does: a coordinate of another station, of another datum or with a height above the geoid lies
-outside of what its covariance allows.
+A base coordinate error moves every fix by as much, and no test of integers detects it. The base's single-point solution
+does: a coordinate of another station, of another datum or with a height above the geoid is outside its covariance.
 """
 
 from __future__ import annotations
@@ -14,50 +13,50 @@ import numpy as np
 
 from camber.formats.observations import Floats, ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.gnss.observations.cycle_slips import ArcTracker
+from camber.gnss.observations.cycle_slips import CycleSlipDetector
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.epoch_order import EpochOrder, Order
 from camber.gnss.observations.satellite_states import geodetic
 from camber.gnss.position.single_point import single_point
 
 Coordinate = Literal["plausible", "implausible", "unknown"]
-"""`unknown`: the base's own epochs gave no position to compare with."""
+"""`unknown`: the base's epochs gave no position to compare with."""
 
-_LEAST_MISS_M = 20.0
+_LEAST_MISS_M = 20.0  # chosen: errors of a single point under a disturbed ionosphere stay below it
 _LARGEST_CHI2 = 36.0  # three degrees of freedom: 1e-7 by chance
-_CHECK_EVERY_NS = 10 * NS_PER_SECOND
+_CHECK_EVERY_NS = 10 * NS_PER_SECOND  # chosen: the coordinate changes with the stream only
 
-_NAME_LENGTH = 64  # of `Name`
-_TOLD_LENGTH = 20  # a coordinate to the millimetre takes up to 41
+_NAME_LENGTH = 64  # of the schema's `Name`
+_LABEL_LENGTH = 20  # a coordinate to the millimetre takes up to 41
 
 
-def station_name(told: str, position_ecef_m: Floats | None = None) -> str:
-    """By what one base is told from another: what it calls itself (id, marker), and its coordinate (3,) in ECEF.
+def station_name(label: str, position_ecef_m: Floats | None = None) -> str:
+    """Name that distinguishes one base from another: its label (id, marker), and its coordinate (3,) in ECEF.
 
-    Numbers of stations repeat from network to network, and a station that is given another coordinate moves every fix.
+    Station numbers repeat from network to network, and a station with a new coordinate moves every fix.
     """
-    name = re.sub(r"[^A-Za-z0-9_.:@+-]", "_", told.strip())[:_TOLD_LENGTH]
+    name = re.sub(r"[^A-Za-z0-9_.:@+-]", "_", label.strip())[:_LABEL_LENGTH]
     if position_ecef_m is not None:
         name += "@" + ":".join(f"{value:.3f}" for value in position_ecef_m)
     return name[:_NAME_LENGTH]
 
 
 class BaseStation:
-    """One base at a time; `position_ecef_m` (3,) is None until it is known."""
+    """The current base station; `position_ecef_m` (3,) is None until it is known."""
 
     def __init__(self, position_ecef_m: Floats | None = None) -> None:
         self.position_ecef_m = position_ecef_m
         self.epoch: ObservationEpoch | None = None
         self.arcs = np.zeros(0, np.int64)
-        """Of each row of the epoch (n,), as `ArcTracker.update`."""
+        """Arc of each row of the epoch (n,), as `CycleSlipDetector.update`."""
         self.miss_m: float | None = None
-        """How far the base's own single point was from its coordinate at the last check."""
-        self._tracker, self._order = ArcTracker(), EpochOrder()
+        """Distance of the base's single point from its coordinate at the last check."""
+        self._slips, self._order = CycleSlipDetector(), EpochOrder()
         self._checked_ns: int | None = None
         self._coordinate: Coordinate = "unknown"
 
     def move_to(self, position_ecef_m: Floats | None) -> bool:
-        """The base's coordinate (3,) [m] became known, or changed: whether it is another one than before."""
+        """Set the base's coordinate (3,) [m]; whether it changed."""
         before = self.position_ecef_m
         if position_ecef_m is None or before is None:
             changed = position_ecef_m is not before
@@ -69,18 +68,18 @@ class BaseStation:
         return changed
 
     def add(self, epoch: ObservationEpoch) -> Order:
-        """Its next epoch; a late one is not taken."""
+        """Add the next epoch; a late one is dropped."""
         order = self._order.admit(epoch.time_ns)
         if order == "late":
             return order
-        if order == "anew":
+        if order == "restarted":
             self._checked_ns = None
         self.epoch = epoch
-        self.arcs = self._tracker.update(epoch)
+        self.arcs = self._slips.update(epoch)
         return order
 
     def coordinate(self, ephemerides: EphemerisStore, ionosphere: Floats) -> Coordinate:
-        """Whether the last epoch's single point goes with the coordinate; then it is looked at now and then."""
+        """Whether the last epoch's single point agrees with the coordinate; once it does, checked every 10 s."""
         epoch, position = self.epoch, self.position_ecef_m
         if epoch is None or position is None:
             return "unknown"
@@ -98,10 +97,10 @@ def _coordinate(
 ) -> tuple[Coordinate, float | None]:
     if not np.isfinite(geodetic(position)[0]):
         return "implausible", None
-    found = single_point(epoch, ephemerides, ionosphere=ionosphere)
-    if found.status != "ok":
+    solution = single_point(epoch, ephemerides, ionosphere=ionosphere)
+    if solution.status != "ok":
         return "unknown", None
-    miss = found.position_ecef_m - position
+    miss = solution.position_ecef_m - position
     miss_m = float(np.linalg.norm(miss))
-    chi2 = float(miss @ np.linalg.solve(found.covariance_ecef_m2, miss))
+    chi2 = float(miss @ np.linalg.solve(solution.covariance_ecef_m2, miss))
     return ("implausible" if miss_m > _LEAST_MISS_M and chi2 > _LARGEST_CHI2 else "plausible"), miss_m

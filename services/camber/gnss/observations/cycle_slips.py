@@ -1,8 +1,8 @@
-"""Arcs of carrier phase: where each signal's phase is one unbroken count, and why it is not where it is not.
+"""Cycle-slip detection: arcs of continuous carrier phase of one receiver, and what ended each.
 
-One tracker a receiver. A phase is broken by the receiver's own flag, by a lock time that went back, by a change of the
-half-cycle state, by a jump of the difference between two bands of one satellite (which holds neither geometry nor
-clocks), by phases that do not go with their Doppler, by a gap. Another code of the same band is another signal.
+A slip is indicated by the receiver's flag of a lost lock, by a lock time that decreased, by a change of the half-cycle
+state, by a jump of the geometry-free combination of two bands of one satellite (free of geometry and clocks), by a
+mismatch of phase and Doppler. A gap ends an arc too. Another code of the same band is another signal.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats, Integers, ObservationEpoch
-from camber.gnss.observations.signal_pairs import WAVELENGTH_M, band_of, group_of
-from camber.gnss.observations.single_differences import Booleans
+from camber.gnss.observations.signal_pairs import WAVELENGTH_M, Booleans, band_of, group_of
 
 REASONS = (
     "continuous", "new", "gap", "receiver_flag", "lock_time", "half_cycle", "geometry_free", "doppler",
 )  # fmt: skip
-"""By number: what began an arc, in the order in which it is looked for."""
+"""Reasons for a new arc by number, in the order of the tests."""
 _CONTINUOUS, _NEW, _GAP, _FLAG, _LOCK, _HALF, _FREE, _DOPPLER = range(8)
 
-_SLOTS = 4 * 64 * 10 * 32
+_SLOTS = 4 * 64 * 10 * 32  # systems, satellites, bands, codes
 _PLACE = np.zeros(128, np.int64)
 _PLACE[[ord(letter) for letter in "GJEC"]] = np.arange(4)
-_GEOMETRY_FREE_LIMIT_M = 0.05
-_LONGEST_FREE_S = 10.0  # beyond, the ionosphere may move the difference as far
-# Between two epochs the mean of the Dopplers is the phase's rate but for a change of acceleration.
-_DOPPLER_LIMIT_M, _DOPPLER_LIMIT_M_S2 = 0.08, 0.5
+# Chosen: a quarter of a wavelength; the ionosphere moves the combination by millimetres a second.
+_GEOMETRY_FREE_THRESHOLD_M = 0.05
+_LONGEST_FREE_S = 10.0  # chosen: at 5 mm/s the ionosphere would move it by the threshold in that time
+# The mean of two Dopplers is the phase's rate but for a change of acceleration (2 m/s³ over a second, and noise).
+_DOPPLER_THRESHOLD_M, _DOPPLER_THRESHOLD_M_S2 = 0.08, 0.5
 _LOCK_ROUNDING_S = 0.002
-"""Formats tell the lock time in steps, of half its value at worst: what is longer than twice as told is broken."""
+"""Formats report the lock time in steps, of half its value at worst: below half the interval lock was lost."""
 
 
-class _State(NamedTuple):
-    """By slot: what is known of the signal's phase at its last epoch."""
+class _PhaseStates(NamedTuple):
+    """The last epoch of each signal, by slot."""
 
     time_ns: Integers
     arc: Integers
@@ -44,44 +44,53 @@ class _State(NamedTuple):
     half_cycle: Booleans
 
 
-class ArcTracker:
-    """Gives each phase of one receiver the number of its arc; numbers are never used twice."""
+class _Phases(NamedTuple):
+    """Columns (n,) of one epoch."""
+
+    time_ns: int
+    satellite: Integers
+    signal: Integers
+    phase_cycles: Floats
+    doppler_hz: Floats
+    lock_s: Floats
+    flagged: Booleans
+    half_cycle: Booleans
+
+
+class CycleSlipDetector:
+    """Assigns each phase of one receiver the number of its arc; numbers are never used twice."""
 
     def __init__(self, *, longest_gap_s: float = 2.1) -> None:
         self._gap_ns = round(longest_gap_s * 1e9)
-        self._state = _State(
-            np.full(_SLOTS, np.iinfo(np.int64).min, np.int64),
-            np.zeros(_SLOTS, np.int64),
-            np.full(_SLOTS, np.nan),
-            np.full(_SLOTS, np.nan),
-            np.full(_SLOTS, np.nan),
-            np.zeros(_SLOTS, np.bool_),
+        self._states = _PhaseStates(
+            time_ns=np.full(_SLOTS, np.iinfo(np.int64).min, np.int64),
+            arc=np.zeros(_SLOTS, np.int64),
+            phase_cycles=np.full(_SLOTS, np.nan),
+            doppler_hz=np.full(_SLOTS, np.nan),
+            lock_s=np.full(_SLOTS, np.nan),
+            half_cycle=np.zeros(_SLOTS, np.bool_),
         )
-        self._last = np.zeros(1, np.int64)
         self.begun = np.zeros(len(REASONS), np.int64)
-        """How many arcs each of `REASONS` began."""
+        """Number of new arcs by `REASONS`."""
 
     def update(self, epoch: ObservationEpoch) -> Integers:
         """The arc of each row (n,), 0 for rows without a phase. Epochs come in the order of their time."""
-        return _update(
-            self._state,
-            self._last,
-            self.begun,
-            self._gap_ns,
-            epoch.time_ns,
-            epoch.satellite,
-            epoch.signal,
-            epoch.carrier_phase_cycles,
-            epoch.doppler_hz,
-            epoch.lock_time_s,
-            epoch.loss_of_lock,
-            epoch.half_cycle,
+        phases = _Phases(
+            time_ns=epoch.time_ns,
+            satellite=epoch.satellite,
+            signal=epoch.signal,
+            phase_cycles=epoch.carrier_phase_cycles,
+            doppler_hz=epoch.doppler_hz,
+            lock_s=epoch.lock_time_s,
+            flagged=epoch.loss_of_lock,
+            half_cycle=epoch.half_cycle,
         )
+        return _update(self._states, phases, self.begun, self._gap_ns)
 
 
 @compiled
 def _slot(satellite: int, signal: int) -> int:
-    """A signal's place in the tables; −1 for what is not tracked."""
+    """A signal's index in the tables; −1: not tracked."""
     group = group_of(satellite, signal)
     number = satellite & 255
     if group < 0 or number > 63:
@@ -91,94 +100,110 @@ def _slot(satellite: int, signal: int) -> int:
 
 
 @compiled
-def _may_go_on(slots: Integers, reason: Integers, row: int) -> bool:
-    """Nothing but the difference between bands has said that this phase began anew."""
+def _is_continuous(slots: Integers, reason: Integers, row: int) -> bool:
+    """No test but the geometry-free one has ended this row's arc."""
     return bool(slots[row] >= 0 and (reason[row] == _CONTINUOUS or reason[row] == _FREE))
 
 
 @compiled
-def _update(
-    state: _State,
-    last: Integers,
-    begun: Integers,
-    gap_ns: int,
-    time_ns: int,
-    satellite: Integers,
-    signal: Integers,
-    phase_cycles: Floats,
-    doppler_hz: Floats,
-    lock_s: Floats,
-    flagged: Booleans,
-    half_cycle: Booleans,
-) -> Integers:
-    n = satellite.size
-    slots, reason, metres = np.empty(n, np.int64), np.zeros(n, np.int64), np.full(n, np.nan)
-    mismatch, mismatches = np.full(n, np.nan), np.empty(n)
-    count = 0
+def _update(states: _PhaseStates, phases: _Phases, begun: Integers, gap_ns: int) -> Integers:
+    """Test all phases for cycle slips; the arc of each row (n,)."""
+    n, time_ns = phases.satellite.size, phases.time_ns
+    slots, wavelength_m = np.full(n, -1, np.int64), np.full(n, np.nan)
     for i in range(n):
-        slot = _slot(satellite[i], signal[i])
-        if not abs(phase_cycles[i]) < np.inf:
-            slot = -1
-        slots[i] = slot
-        if slot < 0:
-            continue
-        wavelength = WAVELENGTH_M[group_of(satellite[i], signal[i])]
-        metres[i] = phase_cycles[i] * wavelength
-        if state.arc[slot] == 0:
-            reason[i] = _NEW
-            continue
-        since_ns = time_ns - state.time_ns[slot]
-        since_s = since_ns * 1e-9
-        if since_ns <= 0 or since_ns > gap_ns:
-            reason[i] = _GAP
-            continue
-        if flagged[i]:
-            reason[i] = _FLAG
-        elif lock_s[i] < state.lock_s[slot] - _LOCK_ROUNDING_S or lock_s[i] < 0.5 * since_s:
-            reason[i] = _LOCK
-        elif half_cycle[i] != state.half_cycle[slot]:
-            reason[i] = _HALF
-        moved = -0.5 * (doppler_hz[i] + state.doppler_hz[slot]) * since_s
-        mismatch[i] = (phase_cycles[i] - state.phase_cycles[slot] - moved) * wavelength
-        if mismatch[i] == mismatch[i]:
-            mismatches[count] = mismatch[i]
-            count += 1
-    # A step of the receiver's clock moves all phases alike and breaks none.
-    common = np.median(mismatches[:count]) if count >= 3 else 0.0
-    for i in range(n):
-        if slots[i] < 0 or reason[i] != _CONTINUOUS:
-            continue
-        since_s = (time_ns - state.time_ns[slots[i]]) * 1e-9
-        if abs(mismatch[i] - common) > _DOPPLER_LIMIT_M + _DOPPLER_LIMIT_M_S2 * since_s * since_s:
-            reason[i] = _DOPPLER
-    for i in range(n):
-        for j in range(i):
-            if satellite[j] != satellite[i] or not (
-                _may_go_on(slots, reason, i) and _may_go_on(slots, reason, j)
-            ):
-                continue
-            before_ns = state.time_ns[slots[i]]
-            if state.time_ns[slots[j]] != before_ns or (time_ns - before_ns) * 1e-9 > _LONGEST_FREE_S:
-                continue
-            moved = metres[i] - metres[j]
-            moved -= state.phase_cycles[slots[i]] * WAVELENGTH_M[group_of(satellite[i], signal[i])]
-            moved += state.phase_cycles[slots[j]] * WAVELENGTH_M[group_of(satellite[j], signal[j])]
-            if abs(moved) > _GEOMETRY_FREE_LIMIT_M:
-                # Which of the two jumped is not known, so both begin anew.
-                reason[i] = reason[j] = _FREE
+        if abs(phases.phase_cycles[i]) < np.inf:
+            slots[i] = _slot(phases.satellite[i], phases.signal[i])
+        if slots[i] >= 0:
+            wavelength_m[i] = WAVELENGTH_M[group_of(phases.satellite[i], phases.signal[i])]
+    reason = np.zeros(n, np.int64)
+    mismatch = _test_signals(states, phases, slots, reason, gap_ns=gap_ns, wavelength_m=wavelength_m)
+    _test_doppler(states, slots, reason, mismatch_m=mismatch, time_ns=time_ns)
+    _test_geometry_free(states, phases, slots, reason, wavelength_m=wavelength_m)
     arcs = np.zeros(n, np.int64)
     for i in range(n):
         slot = slots[i]
         if slot < 0:
             continue
         if reason[i] != _CONTINUOUS:
-            last[0] += 1
-            state.arc[slot] = last[0]
             begun[reason[i]] += 1
-        arcs[i] = state.arc[slot]
-        state.time_ns[slot] = time_ns
-        state.phase_cycles[slot] = phase_cycles[i]
-        state.doppler_hz[slot] = doppler_hz[i]
-        state.lock_s[slot] = lock_s[i]
-        state.half_cycle[slot] = half_cycle[i]
+            states.arc[slot] = begun.sum()
+        arcs[i] = states.arc[slot]
+        states.time_ns[slot] = time_ns
+        states.phase_cycles[slot] = phases.phase_cycles[i]
+        states.doppler_hz[slot] = phases.doppler_hz[i]
+        states.lock_s[slot] = phases.lock_s[i]
+        states.half_cycle[slot] = phases.half_cycle[i]
     return arcs
+
+
+@compiled
+def _test_signals(
+    states: _PhaseStates,
+    phases: _Phases,
+    slots: Integers,
+    reason: Integers,
+    gap_ns: int,
+    wavelength_m: Floats,
+) -> Floats:
+    """New signals, gaps, flags, lock times and half cycles into `reason`; phase minus Doppler prediction [m] (n,)."""
+    mismatch_m = np.full(slots.size, np.nan)
+    for i in range(slots.size):
+        slot = slots[i]
+        if slot < 0:
+            continue
+        if states.arc[slot] == 0:
+            reason[i] = _NEW
+            continue
+        since_ns = phases.time_ns - states.time_ns[slot]
+        since_s = since_ns * 1e-9
+        if since_ns <= 0 or since_ns > gap_ns:
+            reason[i] = _GAP
+            continue
+        lock_s = phases.lock_s[i]
+        if phases.flagged[i]:
+            reason[i] = _FLAG
+        elif lock_s < states.lock_s[slot] - _LOCK_ROUNDING_S or lock_s < 0.5 * since_s:
+            reason[i] = _LOCK
+        elif phases.half_cycle[i] != states.half_cycle[slot]:
+            reason[i] = _HALF
+        predicted = -0.5 * (phases.doppler_hz[i] + states.doppler_hz[slot]) * since_s
+        mismatch_m[i] = (phases.phase_cycles[i] - states.phase_cycles[slot] - predicted) * wavelength_m[i]
+    return mismatch_m
+
+
+@compiled
+def _test_doppler(
+    states: _PhaseStates, slots: Integers, reason: Integers, mismatch_m: Floats, time_ns: int
+) -> None:
+    """Compare phase and Doppler, after the median of all phases: a step of the receiver's clock is no slip."""
+    known = mismatch_m[~np.isnan(mismatch_m)]
+    common_m = np.median(known) if known.size >= 3 else 0.0
+    for i in range(slots.size):
+        if slots[i] < 0 or reason[i] != _CONTINUOUS:
+            continue
+        since_s = (time_ns - states.time_ns[slots[i]]) * 1e-9
+        if abs(mismatch_m[i] - common_m) > _DOPPLER_THRESHOLD_M + _DOPPLER_THRESHOLD_M_S2 * since_s * since_s:
+            reason[i] = _DOPPLER
+
+
+@compiled
+def _test_geometry_free(
+    states: _PhaseStates, phases: _Phases, slots: Integers, reason: Integers, wavelength_m: Floats
+) -> None:
+    """Jumps of the geometry-free combination of two bands; which of the two slipped is not known, so both arcs end."""
+    for i in range(slots.size):
+        for j in range(i):
+            if phases.satellite[j] != phases.satellite[i] or not (
+                _is_continuous(slots, reason, i) and _is_continuous(slots, reason, j)
+            ):
+                continue
+            before_ns = states.time_ns[slots[i]]
+            if states.time_ns[slots[j]] != before_ns:
+                continue
+            if (phases.time_ns - before_ns) * 1e-9 > _LONGEST_FREE_S:
+                continue
+            moved_m = phases.phase_cycles[i] * wavelength_m[i] - phases.phase_cycles[j] * wavelength_m[j]
+            moved_m -= states.phase_cycles[slots[i]] * wavelength_m[i]
+            moved_m += states.phase_cycles[slots[j]] * wavelength_m[j]
+            if abs(moved_m) > _GEOMETRY_FREE_THRESHOLD_M:
+                reason[i] = reason[j] = _FREE

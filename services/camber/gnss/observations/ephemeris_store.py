@@ -1,4 +1,4 @@
-"""The broadcast ephemerides that came, and for each epoch which one of a satellite is in use."""
+"""Store of broadcast ephemerides; selects the one of each satellite to be used at an epoch."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from camber.gnss.observations.satellite_states import (
 )
 
 Refusal = Literal["system", "not_finite", "orbit", "clock", "times", "unhealthy"]
-"""Why an ephemeris is not taken; `unhealthy` ones are kept and not used."""
-Lack = Literal["none", "too_old", "unhealthy"]
-"""Why a satellite has no row: nothing came, |t − toe| is beyond the limit, or what would be used says unhealthy."""
+"""Why an ephemeris is refused; `unhealthy` ones are kept and not used."""
+MissingReason = Literal["none", "too_old", "unhealthy"]
+"""Why a satellite has no row: none received, |t − toe| beyond the limit, or the one to be used says unhealthy."""
 
 _HOUR_NS = 3600 * NS_PER_SECOND
 OLDEST_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": 4 * _HOUR_NS, "C": 6 * _HOUR_NS}
 """Greatest |t − toe|: GPS and QZSS half of the nominal fit interval (IS-GPS-200N, 20.3.4.4), Galileo 4 h (Galileo OS
-SDD 1.3, C.4.4.1), BeiDou 6 h, longer than its own hour, as receivers do while a satellite is out of their sight."""
-_FARTHEST_TRANSMISSION_NS = 12 * _HOUR_NS
-_NEVER_NS = 2**63 - 1
+SDD 1.3, C.4.4.1), BeiDou 6 h, longer than its nominal hour, as receivers do while a satellite is out of view."""
+_FARTHEST_TRANSMISSION_NS = 12 * _HOUR_NS  # chosen: twice the longest age
+_NEVER_NS = 2**63 - 1  # end of int64
 _INAV, _FNAV = 0, 1
-_SATELLITES = 128 << 8
+_SATELLITES = 128 << 8  # numbers: letter × 256 + PRN
 _HEALTHY, _SYSTEM_IS_GALILEO, _KIND, _LIMIT_NS = range(4)
 
 
-class _Kept(NamedTuple):
-    """An ephemeris and its row."""
+class _EphemerisRow(NamedTuple):
+    """An ephemeris and its row of the table."""
 
     ephemeris: Ephemeris
     elements: tuple[float, ...]
@@ -53,12 +53,12 @@ def gravity_m3_s2(system: str) -> float:
 
 
 def is_healthy(ephemeris: Ephemeris) -> bool:
-    """No word of health says otherwise; QZSS's lowest bit is that of LEX (now L1C/B), which is not used here."""
+    """Whether the health bits are clear; QZSS's lowest bit is that of LEX (now L1C/B), which is not used here."""
     return ephemeris.health & (~1 if chr(ephemeris.satellite >> 8) == "J" else ~0) == 0
 
 
 def refusal(ephemeris: Ephemeris) -> Refusal | None:
-    """Why an ephemeris cannot be meant as it stands, if so; health apart."""
+    """Why an ephemeris is implausible, if so; health is not considered."""
     e = ephemeris
     known = 0 < e.satellite < _SATELLITES and chr(e.satellite >> 8) in OLDEST_NS
     if not (known and 0 < e.satellite & 255 < 100):
@@ -70,25 +70,25 @@ def refusal(ephemeris: Ephemeris) -> Refusal | None:
     )  # fmt: skip
     if not all(map(math.isfinite, values)):
         return "not_finite"
-    # From half of a medium orbit's radius to twice a synchronous one's; Galileo's stray satellites have e = 0.17.
+    # From half of a medium orbit's radius to twice a synchronous one's; Galileo's two in wrong orbits have e = 0.17.
     if not (3500.0 < e.sqrt_a < 9200.0 and 0.0 <= e.eccentricity < 0.5):
         return "orbit"
     if not (abs(e.clock[0]) < 0.1 and abs(e.clock[1]) < 1e-6 and abs(e.clock[2]) < 1e-9):
         return "clock"
-    sent_ns = e.transmission_ns if e.transmission_ns > 0 else e.toe_ns  # not known: RINEX lets it be absent
+    sent_ns = e.transmission_ns if e.transmission_ns > 0 else e.toe_ns  # optional in RINEX
     far = max(abs(e.toe_ns - sent_ns), abs(e.toe_ns - e.toc_ns)) > _FARTHEST_TRANSMISSION_NS
     return "times" if far else None
 
 
 class EphemerisStore:
-    """Keeps the last few ephemerides of each satellite as columns; pure, in the order of what comes.
+    """The last ephemerides of each satellite, as columns.
 
     One kind of Galileo's messages serves all its satellites of an epoch, as clocks of F/NAV and I/NAV differ: the kind
-    that more satellites have in use, I/NAV where that is equal. Between sets of one satellite the nearest toe decides;
-    one that was sent after the epoch is used where it is there.
+    that more satellites have in use, I/NAV where that is equal. Between sets of one satellite the nearest toe decides,
+    even if it was transmitted after the epoch.
 
-    `most_of_satellite` sets of one satellite and kind of message are kept, the last that came: eight are two hours of
-    Galileo's, which change every ten minutes, and more than that of others. Who adds a whole day at once sets more.
+    The last `most_of_satellite` sets of one satellite and kind of message are kept: eight are two hours of Galileo's,
+    which change every ten minutes, and more than that of others. A whole day at once needs more.
     """
 
     def __init__(self, most_of_satellite: int = 8) -> None:
@@ -96,7 +96,7 @@ class EphemerisStore:
         self.refused: Counter[Refusal] = Counter()
         """Ephemerides that were refused, and those that came unhealthy, by reason."""
         self.duplicates = 0
-        self._sets: dict[tuple[int, int], list[_Kept]] = {}
+        self._sets: dict[tuple[int, int], list[_EphemerisRow]] = {}
         self._changed = False
         self._from_ns, self._until_ns = 0, -1
         self._choice = np.full(_SATELLITES, -1, np.int64)
@@ -107,7 +107,7 @@ class EphemerisStore:
         return sum(map(len, self._sets.values()))
 
     def add(self, ephemeris: Ephemeris) -> Refusal | None:
-        """Take one; None, or why it is not used. The same once more is ignored, a set sent anew replaces the old."""
+        """Add one; None, or why it is not used. Repetitions are ignored, a newer transmission replaces the old."""
         reason = refusal(ephemeris)
         if reason is not None:
             self.refused[reason] += 1
@@ -117,17 +117,17 @@ class EphemerisStore:
         for place, (other, _, _) in enumerate(sets):
             if (other.toe_ns, other.toc_ns) != (ephemeris.toe_ns, ephemeris.toc_ns):
                 continue
-            # The numbers of two sources are rounded in their own ways: the issue says whether they are the same.
+            # Two sources round the numbers differently: the issue of data identifies a set.
             if (other.iode, other.health) == (ephemeris.iode, ephemeris.health):
                 self.duplicates += 1
                 return state
             if 0 < ephemeris.transmission_ns < other.transmission_ns:
                 self.duplicates += 1
                 return None if is_healthy(other) else "unhealthy"
-            sets[place] = _kept(ephemeris)
+            sets[place] = _row(ephemeris)
             break
         else:
-            sets.append(_kept(ephemeris))
+            sets.append(_row(ephemeris))
             del sets[: -self._most]
         self._changed = True
         if state:
@@ -136,42 +136,40 @@ class EphemerisStore:
 
     @property
     def table(self) -> EphemerisTable:
-        """The rows that `rows_at` names; another object when something was added."""
+        """The table that `rows_at` indexes; a new object when something was added."""
         if self._changed:
             self._rebuild()
         return self._table
 
     def rows_at(self, time_ns: int, satellites: Integers) -> Integers:
-        """For satellites (m,) the rows of `table` (m,) to be used at a time, −1 where there is none."""
+        """Rows of `table` (m,) to be used for satellites (m,) at a time, −1 where there is none."""
         table = self.table
         if not self._from_ns <= time_ns < self._until_ns:
-            self._from_ns, self._until_ns = _choose(
-                table.satellite, table.toe_ns, self._flags, time_ns, self._choice
-            )
+            self._from_ns, self._until_ns = _choose(table, self._flags, time_ns, self._choice)
         return _looked_up(self._choice, satellites)
 
-    def lacks(self, time_ns: int, satellites: Integers) -> dict[str, Lack]:
-        """By satellite's name, why it has no row at a time; for health, not for every epoch."""
+    def missing(self, time_ns: int, satellites: Integers) -> dict[str, MissingReason]:
+        """Satellites without a row at a time, by name, with the reason; for health, not for every epoch."""
         rows = self.rows_at(time_ns, satellites)
         return {
-            satellite_name(number): self._lack(time_ns, number)
+            satellite_name(number): self._missing_reason(time_ns, number)
             for number, row in zip(satellites.tolist(), rows.tolist(), strict=True)
             if row < 0
         }
 
-    def _lack(self, time_ns: int, satellite: int) -> Lack:
-        sets = [kept.ephemeris for kind in (_INAV, _FNAV) for kept in self._sets.get((satellite, kind), [])]
+    def _missing_reason(self, time_ns: int, satellite: int) -> MissingReason:
+        sets = [row.ephemeris for kind in (_INAV, _FNAV) for row in self._sets.get((satellite, kind), [])]
         if not sets:
             return "none"
         young = [e for e in sets if abs(time_ns - e.toe_ns) <= OLDEST_NS[chr(satellite >> 8)]]
         if not young:
             return "too_old"
-        # What is left is of the kind of message that the other satellites do not use.
+        # The remaining ones are of the kind of message that the other satellites do not use.
         return "unhealthy" if not all(map(is_healthy, young)) else "none"
 
     def _rebuild(self) -> None:
-        ordered = [(kept, kind) for (_, kind), sets in sorted(self._sets.items()) for kept in sets]
-        self._table = _table([kept for kept, _ in ordered])
+        ordered = [(row, kind) for (_, kind), sets in sorted(self._sets.items()) for row in sets]
+        self._table = _table([row for row, _ in ordered])
         flags = [
             (is_healthy(e), chr(e.satellite >> 8) == "E", kind, OLDEST_NS[chr(e.satellite >> 8)])
             for (e, _, _), kind in ordered
@@ -187,19 +185,19 @@ def _kind(ephemeris: Ephemeris) -> int:
     return _FNAV if math.isfinite(sources) and int(sources) & 0b111 == 0b010 else _INAV
 
 
-def _kept(ephemeris: Ephemeris) -> _Kept:
+def _row(ephemeris: Ephemeris) -> _EphemerisRow:
     delays = group_delays_s(ephemeris)
-    row = tuple(delays.get(str(band), math.nan) for band in range(MOST_BANDS))
-    return _Kept(ephemeris, _elements(ephemeris), row)
+    by_band = tuple(delays.get(str(band), math.nan) for band in range(MOST_BANDS))
+    return _EphemerisRow(ephemeris, _elements(ephemeris), by_band)
 
 
-def _table(kept: list[_Kept]) -> EphemerisTable:
+def _table(rows: list[_EphemerisRow]) -> EphemerisTable:
     return EphemerisTable(
-        np.array([e.satellite for e, _, _ in kept], np.int64),
-        np.array([e.toe_ns for e, _, _ in kept], np.int64),
-        np.array([e.toc_ns for e, _, _ in kept], np.int64),
-        np.array([elements for _, elements, _ in kept], np.float64).reshape(-1, ELEMENTS),
-        np.array([delays for _, _, delays in kept], np.float64).reshape(-1, MOST_BANDS),
+        satellite=np.array([row.ephemeris.satellite for row in rows], np.int64),
+        toe_ns=np.array([row.ephemeris.toe_ns for row in rows], np.int64),
+        toc_ns=np.array([row.ephemeris.toc_ns for row in rows], np.int64),
+        elements=np.array([row.elements for row in rows], np.float64).reshape(-1, ELEMENTS),
+        group_delay_s=np.array([row.group_delay_s for row in rows], np.float64).reshape(-1, MOST_BANDS),
     )
 
 
@@ -208,9 +206,9 @@ def _elements(e: Ephemeris) -> tuple[float, ...]:
     system, number = chr(e.satellite >> 8), e.satellite & 255
     gravity = gravity_m3_s2(system)
     a = e.sqrt_a**2
-    behind_ns = 14 * NS_PER_SECOND if system == "C" else 0
+    bdt_lag_ns = 14 * NS_PER_SECOND if system == "C" else 0  # of BeiDou time against GPS time
     return (
-        ((e.toe_ns - behind_ns) % NS_PER_WEEK) / NS_PER_SECOND,
+        ((e.toe_ns - bdt_lag_ns) % NS_PER_WEEK) / NS_PER_SECOND,
         a,
         e.eccentricity,
         math.sqrt(1.0 - e.eccentricity**2),
@@ -231,11 +229,11 @@ def _elements(e: Ephemeris) -> tuple[float, ...]:
 
 
 def group_delays_s(ephemeris: Ephemeris) -> dict[str, float]:
-    """By band, what code comes late by [s] against the broadcast clock; bands without a known delay are left out.
+    """Group delay of code against the broadcast clock [s] by band; bands without a known delay are omitted.
 
-    GPS, QZSS: γ TGD (IS-GPS-200N, 20.3.3.3.3.2), where γ = (f₁/f)²; between codes of one band (ISC) nothing is known
-    from these messages. Galileo: I/NAV's clock is that of E1 and E5b, F/NAV's that of E1 and E5a without ionosphere
-    (OS SIS ICD 2.1, 5.1.5): of the first signal BGD, of the second γ BGD, of the third, where both BGD are known, from
+    GPS, QZSS: γ TGD (IS-GPS-200N, 20.3.3.3.3.2), where γ = (f₁/f)²; inter-signal corrections (ISC) are not
+    in these messages. Galileo: I/NAV's clock is that of E1 and E5b, F/NAV's that of E1 and E5a without ionosphere (OS
+    SIS ICD 2.1, 5.1.5): of the first signal BGD, of the second γ BGD, of the third, where both BGD are known, from
     their definition BGD(E1, x) = (τ₁ − τₓ)/(1 − γₓ). BeiDou: B1I TGD1, B2I TGD2, B3I none (BDS-SIS-ICD-B1I,
     5.2.4.10); the other bands are scaled from B1I.
     """
@@ -270,18 +268,17 @@ def _looked_up(choice: Integers, satellites: Integers) -> Integers:
 
 
 @compiled
-def _choose(
-    satellite: Integers, toe_ns: Integers, flags: Integers, time_ns: int, choice: Integers
-) -> tuple[int, int]:
-    """Writes the row of every satellite to `choice`; gives the times between which nothing of it changes.
+def _choose(table: EphemerisTable, flags: Integers, time_ns: int, choice: Integers) -> tuple[int, int]:
+    """Write the row of every satellite to `choice`; return the times between which the choice is constant.
 
-    An unhealthy set takes the place that its toe gives it, and then there is none: the older healthy one is history.
+    Where the nearest set is unhealthy there is none: an older healthy one is obsolete.
     """
+    satellite, toe_ns = table.satellite, table.toe_ns
     from_ns, until_ns = 0, _NEVER_NS
     nearest = np.full((2, choice.size), -1, np.int64)
     for row in range(satellite.size):
         toe, limit = toe_ns[row], flags[row, _LIMIT_NS]
-        # Its coming into use and its going out of it; a midpoint between two is looked at below.
+        # Begin and end of its use; midpoints between two sets follow below.
         for edge in (toe - limit, toe + limit + 1):
             if edge <= time_ns:
                 from_ns = max(from_ns, edge)
@@ -297,7 +294,7 @@ def _choose(
         best = nearest[flags[row, _KIND], satellite[row]]
         if best < 0:
             continue
-        # One nanosecond to either side costs another choice, not a wrong one.
+        # One nanosecond to either side costs a repeated choice, not a wrong one.
         middle = toe_ns[row] + (toe_ns[best] - toe_ns[row]) // 2
         if middle < time_ns - 1:
             from_ns = max(from_ns, middle + 2)

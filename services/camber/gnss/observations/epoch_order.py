@@ -1,18 +1,18 @@
-"""Epochs of one receiver come in the order of their time; what does not is refused, unless time itself went back."""
+"""Order of the epochs of one receiver: late ones are refused, unless the receiver's clock was set back."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-Order = Literal["next", "late", "anew"]
-_ANEW_AFTER = 3
+Order = Literal["next", "late", "restarted"]
+_RESTARTED_AFTER = 3  # late epochs in a row; chosen: stray packets are single
 
 
 class EpochOrder:
-    """Tells epochs that come late, or twice, from a receiver whose clock was set back.
+    """Distinguishes late or repeated epochs from a receiver whose clock was set back.
 
-    Stray packets are single; after a clock was set back (or one time tag lay in the future) all that follows is late:
-    the third late epoch in a row that is in order with those before it begins anew.
+    Stray packets are single; after a clock was set back (or one time tag lay in the future) all epochs are late: the
+    third late epoch in a row that is in order with those before it restarts the sequence.
     """
 
     def __init__(self) -> None:
@@ -20,7 +20,7 @@ class EpochOrder:
         self._late_ns: list[int] = []
 
     def admit(self, time_ns: int) -> Order:
-        """`next`: to be used; `late`: not to be; `anew`: to be used, and nothing goes on from what was before."""
+        """`next`: to be used; `late`: to be dropped; `restarted`: to be used, unrelated to the epochs before."""
         if self._last_ns is None or time_ns > self._last_ns:
             self._last_ns = time_ns
             self._late_ns.clear()
@@ -28,8 +28,8 @@ class EpochOrder:
         if self._late_ns and time_ns <= self._late_ns[-1]:
             self._late_ns.clear()
         self._late_ns.append(time_ns)
-        if len(self._late_ns) < _ANEW_AFTER:
+        if len(self._late_ns) < _RESTARTED_AFTER:
             return "late"
         self._last_ns = time_ns
         self._late_ns.clear()
-        return "anew"
+        return "restarted"

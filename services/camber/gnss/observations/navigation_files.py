@@ -1,4 +1,4 @@
-"""Navigation files one after another, as they come on one stream; the decoder knows one file."""
+"""RINEX navigation files concatenated on one stream; the decoder itself handles one file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _FIRST_LABEL = b"RINEX VERSION / TYPE"
 
 
 class NavigationFiles:
-    """Reads piece by piece; a line with a version begins another file, which ends the one before."""
+    """Incremental reader; a line with a RINEX version ends the file before and begins the next."""
 
     def __init__(self, source_name: str) -> None:
         self._source_name = source_name
@@ -18,7 +18,7 @@ class NavigationFiles:
         self._file: NavigationDecoder | None = None
 
     def feed(self, data: bytes) -> list[NavigationResult | IonosphereCoefficients]:
-        """What the bytes complete; the last record of a file waits for the next file, or for `end`."""
+        """Results that the bytes complete; the last record of a file waits for the next file, or for `end`."""
         results: list[NavigationResult | IonosphereCoefficients] = []
         for _, line in self._lines.feed(data):
             text = b"" if line is None else line
@@ -33,7 +33,7 @@ class NavigationFiles:
         return results
 
     def end(self) -> list[NavigationResult | IonosphereCoefficients]:
-        """The file is whole: nothing more has come for a while."""
+        """Results that only the end of the file completes."""
         rest = self._lines.take_rest()
         return [*(self.feed(rest + b"\n") if rest else []), *self._close()]
 
@@ -43,7 +43,7 @@ class NavigationFiles:
 
 
 def _ionosphere(file: NavigationDecoder) -> IonosphereCoefficients | None:
-    """GPS's, once both lines of it were there."""
+    """GPS's coefficients, once both lines were read."""
     known = file.klobuchar.get("G")
     if known is None or known.alpha is None or known.beta is None:
         return None

@@ -1,4 +1,4 @@
-"""Bytes of one stream → what they say, whatever the protocol: observations, ephemerides, positions, statements."""
+"""Decoding of one stream, whatever its protocol: observations, ephemerides, positions, statements of integrity."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ Decoder = PosDecoder | NmeaDecoder | UbxDecoder | RtcmDecoder | MixedDecoder | R
 
 @dataclass(frozen=True, slots=True)
 class StationPosition:
-    """Where an antenna's reference point is said to be, ECEF, and what the station is called."""
+    """An antenna's reference point, ECEF, and the station's label, as its stream states them."""
 
     position_ecef_m: tuple[float, float, float]
-    told: str = "unnamed"
+    label: str = "unnamed"
 
 
-Said = (
+DecodedItem = (
     ObservationEpoch
     | Ephemeris
     | IonosphereCoefficients
@@ -45,20 +45,20 @@ Said = (
     | ReceiverIntegrity
     | FormatError
 )
-"""What comes out of any stream; the rest (baselines, for example) is left out."""
+"""Content of any stream; the rest (baselines, for example) is dropped."""
 _KINDS = (
     ObservationEpoch, Ephemeris, IonosphereCoefficients, ReceiverSolution, ReceiverIntegrity, FormatError,
 )  # fmt: skip
-Heard = tuple[Stream, Said]
-"""Of whom it is, and what was said."""
+StreamItem = tuple[Stream, DecodedItem]
+"""An item and the stream to which it belongs."""
 _FRAMING = ("bytes_skipped", "failed_checks", "rows_refused", "rtcm_without_time")
 _CONTENT = ("malformed", "incomplete", "bad_subframes", "repeated_signals", "without_time")
 
 
 class StreamReader:
-    """Reads one stream piece by piece; `near_ns` (GPS time) is for protocols that do not say the week.
+    """Incremental reader of one stream; `near_ns` (GPS time) resolves the week of protocols that do not contain it.
 
-    In a receiver's mixed stream RTCM is what it was sent of a base: its observations are not the receiver's own.
+    RTCM in a receiver's mixed stream was sent to it: its observations are the base's, not the receiver's.
     """
 
     def __init__(
@@ -71,32 +71,31 @@ class StreamReader:
     ) -> None:
         self.name = source_name
         self._stream: Stream = stream
-        self._decoder = _decoder(stream, protocol, source_name, near_ns, utc_date)
+        self._decoder = _decoder(stream, protocol, source_name, near_ns=near_ns, utc_date=utc_date)
         self._station: Stream = "base" if protocol == "mixed" and stream == "rover" else stream
-        self._marker_said = False
+        self._has_marker = False
 
-    def feed(self, data: bytes) -> list[Heard]:
-        """What the bytes complete, in order; never raises for what they hold."""
-        heard = [known for result in self._decoder.feed(data) for known in self._known(result)]
+    def feed(self, data: bytes) -> list[StreamItem]:
+        """Items that the bytes complete, in order; never raises for what they hold."""
+        items = [item for result in self._decoder.feed(data) for item in self._items(result)]
         marker = self._marker()
-        return heard if marker is None else [(self._stream, marker), *heard]
+        return items if marker is None else [(self._stream, marker), *items]
 
-    def fell_silent(self) -> list[Heard]:
-        """What only the end of a file completes."""
+    def fell_silent(self) -> list[StreamItem]:
+        """Items that only the end of a file completes."""
         if not isinstance(self._decoder, NavigationFiles):
             return []
-        return [known for result in self._decoder.end() for known in self._known(result)]
+        return [item for result in self._decoder.end() for item in self._items(result)]
 
     def damage(self) -> dict[str, int]:
-        """How much of the stream could not be used so far, by the decoders' names of what was the matter; not those
-        with 0."""
+        """Counts of unusable parts of the stream so far, by the decoders' names of the fault, without zeros."""
         decoder = self._decoder
         inside = [getattr(decoder, name, None) for name in ("messages", "ubx", "rtcm")]
         counts = {name: getattr(decoder, name, 0) for name in _FRAMING}
         counts |= {name: sum(getattr(part, name, 0) for part in (decoder, *inside)) for name in _CONTENT}
         return {name: count for name, count in counts.items() if count}
 
-    def _known(self, result: object) -> list[Heard]:
+    def _items(self, result: object) -> list[StreamItem]:
         if isinstance(result, RawxEpoch):
             return [(self._stream, result.epoch)]
         if isinstance(result, BaseStationEpoch):
@@ -106,11 +105,11 @@ class StreamReader:
         return [(self._stream, result)] if isinstance(result, _KINDS) else []
 
     def _marker(self) -> StationPosition | None:
-        """RINEX says in its header where the antenna was, once."""
+        """Antenna position of a RINEX header, once."""
         decoder = self._decoder
-        if self._marker_said or not isinstance(decoder, RinexDecoder) or decoder.header is None:
+        if self._has_marker or not isinstance(decoder, RinexDecoder) or decoder.header is None:
             return None
-        self._marker_said = True
+        self._has_marker = True
         header = decoder.header
         if header.position_ecef_m is None:
             return None

@@ -1,4 +1,4 @@
-"""What receiver and base say, in order, until there is an epoch to solve; its velocity and heading with it."""
+"""Dispatch of decoded streams to the engine; velocity and heading of each solved epoch."""
 
 from __future__ import annotations
 
@@ -8,90 +8,99 @@ import numpy as np
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.observations import Ephemeris, ObservationEpoch
-from camber.gnss.candidates.engine_candidates import LastEpochs
+from camber.gnss.candidates.engine_candidates import RecentEpochs
 from camber.gnss.observations.base_station import station_name
-from camber.gnss.observations.receiver_streams import Said, StationPosition, Stream
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.observations.receiver_streams import DecodedItem, StationPosition, Stream
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from camber.gnss.velocity.doppler_velocity import DopplerVelocity
-from camber.gnss.velocity.heading_filter import Heading, HeadingFilter
+from camber.gnss.velocity.heading_filter import HeadingEstimate, HeadingFilter, PlaneVelocity
 from camber.schemas.motion import Motion
 
-_WHEEL_AGE_NS = 500_000_000
+_WHEEL_AGE_NS = 500_000_000  # chosen: five messages of a 10 Hz bus
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SolvedEpoch:
-    """One epoch of the receiver: its observations, what the engine made of them, its heading where one is known.
+    """Observations of one epoch, the engine's solution, the heading where known.
 
-    `base_station` is the name of the base that it was differenced with, None where it was not.
+    `base_station` is the name of the base that it was differenced with, None without differences.
     """
 
     epoch: ObservationEpoch
     solution: Solution
-    heading: Heading | None
+    heading: HeadingEstimate | None
     base_station: str | None = None
 
 
 class Rover:
-    """Feeds the engine with what was said, base before rover, so that an epoch meets the base's of the same time.
+    """Feeds the engine with decoded items, base before rover, so that an epoch meets the base's of the same time.
 
-    A base whose position is configured keeps it, whatever its stream says.
+    A configured base position overrides that of the stream.
     """
 
-    def __init__(self, options: EngineOptions, base_ecef_m: tuple[float, float, float] | None = None) -> None:
-        self.engine = Engine(options, None if base_ecef_m is None else np.array(base_ecef_m))
-        self.last = LastEpochs(options)
+    def __init__(
+        self, settings: EngineSettings, base_ecef_m: tuple[float, float, float] | None = None
+    ) -> None:
+        self.engine = Engine(settings, None if base_ecef_m is None else np.array(base_ecef_m))
+        self.recent = RecentEpochs(settings)
         self._base_is_given = base_ecef_m is not None
         self._base_station = station_name("given", self.engine.base.position_ecef_m)
         self._heading = HeadingFilter()
         self._wheel_speed_m_s: float | None = None
         self._wheel_ns = 0
-        self._waiting: list[ObservationEpoch] = []
+        self._pending: list[ObservationEpoch] = []
 
-    def hear(self, stream: Stream, said: Said) -> None:
-        """One thing that a stream said; solutions and statements of a receiver are of no use here."""
-        match said:
+    def receive(self, stream: Stream, item: DecodedItem) -> None:
+        """Use one item of a stream; solutions and integrity statements of a receiver are not used here."""
+        match item:
             case ObservationEpoch() if stream == "base":
-                self.engine.add_base(said)
+                self.engine.add_base(item)
             case ObservationEpoch() if stream == "rover":
-                self._waiting.append(said)
+                self._pending.append(item)
             case Ephemeris():
-                self.engine.add_ephemeris(said)
-            case IonosphereCoefficients() if said.system == "G":
-                self.engine.ionosphere = np.array((*said.alpha, *said.beta))
+                self.engine.add_ephemeris(item)
+            case IonosphereCoefficients() if item.system == "G":
+                self.engine.ionosphere = np.array((*item.alpha, *item.beta))
             case StationPosition() if stream == "base" and not self._base_is_given:
-                position = np.array(said.position_ecef_m)
+                position = np.array(item.position_ecef_m)
                 self.engine.set_base_position(position)
-                self._base_station = station_name(said.told, position)
+                self._base_station = station_name(item.label, position)
 
-    def moved(self, motion: Motion) -> None:
-        """The vehicle's own sensors, for the heading alone: no position rests on them."""
+    def receive_motion(self, motion: Motion) -> None:
+        """Use the vehicle's sensors for the heading alone: no position depends on them."""
         if motion.yaw_rate_rad_s is not None:
             self._heading.add_yaw_rate(motion.time_ns, motion.yaw_rate_rad_s)
         if motion.wheel_speed_m_s is not None:
             self._wheel_speed_m_s, self._wheel_ns = motion.wheel_speed_m_s, motion.time_ns
 
-    def take(self) -> list[ObservationEpoch]:
-        """All epochs of the receiver that wait, in the order in which they came."""
-        waiting, self._waiting = self._waiting, []
-        return waiting
+    def take_pending(self) -> list[ObservationEpoch]:
+        """Remove and return the receiver's pending epochs, in the order of arrival."""
+        pending, self._pending = self._pending, []
+        return pending
 
     def solve(self, epoch: ObservationEpoch) -> SolvedEpoch:
-        """One epoch, with all that was heard until now."""
+        """Solve one epoch with everything received so far."""
         solution = self.engine.solve(epoch)
-        self.last.keep(solution)
+        self.recent.keep(solution)
         if solution.velocity is not None:
-            self._turn(epoch.time_ns, solution.velocity)
+            self._update_heading(epoch.time_ns, solution.velocity)
         differenced = solution.quality in ("fixed", "float")
-        base_station = self._base_station if differenced else None
-        return SolvedEpoch(epoch, solution, self._heading.at(epoch.time_ns), base_station)
+        return SolvedEpoch(
+            epoch=epoch,
+            solution=solution,
+            heading=self._heading.at(epoch.time_ns),
+            base_station=self._base_station if differenced else None,
+        )
 
-    def _turn(self, time_ns: int, found: DopplerVelocity) -> None:
-        """The heading goes with the velocity, where the wheels say forward or backward."""
+    def _update_heading(self, time_ns: int, velocity: DopplerVelocity) -> None:
+        """Update the heading by the velocity, where a recent wheel speed gives the direction of travel."""
         wheel = self._wheel_speed_m_s
-        if found.status != "ok" or wheel is None or abs(time_ns - self._wheel_ns) > _WHEEL_AGE_NS:
+        if velocity.status != "ok" or wheel is None or abs(time_ns - self._wheel_ns) > _WHEEL_AGE_NS:
             return
-        east, north, _ = found.velocity_enu_m_s.tolist()
-        covariance = found.covariance_enu_m2_s2
-        plane = (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1]))
-        self._heading.add_velocity(time_ns, east, north, plane, found.hdop, wheel)
+        (ee, en, _), (_, nn, _), _ = velocity.covariance_enu_m2_s2.tolist()
+        east, north, _ = velocity.velocity_enu_m_s.tolist()
+        plane = PlaneVelocity(
+            east_m_s=east, north_m_s=north, covariance_m2_s2=(ee, en, nn), hdop=velocity.hdop
+        )
+        self._heading.add_velocity(time_ns, plane, wheel)

@@ -1,10 +1,10 @@
-"""Where satellites were when they sent what a receiver measures, and the ranges to them; compiled, one epoch a call.
+"""Satellite positions, velocities and clocks at transmission, and ranges to them; compiled, one epoch a call.
 
 Sources: IS-GPS-200N, table 20-IV (orbit), 20.3.3.3.3.1 (clock, relativistic term); B. Remondi, "Computing satellite
 velocity using the broadcast ephemeris", GPS Solutions 8 (2004); BDS-SIS-ICD-B1I 3.0, 5.2.4.12 (geostationary
 satellites); Galileo OS SIS ICD 2.1, 5.1.1; IS-QZSS-PNT-004, 5.5.1 (as GPS).
 
-Times stay integers until a reference time has been taken from them: what is left, some hours, fits a double to 4e-12 s.
+Times stay integers until a reference time has been subtracted: the rest, some hours, fits a double to 4e-12 s.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
 from camber.geodesy.ellipsoid import ECCENTRICITY_SQUARED, FLATTENING, SEMI_MAJOR_AXIS_M, SEMI_MINOR_AXIS_M
 
 EARTH_ROTATION_RAD_S = 7.2921151467e-5
-"""Of the frame in which ranges are formed (IS-GPS-200N); orbits take their own system's, a column of the table."""
+"""IS-GPS-200N, for the frame of ranges; orbits use their system's rate, a column of the table."""
 MOST_BANDS = 10
 """Columns of `group_delay_s`: a band is the digit of a signal's code (RINEX 3.04)."""
 
@@ -29,18 +29,18 @@ MOST_BANDS = 10
     CUC, CUS, CRC_M, CRS_M, CIC, CIS, AF0_S, AF1, AF2, RELATIVITY_S, ROTATION_RAD_S, GEOSTATIONARY,
 ) = range(24)  # fmt: skip
 """Columns of `elements`. `MEAN_MOTION_RAD_S` is the corrected one, `RELATIVITY_S` is F e √A."""
-ELEMENTS = 24
+ELEMENTS = 24  # columns, as above
 
-_KEPLER_STEPS = 10  # Newton's method squares the error: three do for e < 0.1; the store lets no e ≥ 0.5 in
-_KEPLER_RAD = 1.0e-14
+_KEPLER_STEPS = 10  # Newton's method squares the error: three suffice for e < 0.1; the store refuses e ≥ 0.5
+_KEPLER_RAD = 1.0e-14  # derived: 0.3 µm of orbit
 _SIN_TILT, _COS_TILT = math.sin(math.radians(-5.0)), math.cos(math.radians(-5.0))
-_MINIMUM_RADIUS_M = 6.0e6
+_MINIMUM_RADIUS_M = 6.0e6  # as in `camber.geodesy.ellipsoid`
 _POLAR_TERM_M = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED) * SEMI_MINOR_AXIS_M
 _EQUATORIAL_TERM_M = ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M
 
 
 class EphemerisTable(NamedTuple):
-    """Broadcast ephemerides as r rows: `elements` (r, 24), `group_delay_s` (r, 10) by band, NaN where not known."""
+    """Broadcast ephemerides as r rows: `elements` (r, 24), `group_delay_s` (r, 10) by band, NaN where unknown."""
 
     satellite: Integers
     toe_ns: Integers
@@ -50,7 +50,7 @@ class EphemerisTable(NamedTuple):
 
 
 class SatelliteStates(NamedTuple):
-    """Of m satellites at their times of transmission; NaN where there is no ephemeris or no pseudorange.
+    """States of m satellites at their times of transmission; NaN without an ephemeris or a pseudorange.
 
     `position_m`, `velocity_m_s` (m, 3): antenna's phase centre, ECEF of the **time of transmission**, not turned.
     `clock_s` (m,): satellite's clock minus its system's time (GPS time, BeiDou's too), with the relativistic term,
@@ -67,11 +67,11 @@ class SatelliteStates(NamedTuple):
 def states_at_transmission(
     table: EphemerisTable, rows: Integers, receive_time_ns: int, pseudorange_m: Floats
 ) -> SatelliteStates:
-    """Of the satellites whose ephemerides are these rows (m,), −1 for none; pseudoranges (m,), one a satellite.
+    """States of the satellites with these rows (m,) of the table, −1 for none; pseudoranges (m,), one a satellite.
 
     The satellite's clock read `receive_time_ns − P/c` when the signal left, both by the receiver's clock, whose offset
-    therefore does not matter; the time of transmission is that less the satellite's clock (IS-GPS-200N 20.3.3.3.3.1).
-    What delays P shifts the time by so much: 100 m of delay move the range by at most 0.3 mm.
+    therefore cancels; the time of transmission is that less the satellite's clock (IS-GPS-200N 20.3.3.3.3.1).
+    A delay of P shifts the time: 100 m of delay move the range by at most 0.3 mm.
     """
     m = rows.size
     position, velocity = np.empty((m, 3)), np.empty((m, 3))
@@ -79,7 +79,7 @@ def states_at_transmission(
     for k in range(m):
         row = rows[k]
         travel_s = pseudorange_m[k] / SPEED_OF_LIGHT_M_S
-        # Pseudoranges of a second of light are no satellite's; NaN fails too.
+        # No satellite is a light second away; NaN fails too.
         if row < 0 or row >= table.toe_ns.size or not abs(travel_s) < 1.0:
             position[k, :], velocity[k, :] = np.nan, np.nan
             clock[k], clock_rate[k] = np.nan, np.nan
@@ -87,7 +87,7 @@ def states_at_transmission(
         since_toe_s = (receive_time_ns - table.toe_ns[row]) / 1e9 - travel_s
         since_toc_s = (receive_time_ns - table.toc_ns[row]) / 1e9 - travel_s
         clock[k], clock_rate[k] = _state(
-            table.elements[row], since_toe_s, since_toc_s, position[k], velocity[k]
+            table.elements[row], since_toe_s, since_toc_s, position=position[k], velocity=velocity[k]
         )
     return SatelliteStates(position, velocity, clock, clock_rate)
 
@@ -96,7 +96,7 @@ def states_at_transmission(
 def _state(
     el: Floats, read_toe_s: float, read_toc_s: float, position: Floats, velocity: Floats
 ) -> tuple[float, float]:
-    """Clock and its rate; position and velocity are written. Times are what the satellite's clock read."""
+    """Clock and its rate; position and velocity are written. Times are by the satellite's clock."""
     af0, af1, af2 = el[AF0_S], el[AF1], el[AF2]
     polynomial = af0 + (af1 + af2 * read_toc_s) * read_toc_s
     tc = read_toc_s - polynomial

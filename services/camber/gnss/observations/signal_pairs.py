@@ -1,12 +1,14 @@
-"""Which signals of rover and base are differenced with one another.
+"""Signals of rover and base that are differenced with one another.
 
-A group is what shares a carrier, a clock and its delays: GPS with QZSS, Galileo, BeiDou (R: "formed per system: GPS
-with QZSS, BeiDou (and, today, Galileo)"), by band, and by family of codes: the parts of one signal and their sum (`2S`
-`2L` `2X`) may be differenced; another signal of the same band (`2W`) has a delay of its own in each receiver, and
-receivers of different make do not agree about its quarter of a cycle.
+A group shares a carrier, a clock and its delays: system (GPS with QZSS, Galileo, BeiDou; Kikuchi (TUMSAT) forms double
+differences per system), band, and family of codes. The parts of one signal and their sum (`2S` `2L` `2X`) may be
+differenced; another signal of the same band (`2W`) has a different delay in each receiver, and receivers of different
+make disagree about its quarter of a cycle.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +16,11 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled
 from camber.formats.observations import CARRIER_OF_BAND_HZ, SPEED_OF_LIGHT_M_S, Floats, Integers
 
+Booleans = NDArray[np.bool_]
+
 SYSTEMS = "GEC"
-"""The first letter of what shares a clock; QZSS goes with GPS. A group's number is (10 · place + band) · 4 + family."""
-_MOST_FAMILIES = 4
+"""Systems with a receiver clock each; QZSS belongs to GPS. A group's number is (10 · index + band) · 4 + family."""
+_MOST_FAMILIES = 4  # families of codes that the numbering of groups has room for
 GROUPS = 10 * len(SYSTEMS) * _MOST_FAMILIES
 
 _FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
@@ -25,11 +29,11 @@ _FAMILIES: dict[str, dict[str, tuple[str, ...]]] = {
     "E": {"1": ("ABCXZ",), "5": ("IQX",), "7": ("IQX",), "8": ("IQX",), "6": ("ABCXZ",)},
     "C": {"1": ("DPX", "A"), "2": ("IQX",), "5": ("DPX",), "7": ("IQX", "DPZ"), "8": ("DPX",), "6": ("IQX", "DPZ")},
 }  # fmt: skip
-"""Codes by system and band (RINEX 4.01, tables 10 to 16), the family that is best tracked first."""
+"""Codes by system and band (RINEX 4.01, tables 10 to 16), the family that is tracked best comes first."""
 
 
 def _family_table() -> NDArray[np.int8]:
-    """By letter, band and code: 0 for the best family of the band, −1 where it is not used."""
+    """Rank of the family by letter, band and code, 0 for the best; −1: not used."""
     table = np.full((128, 10, 128), -1, np.int8)
     for letter, bands in _FAMILIES.items():
         for band, families in bands.items():
@@ -63,18 +67,18 @@ L1_M = SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"]["1"]
 
 
 def systems_of(group: Integers) -> Integers:
-    """Place in `SYSTEMS` of each group."""
+    """Index in `SYSTEMS` of each group."""
     return group // (10 * _MOST_FAMILIES)
 
 
 @compiled
 def band_of(group: int) -> int:
-    """The digit of its band."""
+    """RINEX digit of a group's band."""
     return group // _MOST_FAMILIES % 10
 
 
-def groups_of(bands: dict[str, str]) -> NDArray[np.bool_]:
-    """Which groups (120,) are used, from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
+def groups_of(bands: dict[str, str]) -> Booleans:
+    """Groups in use (120,), from bands by system letter such as {"G": "125"}; ValueError for unknown ones."""
     used = np.zeros(GROUPS, np.bool_)
     for letter, digits in bands.items():
         for band in digits:
@@ -97,60 +101,80 @@ def group_of(satellite: int, signal: int) -> int:
     return int((10 * _PLACE[letter] + band) * _MOST_FAMILIES + family)
 
 
+class SignalColumns(NamedTuple):
+    """Columns (n,) of one receiver's epoch for the compiled code; names as in `ObservationEpoch`."""
+
+    time_ns: int
+    satellite: Integers
+    signal: Integers
+    pseudorange_m: Floats
+    carrier_phase_cycles: Floats
+    cn0_dbhz: Floats
+    half_cycle: Booleans
+
+
+class SignalPairs(NamedTuple):
+    """Rows of rover and base that are differenced, their group (k,), and the index (k,) of their satellite, or −1."""
+
+    rover: Integers
+    base: Integers
+    group: Integers
+    place: Integers
+
+
 @compiled
 def pair_signals(
-    rover_satellite: Integers,
-    rover_signal: Integers,
+    rover: SignalColumns,
     rover_usable: Integers,
-    base_satellite: Integers,
-    base_signal: Integers,
+    base: SignalColumns,
     base_usable: Integers,
-    groups: NDArray[np.bool_],
-) -> tuple[Integers, Integers, Integers]:
-    """Rows of the rover and of the base that are differenced, and their group, one row a satellite and band: (k,) each.
+    groups: Booleans,
+) -> SignalPairs:
+    """Pairs of rows to be differenced, one for each satellite and band; `place` is −1 throughout.
 
     `usable` (n,) is 2 where a row has code and phase, 1 where it has the code only, 0 where it has neither. Of several
-    codes the one with most to offer at both is taken, then the better family, then the same code on both sides.
-    A satellite that is there twice counts once, by its first row.
+    codes the most usable at both receivers is taken, then the better family, then the same code on both sides.
+    A satellite that occurs twice counts once, by its first row.
     """
-    count = rover_satellite.size
-    of_rover, of_base = np.empty(count, np.int64), np.empty(count, np.int64)
-    of_group, score = np.empty(count, np.int64), np.empty(count, np.int64)
-    base_group = np.empty(base_satellite.size, np.int64)
-    for j in range(base_satellite.size):
-        base_group[j] = group_of(base_satellite[j], base_signal[j])
-    found = 0
+    count = rover.satellite.size
+    rover_row, base_row = np.empty(count, np.int64), np.empty(count, np.int64)
+    pair_group, score = np.empty(count, np.int64), np.empty(count, np.int64)
+    base_group = np.empty(base.satellite.size, np.int64)
+    for j in range(base.satellite.size):
+        base_group[j] = group_of(base.satellite[j], base.signal[j])
+    pairs = 0
     for i in range(count):
         if rover_usable[i] == 0:
             continue
-        group = group_of(rover_satellite[i], rover_signal[i])
+        group = group_of(rover.satellite[i], rover.signal[i])
         if group < 0 or not groups[group]:
             continue
         family = group % _MOST_FAMILIES
         best_row, best_score = -1, -1
-        for j in range(base_satellite.size):
-            if base_satellite[j] != rover_satellite[i] or base_usable[j] == 0:
+        for j in range(base.satellite.size):
+            if base.satellite[j] != rover.satellite[i] or base_usable[j] == 0 or base_group[j] != group:
                 continue
-            if base_group[j] != group:
-                continue
-            same = 1 if base_signal[j] == rover_signal[i] else 0
+            same = 1 if base.signal[j] == rover.signal[i] else 0
             offer = 100 * min(rover_usable[i], base_usable[j]) + 10 * (5 - family) + same
             if offer > best_score:
                 best_row, best_score = j, offer
         if best_row < 0:
             continue
-        place = found
-        for k in range(found):
-            if (
-                of_group[k] // _MOST_FAMILIES == group // _MOST_FAMILIES
-                and rover_satellite[of_rover[k]] == rover_satellite[i]
-            ):
+        place = pairs
+        for k in range(pairs):
+            same_band = pair_group[k] // _MOST_FAMILIES == group // _MOST_FAMILIES
+            if same_band and rover.satellite[rover_row[k]] == rover.satellite[i]:
                 place = k
                 break
-        if place < found and best_score <= score[place]:
+        if place < pairs and best_score <= score[place]:
             continue
-        of_rover[place], of_base[place] = i, best_row
-        of_group[place], score[place] = group, best_score
-        if place == found:
-            found += 1
-    return of_rover[:found].copy(), of_base[:found].copy(), of_group[:found].copy()
+        rover_row[place], base_row[place] = i, best_row
+        pair_group[place], score[place] = group, best_score
+        if place == pairs:
+            pairs += 1
+    return SignalPairs(
+        rover_row[:pairs].copy(),
+        base_row[:pairs].copy(),
+        pair_group[:pairs].copy(),
+        np.full(pairs, -1, np.int64),
+    )

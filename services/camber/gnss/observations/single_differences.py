@@ -1,11 +1,10 @@
-"""One epoch of rover and base as rows: single differences between the two receivers, reduced to what is unknown.
+"""Single differences of one epoch: code and phase of the rover minus the base, minus modelled terms.
 
-A row is a satellite in one band. Its code and phase are what is left of the difference between rover and base after
-the ranges to an approximate position of the rover, to the base's position, the satellite's clock and the troposphere
-are taken off: `−u · dx + clock of the group (+ λ N)`, with u the line of sight and dx the rover's position against
-the approximate one. The clock of a group is common to its rows: differences between rows of a group are the double
-differences (R: `L = ρ + λ n + ε`, `P = ρ + ε`). Everything an estimate needs is here, so that other estimates from
-other satellites need no geometry of their own.
+A row is a satellite in one band. The ranges to an approximate position of the rover and to the base, the satellite's
+clock and the troposphere are subtracted, which leaves `−u · dx + clock of the group (+ λ N)`, with u the line of sight
+and dx the rover's offset from the approximate position. The clock of a group is common to its rows: differences within
+a group are double differences (Kikuchi (TUMSAT): `L = ρ + λ n + ε`, `P = ρ + ε`). Solutions from satellite subsets use
+the same rows.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, Floats, Integers
@@ -24,17 +22,21 @@ from camber.gnss.observations.satellite_states import (
     geodetic,
     range_to,
 )
-from camber.gnss.observations.signal_pairs import GROUPS, L1_M, WAVELENGTH_M
+from camber.gnss.observations.signal_pairs import (
+    GROUPS,
+    L1_M,
+    WAVELENGTH_M,
+    SignalColumns,
+    SignalPairs,
+)
 from camber.gnss.position.small_algebra import inner
 
-Booleans = NDArray[np.bool_]
 
+class SingleDifferences(NamedTuple):
+    """Columns (n,) of one epoch; `direction` (n, 3) is −u in ECEF. A NaN phase is missing or not usable.
 
-class Rows(NamedTuple):
-    """Columns (n,) of one epoch; `direction` (n, 3) is −u in ECEF. NaN phases: there is none, or it may not be used.
-
-    `rover` and `base` are the rows of their epochs that were differenced. `atmosphere_m2` (3, 3) is not a column: what
-    a position from these rows, however many, does not know of the air between base and rover, in ECEF.
+    `rover` and `base` are the differenced rows of their epochs. `atmosphere_m2` (3, 3) is not a column: the covariance
+    in ECEF of the atmosphere's effect on a position, which does not shrink with the number of rows.
     """
 
     rover: Integers
@@ -53,11 +55,10 @@ class Rows(NamedTuple):
 
 
 @compiled
-def without_clocks(rows: Rows, values: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """Directions (n, 3) and values (n,) less their weighted mean in each group, and each group's weight by row (n,).
+def without_clocks(rows: SingleDifferences, values: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
+    """Directions (n, 3) and values (n,) minus their weighted mean in each group, and each group's weight by row (n,).
 
-    To leave out a common unknown by its weighted mean is the same as to difference against a reference row with the
-    full covariance of the differences.
+    Eliminating the clock by the weighted mean is equivalent to double differences with their full covariance.
     """
     n = values.size
     total, mean, level = np.zeros(GROUPS), np.zeros((GROUPS, 3)), np.zeros(GROUPS)
@@ -83,10 +84,10 @@ def without_clocks(rows: Rows, values: Floats, weights: Floats) -> tuple[Floats,
 class Noise(NamedTuple):
     """Standard deviations of one receiver's code and phase: background / sin(elevation), and noise at 45 dB-Hz.
 
-    The first is reflections, the second grows as the signal weakens, by 10^((45 − C/N0) / 20). `ionosphere` is what is
-    left of it, per metre of baseline, on the first band. `satellite_clock` [s/s] is how far a satellite's clock departs
-    from the broadcast one between the epochs of base and rover. `horizontal`, `vertical` are what the air that all
-    bands have in common makes of a fixed position, per metre of baseline, as receivers' data sheets say it.
+    The background is multipath; the noise grows as the signal weakens, by 10^((45 − C/N0) / 20). `ionosphere`: residual
+    per metre of baseline on the first band. `satellite_clock` [s/s]: drift against the broadcast clock between the
+    epochs of base and rover. `horizontal`, `vertical`: effect of the atmosphere on a fixed position per metre of
+    baseline, as in receivers' data sheets (1 ppm, 2 ppm).
     """
 
     code_background_m: float = 0.20
@@ -100,24 +101,23 @@ class Noise(NamedTuple):
 
 
 class Masks(NamedTuple):
-    """What is too low or too weak at the rover to be used."""
+    """Lowest elevation and least C/N0 at the rover."""
 
     lowest_elevation_rad: float
     least_cn0_dbhz: float
 
 
-class Pairs(NamedTuple):
-    """Rows of rover and base that belong together, their group (n,), and the place (n,) of their satellite, or −1."""
+class ReceiverAtEpoch(NamedTuple):
+    """Observations of one receiver, the satellites' states (m,) for them, and its position (3,)."""
 
-    rover: Integers
-    base: Integers
-    group: Integers
-    place: Integers
+    observations: SignalColumns
+    states: SatelliteStates
+    ecef_m: Floats
 
 
 @compiled
 def variance_m2(background_m: float, noise_m: float, sin_elevation: float, cn0_dbhz: float) -> float:
-    """Of one receiver's code or phase; an unknown C/N0 counts as 40 dB-Hz."""
+    """Variance of one receiver's code or phase; an unknown C/N0 counts as 40 dB-Hz."""
     level = cn0_dbhz if cn0_dbhz == cn0_dbhz else 40.0
     noise = noise_m * 10.0 ** ((45.0 - level) / 20.0)
     return float((background_m / sin_elevation) ** 2 + noise * noise)
@@ -125,48 +125,39 @@ def variance_m2(background_m: float, noise_m: float, sin_elevation: float, cn0_d
 
 @compiled
 def single_differences(
-    pairs: Pairs,
-    rover: tuple[Integers, Floats, Floats, Floats],
-    base: tuple[Integers, Floats, Floats, Floats],
-    rover_states: SatelliteStates,
-    base_states: SatelliteStates,
-    rover_ecef_m: Floats,
-    base_ecef_m: Floats,
-    age_s: float,
-    noise: Noise,
-    masks: Masks,
-) -> Rows:
-    """Rows of the pairs that can be used. `rover` and `base` are columns: satellite, code [m], phase [cycles], C/N0;
-    `age_s` is how far apart they were observed.
+    pairs: SignalPairs, rover: ReceiverAtEpoch, base: ReceiverAtEpoch, noise: Noise, masks: Masks
+) -> SingleDifferences:
+    """Rows of the pairs that can be used; the rover's position is the approximate one.
 
-    A row is left out without a satellite's position, below the lowest elevation as the rover sees it, or with a C/N0
+    A row is dropped without a satellite's position, below the lowest elevation as the rover sees it, or with a C/N0
     below the least at the rover. A NaN phase stays NaN.
     """
     n = pairs.group.size
-    rover_latitude, rover_longitude, rover_height_m = geodetic(rover_ecef_m)
-    base_latitude, base_longitude, base_height_m = geodetic(base_ecef_m)
+    rover_rows, base_rows = rover.observations, base.observations
+    rover_latitude, rover_longitude, rover_height_m = geodetic(rover.ecef_m)
+    base_latitude, base_longitude, base_height_m = geodetic(base.ecef_m)
     up, base_up = np.empty(3), np.empty(3)
     rotation = enu_from_ecef_rotation(rover_latitude, rover_longitude)
     up[:] = rotation[2]
     base_up[:] = enu_from_ecef_rotation(base_latitude, base_longitude)[2]
     baseline_m = 0.0
     for k in range(3):
-        baseline_m += (rover_ecef_m[k] - base_ecef_m[k]) ** 2
+        baseline_m += (rover.ecef_m[k] - base.ecef_m[k]) ** 2
     baseline_m = np.sqrt(baseline_m)
-    residue_m = noise.ionosphere * baseline_m
+    ionosphere_m = noise.ionosphere * baseline_m
     atmosphere_m2 = np.zeros((3, 3))
     for axis, share in enumerate((noise.horizontal, noise.horizontal, noise.vertical)):
         atmosphere_m2 += (share * baseline_m) ** 2 * np.outer(rotation[axis], rotation[axis])
-    m = rover_states.clock_s.size
+    m = rover.states.clock_s.size
     direction, base_direction = np.empty((m, 3)), np.empty((m, 3))
     sine, base_sine, model_m = np.empty(m), np.empty(m), np.empty(m)
     for k in range(m):
         # A NaN position gives NaN throughout.
-        of_rover_m = range_to(rover_states.position_m[k], rover_ecef_m, direction[k])
-        of_base_m = range_to(base_states.position_m[k], base_ecef_m, base_direction[k])
+        rover_range_m = range_to(rover.states.position_m[k], rover.ecef_m, direction[k])
+        base_range_m = range_to(base.states.position_m[k], base.ecef_m, base_direction[k])
         sine[k], base_sine[k] = inner(direction[k], up), inner(base_direction[k], base_up)
-        clocks_m = SPEED_OF_LIGHT_M_S * (rover_states.clock_s[k] - base_states.clock_s[k])
-        model_m[k] = of_rover_m - of_base_m - clocks_m
+        clocks_m = SPEED_OF_LIGHT_M_S * (rover.states.clock_s[k] - base.states.clock_s[k])
+        model_m[k] = rover_range_m - base_range_m - clocks_m
     lowest_sine = np.sin(masks.lowest_elevation_rad)
     rover_air = troposphere_at(rover_latitude, rover_height_m)
     base_air = troposphere_at(base_latitude, base_height_m)
@@ -179,30 +170,42 @@ def single_differences(
     keep = np.empty(n, np.int64)
     count = 0
     for i in range(n):
-        weak = rover[3][pairs.rover[i]] < masks.least_cn0_dbhz
+        weak = rover_rows.cn0_dbhz[pairs.rover[i]] < masks.least_cn0_dbhz
         if pairs.place[i] >= 0 and not np.isnan(model_m[pairs.place[i]]) and not weak:
             keep[count] = i
             count += 1
-    rows = Rows(
-        np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.int64),
-        np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count), np.empty(count),
-        np.empty(count), np.empty(count), atmosphere_m2,
-    )  # fmt: skip
+    rows = SingleDifferences(
+        rover=np.empty(count, np.int64),
+        base=np.empty(count, np.int64),
+        satellite=np.empty(count, np.int64),
+        group=np.empty(count, np.int64),
+        wavelength_m=np.empty(count),
+        direction=np.empty((count, 3)),
+        code_m=np.empty(count),
+        phase_m=np.empty(count),
+        code_variance_m2=np.empty(count),
+        phase_variance_m2=np.empty(count),
+        elevation_rad=np.empty(count),
+        cn0_dbhz=np.empty(count),
+        atmosphere_m2=atmosphere_m2,
+    )
+    age_s = abs((rover_rows.time_ns - base_rows.time_ns) * 1e-9)
     for a in range(count):
         i = keep[a]
         r, b, k, group = pairs.rover[i], pairs.base[i], pairs.place[i], pairs.group[i]
         wavelength = WAVELENGTH_M[group]
         rows.rover[a], rows.base[a] = r, b
-        rows.satellite[a], rows.group[a], rows.wavelength_m[a] = rover[0][r], group, wavelength
-        rows.code_m[a] = rover[1][r] - base[1][b] - model_m[k]
-        rows.phase_m[a] = (rover[2][r] - base[2][b]) * wavelength - model_m[k]
+        rows.satellite[a], rows.group[a], rows.wavelength_m[a] = rover_rows.satellite[r], group, wavelength
+        rows.code_m[a] = rover_rows.pseudorange_m[r] - base_rows.pseudorange_m[b] - model_m[k]
+        cycles = rover_rows.carrier_phase_cycles[r] - base_rows.carrier_phase_cycles[b]
+        rows.phase_m[a] = cycles * wavelength - model_m[k]
         for axis in range(3):
             rows.direction[a, axis] = -direction[k, axis]
-        scatter = (residue_m * (wavelength / L1_M) ** 2) ** 2 / sine[k] ** 2
+        scatter = (ionosphere_m * (wavelength / L1_M) ** 2) ** 2 / sine[k] ** 2
         scatter += (SPEED_OF_LIGHT_M_S * noise.satellite_clock * age_s) ** 2
         rows.code_variance_m2[a] = scatter
         rows.phase_variance_m2[a] = scatter
-        for level in (rover[3][r], base[3][b]):
+        for level in (rover_rows.cn0_dbhz[r], base_rows.cn0_dbhz[b]):
             rows.code_variance_m2[a] += variance_m2(
                 noise.code_background_m, noise.code_noise_m, sine[k], level
             )
@@ -210,5 +213,5 @@ def single_differences(
                 noise.phase_background_m, noise.phase_noise_m, sine[k], level
             )
         rows.elevation_rad[a] = np.arcsin(sine[k])
-        rows.cn0_dbhz[a] = rover[3][r]
+        rows.cn0_dbhz[a] = rover_rows.cn0_dbhz[r]
     return rows

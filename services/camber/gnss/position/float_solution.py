@@ -1,11 +1,11 @@
-"""The rover's position from code alone, robust against reflected codes: the float solution of a single epoch.
+"""Float solution of a single epoch: the rover's position from code, robust against multipath.
 
 In a single epoch phases with unknown ambiguities add nothing to the position, so it comes from code, and a prior where
-there is one. Codes of reflected signals are metres off: the row with the largest normalised residual is left out until
-none is beyond the limit (Baarda, "A testing procedure for use in geodetic networks", 1968).
+there is one. Reflected codes are metres off: the row with the largest normalised residual is excluded until none
+exceeds the threshold (Baarda, "A testing procedure for use in geodetic networks", 1968).
 
-A prior from earlier codes has the errors of reflections in common with the codes of now, to an unknown degree: the two
-are joined by covariance intersection, which claims no more than the better of both whatever they have in common (Julier
+A prior from earlier codes shares multipath errors with the present codes, to an unknown degree: the two are joined by
+covariance intersection, which is consistent for any correlation (Julier
 and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations", 1997).
 """
 
@@ -17,15 +17,31 @@ import numpy as np
 
 from camber.compiled.decorator import compiled
 from camber.formats.observations import Floats
-from camber.gnss.observations.signal_pairs import GROUPS
-from camber.gnss.observations.single_differences import Booleans, Rows, without_clocks
+from camber.gnss.observations.signal_pairs import GROUPS, Booleans
+from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
 from camber.gnss.position.small_algebra import form, product
 
-_SHARES = 10
+_SHARES = 10  # weights tried in the covariance intersection; chosen: steps of 0.1
+
+
+class PositionPrior(NamedTuple):
+    """Prior of the rover's position (3,) in ECEF or as an offset, and its information (3, 3); zeros: none."""
+
+    position_m: Floats
+    information: Floats
+
+
+NO_PRIOR = PositionPrior(np.zeros(3), np.zeros((3, 3)))
+
+
+@compiled
+def relative_to(prior: PositionPrior, origin_m: Floats) -> PositionPrior:
+    """The prior as an offset from a point (3,)."""
+    return PositionPrior(prior.position_m - origin_m, prior.information)
 
 
 class FloatPosition(NamedTuple):
-    """`dx_m` (3,) and its covariance (3, 3) in ECEF; which codes were used (n,); freedom < 0: there is none."""
+    """`dx_m` (3,) and its covariance (3, 3) in ECEF; which codes were used (n,); freedom < 0: no position."""
 
     dx_m: Floats
     covariance_m2: Floats
@@ -36,7 +52,7 @@ class FloatPosition(NamedTuple):
 
 @compiled
 def inverse_3(m: Floats) -> tuple[Floats, bool]:
-    """Inverse of a symmetric (3, 3) matrix; False where it is not positive definite enough to have one."""
+    """Inverse of a symmetric (3, 3) matrix; False where it is not positive definite or nearly singular."""
     out = np.zeros((3, 3))
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
     co_a, co_b, co_c = d * f - e * e, c * e - b * f, b * e - c * d
@@ -52,9 +68,9 @@ def inverse_3(m: Floats) -> tuple[Floats, bool]:
 
 @compiled
 def float_position(
-    rows: Rows, usable: Booleans, prior_m: Floats, prior_information: Floats, outlier_limit: float
+    rows: SingleDifferences, usable: Booleans, prior: PositionPrior, outlier_threshold: float
 ) -> FloatPosition:
-    """Weighted least squares of the codes of `usable` rows; a prior of `dx_m` by its information (3, 3; zeros: none).
+    """Weighted least squares of the codes of `usable` rows with a prior of `dx_m`.
 
     The covariance is scaled up where the codes scatter more than their variances say, never down.
     """
@@ -69,11 +85,11 @@ def float_position(
     dx, covariance = np.zeros(3), np.zeros((3, 3))
     chi2, freedom = 0.0, -1
     left_out, most_left_out = 0, count // 3
-    has_prior = prior_information[0, 0] > 0.0
+    has_prior = prior.information[0, 0] > 0.0
     while True:
         directions, reduced, total = without_clocks(rows, rows.code_m, weights)
-        information = prior_information.copy()
-        right = product(prior_information, prior_m)
+        information = prior.information.copy()
+        right = product(prior.information, prior.position_m)
         rank = 0
         for i in range(n):
             if used[i]:
@@ -91,10 +107,10 @@ def float_position(
         covariance, solvable = inverse_3(information)
         freedom = rank - groups - (0 if has_prior else 3)
         if not solvable or freedom < 0:
-            return FloatPosition(dx, covariance, used, 0.0, -1)
+            return FloatPosition(dx, covariance, used, 0.0, freedom=-1)
         dx = product(covariance, right)
-        misfit = dx - prior_m
-        chi2, worst, worst_row = form(misfit, prior_information), 0.0, -1
+        misfit = dx - prior.position_m
+        chi2, worst, worst_row = form(misfit, prior.information), 0.0, -1
         for i in range(n):
             if not used[i]:
                 continue
@@ -110,44 +126,40 @@ def float_position(
                 normalised = abs(residual) * np.sqrt(weights[i] / free)
                 if normalised > worst:
                     worst, worst_row = normalised, i
-        if worst <= outlier_limit or left_out >= most_left_out or freedom <= 1:
+        if worst <= outlier_threshold or left_out >= most_left_out or freedom <= 1:
             break
         used[worst_row] = False
         weights[worst_row] = 0.0
         left_out += 1
     if freedom > 0 and chi2 > freedom:
         covariance = covariance * (chi2 / freedom)
-    return FloatPosition(dx, covariance, used, chi2, freedom)
+    return FloatPosition(dx, covariance, used, chi2, freedom=freedom)
 
 
 @compiled
 def float_with_prior(
-    rows: Rows, usable: Booleans, prior_m: Floats, prior_information: Floats, outlier_limit: float
+    rows: SingleDifferences, usable: Booleans, prior: PositionPrior, outlier_threshold: float
 ) -> FloatPosition:
-    """As `float_position`, with a prior whose errors may be those of the codes; information of zeros: none.
+    """As `float_position`, with a prior whose errors may be correlated with those of the codes.
 
-    The prior takes part in telling which codes are wrong. Where the other codes make no position, it is the position.
+    The prior helps to identify outliers. Where the other codes determine no position, the prior is the result.
     """
-    if not prior_information[0, 0] > 0.0:
-        return float_position(rows, usable, prior_m, prior_information, outlier_limit)
-    tested = float_position(rows, usable, prior_m, prior_information, outlier_limit)
-    if tested.freedom < 0:
+    tested = float_position(rows, usable, prior, outlier_threshold)
+    if not prior.information[0, 0] > 0.0 or tested.freedom < 0:
         return tested
-    codes = float_position(rows, tested.used, np.zeros(3), np.zeros((3, 3)), np.inf)
-    prior_covariance, _ = inverse_3(prior_information)
-    best, best_covariance = prior_m.copy(), prior_covariance
+    codes = float_position(rows, tested.used, PositionPrior(np.zeros(3), np.zeros((3, 3))), np.inf)
+    prior_covariance, _ = inverse_3(prior.information)
+    best, best_covariance = prior.position_m.copy(), prior_covariance
     if codes.freedom < 0:
-        return FloatPosition(best, best_covariance, tested.used, tested.chi2, tested.freedom)
+        return FloatPosition(best, best_covariance, tested.used, tested.chi2, freedom=tested.freedom)
     information, _ = inverse_3(codes.covariance_m2)
-    right, prior_right = product(information, codes.dx_m), product(prior_information, prior_m)
+    right, prior_right = product(information, codes.dx_m), product(prior.information, prior.position_m)
     least = np.trace(best_covariance)
     for step in range(_SHARES):
         share = step / _SHARES
-        covariance, solvable = inverse_3(share * prior_information + (1.0 - share) * information)
+        covariance, solvable = inverse_3(share * prior.information + (1.0 - share) * information)
         if solvable and np.trace(covariance) < least:
             least = np.trace(covariance)
-            best, best_covariance = (
-                product(covariance, share * prior_right + (1.0 - share) * right),
-                covariance,
-            )
-    return FloatPosition(best, best_covariance, tested.used, codes.chi2, codes.freedom)
+            best = product(covariance, share * prior_right + (1.0 - share) * right)
+            best_covariance = covariance
+    return FloatPosition(best, best_covariance, tested.used, codes.chi2, freedom=codes.freedom)

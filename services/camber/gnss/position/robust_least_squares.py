@@ -1,7 +1,7 @@
-"""Weighted least squares that leaves out what contradicts the rest, and says so; compiled.
+"""Weighted least squares with outlier exclusion; compiled.
 
 Sources: W. Baarda, "A testing procedure for use in geodetic networks" (1968): the normalised residual w = v / σ_v; its
-square is what χ² loses when the row is left out, so that the greatest w marks the leave-one-out that fits best.
+square is the fall of χ² when the row is excluded, so that the largest w marks the best single exclusion.
 M. Abramowitz, I. Stegun, "Handbook of mathematical functions", 26.4.4 and 26.4.5 (χ² distribution).
 """
 
@@ -19,18 +19,39 @@ from camber.formats.observations import Floats, Integers
 Booleans = NDArray[np.bool_]
 
 OK, TOO_FEW, DEGENERATE, INCONSISTENT = range(4)
-"""`TOO_FEW`: fewer rows than unknowns. `DEGENERATE`: the rows do not tell the unknowns apart."""
+"""`TOO_FEW`: fewer rows than unknowns. `DEGENERATE`: the rows do not determine all unknowns."""
 
-_SMALLEST_PIVOT = 1.0e-8  # of the diagonal: a dilution of about 10⁴
-_MOST_OF_THREES = 40  # rows of which every three are tried: 9,880 of them, a third of a millisecond
-_TESTABLE = 1.0e-6  # of its variance, what a residual must keep: else nothing else measures what the row does
+_SMALLEST_PIVOT = 1.0e-8  # share of the diagonal; derived: a dilution of precision of about 10⁴
+_MOST_OF_THREES = 40  # rows of which all triples are tried; chosen: 9,880 triples
+_TESTABLE = 1.0e-6  # least redundancy, share of the variance; chosen: below it nothing else measures the same
 
 
-class Fit(NamedTuple):
-    """p unknowns from n rows. `value` (p,) is NaN where no row that is used has the unknown, as is its covariance.
+class LinearModel(NamedTuple):
+    """n observations (n,) of standard deviations `sigma` (n,), linear in p unknowns by `design` (n, p).
 
-    `residual` (n,): observed less fitted, of the rows that are left out too. `degrees` of freedom: 0 says that nothing
-    could be tested.
+    Each unknown has a prior of mean zero and `prior_sigma` (p,), or none where that is infinite.
+    """
+
+    design: Floats
+    observed: Floats
+    sigma: Floats
+    prior_sigma: Floats
+
+
+class _LinearEstimate(NamedTuple):
+    """Weighted least squares of the rows in use; χ² includes the priors; `degrees` of freedom."""
+
+    status: int
+    value: Floats
+    covariance: Floats
+    chi_squared: float
+    degrees: int
+
+
+class RobustFit(NamedTuple):
+    """p unknowns from n rows. `value` (p,) and its covariance are NaN for an unknown that no row in use has.
+
+    `residual` (n,): observed minus fitted, of the excluded rows too. `degrees` of freedom: 0 means untested.
     """
 
     status: int
@@ -43,115 +64,105 @@ class Fit(NamedTuple):
 
 
 @compiled
-def consistent_fit(
-    design: Floats,
-    observed: Floats,
-    sigma: Floats,
-    prior_sigma: Floats,
-    candidate: Booleans,
-    false_alarm: float,
-) -> Fit:
-    """Fit `observed` (n,) of standard deviations `sigma` (n,) by `design` (n, p), of the candidate rows (n,).
+def consistent_fit(model: LinearModel, candidate: Booleans, false_alarm: float) -> RobustFit:
+    """Fit the candidate rows (n,) and exclude outliers.
 
-    An unknown is zero before, with `prior_sigma` (p,), or free where that is not finite. Rows are taken for wrong when
-    χ² of all, or the greatest normalised residual among n, would be so with probability `false_alarm` or less; then the
-    row of the greatest goes, again and again, and at last those that fit after all come back. Wrong rows that agree
-    with one another hide in that order and may take the right ones' place: where more than two would go, or none do,
-    every two are tried too, and every three, and the fewest that have to go are what goes. It is `INCONSISTENT` where
-    the test fails and nothing would be left to test with, or half of the rows would go.
+    Rows are inconsistent when χ² of all, or the largest normalised residual among n, would be so with probability
+    `false_alarm` or less. The row with the largest residual is then excluded, repeatedly, and finally the excluded rows
+    that fit after all are readmitted. Outliers that agree with one another can mask each other in that order and push
+    out the right rows: where more than two would be excluded, or the sequence fails, all pairs and all triples are
+    tried too, and the smallest set wins. `INCONSISTENT`: the test fails and nothing would be left to test with, or half
+    of the rows would be excluded.
     """
-    n = observed.size
+    n = model.observed.size
     used = candidate.copy()
-    count = 0
-    for i in range(n):
-        count += candidate[i]
+    count = count_of(candidate)
     least = count - count // 2
-    status, value, covariance, chi_squared, degrees = _solve(design, observed, sigma, prior_sigma, used)
-    residual = np.full(n, np.nan)
-    while status == OK and degrees > 0:
-        worst, w_squared = _worst(design, observed, sigma, used, value, covariance)
-        if not is_suspect(chi_squared, degrees, w_squared, count, false_alarm):
+    fit = _solve(model, used)
+    status = fit.status
+    while status == OK and fit.degrees > 0:
+        worst, w_squared = _largest_residual(model, used, fit)
+        if not is_suspect(fit, w_squared, count, false_alarm):
             break
-        if worst < 0 or degrees < 2 or count_of(used) <= least:
+        if worst < 0 or fit.degrees < 2 or count_of(used) <= least:
             status = INCONSISTENT
             break
         used[worst] = False
-        status, value, covariance, chi_squared, degrees = _solve(design, observed, sigma, prior_sigma, used)
+        fit = _solve(model, used)
+        status = fit.status
     if status == INCONSISTENT or (status == OK and count - count_of(used) > 2):
         most = count - count_of(used) if status == OK else 4
-        fewer = _fewest_left_out(design, observed, sigma, prior_sigma, candidate, most, least, false_alarm)
-        if fewer.size > 0:
+        excluded = _smallest_exclusion(model, candidate, most, false_alarm)
+        if excluded.size > 0:
             used[:] = candidate
-            used[fewer] = False
-            status, value, covariance, chi_squared, degrees = _solve(
-                design, observed, sigma, prior_sigma, used
-            )
+            used[excluded] = False
+            fit = _solve(model, used)
+            status = fit.status
     if status == OK:
         for _ in range(count - count_of(used)):
-            best = _best_left_out(
-                design, observed, sigma, candidate, used, value, covariance, count, false_alarm
-            )
-            if best < 0:
+            row = _row_to_readmit(model, candidate & ~used, fit, count=count, false_alarm=false_alarm)
+            if row < 0:
                 break
-            used[best] = True
-            again = _solve(design, observed, sigma, prior_sigma, used)
-            _, w_squared = _worst(design, observed, sigma, used, again[1], again[2])
-            if again[0] != OK or is_suspect(again[3], again[4], w_squared, count, false_alarm):
-                used[best] = False
+            used[row] = True
+            again = _solve(model, used)
+            _, w_squared = _largest_residual(model, used, again)
+            if again.status != OK or is_suspect(again, w_squared, count, false_alarm):
+                used[row] = False
                 break
-            status, value, covariance, chi_squared, degrees = again
+            fit = again
+    residual = np.full(n, np.nan)
     for i in range(n):
         if candidate[i]:
-            residual[i] = observed[i] - _fitted(design[i], value)
-    return Fit(status, value, covariance, residual, used, chi_squared, degrees)
+            residual[i] = _residual(model, i, fit)
+    return RobustFit(
+        status=status,
+        value=fit.value,
+        covariance=fit.covariance,
+        residual=residual,
+        used=used,
+        chi_squared=fit.chi_squared,
+        degrees=fit.degrees,
+    )
 
 
 @compiled
-def _fewest_left_out(
-    design: Floats,
-    observed: Floats,
-    sigma: Floats,
-    prior_sigma: Floats,
-    candidate: Booleans,
-    most: int,
-    least: int,
-    false_alarm: float,
-) -> Integers:
+def _smallest_exclusion(model: LinearModel, candidate: Booleans, most: int, false_alarm: float) -> Integers:
     """Two rows, or three, fewer than `most`, without which the others agree; empty where there are none.
 
-    With v the residuals of all in units of σ and H what of the observations is in what is fitted (the hat matrix), χ²
-    loses v_S · (I − H_SS)⁻¹ v_S with the rows S. Those with which it loses most are tried.
+    With v the residuals of all in units of σ and H the hat matrix, excluding the rows S lowers χ² by
+    v_S · (I − H_SS)⁻¹ v_S. The set that lowers it most is tried.
     """
     rows = np.flatnonzero(candidate)
     n = rows.size
-    _, value, covariance, _, _ = _solve(design, observed, sigma, prior_sigma, candidate)
-    v, left = np.empty(n), np.empty((n, n))
+    fit = _solve(model, candidate)
+    v, redundancy = np.empty(n), np.empty((n, n))
     for i in range(n):
         at = rows[i]
-        v[i] = (observed[at] - _fitted(design[at], value)) / sigma[at]
+        v[i] = _residual(model, at, fit) / model.sigma[at]
         for j in range(i + 1):
-            fitted = _shared(design[at], design[rows[j]], covariance) / (sigma[at] * sigma[rows[j]])
-            left[i, j] = left[j, i] = (1.0 if i == j else 0.0) - fitted
+            hat = _fitted_covariance(model.design[at], model.design[rows[j]], fit.covariance)
+            hat /= model.sigma[at] * model.sigma[rows[j]]
+            redundancy[i, j] = redundancy[j, i] = (1.0 if i == j else 0.0) - hat
     for size in range(2, 4):
-        if size >= most or n - size < least or (size == 3 and n > _MOST_OF_THREES):
+        if size >= most or n - size < n - n // 2 or (size == 3 and n > _MOST_OF_THREES):
             break
-        chosen = rows[_two(v, left) if size == 2 else _three(v, left)]
+        chosen = rows[_best_pair(v, redundancy) if size == 2 else _best_triple(v, redundancy)]
         if chosen.size == 0:
             continue
         used = candidate.copy()
         used[chosen] = False
-        status, value, covariance, chi_squared, degrees = _solve(design, observed, sigma, prior_sigma, used)
-        if status == OK and degrees > 0:
-            _, w_squared = _worst(design, observed, sigma, used, value, covariance)
-            if not is_suspect(chi_squared, degrees, w_squared, n, false_alarm):
+        fit = _solve(model, used)
+        if fit.status == OK and fit.degrees > 0:
+            _, w_squared = _largest_residual(model, used, fit)
+            if not is_suspect(fit, w_squared, n, false_alarm):
                 return chosen
     return rows[:0]
 
 
 @compiled
-def _with_both(v: Floats, left: Floats, i: int, j: int) -> tuple[float, float]:
-    """Determinant of what is left of two rows, and what χ² loses with them: nothing where all others hang on them."""
-    a, b, c = left[i, i], left[i, j], left[j, j]
+def _pair_reduction(v: Floats, redundancy: Floats, i: int, j: int) -> tuple[float, float]:
+    """Determinant of the redundancy of two rows, and the fall of χ² without them; zero where they cannot be tested."""
+    a, b, c = redundancy[i, i], redundancy[i, j], redundancy[j, j]
     determinant = a * c - b * b
     if not determinant > _TESTABLE:
         return determinant, 0.0
@@ -159,42 +170,42 @@ def _with_both(v: Floats, left: Floats, i: int, j: int) -> tuple[float, float]:
 
 
 @compiled
-def _two(v: Floats, left: Floats) -> Integers:
-    """The two rows with which χ² loses most; empty where all others hang on any two."""
+def _best_pair(v: Floats, redundancy: Floats) -> Integers:
+    """The two rows whose exclusion lowers χ² most; empty where no pair can be tested."""
     n, best, greatest = v.size, np.empty(0, np.int64), 0.0
     for i in range(n):
         for j in range(i):
-            _, lost = _with_both(v, left, i, j)
+            _, lost = _pair_reduction(v, redundancy, i, j)
             if lost > greatest:
                 greatest, best = lost, np.array([j, i])
     return best
 
 
 @compiled
-def _three(v: Floats, left: Floats) -> Integers:
-    """The three rows with which χ² loses most; empty where all others hang on any three."""
+def _best_triple(v: Floats, redundancy: Floats) -> Integers:
+    """The three rows whose exclusion lowers χ² most; empty where no triple can be tested."""
     n, best, greatest = v.size, np.empty(0, np.int64), 0.0
     for i in range(n):
         for j in range(i):
-            determinant, lost = _with_both(v, left, i, j)
+            determinant, lost = _pair_reduction(v, redundancy, i, j)
             if not determinant > _TESTABLE:
                 continue
-            a, b, c = left[i, i], left[i, j], left[j, j]
+            a, b, c = redundancy[i, i], redundancy[i, j], redundancy[j, j]
             for k in range(j):
-                d, e = left[i, k], left[j, k]
-                # The third beside the two: what it has on its own, and how far it is off what they say of it.
+                d, e = redundancy[i, k], redundancy[j, k]
+                # The third row given the other two: its remaining redundancy and its residual.
                 f, g = (c * d - b * e) / determinant, (a * e - b * d) / determinant
-                own = left[k, k] - f * d - g * e
-                if own > _TESTABLE:
+                remaining = redundancy[k, k] - f * d - g * e
+                if remaining > _TESTABLE:
                     off = v[k] - f * v[i] - g * v[j]
-                    if lost + off * off / own > greatest:
-                        greatest, best = lost + off * off / own, np.array([k, j, i])
+                    if lost + off * off / remaining > greatest:
+                        greatest, best = lost + off * off / remaining, np.array([k, j, i])
     return best
 
 
 @compiled
 def count_of(rows: Booleans) -> int:
-    """How many are true."""
+    """Number of true entries."""
     count = 0
     for i in range(rows.size):
         count += rows[i]
@@ -202,9 +213,9 @@ def count_of(rows: Booleans) -> int:
 
 
 @compiled
-def is_suspect(chi_squared: float, degrees: int, w_squared: float, count: int, false_alarm: float) -> bool:
-    """Whether χ², or the greatest of `count` normalised residuals, is too great for chance."""
-    if chi_squared_survival(chi_squared, degrees) < false_alarm:
+def is_suspect(fit: _LinearEstimate, w_squared: float, count: int, false_alarm: float) -> bool:
+    """Whether χ², or the largest of `count` normalised residuals, is too large for chance."""
+    if chi_squared_survival(fit.chi_squared, fit.degrees) < false_alarm:
         return True
     return math.erfc(math.sqrt(0.5 * w_squared)) * count < false_alarm
 
@@ -232,24 +243,18 @@ def chi_squared_survival(chi_squared: float, degrees: int) -> float:
 
 
 @compiled
-def _fitted(row: Floats, value: Floats) -> float:
-    """NaN where the row has an unknown that no row in use has."""
+def _residual(model: LinearModel, row: int, fit: _LinearEstimate) -> float:
+    """Observed minus fitted; NaN where the row has an unknown that no row in use has."""
     total = 0.0
-    for a in range(value.size):
-        if row[a] != 0.0:
-            total += row[a] * value[a]
-    return total
+    for a in range(fit.value.size):
+        if model.design[row, a] != 0.0:
+            total += model.design[row, a] * fit.value[a]
+    return float(model.observed[row] - total)
 
 
 @compiled
-def _spread(row: Floats, covariance: Floats) -> float:
-    """Variance of what is fitted for a row."""
-    return _shared(row, row, covariance)
-
-
-@compiled
-def _shared(one: Floats, other: Floats, covariance: Floats) -> float:
-    """Covariance of what is fitted for two rows."""
+def _fitted_covariance(one: Floats, other: Floats, covariance: Floats) -> float:
+    """Covariance of the fitted values of two rows of the design."""
     total = 0.0
     for a in range(one.size):
         if one[a] == 0.0:
@@ -261,42 +266,33 @@ def _shared(one: Floats, other: Floats, covariance: Floats) -> float:
 
 
 @compiled
-def _worst(
-    design: Floats, observed: Floats, sigma: Floats, used: Booleans, value: Floats, covariance: Floats
-) -> tuple[int, float]:
-    """The row of the greatest normalised residual and its square; −1 where none can be tested."""
+def _largest_residual(model: LinearModel, used: Booleans, fit: _LinearEstimate) -> tuple[int, float]:
+    """The row of the largest normalised residual and its square; −1 where none can be tested."""
     worst, greatest = -1, 0.0
-    for i in range(observed.size):
+    for i in range(model.observed.size):
         if not used[i]:
             continue
-        variance = sigma[i] * sigma[i]
-        left = variance - _spread(design[i], covariance)
-        if left > _TESTABLE * variance:
-            v = observed[i] - _fitted(design[i], value)
-            w_squared = v * v / left
+        variance = model.sigma[i] * model.sigma[i]
+        redundant = variance - _fitted_covariance(model.design[i], model.design[i], fit.covariance)
+        if redundant > _TESTABLE * variance:
+            v = _residual(model, i, fit)
+            w_squared = v * v / redundant
             if w_squared > greatest:
                 worst, greatest = i, w_squared
     return worst, greatest
 
 
 @compiled
-def _best_left_out(
-    design: Floats,
-    observed: Floats,
-    sigma: Floats,
-    candidate: Booleans,
-    used: Booleans,
-    value: Floats,
-    covariance: Floats,
-    count: int,
-    false_alarm: float,
+def _row_to_readmit(
+    model: LinearModel, excluded: Booleans, fit: _LinearEstimate, count: int, false_alarm: float
 ) -> int:
-    """The row left out that is nearest to what the others say of it, if that is near enough; −1 else."""
+    """The excluded row that agrees best with the fit of the others, if well enough; −1 else."""
     best, least = -1, np.inf
-    for i in range(observed.size):
-        if candidate[i] and not used[i]:
-            v = observed[i] - _fitted(design[i], value)
-            w_squared = v * v / (sigma[i] * sigma[i] + _spread(design[i], covariance))
+    for i in range(model.observed.size):
+        if excluded[i]:
+            v = _residual(model, i, fit)
+            predicted = _fitted_covariance(model.design[i], model.design[i], fit.covariance)
+            w_squared = v * v / (model.sigma[i] * model.sigma[i] + predicted)
             # NaN where no row that is used has one of its unknowns.
             if w_squared < least:
                 best, least = i, w_squared
@@ -306,10 +302,9 @@ def _best_left_out(
 
 
 @compiled
-def _solve(
-    design: Floats, observed: Floats, sigma: Floats, prior_sigma: Floats, used: Booleans
-) -> tuple[int, Floats, Floats, float, int]:
-    """Status, values, covariance, χ² with what the priors add to it, degrees of freedom."""
+def _solve(model: LinearModel, used: Booleans) -> _LinearEstimate:
+    """Weighted least squares of the rows in use, by Cholesky decomposition of the normal equations."""
+    design, sigma, prior_sigma = model.design, model.sigma, model.prior_sigma
     n, p = design.shape
     normal, right = np.zeros((p, p)), np.zeros(p)
     rows = 0
@@ -321,7 +316,7 @@ def _solve(
         for a in range(p):
             scaled = weight * design[i, a]
             if scaled != 0.0:
-                right[a] += scaled * observed[i]
+                right[a] += scaled * model.observed[i]
                 for b in range(a + 1):
                     normal[a, b] += scaled * design[i, b]
     free = 0
@@ -336,10 +331,10 @@ def _solve(
             free += 1
     value, covariance = np.full(p, np.nan), np.full((p, p), np.nan)
     if rows < free or rows == 0:
-        return TOO_FEW, value, covariance, np.nan, 0
+        return _LinearEstimate(TOO_FEW, value, covariance, np.nan, degrees=0)
     inverse = _inverse_of_lower(normal)
     if inverse.shape[0] == 0:
-        return DEGENERATE, value, covariance, np.nan, 0
+        return _LinearEstimate(DEGENERATE, value, covariance, np.nan, degrees=0)
     # C = L⁻ᵀ L⁻¹, x = C b.
     for a in range(p):
         for b in range(a + 1):
@@ -356,15 +351,16 @@ def _solve(
                 if active[b]:
                     total += covariance[a, b] * right[b]
             value[a] = total
+    fit = _LinearEstimate(OK, value, covariance, 0.0, degrees=rows - free)
     chi_squared = 0.0
     for i in range(n):
         if used[i]:
-            v = (observed[i] - _fitted(design[i], value)) / sigma[i]
+            v = _residual(model, i, fit) / sigma[i]
             chi_squared += v * v
     for a in range(p):
         if active[a] and prior_sigma[a] < np.inf:
             chi_squared += (value[a] / prior_sigma[a]) ** 2
-    return OK, value, covariance, chi_squared, rows - free
+    return _LinearEstimate(OK, value, covariance, chi_squared, degrees=rows - free)
 
 
 @compiled
@@ -401,9 +397,9 @@ def dilutions(design: Floats, used: Booleans, rotation: Floats) -> tuple[float, 
     NaN where there is none.
     """
     n, p = design.shape
-    free, ones = np.full(p, np.inf), np.ones(n)
-    status, _, covariance, _, _ = _solve(design, np.zeros(n), ones, free, used)
-    if status != OK or not covariance[0, 0] + covariance[1, 1] + covariance[2, 2] < np.inf:
+    fit = _solve(LinearModel(design, np.zeros(n), np.ones(n), np.full(p, np.inf)), used)
+    covariance = fit.covariance
+    if fit.status != OK or not covariance[0, 0] + covariance[1, 1] + covariance[2, 2] < np.inf:
         return np.nan, np.nan, np.nan
     total = 0.0
     for a in range(p):
@@ -411,5 +407,5 @@ def dilutions(design: Floats, used: Booleans, rotation: Floats) -> tuple[float, 
             total += covariance[a, a]
     of_axis = np.zeros(3)
     for k in range(3):
-        of_axis[k] = _spread(rotation[k], covariance[:3, :3])
+        of_axis[k] = _fitted_covariance(rotation[k], rotation[k], covariance[:3, :3])
     return math.sqrt(total), math.sqrt(of_axis[0] + of_axis[1]), math.sqrt(of_axis[2])

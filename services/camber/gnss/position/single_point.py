@@ -1,4 +1,4 @@
-"""Position of one receiver from one epoch of code, with what it was made of and what contradicted.
+"""Single-point position of one receiver from one epoch of code, with exclusion of outliers.
 
 Sources: IS-GPS-200N, 20.3.3.3.3.2 (group delays), 20.3.3.5.2.5 (ionosphere); P. Misra, P. Enge, "Global positioning
 system: signals, measurements and performance", 6 (linearised equations); RTCA DO-229, appendix J (weights by the sum of
@@ -8,10 +8,10 @@ Model of a pseudorange on the carrier f of a satellite of group g:
 
     P = ρ + c (δt_g − δt_s + τ_f) + T + (f₁/f)² (I + m(el) (I₀ + ψ (g_e sin az + g_n cos az))) + ε
 
-with a clock per group (GPS with QZSS, Galileo, BeiDou), T and I from models; I₀ and its gradients g by the angle ψ at
-the earth's centre are what the model misses of the vertical ionosphere on L1, unknowns of mean zero: errors of the
-ionosphere are common to all satellites (south of Japan the equator's crest makes the model metres too small), and a sum
-that takes them for independent is too sure of itself and blind to small faults. The variance of ε is
+with a clock per group (GPS with QZSS, Galileo, BeiDou), T and I from models. I₀ and its gradients g by the angle ψ at
+the earth's centre are the error of the model's vertical ionosphere on L1, unknowns of mean zero: this error is common
+to all satellites (south of Japan the equatorial crest makes the model metres too small), and treating it as independent
+would be overconfident and hide small faults. The variance of ε is
 
     (noise 10^((45 − C/N0) / 20))² + (background² + troposphere²) / sin² el + satellite² + (rest I)².
 """
@@ -44,7 +44,6 @@ from camber.gnss.observations.atmosphere import (
 from camber.gnss.observations.ephemeris_store import EphemerisStore
 from camber.gnss.observations.satellite_states import (
     MOST_BANDS,
-    EphemerisTable,
     SatelliteStates,
     enu_from_ecef_rotation,
     geodetic,
@@ -57,17 +56,18 @@ from camber.gnss.position.robust_least_squares import (
     OK,
     TOO_FEW,
     Booleans,
-    Fit,
+    LinearModel,
+    RobustFit,
     consistent_fit,
     dilutions,
 )
 
 Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_convergence"]
-"""`inconsistent`: what was measured contradicts itself and no part of it is left that does not and can be tested."""
+"""`inconsistent`: the measurements contradict one another and no consistent, testable subset is left."""
 CLOCK_GROUPS = "GEC"
 """A receiver clock for each; QZSS goes with GPS."""
 
-_NO_CONVERGENCE = 4
+_NO_CONVERGENCE = 4  # a status after those of `robust_least_squares`
 _STATUS: dict[int, Status] = {
     OK: "ok",
     TOO_FEW: "too_few",
@@ -77,17 +77,17 @@ _STATUS: dict[int, Status] = {
 }
 _BAND_RANK = {"G": "125", "J": "125", "E": "17586", "C": "216758"}  # the least ionosphere first
 _UNKNOWNS = 9  # x, y, z, three clocks, the vertical ionosphere and its gradients to the east and north
+# Thin shell of the ionosphere at 350 km (IS-GPS-200N, 20.3.3.5.2.5).
 _SHELL_RATIO = 6371.0 / (6371.0 + 350.0)
-_COARSE_STEPS, _FINE_STEPS = 15, 10
-_COARSE_M = 1000.0
-_NO_START_M = 1.0e5
-# Within so much of the solution a linear step misses it by 10² / 4e7 m: nothing.
-_FINE_M = 10.0
-_LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6
+_COARSE_STEPS, _FINE_STEPS = 15, 10  # chosen: from the earth's centre six steps converge
+_COARSE_M = 1000.0  # chosen: the fine steps converge from a kilometre
+_NO_START_M = 1.0e5  # chosen: a start farther off sees other satellites above its mask
+_FINE_M = 10.0  # derived: within it a linear step errs by 10² / 4e7 m
+_LOWEST_RADIUS_M, _GREATEST_RADIUS_M = 6.3e6, 6.5e6  # below the poles, above any road
 
 
 class SinglePointOptions(NamedTuple):
-    """Masks, test and standard deviations of the module's error model."""
+    """Mask, false-alarm rate of the test and standard deviations of the module's error model."""
 
     lowest_elevation_rad: float = math.radians(10.0)
     false_alarm: float = 1.0e-4
@@ -96,14 +96,14 @@ class SinglePointOptions(NamedTuple):
     troposphere_m: float = 0.1
     satellite_m: float = 0.8
     ionosphere_share: float = 0.5
-    """Of the vertical delay of the model, what it misses (IS-GPS-200N: half of it at most, r.m.s.)."""
+    """Error of the model's vertical delay, a share of it (IS-GPS-200N: half of it at most, r.m.s.)."""
     least_ionosphere_m: float = 0.5
     ionosphere_scale_rad: float = math.radians(10.0)
-    """Over which a gradient changes the vertical delay by as much as the model misses."""
+    """Angle over which a gradient changes the vertical delay by the model's error."""
     unknown_ionosphere_m: float = 7.0
-    """In place of both where the coefficients of the model are not known."""
+    """Replaces both where the coefficients of the model are not known."""
     ionosphere_rest: float = 0.1
-    """Of the slant delay of the model, what differs from satellite to satellite."""
+    """Share of the model's slant delay that differs from satellite to satellite."""
 
 
 def _carriers() -> Floats:
@@ -144,15 +144,15 @@ class Codes(NamedTuple):
     place: Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SinglePoint:
-    """Of one epoch; columns (m,) by satellite, each satellite once, in the order of the epoch.
+    """Single-point solution of one epoch; columns (m,) by satellite, each satellite once, in the order of the epoch.
 
     `position_ecef_m` (3,), `covariance_ecef_m2`, `covariance_enu_m2` (3, 3), `clock_m` (3,) by `CLOCK_GROUPS` (receiver
-    clock minus system time, times c) are NaN unless the status is `ok`, a clock also where its group was not used;
-    `approximate_ecef_m` is where the iteration came to, consistent or not: only to linearise at. `used` went into the
-    position, `excluded` contradicted the others; neither: no ephemeris, no code, too low. `degrees` 0: ok, but
-    untested. Directions, elevation, azimuth, residuals are NaN where they are not known.
+    clock minus system time, times c) are NaN unless the status is `ok`, a clock also where its group was not used.
+    `approximate_ecef_m` is the last iterate, consistent or not, for linearisation only. `used` went into the position,
+    `excluded` are outliers; neither: no ephemeris, no code, too low. `degrees` 0: ok, but untested. Directions,
+    elevation, azimuth, residuals are NaN where they are not known.
     """
 
     time_ns: int
@@ -180,14 +180,13 @@ class SinglePoint:
 
     @property
     def excluded_names(self) -> list[str]:
-        """The satellites that contradicted the others, `["G05"]`."""
+        """Names of the excluded satellites, `["G05"]`."""
         return [satellite_name(s) for s in self.satellite[self.excluded].tolist()]
 
 
 def single_point(
     epoch: ObservationEpoch,
     ephemerides: EphemerisStore,
-    options: SinglePointOptions = SinglePointOptions(),  # noqa: B008 (immutable)
     ionosphere: Floats = NO_IONOSPHERE,
     start_ecef_m: Floats | None = None,
 ) -> SinglePoint:
@@ -197,32 +196,54 @@ def single_point(
     """
     codes = codes_of(epoch.satellite, epoch.signal, epoch.pseudorange_m, epoch.cn0_dbhz)
     satellite = epoch.satellite[codes.row]
-    rows = ephemerides.rows_at(epoch.time_ns, satellite)
-    table = ephemerides.table
+    ephemeris = ephemerides.rows_at(epoch.time_ns, satellite)
     pseudorange_m = epoch.pseudorange_m[codes.row]
-    states = states_at_transmission(table, rows, epoch.time_ns, pseudorange_m)
-    solved = _position(
-        table,
-        rows,
-        states,
-        satellite,
-        epoch.signal[codes.row],
-        pseudorange_m,
-        epoch.cn0_dbhz[codes.row],
-        np.zeros(3) if start_ecef_m is None else start_ecef_m,
-        ionosphere,
-        epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND,
-        options,
+    states = states_at_transmission(ephemerides.table, ephemeris, epoch.time_ns, pseudorange_m)
+    inputs = _CodeInputs(
+        ephemeris=ephemeris,
+        states=states,
+        satellite=satellite,
+        signal=epoch.signal[codes.row],
+        pseudorange_m=pseudorange_m,
+        cn0_dbhz=epoch.cn0_dbhz[codes.row],
+        ionosphere=ionosphere,
+        of_week_s=epoch.time_ns % NS_PER_WEEK / NS_PER_SECOND,
     )
-    status, position, covariance, covariance_enu, approximate, clock, numbers, degrees, used, excluded = (
-        solved[:10]
+    start = np.zeros(3) if start_ecef_m is None else start_ecef_m
+    status, converged, at, fit, rows = _iterate(
+        inputs, ephemerides.table.group_delay_s, start, SinglePointOptions()
     )
-    chi_squared, gdop, hdop, vdop = numbers.tolist()
-    residual, sigma, direction, elevation, azimuth = solved[10:]
+    ok, tested = status == OK, status in (OK, INCONSISTENT)
+    covariance, rotation = np.full((3, 3), np.nan), np.full((3, 3), np.nan)
+    gdop, hdop, vdop = np.nan, np.nan, np.nan
+    if ok:
+        latitude, longitude, _ = geodetic(at)
+        rotation, covariance = enu_from_ecef_rotation(latitude, longitude), fit.covariance[:3, :3].copy()
+        gdop, hdop, vdop = dilutions(rows.model.design[:, :6], fit.used, rotation)
     return SinglePoint(
-        epoch.time_ns, _STATUS[status], position, covariance, covariance_enu, approximate, clock, chi_squared, degrees,
-        gdop, hdop, vdop, satellite, codes, states, used, excluded, residual, sigma, direction, elevation, azimuth,
-    )  # fmt: skip
+        time_ns=epoch.time_ns,
+        status=_STATUS[status],
+        position_ecef_m=at if ok else np.full(3, np.nan),
+        covariance_ecef_m2=covariance,
+        covariance_enu_m2=rotated_covariance(rotation, covariance),
+        approximate_ecef_m=at if converged else np.full(3, np.nan),
+        clock_m=fit.value[3:6] if ok else np.full(3, np.nan),
+        chi_squared=fit.chi_squared if converged else np.nan,
+        degrees=fit.degrees,
+        gdop=gdop,
+        hdop=hdop,
+        vdop=vdop,
+        satellite=satellite,
+        codes=codes,
+        states=states,
+        used=fit.used & tested,
+        excluded=rows.candidate & ~fit.used & tested,
+        residual_m=fit.residual,
+        sigma_m=rows.model.sigma,
+        direction=rows.direction,
+        elevation_rad=rows.elevation_rad,
+        azimuth_rad=rows.azimuth_rad,
+    )
 
 
 @compiled
@@ -256,60 +277,102 @@ def codes_of(satellite: Integers, signal: Integers, pseudorange_m: Floats, cn0_d
     return Codes(row[:count].copy(), place)
 
 
+class _CodeInputs(NamedTuple):
+    """Columns (m,) by satellite: its row in the table of ephemerides or −1, its state, its code."""
+
+    ephemeris: Integers
+    states: SatelliteStates
+    satellite: Integers
+    signal: Integers
+    pseudorange_m: Floats
+    cn0_dbhz: Floats
+    ionosphere: Floats
+    of_week_s: float
+
+
+class _Rows(NamedTuple):
+    """Columns (m,) of the linearised model; the first four are fixed, the rest is written for each linearisation.
+
+    `range_m`: code with satellite clock and group delay applied. `dispersion`: (f₁/f)². `measurable`: both are known.
+    """
+
+    group: Integers
+    range_m: Floats
+    dispersion: Floats
+    measurable: Booleans
+    model: LinearModel
+    candidate: Booleans
+    direction: Floats
+    elevation_rad: Floats
+    azimuth_rad: Floats
+
+
 @compiled
-def _position(
-    table: EphemerisTable,
-    rows: Integers,
-    states: SatelliteStates,
-    satellite: Integers,
-    signal: Integers,
-    pseudorange_m: Floats,
-    cn0_dbhz: Floats,
-    start_ecef_m: Floats,
-    ionosphere: Floats,
-    of_week_s: float,
-    options: SinglePointOptions,
-) -> tuple[
-    int, Floats, Floats, Floats, Floats, Floats, Floats, int, Booleans, Booleans,
-    Floats, Floats, Floats, Floats, Floats,
-]:  # fmt: skip
-    m = rows.size
-    measured, stretch = np.full(m, np.nan), np.full(m, np.nan)
-    group, possible = np.empty(m, np.int64), np.zeros(m, np.bool_)
+def _rows_of(inputs: _CodeInputs, group_delay_s: Floats) -> _Rows:
+    m = inputs.satellite.size
+    measured, dispersion = np.full(m, np.nan), np.full(m, np.nan)
+    group, measurable = np.empty(m, np.int64), np.zeros(m, np.bool_)
     for k in range(m):
-        letter, band = satellite[k] >> 8, (signal[k] >> 8) - 48
+        letter, band = inputs.satellite[k] >> 8, (inputs.signal[k] >> 8) - 48
         group[k] = _GROUP[letter]
-        stretch[k] = (IONOSPHERE_CARRIER_HZ / CARRIER_HZ[letter, band]) ** 2
-        if rows[k] >= 0:
-            delay_s = table.group_delay_s[rows[k], band]
-            measured[k] = pseudorange_m[k] + SPEED_OF_LIGHT_M_S * (states.clock_s[k] - delay_s)
-        possible[k] = abs(measured[k] * stretch[k]) < np.inf
+        dispersion[k] = (IONOSPHERE_CARRIER_HZ / CARRIER_HZ[letter, band]) ** 2
+        if inputs.ephemeris[k] >= 0:
+            delay_s = group_delay_s[inputs.ephemeris[k], band]
+            measured[k] = inputs.pseudorange_m[k] + SPEED_OF_LIGHT_M_S * (inputs.states.clock_s[k] - delay_s)
+        measurable[k] = abs(measured[k] * dispersion[k]) < np.inf
+    model = LinearModel(
+        np.zeros((m, _UNKNOWNS)), np.full(m, np.nan), sigma=np.ones(m), prior_sigma=np.full(_UNKNOWNS, np.inf)
+    )
+    return _Rows(
+        group=group,
+        range_m=measured,
+        dispersion=dispersion,
+        measurable=measurable,
+        model=model,
+        candidate=np.zeros(m, np.bool_),
+        direction=np.full((m, 3), np.nan),
+        elevation_rad=np.full(m, np.nan),
+        azimuth_rad=np.full(m, np.nan),
+    )
+
+
+@compiled
+def _iterate(
+    inputs: _CodeInputs, group_delay_s: Floats, start_ecef_m: Floats, options: SinglePointOptions
+) -> tuple[int, bool, Floats, RobustFit, _Rows]:
+    """Coarse position where there is no start, then Gauss-Newton steps with outlier exclusion.
+
+    Returns status, whether the steps converged, the position (3,), the last fit and its rows.
+    """
+    rows, states, m = _rows_of(inputs, group_delay_s), inputs.states, inputs.satellite.size
     at = start_ecef_m.copy()
-    status, design = OK, np.zeros((m, _UNKNOWNS))
-    sigma, free = np.ones(m), np.full(_UNKNOWNS, np.inf)
-    direction, observed = np.full((m, 3), np.nan), np.full(m, np.nan)
-    elevation, azimuth = np.full(m, np.nan), np.full(m, np.nan)
+    status = OK
     started = _is_near_the_ground(at)
     if not started:
         at[:] = 0.0
-        status = _coarse(states, group, possible, measured, at, design)
-    candidate = np.zeros(m, np.bool_)
-    fit = Fit(OK, np.full(_UNKNOWNS, np.nan), np.zeros((0, 0)), np.full(m, np.nan), candidate, np.nan, 0)
+        status = _coarse_position(states, rows, at)
+    none = np.zeros(m, np.bool_)
+    fit = RobustFit(
+        OK,
+        np.full(_UNKNOWNS, np.nan),
+        np.zeros((0, 0)),
+        np.full(m, np.nan),
+        used=none,
+        chi_squared=np.nan,
+        degrees=0,
+    )
     converged = False
     for _ in range(_FINE_STEPS):
         if status != OK:
             break
-        _linearise(
-            states, group, possible, measured, stretch, cn0_dbhz, ionosphere, of_week_s, options, at,
-            design, observed, sigma, free, candidate, direction, elevation, azimuth,
-        )  # fmt: skip
-        fit = consistent_fit(design, observed, sigma, free, candidate, options.false_alarm)
+        _linearise(rows, inputs, at, options)
+        fit = consistent_fit(rows.model, rows.candidate, options.false_alarm)
         step = math.sqrt(fit.value[0] ** 2 + fit.value[1] ** 2 + fit.value[2] ** 2)
         if started and not step < _NO_START_M:
-            # A start so far off is none: with it satellites were looked for below the horizon.
+            # The start was useless: from there satellites were below the horizon.
             started = False
             at[:] = 0.0
-            status = _coarse(states, group, possible, measured, at, design)
+            status = _coarse_position(states, rows, at)
             continue
         if fit.status != OK and fit.status != INCONSISTENT:
             status = fit.status
@@ -327,32 +390,11 @@ def _position(
             break
     if status == OK and not converged:
         status = _NO_CONVERGENCE
-    position, covariance, turned = np.full(3, np.nan), np.full((3, 3), np.nan), np.full((3, 3), np.nan)
-    approximate, clock = np.full(3, np.nan), np.full(3, np.nan)
-    numbers = np.full(4, np.nan)
-    excluded = candidate & ~fit.used
-    used = fit.used
-    if converged:
-        approximate[:] = at
-        numbers[0] = fit.chi_squared
-    if status == OK:
-        latitude, longitude, _ = geodetic(at)
-        rotation = enu_from_ecef_rotation(latitude, longitude)
-        position[:], clock[:] = at, fit.value[3:6]
-        covariance[:, :] = fit.covariance[:3, :3]
-        turned[:, :] = turned_covariance(rotation, covariance)
-        numbers[1], numbers[2], numbers[3] = dilutions(design[:, :6], used, rotation)
-    elif status != INCONSISTENT:
-        used = np.zeros(m, np.bool_)
-        excluded = np.zeros(m, np.bool_)
-    return (
-        status, position, covariance, turned, approximate, clock, numbers, fit.degrees, used, excluded,
-        fit.residual, sigma, direction, elevation, azimuth,
-    )  # fmt: skip
+    return status, converged, at, fit, rows
 
 
 @compiled
-def turned_covariance(rotation: Floats, covariance: Floats) -> Floats:
+def rotated_covariance(rotation: Floats, covariance: Floats) -> Floats:
     """R C Rᵀ of (3, 3) matrices."""
     out = np.zeros((3, 3))
     for a in range(3):
@@ -370,23 +412,21 @@ def _is_near_the_ground(ecef_m: Floats) -> bool:
 
 
 @compiled
-def _coarse(
-    states: SatelliteStates, group: Integers, possible: Booleans, measured: Floats, at: Floats, design: Floats
-) -> int:
-    """From anywhere to some km of the solution, all satellites alike and no atmosphere; `at` is moved there."""
-    m = possible.size
-    direction, observed, ones = np.empty(3), np.zeros(m), np.ones(m)
-    free = np.full(6, np.inf)
+def _coarse_position(states: SatelliteStates, rows: _Rows, at: Floats) -> int:
+    """From anywhere to some km of the solution with equal weights and no atmosphere; `at` is moved there."""
+    m = rows.measurable.size
+    direction, design = np.empty(3), rows.model.design
+    model = LinearModel(design[:, :6], np.zeros(m), sigma=np.ones(m), prior_sigma=np.full(6, np.inf))
     for _ in range(_COARSE_STEPS):
         for k in range(m):
             design[k, :] = 0.0
-            if possible[k]:
-                observed[k] = measured[k] - range_to(states.position_m[k], at, direction)
+            if rows.measurable[k]:
+                model.observed[k] = rows.range_m[k] - range_to(states.position_m[k], at, direction)
                 for axis in range(3):
                     design[k, axis] = -direction[axis]
-                design[k, 3 + group[k]] = 1.0
-        # A test that is never failed: one wrong satellite moves this by km, and the fine steps look at that.
-        fit = consistent_fit(design[:, :6], observed, ones, free, possible, 0.0)
+                design[k, 3 + rows.group[k]] = 1.0
+        # A false-alarm rate of zero excludes nothing: one outlier moves this by km, which the fine steps handle.
+        fit = consistent_fit(model, rows.measurable, 0.0)
         if fit.status != OK:
             return fit.status
         step = 0.0
@@ -401,44 +441,29 @@ def _coarse(
 
 
 @compiled
-def _linearise(
-    states: SatelliteStates,
-    group: Integers,
-    possible: Booleans,
-    measured: Floats,
-    stretch: Floats,
-    cn0_dbhz: Floats,
-    ionosphere: Floats,
-    of_week_s: float,
-    options: SinglePointOptions,
-    at: Floats,
-    design: Floats,
-    observed: Floats,
-    sigma: Floats,
-    prior_sigma: Floats,
-    candidate: Booleans,
-    direction: Floats,
-    elevation: Floats,
-    azimuth: Floats,
-) -> None:
-    """Writes the rows of the fit about a place `at`, from `design` on."""
+def _linearise(rows: _Rows, inputs: _CodeInputs, at: Floats, options: SinglePointOptions) -> None:
+    """Write the model's rows about a position `at`, and which are candidates."""
+    model, ionosphere, of_week_s = rows.model, inputs.ionosphere, inputs.of_week_s
+    design, prior_sigma, direction = model.design, model.prior_sigma, rows.direction
+    elevation, azimuth = rows.elevation_rad, rows.azimuth_rad
     latitude, longitude, height = geodetic(at)
     rotation = enu_from_ecef_rotation(latitude, longitude)
     air = troposphere_at(latitude, height)
-    known = has_ionosphere(ionosphere)
-    vertical_m = klobuchar_m(ionosphere, of_week_s, latitude, longitude, 0.5 * np.pi, 0.0)
+    vertical_m = klobuchar_m(
+        ionosphere, of_week_s, latitude, longitude, elevation_rad=0.5 * np.pi, azimuth_rad=0.0
+    )
     missed_m = options.unknown_ionosphere_m
-    if known:
+    if has_ionosphere(ionosphere):
         missed_m = max(options.ionosphere_share * vertical_m, options.least_ionosphere_m)
     prior_sigma[6] = missed_m
     prior_sigma[7] = missed_m / options.ionosphere_scale_rad
     prior_sigma[8] = prior_sigma[7]
-    for k in range(possible.size):
+    for k in range(rows.measurable.size):
         design[k, :] = 0.0
-        candidate[k] = False
-        if not possible[k]:
+        rows.candidate[k] = False
+        if not rows.measurable[k]:
             continue
-        distance = range_to(states.position_m[k], at, direction[k])
+        distance = range_to(inputs.states.position_m[k], at, direction[k])
         x, y, z = direction[k, 0], direction[k, 1], direction[k, 2]
         east = rotation[0, 0] * x + rotation[0, 1] * y
         north = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
@@ -447,20 +472,24 @@ def _linearise(
         azimuth[k] = math.atan2(east, north)
         if not elevation[k] >= options.lowest_elevation_rad:
             continue
-        candidate[k] = True
-        modelled_m = klobuchar_m(ionosphere, of_week_s, latitude, longitude, elevation[k], azimuth[k])
-        observed[k] = measured[k] - distance - slant_troposphere_m(air, sine) - stretch[k] * modelled_m
+        rows.candidate[k] = True
+        dispersion = rows.dispersion[k]
+        modelled_m = klobuchar_m(
+            ionosphere, of_week_s, latitude, longitude, elevation_rad=elevation[k], azimuth_rad=azimuth[k]
+        )
+        troposphere_m = slant_troposphere_m(air, sine)
+        model.observed[k] = rows.range_m[k] - distance - troposphere_m - dispersion * modelled_m
         for axis in range(3):
             design[k, axis] = -direction[k, axis]
-        design[k, 3 + group[k]] = 1.0
+        design[k, 3 + rows.group[k]] = 1.0
         cosine = _SHELL_RATIO * math.cos(elevation[k])
-        mapping = stretch[k] / math.sqrt(1.0 - cosine * cosine)
-        away_rad = math.acos(cosine) - elevation[k]
+        mapping = dispersion / math.sqrt(1.0 - cosine * cosine)
+        earth_angle_rad = math.acos(cosine) - elevation[k]
         design[k, 6] = mapping
-        design[k, 7] = mapping * away_rad * math.sin(azimuth[k])
-        design[k, 8] = mapping * away_rad * math.cos(azimuth[k])
-        level = cn0_dbhz[k] if abs(cn0_dbhz[k]) < 100.0 else 40.0
+        design[k, 7] = mapping * earth_angle_rad * math.sin(azimuth[k])
+        design[k, 8] = mapping * earth_angle_rad * math.cos(azimuth[k])
+        level = inputs.cn0_dbhz[k] if abs(inputs.cn0_dbhz[k]) < 100.0 else 40.0
         noise = options.noise_m * 10.0 ** ((45.0 - level) / 20.0)
         low = (options.background_m**2 + options.troposphere_m**2) / (sine * sine)
-        rest = options.ionosphere_rest * stretch[k] * modelled_m
-        sigma[k] = math.sqrt(noise * noise + low + options.satellite_m**2 + rest * rest)
+        rest = options.ionosphere_rest * dispersion * modelled_m
+        model.sigma[k] = math.sqrt(noise * noise + low + options.satellite_m**2 + rest * rest)

@@ -1,12 +1,12 @@
 """Velocity of a receiver and drift of its clock from one epoch's Doppler shifts.
 
-Sources: R (`D_i = (f/c)(V_si − V_ui + s)·R_i`, four unknowns); IS-GPS-200N, 20.3.3.4.3.3.2 (earth's rotation during the
-travel). Signs as in RINEX: a Doppler shift is positive when satellite and receiver approach one another, so that
+Sources: Kikuchi (TUMSAT), `D_i = (f/c)(V_si − V_ui + s)·R_i`, four unknowns; IS-GPS-200N, 20.3.3.4.3.3.2 (earth's
+rotation during the travel). Signs as in RINEX, positive when satellite and receiver approach one another:
 
     −(c/f) D = dρ/dt + c (drift − clock rate of the satellite).
 
-With ρ(t) = |R(ω ρ/c) s(t − ρ/c) − r(t)| the rate stands on both sides: dρ/dt = u · (v_s − v_r) / (1 + κ), where v_s is
-turned as the position is, u points from the receiver to the satellite and κ = (u · v_s − ω (u_x y − u_y x)) / c.
+With ρ(t) = |R(ω ρ/c) s(t − ρ/c) − r(t)| the rate is on both sides: dρ/dt = u · (v_s − v_r) / (1 + κ), where v_s is
+rotated as the position is, u points from the receiver to the satellite and κ = (u · v_s − ω (u_x y − u_y x)) / c.
 
 All bands of a satellite make one row, their mean by weight, as what moves the satellite's or the receiver's end moves
 all of them. Variance of a band: (noise 10^((45 − C/N0) / 20))²; of a satellite that of the mean and (background / sin
@@ -37,26 +37,27 @@ from camber.gnss.position.robust_least_squares import (
     OK,
     TOO_FEW,
     Booleans,
+    LinearModel,
+    RobustFit,
     consistent_fit,
     dilutions,
 )
 from camber.gnss.position.single_point import CARRIER_HZ, SinglePoint
 
 Status = Literal["ok", "too_few", "degenerate", "inconsistent", "no_position"]
-"""`no_position`: the single point did not come anywhere, so there are no directions."""
+"""`no_position`: there is no approximate position, so there are no directions."""
 _STATUS: dict[int, Status] = {
     OK: "ok",
     TOO_FEW: "too_few",
     DEGENERATE: "degenerate",
     INCONSISTENT: "inconsistent",
 }
-
-
-_GREATEST_DOPPLER_HZ = 1.0e5  # satellites 5 kHz, a receiver's clock at 50 ppm 80 kHz
+_NO_POSITION = -1  # a status beside those of `robust_least_squares`
+_GREATEST_DOPPLER_HZ = 1.0e5  # derived: satellites 5 kHz, a receiver's clock at 50 ppm 80 kHz
 
 
 class DopplerOptions(NamedTuple):
-    """Mask, test and standard deviations of the module's error model."""
+    """Mask, false-alarm rate and standard deviations of the module's error model."""
 
     lowest_elevation_rad: float = math.radians(10.0)
     false_alarm: float = 1.0e-4
@@ -64,9 +65,9 @@ class DopplerOptions(NamedTuple):
     background_m_s: float = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DopplerVelocity:
-    """Of one epoch, over the ground, at the epoch; columns (m,) in the order of `SinglePoint.satellite`.
+    """Velocity over ground of one epoch; columns (m,) in the order of `SinglePoint.satellite`.
 
     `velocity_enu_m_s` (3,), `covariance_enu_m2_s2` (3, 3), `clock_drift_m_s` (of the receiver, times c) and `hdop` are
     NaN unless the status is `ok`. `used`, `excluded`, `degrees` as in `SinglePoint`.
@@ -87,41 +88,55 @@ class DopplerVelocity:
 
     @property
     def excluded_names(self) -> list[str]:
-        """The satellites that contradicted the others, `["G05"]`."""
+        """Names of the excluded satellites, `["G05"]`."""
         return [satellite_name(s) for s in self.satellite[self.excluded].tolist()]
 
 
-def doppler_velocity(
-    epoch: ObservationEpoch,
-    single: SinglePoint,
-    options: DopplerOptions = DopplerOptions(),  # noqa: B008 (immutable)
-) -> DopplerVelocity:
+class _DopplerInputs(NamedTuple):
+    """`place` (n,) as in `Codes`; signals, Dopplers and C/N0 (n,) by row of the epoch."""
+
+    satellite: Integers
+    place: Integers
+    signal: Integers
+    doppler_hz: Floats
+    cn0_dbhz: Floats
+
+
+def doppler_velocity(epoch: ObservationEpoch, single: SinglePoint) -> DopplerVelocity:
     """Velocity of an epoch whose single point is known; it need not be consistent: 30 m off is 1 mm/s off.
 
     Never raises for what an epoch holds.
     """
-    status, velocity, covariance, numbers, degrees, used, excluded, residual = _velocity(
-        single.satellite,
-        single.codes.place,
-        single.states,
-        single.approximate_ecef_m,
-        epoch.signal,
-        epoch.doppler_hz,
-        epoch.cn0_dbhz,
-        options,
+    inputs = _DopplerInputs(
+        satellite=single.satellite,
+        place=single.codes.place,
+        signal=epoch.signal,
+        doppler_hz=epoch.doppler_hz,
+        cn0_dbhz=epoch.cn0_dbhz,
     )
-    drift, hdop, chi_squared = numbers.tolist()
+    fit, excluded, hdop = _velocity(inputs, single.states, single.approximate_ecef_m, DopplerOptions())
+    ok = fit.status == OK
     return DopplerVelocity(
-        epoch.time_ns, _STATUS.get(status, "no_position"), velocity, covariance, drift, hdop, chi_squared, degrees,
-        single.satellite, used, excluded, residual,
-    )  # fmt: skip
+        time_ns=epoch.time_ns,
+        status=_STATUS.get(fit.status, "no_position"),
+        velocity_enu_m_s=fit.value[:3] if ok else np.full(3, np.nan),
+        covariance_enu_m2_s2=fit.covariance[:3, :3] if ok else np.full((3, 3), np.nan),
+        clock_drift_m_s=float(fit.value[3]) if ok else np.nan,
+        hdop=hdop,
+        chi_squared=fit.chi_squared,
+        degrees=fit.degrees,
+        satellite=single.satellite,
+        used=fit.used if fit.status in (OK, INCONSISTENT) else np.zeros_like(fit.used),
+        excluded=excluded if fit.status in (OK, INCONSISTENT) else np.zeros_like(excluded),
+        residual_m_s=fit.residual,
+    )
 
 
 @compiled
 def range_rate_m_s(
     position_m: Floats, velocity_m_s: Floats, receiver_ecef_m: Floats, direction: Floats
 ) -> tuple[float, float]:
-    """dρ/dt of a receiver that stands on the ground, and what its own velocity along `direction` (3,) is divided by.
+    """dρ/dt of a static receiver, and the divisor of its velocity along `direction` (3,).
 
     `direction` is written: the unit vector from the receiver to the satellite, in the frame of reception.
     """
@@ -139,68 +154,60 @@ def range_rate_m_s(
 
 @compiled
 def _velocity(
-    satellite: Integers,
-    place: Integers,
-    states: SatelliteStates,
-    receiver_ecef_m: Floats,
-    signal: Integers,
-    doppler_hz: Floats,
-    cn0_dbhz: Floats,
-    options: DopplerOptions,
-) -> tuple[int, Floats, Floats, Floats, int, Booleans, Booleans, Floats]:
-    m = satellite.size
-    velocity, covariance, numbers = np.full(3, np.nan), np.full((3, 3), np.nan), np.full(3, np.nan)
-    none = np.zeros(m, np.bool_)
+    inputs: _DopplerInputs, states: SatelliteStates, receiver_ecef_m: Floats, options: DopplerOptions
+) -> tuple[RobustFit, Booleans, float]:
+    """Fit of velocity in east, north, up and clock drift; excluded satellites (m,); HDOP."""
+    m = inputs.satellite.size
+    candidate, direction = np.zeros(m, np.bool_), np.empty(3)
     latitude, longitude, _ = geodetic(receiver_ecef_m)
     if not abs(latitude) < 2.0:
-        return -1, velocity, covariance, numbers, 0, none, none, np.full(m, np.nan)
+        nothing = np.full(m, np.nan)
+        fit = RobustFit(
+            _NO_POSITION,
+            np.full(4, np.nan),
+            np.full((4, 4), np.nan),
+            nothing,
+            candidate,
+            chi_squared=np.nan,
+            degrees=0,
+        )
+        return fit, candidate, np.nan
     rotation = enu_from_ecef_rotation(latitude, longitude)
-    rate, weight = _mean_rates(satellite, place, signal, doppler_hz, cn0_dbhz, options)
-    design, observed, sigma = np.zeros((m, 4)), np.zeros(m), np.ones(m)
-    candidate, direction = np.zeros(m, np.bool_), np.empty(3)
+    rate, weight = _mean_rates(inputs, options)
+    model = LinearModel(np.zeros((m, 4)), np.zeros(m), sigma=np.ones(m), prior_sigma=np.full(4, np.inf))
     for k in range(m):
         if not (weight[k] > 0.0 and states.clock_rate[k] == states.clock_rate[k]):
             continue
-        standing, slope = range_rate_m_s(
+        static_rate, slope = range_rate_m_s(
             states.position_m[k], states.velocity_m_s[k], receiver_ecef_m, direction
         )
         for axis in range(3):
-            design[k, axis] = -(
+            model.design[k, axis] = -(
                 rotation[axis, 0] * direction[0]
                 + rotation[axis, 1] * direction[1]
                 + rotation[axis, 2] * direction[2]
             )
-        sine = -design[k, 2]
+        sine = -model.design[k, 2]
         if not sine >= math.sin(options.lowest_elevation_rad):
             continue
         for axis in range(3):
-            design[k, axis] /= slope
-        design[k, 3] = 1.0
-        observed[k] = rate[k] - standing + SPEED_OF_LIGHT_M_S * states.clock_rate[k]
-        sigma[k] = math.sqrt(1.0 / weight[k] + (options.background_m_s / sine) ** 2)
+            model.design[k, axis] /= slope
+        model.design[k, 3] = 1.0
+        model.observed[k] = rate[k] - static_rate + SPEED_OF_LIGHT_M_S * states.clock_rate[k]
+        model.sigma[k] = math.sqrt(1.0 / weight[k] + (options.background_m_s / sine) ** 2)
         candidate[k] = True
-    fit = consistent_fit(design, observed, sigma, np.full(4, np.inf), candidate, options.false_alarm)
-    numbers[2] = fit.chi_squared
-    excluded = candidate & ~fit.used
+    fit = consistent_fit(model, candidate, options.false_alarm)
+    hdop = np.nan
     if fit.status == OK:
-        velocity[:], covariance[:, :] = fit.value[:3], fit.covariance[:3, :3]
-        numbers[0] = fit.value[3]
-        _, numbers[1], _ = dilutions(design, fit.used, np.eye(3))
-    elif fit.status != INCONSISTENT:
-        return fit.status, velocity, covariance, numbers, fit.degrees, none, none, fit.residual
-    return fit.status, velocity, covariance, numbers, fit.degrees, fit.used, excluded, fit.residual
+        _, hdop, _ = dilutions(model.design, fit.used, np.eye(3))
+    return fit, candidate & ~fit.used, hdop
 
 
 @compiled
-def _mean_rates(
-    satellite: Integers,
-    place: Integers,
-    signal: Integers,
-    doppler_hz: Floats,
-    cn0_dbhz: Floats,
-    options: DopplerOptions,
-) -> tuple[Floats, Floats]:
+def _mean_rates(inputs: _DopplerInputs, options: DopplerOptions) -> tuple[Floats, Floats]:
     """−(c/f) D of each satellite (m,) and its weight, 0 where there is none; of each band the best C/N0 counts."""
+    satellite, place, signal = inputs.satellite, inputs.place, inputs.signal
+    doppler_hz, cn0_dbhz = inputs.doppler_hz, inputs.cn0_dbhz
     m = satellite.size
     total, weight = np.zeros(m), np.zeros(m)
     best = np.full((m, MOST_BANDS), -1, np.int64)

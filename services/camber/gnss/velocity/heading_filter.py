@@ -1,11 +1,11 @@
 """Heading of a vehicle from satellite velocity and yaw rate.
 
-Source: R, "Heading": ψ = atan2(V_E, V_N) when the wheel speed is above 0.5 m/s, the two speeds agree within 1.5 m/s and
-HDOP is below 2.5; a Kalman filter of state (ψ, ω) with F = [1 Δt; 0 1] and R = diag(σ²_v/v, σ²_ω).
+Source: Kikuchi (TUMSAT), "Heading": ψ = atan2(V_E, V_N) when the wheel speed is above 0.5 m/s, the two speeds agree
+within 1.5 m/s and HDOP is below 2.5; a Kalman filter of state (ψ, ω) with F = [1 Δt; 0 1] and R = diag(σ²_v/v, σ²_ω).
 
-Taken by its dimensions, a velocity whose component across the direction of travel is off by σ_v turns its direction by
-σ_v / v: the variance of the heading is (σ_v / v)², and the slower, the less it counts. σ_v is that of the velocity's
-own covariance across, and no less than `least_velocity_sigma_m_s`.
+Deviation, for consistent dimensions: a velocity whose component across the direction of travel errs by σ_v errs in
+direction by σ_v / v, so the variance of the heading is (σ_v / v)². σ_v is that of the velocity's covariance across, at
+least `least_velocity_sigma_m_s`.
 
 Heading is clockwise from north, yaw rate counter-clockwise positive (`docs/conventions.md`): ω is dψ/dt = −yaw rate.
 """
@@ -22,13 +22,13 @@ from camber.geodesy.gps_time import NS_PER_SECOND
 Gate = Literal[
     "accepted", "wheel_speed", "speeds_differ", "hdop", "imprecise", "outlier", "not_finite", "too_old"
 ]
-"""What became of a velocity: the three gates of R; `imprecise` is too slow for its own σ; `outlier` contradicts a
-heading that is known; `too_old` comes after what is newer."""
+"""Outcome for a velocity: the three gates of Kikuchi (TUMSAT); `imprecise`: too slow for its σ; `outlier`: contradicts
+a known heading; `too_old`: after a newer input."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeadingOptions:
-    """Gates and standard deviations; the rate of the process is that of a vehicle's yaw acceleration."""
+    """Gates (Kikuchi (TUMSAT): the first three) and standard deviations, chosen for a car and a MEMS gyroscope."""
 
     least_wheel_speed_m_s: float = 0.5
     greatest_speed_difference_m_s: float = 1.5
@@ -38,20 +38,30 @@ class HeadingOptions:
     yaw_acceleration_rad_s2: float = 0.5
     """Standard deviation of the yaw acceleration that acts for a second (white, per √Hz)."""
     greatest_heading_sigma_rad: float = 0.5
-    """Of a velocity; beyond it a direction is no normal variable any more."""
+    """Gate of a velocity; beyond it a direction is not normally distributed."""
     drift_rad_per_root_s: float = 0.005
-    """How heading is lost beside that: the yaw rate's scale and bias."""
+    """Random walk of the heading by the yaw rate's scale and bias."""
     longest_without_velocity_s: float = 10.0
-    """So long after the last accepted velocity the heading is not known any more."""
+    """Time after the last accepted velocity when the heading becomes unknown."""
     longest_step_s: float = 1.0
-    """A gap of everything beyond this: the vehicle may have turned; the heading is not known."""
+    """Longest gap of all inputs: beyond it the vehicle may have turned; the heading is unknown."""
     outlier_sigmas: float = 5.0
     outliers_until_restart: int = 5
-    """So many velocities one after another that contradict the heading: then it is the heading that is wrong."""
+    """Consecutive outliers after which the heading is taken to be wrong and restarted."""
 
 
-@dataclass(frozen=True, slots=True)
-class Heading:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneVelocity:
+    """A satellite velocity in the plane with covariance (ee, en, nn)."""
+
+    east_m_s: float
+    north_m_s: float
+    covariance_m2_s2: tuple[float, float, float]
+    hdop: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadingEstimate:
     """At a time: heading [0, 2π) clockwise from north of the vehicle's x, its rate, and their standard deviations."""
 
     time_ns: int
@@ -62,10 +72,9 @@ class Heading:
 
 
 class HeadingFilter:
-    """Feeds on yaw rates and on velocities with the wheel speed of their time, in the order of their times.
+    """Kalman filter of heading and turn rate; inputs in the order of their times.
 
-    What is older than what came last is ignored; where it is far older, the clock has jumped, and everything is
-    forgotten. A wheel speed is negative backwards: then the vehicle points against its velocity.
+    Input older than the last is ignored; far older input means that the clock was set back and restarts the filter.
     """
 
     def __init__(self, options: HeadingOptions | None = None) -> None:
@@ -79,25 +88,20 @@ class HeadingFilter:
         self._outliers = 0
 
     def add_yaw_rate(self, time_ns: int, yaw_rate_rad_s: float) -> bool:
-        """A yaw rate, counter-clockwise positive; false where it is ignored: older than the last or not finite."""
+        """Update by a yaw rate, counter-clockwise positive; false where it is ignored: late or not finite."""
         if not math.isfinite(yaw_rate_rad_s) or not self._advance(time_ns):
             return False
         if self._velocity_ns is not None:
             self._update_rate(-yaw_rate_rad_s)
         return True
 
-    def add_velocity(
-        self,
-        time_ns: int,
-        east_m_s: float,
-        north_m_s: float,
-        covariance_m2_s2: tuple[float, float, float],
-        hdop: float,
-        wheel_speed_m_s: float,
-    ) -> Gate:
-        """A satellite velocity in the plane with (ee, en, nn), and the wheel speed, negative backwards, at its time."""
-        o = self._options
-        if not all(map(math.isfinite, (east_m_s, north_m_s, *covariance_m2_s2, hdop, wheel_speed_m_s))):
+    def add_velocity(self, time_ns: int, velocity: PlaneVelocity, wheel_speed_m_s: float) -> Gate:
+        """Update by a satellite velocity; the wheel speed at its time is negative backwards."""
+        o, covariance_m2_s2 = self._options, velocity.covariance_m2_s2
+        east_m_s, north_m_s = velocity.east_m_s, velocity.north_m_s
+        if not all(
+            map(math.isfinite, (east_m_s, north_m_s, *covariance_m2_s2, velocity.hdop, wheel_speed_m_s))
+        ):
             return "not_finite"
         if not self._advance(time_ns):
             return "too_old"
@@ -106,7 +110,7 @@ class HeadingFilter:
             return "wheel_speed"
         if not (abs(speed - abs(wheel_speed_m_s)) < o.greatest_speed_difference_m_s and speed > 0.0):
             return "speeds_differ"
-        if not hdop < o.greatest_hdop:
+        if not velocity.hdop < o.greatest_hdop:
             return "hdop"
         course = math.atan2(east_m_s, north_m_s)
         heading = wrap_pi(course + math.pi) if wheel_speed_m_s < 0.0 else course
@@ -117,14 +121,18 @@ class HeadingFilter:
             return "imprecise"
         return self._update_heading(time_ns, heading, across / speed**2)
 
-    def at(self, time_ns: int) -> Heading | None:
-        """The heading at a time not before what came last; None where it is not known."""
+    def at(self, time_ns: int) -> HeadingEstimate | None:
+        """The heading at a time not before the last input; None where it is not known."""
         if self._time_ns is None or time_ns < self._time_ns or not self._is_known(time_ns):
             return None
         dt = (time_ns - self._time_ns) / NS_PER_SECOND
         pp, _, rr = self._predicted(dt)
-        return Heading(
-            time_ns, wrap_two_pi(self._heading + self._rate * dt), self._rate, math.sqrt(pp), math.sqrt(rr)
+        return HeadingEstimate(
+            time_ns=time_ns,
+            heading_rad=wrap_two_pi(self._heading + self._rate * dt),
+            rate_rad_s=self._rate,
+            heading_sigma_rad=math.sqrt(pp),
+            rate_sigma_rad_s=math.sqrt(rr),
         )
 
     def _is_known(self, time_ns: int) -> bool:
@@ -137,7 +145,7 @@ class HeadingFilter:
         )
 
     def _advance(self, time_ns: int) -> bool:
-        """Predict to a time; false, and nothing changes, if that lies before the last."""
+        """Predict to a time; false, without a change, if that is before the last input."""
         if self._time_ns is None:
             self._time_ns = time_ns
             return True
@@ -167,9 +175,9 @@ class HeadingFilter:
     def _update_rate(self, rate_rad_s: float) -> None:
         pp, pr, rr = self._covariance
         total = rr + self._options.yaw_rate_sigma_rad_s**2
-        off = rate_rad_s - self._rate
-        self._heading = wrap_pi(self._heading + pr / total * off)
-        self._rate += rr / total * off
+        innovation = rate_rad_s - self._rate
+        self._heading = wrap_pi(self._heading + pr / total * innovation)
+        self._rate += rr / total * innovation
         kept = 1.0 - rr / total
         self._covariance = (pp - pr * pr / total, pr * kept, rr * kept)
 
@@ -180,21 +188,21 @@ class HeadingFilter:
             return "accepted"
         pp, pr, rr = self._covariance
         total = pp + variance
-        off = angle_difference(heading_rad, self._heading)
-        if off * off > o.outlier_sigmas**2 * total:
+        innovation = angle_difference(heading_rad, self._heading)
+        if innovation * innovation > o.outlier_sigmas**2 * total:
             self._outliers += 1
             if self._outliers < o.outliers_until_restart:
                 return "outlier"
             self._start(time_ns, heading_rad, variance)
             return "accepted"
-        self._heading = wrap_pi(self._heading + pp / total * off)
-        self._rate += pr / total * off
+        self._heading = wrap_pi(self._heading + pp / total * innovation)
+        self._rate += pr / total * innovation
         kept = 1.0 - pp / total
         self._covariance = (pp * kept, pr * kept, rr - pr * pr / total)
         self._velocity_ns, self._outliers = time_ns, 0
         return "accepted"
 
     def _start(self, time_ns: int, heading_rad: float, variance: float) -> None:
-        # Of a rate nothing is known yet: a car turns by less than 1 rad/s.
+        # The rate is unknown: a car turns by less than 1 rad/s.
         self._heading, self._rate, self._covariance = heading_rad, 0.0, (variance, 0.0, 1.0)
         self._velocity_ns, self._outliers = time_ns, 0

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, Limits, chi2_limit, estimate, phase_residuals
-from camber.gnss.ambiguity.resolution import RESOLVED
-from camber.gnss.observations.single_differences import Rows, without_clocks
-from camber.gnss.position.float_solution import inverse_3
-from camber.gnss.position.rtk_engine import EngineOptions
+from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, chi2_limit, estimate, phase_residuals
+from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria
+from camber.gnss.observations.single_differences import SingleDifferences, without_clocks
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.float_solution import PositionPrior, inverse_3
 from camber.simulator.satellites.random_skies import LATER_S, RandomSkies
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 Kind = Literal["cycles", "search", "right"]
 
-_LIMITS = EngineOptions(least_success=0.0, partial=False).limits()
+_LIMITS = EngineSettings(least_success_rate=0.0, partial=False).fix_criteria()
 _WHITE = 0.4  # of the σ that an engine assumes, the rest of which is for reflections
 _MOST_ROWS_OF_SEARCH, _MOST_OF_SEARCH = 20, 3
 
@@ -87,7 +87,7 @@ def fix_shapes(skies: RandomSkies, kind: Kind, tries: int, rng: np.random.Genera
 def _shapes(
     rows: Integers, direction: Floats, later: Floats, satellite: Integers, group: Integers, wavelength: Floats,
     code_sigma: Floats, phase_sigma: Floats, reflection: Floats, code_bias: Floats, detour: Floats,
-    kind: int, limits: Limits, tries: int, seeds: Integers,
+    kind: int, limits: FixCriteria, tries: int, seeds: Integers,
     shift: Floats, rate: Floats, claimed: Floats, reflected: Floats, status: Integers, count: Integers,
 ) -> None:  # fmt: skip
     """Into the columns of each try; `status` 1: passes all tests, 2: its residuals do not, 0: no fix of this kind."""
@@ -96,7 +96,7 @@ def _shapes(
             continue
         m, found = rows[k], 0
         nothing, zeros, air = np.zeros(m, np.int64), np.zeros(m), np.zeros((3, 3))
-        sky = Rows(
+        sky = SingleDifferences(
             nothing, nothing, satellite[k, :m].copy(), group[k, :m].copy(), wavelength[k, :m].copy(),
             direction[k, :m].copy(), np.zeros(m), np.zeros(m), code_sigma[k, :m] ** 2, phase_sigma[k, :m] ** 2,
             zeros, zeros, air,
@@ -127,7 +127,12 @@ def _shapes(
 
 @compiled
 def _disturb(
-    sky: Rows, phase_sigma: Floats, reflection: Floats, code_sigma: Floats, code_bias: Floats, detour: Floats
+    sky: SingleDifferences,
+    phase_sigma: Floats,
+    reflection: Floats,
+    code_sigma: Floats,
+    code_bias: Floats,
+    detour: Floats,
 ) -> None:
     """Errors of codes and phases, drawn anew; of the codes' reflections a quarter to three times the sky's σ."""
     of_satellite, factor = 0.0, np.exp(np.random.uniform(np.log(0.25), np.log(3.0)))
@@ -141,14 +146,14 @@ def _disturb(
 
 
 @compiled
-def _integers(sky: Rows, kind: int, limits: Limits) -> tuple[bool, bool, Floats]:
+def _integers(sky: SingleDifferences, kind: int, limits: FixCriteria) -> tuple[bool, bool, Floats]:
     """Is there a fix of this kind, do its residuals pass, and its integers' errors (m,), NaN where not fixed."""
     m = sky.satellite.size
     integer, off, passed = np.zeros(m), False, True
     if kind == 0:
         _off_by_cycles(sky, integer)
     elif kind == 1:
-        found = estimate(sky, np.ones(m, np.bool_), np.zeros(3), np.zeros((3, 3)), limits)
+        found = estimate(sky, np.ones(m, np.bool_), PositionPrior(np.zeros(3), np.zeros((3, 3))), limits)
         if found.status != RESOLVED and found.status != CONTRADICTORY:
             return False, False, integer
         passed = found.status == RESOLVED
@@ -159,12 +164,12 @@ def _integers(sky: Rows, kind: int, limits: Limits) -> tuple[bool, bool, Floats]
         return False, False, integer
     if kind != 1:
         chi2, freedom = phase_residuals(sky, integer)
-        passed = freedom < 1 or not chi2 > chi2_limit(freedom, limits.normal_quantile)
+        passed = freedom < 1 or not chi2 > chi2_limit(freedom, limits.residual_quantile)
     return kind != 2 or passed, passed, integer
 
 
 @compiled
-def _off_by_cycles(rows: Rows, integer: Floats) -> None:
+def _off_by_cycles(rows: SingleDifferences, integer: Floats) -> None:
     """One to three cycles on one to three satellites, on one band of each or on all, into `integer` (m,)."""
     m = integer.size
     for _ in range(np.random.randint(1, 4)):
@@ -177,7 +182,9 @@ def _off_by_cycles(rows: Rows, integer: Floats) -> None:
 
 
 @compiled
-def _solved(rows: Rows, direction: Floats, integer: Floats) -> tuple[bool, Floats, Floats, Floats]:
+def _solved(
+    rows: SingleDifferences, direction: Floats, integer: Floats
+) -> tuple[bool, Floats, Floats, Floats]:
     """Where the integers (NaN: not fixed) move a position by these directions (m, 3), its covariance, and what each
     phase moves it by, (m, 3) per metre."""
     m = integer.size
@@ -186,7 +193,7 @@ def _solved(rows: Rows, direction: Floats, integer: Floats) -> tuple[bool, Float
         if integer[i] == integer[i]:
             length[i] = -integer[i] * rows.wavelength_m[i]
             weights[i] = 1.0 / rows.phase_variance_m2[i]
-    turned = Rows(
+    turned = SingleDifferences(
         rows.rover, rows.base, rows.satellite, rows.group, rows.wavelength_m, np.ascontiguousarray(direction),
         rows.code_m, rows.phase_m, rows.code_variance_m2, rows.phase_variance_m2, rows.elevation_rad,
         rows.cn0_dbhz, rows.atmosphere_m2,

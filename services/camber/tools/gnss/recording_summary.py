@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from camber.formats.observations import Ephemeris, Integers, ObservationEpoch, satellite_name, signal_name
 from camber.formats.receiver.solution import ReceiverSolution
 from camber.geodesy.gps_time import gpst_from_gps_ns, text_from_calendar
-from camber.gnss.observations.cycle_slips import REASONS, ArcTracker
+from camber.gnss.observations.cycle_slips import REASONS, CycleSlipDetector
 from camber.gnss.observations.ephemeris_store import is_healthy, refusal
 from camber.gnss.observations.epoch_order import EpochOrder, Order
 from camber.schemas.gnss import ReceiverIntegrity
@@ -56,7 +56,7 @@ class TimeLine:
             self._repeated += repeated
             self._late += not repeated
             return order
-        if order == "anew":
+        if order == "restarted":
             self._went_back.append(time_ns)
         self._times_ns.append(time_ns)
         return order
@@ -135,7 +135,7 @@ class ObservationSummary:
         self._signals: defaultdict[int, _Signal] = defaultdict(_Signal)
         self._satellites_of_epochs: Counter[int] = Counter()
         self._rows_of_systems: Counter[str] = Counter()
-        self._tracker: ArcTracker | None = None
+        self._tracker: CycleSlipDetector | None = None
         self._last_arc = 0
         self._epochs = 0
 
@@ -229,7 +229,7 @@ class ObservationSummary:
             steps_s = np.diff(times_ns) * _NS
             interval_s = float(np.median(steps_s[steps_s > 0])) if (steps_s > 0).any() else 1.0
             # As the engine has it, but a recording of one epoch in 30 s is not all gaps.
-            self._tracker = ArcTracker(longest_gap_s=max(2.1, _GAP * interval_s))
+            self._tracker = CycleSlipDetector(longest_gap_s=max(2.1, _GAP * interval_s))
         begun = []
         for epoch in epochs:
             arcs = self._tracker.update(epoch)

@@ -7,7 +7,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.ellipsoid import geodetic_from_ecef
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.gnss.position.rtk_engine import Engine, EngineOptions
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine
 from camber.schemas.drive import DriveManifest, ManifestError, load_manifest
 from camber.tools.gnss.raw_recording import RawRecording, load_raw
 from camber.tools.gnss.recording_summary import time_text
@@ -69,7 +70,7 @@ def main(argv: Sequence[str]) -> int:
     return report_failures(_PROG, args.out, work)
 
 
-def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
+def solve(manifest: DriveManifest, options: EngineSettings, out: Path) -> str:
     """Write `engine.pos` and `engine.svg` into a folder; returns a summary.
 
     Raises ManifestError where the drive has no raw observations or none in its time, FormatError, OSError.
@@ -101,13 +102,13 @@ def solve(manifest: DriveManifest, options: EngineOptions, out: Path) -> str:
 
 
 def run_engine(
-    recording: RawRecording, rover: Sequence[ObservationEpoch], options: EngineOptions
+    recording: RawRecording, rover: Sequence[ObservationEpoch], options: EngineSettings
 ) -> SolvedDrive:
     """Solve the rover's epochs in order, each with the newest base epoch at its time; all ephemerides known at once, as
     in post-processing."""
     sets = Counter(ephemeris.satellite for ephemeris in recording.ephemerides)
     most = max(options.ephemerides_of_satellite, *sets.values(), 0)
-    engine = Engine(replace(options, ephemerides_of_satellite=most), recording.base_ecef_m)
+    engine = Engine(options.model_copy(update={"ephemerides_of_satellite": most}), recording.base_ecef_m)
     for ephemeris in recording.ephemerides:
         engine.add_ephemeris(ephemeris)
     if recording.ionosphere is not None:
@@ -242,14 +243,17 @@ def _counted(counts: Sequence[tuple[str, int]]) -> str:
     return ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in counts)
 
 
-def _options(args: argparse.Namespace) -> EngineOptions:
-    bands = {letter: digits for letter, digits in EngineOptions().bands.items() if letter in args.systems}
-    return EngineOptions(
-        bands=bands,
-        lowest_elevation_rad=math.radians(args.elevation_deg),
-        least_cn0_dbhz=args.cn0_dbhz,
-        least_ratio=args.ratio,
-        partial=args.partial,
+def _options(args: argparse.Namespace) -> EngineSettings:
+    names = {"G": "gps_bands", "E": "galileo_bands", "C": "beidou_bands"}
+    unused = {name: "" for letter, name in names.items() if letter not in args.systems}
+    return EngineSettings().model_copy(
+        update={
+            **unused,
+            "lowest_elevation_deg": args.elevation_deg,
+            "least_cn0_dbhz": args.cn0_dbhz,
+            "least_ratio": args.ratio,
+            "partial": args.partial,
+        }
     )
 
 
@@ -263,7 +267,7 @@ def _systems(text: str) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    default = EngineOptions()
+    default = EngineSettings()
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest with a table observations")
     parser.add_argument(
@@ -285,7 +289,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--elevation-deg",
         type=number_from(0.0, 89.0),
-        default=round(math.degrees(default.lowest_elevation_rad), 6),
+        default=default.lowest_elevation_deg,
         help="elevation mask in degrees (default %(default)s)",
     )
     parser.add_argument(

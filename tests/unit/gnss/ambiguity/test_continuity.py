@@ -81,7 +81,7 @@ def test_a_chain_begins_with_its_first_fix_and_anew_after_a_break():
     wrong = fix(*[(s, g, n + (s == 2), arc) for s, g, n, arc in FIVE])
     assert tracker.update(60, wrong) == ("broken", 60)
     assert tracker.update(70, wrong) == ("continuous", 60)
-    tracker.forget()
+    tracker.reset()
     assert tracker.update(80, wrong) == ("no_evidence", 80)
 
 

@@ -21,17 +21,16 @@ from camber.gnss.ambiguity.fixed_solution import (
     phase_residuals,
 )
 from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, UNLIKELY
-from camber.gnss.position.float_solution import float_position, float_with_prior
-from camber.gnss.position.rtk_engine import EngineOptions
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior, float_position, float_with_prior
 from support.single_difference_rows import double_differences, made_up_rows, slow_float
 
-LIMITS = EngineOptions().limits()
-NOTHING = np.zeros(3), np.zeros((3, 3))
+LIMITS = EngineSettings().fix_criteria()
 
 
-def estimated(rows, usable=None, limits=LIMITS, prior=NOTHING) -> Estimate:
+def estimated(rows, usable=None, limits=LIMITS, prior=NO_PRIOR) -> Estimate:
     usable = np.ones(rows.group.size, np.bool_) if usable is None else usable
-    return estimate(rows, usable, *prior, limits)
+    return estimate(rows, usable, prior, limits)
 
 
 def slow_estimate(rows, used, last=False):
@@ -77,7 +76,7 @@ def calm(seed, **arguments):
 def test_ambiguities_and_their_covariances_are_those_of_one_least_squares(seed):
     rows = calm(seed, satellites=6).rows
     used = np.ones(rows.group.size, np.bool_)
-    first = float_position(rows, used, *NOTHING, np.inf)
+    first = float_position(rows, used, NO_PRIOR, np.inf)
     assert first.chi2 < first.freedom
     found = ambiguities(rows, used, first.dx_m, first.covariance_m2)
     state, covariance, pairs = slow_estimate(rows, used)
@@ -112,15 +111,15 @@ def test_the_ratio_is_that_of_an_exhaustive_search():
     """Few ambiguities and a prior of decimetres: every vector of integers near the float is tried."""
     for seed in range(6):
         made = calm(seed, satellites=6, systems="G", bands=1)
-        prior = made.dx_m + 0.03, np.eye(3) / 0.15**2
+        prior = PositionPrior(made.dx_m + 0.03, np.eye(3) / 0.15**2)
         used = np.ones(6, np.bool_)
-        first = float_with_prior(made.rows, used, *prior, LIMITS.code_outlier)
+        first = float_with_prior(made.rows, used, prior, LIMITS.code_outlier)
         unknown = ambiguities(made.rows, used, first.dx_m, first.covariance_m2)
         weight = np.linalg.inv(unknown.covariance)
         steps = np.array(list(itertools.product(range(-5, 6), repeat=unknown.value.size)))
         apart = unknown.value - np.rint(unknown.value) - steps
         norms = np.sort(np.einsum("ij,jk,ik->i", apart, weight, apart))
-        got = estimated(made.rows, limits=LIMITS._replace(partial=False, least_success=0.0), prior=prior)
+        got = estimated(made.rows, limits=LIMITS._replace(partial=False, least_success_rate=0.0), prior=prior)
         assert got.squared_norm == pytest.approx(norms[0], rel=1e-6)
         assert got.ratio == pytest.approx(norms[1] / norms[0], rel=1e-6)
 

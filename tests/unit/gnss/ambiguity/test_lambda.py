@@ -23,9 +23,9 @@ from camber.gnss.ambiguity.resolution import (
     adop_cycles,
     bootstrapped_log_success,
     conditional_update,
-    resolve,
 )
 from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
+from support.ambiguity_resolution import resolved
 
 Floats = NDArray[np.float64]
 SEED = 20260
@@ -94,7 +94,7 @@ def ten_covariance() -> Floats:
 
 def two_best(floats: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """Both vectors (2, n) and their squared norms (2,), by decorrelation and search."""
-    definite, upper, variances, transform = decorrelated(covariance)
+    definite, (upper, variances, transform) = decorrelated(covariance)
     assert definite
     whole = np.rint(floats)
     found, vectors, norms, _ = nearest_integers(upper, variances, transform @ (floats - whole), 2, 1_000_000)
@@ -103,7 +103,7 @@ def two_best(floats: Floats, covariance: Floats) -> tuple[Floats, Floats]:
 
 
 def all_of_them(floats: Floats, covariance: Floats, partial: bool = False) -> Resolution:
-    return resolve(floats, covariance, 0.0, 0.0, 1, 1_000_000, partial)
+    return resolved(floats, covariance, most_nodes=1_000_000, partial=partial)
 
 
 def random_covariance(random: np.random.Generator, count: int) -> Floats:
@@ -210,7 +210,7 @@ def test_more_than_two_are_found_in_order() -> None:
     random = np.random.default_rng(SEED + 2)
     for count in (1, 2, 4):
         covariance = random_covariance(random, count)
-        _, upper, variances, transform = decorrelated(covariance)
+        _, (upper, variances, transform) = decorrelated(covariance)
         floats = transform @ random.uniform(-0.5, 0.5, count)
         found, vectors, norms, _ = nearest_integers(upper, variances, floats, 7, 100_000)
         every, all_norms = integers_within(
@@ -227,7 +227,7 @@ def test_the_transformation_is_unimodular_and_gives_the_decorrelated_covariance(
 ) -> None:
     random = np.random.default_rng(SEED + satellites)
     covariance = float_covariance(random, satellites, bands)
-    definite, upper, variances, transform = decorrelated(covariance)
+    definite, (upper, variances, transform) = decorrelated(covariance)
     assert definite
     np.testing.assert_array_equal(transform, np.rint(transform))
     inverse = np.rint(np.linalg.inv(transform))
@@ -245,7 +245,7 @@ def test_the_transformation_is_unimodular_and_gives_the_decorrelated_covariance(
 def test_decorrelation_levels_the_conditional_variances() -> None:
     random = np.random.default_rng(SEED + 3)
     covariance = float_covariance(random, 16, 2)
-    _, upper, variances, _ = decorrelated(covariance)
+    _, (upper, variances, _) = decorrelated(covariance)
     # Lovász' condition of each pair of neighbours, and sizes of at most a half.
     pairs = np.diag(upper, 1) ** 2 * variances[1:] + variances[:-1]
     assert (pairs >= variances[1:] * (1.0 - 1e-6)).all()
@@ -312,7 +312,7 @@ def test_of_any_numbers_the_answer_is_either_integers_or_nothing(
         covariance[row, column] = covariance[column, row] = random.choice(
             [0.0, -1.0, 1e300, math.inf, math.nan]
         )
-    resolution = resolve(floats, covariance, 1.5, 0.0, 1, 2000, partial)
+    resolution = resolved(floats, covariance, least_ratio=1.5, most_nodes=2000, partial=partial)
     assert resolution.nodes <= 2000
     if resolution.status != RESOLVED:
         assert resolution.fixed == 0
@@ -325,7 +325,7 @@ def test_of_any_numbers_the_answer_is_either_integers_or_nothing(
     assert 0.0 <= resolution.squared_norm <= resolution.second_squared_norm
     if resolution.fixed == count:
         np.testing.assert_array_equal(resolution.ambiguities, np.rint(resolution.ambiguities))
-        np.testing.assert_array_equal(resolution.transform @ resolution.ambiguities, resolution.z_fixed)
+        np.testing.assert_array_equal(resolution.z.transform @ resolution.ambiguities, resolution.z_fixed)
 
 
 def test_no_ambiguities_are_refused() -> None:
@@ -344,30 +344,30 @@ def test_a_search_that_was_cut_off_resolves_nothing() -> None:
     whole = all_of_them(floats, covariance)
     assert whole.status == RESOLVED
     for most_nodes in (-1, 0, 1, 15, whole.nodes - 1):
-        cut = resolve(floats, covariance, 0.0, 0.0, 1, most_nodes, False)
+        cut = resolved(floats, covariance, most_nodes=most_nodes)
         assert (cut.status, cut.fixed) == (SEARCH_CUT, 0)
         assert np.isnan(cut.z_fixed).all()
         np.testing.assert_array_equal(cut.ambiguities, floats)
-    assert resolve(floats, covariance, 0.0, 0.0, 1, whole.nodes, False).status == RESOLVED
+    assert resolved(floats, covariance, most_nodes=whole.nodes).status == RESOLVED
 
 
 def test_a_hopeless_case_ends_at_the_limit_of_nodes() -> None:
     # Nearly all corners of the cube around it are as near as one another.
-    resolution = resolve(np.full(30, 0.4999), np.eye(30), 3.0, 0.0, 1, 5000, False)
+    resolution = resolved(np.full(30, 0.4999), np.eye(30), least_ratio=3.0, most_nodes=5000)
     assert (resolution.status, resolution.nodes) == (SEARCH_CUT, 5000)
 
 
 def test_the_ratio_must_exceed_what_is_asked_for() -> None:
     ratio = 0.30727 / 0.21833
-    taken = resolve(THREE, THREE_COVARIANCE, ratio - 1e-3, 0.0, 1, 1000, False)
-    refused = resolve(THREE, THREE_COVARIANCE, ratio + 1e-3, 0.0, 1, 1000, False)
+    taken = resolved(THREE, THREE_COVARIANCE, least_ratio=ratio - 1e-3, most_nodes=1000)
+    refused = resolved(THREE, THREE_COVARIANCE, least_ratio=ratio + 1e-3, most_nodes=1000)
     assert (taken.status, taken.fixed) == (RESOLVED, 3)
     assert (refused.status, refused.fixed, refused.trials) == (RATIO_TOO_LOW, 0, 1)
     assert refused.ratio == pytest.approx(ratio, rel=1e-4)
 
 
 def test_floats_that_are_integers_have_an_infinite_ratio() -> None:
-    resolution = resolve(np.array([3.0, -7.0, 12.0]), THREE_COVARIANCE, 3.0, 0.0, 1, 1000, False)
+    resolution = resolved(np.array([3.0, -7.0, 12.0]), THREE_COVARIANCE, least_ratio=3.0, most_nodes=1000)
     assert (resolution.status, resolution.ratio) == (RESOLVED, math.inf)
     assert resolution.ambiguities.tolist() == [3.0, -7.0, 12.0]
 
@@ -375,7 +375,7 @@ def test_floats_that_are_integers_have_an_infinite_ratio() -> None:
 def test_the_success_rate_is_that_of_bootstrapping_by_simulation() -> None:
     random = np.random.default_rng(SEED + 5)
     covariance = float_covariance(random, 7, 1, code_sigma_m=0.3)
-    _, upper, variances, transform = decorrelated(covariance)
+    _, (upper, variances, transform) = decorrelated(covariance)
     count = variances.size
     samples = 100_000
     floats = drawn(random, transform @ covariance @ transform.T, samples)
@@ -404,7 +404,7 @@ def test_the_success_rate_bounds_that_of_least_squares_from_below() -> None:
 
 def test_adop_is_the_volume_of_the_covariance_and_the_same_before_and_after_decorrelation() -> None:
     covariance = float_covariance(np.random.default_rng(SEED), 8, 2)
-    _, _, variances, _ = decorrelated(covariance)
+    _, (_, variances, _) = decorrelated(covariance)
     _, logarithm = np.linalg.slogdet(covariance)
     assert adop_cycles(variances) == pytest.approx(math.exp(logarithm / 28.0), rel=1e-6)
 
@@ -423,24 +423,29 @@ def test_the_largest_part_that_is_sure_enough_is_fixed() -> None:
     errors = drawn(random, covariance, 200)
     fixed = []
     for row in errors:
-        resolution = resolve(row, covariance, 1.5, 0.999, 4, 10_000, True)
+        resolution = resolved(
+            row, covariance, least_ratio=1.5, least_success_rate=0.999, least_fixed=4, partial=True
+        )
         # All at once reach no success rate worth naming.
-        assert resolve(row, covariance, 1.5, 0.999, 4, 10_000, False).status == UNLIKELY
+        assert (
+            resolved(row, covariance, least_ratio=1.5, least_success_rate=0.999, least_fixed=4).status
+            == UNLIKELY
+        )
         if resolution.status == RESOLVED:
             fixed.append(resolution.fixed)
             first = 18 - resolution.fixed
             assert resolution.success_rate >= 0.999
             assert math.exp(
-                bootstrapped_log_success(resolution.variances, resolution.fixed)
+                bootstrapped_log_success(resolution.z.variances, resolution.fixed)
             ) == pytest.approx(resolution.success_rate)
             if resolution.trials == 1:
-                one_more = bootstrapped_log_success(resolution.variances, resolution.fixed + 1)
+                one_more = bootstrapped_log_success(resolution.z.variances, resolution.fixed + 1)
                 assert one_more < math.log(0.999)
             assert not np.isfinite(resolution.z_fixed[:first]).any()
             # The truth is zero, and so are its combinations.
             assert not resolution.z_fixed[first:].any()
             np.testing.assert_allclose(
-                resolution.z_residual[first:], (resolution.transform @ row)[first:], atol=1e-8
+                resolution.z_residual[first:], (resolution.z.transform @ row)[first:], atol=1e-8
             )
     assert len(fixed) > 190
     assert max(fixed) < 18
@@ -451,7 +456,9 @@ def test_a_part_is_made_smaller_while_its_ratio_is_too_low_but_not_below_the_lea
     covariance = float_covariance(random, 8, 2, code_sigma_m=0.8)
     statuses = set()
     for row in drawn(random, covariance, 300):
-        resolution = resolve(row, covariance, 12.0, 0.9, 6, 10_000, True)
+        resolution = resolved(
+            row, covariance, least_ratio=12.0, least_success_rate=0.9, least_fixed=6, partial=True
+        )
         statuses.add((resolution.status, resolution.trials > 1))
         if resolution.status == RESOLVED:
             assert resolution.fixed >= 6
@@ -459,7 +466,12 @@ def test_a_part_is_made_smaller_while_its_ratio_is_too_low_but_not_below_the_lea
             assert resolution.fixed == 0
             assert resolution.trials <= 14 - 6 + 1
     assert {(RESOLVED, False), (RESOLVED, True)} <= statuses
-    assert resolve(row, covariance, 3.0, 0.9, 15, 10_000, True).status == UNLIKELY
+    assert (
+        resolved(
+            row, covariance, least_ratio=3.0, least_success_rate=0.9, least_fixed=15, partial=True
+        ).status
+        == UNLIKELY
+    )
 
 
 def test_the_conditional_update_is_the_textbooks() -> None:
@@ -470,10 +482,12 @@ def test_the_conditional_update_is_the_textbooks() -> None:
         cross = random.standard_normal((5, 18)) @ covariance * 0.01
         spread = cross @ np.linalg.solve(covariance, cross.T)
         state, state_covariance = random.standard_normal(5), spread + np.diag(np.full(5, 0.01))
-        resolution = resolve(floats, covariance, 1.0, 0.99 if partial else 0.0, 1, 10_000, partial)
+        resolution = resolved(
+            floats, covariance, least_ratio=1.0, least_success_rate=0.99 if partial else 0.0, partial=partial
+        )
         assert resolution.status == RESOLVED
         updated, updated_covariance = conditional_update(state, state_covariance, cross, resolution)
-        chosen = resolution.transform[18 - resolution.fixed :]
+        chosen = resolution.z.transform[18 - resolution.fixed :]
         z_covariance = chosen @ covariance @ chosen.T
         gain = np.linalg.solve(z_covariance, chosen @ cross.T).T
         residual = chosen @ floats - resolution.z_fixed[18 - resolution.fixed :]
@@ -486,7 +500,7 @@ def test_the_conditional_update_is_the_textbooks() -> None:
 
 
 def test_where_nothing_is_fixed_the_update_gives_back_the_float_state() -> None:
-    resolution = resolve(THREE, THREE_COVARIANCE, 100.0, 0.0, 1, 1000, False)
+    resolution = resolved(THREE, THREE_COVARIANCE, least_ratio=100.0, most_nodes=1000)
     updated, covariance = conditional_update(np.ones(2), np.eye(2), np.ones((2, 3)), resolution)
     assert updated.tolist() == [1.0, 1.0]
     assert covariance.tolist() == np.eye(2).tolist()

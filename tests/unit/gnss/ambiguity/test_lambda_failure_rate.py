@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
 from camber.gnss.ambiguity.ratio_thresholds import ratio_for_failure_rate
-from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, bootstrapped_log_success, resolve
+from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, bootstrapped_log_success
 from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
+from support.ambiguity_resolution import resolved
 
 Floats = NDArray[np.float64]
 SEED = 77_000
@@ -20,7 +21,7 @@ SEED = 77_000
 
 def failing(covariance: Floats, failure: float) -> Floats:
     """The covariance times what makes bootstrapping fail so often."""
-    _, _, variances, _ = decorrelated(covariance)
+    _, (_, variances, _) = decorrelated(covariance)
     low, high = 1e-6, 1e6
     for _ in range(100):
         middle = math.sqrt(low * high)
@@ -50,7 +51,7 @@ def test_wrong_integers_are_taken_no_more_often_than_the_failure_rate(
     random = np.random.default_rng(SEED + satellites * 10 + bands)
     code_sigma_m = float(random.uniform(0.3, 2.0))
     covariance = failing(float_covariance(random, satellites, bands, code_sigma_m=code_sigma_m), failure)
-    _, upper, variances, transform = decorrelated(covariance)
+    _, (upper, variances, transform) = decorrelated(covariance)
     count = variances.size
     needed = ratio_for_failure_rate(count, failure, failure_rate)
     samples = 20_000
@@ -107,17 +108,17 @@ def test_resolving_with_a_failure_rate_asks_for_the_tables_ratio() -> None:
     needed = ratio_for_failure_rate(10, 0.05, 0.01)
     statuses = set()
     for row in drawn(random, covariance, 300):
-        resolution = resolve(row, covariance, 1e9, 0.0, 1, 10_000, False, 0.01)
+        resolution = resolved(row, covariance, least_ratio=1e9, failure_rate=0.01)
         assert resolution.ratio_needed == needed
         assert resolution.status == (RESOLVED if resolution.ratio > needed else RATIO_TOO_LOW)
         statuses.add(resolution.status)
     assert statuses == {RESOLVED, RATIO_TOO_LOW}
-    assert resolve(row, covariance, 0.0, 0.0, 1, 10_000, False, 1e-6).status == RATIO_TOO_LOW
+    assert resolved(row, covariance, failure_rate=1e-6).status == RATIO_TOO_LOW
 
 
 def test_a_model_that_hardly_fails_needs_no_ratio() -> None:
     covariance = failing(float_covariance(np.random.default_rng(SEED), 10, 2), 1e-4)
     row = drawn(np.random.default_rng(SEED), covariance, 1)[0]
-    resolution = resolve(row, covariance, 1e9, 0.0, 1, 10_000, True, 0.001)
+    resolution = resolved(row, covariance, least_ratio=1e9, partial=True, failure_rate=0.001)
     assert (resolution.status, resolution.fixed, resolution.ratio_needed) == (RESOLVED, 18, 1.0)
     assert ratio_for_failure_rate(60, 1e-4, 0.001) == 1.0

@@ -16,15 +16,16 @@ from camber.geodesy.ellipsoid import ecef_from_geodetic_scalar
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY
 from camber.gnss.candidates import engine_candidates as engine_side
 from camber.gnss.candidates.engine_candidates import (
-    LastEpochs,
+    RecentEpochs,
     enu_covariance,
     fix_from_solution,
     observations_from,
     velocity_from,
 )
-from camber.gnss.candidates.satellite_subsets import OtherEstimate
-from camber.gnss.position.rtk_engine import EngineOptions, Solution
-from camber.gnss.velocity.heading_filter import Heading
+from camber.gnss.candidates.satellite_subsets import SubsetCandidate
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Solution
+from camber.gnss.velocity.heading_filter import HeadingEstimate
 from camber.gnss.warm_up import warm_up
 from camber.schemas.gnss import EstimatesRequest
 
@@ -51,6 +52,17 @@ def solution(**changed: Any) -> Solution:
         continuity="continuous",
         continuous_since_ns=TIME_NS - NS,
         **changed,
+    )
+
+
+def single_point_solution(reason: str) -> Solution:
+    return Solution(
+        time_ns=TIME_NS,
+        quality="single",
+        reason=reason,
+        position_ecef_m=PLACE,
+        covariance_ecef_m2=np.eye(3),
+        satellites=8,
     )
 
 
@@ -119,8 +131,7 @@ def test_of_an_epoch_that_is_not_fixed_nothing_is_said_about_fixed_ambiguities()
 
 
 def test_a_position_of_the_rover_alone_has_no_ratio_and_no_age() -> None:
-    single = Solution(TIME_NS, "single", "no_base", PLACE, np.eye(3), 8)
-    fix = fix_from_solution(single, "WGS84")
+    fix = fix_from_solution(single_point_solution("no_base"), "WGS84")
     assert fix is not None
     unknown = (fix.ratio, fix.age_of_corrections_s, fix.ambiguities_fixed, fix.success_rate)
     assert (fix.quality, *unknown) == ("single", None, None, None, None)
@@ -143,7 +154,10 @@ def test_corrections_from_after_the_epoch_are_as_old_as_they_are_young() -> None
 
 
 def test_an_epoch_without_a_position_is_no_fix() -> None:
-    assert fix_from_solution(Solution(TIME_NS, "none", "too_few_satellites", None, None, 0), "WGS84") is None
+    assert (
+        fix_from_solution(Solution(time_ns=TIME_NS, quality="none", reason="too_few_satellites"), "WGS84")
+        is None
+    )
 
 
 def test_a_position_that_nobody_can_have_is_refused() -> None:
@@ -170,7 +184,10 @@ def test_velocity_and_heading_are_told_with_their_errors() -> None:
         covariance_enu_m2_s2=np.array([[4.0, 0.1, 0.2], [0.1, 5.0, 0.3], [0.2, 0.3, 6.0]]),
         hdop=1.25,
     )
-    told = velocity_from(moving, Heading(TIME_NS, 2.5, 0.0, 0.01, 0.1))
+    heading = HeadingEstimate(
+        time_ns=TIME_NS, heading_rad=2.5, rate_rad_s=0.0, heading_sigma_rad=0.01, rate_sigma_rad_s=0.1
+    )
+    told = velocity_from(moving, heading)
     assert told is not None
     assert told.time_ns == SOLVED.time_ns
     assert told.velocity_enu_m_s == (1.0, -2.0, 0.25)
@@ -222,12 +239,12 @@ def test_an_epoch_without_rows_is_told_too() -> None:
     assert observations_from(observed(0), "rover").satellite.size == 0
 
 
-def ask(epochs: LastEpochs, fix_id: int, **request: Any) -> Any:
+def ask(epochs: RecentEpochs, fix_id: int, **request: Any) -> Any:
     return epochs.estimates(EstimatesRequest(time_ns=TIME_NS, fix_id=fix_id, **request))
 
 
 def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
-    epochs = LastEpochs(EngineOptions())
+    epochs = RecentEpochs(EngineSettings())
     epochs.keep(SOLVED)
     answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=6)
     assert (answer.status, answer.trials, answer.reason) == ("available", 6, "")
@@ -237,8 +254,8 @@ def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
         place = ecef_from_geodetic_scalar(candidate.latitude_rad, candidate.longitude_rad, candidate.height_m)
         assert np.linalg.norm(place - SOLVED.position_ecef_m) < 0.05
         assert len(candidate.excluded_satellites) >= 1
-        assert candidate.ambiguities >= EngineOptions().least_fixed
-        assert candidate.ratio >= EngineOptions().least_ratio
+        assert candidate.ambiguities >= EngineSettings().least_fixed
+        assert candidate.ratio >= EngineSettings().least_ratio
     named = answer.candidates[0].excluded_satellites
     (one,) = ask(
         epochs, SOLVED.time_ns // 1_000_000, strategy="explicit", excluded_satellites=named
@@ -247,7 +264,7 @@ def test_other_estimates_are_of_the_epoch_that_was_asked_for() -> None:
 
 
 def test_an_epoch_is_remembered_for_twenty_more_and_then_forgotten() -> None:
-    epochs = LastEpochs(EngineOptions())
+    epochs = RecentEpochs(EngineSettings())
     for n in range(21):
         epochs.keep(replace(SOLVED, time_ns=TIME_NS + n * NS // 10))
     first, second = TIME_NS // 1_000_000, TIME_NS // 1_000_000 + 100
@@ -257,20 +274,29 @@ def test_an_epoch_is_remembered_for_twenty_more_and_then_forgotten() -> None:
 
 
 def test_an_epoch_without_differences_says_why_there_are_no_estimates() -> None:
-    epochs = LastEpochs(EngineOptions())
-    epochs.keep(Solution(TIME_NS, "single", "base_too_old", PLACE, np.eye(3), 8))
+    epochs = RecentEpochs(EngineSettings())
+    epochs.keep(single_point_solution("base_too_old"))
     answer = ask(epochs, TIME_NS // 1_000_000)
     assert (answer.status, answer.reason, answer.candidates) == ("unavailable", "base_too_old", ())
 
 
 def test_no_more_candidates_are_told_than_an_answer_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
-    other = OtherEstimate(PLACE, np.eye(3), ("G01",), 9, 8, 1e12, 0.99, 3)
+    other = SubsetCandidate(
+        position_ecef_m=PLACE,
+        covariance_ecef_m2=np.eye(3),
+        excluded=("G01",),
+        ambiguities=9,
+        fixed=8,
+        ratio=1e12,
+        success_rate=0.99,
+        agreeing=3,
+    )
 
-    def many(*_: object) -> tuple[int, Sequence[OtherEstimate]]:
+    def many(*_: object, **__: object) -> tuple[int, Sequence[SubsetCandidate]]:
         return 150, [other] * 150
 
-    monkeypatch.setattr(engine_side, "other_estimates", many)
-    epochs = LastEpochs(EngineOptions())
+    monkeypatch.setattr(engine_side, "subset_candidates", many)
+    epochs = RecentEpochs(EngineSettings())
     epochs.keep(SOLVED)
     answer = ask(epochs, SOLVED.time_ns // 1_000_000, maximum_trials=150)
     assert (answer.trials, len(answer.candidates)) == (150, 100)

@@ -8,14 +8,15 @@ import pytest
 from camber.formats.observations import satellite_name
 from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.candidates import satellite_subsets as re_estimation
-from camber.gnss.candidates.satellite_subsets import other_estimates
-from camber.gnss.observations.single_differences import Rows
-from camber.gnss.position.differenced_epoch import Prior
-from camber.gnss.position.rtk_engine import EngineOptions
+from camber.gnss.candidates.satellite_subsets import subset_candidates
+from camber.gnss.observations.single_differences import SingleDifferences
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.float_solution import NO_PRIOR, PositionPrior
+from camber.gnss.position.rtk_engine import Solution
 from support.engine_drives import open_sky_drive, solved
 from support.single_difference_rows import MadeUp, made_up_rows
 
-LIMITS = EngineOptions().limits()
+LIMITS = EngineSettings().fix_criteria()
 AT = np.array([1000.0, 2000.0, 3000.0])
 
 
@@ -23,11 +24,12 @@ def made_up(seed: int = 1, **arguments) -> MadeUp:
     return made_up_rows(np.random.default_rng(seed), noise=0.5, **arguments)
 
 
-def tried(rows: Rows, strategy: str, excluded=(), most=100, limits=LIMITS):
-    return other_estimates(rows, AT, limits, strategy, excluded, most)
+def tried(rows: SingleDifferences, strategy: str, excluded=(), most=100, limits=LIMITS, prior=NO_PRIOR):
+    solution = Solution(time_ns=0, quality="float", reason="", approximate_ecef_m=AT, rows=rows, prior=prior)
+    return subset_candidates(solution, limits, strategy, excluded, most_trials=most)
 
 
-def names_of(rows: Rows) -> list[str]:
+def names_of(rows: SingleDifferences) -> list[str]:
     return [satellite_name(s) for s in np.unique(rows.satellite).tolist()]
 
 
@@ -37,7 +39,7 @@ def test_each_estimate_is_that_of_the_satellites_that_are_left():
     assert len(found) == 16
     for other in found:
         mask = np.array([satellite_name(s) not in other.excluded for s in made.rows.satellite.tolist()])
-        alone = estimate(made.rows, mask, np.zeros(3), np.zeros((3, 3)), LIMITS)
+        alone = estimate(made.rows, mask, NO_PRIOR, LIMITS)
         np.testing.assert_array_equal(other.position_ecef_m, AT + alone.dx_m)
         np.testing.assert_array_equal(other.covariance_ecef_m2, alone.covariance_m2)
         assert (other.fixed, other.ratio, other.ambiguities) == (alone.fixed, alone.ratio, alone.ambiguities)
@@ -146,7 +148,7 @@ def test_the_same_measurements_do_not_agree_with_themselves():
 
 
 def test_no_map_and_no_height_can_be_given():
-    names = set(inspect.signature(other_estimates).parameters)
+    names = set(inspect.signature(subset_candidates).parameters)
     assert not [name for name in names if "height" in name or "road" in name or "map" in name]
     assert "camber.gnss.map" not in inspect.getsource(re_estimation)
 
@@ -163,7 +165,7 @@ def test_few_satellites_are_few_choices(satellites, systems):
 def test_an_epoch_of_the_engine_has_other_estimates_at_its_own_place():
     d = open_sky_drive(seed=2, seconds=2)
     for solution, truth in zip(solved(d), d.true_ecef_m, strict=True):
-        trials, found = other_estimates(solution.rows, solution.approximate_ecef_m, LIMITS, "all", (), 20)
+        trials, found = subset_candidates(solution, LIMITS, "all", most_trials=20)
         assert trials == 20
         right = [np.linalg.norm(other.position_ecef_m - truth) < 0.2 for other in found]
         assert len(found) >= 15
@@ -175,8 +177,8 @@ def test_what_the_epoch_had_of_the_epochs_before_each_estimate_has_too():
     """Where the float position is known to centimetres from before, the integers are surer."""
     made = made_up(systems="G")
     few = [name for k, name in enumerate(names_of(made.rows)) if k >= 5]
-    known = Prior(AT + made.dx_m, np.eye(3) / 0.02**2)
-    _, (without,) = other_estimates(made.rows, AT, LIMITS, "explicit", few, 1)
-    _, (found,) = other_estimates(made.rows, AT, LIMITS, "explicit", few, 1, known)
+    known = PositionPrior(AT + made.dx_m, np.eye(3) / 0.02**2)
+    _, (without,) = tried(made.rows, "explicit", few, 1)
+    _, (found,) = tried(made.rows, "explicit", few, 1, prior=known)
     assert 1.0 - found.success_rate < 0.1 * (1.0 - without.success_rate)
     np.testing.assert_allclose(found.position_ecef_m - AT, made.dx_m, atol=0.03)

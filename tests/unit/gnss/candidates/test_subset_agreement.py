@@ -11,30 +11,39 @@ import pytest
 
 from camber.gnss.ambiguity.fixed_solution import estimate
 from camber.gnss.candidates import subset_agreement as module
-from camber.gnss.candidates.satellite_subsets import OtherEstimate
+from camber.gnss.candidates.satellite_subsets import SubsetCandidate
 from camber.gnss.candidates.subset_agreement import subset_agreement
-from camber.gnss.observations.single_differences import Rows
-from camber.gnss.position.rtk_engine import EngineOptions, Solution
+from camber.gnss.observations.single_differences import SingleDifferences
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.float_solution import NO_PRIOR
+from camber.gnss.position.rtk_engine import Solution
 from support.engine_drives import open_sky_drive, solved
 from support.single_difference_rows import made_up_rows
 
-LIMITS = EngineOptions().limits()
+LIMITS = EngineSettings().fix_criteria()
 AT = np.array([1000.0, 2000.0, 3000.0])
 ASIDE = np.array([0.2, 0.0, 0.0])
 """About one cycle."""
 
 
-def fixed(rows: Rows, **changed: Any) -> Solution:
+def fixed(rows: SingleDifferences, **changed: Any) -> Solution:
     """The fix of all rows, as the engine makes it."""
-    found = estimate(rows, np.ones(rows.group.size, np.bool_), np.zeros(3), np.zeros((3, 3)), LIMITS)
+    found = estimate(rows, np.ones(rows.group.size, np.bool_), NO_PRIOR, LIMITS)
     assert found.status == 0
     solution = Solution(
-        0, "fixed", "resolved", AT + found.dx_m, found.covariance_m2, 16, approximate_ecef_m=AT, rows=rows
+        time_ns=0,
+        quality="fixed",
+        reason="resolved",
+        position_ecef_m=AT + found.dx_m,
+        covariance_ecef_m2=found.covariance_m2,
+        satellites=16,
+        approximate_ecef_m=AT,
+        rows=rows,
     )
     return replace(solution, **changed)
 
 
-def made_up(seed: int = 1, **arguments: Any) -> Rows:
+def made_up(seed: int = 1, **arguments: Any) -> SingleDifferences:
     return made_up_rows(np.random.default_rng(seed), **arguments).rows
 
 
@@ -66,7 +75,7 @@ def test_how_far_apart_they_may_be_follows_from_their_covariances():
     vague = replace(solution, covariance_ecef_m2=0.1**2 * np.eye(3))
     assert subset_agreement(moved(vague), LIMITS) == "agree"
     assert subset_agreement(moved(vague, 5.0 * ASIDE), LIMITS) == "disagree"
-    assert subset_agreement(moved(solution), LIMITS._replace(normal_quantile=1e3)) == "agree"
+    assert subset_agreement(moved(solution), LIMITS._replace(residual_quantile=1e3)) == "agree"
 
 
 def test_the_air_that_they_have_in_common_excuses_no_difference():
@@ -76,7 +85,7 @@ def test_the_air_that_they_have_in_common_excuses_no_difference():
 
 
 def test_only_a_subset_that_could_be_a_fix_itself_speaks_against_one():
-    unsure = LIMITS._replace(least_success=1.0 + 1e-9)
+    unsure = LIMITS._replace(least_success_rate=1.0 + 1e-9)
     assert subset_agreement(moved(fixed(made_up())), unsure) == "unknown"
     assert subset_agreement(fixed(made_up()), unsure) == "agree"
 
@@ -96,12 +105,21 @@ def test_one_system_alone_has_no_second_opinion():
     assert subset_agreement(fixed(made_up(systems="G")), LIMITS) == "unknown"
 
 
-def other(by_m: np.ndarray, covariance_m2: np.ndarray, success_rate: float = 0.99) -> OtherEstimate:
-    return OtherEstimate(AT + by_m, covariance_m2, ("G01",), 9, 9, 5.0, success_rate, 0)
+def other(by_m: np.ndarray, covariance_m2: np.ndarray, success_rate: float = 0.99) -> SubsetCandidate:
+    return SubsetCandidate(
+        position_ecef_m=AT + by_m,
+        covariance_ecef_m2=covariance_m2,
+        excluded=("G01",),
+        ambiguities=9,
+        fixed=9,
+        ratio=5.0,
+        success_rate=success_rate,
+        agreeing=0,
+    )
 
 
-def said_by(monkeypatch: pytest.MonkeyPatch, *subsets: OtherEstimate) -> str:
-    monkeypatch.setattr(module, "other_estimates", lambda *_: (len(subsets), list(subsets)))
+def said_by(monkeypatch: pytest.MonkeyPatch, *subsets: SubsetCandidate) -> str:
+    monkeypatch.setattr(module, "subset_candidates", lambda *_, **__: (len(subsets), list(subsets)))
     solution = fixed(made_up(), position_ecef_m=AT, covariance_ecef_m2=1e-4 * np.eye(3))
     return subset_agreement(solution, LIMITS)
 
@@ -124,4 +142,4 @@ def test_with_a_covariance_that_is_none_nothing_agrees(covariance_m2, monkeypatc
 
 
 def test_no_map_and_no_height_can_be_given():
-    assert list(inspect.signature(subset_agreement).parameters) == ["solution", "limits"]
+    assert list(inspect.signature(subset_agreement).parameters) == ["solution", "criteria"]

@@ -13,7 +13,7 @@ from camber.formats.observations import (
     signal_number,
 )
 from camber.formats.receiver.loss_of_lock import LossOfLockDetector
-from camber.gnss.observations.cycle_slips import REASONS, ArcTracker
+from camber.gnss.observations.cycle_slips import REASONS, CycleSlipDetector
 
 SIGNALS = [
     *(f"G{n:02d}:{code}" for n in (1, 7, 12, 32) for code in ("1C", "2L", "5Q")),
@@ -64,7 +64,7 @@ def changed(epoch: ObservationEpoch, name: str, rows, change) -> ObservationEpoc
 
 def broken_in(epochs: list[ObservationEpoch]) -> tuple[list[str], dict[str, int], list[np.ndarray]]:
     """Signals whose arcs were broken after the first epoch, reasons (without new), arcs of each epoch."""
-    tracker = ArcTracker()
+    tracker = CycleSlipDetector()
     arcs = [tracker.update(epoch) for epoch in epochs]
     broken = [SIGNALS[i] for i in range(len(SIGNALS)) if len({a[i] for a in arcs} - {0}) > 1]
     reasons = {
@@ -142,7 +142,7 @@ def test_the_order_of_a_satellites_bands_does_not_say_what_breaks():
     assert broken_in(without)[0] == ["G01:1C", "G01:2L", "G01:5Q"]
     for order in ([1, 0, 2], [2, 1, 0], [0, 2, 1]):
         rows = np.array(order + list(range(3, len(SIGNALS))))
-        tracker, arcs = ArcTracker(), []
+        tracker, arcs = CycleSlipDetector(), []
         for e in without:
             columns = {f: getattr(e, f)[rows] for f in e.__dataclass_fields__ if f != "time_ns"}
             arcs.append(tracker.update(ObservationEpoch(time_ns=e.time_ns, **columns)))
@@ -189,7 +189,7 @@ def test_another_code_of_the_band_is_another_signal():
     epochs = drive(1, 4)
     for k in (2, 3):
         epochs[k] = changed(epochs[k], "signal", [1], lambda v: signal_number("2W"))
-    tracker = ArcTracker()
+    tracker = CycleSlipDetector()
     arcs = [tracker.update(e) for e in epochs]
     assert arcs[1][1] != arcs[2][1] == arcs[3][1]
     assert all((arcs[0][i] == arcs[3][i]) == (i != 1) for i in range(len(SIGNALS)))
@@ -231,7 +231,7 @@ def test_a_lock_begun_since_the_last_epoch_is_a_break_though_it_is_no_shorter_th
 def test_numbers_of_arcs_are_never_used_twice():
     epochs = drive(1, 12)
     seen: set[int] = set()
-    tracker = ArcTracker()
+    tracker = CycleSlipDetector()
     previous = np.zeros(len(SIGNALS), np.int64)
     rng = np.random.default_rng(3)
     for epoch in epochs:

@@ -48,7 +48,7 @@ def test_an_ephemeris_is_in_use_until_its_systems_age_and_not_a_nanosecond_longe
         expected = NOON_NS if abs(time_ns - NOON_NS) <= oldest else None
         assert toe_in_use(store, time_ns, name) == expected
     for time_ns in (NOON_NS - oldest - 1, NOON_NS + oldest + 1):
-        assert store.lacks(time_ns, np.array([satellite_number(name)])) == {name: "too_old"}
+        assert store.missing(time_ns, np.array([satellite_number(name)])) == {name: "too_old"}
 
 
 def test_the_nearest_toe_is_in_use_whatever_way_time_goes():
@@ -76,7 +76,7 @@ def test_an_unhealthy_set_is_not_used_nor_the_older_one_in_its_place():
     assert store.refused == {"unhealthy": 1}
     assert toe_in_use(store, NOON_NS, "G05") == NOON_NS
     assert toe_in_use(store, late_ns - 10**9, "G05") is None
-    assert store.lacks(late_ns, np.array([satellite_number("G05")])) == {"G05": "unhealthy"}
+    assert store.missing(late_ns, np.array([satellite_number("G05")])) == {"G05": "unhealthy"}
 
 
 def test_health_that_changes_within_one_issue_counts_from_then_on():
@@ -116,7 +116,7 @@ def test_galileo_has_one_kind_of_message_for_all():
     few_inav = filled(*fnav, inav[0])
     rows = few_inav.rows_at(NOON_NS, numbers)
     assert np.all(few_inav.table.elements[rows][:, 18] == 1e-4), "more satellites have F/NAV"
-    assert filled(inav[0], fnav[1]).lacks(NOON_NS, numbers) == {"E12": "none", "E19": "none"}
+    assert filled(inav[0], fnav[1]).missing(NOON_NS, numbers) == {"E12": "none", "E19": "none"}
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ def said_of(*times_s: float) -> list[str]:
         ((0, 1, 2), "next next next"),
         ((0, 1, 1, 2), "next next late next"),
         ((0, 2, 1, 3), "next next late next"),
-        ((100, 101, 1, 2, 3, 4), "next next late late anew next"),
-        ((604_800, 1, 2, 3, 4), "next late late anew next"),  # a time tag of next week
+        ((100, 101, 1, 2, 3, 4), "next next late late restarted next"),
+        ((604_800, 1, 2, 3, 4), "next late late restarted next"),  # a time tag of next week
         ((5, 6, 3, 2, 1), "next next late late late"),  # backwards throughout
         ((5, 6, 1, 7, 2, 8, 3, 9), "next next late next late next late next"),
         ((5, 6, 1, 1, 1, 1), "next next late late late late"),

@@ -111,7 +111,7 @@ def test_rtcm_in_a_receivers_mixed_stream_is_the_bases(raw_drive: RawDrive) -> N
     said = heard("rover", "mixed", data, raw_drive.times_ns[0])
     assert [epoch.time_ns for epoch in epochs("rover", said)] == raw_drive.times_ns[:4]
     assert [epoch.time_ns for epoch in epochs("base", said)] == raw_drive.times_ns[:4]
-    assert {(whose, what.told) for whose, what in said if isinstance(what, StationPosition)} == {
+    assert {(whose, what.label) for whose, what in said if isinstance(what, StationPosition)} == {
         ("base", "rtcm-1")
     }
     # A receiver whose own observations come as RTCM says so with the protocol.
@@ -176,7 +176,7 @@ def test_the_antenna_of_a_rinex_file_stands_above_and_beside_its_marker() -> Non
 def test_a_rinex_file_calls_its_station_by_the_marker() -> None:
     ((_, named),) = heard("base", "rinex", header(delta=f"{'NAGOYA 1':60}MARKER NAME"), 0)
     ((_, unnamed),) = heard("base", "rinex", header(), 0)
-    assert (named.told, unnamed.told) == ("rinex-NAGOYA 1", "rinex-unnamed")
+    assert (named.label, unnamed.label) == ("rinex-NAGOYA 1", "rinex-unnamed")
 
 
 def test_without_a_delta_the_antenna_is_the_marker_and_without_a_marker_nowhere() -> None:

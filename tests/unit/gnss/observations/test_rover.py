@@ -10,7 +10,7 @@ from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficien
 from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.gnss.observations.receiver_streams import StationPosition, StreamReader
 from camber.gnss.observations.rover import Rover, SolvedEpoch
-from camber.gnss.position.rtk_engine import EngineOptions
+from camber.gnss.position.engine_settings import EngineSettings
 from camber.schemas.gnss import EstimatesRequest
 from camber.schemas.motion import Motion
 from support.raw_drive import RawDrive
@@ -45,21 +45,21 @@ def sky(raw_drive: RawDrive) -> Sky:
 
 def ready(sky: Sky, base_ecef_m: Any = None) -> Rover:
     """With ephemerides, and the base's position as its stream says it."""
-    rover = Rover(EngineOptions(), base_ecef_m)
+    rover = Rover(EngineSettings(), base_ecef_m)
     for ephemeris in sky.ephemerides:
-        rover.hear("ephemerides", ephemeris)
-    rover.hear("base", sky.station)
+        rover.receive("ephemerides", ephemeris)
+    rover.receive("base", sky.station)
     return rover
 
 
 def solved(rover: Rover) -> list[SolvedEpoch]:
-    return [rover.solve(epoch) for epoch in rover.take()]
+    return [rover.solve(epoch) for epoch in rover.take_pending()]
 
 
 def test_an_epoch_meets_the_bases_of_its_time_though_that_came_later(sky: Sky) -> None:
     rover = ready(sky)
-    rover.hear("rover", sky.rover[0])
-    rover.hear("base", sky.base[0])
+    rover.receive("rover", sky.rover[0])
+    rover.receive("base", sky.base[0])
     (first,) = solved(rover)
     assert (first.solution.quality, first.solution.age_s) == ("fixed", 0.0)
     assert first.epoch is sky.rover[0]
@@ -68,15 +68,15 @@ def test_an_epoch_meets_the_bases_of_its_time_though_that_came_later(sky: Sky) -
 
 def test_epochs_are_solved_in_the_order_in_which_they_came(sky: Sky) -> None:
     rover = ready(sky)
-    rover.hear("base", sky.base[0])
+    rover.receive("base", sky.base[0])
     for epoch in sky.rover[:3]:
-        rover.hear("rover", epoch)
+        rover.receive("rover", epoch)
     assert [each.epoch.time_ns for each in solved(rover)] == [epoch.time_ns for epoch in sky.rover[:3]]
 
 
 def test_observations_on_the_stream_of_ephemerides_are_nobodys(sky: Sky) -> None:
     rover = ready(sky)
-    rover.hear("ephemerides", sky.rover[0])
+    rover.receive("ephemerides", sky.rover[0])
     assert solved(rover) == []
     assert rover.engine.base.epoch is None
 
@@ -87,22 +87,22 @@ def test_only_a_base_that_has_no_given_position_is_where_its_stream_says(sky: Sk
     assert rover.engine.base.position_ecef_m == pytest.approx(given)
     rover = ready(sky)
     assert rover.engine.base.position_ecef_m == pytest.approx(sky.station.position_ecef_m)
-    rover.hear("rover", StationPosition(given))
-    rover.hear("ephemerides", StationPosition(given))
+    rover.receive("rover", StationPosition(given))
+    rover.receive("ephemerides", StationPosition(given))
     assert rover.engine.base.position_ecef_m == pytest.approx(sky.station.position_ecef_m)
 
 
 def test_a_fix_names_the_base_that_it_rests_on_and_a_position_by_itself_none(sky: Sky) -> None:
     rover = ready(sky)
-    rover.hear("rover", sky.rover[0])
+    rover.receive("rover", sky.rover[0])
     (alone,) = solved(rover)
     assert (alone.solution.quality, alone.base_station) == ("single", None)
-    rover.hear("base", sky.base[0])
-    rover.hear("rover", sky.rover[1])
+    rover.receive("base", sky.base[0])
+    rover.receive("rover", sky.rover[1])
     (first,) = solved(rover)
     x, y, z = sky.station.position_ecef_m
     assert first.solution.quality == "fixed"
-    assert first.base_station == f"{sky.station.told}@{x:.3f}:{y:.3f}:{z:.3f}"
+    assert first.base_station == f"{sky.station.label}@{x:.3f}:{y:.3f}:{z:.3f}"
 
 
 def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
@@ -110,9 +110,9 @@ def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
     names = []
     for told, up_m in (("rtcm-1", 0.0), ("rtcm-2", 0.0), ("rtcm-1", 0.05)):
         rover = ready(sky)
-        rover.hear("base", StationPosition((x, y, z + up_m), told))
-        rover.hear("base", sky.base[0])
-        rover.hear("rover", sky.rover[0])
+        rover.receive("base", StationPosition((x, y, z + up_m), told))
+        rover.receive("base", sky.base[0])
+        rover.receive("rover", sky.rover[0])
         names += [each.base_station for each in solved(rover)]
     assert None not in names
     assert len(set(names)) == 3
@@ -121,8 +121,8 @@ def test_another_number_or_another_coordinate_is_another_base(sky: Sky) -> None:
 def test_a_base_that_was_given_is_named_so_whatever_its_stream_calls_it(sky: Sky) -> None:
     x, y, z = sky.station.position_ecef_m
     rover = ready(sky, (x, y, z))
-    rover.hear("base", sky.base[0])
-    rover.hear("rover", sky.rover[0])
+    rover.receive("base", sky.base[0])
+    rover.receive("rover", sky.rover[0])
     (first,) = solved(rover)
     assert first.base_station == f"given@{x:.3f}:{y:.3f}:{z:.3f}"
 
@@ -130,9 +130,9 @@ def test_a_base_that_was_given_is_named_so_whatever_its_stream_calls_it(sky: Sky
 def test_the_ionosphere_of_gps_is_taken_and_beidous_is_not(sky: Sky) -> None:
     rover = ready(sky)
     alpha, beta = (1e-8, 2e-8, 3e-8, 4e-8), (1e5, 2e5, 3e5, 4e5)
-    rover.hear("rover", IonosphereCoefficients(system="C", alpha=alpha, beta=beta))
+    rover.receive("rover", IonosphereCoefficients(system="C", alpha=alpha, beta=beta))
     assert rover.engine.ionosphere.size == 0
-    rover.hear("rover", IonosphereCoefficients(system="G", alpha=alpha, beta=beta))
+    rover.receive("rover", IonosphereCoefficients(system="G", alpha=alpha, beta=beta))
     assert rover.engine.ionosphere.tolist() == [*alpha, *beta]
 
 
@@ -142,9 +142,9 @@ def drive(
     results = []
     for k in range(8):
         at_ns = sky.rover[k].time_ns - age_ns
-        rover.moved(Motion(time_ns=at_ns, wheel_speed_m_s=wheel, yaw_rate_rad_s=yaw))
-        rover.hear("base", sky.base[k])
-        rover.hear("rover", sky.rover[k])
+        rover.receive_motion(Motion(time_ns=at_ns, wheel_speed_m_s=wheel, yaw_rate_rad_s=yaw))
+        rover.receive("base", sky.base[k])
+        rover.receive("rover", sky.rover[k])
         results += solved(rover)
     return results
 
@@ -191,20 +191,20 @@ def test_a_velocity_turns_the_heading_only_with_a_wheel_speed_of_its_time(
     assert heard.rates == [0.25] * 8
     assert len(heard.given) == taken
     for values, result in zip(heard.given, results, strict=False):
-        time_ns, east, north, (ee, en, nn), hdop, speed = values
+        time_ns, plane, speed = values
         found = result.solution.velocity
         assert found is not None
         assert time_ns == result.epoch.time_ns
-        assert (east, north) == tuple(found.velocity_enu_m_s[:2].tolist())
+        assert (plane.east_m_s, plane.north_m_s) == tuple(found.velocity_enu_m_s[:2].tolist())
         covariance = found.covariance_enu_m2_s2
-        assert (ee, en, nn) == (covariance[0, 0], covariance[0, 1], covariance[1, 1])
-        assert (hdop, speed) == (found.hdop, wheel)
+        assert plane.covariance_m2_s2 == (covariance[0, 0], covariance[0, 1], covariance[1, 1])
+        assert (plane.hdop, speed) == (found.hdop, wheel)
 
 
 def test_a_solved_epoch_can_be_asked_for_other_estimates(sky: Sky) -> None:
     rover = ready(sky)
-    rover.hear("base", sky.base[0])
-    rover.hear("rover", sky.rover[0])
+    rover.receive("base", sky.base[0])
+    rover.receive("rover", sky.rover[0])
     (first,) = solved(rover)
     request = EstimatesRequest(time_ns=first.epoch.time_ns, fix_id=first.epoch.time_ns // 1_000_000)
-    assert rover.last.estimates(request).status == "available"
+    assert rover.recent.estimates(request).status == "available"

@@ -15,6 +15,7 @@ from camber.gnss.observations.signal_pairs import (
     GROUPS,
     SYSTEMS,
     WAVELENGTH_M,
+    SignalColumns,
     band_of,
     group_of,
     groups_of,
@@ -32,10 +33,31 @@ def of(*names: str) -> tuple[np.ndarray, np.ndarray]:
     return satellites, signals
 
 
+def columns(*names: str) -> SignalColumns:
+    """Columns of an epoch of these signals, with unknown measurements."""
+    satellites, signals = of(*names)
+    unknown = np.full(len(names), np.nan)
+    return SignalColumns(
+        time_ns=0,
+        satellite=satellites,
+        signal=signals,
+        pseudorange_m=unknown,
+        carrier_phase_cycles=unknown,
+        cn0_dbhz=unknown,
+        half_cycle=np.zeros(len(names), np.bool_),
+    )
+
+
 def paired(rover: list[str], base: list[str], rover_parts=None, base_parts=None, groups=ALL) -> list[str]:
     """Pairs as `G05:1C-1C`."""
     full = lambda names, parts: np.array([2] * len(names) if parts is None else parts, np.int64)  # noqa: E731
-    found = pair_signals(*of(*rover), full(rover, rover_parts), *of(*base), full(base, base_parts), groups)
+    found = pair_signals(
+        columns(*rover),
+        full(rover, rover_parts),
+        columns(*base),
+        base_usable=full(base, base_parts),
+        groups=groups,
+    )
     return [f"{rover[i]}-{base[j].split(':')[1]}" for i, j in zip(*found[:2], strict=True)]
 
 

@@ -13,12 +13,13 @@ from camber.gnss.observations.signal_pairs import GROUPS, pair_signals
 from camber.gnss.observations.single_differences import (
     Masks,
     Noise,
-    Pairs,
-    Rows,
+    ReceiverAtEpoch,
+    SingleDifferences,
     single_differences,
     variance_m2,
     without_clocks,
 )
+from camber.gnss.position.epoch_solution import columns_of
 from support.engine_drives import base_ecef_m, open_sky_drive
 from support.single_difference_rows import made_up_rows
 
@@ -37,13 +38,12 @@ def rows_of(
     store: EphemerisStore,
     at_m: np.ndarray,
     masks: Masks = NO_MASKS,
-    age_s: float = 0.0,
     without: int = 0,
-) -> Rows:
+) -> SingleDifferences:
     """All rows of two epochs against a position of the rover; satellites of a number are not known where."""
     parts = lambda e: np.full(e.satellite.size, 2, np.int64)  # noqa: E731
-    of_rover, of_base, group = pair_signals(
-        rover.satellite, rover.signal, parts(rover), base.satellite, base.signal, parts(base), ALL
+    pairs = pair_signals(
+        columns_of(rover), parts(rover), columns_of(base), base_usable=parts(base), groups=ALL
     )
     satellite, place = np.unique(rover.satellite, return_inverse=True)
     known = store.rows_at(rover.time_ns, satellite)
@@ -56,14 +56,16 @@ def rows_of(
         ])  # fmt: skip
         return states_at_transmission(store.table, known, epoch.time_ns, code)
 
-    columns = lambda e: (e.satellite, e.pseudorange_m, e.carrier_phase_cycles, e.cn0_dbhz)  # noqa: E731
     return single_differences(
-        Pairs(of_rover, of_base, group, place[of_rover]), columns(rover), columns(base), states(rover), states(base),
-        at_m, base_ecef_m(), age_s, Noise(), masks,
-    )  # fmt: skip
+        pairs._replace(place=place[pairs.rover]),
+        ReceiverAtEpoch(columns_of(rover), states(rover), at_m),
+        ReceiverAtEpoch(columns_of(base), states(base), base_ecef_m()),
+        noise=Noise(),
+        masks=masks,
+    )
 
 
-def left_in_groups(rows: Rows, values: np.ndarray) -> np.ndarray:
+def left_in_groups(rows: SingleDifferences, values: np.ndarray) -> np.ndarray:
     """What remains when each group's median is taken off."""
     left = values.copy()
     for g in np.unique(rows.group):
@@ -107,7 +109,7 @@ def test_a_base_seconds_older_than_the_rover_is_no_error_but_that_of_clocks_and_
     d = drive()
     rover, truth = d.rover[3], d.true_ecef_m[3]
     now = rows_of(rover, d.base[3], d.store, truth)
-    old = rows_of(rover, d.base[0], d.store, truth, age_s=3.0)
+    old = rows_of(rover, d.base[0], d.store, truth)
     moved = left_in_groups(now, now.phase_m - old.phase_m)
     # Satellites move by kilometres in the meantime; centimetres of the base's own phase noise are left.
     whole = np.rint(moved / now.wavelength_m) * now.wavelength_m
@@ -132,8 +134,8 @@ def test_a_satellites_clock_that_runs_fast_between_base_and_rover_is_taken_off()
         return replace(epoch, pseudorange_m=epoch.pseudorange_m - early_m)
 
     rover, base, truth = d.rover[3], d.base[0], d.true_ecef_m[3]
-    before = rows_of(rover, base, d.store, truth, age_s=3.0)
-    after = rows_of(measured(rover), measured(base), store, truth, age_s=3.0)
+    before = rows_of(rover, base, d.store, truth)
+    after = rows_of(measured(rover), measured(base), store, truth)
     np.testing.assert_allclose(after.code_m, before.code_m, atol=0.005)
 
 
@@ -174,7 +176,7 @@ def test_what_is_low_weak_or_not_known_is_left_out_and_changes_no_other_row():
     ):
         some = rows_of(d.rover[0], d.base[0], d.store, d.true_ecef_m[0], masks, without=without)
         assert 0 < stays.sum() < stays.size
-        for name in Rows._fields[:-1]:
+        for name in SingleDifferences._fields[:-1]:
             np.testing.assert_array_equal(getattr(some, name), getattr(full, name)[stays])
 
 

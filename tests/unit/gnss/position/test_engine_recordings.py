@@ -12,7 +12,8 @@ import pytest
 
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar, geodetic_from_ecef_scalar
 from camber.geodesy.gps_time import NS_PER_SECOND, gps_ns_from_week_tow, nanoseconds_from_decimal
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from support.engine_drives import some_rows
 from support.gnss_files import read_navigation, read_observations
 from support.rtklib_runs import OPTIONS, RNX2RTKP
@@ -49,7 +50,7 @@ def files(name: str):
 
 
 @functools.cache
-def solved(name: str, options: EngineOptions) -> tuple[Solution, ...]:
+def solved(name: str, options: EngineSettings) -> tuple[Solution, ...]:
     """Every epoch after the newest of the base's that is not yet to come."""
     rover, base, ephemerides, base_m, _ = files(name)
     engine = Engine(options, base_m)
@@ -65,7 +66,7 @@ def solved(name: str, options: EngineOptions) -> tuple[Solution, ...]:
     return tuple(solutions)
 
 
-class Options(EngineOptions):
+class Options(EngineSettings):
     """Hashable by identity, to be remembered by."""
 
     __hash__ = object.__hash__
@@ -75,13 +76,15 @@ DEFAULTS, ALONE = Options(), Options(doppler_aided=False)
 ROOFTOP = {
     "all": DEFAULTS,
     "all, alone": ALONE,
-    "GPS": Options(bands={"G": "125"}),
-    "GPS, two bands": Options(bands={"G": "12"}),
-    "GPS, two bands, alone": Options(bands={"G": "12"}, doppler_aided=False),
+    "GPS": Options(gps_bands="125", galileo_bands="", beidou_bands=""),
+    "GPS, two bands": Options(gps_bands="12", galileo_bands="", beidou_bands=""),
+    "GPS, two bands, alone": Options(gps_bands="12", galileo_bands="", beidou_bands="", doppler_aided=False),
 }
 LIKE_RTKLIB = Options(
-    bands={"G": "12", "E": "17"},
-    lowest_elevation_rad=np.deg2rad(15.0),
+    gps_bands="12",
+    galileo_bands="17",
+    beidou_bands="",
+    lowest_elevation_deg=15.0,
     least_cn0_dbhz=0.0,
     doppler_aided=False,
 )
@@ -162,8 +165,16 @@ def test_in_fujisawa_no_fix_is_off_the_consensus():
     """Of three configurations and rnx2rtkp; an epoch has a consensus where three are within 10 cm of each other."""
     parts = [
         fixes(solved("fujisawa", DEFAULTS)),
-        fixes(solved("fujisawa", Options(bands={"G": "12"}, doppler_aided=False))),
-        fixes(solved("fujisawa", Options(bands={"E": "157"}, doppler_aided=False))),
+        fixes(
+            solved(
+                "fujisawa", Options(gps_bands="12", galileo_bands="", beidou_bands="", doppler_aided=False)
+            )
+        ),
+        fixes(
+            solved(
+                "fujisawa", Options(gps_bands="", galileo_bands="157", beidou_bands="", doppler_aided=False)
+            )
+        ),
         {t: at for t, (fixed, at) in rnx2rtkp("fujisawa").items() if fixed},
     ]
     compared = 0
@@ -206,7 +217,7 @@ def test_as_many_fixes_as_rnx2rtkp_with_the_same_satellites_and_within_five_cent
 def test_a_coordinate_of_the_rooftops_base_with_another_height_is_found_out(offset_m, with_ionosphere):
     """37 m are the geoid's height in much of Japan: a height above the sea that was taken for an ellipsoidal one."""
     rover, base, ephemerides, base_m, paths = files("rooftop")
-    engine = Engine(EngineOptions(), base_m + offset_m * base_m / np.linalg.norm(base_m))
+    engine = Engine(EngineSettings(), base_m + offset_m * base_m / np.linalg.norm(base_m))
     if with_ionosphere:
         coefficients = read_navigation(paths[2]).klobuchar["G"]
         engine.ionosphere = np.array([*coefficients.alpha, *coefficients.beta])

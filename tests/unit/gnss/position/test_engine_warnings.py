@@ -6,27 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from camber.gnss.position.engine_warnings import EngineWarnings
-from camber.gnss.position.rtk_engine import Engine, EngineOptions
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.engine_warnings import HELP, EngineWarnings
+from camber.gnss.position.rtk_engine import Engine
 from camber.gnss.warm_up import _constellation
 
 
 def test_a_warning_is_told_each_time_it_has_happened_again() -> None:
-    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    engine, warnings = Engine(EngineSettings()), EngineWarnings()
     assert warnings.new(engine) == []
     engine.warnings["base_silent"] += 3
     engine.warnings["rover_clock_step"] += 1
     assert warnings.new(engine) == [
-        ("base_silent", "3 epochs; no epoch of the base has come yet"),
-        ("rover_clock_step", "1 epochs; the receiver set its clock; nothing depends on it"),
+        ("base_silent", f"3 epochs; {HELP['base_silent']}"),
+        ("rover_clock_step", f"1 epochs; {HELP['rover_clock_step']}"),
     ]
     assert warnings.new(engine) == []
     engine.warnings["base_silent"] += 1
-    assert warnings.new(engine) == [("base_silent", "4 epochs; no epoch of the base has come yet")]
+    assert warnings.new(engine) == [("base_silent", f"4 epochs; {HELP['base_silent']}")]
 
 
 def test_ephemerides_that_are_refused_are_told_with_why() -> None:
-    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    engine, warnings = Engine(EngineSettings()), EngineWarnings()
     first, second, third = _constellation()[:3]
     for ephemeris in (
         replace(first, sqrt_a=1.0),
@@ -39,9 +40,9 @@ def test_ephemerides_that_are_refused_are_told_with_why() -> None:
 
 
 def test_a_base_far_from_its_coordinate_is_told_with_how_far() -> None:
-    engine, warnings = Engine(EngineOptions()), EngineWarnings()
+    engine, warnings = Engine(EngineSettings()), EngineWarnings()
     engine.warnings["base_position_wrong"] += 1
-    assert warnings.new(engine) == [("base_position_wrong", "1 epochs; it is nowhere on earth")]
+    assert warnings.new(engine) == [("base_position_wrong", "1 epochs; not a position on the earth")]
     engine.warnings["base_position_wrong"] += 1
     engine.base.miss_m = 117.4
-    assert warnings.new(engine) == [("base_position_wrong", "2 epochs; its own single point is 117 m away")]
+    assert warnings.new(engine) == [("base_position_wrong", "2 epochs; its single point is 117 m away")]

@@ -3,16 +3,21 @@
 import numpy as np
 import pytest
 
-from camber.gnss.position.float_solution import float_position, float_with_prior, inverse_3
+from camber.gnss.position.float_solution import (
+    NO_PRIOR,
+    PositionPrior,
+    float_position,
+    float_with_prior,
+    inverse_3,
+)
 from support.single_difference_rows import made_up_rows, slow_float
 
-NO_PRIOR = np.zeros(3), np.zeros((3, 3))
 NO_OUTLIERS = np.inf
 
 
 def found_in(rows, usable=None, prior=NO_PRIOR, limit=3.5):
     usable = np.ones(rows.group.size, np.bool_) if usable is None else usable
-    return float_position(rows, usable, *prior, limit)
+    return float_position(rows, usable, prior, limit)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -91,9 +96,9 @@ def test_a_sharp_prior_is_the_position_and_a_vague_one_is_nothing():
     rows = made_up_rows(np.random.default_rng(7)).rows
     prior_m = np.array([1.0, -1.0, 2.0])
     usable = np.ones(rows.group.size, np.bool_)
-    sharp = float_with_prior(rows, usable, prior_m, np.eye(3) / 0.001**2, 3.5)
+    sharp = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 0.001**2), 3.5)
     np.testing.assert_allclose(sharp.dx_m, prior_m, atol=0.01)
-    vague = float_with_prior(rows, usable, prior_m, np.eye(3) / 1000.0**2, 3.5)
+    vague = float_with_prior(rows, usable, PositionPrior(prior_m, np.eye(3) / 1000.0**2), 3.5)
     alone = found_in(rows)
     np.testing.assert_allclose(vague.dx_m, alone.dx_m, atol=1e-3)
     np.testing.assert_allclose(vague.covariance_m2, alone.covariance_m2, rtol=1e-3)
@@ -108,13 +113,13 @@ def test_with_a_prior_no_more_is_claimed_than_the_better_of_both_has(seed):
     root = rng.normal(size=(3, 3)) * rng.uniform(0.1, 2.0)
     covariance = root @ root.T + 0.01 * np.eye(3)
     usable = np.ones(rows.group.size, np.bool_)
-    joined = float_with_prior(rows, usable, alone.dx_m, np.linalg.inv(covariance), 3.5)
+    joined = float_with_prior(rows, usable, PositionPrior(alone.dx_m, np.linalg.inv(covariance)), 3.5)
     least = min(np.trace(covariance), np.trace(alone.covariance_m2))
     assert np.trace(joined.covariance_m2) <= least * (1.0 + 1e-9)
     # Its information is a weighted mean of both, and so never exceeds their sum.
     both = np.linalg.inv(covariance) + np.linalg.inv(alone.covariance_m2)
     assert np.linalg.eigvalsh(both - np.linalg.inv(joined.covariance_m2)).min() > -1e-6 * np.abs(both).max()
-    again = float_with_prior(rows, usable, alone.dx_m, np.linalg.inv(alone.covariance_m2), 3.5)
+    again = float_with_prior(rows, usable, PositionPrior(alone.dx_m, np.linalg.inv(alone.covariance_m2)), 3.5)
     np.testing.assert_allclose(again.covariance_m2, alone.covariance_m2, rtol=1e-6)
 
 
@@ -125,7 +130,7 @@ def test_a_prior_tells_which_codes_are_wrong_where_they_alone_cannot():
     rows = made.rows._replace(code_m=code)
     usable = np.ones(5, np.bool_)
     alone = found_in(rows)
-    helped = float_with_prior(rows, usable, made.dx_m + 0.2, np.eye(3), 3.5)
+    helped = float_with_prior(rows, usable, PositionPrior(made.dx_m + 0.2, np.eye(3)), 3.5)
     assert np.linalg.norm(alone.dx_m - made.dx_m) > 5.0
     assert np.linalg.norm(helped.dx_m - made.dx_m) < 1.5
 
@@ -133,7 +138,7 @@ def test_a_prior_tells_which_codes_are_wrong_where_they_alone_cannot():
 def test_a_prior_alone_is_the_position_where_codes_make_none():
     rows = made_up_rows(np.random.default_rng(9), satellites=3, systems="G", bands=1).rows
     prior_m = np.array([1.0, 2.0, 3.0])
-    found = float_with_prior(rows, np.ones(3, np.bool_), prior_m, np.eye(3), 3.5)
+    found = float_with_prior(rows, np.ones(3, np.bool_), PositionPrior(prior_m, np.eye(3)), 3.5)
     np.testing.assert_array_equal(found.dx_m, prior_m)
     np.testing.assert_allclose(found.covariance_m2, np.eye(3))
 

@@ -24,7 +24,7 @@ from camber.formats.rtcm.writer import format_reference_station
 from camber.formats.ubx.writer import format_raw_measurements, ubx_frame
 from camber.gnss.observations.receiver_streams import StreamReader
 from camber.gnss.position.engine_warnings import HELP
-from camber.gnss.position.rtk_engine import Warning_
+from camber.gnss.position.rtk_engine import EngineWarning
 from camber.gnss.service import GnssService
 from camber.gnss.settings import GnssSettings
 from camber.runtime.bus import Bus
@@ -421,7 +421,7 @@ def test_a_base_that_does_not_say_where_it_is_is_named(raw_drive: RawDrive) -> N
 
 
 def test_every_warning_of_the_engine_has_a_text_that_helps() -> None:
-    assert set(get_args(Warning_)) == {*HELP, "ephemeris_missing"}
+    assert set(get_args(EngineWarning)) == {*HELP, "ephemeris_missing"}
     assert all(len(text) > 10 for text in HELP.values())
 
 
@@ -429,7 +429,7 @@ def test_a_base_with_another_stations_coordinate_is_named_with_how_far_it_is_off
     x, y, z = station(raw_drive)
     run = Run(raw_drive, streams(raw_drive), base_ecef_m=(x + 120.0, y, z))
     assert run.fixed() == []
-    _, _, text = run.bus.named()["base_position_wrong"].partition("; its own single point is ")
+    _, _, text = run.bus.named()["base_position_wrong"].partition("; its single point is ")
     assert 110.0 < float(text.removesuffix(" m away")) < 130.0
 
 

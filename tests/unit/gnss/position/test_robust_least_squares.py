@@ -14,7 +14,8 @@ from camber.gnss.position.robust_least_squares import (
     INCONSISTENT,
     OK,
     TOO_FEW,
-    Fit,
+    LinearModel,
+    RobustFit,
     chi_squared_survival,
     consistent_fit,
     dilutions,
@@ -32,9 +33,16 @@ def problem(seed: int, n: int = 20, p: int = 4) -> tuple[np.ndarray, np.ndarray,
     return design, design @ truth + sigma * rng.normal(size=n), sigma, truth
 
 
-def fit(design: np.ndarray, observed: np.ndarray, sigma: np.ndarray, false_alarm: float = FALSE_ALARM) -> Fit:
-    free, every = np.full(design.shape[1], np.inf), np.ones(len(observed), np.bool_)
-    return consistent_fit(design, observed, sigma, free, every, false_alarm)
+def fit(
+    design: np.ndarray,
+    observed: np.ndarray,
+    sigma: np.ndarray,
+    false_alarm: float = FALSE_ALARM,
+    candidate=None,
+) -> RobustFit:
+    model = LinearModel(design, observed, sigma, np.full(design.shape[1], np.inf))
+    candidate = np.ones(len(observed), np.bool_) if candidate is None else candidate
+    return consistent_fit(model, candidate, false_alarm)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 7, 10, 33, 80])
@@ -60,7 +68,7 @@ def test_what_is_consistent_is_fitted_as_numpy_does():
 def test_a_prior_is_an_observation_of_zero():
     design, observed, sigma, _ = problem(2)
     prior = np.array([np.inf, 0.5, np.inf, 2.0])
-    found = consistent_fit(design, observed, sigma, prior, np.ones(20, np.bool_), ALARMLESS)
+    found = consistent_fit(LinearModel(design, observed, sigma, prior), np.ones(20, np.bool_), ALARMLESS)
     more = np.vstack((design, np.eye(4)[[1, 3]]))
     expected = fit(more, np.append(observed, [0.0, 0.0]), np.append(sigma, [0.5, 2.0]), ALARMLESS)
     np.testing.assert_allclose(found.value, expected.value, rtol=1e-9)
@@ -174,11 +182,11 @@ def test_whatever_is_left_out_would_contradict_what_stays():
         for k in np.flatnonzero(~found.used):
             with_it = found.used.copy()
             with_it[k] = True
-            again = consistent_fit(design, observed, sigma, np.full(3, np.inf), with_it, alarm)
+            again = fit(design, observed, sigma, alarm, with_it)
             variance = sigma[k] ** 2 + design[k] @ found.covariance @ design[k]
             unlikely = 12 * math.erfc(math.sqrt(0.5 * found.residual[k] ** 2 / variance)) < alarm
             assert unlikely or not again.used[with_it].all()
-        of_used = consistent_fit(design, observed, sigma, np.full(3, np.inf), found.used, ALARMLESS)
+        of_used = fit(design, observed, sigma, ALARMLESS, found.used)
         np.testing.assert_allclose(found.value, of_used.value, rtol=1e-9)
         assert (found.chi_squared, found.degrees) == pytest.approx((of_used.chi_squared, of_used.degrees))
     assert consistent > 100

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from camber.formats.observations import SPEED_OF_LIGHT_M_S, ObservationEpoch, carrier_hz, signal_name
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
-from camber.gnss.position.rtk_engine import Engine, EngineOptions, Solution
+from camber.gnss.position.engine_settings import EngineSettings
+from camber.gnss.position.rtk_engine import Engine, Solution
 from support.canyon_statistics import FIRST_NS
 from support.engine_drives import (
     Drive,
@@ -22,7 +23,7 @@ from support.engine_drives import (
     some_rows,
 )
 
-ALONE = EngineOptions(doppler_aided=False)
+ALONE = EngineSettings(doppler_aided=False)
 
 
 @functools.cache
@@ -59,7 +60,7 @@ def is_honest(solution: Solution, truth_m: np.ndarray) -> bool:
 @pytest.mark.parametrize("aided", [False, True])
 def test_in_the_open_every_epoch_is_fixed_to_centimetres_and_goes_on(seed, aided):
     d = open_sky_drive(seed=seed, seconds=6)
-    engine = engine_of(d, EngineOptions(doppler_aided=aided))
+    engine = engine_of(d, EngineSettings(doppler_aided=aided))
     solutions = solved(d, engine)
     assert [s.quality for s in solutions] == ["fixed"] * len(solutions)
     assert errors_m(d, solutions).max() < 0.05
@@ -81,11 +82,13 @@ def test_covariances_of_fixes_are_those_of_their_errors():
 
 
 @pytest.mark.parametrize(
-    "bands", [{"G": "12"}, {"E": "17"}, {"C": "27"}, {"G": "1", "E": "1"}, {"G": "12", "C": "2"}]
+    "bands", [("12", "", ""), ("", "17", ""), ("", "", "27"), ("1", "1", ""), ("12", "", "2")]
 )
 def test_any_systems_and_bands_do(bands):
     d = drive()
-    solutions = solved(d, engine_of(d, EngineOptions(bands=bands)))
+    gps, galileo, beidou = bands
+    settings = EngineSettings(gps_bands=gps, galileo_bands=galileo, beidou_bands=beidou)
+    solutions = solved(d, engine_of(d, settings))
     for s, truth in zip(solutions, d.true_ecef_m, strict=True):
         assert is_honest(s, truth)
         assert s.quality in ("fixed", "float")
@@ -162,7 +165,7 @@ def test_a_step_of_the_receivers_clock_is_told_and_breaks_nothing():
 
 def test_a_satellite_below_the_mask_changes_nothing():
     rover, base = drive().rover[2], drive().base[2]
-    options = replace(ALONE, lowest_elevation_rad=np.deg2rad(25.0))
+    options = ALONE.model_copy(update={"lowest_elevation_deg": 25.0})
     full = one(rover, base, engine_of(drive(), options))
     above = np.isin(rover.satellite, np.unique(full.rows.satellite))
     assert not above.all()
@@ -177,7 +180,7 @@ def test_without_a_base_the_receiver_stands_alone():
     solution = engine.solve(d.rover[0])
     assert (solution.quality, solution.reason) == ("single", "no_base")
     assert engine.warnings["base_silent"] == 1
-    without = Engine(EngineOptions())
+    without = Engine(EngineSettings())
     for e in d.ephemerides:
         without.add_ephemeris(e)
     without.add_base(d.base[0])
@@ -224,7 +227,7 @@ def test_a_base_that_is_nowhere_makes_no_fix(position_m):
 
 def test_without_ephemerides_there_is_nothing_and_it_says_which():
     d = drive()
-    engine = Engine(EngineOptions(), base_ecef_m())
+    engine = Engine(EngineSettings(), base_ecef_m())
     solution = one(d.rover[0], d.base[0], engine)
     assert (solution.quality, solution.position_ecef_m, solution.reason) == (
         "none",
@@ -232,8 +235,8 @@ def test_without_ephemerides_there_is_nothing_and_it_says_which():
         "too_few_satellites",
     )
     assert engine.warnings == {"ephemeris_missing": 1}
-    assert set(engine.lacks().values()) == {"none"}
-    assert len(engine.lacks()) == len(np.unique(d.rover[0].satellite))
+    assert set(engine.missing_ephemerides().values()) == {"none"}
+    assert len(engine.missing_ephemerides()) == len(np.unique(d.rover[0].satellite))
 
 
 def test_epochs_that_come_late_or_twice_are_refused_and_disturb_nothing():
@@ -425,5 +428,7 @@ def test_ten_epochs_a_second_go_on_as_one_does():
 
 
 def test_a_failure_rate_in_place_of_the_ratio_fixes_in_the_open():
-    solutions = solved(drive(), engine_of(drive(), EngineOptions(failure_rate=0.001, least_ratio=1e9)))
+    # No epoch reaches this ratio, which the settings do not allow either.
+    without_ratio = EngineSettings(failure_rate=0.001).model_copy(update={"least_ratio": 1e9})
+    solutions = solved(drive(), engine_of(drive(), without_ratio))
     assert [s.quality for s in solutions] == ["fixed"] * 8

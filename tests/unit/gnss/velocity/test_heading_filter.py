@@ -9,12 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camber.geodesy.angles import angle_difference, heading_from_yaw
-from camber.gnss.velocity.heading_filter import Heading, HeadingFilter, HeadingOptions
+from camber.gnss.velocity.heading_filter import HeadingEstimate, HeadingFilter, HeadingOptions, PlaneVelocity
 
 BEGIN_NS = 1_460_000_000 * 10**9
 SIGMA_M_S = 0.05
 COVARIANCE = (SIGMA_M_S**2, 0.0, SIGMA_M_S**2)
 ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def plane(
+    east_m_s: float,
+    north_m_s: float,
+    covariance_m2_s2: tuple[float, float, float] = COVARIANCE,
+    hdop: float = 1.0,
+) -> PlaneVelocity:
+    return PlaneVelocity(east_m_s=east_m_s, north_m_s=north_m_s, covariance_m2_s2=covariance_m2_s2, hdop=hdop)
 
 
 def velocity(
@@ -23,19 +32,20 @@ def velocity(
     """A velocity without noise; the vehicle moves along its heading, backwards with a negative speed."""
     return filter_.add_velocity(
         BEGIN_NS + round(at_s * 1e9),
-        speed_m_s * math.sin(heading_rad),
-        speed_m_s * math.cos(heading_rad),
-        COVARIANCE,
-        changed.get("hdop", 1.0),
+        plane(
+            speed_m_s * math.sin(heading_rad),
+            speed_m_s * math.cos(heading_rad),
+            hdop=changed.get("hdop", 1.0),
+        ),
         changed.get("wheel_speed_m_s", speed_m_s),
     )
 
 
-def at(filter_: HeadingFilter, at_s: float) -> Heading | None:
+def at(filter_: HeadingFilter, at_s: float) -> HeadingEstimate | None:
     return filter_.at(BEGIN_NS + round(at_s * 1e9))
 
 
-def known(filter_: HeadingFilter, at_s: float) -> Heading:
+def known(filter_: HeadingFilter, at_s: float) -> HeadingEstimate:
     heading = at(filter_, at_s)
     assert heading is not None
     return heading
@@ -54,7 +64,7 @@ def drive(seed: int, duration_s: float, speed_m_s: float) -> tuple[list[float], 
         if k % 5 == 0:
             noise = SIGMA_M_S * rng.normal(size=2)
             east, north = speed_m_s * math.cos(yaw) + noise[0], speed_m_s * math.sin(yaw) + noise[1]
-            filter_.add_velocity(BEGIN_NS + k * 20_000_000, east, north, COVARIANCE, 1.0, speed_m_s)
+            filter_.add_velocity(BEGIN_NS + k * 20_000_000, plane(east, north), speed_m_s)
         if t > 2.0:
             found = known(filter_, t)
             errors.append(angle_difference(found.heading_rad, heading_from_yaw(yaw)))
@@ -82,11 +92,11 @@ def test_the_slower_the_less_a_velocity_counts():
 
 def test_only_the_error_across_the_travel_turns_the_heading():
     filter_ = HeadingFilter()
-    filter_.add_velocity(BEGIN_NS, 0.0, 10.0, (0.01, 0.0, 4.0), 1.0, 10.0)
+    filter_.add_velocity(BEGIN_NS, plane(0.0, 10.0, (0.01, 0.0, 4.0)), 10.0)
     assert known(filter_, 0.0).heading_sigma_rad == pytest.approx(0.01)
     filter_ = HeadingFilter()
     # An ellipse turned by 45°, long along the travel to the north-east.
-    filter_.add_velocity(BEGIN_NS, 7.0, 7.0, (2.005, 1.995, 2.005), 1.0, 9.9)
+    filter_.add_velocity(BEGIN_NS, plane(7.0, 7.0, (2.005, 1.995, 2.005)), 9.9)
     assert known(filter_, 0.0).heading_sigma_rad == pytest.approx(0.1 / math.hypot(7.0, 7.0))
 
 
@@ -241,7 +251,7 @@ def test_whatever_comes_a_known_heading_is_a_number_with_a_sigma(steps):
         if is_rate:
             filter_.add_yaw_rate(time_ns, a)
         else:
-            filter_.add_velocity(time_ns, a, b, (c, d, c), d, e)
+            filter_.add_velocity(time_ns, plane(a, b, (c, d, c), d), e)
         for when_ns in (time_ns, last_ns):
             found = filter_.at(when_ns)
             if found is not None:

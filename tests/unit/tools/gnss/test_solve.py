@@ -19,7 +19,7 @@ from camber.formats.errors import FormatError
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.formats.rinex.writer import StationHeader, navigation_text
 from camber.geodesy.ellipsoid import ecef_from_geodetic, ecef_from_geodetic_scalar
-from camber.gnss.position.rtk_engine import EngineOptions
+from camber.gnss.position.engine_settings import EngineSettings
 from camber.schemas.drive import DriveManifest, ManifestError, RawObservations, load_manifest
 from camber.simulator.satellites.atmosphere import KLOBUCHAR_ALPHA, KLOBUCHAR_BETA
 from camber.simulator.scenario import load_scenario
@@ -190,7 +190,7 @@ def test_a_base_of_one_epoch_a_second_is_given_once_each(drive: Path) -> None:
     recording = raw(drive)
     slow = [epoch for epoch in recording.base if epoch.time_ns % NS == 0]
     assert len(slow) == 13
-    solved = run_engine(replace(recording, base=slow[::-1]), recording.rover, EngineOptions())
+    solved = run_engine(replace(recording, base=slow[::-1]), recording.rover, EngineSettings())
     assert np.isfinite(solved.age_s).all()
     assert "base_out_of_order" not in solved.warnings
     assert (solved.quality == "fixed").mean() > 0.9
@@ -201,7 +201,7 @@ def test_a_base_of_one_epoch_a_second_is_given_once_each(drive: Path) -> None:
 
 def test_a_base_that_ends_is_said_to_be_too_old(drive: Path) -> None:
     recording = raw(drive)
-    options = EngineOptions(longest_age_s=3.0)
+    options = EngineSettings(longest_base_age_s=3.0)
     solved = run_engine(replace(recording, base=recording.base[:21]), recording.rover, options)
     late = (solved.time_ns - recording.base[20].time_ns) > 3 * NS
     assert (solved.quality[late] == "single").all()
@@ -218,7 +218,7 @@ def test_a_whole_day_of_ephemerides_does_not_push_out_those_in_use(drive: Path) 
         for later_ns in days_ns
     ]
     filled = replace(recording, ephemerides=[*recording.ephemerides, *day])
-    alone, among_others = (run_engine(r, r.rover[:20], EngineOptions()) for r in (recording, filled))
+    alone, among_others = (run_engine(r, r.rover[:20], EngineSettings()) for r in (recording, filled))
     assert (among_others.quality == "fixed").all()
     assert among_others.position_ecef_m == pytest.approx(alone.position_ecef_m, abs=1e-3)
 
@@ -232,7 +232,7 @@ def test_the_ionosphere_of_the_navigation_file_reaches_the_engine(drive: Path) -
 
     def single(ionosphere: np.ndarray | None) -> np.ndarray:
         alone = replace(recording, base=[], ionosphere=ionosphere)
-        return run_engine(alone, recording.rover[:3], EngineOptions()).position_ecef_m
+        return run_engine(alone, recording.rover[:3], EngineSettings()).position_ecef_m
 
     assert np.linalg.norm(single(recording.ionosphere) - single(None), axis=1).min() > 0.1
 
@@ -325,7 +325,7 @@ def test_a_drive_without_raw_observations_is_refused(drive: Path, tmp_path: Path
     manifest = load_manifest(drive / "drive.toml")
     without = DriveManifest.model_construct(**{**manifest.__dict__, "observations": None})
     with pytest.raises(ManifestError, match="no table observations"):
-        gnss_solve.solve(without, EngineOptions(), tmp_path)
+        gnss_solve.solve(without, EngineSettings(), tmp_path)
 
 
 def test_ephemerides_that_are_none_are_refused(drive: Path) -> None:
@@ -394,7 +394,7 @@ def test_rooftop_is_fixed_throughout(data: Path) -> None:
     )
     recording = load_raw(observations)
     assert "header" in recording.base_position_from
-    solved = run_engine(recording, recording.rover, EngineOptions())
+    solved = run_engine(recording, recording.rover, EngineSettings())
     assert (solved.quality == "fixed").all()
 
     def known(name: str) -> np.ndarray:
