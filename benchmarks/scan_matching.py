@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.geodesy.se3 import invert, transform_points
 from camber.localizer.map_clouds.voxel_grid import voxel_means
-from camber.localizer.matching.layered_matching import MatchOptions, match_layers
+from camber.localizer.matching.layered_matching import MatchInput, MatchOptions, match_layers
 from camber.localizer.matching.registration import LayerTarget, register
 from camber.localizer.matching.road_plane_fit import fit_road
 from support import street_lidar
@@ -63,7 +63,8 @@ def everything_ms() -> float:
             heights = street_lidar.ground().height_above(transform_points(query.guess, local))
             guess = fit_road(local, heights, road, query.guess).map_from_local
             heights = street_lidar.ground().height_above(transform_points(guess, local))
-            match_layers(local, heights, layers, guess, OPTIONS)
+            scan = MatchInput(points_m=local, heights_m=heights, targets=layers, guess=guess)
+            match_layers(scan, OPTIONS)
             took.append(1e3 * (time.perf_counter() - began))
     return statistics.median(took)
 
@@ -126,7 +127,14 @@ def of_document(targets: Sequence[LayerTarget]) -> Match:
 
     def match(clouds: Sequence[Floats], guess: Floats) -> Floats:
         fits = [
-            register(target, cloud, guess, "point_to_point", D_MAX_M, MAX_ITERATIONS)
+            register(
+                target,
+                cloud,
+                guess,
+                method="point_to_point",
+                max_distance_m=D_MAX_M,
+                max_iterations=MAX_ITERATIONS,
+            )
             for target, cloud in zip(targets, clouds, strict=True)
         ]
         return min(fits, key=lambda fit: fit.mean_distance_m).transform
@@ -164,7 +172,10 @@ def figures() -> list[Figure]:
     clouds = {id(query): layered(query) for query in asked}
 
     def ours(query: street_lidar.Query) -> Floats:
-        return match_layers(query.points_m, query.heights_m, targets, query.guess, OPTIONS).map_from_local
+        scan = MatchInput(
+            points_m=query.points_m, heights_m=query.heights_m, targets=targets, guess=query.guess
+        )
+        return match_layers(scan, OPTIONS).map_from_local
 
     def of(match: Match) -> Callable[[street_lidar.Query], Floats]:
         return lambda query: match(clouds[id(query)], query.guess)

@@ -8,7 +8,7 @@ import typing
 import pytest
 
 from camber.gnss.position.rtk_engine import REASON, EngineWarning
-from camber.localizer.settings import GivenPose
+from camber.localizer.localization import GivenPose
 from support.tree import ROOT
 
 PAGES = ("gnss", "antenna_height", "localizer", "integrity", "sensors")

@@ -38,12 +38,12 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = folder / "out"
     done = camber("replay", manifest, "--processes", "--out", out, "--set", END, timeout_s=120.0)
     assert done.returncode == 0, done.stderr
-    (out / "said.txt").write_text(done.stderr)
+    (out / "stderr.txt").write_text(done.stderr)
     return out
 
 
 def test_a_damaged_sweep_is_named_in_one_line_and_in_the_run(out: Path) -> None:
-    (line,) = [line for line in (out / "said.txt").read_text().splitlines() if "sweep could" in line]
+    (line,) = [line for line in (out / "stderr.txt").read_text().splitlines() if "sweep could" in line]
     assert "1 sweep could not be read and left out, the first: " in line
     assert "1 sweep could not be read" in (out / "run.json").read_text()
 
@@ -58,5 +58,5 @@ def test_sweeps_are_not_in_the_recording_and_all_else_is(out: Path) -> None:
 def test_sweeps_that_show_nothing_change_no_verdict(out: Path, tmp_path: Path) -> None:
     without = in_one_process(write_short_drive(tmp_path / "drive"), tmp_path, END).recorded["verdict"]
     assert len(without) > 30
-    # Noise fits no map, and this map has no clouds either; what is said of the epochs is the same.
+    # Noise fits no map, and this map has no clouds either; the verdicts are the same.
     assert [item.message for item in recorded(out)["verdict"]] == [item.message for item in without]

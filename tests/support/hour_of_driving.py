@@ -22,8 +22,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from camber.localizer.filter.pose_filter import PoseModel
-from camber.localizer.localization import GivenStart, Localization, LocalizationOptions
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.localization import GivenPose, Localization, LocalizationOptions
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.runtime.health.memory_release import return_freed_memory
@@ -131,18 +131,18 @@ def main() -> int:
 
 def options(given: Any, body: Any) -> LocalizationOptions:
     """As a replay would set the localizer up."""
-    start = GivenStart(
-        math.radians(given.latitude_deg),
-        math.radians(given.longitude_deg),
-        math.radians(given.yaw_deg),
-        given.horizontal_sigma_m,
-        math.radians(given.yaw_sigma_deg),
+    start = GivenPose(
+        latitude_deg=given.latitude_deg,
+        longitude_deg=given.longitude_deg,
+        yaw_deg=given.yaw_deg,
+        horizontal_sigma_m=given.horizontal_sigma_m,
+        yaw_sigma_deg=given.yaw_sigma_deg,
     )
     return LocalizationOptions(
         model=PoseModel(antenna_x_m=body.antenna[0], antenna_y_m=body.antenna[1]),
         antenna_z_m=body.antenna[2],
         given=start,
-        matching=ScanMatchOptions(mount=SensorMount(*body.lidar)),
+        matching=ScanMatchOptions(mount=SensorMount(x_m=body.lidar[0], y_m=body.lidar[1], z_m=body.lidar[2])),
     )
 
 

@@ -401,7 +401,7 @@ def _surveyed(of: _District, links: tuple[int, ...], time_ns: int) -> Path:
     return folder / "map"
 
 
-# What is around and what is said
+# Surroundings and messages
 
 
 def _road_users(drive: LidarDrive) -> list[RoadUser]:

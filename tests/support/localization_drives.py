@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 
 from camber.geodesy.angles import wrap_pi
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.filter.dead_reckoning import MotionSample, OverlayLag
+from camber.localizer.filter.odometry import MotionSample
 from camber.localizer.filter.pose_estimate import Prediction
-from camber.localizer.filter.pose_filter import MatchUpdate, PoseFilter
+from camber.localizer.filter.pose_filter import PoseFilter
+from camber.localizer.filter.scan_match_update import MatchUpdate
+from camber.localizer.filter.track import OverlayLag
 from camber.localizer.local_plane import LocalPlane
 from camber.localizer.localization import Localization, LocalizationOptions
 from camber.localizer.matching.scan_matcher import ScanMatcher
@@ -48,12 +50,12 @@ START_OFF_M = 0.5
 SEAM_M = 15.0
 OTHER_ROAD_M = 1.0
 START_OFF_RAD = math.radians(2.0)
-NO_LAG = OverlayLag()
+_NO_LAG = OverlayLag()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptDrive:
-    """What the sensors said, the truth at 100 Hz, a given pose, and the map's folder."""
+    """What the sensors measured, the truth at 100 Hz, a given pose, and the map's folder."""
 
     name: str
     drive_seed: int
@@ -126,7 +128,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Localized:
-    """One drive. `levels`: of the road said and of the true one, (n, 2), NaN where none was said; `seam_m`: metres of
+    """One drive. `levels`: of the estimated road and of the true one, (n, 2), NaN where unknown; `seam_m`: metres of
     the way (n,) to the next change of the true level: there the same surface has two names. `elevation_m`: errors (n,)
     of the road's. `sweep_s`: processor time of each sweep from hearing it to its match."""
 
@@ -141,13 +143,14 @@ class Localized:
 
     @property
     def wrong_level(self) -> NDArray[np.bool_]:
-        """Where (n,) another level than the true one was said, not at a seam, or its elevation is another road's."""
+        """Where (n,) another level than the true one was estimated, not at a seam, or its elevation is another
+        road's."""
         other = np.isfinite(self.levels[:, 0]) & (self.levels[:, 0] != self.levels[:, 1])
         return (other & (self.seam_m > SEAM_M)) | (np.abs(self.elevation_m) > OTHER_ROAD_M)
 
 
 def options_of_car(**more: Any) -> LocalizationOptions:
-    """What the localizer is told of the simulated car."""
+    """The localizer's parameters for the simulated car."""
     settings = LocalizerSettings(
         antenna_x_m=CAR.antenna[0],
         antenna_y_m=CAR.antenna[1],
@@ -183,7 +186,7 @@ def localized(drive: KeptDrive, *, lidar: bool = True, given: float = 1.0) -> Lo
             poses.append(step.pose)
     end_ns = int(drive.truth.time_ns[-1])
     poses = [pose for pose in poses if pose.time_ns <= end_ns]
-    return _beside_truth(drive, poses, matches, np.array(sweep_s), tally)
+    return _compared_with_truth(drive, poses, matches, np.array(sweep_s), tally)
 
 
 def _nearer(drive: KeptDrive, share: float) -> InitialPose:
@@ -219,7 +222,12 @@ def matched_alone(drive: KeptDrive, *, every: int = ALONE_EVERY) -> Errors:
         if tick.motion is not None:
             m = tick.motion
             blindfold.predict(
-                MotionSample(m.time_ns, m.wheel_speed_m_s, m.yaw_rate_rad_s, m.steering_angle_rad)
+                MotionSample(
+                    time_ns=m.time_ns,
+                    speed_m_s=m.wheel_speed_m_s,
+                    yaw_rate_rad_s=m.yaw_rate_rad_s,
+                    steering_rad=m.steering_angle_rad,
+                )
             )
             matcher.set_attitude(m.roll_rad, m.pitch_rad)
         if tick.sweep is not None:
@@ -227,14 +235,14 @@ def matched_alone(drive: KeptDrive, *, every: int = ALONE_EVERY) -> Errors:
         k = _row(truth, tick.time_ns)
         matcher.reset_road_height()
         road = Road(status="known", elevation_m=float(truth.road_height_m[k]))
-        for match in matcher.work(blindfold.plane, road).matches:
+        for match in matcher.process(blindfold.plane, road).matches:
             if blindfold.asked(match.time_ns):
                 rows.append((match.time_ns, f"{match.status} {match.reason}".strip()))
     return blindfold.errors(rows)
 
 
 class _Blindfold(PoseFilter):
-    """Dead reckoning that is told by the truth where to look, and takes no match in."""
+    """Dead reckoning whose predictions are near the truth, and takes no match in."""
 
     def __init__(self, options: LocalizationOptions, drive: KeptDrive, every: int) -> None:
         super().__init__(options.model)
@@ -244,7 +252,7 @@ class _Blindfold(PoseFilter):
         self.plane = LocalPlane(float(first.latitude_rad[0]), float(first.longitude_rad[0]))
         sweeps = [tick.time_ns for tick in drive.ticks if tick.sweep is not None]
         self._asked = set(sweeps[every - 1 :: every])
-        self._said: dict[int, tuple[Floats, Floats]] = {}
+        self._matched: dict[int, tuple[Floats, Floats]] = {}
 
     def asked(self, time_ns: int) -> bool:
         """Whether this sweep is to be matched."""
@@ -254,13 +262,13 @@ class _Blindfold(PoseFilter):
         if time_ns not in self._asked:
             return None
         east_m, north_m, yaw_rad = self._true(time_ns)
-        way = self._random.uniform(0.0, math.tau)
+        direction = self._random.uniform(0.0, math.tau)
         turned = math.copysign(START_OFF_RAD, self._random.uniform(-1.0, 1.0))
         covariance = np.diag([0.5 * START_OFF_M**2, 0.5 * START_OFF_M**2, 0.5 * START_OFF_RAD**2])
         return Prediction(
             time_ns,
-            east_m + START_OFF_M * math.cos(way),
-            north_m + START_OFF_M * math.sin(way),
+            east_m + START_OFF_M * math.cos(direction),
+            north_m + START_OFF_M * math.sin(direction),
             wrap_pi(yaw_rad + turned),
             True,
             covariance * 0.8,  # 3 σ is within what is sure
@@ -269,33 +277,31 @@ class _Blindfold(PoseFilter):
     def match(
         self,
         time_ns: int,
-        east_m: float,
-        north_m: float,
-        yaw_rad: float,
+        pose: tuple[float, float, float],
         covariance: Floats,
         *,
         unique: bool,
-        behind: OverlayLag = NO_LAG,
+        overlay_lag: OverlayLag = _NO_LAG,
     ) -> MatchUpdate:
         true_m = self._true(time_ns)
-        off = np.array([east_m - true_m[0], north_m - true_m[1], wrap_pi(yaw_rad - true_m[2])])
-        self._said[time_ns] = off, covariance + self.motion_share(behind, yaw_rad)
+        off = np.array([pose[0] - true_m[0], pose[1] - true_m[1], wrap_pi(pose[2] - true_m[2])])
+        self._matched[time_ns] = off, covariance + self.motion_share(overlay_lag, pose[2])
         return MatchUpdate("accepted")
 
     def errors(self, rows: Sequence[tuple[int, str]]) -> Errors:
-        """Of the matches (time, word) that were told to it; the others are lost."""
-        told = [(time_ns, word) for time_ns, word in rows if time_ns in self._said]
-        lost = [word for time_ns, word in rows if time_ns not in self._said]
-        times_ns = np.array([time_ns for time_ns, _ in told], np.int64)
-        off = np.array([self._said[time_ns][0] for time_ns, _ in told]).reshape(-1, 3)
-        covariance = np.array([self._said[time_ns][1] for time_ns, _ in told]).reshape(-1, 3, 3)
+        """Of the matches (time, word) that it received; the others are lost."""
+        matched = [(time_ns, word) for time_ns, word in rows if time_ns in self._matched]
+        lost = [word for time_ns, word in rows if time_ns not in self._matched]
+        times_ns = np.array([time_ns for time_ns, _ in matched], np.int64)
+        off = np.array([self._matched[time_ns][0] for time_ns, _ in matched]).reshape(-1, 3)
+        covariance = np.array([self._matched[time_ns][1] for time_ns, _ in matched]).reshape(-1, 3, 3)
         n = len(lost)
         away = _turned(_columns(self._drive.truth, times_ns)[2], off, covariance)
         return Errors(
             np.append((times_ns - self._drive.truth.time_ns[0]) * 1e-9, np.full(n, np.nan)),
             np.concatenate([away[0], np.full((n, 3), np.nan)]),
             np.concatenate([away[1], np.tile(np.eye(3), (n, 1, 1))]),
-            (*(word for _, word in told), *lost),
+            (*(word for _, word in matched), *lost),
         )
 
     def _true(self, time_ns: int) -> tuple[float, float, float]:
@@ -308,7 +314,7 @@ class _Blindfold(PoseFilter):
 # Beside the truth
 
 
-def _beside_truth(
+def _compared_with_truth(
     drive: KeptDrive, poses: list[Pose], matches: list[ScanMatch], sweep_s: Floats, tally: IssueTally
 ) -> Localized:
     truth, frame = drive.truth, _frame(drive.truth)
@@ -330,13 +336,13 @@ def _beside_truth(
         np.array([_full(p.covariance_east_north_yaw) for p in poses]),
     )
     seconds = (times_ns - truth.time_ns[0]) * 1e-9
-    said = [math.nan if p.road.level is None else float(p.road.level) for p in poses]
+    levels = [math.nan if p.road.level is None else float(p.road.level) for p in poses]
     elevation = [math.nan if p.road.elevation_m is None else p.road.elevation_m for p in poses]
     return Localized(
         drive.name,
         Errors(seconds, off, covariance, tuple(p.mode for p in poses)),
         _of_matches(drive, matches, frame),
-        np.column_stack([said, truth.level[rows]]),
+        np.column_stack([levels, truth.level[rows]]),
         _to_seam(truth)[rows],
         np.array(elevation) - _at(truth, truth.road_height_m, times_ns),
         sweep_s,

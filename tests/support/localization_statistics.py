@@ -162,7 +162,7 @@ def _quantiles(values: Floats, *shares: float) -> list[float]:
 def _line(result: Localized | Errors, settling_s: float) -> str:
     if isinstance(result, Errors):
         good = result.where(np.isfinite(result.off[:, 0]))
-        return f"matches {len(result.word)} told {len(good.off)} {_short(good)}"
+        return f"matches {len(result.word)} with a pose {len(good.off)} {_short(good)}"
     late = result.poses.since(settling_s)
     wrong = int(result.wrong_level.sum())
     words = Counter(word.split()[0] for word in result.matches.word)
@@ -187,20 +187,20 @@ def _rounded(value: Any) -> Any:
 
 
 def _asked(args: argparse.Namespace) -> list[Asked]:
-    found = []
+    measured = []
     for seed in args.seeds:
         first_s, last_s = args.between or (3.0, math.inf)
         last_s = min(last_s, route_duration_s(args.scenario, seed, args.route))
         seconds = math.floor(last_s - 1.0) if args.whole else args.seconds
         starts = [0.0] if args.whole else np.linspace(first_s, last_s - seconds - 0.5, args.drives).tolist()
-        found += [
+        measured += [
             Asked(
                 args.scenario, seed, round(start_s, 1), seconds, args.beams, not args.no_lidar, args.alone,
                 args.every, args.given, args.keep, args.route,
             )
             for start_s in starts
         ]  # fmt: skip
-    return found
+    return measured
 
 
 def main() -> None:
@@ -220,7 +220,7 @@ def main() -> None:
         "--given", type=float, default=1.0, help="error and σ of the given pose, of 1 m and 2°"
     )
     parser.add_argument("--alone", action="store_true", help="the matcher by itself")
-    parser.add_argument("--no-lidar", action="store_true", help="no sweep is heard")
+    parser.add_argument("--no-lidar", action="store_true", help="no sweep is used")
     parser.add_argument("--route", default="default", help="one of the scenario's")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder of simulated drives")

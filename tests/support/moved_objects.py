@@ -35,14 +35,14 @@ def objects(points_m: Floats, heights_m: Floats) -> list[NDArray[np.int64]]:
     members: dict[Cell, list[int]] = {}
     for row in low:
         members.setdefault((int(cells[row, 0]), int(cells[row, 1])), []).append(int(row))
-    found = []
+    result = []
     for cluster in _clusters(members):
         for piece in _pieces(cluster):
             rows = np.array([row for cell in piece for row in members[cell]])
             standing = sum(cell in tall for cell in piece) > _STANDING * len(piece)
             if len(rows) >= _MIN_POINTS and not standing:
-                found.append(rows)
-    return found
+                result.append(rows)
+    return result
 
 
 def _clusters(members: dict[Cell, list[int]]) -> list[list[Cell]]:
@@ -91,6 +91,6 @@ def changed(points_m: Floats, heights_m: Floats, change: Change, random: np.rand
             extra.append(shape @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + place)
             away[rows] = True
         else:
-            way = common_rad if change == "shifted_together" else random.uniform(-np.pi, np.pi)
-            moved[rows, :2] += SHIFT_M * np.array([np.cos(way), np.sin(way)])
+            direction = common_rad if change == "shifted_together" else random.uniform(-np.pi, np.pi)
+            moved[rows, :2] += SHIFT_M * np.array([np.cos(direction), np.sin(direction)])
     return np.concatenate([moved[~away], *extra])

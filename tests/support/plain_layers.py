@@ -86,7 +86,7 @@ def targets(points_m: Floats, options: MatchOptions | None = None) -> list[Layer
     return [LayerTarget.of(points_m[(h >= low - 0.2) & (h < high + 0.2)]) for low, high in bounds]
 
 
-def error(found: Floats, truth: Floats) -> tuple[float, float]:
+def error(result: Floats, truth: Floats) -> tuple[float, float]:
     """Horizontal distance [m] and turn [rad] between two poses."""
-    apart = invert(truth) @ found
+    apart = invert(truth) @ result
     return float(np.hypot(apart[0, 3], apart[1, 3])), abs(float(np.arctan2(apart[1, 0], apart[0, 0])))

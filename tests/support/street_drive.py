@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from camber.localizer.localization import GivenStart, Localization, LocalizationOptions
+from camber.localizer.localization import GivenPose, Localization, LocalizationOptions
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.warm_up import SyntheticMap, synthetic_street
@@ -38,7 +38,7 @@ def east_north(latitude_rad: float, longitude_rad: float) -> tuple[float, float]
 
 
 @dataclass
-class Heard:
+class CountedDiagnostics:
     """What the localizer reports."""
 
     issues: Counter[str] = field(default_factory=Counter)
@@ -69,14 +69,21 @@ class StreetDrive:
         matching: ScanMatchOptions | None = None,
     ) -> None:
         self.begin_m, self.speed_m_s = begin_m, speed_m_s
-        self.heard = Heard()
+        self.diagnostics = CountedDiagnostics()
         self.answers = answers or SyntheticMap(_ROAD_M, _WALLS_M)
         self.seen_m = np.concatenate((_ROAD_M, _WALLS_M)) if seen_m is None else seen_m
-        start = GivenStart(*geodetic(begin_m + off_m[0], off_m[1]), off_rad, sigma_m, math.radians(1.0))
-        mount = mount or SensorMount(0.0, 0.0, LIDAR_HEIGHT_M)
+        latitude_rad, longitude_rad = geodetic(begin_m + off_m[0], off_m[1])
+        start = GivenPose(
+            latitude_deg=math.degrees(latitude_rad),
+            longitude_deg=math.degrees(longitude_rad),
+            yaw_deg=math.degrees(off_rad),
+            horizontal_sigma_m=sigma_m,
+            yaw_sigma_deg=1.0,
+        )
+        mount = mount or SensorMount(x_m=0.0, y_m=0.0, z_m=LIDAR_HEIGHT_M)
         matching = replace(matching or ScanMatchOptions(), mount=mount)
         options = LocalizationOptions(given=start if given else None, matching=matching)
-        self.localization = Localization(options, self.answers, self.heard)
+        self.localization = Localization(options, self.answers, self.diagnostics)
         self.tenth = 0
         self.poses: list[Pose] = []
         self.matches: list[ScanMatch] = []

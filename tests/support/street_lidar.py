@@ -1,7 +1,7 @@
 """The recording `street-lidar` as map and query: the map from its even sweeps, ten odd ones overlaid as the query.
 
 `PYTHONPATH=tests python -m support.street_lidar` prints the tables of the matcher (CAMBER_DATA names the recordings).
-The pseudo truth is good to about 2 cm, and map and query share it: no smaller error can be told.
+The pseudo truth is good to about 2 cm, and map and query share it: no smaller error can be resolved.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from camber.formats.map_exchange.pcd import cloud_from_pcd
 from camber.formats.map_exchange.pcd_header import read_header
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
-from camber.localizer.matching.layered_matching import Bounds
-from camber.localizer.matching.registration import LayerTarget
+from camber.localizer.matching.registration import LayerBounds, LayerTarget
 from camber.localizer.matching.road_plane_fit import fit_road
 from support.moved_objects import Change, changed
 
@@ -154,7 +153,7 @@ def _grown(low: Floats, track_m: Floats, origin_m: Floats) -> Floats:
 
 
 @cache
-def targets(bounds_m: Bounds) -> tuple[LayerTarget, ...]:
+def targets(bounds_m: LayerBounds) -> tuple[LayerTarget, ...]:
     """The layers of the map, with a margin of 0.2 m."""
     points = map_points()
     h = ground().height_above(points)
@@ -170,17 +169,18 @@ def road() -> LayerTarget:
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """A local map in L, its heights above the road at the guess, and the guess and the pseudo truth, map_from_local."""
+    """A local map in the local frame, its heights above the road at the guess, and the guess and the pseudo
+    truth, map_from_local."""
 
     points_m: Floats
     heights_m: Floats
     guess: Floats
     truth: Floats
 
-    def error(self, found: Floats) -> Floats:
+    def error(self, result: Floats) -> Floats:
         """East, north [m], yaw [rad] of a pose against the pseudo truth."""
-        turned = found[:3, :3] @ self.truth[:3, :3].T
-        return np.array([*(found[:2, 3] - self.truth[:2, 3]), np.arctan2(turned[1, 0], turned[0, 0])])
+        turned = result[:3, :3] @ self.truth[:3, :3].T
+        return np.array([*(result[:2, 3] - self.truth[:2, 3]), np.arctan2(turned[1, 0], turned[0, 0])])
 
 
 @cache
@@ -193,28 +193,28 @@ def queries(
 ) -> list[Query]:
     """Starts off by so much in every direction, height, roll and pitch by the road from 5 cm and 0.3° off."""
     random = np.random.default_rng(seed)
-    found = []
+    result = []
     for k in QUERIES:
         for _ in range(each):
             truth, points_m = poses()[k], _local_map(k)
             if change is not None:
                 above_m = ground().height_above(transform_points(truth, points_m))
                 points_m = changed(points_m, above_m, change, random)
-            guess = _beside(truth, off_m, off_deg, random)
+            guess = _next_to(truth, off_m, off_deg, random)
             heights_m = ground().height_above(transform_points(guess, points_m))
             guess = fit_road(points_m, heights_m, road(), guess).map_from_local
             heights_m = ground().height_above(transform_points(guess, points_m))
-            found.append(Query(points_m, heights_m, guess, truth))
-    return found
+            result.append(Query(points_m, heights_m, guess, truth))
+    return result
 
 
-def _beside(truth: Floats, off_m: float, off_deg: float, random: np.random.Generator) -> Floats:
-    way, turn = random.uniform(-np.pi, np.pi), np.radians(off_deg) * random.choice([-1.0, 1.0])
+def _next_to(truth: Floats, off_m: float, off_deg: float, random: np.random.Generator) -> Floats:
+    offset, turn = random.uniform(-np.pi, np.pi), np.radians(off_deg) * random.choice([-1.0, 1.0])
     roll, pitch = random.normal(0.0, np.radians(0.3), 2)
     tilted = truth @ map_from_vehicle(
         0.0, 0.0, random.normal(0.0, 0.05), float(roll), float(pitch), float(turn)
     )
-    tilted[:2, 3] += off_m * np.array([np.cos(way), np.sin(way)])
+    tilted[:2, 3] += off_m * np.array([np.cos(offset), np.sin(offset)])
     return tilted
 
 

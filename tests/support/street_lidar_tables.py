@@ -10,27 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.localizer.matching.coarse_search import search, seems_mirrored
-from camber.localizer.matching.layer_selection import LayerEstimate, Rule, choose
+from camber.localizer.matching.icp import moved
+from camber.localizer.matching.layer_selection import LayerEstimate, SelectionRule, select
 from camber.localizer.matching.layered_matching import (
-    DOCUMENT_BOUNDS_M,
-    Bounds,
     LayeredMatch,
+    MatchInput,
     MatchOptions,
     match_layers,
 )
-from camber.localizer.matching.point_to_plane import moved
-from camber.localizer.matching.registration import Method
+from camber.localizer.matching.registration import LayerBounds, Method
 from support.moved_objects import Change
 from support.street_lidar import Query, queries, targets
 
 Floats = NDArray[np.float64]
 
-SETTINGS: dict[str, Bounds] = {
-    "0-1-2-3 m (document)": DOCUMENT_BOUNDS_M,
+SETTINGS: dict[str, LayerBounds] = {
+    "0-1-2-3 m (document)": ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0)),
     "0.3-1-2-3 m (default)": MatchOptions().layer_bounds_m,
     "0.3-0.8-1.5-3-6 m": ((0.3, 0.8), (0.8, 1.5), (1.5, 3.0), (3.0, 6.0)),
 }
-RULES: tuple[Rule, ...] = ("best", "mean", "weighted", "voted")
+RULES: tuple[SelectionRule, ...] = ("best", "mean", "weighted", "voted")
 METHODS: dict[Method, tuple[str, ...]] = {
     "point_to_plane": tuple(SETTINGS),
     "point_to_point": tuple(SETTINGS),
@@ -74,7 +73,17 @@ def run(asked: Sequence[Query], options: MatchOptions) -> Outcome:
 
 def matched(query: Query, options: MatchOptions) -> LayeredMatch:
     """One of them."""
-    return match_layers(query.points_m, query.heights_m, targets(options.bounds_m), query.guess, options)
+    return match_layers(scan_of(query, options), options)
+
+
+def scan_of(query: Query, options: MatchOptions) -> MatchInput:
+    """Return the input of a match."""
+    return MatchInput(
+        points_m=query.points_m,
+        heights_m=query.heights_m,
+        targets=targets(options.bounds_m),
+        guess=query.guess,
+    )
 
 
 def outcome(asked: Sequence[Query], matches: Sequence[LayeredMatch]) -> Outcome:
@@ -84,12 +93,18 @@ def outcome(asked: Sequence[Query], matches: Sequence[LayeredMatch]) -> Outcome:
     return Outcome(error, np.array(square), Counter(m.status for m in matches))
 
 
-def chosen(query: Query, match: LayeredMatch, rule: Rule) -> LayeredMatch:
+def chosen(query: Query, match: LayeredMatch, rule: SelectionRule) -> LayeredMatch:
     """The answer that another rule makes of the same layers."""
     layers = [row for row in match.layers if row.outcome in ("used", "voted_out")]
     if not layers:
         return match
-    choice = choose([LayerEstimate(r.offset, r.covariance, r.fit.mean_distance_m) for r in layers], rule)
+    choice = select(
+        [
+            LayerEstimate(offset=r.offset, covariance=r.covariance, mean_distance_m=r.fit.mean_distance_m)
+            for r in layers
+        ],
+        rule,
+    )
     return replace(
         match, map_from_local=moved(query.guess, choice.offset, "planar"), covariance=choice.covariance
     )
@@ -107,12 +122,12 @@ def _print_starts() -> None:
     print("Default options")
     for off_m, off_deg, each in ((0.5, 2.0, 10), (1.0, 5.0, 10)):
         asked = queries(off_m, off_deg, each)
-        found = run(asked, MatchOptions())
-        right = int(np.count_nonzero(found.distance_m < WRONG_M))
+        result = run(asked, MatchOptions())
+        right = int(np.count_nonzero(result.distance_m < WRONG_M))
         print(
-            f"  from {off_m} m, {off_deg}°: {_three(found)}, right {right} of {len(asked)}, yaw p95"
-            f" {np.degrees(np.percentile(np.abs(found.error[:, 2]), 95)):.3f}°, mean normalised error squared"
-            f" {found.square.mean():.2f} of 3, {dict(found.status)}"
+            f"  from {off_m} m, {off_deg}°: {_three(result)}, right {right} of {len(asked)}, yaw p95"
+            f" {np.degrees(np.percentile(np.abs(result.error[:, 2]), 95)):.3f}°, mean normalised error squared"
+            f" {result.square.mean():.2f} of 3, {dict(result.status)}"
         )
     print()
 
@@ -125,15 +140,16 @@ def _print_choices() -> None:
         )
         for method, settings in METHODS.items():
             for name in settings:
-                options = MatchOptions(SETTINGS[name], method=method)
+                options = MatchOptions(layer_bounds_m=SETTINGS[name], method=method)
                 layered = [matched(query, options) for query in asked]
                 pairs = list(zip(asked, layered, strict=True))
                 by_rule = {rule: outcome(asked, [chosen(q, m, rule) for q, m in pairs]) for rule in RULES}
-                cells = [f"{rule} {_three(found)}" for rule, found in by_rule.items()]
+                cells = [f"{rule} {_three(result)}" for rule, result in by_rule.items()]
                 whole = run(asked, replace(options, choice="whole"))
-                said = ", ".join(f"{n} {status}" for status, n in outcome(asked, layered).status.items())
+                statuses = ", ".join(f"{n} {status}" for status, n in outcome(asked, layered).status.items())
                 print(
-                    f"  {method:14} {name:22} {'  '.join(cells)}  whole {_three(whole)}  ({said})", flush=True
+                    f"  {method:14} {name:22} {'  '.join(cells)}  whole {_three(whole)}  ({statuses})",
+                    flush=True,
                 )
         print()
 
@@ -143,21 +159,21 @@ def _print_search() -> None:
     right, unique, asked = 0, 0, 0
     for off_m, off_deg in zip(random.uniform(0.0, 5.0, 5), random.uniform(0.0, 15.0, 5), strict=True):
         for query in queries(float(off_m), float(off_deg), 1):
-            found = search(query.points_m, query.heights_m, targets(MatchOptions().bounds_m), query.guess)
-            error = query.error(found.match.map_from_local)
+            result = search(scan_of(query, MatchOptions()), MatchOptions())
+            error = query.error(result.match.map_from_local)
             asked += 1
             right += bool(np.hypot(error[0], error[1]) < WRONG_M)
-            unique += found.unique
+            unique += result.unique
     print(f"Coarse search, 5 m and 15°: right {right} of {asked}, the only place {unique}")
-    layers = targets(MatchOptions().bounds_m)
     accused, noticed = 0, 0
     straight = queries(0.5, 2.0, 1)
     for query in straight:
-        mirrored_m = query.points_m * np.array([1.0, -1.0, 1.0])
-        accused += seems_mirrored(query.points_m, query.heights_m, layers, query.guess)
-        noticed += seems_mirrored(mirrored_m, query.heights_m, layers, query.guess)
+        scan = scan_of(query, MatchOptions())
+        mirrored = replace(scan, points_m=query.points_m * np.array([1.0, -1.0, 1.0]))
+        accused += seems_mirrored(scan, MatchOptions())
+        noticed += seems_mirrored(mirrored, MatchOptions())
     print(f"Mirrored sensor: noticed {noticed} of {len(straight)}, a right one accused {accused} times")
 
 
-def _three(found: Outcome) -> str:
-    return " / ".join(f"{found.centimetres(p):.1f}" for p in (50, 95, 100))
+def _three(result: Outcome) -> str:
+    return " / ".join(f"{result.centimetres(p):.1f}" for p in (50, 95, 100))

@@ -24,9 +24,10 @@ from tqdm import tqdm
 
 from camber.geodesy.angles import wrap_pi_array
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample
-from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
-from camber.localizer.links.link_matching import Link, LinkMatcher, LinkNetwork
+from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.pose_filter import PoseFilter
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.links.link_matching import LinkMatcher, LinkNetwork, RoadLink
 from camber.road_map.release import read_release
 from camber.road_map.road_columns import RoadLinks
 from camber.schemas.motion import Motion
@@ -56,7 +57,7 @@ class TunnelDrive:
 
     seed: int
     motion: list[Motion]
-    links: list[Link]
+    links: list[RoadLink]
     trajectory: Trajectory
     lost_ns: int
 
@@ -144,7 +145,14 @@ def blind(
         if now > one.lost_ns + blind_s * 1e9:
             break
         angle = motion.steering_angle_rad if steering else None
-        pose_filter.predict(MotionSample(now, motion.wheel_speed_m_s, motion.yaw_rate_rad_s, angle))
+        pose_filter.predict(
+            MotionSample(
+                time_ns=now,
+                speed_m_s=motion.wheel_speed_m_s,
+                yaw_rate_rad_s=motion.yaw_rate_rad_s,
+                steering_rad=angle,
+            )
+        )
         if now <= one.lost_ns and now - anchored_ns >= ANCHOR_S * 1e9:
             anchored_ns = now
             antenna = _at(one.trajectory, one.trajectory.antenna_m, now)[:2] + rng.normal(0.0, ANCHOR_M, 2)
@@ -152,7 +160,9 @@ def blind(
         e = pose_filter.estimate()
         if e is None:
             continue
-        match = matcher.step(e.east_m, e.north_m, e.yaw_rad, e.covariance, pose_filter.travelled_m)
+        match = matcher.step(
+            (e.east_m, e.north_m, e.yaw_rad), e.covariance, travelled_m=pose_filter.travelled_m
+        )
         pose_filter.couple_link(match)
         e = pose_filter.estimate()
         if now > one.lost_ns and e is not None:
@@ -164,7 +174,7 @@ def blind(
 
 
 def model_of_car(**motion: float) -> PoseModel:
-    """What the filter is told of the simulated car."""
+    """The filter's parameters for the simulated car."""
     return PoseModel(
         motion=MotionModel(wheelbase_m=CAR.wheelbase_m, **motion),
         antenna_x_m=CAR.antenna[0],
@@ -201,7 +211,7 @@ def _judged(one: TunnelDrive, rows: Floats) -> Blind:
     )
 
 
-def _offset(link: Link, place_m: Floats, yaw_rad: float) -> float:
+def _offset(link: RoadLink, place_m: Floats, yaw_rad: float) -> float:
     """How far left of the link, seen along the way, a place is."""
     a, b = link.vertices_m[:-1], link.vertices_m[1:]
     step = b - a
@@ -217,18 +227,18 @@ def _at(t: Trajectory, column_m: Floats, time_ns: int) -> Floats:
     return np.array([np.interp((time_ns - t.time_ns[0]) * 1e-9, seconds, c) for c in column_m.T])
 
 
-def _links(table: RoadLinks, frame: LocalFrame) -> list[Link]:
+def _links(table: RoadLinks, frame: LocalFrame) -> list[RoadLink]:
     links = []
     for i, vertices in enumerate(table.vertices):
         plane = frame.east_north_from_geodetic_array(vertices[:, 0], vertices[:, 1], np.zeros(len(vertices)))
         links.append(
-            Link(
-                int(table.link_id[i]),
-                int(table.start_node[i]),
-                int(table.end_node[i]),
-                plane,
-                int(table.level[i]),
-                float(table.sigma_m[i]),
+            RoadLink(
+                link_id=int(table.link_id[i]),
+                start_node=int(table.start_node[i]),
+                end_node=int(table.end_node[i]),
+                vertices_m=plane,
+                level=int(table.level[i]),
+                sigma_m=float(table.sigma_m[i]),
             )
         )
     return links

@@ -1,4 +1,4 @@
-"""The plane in which the localizer computes: east and north metres about an origin near the vehicle."""
+"""The local tangent plane in which the localizer computes: east and north [m] from an origin near the vehicle."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ import math
 import numpy as np
 
 from camber.geodesy.local_frame import LocalFrame
-from camber.localizer.links.link_matching import Link
+from camber.localizer.links.link_matching import RoadLink
 from camber.schemas.road import LinksReply
 
 MOVE_AFTER_M = 2000.0
-"""The plane is laid anew beyond this distance: at 2 km its north is off by 0.01° at 35° latitude."""
+"""Derived: at this distance from the origin north is off by 0.01° at 35° latitude; beyond it the origin moves."""
 
-_EARTH_RADIUS_M = 6.371e6
+_EARTH_RADIUS_M = 6.371e6  # mean radius, IUGG
 
 
 class LocalPlane:
-    """A plane about a point; heights do not enter it."""
+    """A local tangent plane on the ellipsoid, without heights."""
 
     def __init__(self, latitude_rad: float, longitude_rad: float) -> None:
         self._frame = LocalFrame(latitude_rad, longitude_rad, 0.0)
 
     def east_north(self, latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
-        """Plane coordinates (m) of a point."""
+        """Return plane coordinates [m] of a position."""
         return self._frame.east_north_from_geodetic(latitude_rad, longitude_rad, 0.0)
 
     def geodetic(self, east_m: float, north_m: float) -> tuple[float, float]:
-        """Latitude and longitude of plane coordinates."""
+        """Return latitude and longitude of plane coordinates."""
         latitude_rad, longitude_rad, _ = self._frame.geodetic_from_east_north(east_m, north_m, 0.0)
         return latitude_rad, longitude_rad
 
-    def too_far(self, east_m: float, north_m: float) -> bool:
-        """Is it time for another plane?"""
+    def is_too_far(self, east_m: float, north_m: float) -> bool:
+        """Whether plane coordinates are too far from the origin."""
         return math.hypot(east_m, north_m) > MOVE_AFTER_M
 
-    def reaches(self, latitude_rad: float, longitude_rad: float) -> bool:
-        """Is a point near enough to compute in this plane? Its coordinates do not say: the antipode's are zero."""
+    def covers(self, latitude_rad: float, longitude_rad: float) -> bool:
+        """Whether a position is near enough. Its coordinates do not show it: those of the antipode are zero."""
         here = self._frame
         half_chord = math.hypot(
             math.sin(0.5 * (latitude_rad - here.latitude_rad)),
@@ -45,19 +45,19 @@ class LocalPlane:
         )
         return 2.0 * _EARTH_RADIUS_M * half_chord < MOVE_AFTER_M
 
-    def links(self, reply: LinksReply) -> list[Link]:
-        """The links of a reply in this plane."""
-        plane = self._frame.east_north_from_geodetic_array(
+    def links(self, reply: LinksReply) -> list[RoadLink]:
+        """Return the links of a reply in this plane."""
+        vertices_m = self._frame.east_north_from_geodetic_array(
             reply.latitude_rad, reply.longitude_rad, np.zeros(len(reply.latitude_rad))
         )
         return [
-            Link(
-                int(reply.link_id[i]),
-                int(reply.start_node[i]),
-                int(reply.end_node[i]),
-                plane[reply.first_vertex[i] : reply.first_vertex[i + 1]],
-                int(reply.level[i]),
-                float(reply.sigma_m[i]),
+            RoadLink(
+                link_id=int(reply.link_id[i]),
+                start_node=int(reply.start_node[i]),
+                end_node=int(reply.end_node[i]),
+                vertices_m=vertices_m[reply.first_vertex[i] : reply.first_vertex[i + 1]],
+                level=int(reply.level[i]),
+                sigma_m=float(reply.sigma_m[i]),
             )
             for i in range(len(reply.link_id))
         ]

@@ -1,4 +1,4 @@
-"""What the localizer asks of the map, and how it hears the answers: whoever runs it brings them."""
+"""Interface of the localizer to the map and to its diagnostics; the caller implements both."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from camber.schemas.road import (
 Failure: TypeAlias = Literal["absent", "timeout", "refused", "invalid"]
 
 
-class NoAnswer(NamedTuple):
-    """Nobody answered, or not in time, or what came could not be read; `text` for people."""
+class MapQueryFailure(NamedTuple):
+    """No reply, none in time, or one that could not be decoded; `text` is for people."""
 
     failure: Failure
     text: str
 
 
-class MapAnswers(Protocol):
-    """The map's three questions. Asking waits for the answer."""
+class MapQueries(Protocol):
+    """The queries to the map. Each waits for the reply."""
 
-    def elevation(self, request: ElevationRequest) -> ElevationReply | NoAnswer:
-        """The road under a point."""
+    def elevation(self, request: ElevationRequest) -> ElevationReply | MapQueryFailure:
+        """Return the road at a position."""
 
-    def links(self, request: LinksRequest) -> LinksReply | NoAnswer:
-        """The links around a point."""
+    def links(self, request: LinksRequest) -> LinksReply | MapQueryFailure:
+        """Return the links around a position."""
 
-    def tile(self, request: TileRequest) -> TileReply | NoAnswer:
-        """A part of a tile."""
+    def tile(self, request: TileRequest) -> TileReply | MapQueryFailure:
+        """Return a part of a tile."""
 
-    def is_there(self) -> bool:
-        """Is there anybody to ask? An old answer is worth nothing where the map itself may have gone."""
+    def is_available(self) -> bool:
+        """Whether the map can be queried. Without a map its earlier replies are not used either."""
 
 
 class Diagnostics(Protocol):
-    """Where what is amiss is told, and what happens is counted."""
+    """Receives issues and counters."""
 
     def issue(self, code: str, text: str) -> None:
-        """Something an operator should know."""
+        """Report a problem that an operator should know."""
 
     def count(self, name: str) -> None:
-        """One more of these."""
+        """Increment a counter."""

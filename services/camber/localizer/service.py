@@ -1,14 +1,14 @@
-"""The localizer's process: what is heard on the bus goes in, poses and scan matches come out."""
+"""The localizer's process: inputs from the bus, poses and scan matches onto it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from camber.localizer.localization import Localization
-from camber.localizer.map_queries import NoAnswer
-from camber.localizer.settings import GivenPose, LocalizerSettings
+from camber.localizer.localization import GivenPose, Localization
+from camber.localizer.map_queries import MapQueryFailure
+from camber.localizer.settings import LocalizerSettings
 from camber.localizer.warm_up import warm_up
 from camber.runtime.bus import Bus, QueryFailed
 from camber.runtime.health.memory_release import return_freed_memory
@@ -22,7 +22,7 @@ from camber.schemas.road import (
     TileRequest,
 )
 
-_TIDY_EVERY_NS = 10_000_000_000
+_RELEASE_MEMORY_EVERY_NS = 10_000_000_000  # chosen: blocks of the map change every 10 s or more
 
 
 class LocalizerService(Service[LocalizerSettings]):
@@ -33,16 +33,16 @@ class LocalizerService(Service[LocalizerSettings]):
 
     @classmethod
     def prepare(cls, settings: LocalizerSettings) -> None:
-        """Compile what sweeps will need."""
+        """Compile the matching of sweeps."""
         if settings.match_sweeps:
             warm_up()
 
     def __init__(self, settings: LocalizerSettings, bus: Bus) -> None:
         super().__init__(settings, bus)
-        self._remembers = _GivenPoseFile(settings)
-        given = None if self._remembers.used_before() else settings.initial_pose
-        self._tidied_ns = 0
-        self._localization = Localization(settings.options(given), _MapOnTheBus(bus), bus)
+        self._given_pose_file = _GivenPoseFile(settings)
+        given = None if self._given_pose_file.was_used() else settings.initial_pose
+        self._memory_released_ns = 0
+        self._localization = Localization(settings.options(given), _MapServerQueries(bus), bus)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Inputs."""
@@ -56,73 +56,73 @@ class LocalizerService(Service[LocalizerSettings]):
 
     def _on_motion(self, motion: Any) -> None:
         if self._localization.on_motion(motion):
-            problem = self._remembers.remember()
+            problem = self._given_pose_file.write()
             if problem is not None:
                 self.bus.issue("given_pose_not_kept", problem)
 
     def advance(self, now_ns: int) -> None:
-        """Publish what has come out."""
+        """Publish the output."""
         step = self._localization.advance()
         for match in step.matches:
             self.bus.publish("scan_match", match)
         if step.pose is not None:
             self.bus.publish("pose", step.pose)
-        if self.settings.match_sweeps and not 0 <= now_ns - self._tidied_ns < _TIDY_EVERY_NS:
-            # Blocks of the map come and go, megabytes at a time.
-            self._tidied_ns = now_ns
+        if (
+            self.settings.match_sweeps
+            and not 0 <= now_ns - self._memory_released_ns < _RELEASE_MEMORY_EVERY_NS
+        ):
+            # Blocks of the map take and free megabytes at a time.
+            self._memory_released_ns = now_ns
             return_freed_memory()
 
     def healthy(self) -> bool:
-        """Is there a pose?"""
+        """Whether there is a pose."""
         return self._localization.has_pose
 
 
-class _MapOnTheBus:
-    """The map server's answers."""
+class _MapServerQueries:
+    """Queries to the map server over the bus."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
-    def elevation(self, request: ElevationRequest) -> ElevationReply | NoAnswer:
-        reply: ElevationReply | NoAnswer = self._ask("elevation", request)
-        return reply
+    def elevation(self, request: ElevationRequest) -> ElevationReply | MapQueryFailure:
+        return cast(ElevationReply | MapQueryFailure, self._query("elevation", request))
 
-    def links(self, request: LinksRequest) -> LinksReply | NoAnswer:
-        reply: LinksReply | NoAnswer = self._ask("links", request)
-        return reply
+    def links(self, request: LinksRequest) -> LinksReply | MapQueryFailure:
+        return cast(LinksReply | MapQueryFailure, self._query("links", request))
 
-    def tile(self, request: TileRequest) -> TileReply | NoAnswer:
-        reply: TileReply | NoAnswer = self._ask("tile", request)
-        return reply
+    def tile(self, request: TileRequest) -> TileReply | MapQueryFailure:
+        return cast(TileReply | MapQueryFailure, self._query("tile", request))
 
-    def is_there(self) -> bool:
+    def is_available(self) -> bool:
         return self._bus.is_alive("map_server")
 
-    def _ask(self, name: str, request: Any) -> Any:
+    def _query(self, name: str, request: Any) -> Any:
         try:
             return self._bus.ask(name, request)
         except QueryFailed as error:
-            return NoAnswer(error.reason, str(error))
+            return MapQueryFailure(error.reason, str(error))
 
 
 class _GivenPoseFile:
-    """A given pose is believed once: the vehicle has moved since when this service is started again."""
+    """Notes on disk that a given pose was used: after a restart the vehicle is somewhere else."""
 
     def __init__(self, settings: LocalizerSettings) -> None:
         self._given = settings.initial_pose
-        self._replayed = settings.clock == "replay"  # begins at its drive's begin each time
+        self._replayed = settings.clock == "replay"  # each replay starts at the begin of its drive
         self._path: Path | None = settings.state_dir / "given_pose.json" if settings.state_dir else None
 
-    def used_before(self) -> bool:
-        """Has an earlier run of this service started from the same pose?"""
+    def was_used(self) -> bool:
+        """Whether an earlier run of this service has started from the same pose."""
         try:
             used = self._path.read_text("utf-8") if self._path is not None else ""
         except (OSError, UnicodeDecodeError):
             used = ""
         return bool(used) and used == _text_of(self._given)
 
-    def remember(self) -> str | None:
-        """The pose is used now; what is wrong where that cannot be kept."""
+    def write(self) -> str | None:
+        """Note that the pose is used; return the problem where that cannot be written."""
         if self._path is None:
             return None if self._replayed else "state_dir: expected a folder, found none"
         try:

@@ -1,7 +1,7 @@
-"""Compile the matching of sweeps before the first one comes: a made-up street is matched.
+"""Compile the matching of sweeps before the first one comes, by matching a synthetic street.
 
-The compiled code is kept on disk; where it is there already this takes a second or two. `python -m
-camber.localizer.warm_up` does it ahead, for an image.
+Machine code is cached on disk; with a cache this takes a second or two. `python -m camber.localizer.warm_up` fills
+the cache for an image.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import hashlib
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.localizer.localization import GivenStart, Localization, LocalizationOptions, Step
-from camber.localizer.map_queries import NoAnswer
+from camber.localizer.arrays import Floats
+from camber.localizer.localization import GivenPose, Localization, LocalizationOptions, LocalizationOutput
+from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.matching.scan_matcher import ScanMatchOptions
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.road_map.tile_grid import tile_frame
@@ -31,25 +31,32 @@ from camber.schemas.road import (
     TileRequest,
 )
 
-Array = NDArray[np.float64]
-
+# Chosen: any time, a tile at 35° of latitude, a sensor on a roof.
 _TIME_NS = 1_400_000_000 * 1_000_000_000
 _TILE = (57686, 25920)
+# Chosen: any height, and the grid of the points.
 _HEIGHT_M = 50.0
 _STEP_M = 0.2
-_MOUNT = SensorMount(0.0, 0.0, 1.8)
+_MOUNT = SensorMount(z_m=1.8)
+# Ten sweeps a second.
 _TURN_NS = 100_000_000
 
 
-def warm_up(sweeps: int = 3) -> list[Step]:
-    """Drive through a made-up street with walls and posts; returns what came out."""
+def warm_up(sweeps: int = 3) -> list[LocalizationOutput]:
+    """Localize in a synthetic street with walls and posts; return the output of each sweep."""
     road_m, walls_m = synthetic_street()
-    answers, frame = SyntheticMap(road_m, walls_m), tile_frame(*_TILE)
-    # Vague enough for the search around to be made ready too.
-    given = GivenStart(frame.latitude_rad, frame.longitude_rad, 0.0, 1.0, math.radians(2.0))
+    frame = tile_frame(*_TILE)
+    # Vague enough for the coarse search to be compiled too.
+    given = GivenPose(
+        latitude_deg=math.degrees(frame.latitude_rad),
+        longitude_deg=math.degrees(frame.longitude_rad),
+        yaw_deg=0.0,
+        horizontal_sigma_m=1.0,
+        yaw_sigma_deg=2.0,
+    )
     options = LocalizationOptions(given=given, matching=ScanMatchOptions(mount=_MOUNT))
-    localization = Localization(options, answers, NoDiagnostics())
-    steps = []
+    localization = Localization(options, SyntheticMap(road_m, walls_m), NoDiagnostics())
+    outputs = []
     for number in range(sweeps):
         time_ns = _TIME_NS + number * _TURN_NS
         localization.on_motion(
@@ -63,16 +70,16 @@ def warm_up(sweeps: int = 3) -> list[Step]:
             )
         )
         localization.on_sweep(synthetic_sweep(time_ns, np.concatenate((road_m, walls_m))))
-        steps.append(localization.advance())
-    return steps
+        outputs.append(localization.advance())
+    return outputs
 
 
-def synthetic_street() -> tuple[Array, Array]:
-    """Points (n, 3) of a level road and of what stands beside it, in metres about its middle, 140 m long."""
+def synthetic_street() -> tuple[Floats, Floats]:
+    """Return points (n, 3) of a level road, 140 m long, and of its walls and posts, in metres about its middle."""
     along, across = np.arange(-70.0, 70.0, _STEP_M), np.arange(-4.0, 4.0, _STEP_M)
     up = np.arange(0.1, 5.0, _STEP_M)
     road_m = np.array([(x, y, 0.0) for x in along for y in across])
-    # Walls with set-backs: what tells the place along the street.
+    # Set-backs of the walls determine the position along the street.
     walls = [
         (x, side * (7.0 + 1.5 * (math.sin(0.13 * x + side) > 0.4)), z)
         for x in along
@@ -89,9 +96,9 @@ def synthetic_street() -> tuple[Array, Array]:
     return road_m, np.array(walls + ends)
 
 
-def synthetic_sweep(time_ns: int, seen_m: Array) -> Sweep:
-    """What a sensor at the origin, `_MOUNT` above it, gives of points (n, 3), as if nothing hid anything."""
-    about = seen_m - np.array([_MOUNT.x_m, _MOUNT.y_m, _MOUNT.z_m])
+def synthetic_sweep(time_ns: int, points_m: Floats) -> Sweep:
+    """Return the sweep of a sensor at `_MOUNT` over the origin that sees all points (n, 3)."""
+    about = points_m - np.array([_MOUNT.x_m, _MOUNT.y_m, _MOUNT.z_m])
     about = about[(np.hypot(about[:, 0], about[:, 1]) < 50.0) & (np.hypot(about[:, 0], about[:, 1]) > 2.0)]
     share = (np.arctan2(about[:, 1], about[:, 0]) + math.pi) / (2.0 * math.pi)
     order = np.argsort(share, kind="stable")
@@ -105,14 +112,14 @@ def synthetic_sweep(time_ns: int, seen_m: Array) -> Sweep:
 
 
 class SyntheticMap:
-    """Answers for one tile with a level road; no links."""
+    """A map of one tile with a level road and no links."""
 
-    def __init__(self, road_m: Array, standing_m: Array) -> None:
-        clouds: dict[Layer, Array] = {"road_cloud": road_m, "environment_cloud": standing_m}
+    def __init__(self, road_m: Floats, environment_m: Floats) -> None:
+        clouds: dict[Layer, Floats] = {"road_cloud": road_m, "environment_cloud": environment_m}
         self._blobs = {layer: encode(synthetic_tile(layer, points_m)) for layer, points_m in clouds.items()}
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
-        """The same everywhere."""
+        """Return the same road everywhere."""
         road = Road(
             status="known",
             surface_id=1,
@@ -127,12 +134,12 @@ class SyntheticMap:
         )
         return ElevationReply(time_ns=request.time_ns, road=road)
 
-    def links(self, request: LinksRequest) -> NoAnswer:
-        """None."""
-        return NoAnswer("refused", "a made-up map has no links")
+    def links(self, request: LinksRequest) -> MapQueryFailure:
+        """Return no links."""
+        return MapQueryFailure("refused", "a synthetic map has no links")
 
     def tile(self, request: TileRequest) -> TileReply:
-        """The one tile, in one part."""
+        """Return the tile, in one part."""
         blob = self._blobs[request.layer] if (request.x, request.y) == _TILE else None
         if blob is None:
             return TileReply(
@@ -146,23 +153,23 @@ class SyntheticMap:
             payload=np.frombuffer(blob, np.uint8),
         )
 
-    def is_there(self) -> bool:
-        """It is."""
+    def is_available(self) -> bool:
+        """Always."""
         return True
 
 
 class NoDiagnostics:
-    """Nobody listens."""
+    """Discards issues and counters."""
 
     def issue(self, code: str, text: str) -> None:
-        """Nothing."""
+        """Discard an issue."""
 
     def count(self, name: str) -> None:
-        """Nothing."""
+        """Discard a count."""
 
 
-def synthetic_tile(layer: Layer, points_m: Array) -> CloudTile:
-    """Points (n, 3) as a tile about whose centre they are."""
+def synthetic_tile(layer: Layer, points_m: Floats) -> CloudTile:
+    """Return points (n, 3) as a tile, about its centre."""
     return CloudTile(
         time_ns=_TIME_NS,
         x=_TILE[0],

@@ -36,10 +36,10 @@ def test_its_origin_is_zero_and_its_axes_are_east_and_north() -> None:
 
 def test_beyond_two_kilometres_it_is_time_for_another() -> None:
     plane = LocalPlane(LATITUDE, LONGITUDE)
-    assert not plane.too_far(MOVE_AFTER_M, 0.0)
-    assert not plane.too_far(-1400.0, 1400.0)
-    assert plane.too_far(0.0, -MOVE_AFTER_M - 1.0)
-    assert plane.too_far(1500.0, 1500.0)
+    assert not plane.is_too_far(MOVE_AFTER_M, 0.0)
+    assert not plane.is_too_far(-1400.0, 1400.0)
+    assert plane.is_too_far(0.0, -MOVE_AFTER_M - 1.0)
+    assert plane.is_too_far(1500.0, 1500.0)
 
 
 @given(east_m=st.floats(-5000.0, 5000.0), north_m=st.floats(-5000.0, 5000.0))
@@ -47,7 +47,7 @@ def test_it_reaches_as_far_as_it_is_good(east_m: float, north_m: float) -> None:
     plane = LocalPlane(LATITUDE, LONGITUDE)
     distance = math.hypot(east_m, north_m)
     if abs(distance - MOVE_AFTER_M) > 0.005 * MOVE_AFTER_M:  # a sphere of mean radius
-        assert plane.reaches(*plane.geodetic(east_m, north_m)) is (distance < MOVE_AFTER_M)
+        assert plane.covers(*plane.geodetic(east_m, north_m)) is (distance < MOVE_AFTER_M)
 
 
 @pytest.mark.parametrize(
@@ -55,14 +55,14 @@ def test_it_reaches_as_far_as_it_is_good(east_m: float, north_m: float) -> None:
     [(0.0, 0.0), (-LATITUDE, LONGITUDE - math.pi), (LATITUDE, -LONGITUDE), (-LATITUDE, LONGITUDE)],
 )
 def test_it_does_not_reach_the_other_side_of_the_earth(latitude: float, longitude: float) -> None:
-    assert not LocalPlane(LATITUDE, LONGITUDE).reaches(latitude, longitude)
+    assert not LocalPlane(LATITUDE, LONGITUDE).covers(latitude, longitude)
 
 
 def test_it_reaches_across_the_antimeridian() -> None:
-    assert LocalPlane(0.3, math.pi - 1e-6).reaches(0.3, -math.pi + 1e-6)
+    assert LocalPlane(0.3, math.pi - 1e-6).covers(0.3, -math.pi + 1e-6)
 
 
-def test_links_are_laid_into_the_plane_each_with_its_own_vertices() -> None:
+def test_links_are_laid_into_the_plane_each_with_its_vertices() -> None:
     plane = LocalPlane(LATITUDE, LONGITUDE)
     lines = [np.array([[0.0, 0.0], [100.0, 0.0], [150.0, 20.0]]), np.array([[150.0, 20.0], [150.0, 90.0]])]
     points = np.array([plane.geodetic(*point) for line in lines for point in line])

@@ -37,7 +37,7 @@ GIVEN = {
     "horizontal_sigma_m": 0.5,
     "yaw_sigma_deg": 1.0,
 }
-WORDS_THAT_ARE_NO_TRUST = set(get_args(VerdictValue)) - {"confirmed", "confirmed_after_verification"}
+VERDICTS_WITHOUT_TRUST = set(get_args(VerdictValue)) - {"confirmed", "confirmed_after_verification"}
 
 
 def flat(places: Places) -> RoadsAhead:
@@ -68,7 +68,7 @@ class FakeMap:
         encode(request)
         self.asked.append(request)
         if self.failure is not None:
-            raise QueryFailed(cast(Any, self.failure), "said the test")
+            raise QueryFailed(cast(Any, self.failure), "by the test")
         return self.elevation(request) if name == "elevation" else self.links(request)
 
     def elevation(self, request: ElevationRequest) -> ElevationReply:
@@ -231,7 +231,7 @@ def bytes_of(poses: Iterable[Pose]) -> list[bytes]:
 # Starting
 
 
-def test_without_a_start_there_is_no_pose_and_the_reason_is_said() -> None:
+def test_without_a_start_there_is_no_pose_and_the_reason_is_reported() -> None:
     drive = Drive()
     pose = drive.run(5)
     assert (pose.mode, pose.provenance, pose.latitude_rad, pose.covariance_east_north_yaw) == (
@@ -341,14 +341,14 @@ def test_a_confirmed_position_anchors_the_pose(word: str) -> None:
     assert drive.bus.counters["anchor.accepted"] == 1
 
 
-@pytest.mark.parametrize("word", sorted(WORDS_THAT_ARE_NO_TRUST))
-def test_no_other_word_ever_anchors(word: str) -> None:
-    plain, told = Drive(initial_pose=GIVEN), Drive(initial_pose=GIVEN)
+@pytest.mark.parametrize("word", sorted(VERDICTS_WITHOUT_TRUST))
+def test_no_other_verdict_ever_anchors(word: str) -> None:
+    plain, disturbed = Drive(initial_pose=GIVEN), Drive(initial_pose=GIVEN)
     for tenth in range(60):
         plain.step()
-        told.step(verdict_at(tenth, word, tenth + 3.0))
-    assert bytes_of(plain.bus.poses) == bytes_of(told.bus.poses)
-    assert not any(name.startswith("anchor") for name in told.bus.counters)
+        disturbed.step(verdict_at(tenth, word, tenth + 3.0))
+    assert bytes_of(plain.bus.poses) == bytes_of(disturbed.bus.poses)
+    assert not any(name.startswith("anchor") for name in disturbed.bus.counters)
 
 
 @pytest.mark.parametrize(
@@ -459,7 +459,7 @@ def test_a_fix_does_change_a_provisional_pose_so_the_test_above_can_fail() -> No
         ("invalid", "map_missing"),
     ],
 )
-def test_without_an_answer_the_road_is_unknown_and_the_reason_is_said(failure: str, reason: str) -> None:
+def test_without_an_answer_the_road_is_unknown_and_the_reason_is_reported(failure: str, reason: str) -> None:
     drive = Drive(initial_pose=GIVEN)
     assert drive.run(5).road.status == "known"
     drive.map.failure = failure

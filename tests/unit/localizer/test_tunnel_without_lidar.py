@@ -22,7 +22,7 @@ def test_wheels_that_slip_in_the_tunnel_are_mostly_covered():
     assert 1.0 < figures["horizontal_max_m"] < 25.0
 
 
-def test_a_link_that_is_off_another_way_after_each_vertex_does_not_make_the_pose_sure_of_itself():
+def test_a_link_that_is_off_differently_after_each_vertex_does_not_make_the_pose_sure_of_itself():
     """With a deviation that lasts 70 m the ellipse held in 85 % of these epochs: bends seemed to show the way along."""
     print("seed 113")
     figures = blind(tunnel_drive(113, duration_s=220.0)).figures()

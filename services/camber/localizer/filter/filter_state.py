@@ -1,4 +1,4 @@
-"""The states of the localizer's filter, and what may be done to them."""
+"""State vector and covariance of the localizer's filter, and the operations on them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from camber.localizer.arrays import Floats
 from camber.localizer.filter.dead_reckoning import (
     BIAS_A,
     BIAS_B,
@@ -16,34 +17,34 @@ from camber.localizer.filter.dead_reckoning import (
     TURN_GAIN,
     WHEEL_LAG,
 )
+from camber.localizer.filter.kalman import kalman_update
+from camber.localizer.filter.planar_pose import largest_variance
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start import largest_variance
-from camber.localizer.links.link_filter import Array, kalman_update
 
 YAW_0: Final = N_MOTION  # yaw at the last coupling of the two rotation sensors
 LANE: Final = N_MOTION + 1  # the lasting part of r (m)
-DEVIATION: Final = N_MOTION + 2  # the part of r that is the link's own (m)
-COMMON_EAST: Final = N_MOTION + 3  # what consecutive anchors have in common (m)
+DEVIATION: Final = N_MOTION + 2  # the link's deviation from its road in r (m)
+COMMON_EAST: Final = N_MOTION + 3  # error common to consecutive anchors (m)
 COMMON_NORTH: Final = N_MOTION + 4
-MATCH_EAST: Final = N_MOTION + 5  # what consecutive scan matches have in common (m, m, rad): the map's error
+MATCH_EAST: Final = N_MOTION + 5  # error common to consecutive scan matches (m, m, rad): the map's
 MATCH_NORTH: Final = N_MOTION + 6
 MATCH_YAW: Final = N_MOTION + 7
-SHIFT_EAST: Final = N_MOTION + 8  # by how many of their sigmas all links around lie off to one side
+SHIFT_EAST: Final = N_MOTION + 8  # common shift of all links of a neighbourhood, in their sigmas
 SHIFT_NORTH: Final = N_MOTION + 9
 N_STATES: Final = N_MOTION + 10
 _SENSORS: Final = slice(BIAS_A, WHEEL_LAG + 1)
 
 
 class FilterState:
-    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning`), then the states named here, then
-    those that `link_memory` keeps."""
+    """State `x` (n,) and covariance `p` (n, n): pose and sensors (`dead_reckoning`), the states named here, then those
+    of `link_offset_memory`."""
 
     def __init__(self, model: PoseModel) -> None:
         motion = model.motion
-        self.x: Array = np.zeros(N_STATES)
-        self.p: Array = np.zeros((N_STATES, N_STATES))
+        self.x: Floats = np.zeros(N_STATES)
+        self.p: Floats = np.zeros((N_STATES, N_STATES))
         self.sensors_learn = True
-        """Whether observations of the pose teach the sensors' lasting errors too."""
+        """Whether observations of the pose update the sensors' errors too."""
         sigma_a, sigma_b = motion.bias_sigma(motion.a_rate_sensor), motion.bias_sigma(motion.b_rate_sensor)
         for index, variance in (
             (BIAS_A, sigma_a**2),
@@ -63,25 +64,29 @@ class FilterState:
         return math.sqrt(max(0.0, largest_variance(self.p)))
 
     def forget_common(self, model: PoseModel) -> None:
-        """What anchors and scan matches have in common, before any was heard."""
+        """Reset the errors common to anchors and to scan matches."""
         position, yaw = model.match_common_sigma_m**2, model.match_common_sigma_rad**2
         anchor = model.anchor_common_sigma_m**2
         for index, variance in enumerate((anchor, anchor, position, position, yaw), COMMON_EAST):
             self.x[index] = 0.0
             self.set_independent(index, max(variance, 1e-18))
 
-    def update(self, h: Array, innovation: Array, noise: Array) -> None:
-        """Kalman update by an observation of m = 1 or 2 rows `h` (m, n) with `noise` (m, m)."""
+    def update(self, h: Floats, innovation: Floats, noise: Floats) -> None:
+        """Apply a Kalman update by m = 1 or 2 rows `h` (m, n) with `noise` (m, m)."""
         if self.sensors_learn:
-            self.x, self.p, _ = kalman_update(self.x, self.p, h, innovation, noise)
+            self.x, self.p, _ = kalman_update(self.x, self.p, h=h, innovation=innovation, noise=noise)
         else:
-            self.update_by(h, innovation, noise)
+            self.update_joseph(h, innovation, noise)
 
-    def update_by(self, h: Array, innovation: Array, noise: Array, *, teach: bool = True) -> None:
-        """Update by m rows `h` (m, n) whose `noise` (m, m) may differ by many powers of ten from one direction
-        to another (Joseph's form). Where `teach` or `sensors_learn` is false the sensors' errors are considered, not
-        estimated (Schmidt's filter): what they are is no other than without the observation."""
-        learn = teach and self.sensors_learn
+    def update_joseph(
+        self, h: Floats, innovation: Floats, noise: Floats, *, update_sensors: bool = True
+    ) -> None:
+        """Apply an update by m rows `h` (m, n) in Joseph's form: `noise` (m, m) may differ by powers of ten.
+
+        Where `update_sensors` or `sensors_learn` is false the sensors' errors are considered and not estimated
+        (Schmidt–Kalman filter).
+        """
+        learn = update_sensors and self.sensors_learn
         ph = self.p @ h.T
         s = h @ ph + noise
         scale = 1.0 / np.sqrt(np.diag(s))
@@ -96,58 +101,58 @@ class FilterState:
             updated[_SENSORS, _SENSORS] = sensors
         self.x, self.p = self.x + gain @ innovation, updated
 
-    def rows(self, count: int) -> Array:
-        """Zeros (count, n), to be filled where an observation depends on a state."""
+    def rows(self, count: int) -> Floats:
+        """Return zeros (count, n), to be filled where an observation depends on a state."""
         return np.zeros((count, len(self.x)))
 
     def append_clone(self, index: int) -> None:
-        """Another state behind all others: what this one is now."""
+        """Append a state that is a clone of this one."""
         n = len(self.x)
         source = np.append(np.arange(n), index)
         self.x, self.p = self.x[source], self.p[np.ix_(source, source)]
 
     def drop(self, index: int) -> None:
-        """Without this state; those behind it move up."""
+        """Delete this state; the indices after it decrease by one."""
         self.x = np.delete(self.x, index)
         self.p = np.delete(np.delete(self.p, index, axis=0), index, axis=1)
 
     def keep_first(self, count: int) -> None:
-        """Without the states from `count` on."""
+        """Delete the states from `count` on."""
         self.x, self.p = self.x[:count].copy(), self.p[:count, :count].copy()
 
-    def place(self, east_m: float, north_m: float, yaw_rad: float, covariance: Array) -> None:
-        """Another pose, covariance (3, 3); what is known of the sensors stays, uncorrelated with it."""
+    def set_pose(self, east_m: float, north_m: float, yaw_rad: float, covariance: Floats) -> None:
+        """Set another pose, covariance (3, 3); the sensors' states stay, uncorrelated with it."""
         self.x[:3] = (east_m, north_m, yaw_rad)
         self.p[:3, :] = self.p[:, :3] = 0.0
         self.p[:3, :3] = covariance
 
     def copy(self, source: int, target: int) -> None:
-        """One state becomes a clone of another, fully correlated with it."""
+        """Make one state a clone of another, fully correlated with it."""
         self.x[target] = self.x[source]
         self.p[target] = self.p[source]
         self.p[:, target] = self.p[:, source]
         self.p[target, target] = self.p[source, source]
 
     def negate(self, index: int) -> None:
-        """A state seen from the other side."""
+        """Change the sign of a state."""
         self.x[index] *= -1.0
         self.p[index] *= -1.0
         self.p[:, index] *= -1.0
 
     def set_independent(self, index: int, variance: float) -> None:
-        """A state whose error has nothing to do with any other's."""
+        """Give a state this variance and no correlation with any other."""
         self.p[index] = self.p[:, index] = 0.0
         self.p[index, index] = variance
 
     def renew(self, index: int, keep: float, sigma: float) -> None:
-        """A stationary process of this sigma where only the share `keep` of what it was remains."""
+        """Advance a stationary process of this sigma, of which the share `keep` remains."""
         self.x[index] *= keep
         self.p[index] *= keep
         self.p[:, index] *= keep
         self.p[index, index] += (1.0 - keep * keep) * sigma * sigma
 
     def age_common(self, model: PoseModel, dt_s: float, path_m: float, link_sigma_m: float) -> None:
-        """Let the links' and the map's errors change with the distance, what anchors have in common with the time."""
+        """Advance the Gauss-Markov errors: of links and map by the distance, common to anchors by the time."""
         x, p = self.x, self.p
         in_space = math.exp(-path_m / model.deviation_length_m)
         in_time = math.exp(-dt_s / model.anchor_common_time_s)

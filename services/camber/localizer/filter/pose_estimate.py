@@ -1,4 +1,4 @@
-"""What the localizer's filter says: the pose, how it is held, where it comes from, how old its sources are."""
+"""The filter's output: the pose, its mode and provenance, and the age of each source."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
-from camber.localizer.filter.source_conflict import Disputing
-from camber.localizer.filter.start import largest_variance
-from camber.localizer.links.link_filter import Array
+from camber.localizer.arrays import Floats
+from camber.localizer.filter.planar_pose import largest_variance
+from camber.localizer.filter.source_conflict import ConflictSource
 from camber.localizer.links.link_matching import LinkId
 
 Mode: TypeAlias = Literal["none", "provisional", "anchored", "scan_match", "dead_reckoning"]
 Provenance: TypeAlias = Literal["none", "fixes", "scan_match", "given", "confirmed"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PoseEstimate:
-    """The pose of the vehicle's reference point in the plane, and where it comes from.
+    """The pose of the vehicle's reference point in the plane; covariance (3, 3) of east, north [m] and yaw [rad].
 
-    Covariance (3, 3) of east, north (m) and yaw (rad). Ages are None for what never came; speed and yaw rate
-    None where the last reading gave none. With an unknown heading `yaw_known` is false and yaw means nothing.
-    `disputed_by`: the source that contradicts the pose; the covariance covers both. `wheel_slip_suspected`:
-    the wheels do not say how fast the vehicle goes. `motion_late_s`: other sources have said something of this much
-    later than the last motion sample.
+    Ages are None for sources that never came; speed and yaw rate are None where the last reading gave none. With an
+    unknown heading `yaw_known` is false and yaw has no meaning. `conflict`: the source that contradicts the pose; the
+    covariance covers both. `motion_late_s`: other sources are this much newer than the last motion sample.
     """
 
     time_ns: int
@@ -33,7 +31,7 @@ class PoseEstimate:
     north_m: float
     yaw_rad: float
     yaw_known: bool
-    covariance: Array
+    covariance: Floats
     speed_m_s: float | None
     yaw_rate_rad_s: float | None
     standing: bool
@@ -48,7 +46,7 @@ class PoseEstimate:
     link_candidates: tuple[LinkId, ...]
     link_offset_m: float
     link_offset_sigma_m: float
-    disputed_by: Disputing | None = None
+    conflict: ConflictSource | None = None
     wheel_slip_suspected: bool = False
     motion_late_s: float = 0.0
 
@@ -59,11 +57,21 @@ class PoseEstimate:
 
 
 class Prediction(NamedTuple):
-    """The pose at a time near now, by the driven track: m, rad, covariance (3, 3). See `PoseEstimate`."""
+    """The pose at a time near now, by the driven track [m, rad], covariance (3, 3). See `PoseEstimate`."""
 
     time_ns: int
     east_m: float
     north_m: float
     yaw_rad: float
     yaw_known: bool
-    covariance: Array
+    covariance: Floats
+
+    @property
+    def position_sigma_m(self) -> float:
+        """The larger of σ in east and in north."""
+        return math.sqrt(max(float(self.covariance[0, 0]), float(self.covariance[1, 1])))
+
+    @property
+    def yaw_sigma_rad(self) -> float:
+        """σ of the yaw."""
+        return math.sqrt(float(self.covariance[2, 2]))

@@ -1,4 +1,4 @@
-"""How a pose begins: at a known place and heading, or at a place whose heading the motion has yet to show."""
+"""Initialization of the pose: at a known position and heading, or at a position whose heading is searched for."""
 
 from __future__ import annotations
 
@@ -6,21 +6,23 @@ import math
 
 import numpy as np
 
-from camber.localizer.filter.dead_reckoning import EAST, NORTH, RelativeTrack, TrackPoint
+from camber.localizer.arrays import Floats
+from camber.localizer.filter.consistent_match_sequence import MatchedPose
+from camber.localizer.filter.dead_reckoning import EAST, NORTH
 from camber.localizer.filter.filter_state import FilterState
+from camber.localizer.filter.heading_search import HeadingSearch, TrackedPosition
+from camber.localizer.filter.planar_pose import covariance_at_offset, largest_variance, rotated
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.filter.start import HeadingSearch, Place, largest_variance, lever_arm, moved_by_lever
-from camber.localizer.filter.yaw_rate_coupling import RotationCoupling
-from camber.localizer.links.link_filter import Array
+from camber.localizer.filter.track import TrackPoint
+from camber.localizer.filter.yaw_rate_coupling import YawRateCoupling
 
 
 class PoseInitialization:
-    """Places the pose; while the heading is unknown, keeps the search for it."""
+    """Sets the pose; while the heading is unknown, searches for it."""
 
-    def __init__(
-        self, state: FilterState, track: RelativeTrack, rotation: RotationCoupling, model: PoseModel
-    ) -> None:
-        self._state, self._track, self._rotation, self._model = state, track, rotation, model
+    def __init__(self, state: FilterState, coupling: YawRateCoupling, model: PoseModel) -> None:
+        self._state, self._coupling, self._model = state, coupling, model
+        self._antenna_m = (model.antenna_x_m, model.antenna_y_m)
         self._search: HeadingSearch | None = None
 
     @property
@@ -28,55 +30,44 @@ class PoseInitialization:
         """Whether no heading is being searched for."""
         return self._search is None
 
-    def at_pose(self, east_m: float, north_m: float, yaw_rad: float, covariance: Array) -> None:
-        """A pose of now, covariance (3, 3); what is known of the sensors stays, uncorrelated with it."""
+    def at_pose(self, east_m: float, north_m: float, yaw_rad: float, covariance: Floats) -> None:
+        """Set the present pose, covariance (3, 3); the sensors' states stay, uncorrelated with it."""
         self._search = None
-        self._state.place(east_m, north_m, yaw_rad, covariance)
-        self._rotation.forget()
+        self._state.set_pose(east_m, north_m, yaw_rad, covariance)
+        self._coupling.forget()
 
-    def at_past_pose(
-        self,
-        east_m: float,
-        north_m: float,
-        yaw_rad: float,
-        covariance: Array,
-        then: TrackPoint,
-        here: TrackPoint,
-    ) -> None:
-        """A pose, covariance (3, 3), where the track was `then`, brought to `here`."""
-        turned = yaw_rad - then.yaw_rad
-        since = lever_arm(turned, here.east_m - then.east_m, here.north_m - then.north_m)
-        covariance = moved_by_lever(covariance, *since)
-        self.at_pose(east_m + since[0], north_m + since[1], here.yaw_rad + turned, covariance)
+    def at_past_pose(self, pose: MatchedPose, here: TrackPoint) -> None:
+        """Set a past pose, carried to the track's point `here`."""
+        self.at_pose(*pose.carried(here))
 
-    def at_place(self, place: Place, here: TrackPoint | None) -> None:
-        """Known place, unknown heading: what is driven from there spreads over a circle."""
-        model = self._model
-        self._search = HeadingSearch(place, model.antenna_x_m, model.antenna_y_m, model.heading)
+    def at_position(self, position: TrackedPosition, here: TrackPoint | None) -> None:
+        """Set a known position with an unknown heading: displacements from there spread over a circle."""
+        self._search = HeadingSearch(position, self._antenna_m, self._model.heading)
         self.spread(here)
 
-    def add_place(
-        self, east_m: float, north_m: float, variance_m2: float, then: TrackPoint, here: TrackPoint
-    ) -> None:
-        """The antenna's place where the track was `then`; with an earlier one it may show the heading."""
-        place = Place(east_m, north_m, variance_m2, then)
+    def add_position(self, position: TrackedPosition, here: TrackPoint) -> None:
+        """Add a position of the antenna; with an earlier one it may determine the heading."""
         if self._search is None:
-            self.at_place(place, here)
+            self.at_position(position, here)
             return
-        found = self._search.add(place)
-        if found is None:
+        heading = self._search.add(position)
+        if heading is None:
             self.spread(here)
             return
-        turned, covariance = found
-        model = self._model
-        lever = lever_arm(then.yaw_rad + turned, model.antenna_x_m, model.antenna_y_m)
-        since = lever_arm(turned, here.east_m - then.east_m, here.north_m - then.north_m)
+        turned, covariance = heading
+        then = position.track
+        lever = rotated(then.yaw_rad + turned, *self._antenna_m)
+        since = rotated(turned, here.east_m - then.east_m, here.north_m - then.north_m)
         move = (since[0] - lever[0], since[1] - lever[1])
-        covariance = moved_by_lever(covariance, *move)
-        self.at_pose(east_m + move[0], north_m + move[1], here.yaw_rad + turned, covariance)
+        self.at_pose(
+            position.east_m + move[0],
+            position.north_m + move[1],
+            here.yaw_rad + turned,
+            covariance_at_offset(covariance, *move),
+        )
 
     def spread(self, here: TrackPoint | None) -> None:
-        """Where the heading is unknown: the place and its covariance after what was driven."""
+        """Where the heading is unknown, set position and covariance by the distance driven."""
         search = self._search
         if search is None or here is None:
             return
@@ -85,13 +76,12 @@ class PoseInitialization:
         self._search = search
 
     def lose_heading(self, here: TrackPoint | None) -> None:
-        """The heading has become worthless: search for it from the place of now."""
+        """Search for the heading from the present position."""
         if here is not None:
-            x = self._state.x
-            variance = largest_variance(self._state.p)
-            self.at_place(Place(float(x[EAST]), float(x[NORTH]), variance, here), here)
+            x, variance = self._state.x, largest_variance(self._state.p)
+            self.at_position(TrackedPosition(float(x[EAST]), float(x[NORTH]), variance, here), here)
 
     def shift(self, east_m: float, north_m: float) -> None:
-        """The plane's origin has moved by (east, north)."""
+        """Apply a move of the plane's origin by (east, north)."""
         if self._search is not None:
             self._search.shift(east_m, north_m)

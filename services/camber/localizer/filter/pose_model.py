@@ -1,17 +1,21 @@
-"""Everything the localizer's filter assumes of sensors, links, anchors and scan matches."""
+"""Parameters of the localizer's filter: sensors, links, anchors and scan matches."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
 
-from camber.localizer.filter.dead_reckoning import MotionModel
-from camber.localizer.filter.start import HeadingModel
+from camber.localizer.filter.heading_search import HeadingModel
+from camber.localizer.filter.odometry import MotionModel
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
-    """Antenna: x forward, y left of the vehicle's reference point. Gates are chi-square."""
+    """Antenna: x forward, y left of the vehicle's reference point. Gates are chi-square.
+
+    Numbers without a comment are chosen; the consistency tests (NEES) of `tests/unit/localizer/filter` and the
+    drives of `support.localization_statistics` and `support.tunnel_statistics` check what follows from them.
+    """
 
     motion: MotionModel = field(default_factory=MotionModel)
     antenna_x_m: float = 0.0
@@ -25,8 +29,8 @@ class PoseModel:
     recover_after_anchors: int = 5
     recover_after_s: float = 0.8
     match_gate: float = 21.11  # chi-square, 3 degrees of freedom, 99.99 %
-    match_doubt: float = 11.34  # the same, 99 %: from here on the wheels may be doubted
-    match_sure_m: float = 1.5  # a vaguer pose needs a unique match
+    slip_gate: float = 11.34  # the same, 99 %: beyond it wheel slip is tested
+    match_sure_m: float = 1.5  # a less precise pose needs a unique match
     match_sure_rad: float = math.radians(5.0)
     match_max_age_s: float = 1.0
     match_fresh_s: float = 0.5
@@ -35,31 +39,31 @@ class PoseModel:
     match_common_sigma_m: float = 0.02
     match_common_sigma_rad: float = math.radians(0.03)
     match_common_length_m: float = 15.0
-    match_renewed_m: float = 5.0  # so far apart two matches see other things
+    match_renewed_m: float = 5.0  # this far apart two matches see different things
     match_renewed_s: float = 20.0
     recover_after_matches: int = 5
     recover_after_m: float = 10.0
-    unmodelled_drift: float = 0.005  # share of the distance by which dead reckoning may be wrong unnoticed
+    unmodelled_drift: float = 0.005  # undetected error of dead reckoning, relative to the distance
     unmodelled_turn_rad: float = math.radians(1.0)
     support_after_matches: int = 5
     support_after_m: float = 5.0
     support_after_s: float = 5.0
     support_sigma_m: float = 0.1
     support_sigma_rad: float = math.radians(0.5)
-    holds_for_s: float = 2.0  # so long after it was accepted does a source hold the pose against another
+    holds_for_s: float = 2.0  # how long an accepted source holds the pose against another one
     slip_sigma_m_s: float = 1.5
-    slip_seen_within_s: float = 1.0
+    slip_memory_s: float = 1.0
     slip_window_s: float = 0.5
     slip_above_m_s: float = 2.0
-    most_acceleration_m_s2: float = 4.5
-    most_braking_m_s2: float = 9.0
-    calm_change_m_s2: float = 3.5  # wheels in doubt that change faster go on or cease to slip
-    come_back_m_s: float = 1.0
-    doubt_sigma_m_s: float = 3.0
-    doubt_time_s: float = 20.0
-    doubt_ends_s: float = 1.0
-    doubt_unseen_s: float = 15.0
-    locked_time_s: float = 1.0  # in which a vehicle on locked wheels loses two thirds of its speed
+    max_acceleration_m_s2: float = 4.5
+    max_braking_m_s2: float = 9.0
+    max_calm_change_m_s2: float = 3.5  # slipping wheels that change faster continue or cease to slip
+    slip_recovered_m_s: float = 1.0
+    slip_state_sigma_m_s: float = 3.0
+    slip_state_time_s: float = 20.0
+    slip_ends_after_s: float = 1.0
+    slip_unobserved_s: float = 15.0
+    locked_time_s: float = 1.0  # a vehicle on locked wheels loses two thirds of its speed in it
     locked_for_s: float = 3.0
     heading: HeadingModel = field(default_factory=HeadingModel)
     max_yaw_sigma_rad: float = 0.5

@@ -1,11 +1,10 @@
-"""Row 2 of h (3), `yaw - alpha + phi = 0`: the rotation sensor of system B against that of system A.
+"""Coupling of the two rotation sensors: row 2 of h, CN101360971 eq. (3), `yaw - alpha + phi = 0`.
 
-With `phi = alpha - yaw_B` alpha cancels, whatever its error. B's heading starts from the heading at the last
-coupling, `yaw_B = yaw_0 + D_B`, and A's is `yaw = yaw_0 + D_A`. The error of `yaw_0` is in both and cancels:
-`h_2 = D_A - D_B`, whose errors are only those of the increments. So `yaw_0` is a state (a clone of yaw, fully
-correlated with it at first), the row is `(yaw - yaw_0) - D_B = 0`, its noise is B's noise since the last
-coupling, and B's bias, which the next increment repeats, is a state too. A common rotation of everything is
-left untouched by it, as it must.
+With `phi = alpha - yaw_B` the link's direction alpha cancels, whatever its error. B's heading starts from the
+heading at the last coupling, `yaw_B = yaw_0 + D_B`, and A's is `yaw = yaw_0 + D_A`; the error of `yaw_0` is in both
+and cancels: `h_2 = D_A - D_B`. So `yaw_0` is a state, a clone of yaw, the row is `(yaw - yaw_0) - D_B = 0`, its
+noise is that of B since the last coupling, and B's bias, which the next increment repeats, is a state too. A common
+rotation stays unobserved.
 """
 
 from __future__ import annotations
@@ -14,33 +13,34 @@ from typing import Final
 
 import numpy as np
 
-from camber.localizer.filter.dead_reckoning import BIAS_B, SCALE, YAW, MotionStep, rotation
+from camber.localizer.filter.dead_reckoning import BIAS_B, SCALE, YAW
 from camber.localizer.filter.filter_state import YAW_0, FilterState
+from camber.localizer.filter.odometry import MotionStep, yaw_rate
 from camber.localizer.filter.pose_model import PoseModel
 
-_TURN_FLOOR_RAD2: Final = 1e-8
+_TURN_FLOOR_RAD2: Final = 1e-8  # chosen: (0.006°)², keeps the innovation covariance regular
 
 
-class RotationCoupling:
-    """Collects what B's sensor turns, and weighs it against A's."""
+class YawRateCoupling:
+    """Integrates the yaw rate of system B and updates system A by it."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew at the heading of now."""
+        """Restart at the present heading."""
         x = self._state.x
         self._turn = self._d_bias = self._d_scale = self._var = self._s = 0.0
         self._bias, self._scale = float(x[BIAS_B]), float(x[SCALE])
         self._state.copy(YAW, YAW_0)
 
     def accumulate(self, step: MotionStep, *, heading_known: bool) -> None:
-        """Take in what B's sensor turned over a step."""
+        """Integrate the turn by sensor B over a step."""
         motion = self._model.motion
         if step.standing:
             return
-        turn = rotation(step, motion.b_rate_sensor, motion, self._bias, self._scale)
+        turn = yaw_rate(step, motion.b_rate_sensor, motion, bias=self._bias, scale=self._scale)
         if turn is None or step.outcome == "gap" or not heading_known:
             self._s = -1.0
             return
@@ -53,7 +53,7 @@ class RotationCoupling:
         self._s += step.dt_s
 
     def couple(self) -> None:
-        """Weigh the increments of both rotation sensors since the last time, if B gave any."""
+        """Update by the increments of both sensors since the last coupling, where B gave any and one is due."""
         if self._s < self._model.couple_rotation_every_s:
             return
         h = self._state.rows(1)

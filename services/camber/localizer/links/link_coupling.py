@@ -1,16 +1,15 @@
-"""Row 1 of h (3), `-x sin(alpha) + y cos(alpha) + c - r = 0`: the map's link holds the pose across the road.
+"""Coupling of the pose with a link: row 1 of h, CN101360971 eq. (3), `-x sin(alpha) + y cos(alpha) + c - r = 0`.
 
 A coarse link departs from its road by up to metres, and slowly: applied at every epoch as if independent, row 1
-would claim `sigma / sqrt(n)`. So `r = lane + deviation` is part of the state: `lane`, the vehicle's offset from
-the road's line, stays (it walks a little with the distance, and more in a turn); `deviation` is a Gauss-Markov
-process along the distance travelled, of the link's own sigma and a length of `deviation_length_m`; and all links
-of a neighbourhood may lie off to one side, as those do that were drawn from one picture: a shift east and north by a
-share of their sigma, which no amount of driving along them shows. As a perfect
-measurement of the state `(X, r)` row 1 may then be applied as often as one likes: what is old in it brings no
-gain. Its length is that after which a link has another error, which is set by its vertices: with one taken too long
-a bend seems to lie off as the road before it does, and shows the way along better than it can. The document's "r stays
-what it was when the satellites were lost" is the case of a zero distance; every anchor measures r anew through the
-correlations. At a standstill there is nothing to gain and nothing is coupled.
+would claim `sigma / sqrt(n)`. So `r = lane + deviation` is part of the state. `lane`, the vehicle's offset from the
+road's line, lasts (a random walk with the distance, more in a turn). `deviation` is a Gauss-Markov process along the
+distance, of the link's σ and the length `deviation_length_m`, after which a link, by the distance of its vertices,
+has another error: a longer one would claim the position along the road from a bend too precisely. All links of a
+neighbourhood may also share a shift east and north, as those drawn from one aerial picture, by a share of their σ.
+
+As an exact observation of `(X, r)`, row 1 may be applied repeatedly: what is not new has no gain. The document's "r
+stays as when the satellites were lost" is the case of zero distance; every anchor observes r through the
+correlations.
 """
 
 from __future__ import annotations
@@ -21,11 +20,12 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from camber.geodesy.angles import wrap_pi
 from camber.localizer.filter.dead_reckoning import EAST, NORTH, YAW
 from camber.localizer.filter.filter_state import DEVIATION, LANE, SHIFT_EAST, SHIFT_NORTH, FilterState
 from camber.localizer.filter.pose_model import PoseModel
-from camber.localizer.links.link_filter import jacobian_s, jacobian_x, observation, wrapped
 from camber.localizer.links.link_matching import LinkId, LinkMatch
+from camber.localizer.links.link_observation import jacobian_s, jacobian_x, observation
 from camber.localizer.links.link_offset_memory import LinkOffsetMemory
 
 CouplingOutcome: TypeAlias = Literal[
@@ -42,7 +42,7 @@ CouplingOutcome: TypeAlias = Literal[
 
 
 class CouplingResult(NamedTuple):
-    """What became of a link; innovation of row 1 (m) and its normalised square (1 degree of freedom)."""
+    """Outcome of a coupling; innovation of row 1 [m] and its normalised square (1 degree of freedom)."""
 
     outcome: CouplingOutcome
     innovation_m: float | None = None
@@ -50,18 +50,18 @@ class CouplingResult(NamedTuple):
 
 
 class LinkCoupling:
-    """The link in use, and what is known of the vehicle's offset from it."""
+    """The link in use, and the states of the vehicle's offset from it."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
         self._memory = LinkOffsetMemory(state, model)
-        self.match = LinkMatch("none")
+        self.match = LinkMatch(status="none")
         self.sigma_m = 0.0  # of the link in use
         self.coupled_ns: int | None = None
         self.forget()
 
     def forget(self) -> None:
-        """The pose is another one: what was known of the offset says nothing any more."""
+        """Reset the offset: the pose is another one."""
         state = self._state
         self._memory.forget()
         self._coupled_at_m = -math.inf
@@ -77,24 +77,24 @@ class LinkCoupling:
             state.x[index] = 0.0
 
     def set_link(self, match: LinkMatch) -> None:
-        """The link of now, whether it is coupled or not."""
+        """Set the current link, whether it is coupled or not."""
         self.match = match
         if match.status == "none":
             self._alpha = None
 
-    def shifted(self, east_m: float, north_m: float) -> None:
-        """The plane's origin has moved by (east, north)."""
+    def shift(self, east_m: float, north_m: float) -> None:
+        """Apply a move of the plane's origin by (east, north)."""
         if self.match.line is not None:
             self.match = replace(self.match, line=self.match.line.shifted(east_m, north_m))
 
     def couple(
         self, time_ns: int | None, travelled_m: float, *, standing: bool, heading_known: bool
     ) -> CouplingResult:
-        """Couple with the link of now, where due and where its direction means something."""
-        refusal = self._refuse(travelled_m, standing, heading_known)
+        """Couple with the current link, where due and where its direction is meaningful."""
+        refusal = self._refusal(travelled_m, standing, heading_known)
         if refusal is not None or self.match.line is None:
             return CouplingResult(refusal or "not_matched")
-        self._enter()
+        self._enter_link()
         self._coupled_at_m = travelled_m
         self._memory.recall(self.match, self._along_sigma_m(self.match.line.alpha_rad))
         result = self._couple_offset()
@@ -103,7 +103,7 @@ class LinkCoupling:
             self._memory.keep(self.match)
         return result
 
-    def _refuse(self, travelled_m: float, standing: bool, heading_known: bool) -> CouplingOutcome | None:
+    def _refusal(self, travelled_m: float, standing: bool, heading_known: bool) -> CouplingOutcome | None:
         model, match, p = self._model, self.match, self._state.p
         if match.status != "matched" or match.line is None:
             return "not_matched"
@@ -113,7 +113,7 @@ class LinkCoupling:
             return "standing"
         if travelled_m - self._coupled_at_m < model.couple_every_m:
             return "too_soon"
-        turn = abs(wrapped(float(self._state.x[YAW]) - match.line.alpha_rad))
+        turn = abs(wrap_pi(float(self._state.x[YAW]) - match.line.alpha_rad))
         sigma = math.sqrt(p[YAW, YAW] + model.parallel_sigma_rad**2)
         if turn > min(3.0 * sigma, model.parallel_max_rad):
             return "not_parallel"
@@ -126,9 +126,9 @@ class LinkCoupling:
         along = p[EAST, EAST] * cos * cos + p[NORTH, NORTH] * sin * sin + 2.0 * p[EAST, NORTH] * sin * cos
         return math.sqrt(max(0.0, float(along)))
 
-    def _enter(self) -> None:
-        """On a new road alpha and c change and the lane stays, within what a turn does to it; the deviation
-        of a road that runs straight on is the same, of one in another direction a new one."""
+    def _enter_link(self) -> None:
+        """Adapt the offset to a new link: the lane stays within what a turn changes; the deviation stays on a road that
+        runs straight on and is new on one in another direction."""
         match = self.match
         assert match.line is not None
         model, before, x, p = self._model, self._alpha, self._state.x, self._state.p
@@ -142,7 +142,7 @@ class LinkCoupling:
             for index in (DEVIATION, LANE):
                 self._state.negate(index)
             p[LANE, LANE] += 4.0 * model.lane_turn_sigma_m**2
-        elif abs(wrapped(match.line.alpha_rad - before)) > model.new_road_rad:
+        elif abs(wrap_pi(match.line.alpha_rad - before)) > model.new_road_rad:
             cos = math.cos(match.line.alpha_rad - before)
             self._state.renew(DEVIATION, max(0.0, cos), match.sigma_m)
             p[LANE, LANE] += (1.0 - cos) * model.lane_turn_sigma_m**2

@@ -1,61 +1,68 @@
-"""Which link the vehicle is on: by topology and the history of the pose, never by height.
+"""Map matching: the link that the vehicle is on, by topology and the history of the pose, never by height.
 
-Every plausible (link, direction) is kept with a weight, the logarithm of its likelihood relative to the best.
-A step of the pose adds evidence of distance and heading, and hypotheses pass on only to themselves, their
-own reverse and the links at their ends: a road that crosses above or runs alongside is never reached without
-a node. As long as several remain within reason the match is *ambiguous* and says which; when no link
-explains the pose over some distance there is none (car parks), until the pose has followed one for a while.
+Every plausible (link, direction) is a hypothesis with a weight, the logarithm of its likelihood relative to the
+best. A step of the pose adds evidence of distance and heading, and hypotheses pass on only to themselves, their
+reverse and the links at their ends: a road that crosses above or runs alongside is never reached without a node.
+While several remain plausible the match is *ambiguous* and names them; where no link explains the pose over some
+distance there is none (car parks), until the pose has followed one for a while.
 
-Beyond CN101360971, which takes a link to be found. The weights are those of map matching by hidden Markov
-models (Newson and Krumm 2009), the evidence counted per distance, for a link's deviation varies slowly.
+CN101360971 takes the link for given. The weights are those of map matching by hidden Markov models (Newson and
+Krumm 2009), with evidence per distance, because a link's deviation varies slowly.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from camber.localizer.links.link_filter import Array, LinkLine, require, wrapped
+from camber.geodesy.angles import wrap_pi
+from camber.localizer.arrays import Floats, require_array, require_finite
+from camber.localizer.links.link_observation import LinkLine
 
 LinkId: TypeAlias = int | str
 MatchStatus: TypeAlias = Literal["none", "ambiguous", "matched"]
 
+_SHARP_BEND_RAD: Final = math.radians(25.0)
+"""Chosen: at a sharper bend, or an end without a continuation within it, the link's direction is not used."""
 
-class _Key(NamedTuple):
+
+class _DirectedLink(NamedTuple):
     link: int
     forward: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Link:
-    """A piece of road: vertices (n >= 2, 2) east/north in metres from `start_node` to `end_node`, level for
-    stacked roads, `sigma_m` its lateral deviation from the road. One-way links run along their vertices."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RoadLink:
+    """A piece of road: vertices (n >= 2, 2) east and north [m] from `start_node` to `end_node`, level for stacked
+    roads, `sigma_m` of its lateral deviation from the road. Links with `forward_only` are driven along their
+    vertices."""
 
     link_id: LinkId
     start_node: LinkId
     end_node: LinkId
-    vertices_m: Array
+    vertices_m: Floats
     level: int = 0
     sigma_m: float = 2.0
-    one_way: bool = False
+    forward_only: bool = False
 
     def __post_init__(self) -> None:
         shape = np.shape(self.vertices_m)
         if len(shape) != 2 or shape[0] < 2 or shape[1] != 2:
             raise ValueError(f"vertices_m: expected shape (n >= 2, 2), got {shape}")
-        require("vertices_m", self.vertices_m, shape)
+        require_array("vertices_m", self.vertices_m, shape)
         if not (math.isfinite(self.sigma_m) and self.sigma_m > 0.0):
             raise ValueError(f"sigma_m: must be finite and positive; got {self.sigma_m}")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MatchingModel:
-    """What counts as plausible. Angles in radians, distances in metres."""
+    """When a hypothesis is plausible. Chosen, from the width of roads and the distance of a link's vertices; what
+    follows from them is measured by `support.tunnel_statistics`."""
 
     lane_sigma_m: float = 3.0
     direction_sigma_rad: float = math.radians(12.0)
@@ -67,7 +74,6 @@ class MatchingModel:
     forget_below: float = 12.0
     ambiguous_above: float = 4.6
     same_direction_rad: float = math.radians(20.0)
-    sharp_bend_rad: float = math.radians(25.0)
     lost_after_m: float = 20.0
     regain_after_m: float = 20.0
     min_step_m: float = 1.0
@@ -76,11 +82,11 @@ class MatchingModel:
     max_yaw_sigma_rad: float = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkMatch:
     """The current link. `line` is directed along the travel; `level` is None where candidates differ in it;
-    `station_m` is the distance along the link from its start, `to_sharp_m` that to the nearest vertex where its
-    direction means nothing."""
+    `station_m` is the distance along the link from its start, `to_sharp_m` that to the nearest sharp bend or dead
+    end."""
 
     status: MatchStatus
     link_id: LinkId | None = None
@@ -93,8 +99,8 @@ class LinkMatch:
     station_m: float = 0.0
 
 
-class _Foot(NamedTuple):
-    """The nearest point of a link: its distance and normal, the link's direction there, and its station."""
+class _LinkProjection(NamedTuple):
+    """The nearest point of a link: distance and normal to it, direction and begin of its segment, and its station."""
 
     distance_m: float
     normal_east: float
@@ -106,26 +112,16 @@ class _Foot(NamedTuple):
 
 
 class LinkNetwork:
-    """Links as flat arrays of segments, a grid over them, and who meets whom at the nodes."""
+    """Links as flat arrays of segments with a grid over them, and the links at each node."""
 
-    def __init__(self, links: Sequence[Link], sharp_bend_rad: float = math.radians(25.0)) -> None:
+    def __init__(self, links: Sequence[RoadLink]) -> None:
         self.links = tuple(_without_repeats(link) for link in links)
-        self._sharp_bend_rad = sharp_bend_rad
-        self._at_node: dict[LinkId, list[_Key]] = {}
+        self._at_node: dict[LinkId, list[_DirectedLink]] = {}
         for index, link in enumerate(self.links):
-            self._at_node.setdefault(link.start_node, []).append(_Key(index, True))
-            self._at_node.setdefault(link.end_node, []).append(_Key(index, False))
+            self._at_node.setdefault(link.start_node, []).append(_DirectedLink(index, True))
+            self._at_node.setdefault(link.end_node, []).append(_DirectedLink(index, False))
         self._flatten()
         self._sharp = [self._sharp_stations(index) for index in range(len(self.links))]
-
-    def shifted(self, east_m: float, north_m: float) -> LinkNetwork:
-        """The same network in a plane whose origin has moved by (east, north)."""
-        step = np.array([east_m, north_m])
-        moved = [
-            Link(k.link_id, k.start_node, k.end_node, k.vertices_m - step, k.level, k.sigma_m, k.one_way)
-            for k in self.links
-        ]
-        return LinkNetwork(moved, self._sharp_bend_rad)
 
     def _flatten(self) -> None:
         steps = [np.diff(link.vertices_m, axis=0) for link in self.links]
@@ -137,7 +133,7 @@ class LinkNetwork:
         self._direction = np.concatenate([empty, *steps]) / self._length[:, None]
         self._station = np.concatenate([np.zeros(0), *(station[:-1] for station in self._stations)])
         self._owner = np.repeat(np.arange(len(self.links)), [len(length) for length in self._lengths])
-        self._cell_m = 64.0
+        self._cell_m = 64.0  # chosen: about a link's segment
         self._cells: dict[tuple[int, int], list[int]] = {}
         end = self._start + self._direction * self._length[:, None]
         low = np.floor(np.minimum(self._start, end) / self._cell_m).astype(int)
@@ -148,53 +144,53 @@ class LinkNetwork:
                     self._cells.setdefault((i, j), []).append(index)
 
     def _sharp_stations(self, index: int) -> NDArray[np.float64]:
-        """Stations of the link's bends, and of its ends where no other link carries straight on."""
+        """Return stations of the link's sharp bends, and of its ends where no other link continues straight on."""
         step = np.diff(self.links[index].vertices_m, axis=0)
         alpha = np.arctan2(step[:, 1], step[:, 0])
         bend = np.abs((np.diff(alpha) + math.pi) % math.tau - math.pi)
-        stations = list(self._stations[index][1:-1][bend > self._sharp_bend_rad])
+        stations = list(self._stations[index][1:-1][bend > _SHARP_BEND_RAD])
         for forward, station in ((True, self._stations[index][-1]), (False, 0.0)):
-            key = _Key(index, forward)
+            key = _DirectedLink(index, forward)
             heading = self._alpha_at_end(key, at_far_end=True)
             onward = [self._alpha_at_end(k, at_far_end=False) for k in self.successors(key)]
-            if not any(abs(wrapped(alpha - heading)) <= self._sharp_bend_rad for alpha in onward):
+            if not any(abs(wrap_pi(alpha - heading)) <= _SHARP_BEND_RAD for alpha in onward):
                 stations.append(station)
         return np.array(stations)
 
-    def _alpha_at_end(self, key: _Key, *, at_far_end: bool) -> float:
+    def _alpha_at_end(self, key: _DirectedLink, *, at_far_end: bool) -> float:
         vertices = self.links[key.link].vertices_m
         a, b = (vertices[-2], vertices[-1]) if key.forward == at_far_end else (vertices[0], vertices[1])
         if not key.forward:
             a, b = b, a
         return math.atan2(b[1] - a[1], b[0] - a[0])
 
-    def _node(self, key: _Key, *, far: bool) -> LinkId:
+    def _node(self, key: _DirectedLink, *, far: bool) -> LinkId:
         link = self.links[key.link]
         return link.end_node if key.forward == far else link.start_node
 
-    def successors(self, key: _Key) -> list[_Key]:
-        """(link, direction) that may follow this one over the node at its far end."""
+    def successors(self, key: _DirectedLink) -> list[_DirectedLink]:
+        """Return the (link, direction) that may follow over the node at the far end."""
         return [k for k in self._at_node[self._node(key, far=True)] if k.link != key.link and self.allowed(k)]
 
-    def predecessors(self, key: _Key) -> list[_Key]:
-        """(link, direction) that may precede this one over the node at its near end."""
+    def predecessors(self, key: _DirectedLink) -> list[_DirectedLink]:
+        """Return the (link, direction) that may precede over the node at the near end."""
         return [
-            _Key(k.link, not k.forward)
+            _DirectedLink(k.link, not k.forward)
             for k in self._at_node[self._node(key, far=False)]
-            if k.link != key.link and self.allowed(_Key(k.link, not k.forward))
+            if k.link != key.link and self.allowed(_DirectedLink(k.link, not k.forward))
         ]
 
-    def allowed(self, key: _Key) -> bool:
-        """Whether traffic runs this way on this link."""
-        return key.forward or not self.links[key.link].one_way
+    def allowed(self, key: _DirectedLink) -> bool:
+        """Whether traffic may use the link in this direction."""
+        return key.forward or not self.links[key.link].forward_only
 
     def to_sharp_m(self, link: int, station_m: float) -> float:
-        """Distance along the link to its nearest sharp vertex, infinite where it has none."""
+        """Return the distance along the link to its nearest sharp vertex, infinite where it has none."""
         sharp = self._sharp[link]
         return float(np.abs(sharp - station_m).min()) if len(sharp) else math.inf
 
-    def feet(self, east_m: float, north_m: float, radius_m: float) -> dict[int, _Foot]:
-        """Nearest points of the links within the radius, by link index."""
+    def projections(self, east_m: float, north_m: float, radius_m: float) -> dict[int, _LinkProjection]:
+        """Return the nearest points of the links within the radius, by link index."""
         i0, i1 = (math.floor((east_m + r) / self._cell_m) for r in (-radius_m, radius_m))
         j0, j1 = (math.floor((north_m + r) / self._cell_m) for r in (-radius_m, radius_m))
         cells = self._cells
@@ -208,28 +204,29 @@ class LinkNetwork:
         off_east -= along * direction[:, 0]
         off_north -= along * direction[:, 1]
         distance = np.hypot(off_east, off_north)
-        feet: dict[int, _Foot] = {}
+        nearest: dict[int, _LinkProjection] = {}
         for k in np.lexsort((index, distance)):
             if distance[k] > radius_m:
                 break
             owner = int(self._owner[index[k]])
-            if owner in feet:
+            if owner in nearest:
                 continue
             d, (u, v) = float(distance[k]), direction[k]
             normal = (float(off_east[k]) / d, float(off_north[k]) / d) if d > 1e-9 else (-float(v), float(u))
-            feet[owner] = _Foot(
-                d,
-                *normal,
-                math.atan2(v, u),
-                float(start[k, 0]),
-                float(start[k, 1]),
-                float(self._station[index[k]] + along[k]),
+            nearest[owner] = _LinkProjection(
+                distance_m=d,
+                normal_east=normal[0],
+                normal_north=normal[1],
+                alpha_rad=math.atan2(v, u),
+                start_east_m=float(start[k, 0]),
+                start_north_m=float(start[k, 1]),
+                station_m=float(self._station[index[k]] + along[k]),
             )
-        return feet
+        return nearest
 
 
 class LinkMatcher:
-    """Follows the vehicle over the network."""
+    """Matches the vehicle to the network."""
 
     def __init__(self, network: LinkNetwork, model: MatchingModel | None = None) -> None:
         self._network = network
@@ -237,170 +234,155 @@ class LinkMatcher:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the history, as after a jump of the pose."""
-        self._weights: dict[_Key, float] = {}
+        """Clear the history, as after a jump of the pose."""
+        self._weights: dict[_DirectedLink, float] = {}
         self._travelled_m: float | None = None
         self._lost_m = 0.0
         self._regained_m = math.inf
-        self._match = LinkMatch("none")
+        self._match = LinkMatch(status="none")
 
     def replace_network(self, network: LinkNetwork) -> None:
-        """Another part of the map, or another origin; hypotheses on links that remain are kept."""
+        """Set another part of the map, or another origin; hypotheses on links that remain are kept."""
         index = {link.link_id: k for k, link in enumerate(network.links)}
         old = self._network.links
         self._weights = {
-            _Key(index[old[key.link].link_id], key.forward): weight
+            _DirectedLink(index[old[key.link].link_id], key.forward): weight
             for key, weight in self._weights.items()
             if old[key.link].link_id in index
         }
         self._network = network
-        self._match = LinkMatch("none")
+        self._match = LinkMatch(status="none")
         if self._travelled_m is not None:
             self._travelled_m -= self._model.min_step_m
 
-    def step(
-        self, east_m: float, north_m: float, yaw_rad: float, covariance: Array, travelled_m: float
-    ) -> LinkMatch:
-        """The match at a pose with covariance (3, 3) after a path of `travelled_m` since the beginning.
+    def step(self, pose: tuple[float, float, float], covariance: Floats, *, travelled_m: float) -> LinkMatch:
+        """Return the match at a pose (east, north, yaw; covariance (3, 3)) after a path of `travelled_m` in total.
 
-        Evidence counts per distance travelled: asked again at the same place, the answer is the same.
+        Evidence counts per distance: at the same place the match stays the same.
         """
-        for name, value in (("east_m", east_m), ("north_m", north_m), ("yaw_rad", yaw_rad)):
-            if not math.isfinite(value):
-                raise ValueError(f"{name}: must be finite; got {value}")
-        if not math.isfinite(travelled_m):
-            raise ValueError(f"travelled_m: must be finite; got {travelled_m}")
+        east_m, north_m, yaw_rad = pose
+        require_finite(east_m=east_m, north_m=north_m, yaw_rad=yaw_rad, travelled_m=travelled_m)
         moved = math.inf if self._travelled_m is None else travelled_m - self._travelled_m
         if 0.0 <= moved < self._model.min_step_m:
             return self._match
-        require("covariance", covariance, (3, 3))
+        require_array("covariance", covariance, (3, 3))
         self._travelled_m = travelled_m
-        self._match = self._next(east_m, north_m, yaw_rad, covariance, min(abs(moved), 50.0))
+        self._match = self._next(pose, covariance, moved_m=min(abs(moved), 50.0))
         return self._match
 
-    def _next(self, east_m: float, north_m: float, yaw_rad: float, p: Array, moved_m: float) -> LinkMatch:
+    def _next(self, pose: tuple[float, float, float], p: Floats, *, moved_m: float) -> LinkMatch:
         model = self._model
-        pee, pnn, pen, pyy = float(p[0, 0]), float(p[1, 1]), float(p[0, 1]), float(p[2, 2])
-        radius = 3.0 * math.sqrt(max(0.0, pee + pnn)) + model.search_margin_m
+        radius = 3.0 * math.sqrt(max(0.0, float(p[0, 0]) + float(p[1, 1]))) + model.search_margin_m
         if radius > model.max_search_m:
             self.reset()
             return self._match
-        feet = self._network.feet(east_m, north_m, radius)
-        evidence, plausible = self._evidence(feet, yaw_rad, pee, pnn, pen, pyy)
+        nearest = self._network.projections(pose[0], pose[1], radius)
+        evidence, plausible = self._evidence(nearest, pose[2], p)
         if not self._weights:
             self._weights = {key: evidence[key] for key in plausible}
         else:
             self._pass_on(evidence, min(1.0, moved_m * model.evidence_per_m))
-        self._keep_the_likely()
+        self._drop_unlikely()
         alive = plausible & self._weights.keys()
         self._lost_m = 0.0 if alive else self._lost_m + moved_m
         self._regained_m += moved_m if alive else 0.0
         if not alive and (not self._weights or self._lost_m > model.lost_after_m):
             self._weights, self._lost_m, self._regained_m = {}, 0.0, 0.0
         if not alive:
-            return LinkMatch("none")
-        return self._judge(alive, feet, pyy)
+            return LinkMatch(status="none")
+        return self._best_match(alive, nearest, float(p[2, 2]))
 
     def _evidence(
-        self, feet: dict[int, _Foot], yaw: float, pee: float, pnn: float, pen: float, pyy: float
-    ) -> tuple[dict[_Key, float], set[_Key]]:
+        self, nearest: dict[int, _LinkProjection], yaw: float, p: Floats
+    ) -> tuple[dict[_DirectedLink, float], set[_DirectedLink]]:
+        """Return the log-likelihood of each (link, direction), and those that are plausible at this pose alone."""
         model = self._model
-        evidence: dict[_Key, float] = {}
-        plausible: set[_Key] = set()
+        pee, pnn, pen, pyy = float(p[0, 0]), float(p[1, 1]), float(p[0, 1]), float(p[2, 2])
+        evidence: dict[_DirectedLink, float] = {}
+        plausible: set[_DirectedLink] = set()
         heading_var = pyy + model.direction_sigma_rad**2
         widest = model.plausible_angle_rad + 3.0 * math.sqrt(pyy)
-        for link, foot in feet.items():
-            u, v = foot.normal_east, foot.normal_north
-            own_var = self._network.links[link].sigma_m ** 2 + model.lane_sigma_m**2
-            variance = own_var + u * u * pee + v * v * pnn + 2.0 * u * v * pen
-            d2 = foot.distance_m**2 / variance
-            for key in (_Key(link, True), _Key(link, False)):
+        for link, point in nearest.items():
+            u, v = point.normal_east, point.normal_north
+            link_var = self._network.links[link].sigma_m ** 2 + model.lane_sigma_m**2
+            variance = link_var + u * u * pee + v * v * pnn + 2.0 * u * v * pen
+            d2 = point.distance_m**2 / variance
+            for key in (_DirectedLink(link, True), _DirectedLink(link, False)):
                 if not self._network.allowed(key):
                     continue
-                turn = abs(wrapped(yaw - foot.alpha_rad - (0.0 if key.forward else math.pi)))
+                turn = abs(wrap_pi(yaw - point.alpha_rad - (0.0 if key.forward else math.pi)))
                 evidence[key] = -0.5 * (min(d2, 40.0) + min(turn * turn / heading_var, 20.0))
                 if d2 <= model.plausible_sigmas**2 and turn <= widest:
                     plausible.add(key)
         return evidence, plausible
 
-    def _pass_on(self, evidence: dict[_Key, float], share: float) -> None:
+    def _pass_on(self, evidence: dict[_DirectedLink, float], share: float) -> None:
+        """Pass the weights on along the topology, and add a share of the evidence."""
         model = self._model
         prior = dict(self._weights)
 
-        def offer(key: _Key, weight: float) -> None:
+        def offer(key: _DirectedLink, weight: float) -> None:
             if key in evidence and weight > prior.get(key, -math.inf):
                 prior[key] = weight
 
         for key, weight in self._weights.items():
-            offer(_Key(key.link, not key.forward), weight - model.u_turn_penalty)
+            offer(_DirectedLink(key.link, not key.forward), weight - model.u_turn_penalty)
             for k in self._network.successors(key):
                 offer(k, weight)
             for k in self._network.predecessors(key):
                 offer(k, weight - model.step_back_penalty)
         self._weights = {key: weight + share * evidence.get(key, -30.0) for key, weight in prior.items()}
 
-    def _keep_the_likely(self) -> None:
+    def _drop_unlikely(self) -> None:
         if not self._weights:
             return
         best = max(self._weights.values())
         floor = best - self._model.forget_below
         self._weights = {key: w - best for key, w in self._weights.items() if w >= floor}
 
-    def _judge(self, alive: set[_Key], feet: dict[int, _Foot], pyy: float) -> LinkMatch:
+    def _best_match(
+        self, alive: set[_DirectedLink], nearest: dict[int, _LinkProjection], yaw_var: float
+    ) -> LinkMatch:
         model, links = self._model, self._network.links
-        best = max(alive, key=lambda key: (self._weights[key], -feet[key.link].distance_m, key))
+        best = max(alive, key=lambda key: (self._weights[key], -nearest[key.link].distance_m, key))
         threshold = self._weights[best] - model.ambiguous_above
         near = sorted((k for k in alive if self._weights[k] >= threshold), key=lambda k: -self._weights[k])
-        rivals = [k for k in near if not self._same_road(best, k, feet)]
+        rivals = [k for k in near if not self._same_road(best, k, nearest)]
         levels = {links[k.link].level for k in near}
-        foot = feet[best.link]
-        alpha = foot.alpha_rad if best.forward else wrapped(foot.alpha_rad + math.pi)
-        c = foot.start_east_m * math.sin(alpha) - foot.start_north_m * math.cos(alpha)
+        point = nearest[best.link]
+        alpha = point.alpha_rad if best.forward else wrap_pi(point.alpha_rad + math.pi)
+        c = point.start_east_m * math.sin(alpha) - point.start_north_m * math.cos(alpha)
         settled = not rivals and self._regained_m >= model.regain_after_m
         return LinkMatch(
             status="matched" if settled else "ambiguous",
             link_id=links[best.link].link_id,
             forward=best.forward,
             level=levels.pop() if len(levels) == 1 else None,
-            line=LinkLine(alpha, c) if math.sqrt(pyy) <= model.max_yaw_sigma_rad else None,
+            line=LinkLine(alpha, c) if math.sqrt(yaw_var) <= model.max_yaw_sigma_rad else None,
             sigma_m=links[best.link].sigma_m,
-            to_sharp_m=self._network.to_sharp_m(best.link, foot.station_m),
-            candidates=_unique(links[k.link].link_id for k in near),
-            station_m=foot.station_m,
+            to_sharp_m=self._network.to_sharp_m(best.link, point.station_m),
+            candidates=tuple(dict.fromkeys(links[k.link].link_id for k in near)),
+            station_m=point.station_m,
         )
 
-    def _same_road(self, a: _Key, b: _Key, feet: dict[int, _Foot]) -> bool:
+    def _same_road(self, a: _DirectedLink, b: _DirectedLink, nearest: dict[int, _LinkProjection]) -> bool:
         """Whether two hypotheses are one road: one link, or one going straight on into the other."""
         links = self._network.links
         if a.link == b.link:
             return True
         if links[a.link].level != links[b.link].level:
             return False
-        turn = feet[a.link].alpha_rad - feet[b.link].alpha_rad
+        turn = nearest[a.link].alpha_rad - nearest[b.link].alpha_rad
         turn += 0.0 if a.forward == b.forward else math.pi
-        if abs(wrapped(turn)) > self._model.same_direction_rad:
+        if abs(wrap_pi(turn)) > self._model.same_direction_rad:
             return False
         return b in self._network.successors(a) or a in self._network.successors(b)
 
 
-def _unique(ids: Iterable[LinkId]) -> tuple[LinkId, ...]:
-    return tuple(dict.fromkeys(ids))
-
-
-def _without_repeats(link: Link) -> Link:
-    """The link without vertices that coincide with the one before; ValueError if no length remains."""
+def _without_repeats(link: RoadLink) -> RoadLink:
+    """Return the link without vertices that coincide with the one before; ValueError if no length remains."""
     step = np.diff(link.vertices_m, axis=0)
     keep = np.concatenate(([True], np.hypot(step[:, 0], step[:, 1]) > 1e-6))
     if keep.sum() < 2:
         raise ValueError(f"vertices_m: link {link.link_id} has no length")
-    if keep.all():
-        return link
-    return Link(
-        link.link_id,
-        link.start_node,
-        link.end_node,
-        link.vertices_m[keep],
-        link.level,
-        link.sigma_m,
-        link.one_way,
-    )
+    return link if keep.all() else replace(link, vertices_m=link.vertices_m[keep])

@@ -1,9 +1,8 @@
-"""A link that is driven again departs from its road as it did before.
+"""Memory of link deviations: a link that is driven again departs from its road as before.
 
-Every `cell_m` along a link the deviation found there is kept as a state of its own, a clone of `DEVIATION` with all its
-correlations. Back at the place that is the deviation again: nothing is averaged that does not average, and what dead
-reckoning has gained in error since the pass before shows. Without it a loop driven n times would claim a variance n
-times too small.
+Every `memory_cell_m` along a link the deviation is kept as a state, a clone of `DEVIATION` with all its
+correlations. On return the deviation is that state again: errors that do not average are not averaged, and the
+drift of dead reckoning since is observed. Without it a loop driven n times would claim a variance n times too small.
 """
 
 from __future__ import annotations
@@ -16,32 +15,33 @@ from camber.localizer.filter.pose_model import PoseModel
 from camber.localizer.links.link_matching import LinkId, LinkMatch
 
 
-class _Cell(NamedTuple):
+class _LinkCell(NamedTuple):
     link_id: LinkId
     number: int
 
 
-class _Kept(NamedTuple):
-    cell: _Cell
+class _KeptDeviation(NamedTuple):
+    cell: _LinkCell
     station_m: float
     forward: bool
 
 
 class LinkOffsetMemory:
-    """The deviations kept: one state each, behind the filter's own, the oldest first."""
+    """The deviations kept: one state each, after those of the filter, oldest first."""
 
     def __init__(self, state: FilterState, model: PoseModel) -> None:
         self._state, self._model = state, model
-        self._kept: list[_Kept] = []
-        self._here: _Cell | None = None
+        self._kept: list[_KeptDeviation] = []
+        self._here: _LinkCell | None = None
 
     def forget(self) -> None:
-        """The pose is another one: what was found with the one before says nothing any more."""
+        """Delete all kept deviations: the pose is another one."""
         self._kept, self._here = [], None
         self._state.keep_first(N_STATES)
 
     def recall(self, match: LinkMatch, along_sigma_m: float) -> None:
-        """Before a coupling: at a place where one was kept the deviation is that one, but for what lies between."""
+        """Before a coupling: where a deviation was kept, make it the present one, plus variance for the distance
+        to it."""
         cell = self._cell(match)
         if cell is None or cell == self._here:
             return
@@ -58,7 +58,7 @@ class LinkOffsetMemory:
                 return
 
     def keep(self, match: LinkMatch) -> None:
-        """After a coupling: keep the deviation, once a cell."""
+        """After a coupling: keep the deviation, once per cell."""
         cell = self._cell(match)
         if cell is None or cell == self._here:
             return
@@ -66,10 +66,10 @@ class LinkOffsetMemory:
         if len(self._kept) == self._model.memory_cells:
             del self._kept[0]
             self._state.drop(N_STATES)
-        self._kept.append(_Kept(cell, match.station_m, match.forward))
+        self._kept.append(_KeptDeviation(cell, match.station_m, match.forward))
         self._state.append_clone(DEVIATION)
 
-    def _cell(self, match: LinkMatch) -> _Cell | None:
+    def _cell(self, match: LinkMatch) -> _LinkCell | None:
         if match.link_id is None:
             return None
-        return _Cell(match.link_id, math.floor(match.station_m / self._model.memory_cell_m))
+        return _LinkCell(match.link_id, math.floor(match.station_m / self._model.memory_cell_m))

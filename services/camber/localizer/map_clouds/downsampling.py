@@ -1,22 +1,21 @@
-"""Thinning a cloud to at most so many points that stand evenly: the first point of each voxel."""
+"""Downsampling of a cloud to a maximum number of evenly spread points: the first point of each voxel."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.localizer.map_clouds.voxel_grid import Floats, voxels
+from camber.localizer.arrays import Floats, Integers
+from camber.localizer.map_clouds.voxel_grid import voxels
 
-_COARSER = 1.1
+_COARSER = 1.1  # chosen: least growth of the voxel from one pass to the next
 
 
 def thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floats:
-    """Of points (n, 3) [m] at most so many, one for each voxel, in their order; all where they are few enough.
+    """Return at most so many of the points (n, 3) [m], one per voxel, in their order.
 
-    Voxels grow from `voxel_m` until they are few enough. A point is one of those put in, never a mean: the mean of
-    points on a corner lies off both faces.
+    Voxels grow from `voxel_m` until they are few enough. No means: the mean of points at a corner lies off both faces.
     """
     points_m = np.ascontiguousarray(points_m, dtype=np.float64)
     while len(points_m) > at_most:
@@ -26,11 +25,11 @@ def thinned_evenly(points_m: Floats, at_most: int, voxel_m: float = 0.3) -> Floa
 
 
 def voxel_count(points_m: Floats, voxel_m: float) -> int:
-    """How many voxels hold a point of (n, 3) [m]."""
+    """Return the number of voxels that hold a point of (n, 3) [m]."""
     return len(first_of_voxels(np.ascontiguousarray(points_m), voxel_m))
 
 
-def first_of_voxels(points_m: Floats, voxel_m: float) -> NDArray[np.int64]:
-    """Rows of the first point of each voxel, ascending."""
+def first_of_voxels(points_m: Floats, voxel_m: float) -> Integers:
+    """Return rows of the first point of each voxel, ascending."""
     _, first = voxels(points_m, voxel_m)
     return first

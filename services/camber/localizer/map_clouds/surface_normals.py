@@ -1,4 +1,4 @@
-"""The plane through each point of a cloud and its neighbours: a normal, and how far the cloud strays from it."""
+"""Surface normals: the plane through each point of a cloud and its neighbours, with its thickness."""
 
 from __future__ import annotations
 
@@ -8,38 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.uint64]
+from camber.localizer.arrays import Floats, Integers
 
 LEAST_NORMAL_VARIANCE_RAD2 = 1.0e-4
-"""No normal of a survey is known better than to 0.6°: 1 cm in a metre. Planes without noise would make rounding errors
-look like something that is seen."""
+"""Chosen: no normal of a survey is better than 0.6°, 1 cm in a metre. With noiseless planes, rounding errors would look
+like observability."""
 _SWEEPS = 12  # of Jacobi's method; a 3 × 3 matrix is diagonal to rounding after five or six
 
 
-def planes_of_neighbours(points_m: Floats, neighbours: Indices) -> tuple[Floats, Floats, Floats]:
-    """Unit normals (n, 3) of no particular sign, thickness (n,) [m] and the normals' own variance (n,) [rad²].
+def planes_of_neighbours(points_m: Floats, neighbours: NDArray[np.uint64]) -> tuple[Floats, Floats, Floats]:
+    """Return unit normals (n, 3) of arbitrary sign, thickness (n,) [m] and the variance of the normals (n,) [rad²].
 
     `neighbours` (n, k), k > 3: rows of `points_m` (n, 3) about each point, itself among them. The thickness is the
-    standard deviation of the neighbours from their plane, so leaves and corners show as thick. The variance of a
-    normal is that of a least-squares plane about its worse axis: thickness² over the scatter along the narrower
-    extent, at most 1. Points in a line have a normal that may point anywhere about the line.
+    σ of the neighbours from their plane: leaves and corners are thick. The variance of a normal is that of a
+    least-squares plane about its worse axis, thickness² over the scatter along the narrower extent, at most 1.
     """
     n = len(points_m)
     normals, thickness_m, variance_rad2 = np.empty((n, 3)), np.empty(n), np.empty(n)
-    _fit(np.ascontiguousarray(points_m), neighbours.astype(np.int64), normals, thickness_m, variance_rad2)
-    return normals, thickness_m, variance_rad2
+    planes = (normals, thickness_m, variance_rad2)
+    _fit(np.ascontiguousarray(points_m), neighbours.astype(np.int64), planes)
+    return planes
 
 
 @compiled
-def _fit(
-    points_m: Floats,
-    neighbours: NDArray[np.int64],
-    normals: Floats,
-    thickness_m: Floats,
-    variance_rad2: Floats,
-) -> None:
+def _fit(points_m: Floats, neighbours: Integers, planes: tuple[Floats, Floats, Floats]) -> None:
+    """Fill normals, thickness and variance of all planes."""
+    normals, thickness_m, variance_rad2 = planes
     k = neighbours.shape[1]
     a, v = np.empty((3, 3)), np.empty((3, 3))
     for i in range(neighbours.shape[0]):
@@ -69,7 +63,7 @@ def _fit(
 
 @compiled
 def _diagonalise(a: Floats, v: Floats) -> None:
-    """Jacobi's cyclic method, in place: `a` becomes diagonal, the columns of `v` its eigenvectors."""
+    """Diagonalise by Jacobi's cyclic method, in place: `a` becomes diagonal, the columns of `v` its eigenvectors."""
     v[:] = 0.0
     for d in range(3):
         v[d, d] = 1.0

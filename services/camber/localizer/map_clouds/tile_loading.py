@@ -1,35 +1,36 @@
-"""Keeps the clouds around the vehicle supplied: tiles come from the map server some parts at a time."""
+"""Loads the clouds around the vehicle from the map server, some parts at a time."""
 
 from __future__ import annotations
 
-from camber.localizer.map_clouds.map_blocks import Block, BlockOptions, MapBlockStore
+from camber.localizer.map_clouds.map_blocks import MapBlock, MapBlockOptions, MapBlockStore
 from camber.localizer.map_clouds.tile_download import CloudLayer, TileFetch
-from camber.localizer.map_queries import Diagnostics, MapAnswers, NoAnswer
-from camber.localizer.matching.layered_matching import Bounds
+from camber.localizer.map_queries import Diagnostics, MapQueries, MapQueryFailure
+from camber.localizer.matching.registration import LayerBounds
 
-_PARTS_PER_STEP = 16  # 4 MB
-_PAUSE_NS = 1_000_000_000  # after a question that nobody answered
-_ASK_AGAIN_NS = 30_000_000_000  # for tiles that there were none of: the map server may have had no map yet
+# Chosen: 4 MB per step; pause after a query without reply; the map server may have had no map at the first query.
+_PARTS_PER_STEP = 16
+_PAUSE_NS = 1_000_000_000
+_RETRY_MISSING_NS = 30_000_000_000
 
-_Key = tuple[CloudLayer, int, int]
+_TileKey = tuple[CloudLayer, int, int]
 
 
 class CloudTileLoader:
-    """Blocks of the map. Each tile is loaded once while it is in use, and again only where it has changed."""
+    """Provides blocks of the map. Each tile is loaded once while it is in use, and again only where it has changed."""
 
-    def __init__(self, options: BlockOptions, answers: MapAnswers, reports: Diagnostics) -> None:
+    def __init__(self, options: MapBlockOptions, map_queries: MapQueries, diagnostics: Diagnostics) -> None:
         self._blocks = MapBlockStore(options)
-        self._answers, self._reports = answers, reports
+        self._map_queries, self._diagnostics = map_queries, diagnostics
         self._fetch: TileFetch | None = None
-        self._sha256: dict[_Key, str] = {}
-        self._stale: list[_Key] = []
+        self._sha256: dict[_TileKey, str] = {}
+        self._stale: list[_TileKey] = []
         self._version: int | None = None
         self._paused_ns: int | None = None
-        self._forgot_ns: int | None = None
+        self._retried_ns: int | None = None
         self.reason = ""
 
     def note_map_version(self, map_version: int | None) -> None:
-        """The map's answers are of this version: of another one, tiles may have changed."""
+        """Note the map's version: with another one, tiles may have changed."""
         if map_version is None or map_version == self._version:
             return
         if self._version is not None:
@@ -37,11 +38,12 @@ class CloudTileLoader:
             self._blocks.forget_missing()
         self._version = map_version
 
-    def block_at(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> Block | None:
-        """The block that holds a place, if its tiles have come; None: `reason` says why not."""
-        if self._forgot_ns is None or not 0 <= now_ns - self._forgot_ns < _ASK_AGAIN_NS:
-            self._forgot_ns = now_ns
+    def block_at(self, latitude_rad: float, longitude_rad: float, now_ns: int) -> MapBlock | None:
+        """Return the block at a position, once its tiles are loaded; None: `reason` says why not."""
+        if self._retried_ns is None or not 0 <= now_ns - self._retried_ns < _RETRY_MISSING_NS:
+            self._retried_ns = now_ns
             self._blocks.forget_missing()
+        self._blocks.drop_far_tiles(latitude_rad, longitude_rad)
         needed = self._blocks.tiles_needed(latitude_rad, longitude_rad)
         held = set(self._blocks.tiles_held())
         self._sha256 = {key: sha256 for key, sha256 in self._sha256.items() if key in held}
@@ -51,13 +53,13 @@ class CloudTileLoader:
         self.reason = self._blocks.reason
         return block
 
-    def build_ahead(self, latitude_rad: float, longitude_rad: float, bounds: Bounds) -> None:
-        """A step towards the block at a place where the vehicle will be soon, of tiles that are here already."""
+    def build_ahead(self, latitude_rad: float, longitude_rad: float, bounds: LayerBounds) -> None:
+        """Do one step of building the block at a position ahead, from tiles that are loaded."""
         self._blocks.build_ahead(latitude_rad, longitude_rad, bounds)
 
-    def _load(self, needed: list[_Key], now_ns: int) -> None:
+    def _load(self, needed: list[_TileKey], now_ns: int) -> None:
         paused = self._paused_ns is not None and 0 <= now_ns - self._paused_ns < _PAUSE_NS
-        if paused or not self._answers.is_there():
+        if paused or not self._map_queries.is_available():
             return
         parts = _PARTS_PER_STEP
         while parts > 0:
@@ -75,28 +77,28 @@ class CloudTileLoader:
                 self._fetch = None
 
     def _step(self, fetch: TileFetch, now_ns: int) -> int:
-        """Ask for some parts; how many."""
-        asked = 0
+        """Request some parts; return their number."""
+        requested = 0
         for request in fetch.requests(now_ns):
-            reply = self._answers.tile(request)
-            if isinstance(reply, NoAnswer):
-                self._reports.issue("no_tile", reply.text)
+            reply = self._map_queries.tile(request)
+            if isinstance(reply, MapQueryFailure):
+                self._diagnostics.issue("no_tile", reply.text)
                 self._paused_ns = now_ns
                 break
-            fetch.take(request.part, reply)
-            asked += 1
-        return max(asked, 1)
+            fetch.receive(request.part, reply)
+            requested += 1
+        return max(requested, 1)
 
-    def _finish(self, fetch: TileFetch) -> _Key:
-        key: _Key = (fetch.layer, fetch.x, fetch.y)
+    def _finish(self, fetch: TileFetch) -> _TileKey:
+        key: _TileKey = (fetch.layer, fetch.x, fetch.y)
         if key in self._stale:
             self._stale.remove(key)
         if fetch.state == "loaded" and fetch.tile is not None and fetch.sha256 is not None:
             self._blocks.set_tile(*key, fetch.tile)
             self._sha256[key] = fetch.sha256
-            self._reports.count("tile.loaded")
+            self._diagnostics.count("tile.loaded")
         elif fetch.state == "unknown":
             self._blocks.set_tile(*key, None, fetch.reason)
             self._sha256.pop(key, None)
-            self._reports.count("tile.missing")
+            self._diagnostics.count("tile.missing")
         return key

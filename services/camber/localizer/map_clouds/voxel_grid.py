@@ -1,4 +1,4 @@
-"""Point clouds by the cubes of a grid: the mean of the points in each, or the first; always the same bits."""
+"""Voxel grid: the mean of the points in each voxel, or the first one; the same bits on every run."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
-
-Floats = NDArray[np.float64]
+from camber.localizer.arrays import Floats, Integers
 
 _HALF = 1 << 20  # cells to each side of the origin along one axis: ±262 km at 0.25 m
-_MASK = (1 << 21) - 1
+_MASK = (1 << 21) - 1  # 21 bits per axis, 63 in a key
 
 
 def voxel_means(points_m: Floats, voxel_m: float) -> Floats:
-    """One point for each cube of `voxel_m` that holds any: the mean of its points (m, 3), by first appearance.
+    """Return the mean (m, 3) of the finite points (n, 3) in each voxel, by first appearance.
 
-    Points (n, 3), finite. Sums run in the order of the points, so equal input gives equal bytes.
+    Sums run in the order of the points, so equal input gives equal bytes.
     """
     means: Floats = _voxel_means(np.ascontiguousarray(points_m, np.float64), voxel_m)
     return means
@@ -41,8 +40,8 @@ def _voxel_means(points_m: Floats, voxel_m: float) -> Floats:
 
 
 @compiled_without_gil
-def voxels(points_m: Floats, voxel_m: float) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Which voxel each point of (n, 3) lies in, by first appearance, and the first point of each: rows, ascending."""
+def voxels(points_m: Floats, voxel_m: float) -> tuple[NDArray[np.int32], Integers]:
+    """Return the voxel of each point (n, 3), by first appearance, and the row of the first point of each, ascending."""
     n = len(points_m)
     bits = 4
     while (1 << bits) < 2 * n:
@@ -52,7 +51,7 @@ def voxels(points_m: Floats, voxel_m: float) -> tuple[NDArray[np.int32], NDArray
     keys = np.empty(n, np.int64)
     row_of = np.empty(n, np.int32)
     first = np.empty(n, np.int64)
-    found = 0
+    count = 0
     for i in range(n):
         a = int(np.floor(points_m[i, 0] / voxel_m)) + _HALF
         b = int(np.floor(points_m[i, 1] / voxel_m)) + _HALF
@@ -65,10 +64,10 @@ def voxels(points_m: Floats, voxel_m: float) -> tuple[NDArray[np.int32], NDArray
             place = (place + 1) & wrap
             row = table[place]
         if row < 0:
-            row = found
+            row = count
             table[place] = row
             keys[row] = key
             first[row] = i
-            found += 1
+            count += 1
         row_of[i] = row
-    return row_of, first[:found]
+    return row_of, first[:count]

@@ -1,170 +1,165 @@
-"""Where am I when lost: every place within 5 m and 15° of the guess is tried, and the best few are matched.
+"""Coarse search: all positions within 5 m and 15° of the guess are scored, and the best few are matched.
 
-The map's layers are drawn as rasters of nearness, a few hundred points of each layer are laid on them at every shift
-and turn, and the best places that are apart are refined by `match_layers`. A place is only *the* place if the next
-best is clearly worse: along a tunnel, or a row of equal houses, it is not, and the answer is ambiguous.
+The map's layers are rasters of proximity, a few hundred points of each layer are scored at every shift and turn,
+and the best separate candidates are refined by `match_layers`. The best one is unique only if the next one is
+clearly worse: in a tunnel, or along a row of equal houses, it is not, and the match is ambiguous.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.localizer.map_clouds.downsampling import thinned_evenly
-from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions, match_layers
-from camber.localizer.matching.point_to_plane import moved
-from camber.localizer.matching.registration import LayerTarget
-
-Floats = NDArray[np.float64]
-Nearness = NDArray[np.float32]
-
-REACH_M = 5.0
-REACH_RAD = math.radians(15.0)
-UNIQUE_RATIO = 0.9
-"""The best place is the only one if no other has this share of its inliers."""
-_CELL_M = 0.25
-_STEP_M = 0.5  # two cells; half of it, and half a step of yaw at 25 m, are within the rasters' blur
-_STEP_RAD = math.radians(1.5)
-_BLUR_M = 0.5
-_POINTS_PER_LAYER = 400
-_CANDIDATES = 6
-_RIVAL_RATIO = (
-    0.7  # of the best place's nearness: what is farther below does not fit as well after refinement
+from camber.geodesy.angles import wrap_pi
+from camber.localizer.arrays import Floats, Integers
+from camber.localizer.matching.icp import moved
+from camber.localizer.matching.layered_matching import (
+    LayeredMatch,
+    MatchInput,
+    MatchOptions,
+    match_layers,
+    split_layers,
 )
-_APART_M = 1.0
-_APART_RAD = math.radians(4.0)
-_SAME_M = 0.3
-_SAME_RAD = math.radians(1.0)
-_CAPTURE_M = 1.5  # what the best place of the grid may still be off at the far points
+
+UNIQUE_RATIO: Final = 0.9
+"""Chosen: the best candidate is unique if no other has this share of its inliers."""
+# Chosen: two cells; half a step, of yaw at 25 m too, is within the blur.
+_STEP_M: Final = 0.5
+_STEP_RAD: Final = math.radians(1.5)
+# Chosen: resolution and blur of the raster.
+_CELL_M: Final = 0.25
+_BLUR_M: Final = 0.5
+# Chosen: they bound the time of a search.
+_POINTS_PER_LAYER: Final = 400
+_CANDIDATES: Final = 6
+_RIVAL_RATIO: Final = (
+    0.7  # chosen: a candidate with less of the best score does not fit as well after refinement
+)
+# Chosen: candidates nearer than these are one.
+_APART_M: Final = 1.0
+_APART_RAD: Final = math.radians(4.0)
+# Chosen: matches nearer than these are the same.
+_SAME_M: Final = 0.3
+_SAME_RAD: Final = math.radians(1.0)
+_CAPTURE_M: Final = 1.5  # chosen: error of a candidate of the grid at far points
 
 
-@dataclass(frozen=True, eq=False)
+class SearchRange(NamedTuple):
+    """How far to search in each direction. Chosen: 5 m is the drift of dead reckoning over some 500 m."""
+
+    m: float = 5.0
+    rad: float = math.radians(15.0)
+
+
+FULL_RANGE: Final = SearchRange()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SearchResult:
-    """The best match found; ambiguous where another place fits as well, and then its covariance holds them all."""
+    """The best match; ambiguous where a rival fits as well, and then its covariance covers all of them."""
 
     match: LayeredMatch
     unique: bool
     score: float
-    """Share of all layers' points that lie on the map, of the best place and of the next best that is another."""
+    """Share of all layers' points that lie on the map, of the best match and of the next best other one."""
     next_score: float
     best: LayeredMatch
-    """The match as it would be without rivals."""
+    """The match without regard to rivals."""
     rivals: tuple[LayeredMatch, ...] = ()
-    """Other places that fit as well, by the share of points that lie on the map."""
+    """Other matches that fit as well, by the share of points that lie on the map."""
 
 
-def search(
-    local_points_m: Floats,
-    heights_m: Floats,
-    targets: Sequence[LayerTarget],
-    guess: Floats,
-    options: MatchOptions | None = None,
-    reach_m: float = REACH_M,
-    reach_rad: float = REACH_RAD,
-) -> SearchResult:
-    """Match as `match_layers` does, from everywhere about `guess`, map_from_local (4, 4)."""
-    options = replace(options or MatchOptions(), capture_distance_m=_CAPTURE_M)
-    found: list[tuple[float, LayeredMatch]] = []
-    for offset in _candidates(local_points_m, heights_m, targets, guess, options, reach_m, reach_rad):
-        match = match_layers(local_points_m, heights_m, targets, moved(guess, offset, "planar"), options)
+def search(scan: MatchInput, options: MatchOptions, reach: SearchRange = FULL_RANGE) -> SearchResult:
+    """Match as `match_layers` does, from everywhere around the guess."""
+    options = replace(options, capture_distance_m=_CAPTURE_M)
+    scored: list[tuple[float, LayeredMatch]] = []
+    for offset in _candidates(scan, options, reach):
+        match = match_layers(replace(scan, guess=moved(scan.guess, offset, "planar")), options)
         score = match_score(match)
-        same = [k for k, (_, other) in enumerate(found) if _same(match, other)]
-        if not same:
-            found.append((score, match))
-        elif score > found[same[0]][0]:
-            found[same[0]] = (score, match)
-    if not found:
-        lost = match_layers(local_points_m, heights_m, targets, guess, options)
-        return SearchResult(lost, False, 0.0, 0.0, lost)
-    found.sort(key=lambda place: -place[0])
-    (score, match), next_score = found[0], found[1][0] if len(found) > 1 else 0.0
-    best, unique = match, next_score < UNIQUE_RATIO * score
+        same = next((k for k, (_, other) in enumerate(scored) if _is_same(match, other)), None)
+        if same is None:
+            scored.append((score, match))
+        elif score > scored[same][0]:
+            scored[same] = (score, match)
+    if not scored:
+        lost = match_layers(scan, options)
+        return SearchResult(match=lost, unique=False, score=0.0, next_score=0.0, best=lost)
+    scored.sort(key=lambda item: -item[0])
+    (score, best), next_score = scored[0], scored[1][0] if len(scored) > 1 else 0.0
+    match, unique = best, next_score < UNIQUE_RATIO * score
     rivals: tuple[LayeredMatch, ...] = ()
-    if match.status != "lost" and not unique:
-        rivals = tuple(other for other_score, other in found[1:] if other_score >= UNIQUE_RATIO * score)
-        covariance = match.covariance + sum((_apart(match, rival) for rival in rivals), np.zeros((3, 3)))
-        match = replace(match, status="ambiguous", reason="not_unique", covariance=covariance)
-    return SearchResult(match, unique, score, next_score, best, rivals)
+    if best.status != "lost" and not unique:
+        rivals = tuple(other for other_score, other in scored[1:] if other_score >= UNIQUE_RATIO * score)
+        spread = sum((_offset_square(best, rival) for rival in rivals), np.zeros((3, 3)))
+        match = replace(best, status="ambiguous", reason="not_unique", covariance=best.covariance + spread)
+    return SearchResult(
+        match=match, unique=unique, score=score, next_score=next_score, best=best, rivals=rivals
+    )
 
 
-def seems_mirrored(
-    local_points_m: Floats,
-    heights_m: Floats,
-    targets: Sequence[LayerTarget],
-    guess: Floats,
-    options: MatchOptions | None = None,
-) -> bool:
-    """Does the local map fit only with left and right exchanged, as from a sensor whose y points the wrong way?"""
-    mirrored_m = local_points_m * np.array([1.0, -1.0, 1.0])
-    mirrored = search(mirrored_m, heights_m, targets, guess, options)
+def seems_mirrored(scan: MatchInput, options: MatchOptions) -> bool:
+    """Whether the local map fits only with left and right exchanged, as with a sensor whose y axis is reversed."""
+    mirrored = search(replace(scan, points_m=scan.points_m * np.array([1.0, -1.0, 1.0])), options)
     if mirrored.match.status != "converged":
         return False
-    return search(local_points_m, heights_m, targets, guess, options).score < UNIQUE_RATIO * mirrored.score
+    return search(scan, options).score < UNIQUE_RATIO * mirrored.score
 
 
 def match_score(match: LayeredMatch) -> float:
-    """Share of the points of all layers that lie on a plane of the map."""
-    points = sum(row.fit.points for row in match.layers)
-    return sum(row.inliers * row.fit.points for row in match.layers) / points if points else 0.0
+    """Return the share of the points of all layers that lie on a plane of the map."""
+    points = sum(layer.fit.points for layer in match.layers)
+    return sum(layer.inliers * layer.fit.points for layer in match.layers) / points if points else 0.0
 
 
-def _apart(match: LayeredMatch, rival: LayeredMatch) -> Floats:
-    """What the covariance (3, 3) of a match must hold for the rival to be within it."""
-    turn = math.remainder(rival.yaw_rad - match.yaw_rad, math.tau)
+def _offset_square(match: LayeredMatch, rival: LayeredMatch) -> Floats:
+    """Return what the covariance (3, 3) of a match lacks to cover a rival."""
+    turn = wrap_pi(rival.yaw_rad - match.yaw_rad)
     offset = np.array([rival.east_m - match.east_m, rival.north_m - match.north_m, turn])
     return np.outer(offset, offset)
 
 
-def _same(a: LayeredMatch, b: LayeredMatch) -> bool:
-    turn = math.remainder(a.yaw_rad - b.yaw_rad, math.tau)
+def _is_same(a: LayeredMatch, b: LayeredMatch) -> bool:
+    turn = wrap_pi(a.yaw_rad - b.yaw_rad)
     return math.hypot(a.east_m - b.east_m, a.north_m - b.north_m) < _SAME_M and abs(turn) < _SAME_RAD
 
 
-def _candidates(
-    local_points_m: Floats,
-    heights_m: Floats,
-    targets: Sequence[LayerTarget],
-    guess: Floats,
-    options: MatchOptions,
-    reach_m: float,
-    reach_rad: float,
-) -> list[Floats]:
-    """East, north [m], yaw [rad] from the guess of the best places of the grid, apart from one another, best first."""
-    shifts, turns = math.ceil(reach_m / _STEP_M), math.ceil(reach_rad / _STEP_RAD)
-    total = np.zeros((2 * turns + 1, 2 * shifts + 1, 2 * shifts + 1))
-    for (low, high), target in zip(options.bounds_m, targets, strict=True):
-        points_m = local_points_m[(heights_m >= low) & (heights_m < high)]
-        points_m = thinned_evenly(points_m, _POINTS_PER_LAYER)
+def _candidates(scan: MatchInput, options: MatchOptions, reach: SearchRange) -> list[Floats]:
+    """Return the offsets (east, north [m], yaw [rad]) of the best separate candidates of the grid, best first."""
+    shifts, turns = math.ceil(reach.m / _STEP_M), math.ceil(reach.rad / _STEP_RAD)
+    scores = np.zeros((2 * turns + 1, 2 * shifts + 1, 2 * shifts + 1))
+    layers = split_layers(scan, options.bounds_m, _POINTS_PER_LAYER)
+    for points_m, target in zip(layers, scan.targets, strict=True):
         if target.empty or len(points_m) < options.min_points:
             continue
-        turned_m = points_m @ guess[:3, :3].T
-        reach_of_cloud_m = float(np.hypot(turned_m[:, 0], turned_m[:, 1]).max()) + shifts * _STEP_M + 1.0
-        origin_m = guess[:2, 3] - reach_of_cloud_m
-        raster = _nearness(target.points_m[:, :2] - origin_m, math.ceil(2.0 * reach_of_cloud_m / _CELL_M))
-        total += _scores(turned_m, raster, reach_of_cloud_m, turns, shifts) / len(points_m)
-    places = []
-    score = total.copy()
+        turned_m = points_m @ scan.guess[:3, :3].T
+        half_m = float(np.hypot(turned_m[:, 0], turned_m[:, 1]).max()) + shifts * _STEP_M + 1.0
+        corner_m = scan.guess[:2, 3] - half_m
+        raster = _proximity(target.points_m[:, :2] - corner_m, math.ceil(2.0 * half_m / _CELL_M))
+        scores += _scores(turned_m, raster, half_m, (turns, shifts)) / len(points_m)
+    offsets = []
+    remaining = scores.copy()
     for _ in range(_CANDIDATES):
-        best = np.unravel_index(int(np.argmax(score)), score.shape)
-        if score[best] <= _RIVAL_RATIO * total.max():
+        best = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
+        if remaining[best] <= _RIVAL_RATIO * scores.max():
             break
         k, i, j = (int(index) for index in best)
-        places.append(np.array([(i - shifts) * _STEP_M, (j - shifts) * _STEP_M, (k - turns) * _STEP_RAD]))
+        offsets.append(np.array([(i - shifts) * _STEP_M, (j - shifts) * _STEP_M, (k - turns) * _STEP_RAD]))
         near, about = round(_APART_M / _STEP_M), round(_APART_RAD / _STEP_RAD)
-        score[
+        remaining[
             max(k - about, 0) : k + about + 1,
             max(i - near, 0) : i + near + 1,
             max(j - near, 0) : j + near + 1,
         ] = 0.0
-    return places
+    return offsets
 
 
-def _nearness(points_m: Floats, cells: int) -> Nearness:
+def _proximity(points_m: Floats, cells: int) -> NDArray[np.float32]:
+    """Return a raster (cells, cells) of the proximity, 0 to 1, to the nearest point."""
     raster = np.zeros((cells, cells), np.float32)
     occupied = np.zeros((cells, cells), np.bool_)
     cell = np.floor(points_m / _CELL_M).astype(np.int64)
@@ -178,7 +173,8 @@ def _nearness(points_m: Floats, cells: int) -> Nearness:
 
 
 @compiled
-def _stamp(cells: NDArray[np.int64], stamp: Nearness, raster: Nearness) -> None:
+def _stamp(cells: Integers, stamp: NDArray[np.float32], raster: NDArray[np.float32]) -> None:
+    """Raise the raster to the stamp around each cell."""
     reach, n = stamp.shape[0] // 2, raster.shape[0]
     for k in range(len(cells)):
         for a in range(-reach, reach + 1):
@@ -192,8 +188,11 @@ def _stamp(cells: NDArray[np.int64], stamp: Nearness, raster: Nearness) -> None:
 
 
 @compiled
-def _scores(points_m: Floats, raster: Nearness, half_m: float, turns: int, shifts: int) -> Floats:
-    """Sums (turns, east, north) of the nearness of points (n, 3) about the raster's middle."""
+def _scores(
+    points_m: Floats, raster: NDArray[np.float32], half_m: float, turns_shifts: tuple[int, int]
+) -> Floats:
+    """Return sums (turns, east, north) of the proximity of points (n, 3) about the raster's middle."""
+    turns, shifts = turns_shifts
     scores = np.zeros((2 * turns + 1, 2 * shifts + 1, 2 * shifts + 1))
     stride, n = round(_STEP_M / _CELL_M), raster.shape[0]
     reach = shifts * stride

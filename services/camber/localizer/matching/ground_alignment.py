@@ -1,131 +1,135 @@
-"""The local map set down on the map's road (M, step 10), and what follows: heights above it, and the sensor's own."""
+"""Ground alignment of the local map to the map's road (JP2016-109650A, step 10), and the sensor's height above
+the road."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple, TypeAlias
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
-from camber.localizer.map_clouds.map_blocks import Block
+from camber.localizer.arrays import Floats
+from camber.localizer.map_clouds.map_blocks import MapBlock
 from camber.localizer.matching.road_plane_fit import RoadFit, fit_road
 from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.road.road_attitude import REACH_M, GroundPlane, road_line
+from camber.localizer.road.road_raster import RoadElevation
 
-Array = NDArray[np.float64]
 RoadBy: TypeAlias = Literal["surface", "line"]
 
-_ROAD_SEEN_M = 8.0  # a sensor farther than this from the map's road is not above it
+_ABOVE_ROAD_M: Final = 8.0  # chosen: a sensor farther than this from the map's road is not above it
+
+
+class PlanarPose(NamedTuple):
+    """East, north [m] and yaw [rad] in the frame of a block."""
+
+    east_m: float
+    north_m: float
+    yaw_rad: float
 
 
 class GroundAlignment(NamedTuple):
-    """map_from_local (4, 4) in the block's frame, heights (n,) of the local map above the road, and the fit to it,
-    None where no road was seen: then it stands as the map's road lies."""
+    """map_from_local (4, 4) in the block's frame, heights (n,) of the local map above the road, and the fit to the
+    road; None where the local map has no ground: then it lies on the map's road."""
 
-    map_from_local: Array
-    heights_m: Array
+    map_from_local: Floats
+    heights_m: Floats
     road: RoadFit | None
 
 
-class SensorHeights(NamedTuple):
-    """Above the road below the sensor, vertically: by the match and the map's road, and by its own returns, with σ;
-    slopes of the map's road under the vehicle, along its heading and to the left. None: not known.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SensorHeights:
+    """Height of the sensor above the road below it, vertically: by the match and the map's road, and by the sweep's
+    ground, each with σ; slopes of the map's road forward and to the left. None: not known.
 
-    `map_from_vehicle` (4, 4) is the match, with height, roll and pitch by the newest sweep where that shows the road.
+    `map_from_vehicle` (4, 4) is the match, with height, roll and pitch by the newest sweep where that has ground.
+    `misplaced`: by the sweep's ground the sensor is not where its mount puts it.
     """
 
-    map_from_vehicle: Array
-    matched_m: float | None
-    matched_sigma_m: float | None
-    ground_m: float | None
-    ground_sigma_m: float | None
-    slope_forward: float | None
-    slope_left: float | None
+    map_from_vehicle: Floats
     misplaced: bool
-    """By its own returns the sensor cannot be where its mount says."""
+    matched_m: float | None = None
+    matched_sigma_m: float | None = None
+    ground_m: float | None = None
+    ground_sigma_m: float | None = None
+    slope_forward: float | None = None
+    slope_left: float | None = None
 
 
 def align_to_road(
-    points_m: Array,
-    block: Block,
-    east_m: float,
-    north_m: float,
-    yaw_rad: float,
-    near_m: float,
-    *,
-    by: RoadBy = "surface",
+    points_m: Floats, block: MapBlock, pose: PlanarPose, *, near_m: float, by: RoadBy = "surface"
 ) -> GroundAlignment | None:
-    """A local map (n, 3) with its origin at a place in the block, on the road that is nearest to a height there.
+    """Align a local map (n, 3) at a pose to the road nearest to a height; None where the map has no road there.
 
-    By the surface of the ground that it sees itself, or by the document's line through the map's road about the
-    vehicle; by the line too where it sees no ground. None where the map has no road there.
+    By the ground in the local map, or by the document's line through the map's road about the vehicle; by the line too
+    where the local map has no ground.
     """
-    here = block.road.elevation(east_m, north_m, near_m)
-    surface = None if here is None else block.road.surface_through(east_m, north_m, here.height_m)
+    here = block.road.elevation(pose.east_m, pose.north_m, near_m)
+    surface = None if here is None else block.road.surface_through(pose.east_m, pose.north_m, here.height_m)
     if here is None or surface is None:
         return None
-    forward, left = _along(here.slope_east, here.slope_north, yaw_rad)
+    forward, left = _slopes(here, pose.yaw_rad)
     pitch_rad = -math.atan(forward)
     roll_rad = math.atan(left * math.cos(pitch_rad))
-    guess = map_from_vehicle(east_m, north_m, here.height_m, roll_rad, pitch_rad, yaw_rad)
+    guess = map_from_vehicle(
+        pose.east_m, pose.north_m, here.height_m, roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=pose.yaw_rad
+    )
     heights_m = surface.height_above(transform_points(guess, points_m))
     fit = fit_road(points_m, heights_m, block.road_target, guess) if by == "surface" else None
-    if fit is None or fit.status == "lost":
-        placed = _on_line(guess, block)
-        return GroundAlignment(placed, surface.height_above(transform_points(placed, points_m)), None)
-    return GroundAlignment(
-        fit.map_from_local, surface.height_above(transform_points(fit.map_from_local, points_m)), fit
-    )
+    if fit is not None and fit.status == "lost":
+        fit = None
+    aligned = _on_line(guess, block) if fit is None else fit.map_from_local
+    return GroundAlignment(aligned, surface.height_above(transform_points(aligned, points_m)), fit)
 
 
-def _on_line(guess: Array, block: Block) -> Array:
-    """map_from_local (4, 4) with height and pitch by M (5) and (6); the guess where the map has too little road."""
+def _on_line(guess: Floats, block: MapBlock) -> Floats:
+    """Return map_from_local (4, 4) with height and pitch by JP2016-109650A eq. (5) and (6); the guess with too little
+    road in the map."""
     near = np.hypot(block.road_m[:, 0] - guess[0, 3], block.road_m[:, 1] - guess[1, 3]) < REACH_M
     line = road_line(transform_points(invert(guess), block.road_m[near]))
     if line is None:
         return guess
-    placed: Array = guess @ line.local_from_road
-    return placed
+    aligned: Floats = guess @ line.local_from_road
+    return aligned
 
 
 def measure_sensor_heights(
-    sweep_m: Array, own: GroundPlane | None, mount: SensorMount, map_from_vehicle_: Array, block: Block
+    sweep_m: Floats, ground: GroundPlane | None, mount: SensorMount, *, matched: Floats, block: MapBlock
 ) -> SensorHeights:
-    """What a sweep (n, 3) in the vehicle frame, its own returns from the road, and where it was matched say.
+    """Return the sensor's heights by a sweep (n, 3) in the vehicle frame, its ground, and its match (4, 4).
 
-    Of one sweep alone: what the body and the attitude do from sweep to sweep tilts an overlay against the road.
+    By one sweep alone: motion of the body between sweeps tilts an overlay against the road.
     """
-    road = _road_of_sweep(sweep_m, map_from_vehicle_, block)
+    road = _fit_sweep_to_road(sweep_m, matched, block)
     if road is not None:
-        map_from_vehicle_ = road.map_from_local
-    sensor_m = (map_from_vehicle_ @ mount.vehicle_from_sensor)[:3, 3]
-    yaw_rad = math.atan2(map_from_vehicle_[1, 0], map_from_vehicle_[0, 0])
-    misplaced = own is not None and own.problem is not None
+        matched = road.map_from_local
+    sensor_m = (matched @ mount.vehicle_from_sensor)[:3, 3]
+    misplaced = ground is not None and ground.problem is not None
     here = block.road.elevation(float(sensor_m[0]), float(sensor_m[1]), float(sensor_m[2]) - mount.z_m)
-    if here is None or here.distance_m > _ROAD_SEEN_M:
-        return SensorHeights(map_from_vehicle_, None, None, None, None, None, None, misplaced)
-    forward, left = _along(here.slope_east, here.slope_north, yaw_rad)
+    if here is None or here.distance_m > _ABOVE_ROAD_M:
+        return SensorHeights(map_from_vehicle=matched, misplaced=misplaced)
+    forward, left = _slopes(here, math.atan2(matched[1, 0], matched[0, 0]))
     matched_m = matched_sigma_m = None
     if road is not None and road.status == "converged":
         lever_m = np.array([1.0, mount.y_m, -mount.x_m])  # of up, roll, pitch
         matched_m = float(sensor_m[2]) - here.height_m
         matched_sigma_m = math.hypot(math.sqrt(float(lever_m @ road.covariance @ lever_m)), here.sigma_m)
     return SensorHeights(
-        map_from_vehicle_,
-        matched_m,
-        matched_sigma_m,
-        None if own is None else own.height_m(math.hypot(forward, left)),
-        None if own is None else own.distance_sigma_m,
-        forward,
-        left,
-        misplaced,
+        map_from_vehicle=matched,
+        misplaced=misplaced,
+        matched_m=matched_m,
+        matched_sigma_m=matched_sigma_m,
+        ground_m=None if ground is None else ground.height_m(math.hypot(forward, left)),
+        ground_sigma_m=None if ground is None else ground.distance_sigma_m,
+        slope_forward=forward,
+        slope_left=left,
     )
 
 
-def _road_of_sweep(sweep_m: Array, guess: Array, block: Block) -> RoadFit | None:
-    """The sweep's road on the map's; None where it shows none."""
+def _fit_sweep_to_road(sweep_m: Floats, guess: Floats, block: MapBlock) -> RoadFit | None:
+    """Fit the sweep's ground to the map's road; None where it has none."""
     surface = block.road.surface_through(float(guess[0, 3]), float(guess[1, 3]), float(guess[2, 3]))
     if surface is None:
         return None
@@ -133,6 +137,10 @@ def _road_of_sweep(sweep_m: Array, guess: Array, block: Block) -> RoadFit | None
     return None if fit.status == "lost" else fit
 
 
-def _along(slope_east: float, slope_north: float, yaw_rad: float) -> tuple[float, float]:
+def _slopes(road: RoadElevation, yaw_rad: float) -> tuple[float, float]:
+    """Return the road's slopes forward and to the left of a heading."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    return slope_east * cos + slope_north * sin, -slope_east * sin + slope_north * cos
+    return (
+        road.slope_east * cos + road.slope_north * sin,
+        -road.slope_east * sin + road.slope_north * cos,
+    )

@@ -1,8 +1,9 @@
-"""From one estimate per layer to one: the layer of least mean distance, means (M, step 13), or those that agree.
+"""Selection of one estimate from the layers': least mean distance, means (JP2016-109650A, step 13), or those that
+agree.
 
-The voted choice: layers whose estimates are farther apart than their covariances allow do not agree. The largest
-group of which every two agree is kept if it is more than half of the layers and there is no other as large; its
-members are fused by information, so that a direction only one of them sees is taken from that one.
+Voting: layers whose estimates differ by more than their covariances allow do not agree. The largest group in which
+every two agree is used if it is more than half of the layers and no other group is as large; its members are fused by
+information, so that a direction observed by one of them is taken from that one.
 """
 
 from __future__ import annotations
@@ -10,31 +11,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Rule = Literal["best", "mean", "weighted", "voted"]
+from camber.localizer.arrays import Floats
 
-AGREEMENT_CHI2 = 16.27
+SelectionRule: TypeAlias = Literal["best", "mean", "weighted", "voted"]
+
+AGREEMENT_CHI2: Final = 16.27
 """χ² of three degrees of freedom at 99.9 %."""
-_LEAST_DISTANCE_M = 1.0e-3  # of a mean distance, before it divides
+_LEAST_DISTANCE_M: Final = 1.0e-3  # chosen: of a mean distance, before it divides
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LayerEstimate:
-    """One layer's answer: east, north [m], yaw [rad] from the guess (3,), covariance (3, 3), eᵢ (7)."""
+    """One layer's estimate: east, north [m], yaw [rad] from the guess (3,), covariance (3, 3), eᵢ of eq. (7)."""
 
     offset: Floats
     covariance: Floats
     mean_distance_m: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SelectedEstimate:
-    """The answer of all. `agreed`: false where no majority was there, and the covariance holds the layers' spread."""
+    """The selected estimate. `agreed`: false without a majority; then the covariance has the layers' spread."""
 
     offset: Floats
     covariance: Floats
@@ -42,10 +43,10 @@ class SelectedEstimate:
     agreed: bool
 
 
-def choose(estimates: Sequence[LayerEstimate], rule: Rule) -> SelectedEstimate:
-    """One answer of at least one estimate. Only "voted" looks whether they agree."""
+def select(estimates: Sequence[LayerEstimate], rule: SelectionRule) -> SelectedEstimate:
+    """Return one estimate from at least one layer's. Only "voted" tests whether they agree."""
     if rule == "voted":
-        return _voted(estimates)
+        return _vote(estimates)
     if rule == "best":
         best = int(np.argmin([e.mean_distance_m for e in estimates]))
         weights = np.zeros(len(estimates))
@@ -55,24 +56,30 @@ def choose(estimates: Sequence[LayerEstimate], rule: Rule) -> SelectedEstimate:
     else:
         weights = np.array([1.0 / max(e.mean_distance_m, _LEAST_DISTANCE_M) for e in estimates])
     weights = weights / weights.sum()
-    offset = sum((w * e.offset for w, e in zip(weights, estimates, strict=True)), np.zeros(3))
-    covariance = sum((w * e.covariance for w, e in zip(weights, estimates, strict=True)), np.zeros((3, 3)))
-    return SelectedEstimate(offset, covariance, tuple(bool(w > 0.0) for w in weights), True)
+    return SelectedEstimate(
+        offset=sum((w * e.offset for w, e in zip(weights, estimates, strict=True)), np.zeros(3)),
+        covariance=sum((w * e.covariance for w, e in zip(weights, estimates, strict=True)), np.zeros((3, 3))),
+        used=tuple(bool(w > 0.0) for w in weights),
+        agreed=True,
+    )
 
 
-def _voted(estimates: Sequence[LayerEstimate]) -> SelectedEstimate:
-    groups = _largest_groups(estimates)
-    if len(groups) == 1 and 2 * len(groups[0]) > len(estimates):
+def _vote(estimates: Sequence[LayerEstimate]) -> SelectedEstimate:
+    n, groups = len(estimates), _largest_groups(estimates)
+    if len(groups) == 1 and 2 * len(groups[0]) > n:
         members = groups[0]
-        offset, covariance = fused([estimates[i] for i in members])
-        return SelectedEstimate(offset, covariance, tuple(i in members for i in range(len(estimates))), True)
-    offset, covariance = fused(estimates)
-    apart = np.array([e.offset - offset for e in estimates])
-    return SelectedEstimate(offset, covariance + apart.T @ apart, (True,) * len(estimates), False)
+        offset, covariance = fuse([estimates[i] for i in members])
+        used = tuple(i in members for i in range(n))
+        return SelectedEstimate(offset=offset, covariance=covariance, used=used, agreed=True)
+    offset, covariance = fuse(estimates)
+    spread = np.array([e.offset - offset for e in estimates])
+    return SelectedEstimate(
+        offset=offset, covariance=covariance + spread.T @ spread, used=(True,) * n, agreed=False
+    )
 
 
-def fused(estimates: Sequence[LayerEstimate]) -> tuple[Floats, Floats]:
-    """Mean weighted by information and its covariance, scaled up where the estimates scatter more than they say."""
+def fuse(estimates: Sequence[LayerEstimate]) -> tuple[Floats, Floats]:
+    """Return the information-weighted mean and its covariance, scaled up where the estimates scatter more than that."""
     information = [np.linalg.inv(e.covariance) for e in estimates]
     covariance = np.linalg.inv(sum(information, np.zeros((3, 3))))
     offset = covariance @ sum(
@@ -87,7 +94,7 @@ def fused(estimates: Sequence[LayerEstimate]) -> tuple[Floats, Floats]:
 
 
 def _largest_groups(estimates: Sequence[LayerEstimate]) -> list[tuple[int, ...]]:
-    """The groups of the greatest size of which every two agree."""
+    """Return the groups of the greatest size in which every two agree."""
     n = len(estimates)
     agree = {(i, j): _agree(estimates[i], estimates[j]) for i, j in combinations(range(n), 2)}
     for size in range(n, 0, -1):
@@ -102,5 +109,5 @@ def _largest_groups(estimates: Sequence[LayerEstimate]) -> list[tuple[int, ...]]
 
 
 def _agree(a: LayerEstimate, b: LayerEstimate) -> bool:
-    apart = a.offset - b.offset
-    return bool(apart @ np.linalg.solve(a.covariance + b.covariance, apart) <= AGREEMENT_CHI2)
+    difference = a.offset - b.offset
+    return bool(difference @ np.linalg.solve(a.covariance + b.covariance, difference) <= AGREEMENT_CHI2)

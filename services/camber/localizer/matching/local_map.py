@@ -1,8 +1,8 @@
-"""The observed local map: the latest sweeps overlaid in the vehicle frame of the newest.
+"""Local map (JP2016-109650A, step 4): the latest sweeps overlaid in the vehicle frame of the newest.
 
-Step 4 of layered matching (spec/layered-matching.md): the motion between sweeps is `[R_z(Δψ) T_x(Δs)]`. Where roll and
-pitch against gravity are known for each sweep it is turned by them, and the way leads up and down with the road; where
-they are not, the road is taken for a plane that stands still under the wheels.
+The motion between sweeps is `[R_z(Δψ) T_x(Δs)]`. Where roll and pitch against gravity are known for each sweep it
+is rotated by them, and the path rises and falls with the road; otherwise the road is taken for a plane that moves
+with the vehicle.
 """
 
 from __future__ import annotations
@@ -10,47 +10,51 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
-from camber.localizer.filter.dead_reckoning import OverlayLag, TrackPoint
-from camber.localizer.map_clouds.voxel_grid import Floats, voxel_means
+from camber.localizer.arrays import Floats, Integers
+from camber.localizer.filter.track import OverlayLag, TrackPoint
+from camber.localizer.map_clouds.voxel_grid import voxel_means
 from camber.localizer.matching.sweep_preparation import PreparedSweep
 
-Integers = NDArray[np.int64]
-Tilt = tuple[float, float]
-"""Roll and pitch (rad), pitch positive with the nose down."""
+Tilt: TypeAlias = tuple[float, float]
+"""Roll and pitch [rad], pitch positive with the nose down."""
 
 LEVEL: Final[Tilt] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LocalCloud:
-    """Points (n, 3) in the vehicle frame at `time_ns`; `sweeps` of them were overlaid, driven over `path_m`.
+    """Points (n, 3) in the vehicle frame at `time_ns`, of this number of sweeps, driven over `path_m`.
 
-    `behind`: the sweeps' mean. What is matched is where they were; the rest of the way is dead reckoning's.
+    `lag`: from the sweeps' mean. The match observes where they were; the motion since is dead reckoning's.
     """
 
     time_ns: int
     points_m: Floats
     sweeps: int
     path_m: float
-    behind: OverlayLag
+    lag: OverlayLag
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stand:
-    """Where a sweep was taken: place in a frame that is level and turns with nothing, yaw, and attitude."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _PlacedSweep:
+    """A sweep with its position in a level frame that does not turn, and its attitude."""
 
     sweep: PreparedSweep
     at: TrackPoint
-    place_m: Floats
+    position_m: Floats
     attitude: Tilt | None
     grade_rad: float
+
+    @property
+    def level_from_vehicle(self) -> Floats:
+        roll_rad, pitch_rad = self.attitude or LEVEL
+        return rotation_from_roll_pitch_yaw(roll_rad, pitch_rad, self.at.yaw_rad)
 
 
 class LocalMap:
@@ -62,19 +66,19 @@ class LocalMap:
         *,
         voxel_m: float = 0.3,
         reach_m: float = 60.0,
-        most_gap_s: float = 1.0,
-        most_step_m: float = 25.0,
+        max_gap_s: float = 1.0,
+        max_step_m: float = 25.0,
     ) -> None:
-        self._stands: deque[_Stand] = deque(maxlen=sweeps)
+        self._placed: deque[_PlacedSweep] = deque(maxlen=sweeps)
         self._voxel_m, self._reach_m = voxel_m, reach_m
-        self._most_gap_ns, self._most_step_m = round(most_gap_s * 1e9), most_step_m
+        self._max_gap_ns, self._max_step_m = round(max_gap_s * 1e9), max_step_m
 
     def __len__(self) -> int:
-        return len(self._stands)
+        return len(self._placed)
 
     def reset(self) -> None:
-        """Forget all sweeps: the track has been broken, or the way since them is not known well enough."""
-        self._stands.clear()
+        """Clear all sweeps: the motion since them is not known well enough."""
+        self._placed.clear()
 
     def add(
         self,
@@ -84,61 +88,64 @@ class LocalMap:
         *,
         road_tilt: Tilt = LEVEL,
     ) -> None:
-        """Take a usable sweep, the track's point at its end, and roll and pitch against gravity where known.
+        """Add a usable sweep, the track's point at its end, and roll and pitch against gravity where known.
 
-        `road_tilt` is that of the body against the road, where known: the way leads along the road, not the body.
-        Sweeps before a gap, a jump of the track or a change from known to unknown attitude are forgotten.
+        `road_tilt` is that of the body against the road: the path follows the road, not the body. Sweeps before a
+        gap, a jump of the track or a change from known to unknown attitude are cleared.
         """
-        last = self._stands[-1] if self._stands else None
-        if last is not None and self._breaks(last, sweep, at, attitude):
-            self._stands.clear()
+        last = self._placed[-1] if self._placed else None
+        if last is not None and self._is_discontinuous(last, sweep, at, attitude=attitude):
+            self._placed.clear()
             last = None
         grade = 0.0 if attitude is None else attitude[1] - road_tilt[1]
-        place = np.zeros(3) if last is None else last.place_m + _step(last, at, grade)
-        self._stands.append(_Stand(sweep, at, place, attitude, grade))
+        position = np.zeros(3) if last is None else last.position_m + _step(last, at, grade)
+        self._placed.append(
+            _PlacedSweep(sweep=sweep, at=at, position_m=position, attitude=attitude, grade_rad=grade)
+        )
 
     def overlay(self) -> LocalCloud | None:
-        """All sweeps in the vehicle frame of the newest, thinned; None without any."""
-        if not self._stands:
+        """Return all sweeps in the vehicle frame of the newest, thinned; None without any."""
+        if not self._placed:
             return None
-        newest = self._stands[-1]
-        newest_from_level = _level_from_vehicle(newest).T
-        motions = np.empty((len(self._stands), 3, 4))
-        for motion, stand in zip(motions, self._stands, strict=True):
-            motion[:, :3] = newest_from_level @ _level_from_vehicle(stand)
-            motion[:, 3] = newest_from_level @ (stand.place_m - newest.place_m)
-        # The newest first: of its points the cells are begun.
-        points = np.concatenate([stand.sweep.points_m for stand in reversed(self._stands)])
-        ends = np.cumsum([len(stand.sweep.points_m) for stand in reversed(self._stands)])
-        moved = _moved(points, ends, motions[::-1].copy(), self._reach_m)
+        newest = self._placed[-1]
+        newest_first = list(reversed(self._placed))  # the newest determines the voxels
+        newest_from_level = newest.level_from_vehicle.T
+        motions = np.empty((len(newest_first), 3, 4))
+        for motion, placed in zip(motions, newest_first, strict=True):
+            motion[:, :3] = newest_from_level @ placed.level_from_vehicle
+            motion[:, 3] = newest_from_level @ (placed.position_m - newest.position_m)
+        points = np.concatenate([placed.sweep.points_m for placed in newest_first])
+        ends = np.cumsum([len(placed.sweep.points_m) for placed in newest_first])
         return LocalCloud(
             time_ns=newest.sweep.time_ns,
-            points_m=voxel_means(moved, self._voxel_m),
-            sweeps=len(self._stands),
-            path_m=newest.at.path_m - self._stands[0].at.path_m,
-            behind=self._behind(),
+            points_m=voxel_means(_moved(points, ends, motions, self._reach_m), self._voxel_m),
+            sweeps=len(self._placed),
+            path_m=newest.at.path_m - self._placed[0].at.path_m,
+            lag=self._lag(),
         )
 
-    def _behind(self) -> OverlayLag:
-        newest, n = self._stands[-1].at, len(self._stands)
+    def _lag(self) -> OverlayLag:
+        newest, n = self._placed[-1].at, len(self._placed)
         return OverlayLag(
-            sum(newest.path_m - stand.at.path_m for stand in self._stands) / n,
-            sum(newest.wheel_m - stand.at.wheel_m for stand in self._stands) / n,
-            sum(newest.wheel_m_s - stand.at.wheel_m_s for stand in self._stands) / n,
+            path_m=sum(newest.path_m - placed.at.path_m for placed in self._placed) / n,
+            wheel_m=sum(newest.wheel_m - placed.at.wheel_m for placed in self._placed) / n,
+            wheel_change_m_s=sum(newest.wheel_m_s - placed.at.wheel_m_s for placed in self._placed) / n,
         )
 
-    def _breaks(self, last: _Stand, sweep: PreparedSweep, at: TrackPoint, attitude: Tilt | None) -> bool:
+    def _is_discontinuous(
+        self, last: _PlacedSweep, sweep: PreparedSweep, at: TrackPoint, *, attitude: Tilt | None
+    ) -> bool:
         gap_ns = sweep.time_ns - last.sweep.time_ns
         step_m = at.path_m - last.at.path_m
         return (
-            not 0 < gap_ns <= self._most_gap_ns
-            or not 0.0 <= step_m <= self._most_step_m
+            not 0 < gap_ns <= self._max_gap_ns
+            or not 0.0 <= step_m <= self._max_step_m
             or (attitude is None) != (last.attitude is None)
         )
 
 
-def _step(last: _Stand, at: TrackPoint, grade_rad: float) -> Floats:
-    """The way from one sweep to the next in the level frame; the track counts metres of road, not of map."""
+def _step(last: _PlacedSweep, at: TrackPoint, grade_rad: float) -> Floats:
+    """Return the displacement between sweeps in the level frame; the track counts metres of road, not of map."""
     east, north = at.east_m - last.at.east_m, at.north_m - last.at.north_m
     yaw = 0.5 * (last.at.yaw_rad + at.yaw_rad)
     mean_grade = 0.5 * (last.grade_rad + grade_rad)
@@ -153,14 +160,9 @@ def _step(last: _Stand, at: TrackPoint, grade_rad: float) -> Floats:
     )
 
 
-def _level_from_vehicle(stand: _Stand) -> Floats:
-    roll_rad, pitch_rad = stand.attitude or LEVEL
-    return rotation_from_roll_pitch_yaw(roll_rad, pitch_rad, stand.at.yaw_rad)
-
-
 @compiled_without_gil
 def _moved(points_m: Floats, ends: Integers, motions: Floats, reach_m: float) -> Floats:
-    """Points (n, 3) of several clouds, each by its own motion (clouds, 3, 4); those beyond the reach left out."""
+    """Return points (n, 3) of several clouds, each by its motion (clouds, 3, 4), without those beyond the reach."""
     moved = np.empty(points_m.shape)
     at = 0
     cloud = 0

@@ -1,21 +1,19 @@
-"""What a scan match was made of, for a picture of it: the local map where it was put, the map, and what is between."""
+"""View of a scan match for a picture: the local map as matched, the map, and the residuals between them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import transform_points
-from camber.localizer.map_clouds.map_blocks import Block
-from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions
+from camber.localizer.arrays import Floats, Integers
+from camber.localizer.map_clouds.map_blocks import MapBlock
+from camber.localizer.matching.layered_matching import LayeredMatch, MatchInput, MatchOptions
 
-Floats = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MatchView:
     """One match. All points are in the block's frame; heights are above the road, NaN far from any road."""
 
@@ -24,13 +22,14 @@ class MatchView:
     frame: LocalFrame
     base_height_m: float
     points_m: Floats
-    """(n, 3) the local map, where the match has put it."""
+    """(n, 3) the local map, as matched."""
     heights_m: Floats
     """(n,) of them above the road."""
-    layer: NDArray[np.int64]
-    """(n,) which of the match's layers they are in, −1 in none."""
+    layer: Integers
+    """(n,) their layer of the match, −1: none."""
     residual_m: Floats
-    """(n,) from the plane of the nearest map point of the layer; NaN where that is farther off than a pair may be."""
+    """(n,) from the plane of the nearest map point of the layer; NaN beyond the largest distance of a
+    correspondence."""
     map_m: Floats
     """(k, 3) the environment."""
     map_heights_m: Floats
@@ -38,35 +37,30 @@ class MatchView:
 
 
 def match_view(
-    time_ns: int,
-    local_points_m: Floats,
-    heights_m: Floats,
-    block: Block,
-    match: LayeredMatch,
-    options: MatchOptions,
+    time_ns: int, scan: MatchInput, block: MapBlock, match: LayeredMatch, *, options: MatchOptions
 ) -> MatchView:
-    """`local_points_m` (n, 3) and `heights_m` (n,) as `match_layers` was given them, with the block's layers."""
-    points_m = transform_points(match.map_from_local, local_points_m)
+    """Return the view of a match of `scan` to the block's layers."""
+    points_m = transform_points(match.map_from_local, scan.points_m)
     layer = np.full(len(points_m), -1)
     residual_m = np.full(len(points_m), np.nan)
     targets = block.layers(options.bounds_m)
     for number, ((low_m, high_m), target) in enumerate(zip(options.bounds_m, targets, strict=True)):
-        mine = np.flatnonzero((heights_m >= low_m) & (heights_m < high_m))
-        layer[mine] = number
-        if target.empty or not len(mine):
+        rows = np.flatnonzero((scan.heights_m >= low_m) & (scan.heights_m < high_m))
+        layer[rows] = number
+        if target.empty or not len(rows):
             continue
-        rows, distance_m = target.nearest(points_m[mine])
-        apart_m = np.einsum("ij,ij->i", target.normals[rows], points_m[mine] - target.points_m[rows])
-        residual_m[mine] = np.where(distance_m <= options.max_distance_m, np.abs(apart_m), np.nan)
+        nearest, distance_m = target.nearest(points_m[rows])
+        offset_m = np.einsum("ij,ij->i", target.normals[nearest], points_m[rows] - target.points_m[nearest])
+        residual_m[rows] = np.where(distance_m <= options.max_distance_m, np.abs(offset_m), np.nan)
     return MatchView(
-        time_ns,
-        match,
-        block.frame,
-        block.base_height_m,
-        points_m,
-        heights_m,
-        layer,
-        residual_m,
-        block.environment_m,
-        block.height_above_road_m,
+        time_ns=time_ns,
+        match=match,
+        frame=block.frame,
+        base_height_m=block.base_height_m,
+        points_m=points_m,
+        heights_m=scan.heights_m,
+        layer=layer,
+        residual_m=residual_m,
+        map_m=block.environment_m,
+        map_heights_m=block.height_above_road_m,
     )

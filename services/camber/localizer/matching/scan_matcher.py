@@ -1,9 +1,9 @@
-"""Sweeps, the map around the vehicle and the filter's prediction become scan matches, and matches hold the pose.
+"""Scan matching of sweeps: deskew → overlay → align to the road → split into layers → register → select → update
+the pose.
 
-A sweep waits until the motion up to its end is known. Then the local map is laid where the filter expects it, set down
-on the road of the level that is being driven, and matched in layers. A match moves the pose through the filter's gate
-only. Where the prediction is too wide for that, where matching has been lost for a while, where the filter keeps
-refusing or nothing but fixes stands for the pose, a search looks around, and says whether its answer is the only one.
+A sweep waits until the motion up to its end is known. A match updates the pose through the filter's gate only.
+Where the prediction is too uncertain, after several matches that were lost or rejected, and while the pose rests on
+fixes alone, a coarse search looks for the position and for rivals of it.
 """
 
 from __future__ import annotations
@@ -11,30 +11,43 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
-from camber.localizer.filter.dead_reckoning import OverlayLag
+from camber.localizer.arrays import Floats, Mask
 from camber.localizer.filter.pose_estimate import Prediction
 from camber.localizer.filter.pose_filter import PoseFilter
+from camber.localizer.filter.track import OverlayLag
 from camber.localizer.local_plane import LocalPlane
-from camber.localizer.map_clouds.map_blocks import Block, BlockOptions
+from camber.localizer.map_clouds.map_blocks import MapBlock, MapBlockOptions
 from camber.localizer.map_clouds.tile_loading import CloudTileLoader
-from camber.localizer.map_queries import Diagnostics, MapAnswers
-from camber.localizer.matching.coarse_search import REACH_M, REACH_RAD, SearchResult, search, seems_mirrored
+from camber.localizer.map_queries import Diagnostics, MapQueries
+from camber.localizer.matching.coarse_search import (
+    FULL_RANGE,
+    SearchRange,
+    SearchResult,
+    search,
+    seems_mirrored,
+)
 from camber.localizer.matching.ground_alignment import (
     GroundAlignment,
+    PlanarPose,
     RoadBy,
-    SensorHeights,
     align_to_road,
     measure_sensor_heights,
 )
-from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions, match_layers
+from camber.localizer.matching.layered_matching import (
+    LayeredMatch,
+    MatchInput,
+    MatchOptions,
+    MatchStatus,
+    match_layers,
+)
 from camber.localizer.matching.local_map import LEVEL, LocalMap
 from camber.localizer.matching.match_view import MatchView, match_view
+from camber.localizer.matching.scan_match_message import scan_match_message
 from camber.localizer.matching.shift_profile import log_likelihoods, shift_profile
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
@@ -46,142 +59,182 @@ from camber.localizer.road.road_attitude import GroundPlane, ground_plane
 from camber.schemas.lidar import Sweep
 from camber.schemas.pose import Road, ScanMatch
 
-Array = NDArray[np.float64]
+_MAX_QUEUED: Final = 3  # chosen: of sweeps; a later one replaces the oldest
+_MOTION_WAIT_NS: Final = 300_000_000  # chosen: how long a sweep waits for the motion of its end
+_HEIGHT_VALID_M: Final = 30.0  # chosen: distance over which a matched road height identifies the deck
+_ATTITUDE_VALID_NS: Final = 300_000_000  # chosen: three sweeps of a LiDAR at 10 Hz
+_SEARCH_PAUSE_NS: Final = 1_000_000_000  # chosen: a search costs several matches
+_SEARCH_AFTER: Final = 3  # chosen: consecutive matches that were lost or rejected
+_MIRRORED_AFTER: Final = 50  # chosen: consecutive failures between two tests for a mirrored sensor
+_MISPLACED_AFTER: Final = (
+    10  # chosen: consecutive sweeps; a crest or a kerb makes a single one look misplaced
+)
+_SIGMAS: Final = 3.0  # chosen: 99.7 % of a normal error
+_AHEAD_S: Final = 3.0  # chosen: a block is built in less time
+STRUCTURE_M: Final = (0.3, 3.0)
+"""Chosen: heights between which the local map is compared with the static structure: the bounds of the layers."""
+_DEGENERATE_SIGMA_M: Final = 0.5  # as `match_covariance.DEGENERATE_SIGMA_M`
+# Chosen: σ added where only objects fit that may have moved.
+_MOVABLE_SIGMA_M: Final = 0.3
+_MOVABLE_SIGMA_RAD: Final = math.radians(0.5)
+_RIVAL_LOG_RATIO: Final = math.log(1.0e6)
+"""Chosen: a rival that the static structure makes so much less likely is none."""
+_USABLE_IF_AMBIGUOUS: Final = ("direction_unseen", "layers_disagree", "not_unique", "low_things")
+"""Ambiguous for reasons that the covariance covers."""
 
-_MOST_WAITING = 3
-_MOTION_COMES_NS = 300_000_000  # a sweep waits so long for the motion of its end
-_HEIGHT_KEPT_M = 30.0  # a height that was matched tells the level for so far
-_ATTITUDE_KEPT_NS = 300_000_000
-_SEARCH_PAUSE_NS = 1_000_000_000
-_SEARCH_AFTER = 3  # matches in a row that were lost or refused
-_MIRRORED_AFTER = 50
-_MISPLACED_AFTER = 10  # sweeps in a row; a crest or a kerb makes one of them look so
-_SIGMAS = 3.0
-_AHEAD_S = 3.0
-STANDING_M = (0.3, 3.0)
-"""Heights between which the local map is compared with what stands."""
-_UNSURE_M = 0.5
-_LOW_THINGS_M = 0.3
-_LOW_THINGS_RAD = math.radians(0.5)
-_RIVAL_GONE = math.log(1.0e6)
-"""A place that is so much less likely by what stands is no rival."""
-_STILL_HONEST = ("direction_unseen", "layers_disagree", "not_unique", "low_things")
-"""Ambiguous, with a covariance that says how much."""
-_NEVER_SEARCHED_NS = -_SEARCH_PAUSE_NS
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanMatchOptions:
-    """How sweeps are used. A prediction whose 3 σ is beyond `sure_m`, `sure_rad` is searched around before anything is
-    believed; one whose σ is beyond `most_sigma_m` is not looked for at all."""
+    """Parameters of scan matching. A prediction whose 3 σ exceeds `sure_m` or `sure_rad` is searched around; one
+    whose σ exceeds `max_sigma_m` is not matched."""
 
     mount: SensorMount = field(default_factory=SensorMount)
     sweep: SweepOptions = field(default_factory=SweepOptions)
     match: MatchOptions = field(default_factory=MatchOptions)
-    blocks: BlockOptions = field(default_factory=BlockOptions)
+    blocks: MapBlockOptions = field(default_factory=MapBlockOptions)
     sweeps: int = 10
     road_by: RoadBy = "surface"
     sure_m: float = 1.0
     sure_rad: float = math.radians(5.0)
-    most_sigma_m: float = 5.0
+    max_sigma_m: float = 5.0
 
 
-class Done(NamedTuple):
-    """The matches of the sweeps that were worked off, and whether the pose has jumped."""
+class ScanMatcherOutput(NamedTuple):
+    """The matches of the sweeps that were processed, and whether the pose has jumped."""
 
     matches: tuple[ScanMatch, ...]
     jumped: bool
 
 
-class _Found(NamedTuple):
-    """A match, where the local map stood for it, and whether a search says that there is no other place like it."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _MatchPlace:
+    """Where a sweep is matched: prediction, plane and block, and the convergence of the block's east from the
+    plane's."""
 
+    prediction: Prediction
+    plane: LocalPlane
+    block: MapBlock
+    convergence_rad: float
+
+    @property
+    def pose(self) -> PlanarPose:
+        """The predicted pose in the block's frame."""
+        prediction = self.prediction
+        east_m, north_m = self.block.east_north(*self.plane.geodetic(prediction.east_m, prediction.north_m))
+        return PlanarPose(east_m, north_m, prediction.yaw_rad - self.convergence_rad)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _MatchCandidate:
+    """A match before the filter's gate, its input and alignment, and whether a search has excluded rivals."""
+
+    time_ns: int
     match: LayeredMatch
-    standing: GroundAlignment
+    scan: MatchInput
+    alignment: GroundAlignment
     unique: bool
-    behind: OverlayLag
+    lag: OverlayLag
+    block: MapBlock
 
 
 class ScanMatcher:
-    """One sensor's sweeps. Call `work` after what was heard of one time."""
+    """Matches one sensor's sweeps. Call `process` after all inputs of one time."""
 
     def __init__(
-        self, options: ScanMatchOptions, pose: PoseFilter, answers: MapAnswers, reports: Diagnostics
+        self, options: ScanMatchOptions, pose: PoseFilter, map_queries: MapQueries, diagnostics: Diagnostics
     ) -> None:
-        self._options, self._filter, self._reports = options, pose, reports
-        self._supply = CloudTileLoader(options.blocks, answers, reports)
+        self._options, self._filter, self._diagnostics = options, pose, diagnostics
+        self._tiles = CloudTileLoader(options.blocks, map_queries, diagnostics)
         self._local_map = LocalMap(options.sweeps)
-        self._waiting: deque[Sweep] = deque()
-        self._tilt: tuple[float, float] | None = None  # roll and pitch by a sensor
-        self._matched: tuple[int, float, float] | None = None  # time, roll and pitch by the last match
-        # Ellipsoidal, of the road under the vehicle, and the path driven then.
-        self._height: tuple[float, float] | None = None
+        self._queue: deque[Sweep] = deque()
+        self._measured_tilt: tuple[float, float] | None = None  # roll and pitch by a sensor
+        self._matched_attitude: tuple[int, float, float] | None = (
+            None  # time, roll and pitch by the last match
+        )
+        self._road_height: tuple[float, float] | None = None  # ellipsoidal, and the path driven then
         self._last_sweep_ns: int | None = None
-        self._searched_ns = _NEVER_SEARCHED_NS
-        self._consecutive_failures = 0  # matches in a row that were lost or refused
-        self._misplaced = 0
-        self._view: tuple[int, Array, Block, _Found] | None = None
+        self._searched_ns = -_SEARCH_PAUSE_NS
+        self._consecutive_failures = 0
+        self._consecutive_misplaced = 0
+        self._last: _MatchCandidate | None = None
         self.reason = ""
 
-    # What is heard
+    # Inputs
 
     def add_sweep(self, sweep: Sweep) -> None:
-        """A sweep, worked off when the motion up to its end is known."""
-        if len(self._waiting) == _MOST_WAITING:
-            self._waiting.popleft()
-            self._reports.count("sweep.dropped")
-        self._waiting.append(sweep)
+        """Queue a sweep; it is processed when the motion up to its end is known."""
+        if len(self._queue) == _MAX_QUEUED:
+            self._queue.popleft()
+            self._diagnostics.count("sweep.dropped")
+        self._queue.append(sweep)
 
     def set_attitude(self, roll_rad: float | None, pitch_rad: float | None) -> None:
-        """Roll and pitch against gravity by a sensor; None where it gave nothing."""
-        self._tilt = None if roll_rad is None or pitch_rad is None else (roll_rad, pitch_rad)
+        """Set roll and pitch against gravity by a sensor; None where it gave none."""
+        self._measured_tilt = None if roll_rad is None or pitch_rad is None else (roll_rad, pitch_rad)
 
     def note_map_version(self, map_version: int | None) -> None:
-        """The map's other answers are of this version."""
-        self._supply.note_map_version(map_version)
+        """Note the version of the map's other replies."""
+        self._tiles.note_map_version(map_version)
 
     def reset_road_height(self) -> None:
-        """The pose has jumped: the level may be another one."""
-        self._height = None
+        """Forget the road's height: the pose has jumped, the deck may be another one."""
+        self._road_height = None
 
-    # What is asked
+    # Output
 
     def attitude(self, time_ns: int) -> tuple[float, float] | None:
-        """Roll and pitch as matched to the road just now."""
-        if self._matched is None or not 0 <= time_ns - self._matched[0] <= _ATTITUDE_KEPT_NS:
+        """Return roll and pitch of a recent match."""
+        matched = self._matched_attitude
+        if matched is None or not 0 <= time_ns - matched[0] <= _ATTITUDE_VALID_NS:
             return None
-        return self._matched[1:]
+        return matched[1:]
 
     @property
     def last_view(self) -> MatchView | None:
         """The last match, for a picture of it."""
-        if self._view is None:
+        last = self._last
+        if last is None:
             return None
-        time_ns, points_m, block, found = self._view
-        return match_view(
-            time_ns, points_m, found.standing.heights_m, block, found.match, self._options.match
-        )
+        return match_view(last.time_ns, last.scan, last.block, last.match, options=self._options.match)
 
-    # Work
-
-    def work(self, plane: LocalPlane | None, road: Road) -> Done:
-        """Match the sweeps whose motion is known; `road` is the one under the last pose."""
+    def process(self, plane: LocalPlane | None, road: Road) -> ScanMatcherOutput:
+        """Match the sweeps whose motion is known; `road` is the one below the last pose."""
         matches: list[ScanMatch] = []
         jumped = False
         now_ns = self._filter.time_ns
-        while now_ns is not None and self._waiting:
-            if 0 < self._waiting[0].time_ns - now_ns < _MOTION_COMES_NS:
+        while now_ns is not None and self._queue:
+            if 0 < self._queue[0].time_ns - now_ns < _MOTION_WAIT_NS:
                 break
-            match, moved = self._one(self._waiting.popleft(), now_ns, plane, road)
+            match, has_jumped = self._process_sweep(self._queue.popleft(), now_ns, plane, road)
             matches.append(match)
-            jumped |= moved
-        return Done(tuple(matches), jumped)
+            jumped |= has_jumped
+        return ScanMatcherOutput(tuple(matches), jumped)
 
-    def _one(self, raw: Sweep, now_ns: int, plane: LocalPlane | None, road: Road) -> tuple[ScanMatch, bool]:
+    def _process_sweep(
+        self, raw: Sweep, now_ns: int, plane: LocalPlane | None, road: Road
+    ) -> tuple[ScanMatch, bool]:
+        """Deskew, overlay, align to the road, register the layers, and update the pose."""
+        sweep = self._deskew(raw, now_ns)
+        if not sweep.usable or sweep.at is None:
+            return self._lost(raw.time_ns, f"sweep: {sweep.problem or 'no_motion'}")
+        ground = self._overlay(sweep)
+        place = self._locate(raw.time_ns, now_ns, plane)
+        if isinstance(place, str):
+            return self._lost(raw.time_ns, place)
+        near_m = self._road_height_m(road)
+        if near_m is None:
+            return self._lost(raw.time_ns, "which road it is, is not known")
+        candidate = self._match(sweep.time_ns, place, near_m - place.block.base_height_m)
+        self._build_ahead(place)
+        if candidate is None:
+            return self._lost(raw.time_ns, "map: no road here")
+        return self._apply_match(sweep, ground, candidate, place)
+
+    # Steps
+
+    def _deskew(self, raw: Sweep, now_ns: int) -> PreparedSweep:
         sweep = prepare_sweep(
-            raw.points_m,
-            raw.offset_ns,
-            raw.time_ns,
+            raw,
             self._options.mount,
             self._filter.track,
             now_ns=now_ns,
@@ -189,274 +242,230 @@ class ScanMatcher:
             options=self._options.sweep,
         )
         if sweep.problem is not None:
-            self._reports.issue(f"sweep_{sweep.problem}", f"sweep of {raw.sensor} at {raw.time_ns} ns")
-        if not sweep.usable or sweep.at is None:
-            return self._lost(raw.time_ns, f"sweep: {sweep.problem or 'no_motion'}")
-        self._last_sweep_ns = raw.time_ns
+            self._diagnostics.issue(f"sweep_{sweep.problem}", f"sweep of {raw.sensor} at {raw.time_ns} ns")
+        if sweep.usable and sweep.at is not None:
+            self._last_sweep_ns = raw.time_ns
+        return sweep
+
+    def _overlay(self, sweep: PreparedSweep) -> GroundPlane | None:
+        """Add a sweep to the local map; return its ground. Not accumulated over suspected wheel slip."""
+        assert sweep.at is not None
         estimate = self._filter.estimate()
         if estimate is not None and estimate.wheel_slip_suspected:
-            self._local_map.reset()  # sweeps laid on one another by a wrong speed are a smear
-        own = ground_plane(sweep.points_m, self._options.mount)
-        self._local_map.add(sweep, sweep.at, self._tilt, road_tilt=own.tilt if own is not None else LEVEL)
-        prediction = self._filter.prediction_at(raw.time_ns)
-        if prediction is None or plane is None:
-            return self._lost(raw.time_ns, "no pose to begin from")
-        if not prediction.yaw_known:
-            return self._lost(raw.time_ns, "the heading is not known")
-        if _sigma_m(prediction) > self._options.most_sigma_m:
-            return self._lost(raw.time_ns, "the pose is too uncertain")
-        place = plane.geodetic(prediction.east_m, prediction.north_m)
-        block = self._supply.block_at(*place, now_ns)
-        if block is None:
-            return self._lost(raw.time_ns, f"map: {self._supply.reason}")
-        turned_rad = _convergence(plane, block, prediction)
-        near_m = self._near_height(road)
-        if near_m is None:
-            return self._lost(raw.time_ns, "which road it is, is not known")
-        found = self._find(sweep.time_ns, block, prediction, place, turned_rad, near_m - block.base_height_m)
-        if estimate is not None and estimate.speed_m_s:
-            self._build_ahead(plane, prediction, estimate.speed_m_s)
-        if found is None:
-            return self._lost(raw.time_ns, "map: no road here")
-        return self._apply_match(sweep, own, found, plane, block, turned_rad)
+            self._local_map.reset()
+        ground = ground_plane(sweep.points_m, self._options.mount)
+        tilt = ground.tilt if ground is not None else LEVEL
+        self._local_map.add(sweep, sweep.at, self._measured_tilt, road_tilt=tilt)
+        return ground
 
-    def _build_ahead(self, plane: LocalPlane, prediction: Prediction, speed_m_s: float) -> None:
-        """A step towards the block where the vehicle will be in some seconds, so that no border costs half a second."""
-        ahead_m = _AHEAD_S * speed_m_s
-        place = plane.geodetic(
+    def _locate(self, time_ns: int, now_ns: int, plane: LocalPlane | None) -> _MatchPlace | str:
+        """Return where to match, or the reason why not."""
+        prediction = self._filter.prediction_at(time_ns)
+        if prediction is None or plane is None:
+            return "no pose to begin from"
+        if not prediction.yaw_known:
+            return "the heading is not known"
+        if prediction.position_sigma_m > self._options.max_sigma_m:
+            return "the pose is too uncertain"
+        block = self._tiles.block_at(*plane.geodetic(prediction.east_m, prediction.north_m), now_ns)
+        if block is None:
+            return f"map: {self._tiles.reason}"
+        convergence_rad = _convergence(plane, block, prediction)
+        return _MatchPlace(prediction=prediction, plane=plane, block=block, convergence_rad=convergence_rad)
+
+    def _road_height_m(self, road: Road) -> float | None:
+        """Return the ellipsoidal height of the driven road, by the last match or by the road of the links."""
+        height = self._road_height
+        if height is not None and abs(self._filter.travelled_m - height[1]) < _HEIGHT_VALID_M:
+            return height[0]
+        return road.elevation_m
+
+    def _build_ahead(self, place: _MatchPlace) -> None:
+        """Do a step of building the block ahead, so that no border costs half a second."""
+        estimate, prediction = self._filter.estimate(), place.prediction
+        if estimate is None or not estimate.speed_m_s:
+            return
+        ahead_m = _AHEAD_S * estimate.speed_m_s
+        ahead = place.plane.geodetic(
             prediction.east_m + ahead_m * math.cos(prediction.yaw_rad),
             prediction.north_m + ahead_m * math.sin(prediction.yaw_rad),
         )
-        self._supply.build_ahead(*place, self._options.match.bounds_m)
+        self._tiles.build_ahead(*ahead, self._options.match.bounds_m)
 
-    def _near_height(self, road: Road) -> float | None:
-        """Ellipsoidal height of the road that is driven, by the last match or by the road that the links lead along."""
-        if self._height is not None and abs(self._filter.travelled_m - self._height[1]) < _HEIGHT_KEPT_M:
-            return self._height[0]
-        return road.elevation_m
-
-    def _find(
-        self,
-        time_ns: int,
-        block: Block,
-        prediction: Prediction,
-        place: tuple[float, float],
-        turned_rad: float,
-        near_m: float,
-    ) -> _Found | None:
-        local = self._local_map.overlay()
+    def _match(self, time_ns: int, place: _MatchPlace, near_m: float) -> _MatchCandidate | None:
+        """Align the local map to the road and match its layers; None where the map has no road."""
+        local, block, options = self._local_map.overlay(), place.block, self._options.match
         assert local is not None, "a sweep has just been added"
-        options = self._options.match
-        east_m, north_m = block.east_north(*place)
-        yaw_rad = prediction.yaw_rad - turned_rad
-        by = self._options.road_by
-        standing = align_to_road(local.points_m, block, east_m, north_m, yaw_rad, near_m, by=by)
-        if standing is None:
+        alignment = align_to_road(local.points_m, block, place.pose, near_m=near_m, by=self._options.road_by)
+        if alignment is None:
             return None
-        targets = block.layers(options.bounds_m)
-        material = (local.points_m, standing.heights_m, targets, standing.map_from_local, options)
-        unique = False
-        reach = self._search_reach(prediction, time_ns)
+        scan = MatchInput(
+            points_m=local.points_m,
+            heights_m=alignment.heights_m,
+            targets=block.layers(options.bounds_m),
+            guess=alignment.map_from_local,
+        )
+        reach = self._search_range(place.prediction, time_ns)
+        match, unique = self._register(scan, block, place.prediction, reach)
+        if match.status == "lost":
+            match, unique = self._match_movable(scan, block, reach)
+        else:
+            match = _with_shift_variance(match, scan, block)
+        self._last = _MatchCandidate(
+            time_ns=time_ns,
+            match=match,
+            scan=scan,
+            alignment=alignment,
+            unique=unique,
+            lag=local.lag,
+            block=block,
+        )
         if reach is not None:
             self._searched_ns = time_ns
-            result = search(*material, *reach)
-            match, unique = result.match, result.unique and result.match.status != "lost"
-            if result.rivals and _beats(result, local.points_m, standing, block):
-                match, unique = result.best, True
-            if (
-                self._consecutive_failures
-                and self._consecutive_failures % _MIRRORED_AFTER == 0
-                and seems_mirrored(*material)
-            ):
-                self._reports.issue("sensor_mirrored", "sweeps fit the map with left and right exchanged")
-        else:
-            match = match_layers(*material)
-            if match.status != "lost" and self._too_wide(prediction):
-                # Between two searches nothing is known of other places.
-                match = replace(match, status="ambiguous", reason="not_searched")
-        if match.status == "lost":
-            match, unique = self._by_low_things(local.points_m, standing, block, reach)
-        else:
-            match = _doubted(match, local.points_m, standing, block)
-        found = _Found(match, standing, unique, local.behind)
-        self._view = (time_ns, local.points_m, block, found)
-        return found
+        return self._last
 
-    def _by_low_things(
-        self, points_m: Array, standing: GroundAlignment, block: Block, reach: tuple[float, float] | None
+    def _register(
+        self, scan: MatchInput, block: MapBlock, prediction: Prediction, reach: SearchRange | None
     ) -> tuple[LayeredMatch, bool]:
-        """Where nothing fits that stands: by fences, hedges and cars, which may have moved; believed no more."""
+        """Match the layers, by a search where one is due; return whether the match is unique too."""
         options = self._options.match
-        targets = block.layers(options.bounds_m, steady=False)
-        material = (points_m, standing.heights_m, targets, standing.map_from_local, options)
         if reach is None:
-            match, unique = match_layers(*material), False
+            match = match_layers(scan, options)
+            if match.status != "lost" and self._is_uncertain(prediction):
+                # Between two searches rivals are not known.
+                match = replace(match, status="ambiguous", reason="not_searched")
+            return match, False
+        result = search(scan, options, reach)
+        match, unique = result.match, result.unique and result.match.status != "lost"
+        if result.rivals and _outweighs_rivals(result, scan, block):
+            match, unique = result.best, True
+        failures = self._consecutive_failures
+        if failures and failures % _MIRRORED_AFTER == 0 and seems_mirrored(scan, options):
+            self._diagnostics.issue("sensor_mirrored", "sweeps fit the map with left and right exchanged")
+        return match, unique
+
+    def _match_movable(
+        self, scan: MatchInput, block: MapBlock, reach: SearchRange | None
+    ) -> tuple[LayeredMatch, bool]:
+        """Match with fences, hedges and cars too, which may have moved: ambiguous, with a larger covariance."""
+        options = self._options.match
+        scan = replace(scan, targets=block.layers(options.bounds_m, static_only=False))
+        if reach is None:
+            match, unique = match_layers(scan, options), False
         else:
-            result = search(*material, *reach)
+            result = search(scan, options, reach)
             match, unique = result.match, result.unique
         if match.status != "converged":
             return replace(match, status="lost"), False
-        covariance = match.covariance + np.diag([_LOW_THINGS_M**2, _LOW_THINGS_M**2, _LOW_THINGS_RAD**2])
+        covariance = match.covariance + np.diag(
+            [_MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_M**2, _MOVABLE_SIGMA_RAD**2]
+        )
         return replace(match, status="ambiguous", reason="low_things", covariance=covariance), unique
 
-    def _too_wide(self, prediction: Prediction) -> bool:
-        sigma_rad = math.sqrt(float(prediction.covariance[2, 2]))
-        wide = _SIGMAS * _sigma_m(prediction) > self._options.sure_m
-        return wide or _SIGMAS * sigma_rad > self._options.sure_rad
+    def _is_uncertain(self, prediction: Prediction) -> bool:
+        wide = _SIGMAS * prediction.position_sigma_m > self._options.sure_m
+        return wide or _SIGMAS * prediction.yaw_sigma_rad > self._options.sure_rad
 
-    def _search_reach(self, prediction: Prediction, time_ns: int) -> tuple[float, float] | None:
-        """How far to search (m, rad); None: no search now."""
-        in_vain = self._consecutive_failures >= _SEARCH_AFTER or self._filter.mode == "provisional"
-        if not in_vain and not self._too_wide(prediction):
+    def _search_range(self, prediction: Prediction, time_ns: int) -> SearchRange | None:
+        """Return how far to search; None: no search is due."""
+        lost = self._consecutive_failures >= _SEARCH_AFTER or self._filter.mode == "provisional"
+        if not lost and not self._is_uncertain(prediction):
             return None
         if 0 <= time_ns - self._searched_ns < _SEARCH_PAUSE_NS:
             return None
-        if in_vain:
-            return REACH_M, REACH_RAD
-        sigma_rad = math.sqrt(float(prediction.covariance[2, 2]))
-        reach_m = _SIGMAS * _sigma_m(prediction) + self._options.sure_m
-        return min(reach_m, REACH_M), min(_SIGMAS * sigma_rad + self._options.sure_rad, REACH_RAD)
+        if lost:
+            return FULL_RANGE
+        return SearchRange(
+            m=min(_SIGMAS * prediction.position_sigma_m + self._options.sure_m, FULL_RANGE.m),
+            rad=min(_SIGMAS * prediction.yaw_sigma_rad + self._options.sure_rad, FULL_RANGE.rad),
+        )
 
-    # What comes out
+    # Result
 
     def _apply_match(
-        self,
-        sweep: PreparedSweep,
-        own: GroundPlane | None,
-        found: _Found,
-        plane: LocalPlane,
-        block: Block,
-        turned_rad: float,
+        self, sweep: PreparedSweep, ground: GroundPlane | None, candidate: _MatchCandidate, place: _MatchPlace
     ) -> tuple[ScanMatch, bool]:
-        """Tell the filter, and everybody else what has become of the match."""
-        match, standing = found.match, found.standing
+        """Update the pose by a match; return its message, and whether the pose has jumped."""
+        match, block, mount = candidate.match, candidate.block, self._options.mount
         heights = measure_sensor_heights(
-            sweep.points_m, own, self._options.mount, match.map_from_local, block
+            sweep.points_m, ground, mount, matched=match.map_from_local, block=block
         )
-        self._misplaced = self._misplaced + 1 if heights.misplaced else 0
-        status: str = match.status
+        self._consecutive_misplaced = self._consecutive_misplaced + 1 if heights.misplaced else 0
+        status: MatchStatus = match.status
         reason: str = "" if status == "converged" else match.reason
         outcome = ""
-        if self._misplaced >= _MISPLACED_AFTER:
+        if self._consecutive_misplaced >= _MISPLACED_AFTER:
             status, reason = "ambiguous", "the sensor is not where its mount says"
-            self._reports.issue("sensor_mounting", "its own returns from the road put it elsewhere")
-        elif match.status == "converged" or match.reason in _STILL_HONEST:
-            east_m, north_m = plane.east_north(*block.geodetic(match.east_m, match.north_m))
+            self._diagnostics.issue("sensor_mounting", "the road in its sweeps contradicts its mounting")
+        elif match.status == "converged" or match.reason in _USABLE_IF_AMBIGUOUS:
+            east_m, north_m = place.plane.east_north(*block.geodetic(match.east_m, match.north_m))
             outcome = self._filter.match(
                 sweep.time_ns,
-                east_m,
-                north_m,
-                match.yaw_rad + turned_rad,
+                (east_m, north_m, match.yaw_rad + place.convergence_rad),
                 match.covariance,
-                unique=found.unique,
-                behind=found.behind,
+                unique=candidate.unique,
+                overlay_lag=candidate.lag,
             ).outcome
-            self._reports.count(f"match.{outcome}")
+            self._diagnostics.count(f"match.{outcome}")
             if outcome == "outside_gate":
                 status, reason = "ambiguous", "contradicts the pose"
         if status != "lost" and outcome in ("accepted", "recovered", "supported"):
             self._consecutive_failures = 0
-            self._keep_attitude(sweep.time_ns, heights.map_from_vehicle, standing, block)
+            if candidate.alignment.road is not None:
+                self._keep_attitude(sweep.time_ns, heights.map_from_vehicle, block)
         else:
             self._consecutive_failures += 1
         self.reason = f"scan match {status}: {reason}" if reason else ""
         if status != "lost":
-            share = self._filter.motion_share(found.behind, match.yaw_rad)
+            share = self._filter.motion_share(candidate.lag, match.yaw_rad)
             match = replace(match, covariance=match.covariance + share)
-        said = _message(sweep.time_ns, status, reason, match, heights, self._options.mount, block)
-        return said, outcome in ("recovered", "supported")
+        message = scan_match_message(
+            sweep.time_ns, (status, reason), match, heights=heights, mount=mount, block=block
+        )
+        return message, outcome in ("recovered", "supported")
 
-    def _keep_attitude(
-        self, time_ns: int, map_from_vehicle: Array, standing: GroundAlignment, block: Block
-    ) -> None:
-        if standing.road is None:
-            return
+    def _keep_attitude(self, time_ns: int, map_from_vehicle: Floats, block: MapBlock) -> None:
         roll_rad, pitch_rad, _ = roll_pitch_yaw_from_rotation(map_from_vehicle)
-        self._matched = (time_ns, roll_rad, pitch_rad)
-        self._height = (float(map_from_vehicle[2, 3]) + block.base_height_m, self._filter.travelled_m)
+        self._matched_attitude = (time_ns, roll_rad, pitch_rad)
+        self._road_height = (float(map_from_vehicle[2, 3]) + block.base_height_m, self._filter.travelled_m)
 
     def _lost(self, time_ns: int, reason: str) -> tuple[ScanMatch, bool]:
         self.reason = f"scan match lost: {reason}"
         self._consecutive_failures += 1
-        self._reports.count("match.lost")
+        self._diagnostics.count("match.lost")
         return ScanMatch(time_ns=time_ns, status="lost", reason=reason), False
 
 
-def _beats(result: SearchResult, points_m: Array, standing: GroundAlignment, block: Block) -> bool:
-    """Whether what stands tells the best place from those that have as many points on the map: long walls fit
-    anywhere along themselves, and outnumber what does not."""
+def _outweighs_rivals(result: SearchResult, scan: MatchInput, block: MapBlock) -> bool:
+    """Whether the static structure makes the best match far more likely than rivals with as many points on the map:
+    long walls fit anywhere along themselves, and outnumber what does not."""
     poses = [result.best.map_from_local, *(rival.map_from_local for rival in result.rivals)]
-    best, *others = log_likelihoods(points_m[_stands(standing)], poses, block.above).tolist()
-    return bool(best - max(others) > _RIVAL_GONE)
+    points_m = scan.points_m[_is_structure(scan)]
+    best, *others = log_likelihoods(points_m, poses, block.static_occupancy).tolist()
+    return bool(best - max(others) > _RIVAL_LOG_RATIO)
 
 
-def _stands(standing: GroundAlignment) -> NDArray[np.bool_]:
-    return (standing.heights_m > STANDING_M[0]) & (standing.heights_m < STANDING_M[1])
+def _is_structure(scan: MatchInput) -> Mask:
+    return (scan.heights_m > STRUCTURE_M[0]) & (scan.heights_m < STRUCTURE_M[1])
 
 
-def _doubted(match: LayeredMatch, points_m: Array, standing: GroundAlignment, block: Block) -> LayeredMatch:
-    """A match that is not lost, with the variance that shifts along its worst direction leave open."""
+def _with_shift_variance(match: LayeredMatch, scan: MatchInput, block: MapBlock) -> LayeredMatch:
+    """Return the match with the variance that shifts along its worst direction leave open."""
     values, vectors = np.linalg.eigh(match.covariance[:2, :2])
     worst = vectors[:, 1]
-    placed_m = transform_points(match.map_from_local, points_m[_stands(standing)])
-    more_m2 = shift_profile(placed_m, block.above, worst).variance_m2 - float(values[1])
+    placed_m = transform_points(match.map_from_local, scan.points_m[_is_structure(scan)])
+    more_m2 = shift_profile(placed_m, block.static_occupancy, worst).variance_m2 - float(values[1])
     if more_m2 <= 0.0:
         return match
     covariance = match.covariance.copy()
     covariance[:2, :2] += more_m2 * np.outer(worst, worst)
-    if match.status == "converged" and more_m2 > _UNSURE_M**2:
+    if match.status == "converged" and more_m2 > _DEGENERATE_SIGMA_M**2:
         return replace(match, status="ambiguous", reason="direction_unseen", covariance=covariance)
     return replace(match, covariance=covariance)
 
 
-def _message(
-    time_ns: int,
-    status: str,
-    reason: str,
-    match: LayeredMatch,
-    heights: SensorHeights,
-    mount: SensorMount,
-    block: Block,
-) -> ScanMatch:
-    if status == "lost":
-        return ScanMatch(time_ns=time_ns, status="lost", reason=reason, **_distances(match))
-    sensor_m = (heights.map_from_vehicle @ mount.vehicle_from_sensor)[:3, 3]
-    latitude_rad, longitude_rad = block.geodetic(float(sensor_m[0]), float(sensor_m[1]))
-    c = match.covariance
-    overlaps = [row.fit.overlap for row in match.layers if row.outcome == "used"]
-    return ScanMatch(
-        time_ns=time_ns,
-        status="converged" if status == "converged" else "ambiguous",
-        reason=reason,
-        latitude_rad=latitude_rad,
-        longitude_rad=longitude_rad,
-        height_m=float(sensor_m[2]) + block.base_height_m,
-        sensor_height_m=heights.matched_m,
-        sensor_height_sigma_m=heights.matched_sigma_m,
-        ground_height_m=heights.ground_m,
-        ground_height_sigma_m=heights.ground_sigma_m,
-        road_slope_forward=heights.slope_forward,
-        road_slope_left=heights.slope_left,
-        roll_pitch_yaw_rad=roll_pitch_yaw_from_rotation(heights.map_from_vehicle),
-        covariance_east_north=(float(c[0, 0]), float(c[0, 1]), float(c[1, 1])),
-        overlap=float(np.mean(overlaps)) if overlaps else None,
-        **_distances(match),
-    )
-
-
-def _distances(match: LayeredMatch) -> dict[str, Any]:
-    """Of the layers that had partners."""
-    distances = np.array([row.fit.mean_distance_m for row in match.layers])
-    layer = np.flatnonzero(np.isfinite(distances))
-    return {"layer": layer.astype(np.int32), "layer_mean_distance_m": distances[layer]}
-
-
-def _sigma_m(prediction: Prediction) -> float:
-    return math.sqrt(max(float(prediction.covariance[0, 0]), float(prediction.covariance[1, 1])))
-
-
-def _convergence(plane: LocalPlane, block: Block, prediction: Prediction) -> float:
-    """How far the block's east is turned against the plane's where the vehicle is (rad)."""
+def _convergence(plane: LocalPlane, block: MapBlock, prediction: Prediction) -> float:
+    """Return the angle of the block's east from the plane's at the vehicle [rad]."""
     here = block.east_north(*plane.geodetic(prediction.east_m, prediction.north_m))
     east = block.east_north(*plane.geodetic(prediction.east_m + 10.0, prediction.north_m))
     return -math.atan2(east[1] - here[1], east[0] - here[0])

@@ -1,8 +1,8 @@
-"""How sure is a match along the direction it sees worst: the map seen from above, and the local map shifted over it.
+"""Likelihood of a match under shifts along its worst direction: the local map over the map, both seen from above.
 
-Least squares knows the bottom of the valley it stands in, not whether there is another one, nor whether the few things
-that tell the direction are things at all. So the likelihood of shifts up to 3 m to either side is added up: a cell of
-the local map either hits what stands in the map, within the blur, or is something else (ε). Cells and not points
+Least squares knows the curvature at its minimum, not whether there is another minimum, nor whether the few objects that
+observe the direction are there at all. So the likelihood of shifts up to 3 m to both sides is integrated: a cell of
+the local map either hits static structure of the map, within the blur, or is an outlier (ε). Cells and not points
 count, for a thousand points on one post are one post.
 """
 
@@ -18,120 +18,112 @@ from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled_without_gil
 from camber.geodesy.se3 import transform_points
+from camber.localizer.arrays import Floats, Integers
 
-Floats = NDArray[np.float64]
-Raster = NDArray[np.uint8]
-
-CELL_M: Final = 0.1
+CELL_M: Final = 0.1  # chosen: below the blur
 BLUR_M: Final = 0.15
-"""Standard deviation of a hit: half the map's grid, and the noise of both clouds."""
-_STAMP: Final = 4
-REACH_M: Final = 3.0
-STEP_M: Final = 0.1
+"""Chosen: σ of a hit, half the map's grid and the noise of both clouds."""
+_STAMP: Final = 4  # cells around a point that the blur reaches
+REACH_M: Final = 3.0  # chosen: what lies farther off is left to the coarse search
+STEP_M: Final = 0.1  # of the shifts: one cell
 PATCH_M: Final = 0.5
-"""Cells of the local map that count as one observation."""
-ELSE: Final = 0.2
-"""ε: share of cells that are traffic, visitors, leaves."""
-CORRELATED: Final = 1.0
-"""Patches that err alike. One: on simulated streets even a half of it claims no more than the errors bear out."""
+"""Chosen: cells of the local map that count as one observation."""
+OUTLIER_SHARE: Final = 0.2
+"""Chosen: ε, share of cells that are traffic, visitors and leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyRaster:
-    """Nearness (rows, columns) of 0 to 255 to what stands, east by north, from a corner."""
+    """Proximity, 0 to 255, to static structure (rows, columns), east by north from a corner."""
 
     corner_m: Floats
-    nearness: Raster
+    proximity: NDArray[np.uint8]
 
     @classmethod
     def of(cls, points_m: Floats) -> OccupancyRaster:
-        """Of points (n, 3) [m] of what stands."""
+        """Draw points (n, 3) [m] of static structure."""
         if not len(points_m):
             return cls(np.zeros(2), np.zeros((1, 1), np.uint8))
         corner_m = points_m[:, :2].min(axis=0) - (_STAMP + 1) * CELL_M
         size = np.ceil((points_m[:, :2].max(axis=0) - corner_m) / CELL_M).astype(np.int64) + _STAMP + 2
-        nearness = np.zeros((int(size[0]), int(size[1])), np.uint8)
-        _stamp(np.ascontiguousarray(points_m[:, :2]), corner_m, nearness)
-        return cls(corner_m, nearness)
+        proximity = np.zeros((int(size[0]), int(size[1])), np.uint8)
+        _stamp(np.ascontiguousarray(points_m[:, :2]), corner_m, proximity)
+        return cls(corner_m, proximity)
 
 
 class ShiftProfile(NamedTuple):
-    """Mean and standard deviation [m] of the shift that the likelihoods speak for, the match itself at zero."""
+    """Mean and σ [m] of the shift by the likelihoods, the match itself at zero."""
 
     mean_m: float
     sigma_m: float
 
     @property
     def variance_m2(self) -> float:
-        """About the match."""
+        """Second moment about the match."""
         return self.mean_m**2 + self.sigma_m**2
 
 
-def shift_profile(points_m: Floats, above: OccupancyRaster, direction: Floats) -> ShiftProfile:
-    """Of points (n, 2) or (n, 3) [m] in the map's frame, as matched, along a unit vector (2,)."""
+def shift_profile(points_m: Floats, occupancy: OccupancyRaster, direction: Floats) -> ShiftProfile:
+    """Return the profile of points (n, 2) or (n, 3) [m] in the map's frame, as matched, along a unit vector (2,)."""
     if not len(points_m):
         return ShiftProfile(0.0, REACH_M)
     plane_m = np.ascontiguousarray(points_m[:, :2])
-    number = _patches(plane_m)
     steps = round(REACH_M / STEP_M)
     shifts_m: Floats = STEP_M * np.arange(-steps, steps + 1).astype(np.float64)
-    score = _scores(plane_m, number, above.corner_m, above.nearness, shifts_m, direction)
-    weight = np.exp((score - score.max()) / CORRELATED)
+    score = _log_likelihoods(plane_m, _patches(plane_m), occupancy, shifts_m[:, None] * direction)
+    weight = np.exp(score - score.max())
     weight /= weight.sum()
     mean_m = float(weight @ shifts_m)
     return ShiftProfile(mean_m, math.sqrt(float(weight @ (shifts_m - mean_m) ** 2) + STEP_M**2 / 12.0))
 
 
-def log_likelihoods(points_m: Floats, poses: Sequence[Floats], above: OccupancyRaster) -> Floats:
-    """How well each of some poses (4, 4), map from local, explains what stands in a local map (n, 3) [m]; up to a
-    common constant."""
+def log_likelihoods(points_m: Floats, poses: Sequence[Floats], occupancy: OccupancyRaster) -> Floats:
+    """Return the log-likelihood of each pose, map_from_local (4, 4), of a local map (n, 3) [m], up to a constant."""
     if not len(points_m):
         return np.zeros(len(poses))
-    number = _patches(points_m)
-    still, anywhere = np.zeros(1), np.zeros(2)
-    scores = [
-        _scores(
-            np.ascontiguousarray(transform_points(pose, points_m)[:, :2]),
-            number, above.corner_m, above.nearness, still, anywhere,
-        )[0]
-        for pose in poses
-    ]  # fmt: skip
-    return np.array(scores) / CORRELATED
+    patch, no_shift = _patches(points_m), np.zeros((1, 2))
+    placed = (np.ascontiguousarray(transform_points(pose, points_m)[:, :2]) for pose in poses)
+    return np.array([_log_likelihoods(plane_m, patch, occupancy, no_shift)[0] for plane_m in placed])
 
 
-def _patches(points_m: Floats) -> NDArray[np.int64]:
-    """The number (n,) of each point's patch."""
+def _log_likelihoods(
+    plane_m: Floats, patch: Integers, occupancy: OccupancyRaster, shifts_m: Floats
+) -> Floats:
+    return _scores(
+        plane_m, patch, corner_m=occupancy.corner_m, proximity=occupancy.proximity, shifts_m=shifts_m
+    )
+
+
+def _patches(points_m: Floats) -> Integers:
+    """Return the number (n,) of each point's patch."""
     patch = np.floor(points_m[:, :2] / PATCH_M).astype(np.int64)
     patch -= patch.min(axis=0)
     number = patch[:, 0] * (int(patch[:, 1].max()) + 1) + patch[:, 1]
-    numbers: NDArray[np.int64] = np.unique(number, return_inverse=True)[1].astype(np.int64)
+    numbers: Integers = np.unique(number, return_inverse=True)[1].astype(np.int64)
     return numbers
 
 
 @compiled_without_gil
-def _stamp(plane_m: Floats, corner_m: Floats, nearness: Raster) -> None:
+def _stamp(plane_m: Floats, corner_m: Floats, proximity: NDArray[np.uint8]) -> None:
+    """Draw each point with the blur."""
     for i in range(len(plane_m)):
         row = int((plane_m[i, 0] - corner_m[0]) / CELL_M)
         column = int((plane_m[i, 1] - corner_m[1]) / CELL_M)
-        if nearness[row, column] == 255:
+        if proximity[row, column] == 255:
             continue
         for r in range(-_STAMP, _STAMP + 1):
             for c in range(-_STAMP, _STAMP + 1):
                 square = (r * r + c * c) * CELL_M * CELL_M
                 value = np.uint8(255.0 * math.exp(-0.5 * square / (BLUR_M * BLUR_M)))
-                if value > nearness[row + r, column + c]:
-                    nearness[row + r, column + c] = value
+                if value > proximity[row + r, column + c]:
+                    proximity[row + r, column + c] = value
 
 
 @compiled_without_gil
 def _scores(
-    plane_m: Floats,
-    patch: NDArray[np.int64],
-    corner_m: Floats,
-    nearness: Raster,
-    shifts_m: Floats,
-    direction: Floats,
+    plane_m: Floats, patch: Integers, corner_m: Floats, proximity: NDArray[np.uint8], shifts_m: Floats
 ) -> Floats:
+    """Return the log-likelihood of each shift (k, 2), over all patches."""
     patches = patch.max() + 1
     count = np.zeros(patches)
     for i in range(len(patch)):
@@ -141,11 +133,11 @@ def _scores(
     for s in range(len(shifts_m)):
         hit[:] = 0.0
         for i in range(len(plane_m)):
-            east = plane_m[i, 0] + shifts_m[s] * direction[0] - corner_m[0]
-            north = plane_m[i, 1] + shifts_m[s] * direction[1] - corner_m[1]
+            east = plane_m[i, 0] + shifts_m[s, 0] - corner_m[0]
+            north = plane_m[i, 1] + shifts_m[s, 1] - corner_m[1]
             row, column = int(east / CELL_M), int(north / CELL_M)
-            if east >= 0.0 and north >= 0.0 and row < nearness.shape[0] and column < nearness.shape[1]:
-                hit[patch[i]] += nearness[row, column]
+            if east >= 0.0 and north >= 0.0 and row < proximity.shape[0] and column < proximity.shape[1]:
+                hit[patch[i]] += proximity[row, column]
         for k in range(patches):
-            scores[s] += math.log(ELSE + (1.0 - ELSE) * hit[k] / (255.0 * count[k]))
+            scores[s] += math.log(OUTLIER_SHARE + (1.0 - OUTLIER_SHARE) * hit[k] / (255.0 * count[k]))
     return scores

@@ -1,4 +1,4 @@
-"""The road under the antenna, and how the vehicle lies on it: asked of the map, or known from its last answer."""
+"""The road below the antenna, and the vehicle's attitude on it: by a query to the map, or by the last reply."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from camber.geodesy.horizontal_offsets import east_north_between
-from camber.localizer.filter.pose_filter import PoseEstimate
-from camber.localizer.map_queries import Diagnostics, MapAnswers, NoAnswer
+from camber.localizer.filter.pose_estimate import PoseEstimate
+from camber.localizer.map_queries import Diagnostics, MapQueries, MapQueryFailure
 from camber.localizer.road.road_prefetch import RoadAhead, places_ahead
 from camber.schemas.pose import Road
 from camber.schemas.road import ElevationRequest
 
-_PATCH_ABOVE_M = 0.3  # a pose of larger σ gets the road around it too
-_PATCH_SIGMAS = 3.7  # 99.9 % of the places where it can be
-_MOST_LINKS = 16
-_MOST_ASKED_ALONE = 4
-_ONE_ROAD_SIGMAS = 3.0
+_PATCH_ABOVE_M = 0.3  # decision 0003: a pose of larger σ gets a patch of the road around it
+_PATCH_SIGMAS = 3.7  # 99.9 % of a normal distribution in two dimensions
+# Chosen: the most links of a query, the most that are queried one by one, and 99.7 % of a normal error.
+_MAX_LINKS = 16
+_MAX_SINGLE_QUERIES = 4
+_SAME_ROAD_SIGMAS = 3.0
 _REMEMBERED_M = 100.0
-"""A road that was driven last says so far which one is driven now."""
+"""Chosen: distance over which the last road identifies the one that is driven now."""
 
 
-class _Driven(NamedTuple):
-    """The last road that was known, and where; the level is the last that was certain."""
+class _LastRoad(NamedTuple):
+    """The last known road and its position; the level is the last certain one."""
 
     level: int | None
     latitude_rad: float
@@ -31,58 +32,60 @@ class _Driven(NamedTuple):
 
 
 class RoadBelowAntenna:
-    """Remembers the last road and what lies ahead; nothing of a height comes in but the map's own.
+    """Keeps the last road and the roads ahead; no height is used but the map's.
 
-    Where roads part or join, or change their level, several links are in question, and their surfaces lie on one
-    another and agree: that is one road, whichever it turns out to be. Its elevation is known, and stays that of the
-    level it was driven with; its level is not known until the links are of one level, or only surfaces of one are left
-    under the antenna. Where their edges are nearer than the pose is known, only the links can tell.
+    Where roads part or join, or change their level, several links are candidates, and their surfaces overlap and
+    agree: that is one road. Its elevation is known, and stays that of the level it was driven with; its level is
+    unknown until the links have one level, or only surfaces of one are below the antenna. Where their edges are
+    nearer than the pose's σ, only the links decide.
     """
 
-    def __init__(self, sigma_limit_m: float, answers: MapAnswers, reports: Diagnostics) -> None:
+    def __init__(self, sigma_limit_m: float, map_queries: MapQueries, diagnostics: Diagnostics) -> None:
         self._sigma_limit_m = sigma_limit_m
-        self._answers, self._reports = answers, reports
+        self._map_queries, self._diagnostics = map_queries, diagnostics
         self._ahead: RoadAhead | None = None
         self._road = Road(status="unknown", reason="no_pose")
-        self._driven: _Driven | None = None
+        self._driven: _LastRoad | None = None
 
     @property
     def last(self) -> Road:
-        """The road under the last pose."""
+        """The road below the last pose."""
         return self._road
 
     def forget(self) -> None:
-        """The pose has jumped: what was driven before says nothing any more."""
+        """Forget the last road: the pose has jumped."""
         self._ahead = self._driven = None
 
-    def under(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
-        """The road under the antenna at this place."""
+    def update(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
+        """Return the road below the antenna at this position."""
         driven = self._driven
         if driven is not None and math.hypot(
             *east_north_between(*driven[1:], latitude_rad, longitude_rad)
         ) > (_REMEMBERED_M):
             self._driven = None
-        road = self._road = self._look(estimate, latitude_rad, longitude_rad)
+        road = self._road = self._query(estimate, latitude_rad, longitude_rad)
         if road.status == "known":
             level = road.level
             if level is None and self._driven is not None:
                 level = self._driven.level
-            self._driven = _Driven(level, latitude_rad, longitude_rad)
+            self._driven = _LastRoad(level, latitude_rad, longitude_rad)
         return road
 
-    def _look(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
+    def _query(self, estimate: PoseEstimate, latitude_rad: float, longitude_rad: float) -> Road:
         sigma_m = estimate.horizontal_sigma_m
         if sigma_m > self._sigma_limit_m:
             return Road(status="unknown", reason="pose_too_uncertain")
         candidates = estimate.link_candidates or (() if estimate.link_id is None else (estimate.link_id,))
-        link_ids = tuple(int(link) for link in candidates)[:_MOST_LINKS]
+        link_ids = tuple(int(link) for link in candidates)[:_MAX_LINKS]
         certain = sigma_m <= _PATCH_ABOVE_M
         several_levels = bool(estimate.link_candidates) and estimate.link_level is None
         if several_levels:
             self._ahead = None  # it holds one surface for each place
-        if certain and self._ahead is not None and self._answers.is_there():
+        if certain and self._ahead is not None and self._map_queries.is_available():
             place = latitude_rad, longitude_rad
-            known = self._ahead.under(estimate.time_ns, *place, link_ids, _PATCH_SIGMAS * sigma_m)
+            known = self._ahead.road_at(
+                estimate.time_ns, place, link_ids=link_ids, radius_m=_PATCH_SIGMAS * sigma_m
+            )
             if known is not None:
                 return known
         self._ahead = None
@@ -96,29 +99,30 @@ class RoadBelowAntenna:
             radius_m=0.0 if certain else _PATCH_SIGMAS * sigma_m,
             ahead=ahead if certain and not several_levels else None,
         )
-        reply = self._answers.elevation(request)
-        if isinstance(reply, NoAnswer):
-            self._reports.issue("no_elevation", reply.text)
+        reply = self._map_queries.elevation(request)
+        if isinstance(reply, MapQueryFailure):
+            self._diagnostics.issue("no_elevation", reply.text)
             absent = reply.failure in ("absent", "timeout")
             return Road(status="unknown", reason="map_server_absent" if absent else "map_missing")
         ambiguous = reply.road.reason == "levels_ambiguous" and bool(link_ids)
         one = self._one_road(request) if several_levels or ambiguous else None
         if several_levels and (one is None or not certain):
-            return (one or reply.road).model_copy(update={"level": None})
+            unlevelled: Road = (one or reply.road).model_copy(update={"level": None})
+            return unlevelled
         if one is not None or ambiguous:
             return one or reply.road
         self._ahead = RoadAhead.of(request, reply)
         return reply.road
 
     def _one_road(self, request: ElevationRequest) -> Road | None:
-        """The road of each link in question by itself; None where they do not agree. Its level is that of them all."""
-        if len(request.link_ids) > _MOST_ASKED_ALONE:
+        """Query the road of each candidate link; return it where they agree, with the level that they share."""
+        if len(request.link_ids) > _MAX_SINGLE_QUERIES:
             return None
         roads: list[Road] = []
         for link in request.link_ids:
             alone = request.model_copy(update={"link_ids": (link,), "radius_m": 0.0, "ahead": None})
-            reply = self._answers.elevation(alone)
-            if not isinstance(reply, NoAnswer) and reply.road.status == "known":
+            reply = self._map_queries.elevation(alone)
+            if not isinstance(reply, MapQueryFailure) and reply.road.status == "known":
                 roads.append(reply.road)
         if not roads:
             return None
@@ -133,18 +137,17 @@ class RoadBelowAntenna:
 
 
 def _apart(road: Road, others: Sequence[Road]) -> tuple[float, bool]:
-    """How far other roads are above or below one at most, and whether any of them is farther than the map errs."""
+    """Return the largest height difference of other roads from one, and whether any exceeds the map's error."""
     apart_m, disagree = 0.0, False
     for other in others:
         away_m = abs((other.elevation_m or 0.0) - (road.elevation_m or 0.0))
-        disagree |= away_m > _ONE_ROAD_SIGMAS * math.hypot(other.sigma_m or 0.0, road.sigma_m or 0.0)
+        disagree |= away_m > _SAME_ROAD_SIGMAS * math.hypot(other.sigma_m or 0.0, road.sigma_m or 0.0)
         apart_m = max(apart_m, away_m)
     return apart_m, disagree
 
 
-def attitude_on(road: Road, yaw_rad: float) -> tuple[float, float]:
-    """Roll and pitch [rad] of a vehicle that stands evenly on this road, pitch positive with the nose down; zero
-    where the road is not known: then nobody knows better."""
+def attitude_on_road(road: Road, yaw_rad: float) -> tuple[float, float]:
+    """Return roll and pitch [rad] of a vehicle on this road, pitch positive with the nose down; zero without a road."""
     if road.slope_east is None or road.slope_north is None:
         return 0.0, 0.0
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)

@@ -1,7 +1,7 @@
-"""The road where the vehicle will be next, asked for along with the road where it is: most epochs need no question.
+"""Prefetch of the road ahead, requested along with the road at the antenna: most epochs need no query.
 
-Places are sampled along the arc that speed and yaw rate foretell, and some way to either side. Off the sampled places,
-on another level, with other links in question or after a while, there is no answer, and the map is asked again.
+Positions are sampled along the arc of speed and yaw rate, and some way to both sides. Off the samples, on another
+level, with other links, or after a while, the map is queried again.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from camber.geodesy.horizontal_offsets import east_north_between
 from camber.schemas.pose import Road
 from camber.schemas.road import ElevationReply, ElevationRequest, Places, RoadsAhead
 
+# Chosen: samples every half metre, one metre to both sides, for the next two seconds.
 STEP_M = 0.5
-"""Places lie this far apart, along and across."""
-_REACH_M = 0.4  # half the diagonal of STEP_M, and a little for the fan of a curve
+_REACH_M = 0.4  # derived: half the diagonal of STEP_M, and a little for the fan of a curve
 _HALF_WIDTH_M = 1.0
 _AHEAD_S = 2.0
 _MAX_AHEAD_M = 50.0
@@ -27,7 +27,7 @@ _ACROSS_M = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M + 1e-9, STEP_M)
 
 
 def places_ahead(yaw_rad: float, speed_m_s: float, yaw_rate_rad_s: float) -> Places:
-    """The places from half a metre behind the antenna to where it is in two seconds, backwards at a negative speed.
+    """Return positions from half a metre behind the antenna to where it is in two seconds, backwards at negative speed.
 
     `yaw_rad` counter-clockwise from east.
     """
@@ -42,9 +42,9 @@ def places_ahead(yaw_rad: float, speed_m_s: float, yaw_rate_rad_s: float) -> Pla
     return Places(east_m=east_m.ravel(), north_m=north_m.ravel())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RoadAhead:
-    """One answer of the map, and what was asked."""
+    """One reply of the map, and its request."""
 
     request: ElevationRequest
     road: Road
@@ -52,11 +52,11 @@ class RoadAhead:
     east_m: NDArray[np.float64]
     north_m: NDArray[np.float64]
     row: NDArray[np.int64]
-    """Of all the places asked for: where each is, and its row in `known`, −1 where no road is known."""
+    """Of all requested positions: east, north, and the row in `known`, −1 without a road."""
 
     @classmethod
     def of(cls, request: ElevationRequest, reply: ElevationReply) -> RoadAhead | None:
-        """None where the answer has no roads ahead, or names places that were not asked for."""
+        """Return the roads ahead of a reply; None where it has none, or names positions that were not requested."""
         known, places = reply.ahead, request.ahead
         if known is None or places is None or reply.road.status != "known" or not len(known.place):
             return None
@@ -64,28 +64,26 @@ class RoadAhead:
             return None
         row = np.full(len(places.east_m), -1)
         row[known.place] = np.arange(len(known.place))
-        return cls(request, reply.road, known, places.east_m, places.north_m, row)
+        return cls(
+            request=request,
+            road=reply.road,
+            known=known,
+            east_m=places.east_m,
+            north_m=places.north_m,
+            row=row,
+        )
 
-    def under(
-        self,
-        time_ns: int,
-        latitude_rad: float,
-        longitude_rad: float,
-        link_ids: tuple[int, ...],
-        radius_m: float,
+    def road_at(
+        self, time_ns: int, position: tuple[float, float], *, link_ids: tuple[int, ...], radius_m: float
     ) -> Road | None:
-        """The road under a point by this answer, a plane that is good within `radius_m`; None: ask the map."""
+        """Return the road at latitude and longitude, a plane that is valid within `radius_m`; None: query the map."""
         request, known = self.request, self.known
         if not 0 <= time_ns - request.time_ns <= _VALID_NS or link_ids != request.link_ids:
             return None
-        east_m, north_m = east_north_between(
-            request.latitude_rad, request.longitude_rad, latitude_rad, longitude_rad
-        )
+        east_m, north_m = east_north_between(request.latitude_rad, request.longitude_rad, *position)
         away_m = np.hypot(east_m - self.east_m, north_m - self.north_m)
         place = int(np.argmin(away_m))
-        k = int(
-            self.row[place]
-        )  # the nearest place decides: where it is not known, no neighbour stands for it
+        k = int(self.row[place])  # the nearest sample decides; no neighbour replaces an unknown one
         if not away_m[place] <= _REACH_M or k < 0 or known.level[k] != self.road.level:
             return None
         extent_m = float(known.extent_m[k]) - float(away_m[place])

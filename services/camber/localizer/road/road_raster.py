@@ -1,11 +1,11 @@
-"""How high the road is, from the map's cloud of it: a raster of small planes, roads above one another kept apart.
+"""Road raster: the height of the road from the map's road cloud, roads above one another kept apart.
 
-A cell of the raster holds a plane for each road that crosses it, laid through what lies near in the cells around.
-Heights of different roads are never averaged. Beside the roads their height is continued outwards: across by the plane
-for `_ALONG_PLANE_M`, from there on level, so that crossfall and camber do not run away.
+A cell of the raster holds a plane for each road that crosses it, fitted to the means of the cells around. Heights of
+different roads are never averaged. Next to the roads their height is continued outwards: by the plane for
+`_ALONG_PLANE_M`, from there on level, so that crossfall and camber do not run away.
 
-`RoadHeights` holds all roads of a block; `RoadSurface` is the one that can be driven from a place on it, and what is
-continued from that one alone: one height for each place.
+`RoadHeights` holds all roads of a block; `RoadSurface` is the one that can be driven from a position on it, with its
+continuation: one height for each position.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 LEVELS: Final = 3
-"""Roads above one another that one cell can hold; of more the lowest are kept."""
+"""Chosen: roads above one another that one cell can hold; of more the lowest are kept."""
 LEAST_GAP_M: Final = 0.35
-"""Points of one cell this far apart in height are of different roads: a grade of 20 % makes 0.28 m."""
+"""Derived: points of one cell this far apart in height are of different roads; a grade of 20 % makes 0.28 m."""
+# Chosen: a cell holds several points of a thinned cloud; a local map's ground may lie 30 m off the mapped road.
 CELL_M: Final = 1.0
 OUTWARDS_M: Final = 30.0
-_ALONG_PLANE_M: Final = 1.5
-_REACH: Final = 2  # cells around that a plane is laid through
-_JOIN_M: Final = 0.2  # planes of neighbouring cells that meet within this are of one road
-_SAME_ROAD_M: Final = 2.0  # what is continued outwards ends where a road of about that height is already
-_LEAST_SIGMA_M: Final = 0.005
-_CROSSFALL: Final = 0.03  # by how much a continued height may be off for each metre
+_ALONG_PLANE_M: Final = 1.5  # chosen: one and a half cells
+_REACH: Final = 2  # chosen: cells around to which a plane is fitted
+_JOIN_M: Final = 0.2  # chosen: planes of neighbouring cells that meet within this are of one road
+_SAME_ROAD_M: Final = 2.0  # chosen: a continuation ends where a road of about that height is
+_LEAST_SIGMA_M: Final = 0.005  # chosen: roughness of a road
+_CROSSFALL: Final = 0.03  # chosen: error of a continued height per metre
 
 
 class RoadElevation(NamedTuple):
     """The road at a place: height and slopes, with the sigma of the height.
 
-    `distance_m` is how far off the nearest cell with this road is, `other_height_m` the height of the next other road
-    there: whoever does not know its height to half of that does not know its road either.
+    `distance_m`: to the nearest cell with this road; `other_height_m`: of the next other road there, from which only a
+    height known to half the difference separates it.
     """
 
     height_m: float
@@ -50,11 +51,11 @@ class RoadElevation(NamedTuple):
     other_height_m: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RoadSurface:
     """One road from where the vehicle is, one height for each place; as `RoadHeights`, with a single level."""
 
-    _raster: _Raster
+    _raster: _RoadRaster
     _slots: Integers  # (rows, columns, 1) number of the plane that holds there, −1: none
     _start: int
 
@@ -62,7 +63,11 @@ class RoadSurface:
         """Height of points (n, 3) above this road (n,); NaN where it is not known."""
         raster = self._raster
         return points_m[:, 2] - _nearest_heights(
-            points_m, raster.corner_m, raster.planes, self._slots, points_m[:, 2]
+            points_m=points_m,
+            corner_m=raster.corner_m,
+            planes=raster.planes,
+            slots=self._slots,
+            near_m=points_m[:, 2],
         )
 
     def holds(self, plane: int) -> bool:
@@ -71,23 +76,23 @@ class RoadSurface:
         return bool(self._slots[row, column, 0] == plane)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Raster:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _RoadRaster:
     """`planes` (k, 6): east, north of the cell's centre, height there, slopes, sigma; `slots` (rows, columns, LEVELS)
-    numbers of planes, those of the cell itself first; `own` (rows, columns) how many those are."""
+    numbers of planes, those of the cell itself first; `road_count` (rows, columns) how many those are."""
 
     corner_m: Floats
     planes: Floats
     cell_of: Integers
     slots: Integers
-    own: Integers
+    road_count: Integers
 
 
 @dataclass(slots=True, eq=False)
 class RoadHeights:
     """All roads of a block, heights and places in its frame."""
 
-    _raster: _Raster
+    _raster: _RoadRaster
     _last: RoadSurface | None = field(default=None)
 
     @classmethod
@@ -97,18 +102,24 @@ class RoadHeights:
         if not len(points):
             empty = np.full((1, 1, LEVELS), -1, np.int32)
             return cls(
-                _Raster(
-                    np.zeros(2), np.zeros((0, 6)), np.zeros(0, np.int32), empty, np.zeros((1, 1), np.int32)
+                _RoadRaster(
+                    corner_m=np.zeros(2),
+                    planes=np.zeros((0, 6)),
+                    cell_of=np.zeros(0, np.int32),
+                    slots=empty,
+                    road_count=np.zeros((1, 1), np.int32),
                 )
             )
         corner = np.floor(points[:, :2].min(axis=0) / CELL_M) * CELL_M - OUTWARDS_M
         columns, rows = (
             np.ceil((points[:, :2].max(axis=0) - corner + OUTWARDS_M) / CELL_M).astype(int) + 1
         ).tolist()
-        means, cell_of, slots, own = _cells(points, corner, rows, columns)
-        planes = _planes(means, cell_of, slots, own, corner)
-        _continue_outwards(planes, cell_of, slots, own)
-        return cls(_Raster(corner, planes, cell_of, slots, own))
+        means, cell_of, slots, road_count = _cells(points, corner, rows, columns)
+        planes = _planes(means=means, cell_of=cell_of, slots=slots, road_count=road_count, corner_m=corner)
+        _continue_outwards(planes, cell_of, slots, road_count)
+        return cls(
+            _RoadRaster(corner_m=corner, planes=planes, cell_of=cell_of, slots=slots, road_count=road_count)
+        )
 
     @property
     def known(self) -> bool:
@@ -119,13 +130,20 @@ class RoadHeights:
         """The road at a place, of those above one another the one nearest to a height; None: none is known there."""
         raster = self._raster
         here = np.array([[east_m, north_m, near_height_m]])
-        found = _roads_at(here[0], raster.corner_m, raster.planes, raster.slots)
-        if not len(found):
+        roads = _roads_at(here[0], raster.corner_m, raster.planes, raster.slots)
+        if not len(roads):
             return None
-        order = np.argsort(np.abs(found[:, 0] - near_height_m), kind="stable")
-        height, slope_east, slope_north, sigma, distance = found[order[0]].tolist()
-        other = float(found[order[1], 0]) if len(order) > 1 else None
-        return RoadElevation(height, slope_east, slope_north, sigma, distance, other)
+        order = np.argsort(np.abs(roads[:, 0] - near_height_m), kind="stable")
+        height, slope_east, slope_north, sigma, distance = roads[order[0]].tolist()
+        other = float(roads[order[1], 0]) if len(order) > 1 else None
+        return RoadElevation(
+            height_m=height,
+            slope_east=slope_east,
+            slope_north=slope_north,
+            sigma_m=sigma,
+            distance_m=distance,
+            other_height_m=other,
+        )
 
     def surface_through(self, east_m: float, north_m: float, height_m: float) -> RoadSurface | None:
         """The road that passes a place within 1.5 m of a height, and what can be driven to from it; None: none does.
@@ -133,14 +151,27 @@ class RoadHeights:
         Where two of its parts lie above one another, the one that is fewer metres of road away is taken.
         """
         raster = self._raster
-        start = _start_plane(east_m, north_m, height_m, raster.corner_m, raster.planes, raster.slots)
+        start = _start_plane(
+            east_m=east_m,
+            north_m=north_m,
+            height_m=height_m,
+            corner_m=raster.corner_m,
+            planes=raster.planes,
+            slots=raster.slots,
+        )
         if start < 0:
             return None
         last = self._last
         if last is not None and (last._start == start or (self._single and last.holds(start))):
             return last
-        slots = _reached_from(start, raster.planes, raster.cell_of, raster.slots, raster.own)
-        self._last = RoadSurface(raster, slots, start)
+        slots = _reached_from(
+            start=start,
+            planes=raster.planes,
+            cell_of=raster.cell_of,
+            slots=raster.slots,
+            road_count=raster.road_count,
+        )
+        self._last = RoadSurface(_raster=raster, _slots=slots, _start=start)
         return self._last
 
     def height_above_road(self, points_m: Floats, near_height_m: float | None = None) -> Floats:
@@ -154,17 +185,30 @@ class RoadHeights:
             road = _heights_below(points_m, raster.corner_m, raster.planes, raster.slots)
         else:
             near = np.full(len(points_m), near_height_m)
-            road = _nearest_heights(points_m, raster.corner_m, raster.planes, raster.slots, near)
+            road = _nearest_heights(
+                points_m=points_m,
+                corner_m=raster.corner_m,
+                planes=raster.planes,
+                slots=raster.slots,
+                near_m=near,
+            )
         return points_m[:, 2] - road
 
     def within(self, points_m: Floats, low_m: float, high_m: float) -> NDArray[np.bool_]:
         """Which points (n, 3) are between two heights above any of the roads there."""
         raster = self._raster
-        return _between(points_m, raster.corner_m, raster.planes, raster.slots, low_m, high_m)
+        return _between(
+            points_m=points_m,
+            corner_m=raster.corner_m,
+            planes=raster.planes,
+            slots=raster.slots,
+            low_m=low_m,
+            high_m=high_m,
+        )
 
     @property
     def _single(self) -> bool:
-        return bool((self._raster.own <= 1).all())
+        return bool((self._raster.road_count <= 1).all())
 
 
 @compiled_without_gil
@@ -187,10 +231,10 @@ def _cells(
         sorted_rows[at[cell[i]]] = i
         at[cell[i]] += 1
     slots = np.full((rows, columns, LEVELS), -1, np.int32)
-    own = np.zeros((rows, columns), np.int32)
+    road_count = np.zeros((rows, columns), np.int32)
     means = np.empty((n, 4))
     cell_of = np.empty(n, np.int32)
-    found = 0
+    n_planes = 0
     for c in range(rows * columns):
         if begin[c] == begin[c + 1]:
             continue
@@ -206,19 +250,21 @@ def _cells(
                         total = 0.0
                         for j in range(first, i):
                             total += points_m[members[j], axis]
-                        means[found, axis] = total / (i - first)
-                    means[found, 3] = i - first
-                    cell_of[found] = c
-                    slots[c // columns, c % columns, levels] = found
-                    found += 1
+                        means[n_planes, axis] = total / (i - first)
+                    means[n_planes, 3] = i - first
+                    cell_of[n_planes] = c
+                    slots[c // columns, c % columns, levels] = n_planes
+                    n_planes += 1
                     levels += 1
                 first = i
-        own[c // columns, c % columns] = levels
-    return means[:found].copy(), cell_of[:found].copy(), slots, own
+        road_count[c // columns, c % columns] = levels
+    return means[:n_planes].copy(), cell_of[:n_planes].copy(), slots, road_count
 
 
 @compiled_without_gil
-def _planes(means: Floats, cell_of: Integers, slots: Integers, own: Integers, corner_m: Floats) -> Floats:
+def _planes(
+    means: Floats, cell_of: Integers, slots: Integers, road_count: Integers, corner_m: Floats
+) -> Floats:
     """Planes (k, 6) by weighted least squares: through the cells next to each first, then through those around that
     agree with it, so that a road beside it that is a little higher does not draw it up."""
     columns = slots.shape[1]
@@ -228,10 +274,43 @@ def _planes(means: Floats, cell_of: Integers, slots: Integers, own: Integers, co
         planes[k, 1] = corner_m[1] + (cell_of[k] // columns + 0.5) * CELL_M
         planes[k, 2] = means[k, 2]
         planes[k, 3:] = 0.0
-        if _lay_plane(k, 1, 0.05, 0.2, means, cell_of, slots, own, planes) < 4:
-            _lay_plane(k, _REACH, 0.05, 0.2, means, cell_of, slots, own, planes)
+        if (
+            _lay_plane(
+                k,
+                reach=1,
+                off_m=0.05,
+                off_per_m=0.2,
+                means=means,
+                cell_of=cell_of,
+                slots=slots,
+                road_count=road_count,
+                planes=planes,
+            )
+            < 4
+        ):
+            _lay_plane(
+                k,
+                reach=_REACH,
+                off_m=0.05,
+                off_per_m=0.2,
+                means=means,
+                cell_of=cell_of,
+                slots=slots,
+                road_count=road_count,
+                planes=planes,
+            )
         else:
-            _lay_plane(k, _REACH, 0.04, 0.02, means, cell_of, slots, own, planes)
+            _lay_plane(
+                k,
+                reach=_REACH,
+                off_m=0.04,
+                off_per_m=0.02,
+                means=means,
+                cell_of=cell_of,
+                slots=slots,
+                road_count=road_count,
+                planes=planes,
+            )
     return planes
 
 
@@ -244,7 +323,7 @@ def _lay_plane(
     means: Floats,
     cell_of: Integers,
     slots: Integers,
-    own: Integers,
+    road_count: Integers,
     planes: Floats,
 ) -> int:
     """Lay plane `k` anew through the cells in reach that are off it by no more than this; how many they are."""
@@ -259,7 +338,7 @@ def _lay_plane(
     for r in range(max(row - reach, 0), min(row + reach + 1, rows)):
         for c in range(max(column - reach, 0), min(column + reach + 1, columns)):
             best, least = -1, np.inf
-            for s in range(own[r, c]):
+            for s in range(road_count[r, c]):
                 other = slots[r, c, s]
                 e, n = means[other, 0] - planes[k, 0], means[other, 1] - planes[k, 1]
                 off = abs(means[other, 2] - planes[k, 2] - planes[k, 3] * e - planes[k, 4] * n)
@@ -283,7 +362,7 @@ def _lay_plane(
             cells += 1
     if not cells:
         return 0
-    # A road of a single cell has no slope that could be told: it is level.
+    # A road of a single cell has no observable slope: it is level.
     m[1, 1] += 0.5
     m[2, 2] += 0.5
     x = _solved(m, v)
@@ -322,7 +401,7 @@ def _height(planes: Floats, k: int, east_m: float, north_m: float) -> float:
 
 
 @compiled_without_gil
-def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, own: Integers) -> None:
+def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, road_count: Integers) -> None:
     """Fill the slots beside the roads with the plane of the nearest cell of each road, in place."""
     rows, columns, levels = slots.shape
     size = rows * columns * levels
@@ -330,7 +409,7 @@ def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, own: 
     queued = np.zeros(size, np.bool_)
     head, waiting = 0, 0
     for k in range(len(planes)):
-        for s in range(own[cell_of[k] // columns, cell_of[k] % columns]):
+        for s in range(road_count[cell_of[k] // columns, cell_of[k] % columns]):
             if slots[cell_of[k] // columns, cell_of[k] % columns, s] == k:
                 queue[waiting] = cell_of[k] * levels + s
                 queued[queue[waiting]] = True
@@ -348,14 +427,19 @@ def _continue_outwards(planes: Floats, cell_of: Integers, slots: Integers, own: 
             far = _cells_between(row, column, cell_of[k], columns)
             if far * CELL_M > OUTWARDS_M:
                 continue
-            east, north = _centre_from(planes, cell_of, k, row, column, columns)
+            east, north = _centre_from(
+                planes=planes, cell_of=cell_of, k=k, row=row, column=column, columns=columns
+            )
             height = _height(planes, k, east, north)
             for s in range(levels):
                 other = slots[row, column, s]
                 if other >= 0:
                     if abs(_height(planes, other, east, north) - height) > _SAME_ROAD_M:
                         continue
-                    if s < own[row, column] or _cells_between(row, column, cell_of[other], columns) <= far:
+                    if (
+                        s < road_count[row, column]
+                        or _cells_between(row, column, cell_of[other], columns) <= far
+                    ):
                         break
                 slots[row, column, s] = k
                 place = (row * columns + column) * levels + s
@@ -407,7 +491,9 @@ def _start_plane(
 
 
 @compiled_without_gil
-def _reached_from(start: int, planes: Floats, cell_of: Integers, slots: Integers, own: Integers) -> Integers:
+def _reached_from(
+    start: int, planes: Floats, cell_of: Integers, slots: Integers, road_count: Integers
+) -> Integers:
     """For each cell the plane (rows, columns, 1) that is reached first: over the road before over what is beside it."""
     rows, columns, _ = slots.shape
     size = rows * columns
@@ -418,7 +504,7 @@ def _reached_from(start: int, planes: Floats, cell_of: Integers, slots: Integers
     road[0] = cell_of[start]
     reached[road[0] // columns, road[0] % columns, 0] = start
     on_road[road[0] // columns, road[0] % columns] = True
-    beside = np.empty(size, np.int32)  # cells beside it, as a ring; none stands in it twice
+    outside = np.empty(size, np.int32)  # cells beside it, as a ring; none stands in it twice
     queued = np.zeros(size, np.bool_)
     head, waiting = 0, 0
     while road_head < road_tail or waiting:
@@ -427,7 +513,7 @@ def _reached_from(start: int, planes: Floats, cell_of: Integers, slots: Integers
             cell = road[road_head]
             road_head += 1
         else:
-            cell = beside[head]
+            cell = outside[head]
             queued[cell] = False
             head = (head + 1) % size
             waiting -= 1
@@ -439,10 +525,12 @@ def _reached_from(start: int, planes: Floats, cell_of: Integers, slots: Integers
             far = _cells_between(row, column, cell_of[k], columns)
             if far * CELL_M > OUTWARDS_M:
                 continue
-            east, north = _centre_from(planes, cell_of, k, row, column, columns)
+            east, north = _centre_from(
+                planes=planes, cell_of=cell_of, k=k, row=row, column=column, columns=columns
+            )
             # A gap in the cloud is bridged where the road goes on as it ended, within what its slope may be off by.
             best, least = -1, _JOIN_M if from_road else min(_JOIN_M + 0.05 * far, 1.0)
-            for s in range(own[row, column]):
+            for s in range(road_count[row, column]):
                 other = slots[row, column, s]
                 if from_road:
                     e, n = 0.5 * (planes[k, 0] + east), 0.5 * (planes[k, 1] + north)
@@ -463,7 +551,7 @@ def _reached_from(start: int, planes: Floats, cell_of: Integers, slots: Integers
             reached[row, column, 0] = k
             place = row * columns + column
             if not queued[place]:
-                beside[(head + waiting) % size] = place
+                outside[(head + waiting) % size] = place
                 queued[place] = True
                 waiting += 1
     return reached
@@ -504,9 +592,9 @@ def _blended(
         if far <= _ALONG_PLANE_M:
             out[1] += weight * planes[best, 3]
             out[2] += weight * planes[best, 4]
-        beside = max(far - CELL_M, 0.0)
-        out[3] += weight * (planes[best, 5] + _CROSSFALL * beside)
-        out[4] += weight * beside
+        outside = max(far - CELL_M, 0.0)
+        out[3] += weight * (planes[best, 5] + _CROSSFALL * outside)
+        out[4] += weight * outside
     if total > 0.0:
         out /= total
     else:
@@ -516,16 +604,24 @@ def _blended(
 @compiled_without_gil
 def _roads_at(place_m: Floats, corner_m: Floats, planes: Floats, slots: Integers) -> Floats:
     """The roads at a place (levels, 5): height, slopes, sigma, distance."""
-    found = np.empty((slots.shape[2], 5))
+    roads = np.empty((slots.shape[2], 5))
     row, column = _cell(place_m[0], place_m[1], corner_m, slots)
     if row < 0:
-        return found[:0]
+        return roads[:0]
     at = 0
     for s in range(slots.shape[2]):
         if slots[row, column, s] >= 0:
-            _blended(place_m[0], place_m[1], corner_m, planes, slots, slots[row, column, s], found[at])
+            _blended(
+                place_m[0],
+                place_m[1],
+                corner_m=corner_m,
+                planes=planes,
+                slots=slots,
+                first=slots[row, column, s],
+                out=roads[at],
+            )
             at += 1
-    return found[:at]
+    return roads[:at]
 
 
 @compiled_without_gil

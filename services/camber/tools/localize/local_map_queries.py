@@ -34,7 +34,7 @@ class LocalMapQueries:
         """A part of a tile."""
         return self._answers.tile(request, time_ns=request.time_ns)
 
-    def is_there(self) -> bool:
+    def is_available(self) -> bool:
         """Always true."""
         return True
 

@@ -12,7 +12,7 @@ from typing import Generic, Protocol, TypeVar
 from tqdm import tqdm
 
 from camber.localizer.localization import Localization, LocalizationOptions
-from camber.localizer.map_queries import MapAnswers
+from camber.localizer.map_queries import MapQueries
 from camber.localizer.matching.scan_matcher import ScanMatcher
 from camber.replay.drive_inputs import DriveInputs
 from camber.replay.sweep_files import SweepReader
@@ -63,7 +63,7 @@ class LocalizedDrive:
 def localize(
     inputs: DriveInputs,
     options: LocalizationOptions,
-    answers: MapAnswers,
+    answers: MapQueries,
     *,
     fixes: Sequence[Fix] = (),
     anchors: Sequence[Verdict] = (),

@@ -18,13 +18,10 @@ from camber.localizer.filter.dead_reckoning import (
     TURN_GAIN,
     WHEEL_LAG,
     YAW,
-    MotionModel,
-    MotionSample,
-    RelativeTrack,
-    WheelOdometry,
     propagate,
-    rotation,
 )
+from camber.localizer.filter.odometry import MotionModel, MotionSample, WheelOdometry, yaw_rate
+from camber.localizer.filter.track import RelativeTrack
 
 MODEL = MotionModel()
 STEP_NS = 200_000_000
@@ -40,14 +37,17 @@ class Reckoner:
         self.p = np.diag([1e-4, 1e-4, 1e-6] + [1e-12] * (N_MOTION - 3))
 
     def feed(self, time_ns, speed, rate=None, steering=None):
-        step = self.odometer.advance(MotionSample(time_ns, speed, rate, steering), float(self.x[BIAS_A]))
+        step = self.odometer.advance(
+            MotionSample(time_ns=time_ns, speed_m_s=speed, yaw_rate_rad_s=rate, steering_rad=steering),
+            float(self.x[BIAS_A]),
+        )
         if step.outcome in ("repeated", "backwards"):
             return step
-        turn = rotation(
-            step, self.model.a_rate_sensor, self.model, float(self.x[BIAS_A]), float(self.x[SCALE])
+        turn = yaw_rate(
+            step, self.model.a_rate_sensor, self.model, bias=float(self.x[BIAS_A]), scale=float(self.x[SCALE])
         )
         self.track.append(time_ns, step, step.speed_m_s, turn.rate_rad_s if turn else 0.0)
-        propagate(self.x, self.p, step, turn, self.model)
+        propagate(self.x, self.p, step, turn=turn, model=self.model)
         return step
 
     def sigma(self, index):
@@ -105,10 +105,19 @@ def test_propagation_carries_the_covariance_by_its_true_derivatives(sensor):
 
     def run(x):
         x, p, odometer = x.copy(), np.zeros((N_MOTION, N_MOTION)), WheelOdometry(model)
-        odometer.advance(MotionSample(0, speed - 0.2, rate, steering), 0.0)
-        step = odometer.advance(MotionSample(round(dt * 1e9), speed, rate, steering), 0.0)
-        turn = rotation(step, sensor, model, float(x[BIAS_A]), float(x[SCALE]), float(x[TURN_GAIN]))
-        propagate(x, p, step, turn, model)
+        odometer.advance(
+            MotionSample(time_ns=0, speed_m_s=speed - 0.2, yaw_rate_rad_s=rate, steering_rad=steering), 0.0
+        )
+        step = odometer.advance(
+            MotionSample(
+                time_ns=round(dt * 1e9), speed_m_s=speed, yaw_rate_rad_s=rate, steering_rad=steering
+            ),
+            0.0,
+        )
+        turn = yaw_rate(
+            step, sensor, model, bias=float(x[BIAS_A]), scale=float(x[SCALE]), gain=float(x[TURN_GAIN])
+        )
+        propagate(x, p, step, turn=turn, model=model)
         return x, step, turn
 
     x0 = np.array([3.0, -2.0, 0.7, 0.01, 0.0, 0.02, 0.004, 0.01, 0.1, 0.3])
@@ -117,8 +126,8 @@ def test_propagation_carries_the_covariance_by_its_true_derivatives(sensor):
     p0 = root @ root.T
     _, step, turn = run(x0)
     p, q = p0.copy(), np.zeros_like(p0)
-    propagate(x0.copy(), p, step, turn, model)
-    propagate(x0.copy(), q, step, turn, model)
+    propagate(x0.copy(), p, step, turn=turn, model=model)
+    propagate(x0.copy(), q, step, turn=turn, model=model)
     np.testing.assert_allclose(p - q, f @ p0 @ f.T, rtol=1e-6, atol=1e-6)
 
 
@@ -163,7 +172,7 @@ def test_a_standstill_holds_the_pose_and_its_covariance():
     np.testing.assert_array_equal(reckoner.x[:3], x)
 
 
-def test_wheels_in_their_dead_zone_hide_a_little_way_at_both_ends_of_a_stop():
+def test_wheels_in_their_dead_zone_hide_a_little_distance_at_both_ends_of_a_stop():
     reckoner = Reckoner()
     drive(reckoner, 10.0, 5.0)
     drive(reckoner, 2.0, 0.0, start_s=10.2)
@@ -263,7 +272,7 @@ def test_noisier_sensors_never_give_a_smaller_covariance(speed, rate, factor):
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_reading_that_is_not_finite_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=f"^{name}:"):
-        MotionSample(0, **{"speed_m_s": 1.0, name: value})
+        MotionSample(time_ns=0, **{"speed_m_s": 1.0, name: value})
 
 
 def test_the_track_interpolates_and_reaches_a_little_ahead():

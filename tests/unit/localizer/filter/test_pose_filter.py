@@ -9,11 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample
-from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
-from camber.localizer.filter.start import StartPose, lever_arm
-from camber.localizer.links.link_filter import LinkLine, line_through
-from camber.localizer.links.link_matching import Link, LinkMatch, LinkMatcher, LinkNetwork
+from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.planar_pose import rotated
+from camber.localizer.filter.pose_filter import PoseFilter
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.filter.start_from_fixes import StartPose
+from camber.localizer.links.link_matching import LinkMatch, LinkMatcher, LinkNetwork, RoadLink
+from camber.localizer.links.link_observation import LinkLine
+from support.plain_links import line_through
 
 STEP_S = 0.2
 FIX = np.eye(2) * 0.02**2
@@ -44,9 +47,16 @@ class Vehicle:
         steering += self.steering_bias + n * rng.normal(0, m.steering_noise_rad)
         gyro = rate + self.bias + n * rng.normal(0, m.yaw_rate_noise_rad_s)
         if m.a_rate_sensor == "steering" and not self.both:
-            sample = MotionSample(self.time_ns, read, None, steering)
+            sample = MotionSample(
+                time_ns=self.time_ns, speed_m_s=read, yaw_rate_rad_s=None, steering_rad=steering
+            )
         else:
-            sample = MotionSample(self.time_ns, read, gyro, steering if self.both else None)
+            sample = MotionSample(
+                time_ns=self.time_ns,
+                speed_m_s=read,
+                yaw_rate_rad_s=gyro,
+                steering_rad=steering if self.both else None,
+            )
         return self.filter.predict(sample)
 
     def drive(self, seconds, speed, rate=0.0, anchored=False, network=None):
@@ -63,8 +73,8 @@ class Vehicle:
                 self.couple(network)
 
     def antenna(self):
-        model = self.filter._model
-        return self.truth[:2] + lever_arm(self.truth[2], model.antenna_x_m, model.antenna_y_m)
+        model = self.filter.model
+        return self.truth[:2] + rotated(self.truth[2], model.antenna_x_m, model.antenna_y_m)
 
     def anchor(self, error=(0.0, 0.0), time_ns=None):
         keep = math.exp(-STEP_S / 30.0)
@@ -76,7 +86,9 @@ class Vehicle:
         e = self.filter.estimate()
         if e is None:
             return None
-        match = matcher.step(e.east_m, e.north_m, e.yaw_rad, e.covariance, self.filter.travelled_m)
+        match = matcher.step(
+            (e.east_m, e.north_m, e.yaw_rad), e.covariance, travelled_m=self.filter.travelled_m
+        )
         return self.filter.couple_link(match)
 
     def error(self):
@@ -100,11 +112,27 @@ def anchored_vehicle(**more):
 def given_pose(vehicle, sigma_m=0.1, yaw_deg=0.5, provenance="given", yaw=None):
     e, n, truth_yaw = vehicle.truth
     covariance = np.diag([sigma_m**2, sigma_m**2, math.radians(yaw_deg) ** 2])
-    return StartPose(vehicle.time_ns, e, n, truth_yaw if yaw is None else yaw, covariance, provenance)
+    return StartPose(
+        time_ns=vehicle.time_ns,
+        east_m=e,
+        north_m=n,
+        yaw_rad=truth_yaw if yaw is None else yaw,
+        covariance=covariance,
+        provenance=provenance,
+    )
 
 
 def a_match(line, sigma_m=1.0, link_id=1):
-    return LinkMatch("matched", link_id, True, 0, line, sigma_m, FAR_FROM_BENDS_M, (link_id,))
+    return LinkMatch(
+        status="matched",
+        link_id=link_id,
+        forward=True,
+        level=0,
+        line=line,
+        sigma_m=sigma_m,
+        to_sharp_m=FAR_FROM_BENDS_M,
+        candidates=(link_id,),
+    )
 
 
 # Anchors
@@ -257,15 +285,23 @@ def test_a_silence_longer_than_can_be_bridged_loses_the_pose():
 def test_samples_from_the_past_change_nothing():
     vehicle = anchored_vehicle()
     before = vehicle.filter.estimate()
-    assert vehicle.filter.predict(MotionSample(vehicle.time_ns, 9.0, 1.0)) == "repeated"
-    assert vehicle.filter.predict(MotionSample(vehicle.time_ns - 10**9, 9.0, 1.0)) == "backwards"
+    assert (
+        vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=9.0, yaw_rate_rad_s=1.0))
+        == "repeated"
+    )
+    assert (
+        vehicle.filter.predict(
+            MotionSample(time_ns=vehicle.time_ns - 10**9, speed_m_s=9.0, yaw_rate_rad_s=1.0)
+        )
+        == "backwards"
+    )
     np.testing.assert_array_equal(vehicle.filter.estimate().covariance, before.covariance)
 
 
 def test_what_a_silent_sensor_would_say_is_not_known():
     vehicle = anchored_vehicle()
     vehicle.time_ns += 2 * 10**8
-    vehicle.filter.predict(MotionSample(vehicle.time_ns, None, None))
+    vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=None, yaw_rate_rad_s=None))
     e = vehicle.filter.estimate()
     assert e.speed_m_s is None
     assert e.yaw_rate_rad_s is None
@@ -347,7 +383,7 @@ def test_links_that_say_nothing_about_the_heading_are_not_coupled():
     vehicle = anchored_vehicle()
     line = LinkLine(0.0, 0.0)
     couple = vehicle.filter.couple_link
-    assert couple(LinkMatch("none")).outcome == "not_matched"
+    assert couple(LinkMatch(status="none")).outcome == "not_matched"
     assert couple(replace(a_match(line), status="ambiguous")).outcome == "not_matched"
     assert couple(a_match(LinkLine(0.6, 0.0))).outcome == "not_parallel"
     assert couple(replace(a_match(line), to_sharp_m=5.0)).outcome == "near_bend"
@@ -369,11 +405,23 @@ def test_a_link_far_off_is_refused_first_and_taken_for_a_change_of_lane_then():
     assert abs(vehicle.filter.estimate().north_m - before.north_m) < 3.0
 
 
-def test_a_turn_onto_another_link_shows_the_way_along_the_first():
+def test_a_turn_onto_another_link_determines_the_position_along_the_first():
     network = LinkNetwork(
         [
-            Link(1, "a", "b", np.array([[-50.0, 0.0], [1030.0, 0.0]]), sigma_m=0.5),
-            Link(2, "b", "c", np.array([[1030.0, 0.0], [1030.0, 900.0]]), sigma_m=0.5),
+            RoadLink(
+                link_id=1,
+                start_node="a",
+                end_node="b",
+                vertices_m=np.array([[-50.0, 0.0], [1030.0, 0.0]]),
+                sigma_m=0.5,
+            ),
+            RoadLink(
+                link_id=2,
+                start_node="b",
+                end_node="c",
+                vertices_m=np.array([[1030.0, 0.0], [1030.0, 900.0]]),
+                sigma_m=0.5,
+            ),
         ]
     )
     vehicle = Vehicle(seed=5)
@@ -410,7 +458,7 @@ def test_two_rotation_sensors_together_are_better_than_one_and_honest():
             vehicle.filter.start(given_pose(vehicle, yaw_deg=0.1))
             for rate in (0.0, 0.1, -0.2, 0.0, 0.1):
                 vehicle.drive(12.0, 8.0, rate)
-                vehicle.filter.couple_link(LinkMatch("none"))
+                vehicle.filter.couple_link(LinkMatch(status="none"))
             errors[both].append(vehicle.error()[2])
             if both:
                 nees.append(vehicle.nees())
@@ -504,11 +552,11 @@ def test_a_standing_start_by_fixes_learns_the_heading_from_a_later_one():
     assert not vehicle.filter.start(standing), "the heading is not thrown away"
 
 
-def test_a_heading_that_is_lost_is_said_to_be_unknown():
+def test_a_heading_that_is_lost_is_reported_as_unknown():
     vehicle = anchored_vehicle()
     for _ in range(100):
         vehicle.time_ns += 2 * 10**8
-        vehicle.filter.predict(MotionSample(vehicle.time_ns, 8.0, None))
+        vehicle.filter.predict(MotionSample(time_ns=vehicle.time_ns, speed_m_s=8.0, yaw_rate_rad_s=None))
     e = vehicle.filter.estimate()
     assert not e.yaw_known
     assert vehicle.filter.mode == "dead_reckoning"
@@ -522,9 +570,9 @@ def test_nothing_depends_on_the_origin():
     seeds = {}
     for shift in (0.0, 5000.0):
         vehicle = anchored_vehicle(seed=9)
-        vehicle.filter.shifted(shift, -shift)
+        vehicle.filter.shift_origin(shift, -shift)
         vehicle.truth[:2] -= (shift, -shift)
-        line = line_through(-shift, shift - 2.0, 100.0 - shift, shift - 2.0)
+        line = line_through((-shift, shift - 2.0), (100.0 - shift, shift - 2.0))
         for _ in range(50):
             vehicle.drive(1.0, 8.0)
             vehicle.filter.couple_link(a_match(line))
@@ -570,26 +618,35 @@ EVENTS = st.lists(
 def test_any_sequence_of_events_leaves_a_covariance(events, sensor):
     pose_filter = PoseFilter(PoseModel(motion=MotionModel(a_rate_sensor=sensor), antenna_x_m=1.0))
     now = 10**15
-    pose_filter.predict(MotionSample(now, 0.0, 0.0, 0.0))
+    pose_filter.predict(MotionSample(time_ns=now, speed_m_s=0.0, yaw_rate_rad_s=0.0, steering_rad=0.0))
     for kind, a, b, c in events:
         if kind == "motion":
             now += a * 1_000_000
-            pose_filter.predict(MotionSample(now, b, c, c))
+            pose_filter.predict(MotionSample(time_ns=now, speed_m_s=b, yaw_rate_rad_s=c, steering_rad=c))
         elif kind == "anchor":
             pose_filter.anchor(now + a * 1_000_000, b, c, FIX)
         elif kind == "match":
-            pose_filter.match(now + a * 1_000_000, b, c, 0.1 * c, np.eye(3) * 1e-4, unique=b > 0)
+            pose_filter.match(now + a * 1_000_000, (b, c, 0.1 * c), np.eye(3) * 1e-4, unique=b > 0)
         elif kind == "vague match":
             covariance = np.diag([1e-4, 1e-4, 1e-5])
             covariance[:2, :2] += 1e4 * np.outer([math.cos(b), math.sin(b)], [math.cos(b), math.sin(b)])
-            pose_filter.match(now + a * 1_000_000, b, c, c, covariance, unique=True)
+            pose_filter.match(now + a * 1_000_000, (b, c, c), covariance, unique=True)
         elif kind == "link":
             pose_filter.couple_link(a_match(LinkLine(a, b), c))
         elif kind == "given":
             provenance = "fixes" if b > 25.0 else "given"
-            pose_filter.start(StartPose(now, 0.0, 0.0, a, np.diag([b * b, b * b, c * c]), provenance))
+            pose_filter.start(
+                StartPose(
+                    time_ns=now,
+                    east_m=0.0,
+                    north_m=0.0,
+                    yaw_rad=a,
+                    covariance=np.diag([b * b, b * b, c * c]),
+                    provenance=provenance,
+                )
+            )
         else:
-            pose_filter.shifted(a, b)
+            pose_filter.shift_origin(a, b)
         e = pose_filter.estimate()
         if e is None:
             continue

@@ -7,16 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camber.localizer.filter.dead_reckoning import MotionModel, MotionSample, RelativeTrack, WheelOdometry
-from camber.localizer.filter.start import (
-    HeadingModel,
-    HeadingSearch,
-    Place,
-    StartFromFixes,
-    StartPose,
-    lever_arm,
-    moved_by_lever,
-)
+from camber.localizer.filter.heading_search import HeadingModel, HeadingSearch, TrackedPosition
+from camber.localizer.filter.odometry import MotionModel, MotionSample, WheelOdometry
+from camber.localizer.filter.planar_pose import covariance_at_offset, rotated
+from camber.localizer.filter.start_from_fixes import StartFromFixes, StartPose
+from camber.localizer.filter.track import RelativeTrack
 
 FIX = np.eye(2) * 0.02**2
 STEP_NS = 200_000_000
@@ -38,12 +33,14 @@ class Drive:
         self.place = self.place + 0.2 * speed * np.array([math.cos(middle), math.sin(middle)])
         self.yaw += 0.2 * rate
         self.time_ns += STEP_NS
-        step = self.odometer.advance(MotionSample(self.time_ns, speed, rate), 0.0)
+        step = self.odometer.advance(
+            MotionSample(time_ns=self.time_ns, speed_m_s=speed, yaw_rate_rad_s=rate), 0.0
+        )
         self.track.append(self.time_ns, step, speed, rate)
 
     def fix(self, error=(0.0, 0.0)):
-        at = self.place + lever_arm(self.yaw, *self.antenna) + error + self.rng.normal(0, 0.02, 2)
-        return self.start.add(self.time_ns, float(at[0]), float(at[1]), FIX, self.track)
+        at = self.place + rotated(self.yaw, *self.antenna) + error + self.rng.normal(0, 0.02, 2)
+        return self.start.add(self.time_ns, (float(at[0]), float(at[1])), FIX, self.track)
 
 
 def test_moving_fixes_that_agree_show_place_and_heading():
@@ -92,7 +89,7 @@ def test_fixes_that_do_not_cover_the_distance_driven_are_refused():
     drive = Drive()
     for _ in range(60):
         drive.step(5.0, 0.0)
-        assert drive.start.add(drive.time_ns, 1.0, 2.0, FIX, drive.track) is None
+        assert drive.start.add(drive.time_ns, (1.0, 2.0), FIX, drive.track) is None
 
 
 def test_moving_fixes_of_a_vehicle_at_rest_are_refused():
@@ -122,11 +119,11 @@ def test_repeated_and_late_fixes_do_not_count():
 
 def test_fixes_outside_the_track_or_too_vague_do_not_count():
     drive = Drive()
-    assert drive.start.add(10**15, 0.0, 0.0, FIX, drive.track) is None
+    assert drive.start.add(10**15, (0.0, 0.0), FIX, drive.track) is None
     for _ in range(20):
         drive.step(5.0, 0.0)
         at = drive.place
-        assert drive.start.add(drive.time_ns, at[0], at[1], np.eye(2) * 9.0, drive.track) is None
+        assert drive.start.add(drive.time_ns, (at[0], at[1]), np.eye(2) * 9.0, drive.track) is None
 
 
 def test_the_origin_may_move_in_between():
@@ -145,7 +142,7 @@ def test_the_origin_may_move_in_between():
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-math.pi, math.pi), st.floats(1.0, 15.0), st.floats(-0.3, 0.3), st.integers(0, 10_000))
-def test_the_heading_found_is_within_its_sigma(yaw, speed, rate, seed):
+def test_the_heading_is_within_its_sigma(yaw, speed, rate, seed):
     drive = Drive(yaw=yaw, antenna=(1.0, -0.5), seed=seed)
     pose = None
     for _ in range(30):
@@ -159,12 +156,12 @@ def test_the_heading_found_is_within_its_sigma(yaw, speed, rate, seed):
 
 
 def a_place(east, north, drive, sigma=0.05):
-    return Place(east, north, sigma**2, drive.track.at(drive.time_ns))
+    return TrackedPosition(east, north, sigma**2, drive.track.at(drive.time_ns))
 
 
 def test_without_a_heading_what_is_driven_spreads_over_a_circle():
     drive = Drive()
-    search = HeadingSearch(a_place(10.0, 20.0, drive), 0.0, 0.0, HeadingModel())
+    search = HeadingSearch(a_place(10.0, 20.0, drive), (0.0, 0.0), HeadingModel())
     for _ in range(50):
         drive.step(5.0, 0.0)
     east, north, variance = search.spread(drive.track.at(drive.time_ns))
@@ -174,18 +171,18 @@ def test_without_a_heading_what_is_driven_spreads_over_a_circle():
 
 def test_two_places_and_the_track_between_them_show_the_heading():
     drive = Drive(yaw=1.0)
-    search = HeadingSearch(a_place(*drive.place, drive), 0.0, 0.0, HeadingModel())
-    found = None
+    search = HeadingSearch(a_place(*drive.place, drive), (0.0, 0.0), HeadingModel())
+    heading = None
     for _ in range(10):
         drive.step(5.0, 0.1)
-        found = found or search.add(a_place(*drive.place, drive))
-    assert found is not None
-    assert found[0] == pytest.approx(1.0, abs=1e-6)
+        heading = heading or search.add(a_place(*drive.place, drive))
+    assert heading is not None
+    assert heading[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_place_the_track_does_not_lead_to_shows_nothing():
     drive = Drive()
-    search = HeadingSearch(a_place(0.0, 0.0, drive), 0.0, 0.0, HeadingModel())
+    search = HeadingSearch(a_place(0.0, 0.0, drive), (0.0, 0.0), HeadingModel())
     for _ in range(10):
         drive.step(5.0, 0.0)
     assert search.add(a_place(30.0, 0.0, drive)) is None
@@ -194,7 +191,7 @@ def test_a_place_the_track_does_not_lead_to_shows_nothing():
 def test_a_covariance_moved_by_a_lever_and_back_is_the_same():
     root = np.random.default_rng(3).standard_normal((3, 3))
     covariance = root @ root.T
-    back = moved_by_lever(moved_by_lever(covariance, 2.0, -1.0), -2.0, 1.0)
+    back = covariance_at_offset(covariance_at_offset(covariance, 2.0, -1.0), -2.0, 1.0)
     np.testing.assert_allclose(back, covariance, atol=1e-12)
 
 
@@ -202,7 +199,7 @@ def test_a_covariance_moved_by_a_lever_and_back_is_the_same():
 def test_a_start_that_is_not_finite_is_refused_by_name(name):
     values = {"east_m": 0.0, "north_m": 0.0, "yaw_rad": 0.0, name: math.nan}
     with pytest.raises(ValueError, match=f"^{name}:"):
-        StartPose(0, covariance=np.eye(3), **values)
+        StartPose(time_ns=0, covariance=np.eye(3), **values)
 
 
 @pytest.mark.parametrize(
@@ -216,12 +213,12 @@ def test_a_start_that_is_not_finite_is_refused_by_name(name):
 )
 def test_a_start_needs_a_covariance(covariance, why):
     with pytest.raises(ValueError, match=f"^covariance: {why}"):
-        StartPose(0, 0.0, 0.0, 0.0, covariance)
+        StartPose(time_ns=0, east_m=0.0, north_m=0.0, yaw_rad=0.0, covariance=covariance)
 
 
 def test_a_fix_that_is_not_finite_is_refused_by_name():
     drive = Drive()
     with pytest.raises(ValueError, match=r"^north_m:"):
-        drive.start.add(0, 0.0, math.nan, FIX, drive.track)
+        drive.start.add(0, (0.0, math.nan), FIX, drive.track)
     with pytest.raises(ValueError, match=r"^covariance:"):
-        drive.start.add(0, 0.0, 0.0, FIX * math.nan, drive.track)
+        drive.start.add(0, (0.0, 0.0), FIX * math.nan, drive.track)

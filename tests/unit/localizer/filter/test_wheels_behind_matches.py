@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG, MotionModel, MotionSample, OverlayLag
-from camber.localizer.filter.pose_filter import PoseFilter, PoseModel
-from camber.localizer.filter.start import StartPose
+from camber.localizer.filter.dead_reckoning import SCALE, WHEEL_LAG
+from camber.localizer.filter.odometry import MotionModel, MotionSample
+from camber.localizer.filter.pose_filter import PoseFilter
+from camber.localizer.filter.pose_model import PoseModel
+from camber.localizer.filter.start_from_fixes import StartPose
+from camber.localizer.filter.track import OverlayLag
 
 MATCH = np.diag([0.02**2, 0.02**2, math.radians(0.05) ** 2])
 STEP_S = 0.1
@@ -20,10 +23,17 @@ class Straight:
         print("seed", seed)
         self.lag_s, self.scale, self.rng = lag_s, scale, np.random.default_rng(seed)
         self.filter = PoseFilter(PoseModel(motion=MotionModel()))
-        self.ways = []
+        self.wheels = []
         self.step(0.0)
         self.filter.start(
-            StartPose(0, 0.0, 0.0, 0.0, np.diag([0.05**2, 0.05**2, math.radians(0.1) ** 2]), "given")
+            StartPose(
+                time_ns=0,
+                east_m=0.0,
+                north_m=0.0,
+                yaw_rad=0.0,
+                covariance=np.diag([0.05**2, 0.05**2, math.radians(0.1) ** 2]),
+                provenance="given",
+            )
         )
 
     @staticmethod
@@ -33,8 +43,12 @@ class Straight:
 
     def step(self, t):
         wheel = self.speed(t - self.lag_s) / (1.0 + self.scale)
-        self.filter.predict(MotionSample(round(t * 1e9), wheel + self.rng.normal(0.0, 0.01), 0.0))
-        self.ways.append((t, wheel))
+        self.filter.predict(
+            MotionSample(
+                time_ns=round(t * 1e9), speed_m_s=wheel + self.rng.normal(0.0, 0.01), yaw_rate_rad_s=0.0
+            )
+        )
+        self.wheels.append((t, wheel))
 
     def run(self, seconds):
         """Errors along the road and their normalised squares, ten a second."""
@@ -45,17 +59,17 @@ class Straight:
             t = STEP_S * k
             self.step(t)
             here = self.filter.track.at(round(t * 1e9))
-            sweeps = [self.filter.track.at(round(s * 1e9)) for s, _ in self.ways[-10:]]
-            behind = OverlayLag(
+            sweeps = [self.filter.track.at(round(s * 1e9)) for s, _ in self.wheels[-10:]]
+            lag = OverlayLag(
                 *(
                     np.mean([getattr(here, name) - getattr(sweep, name) for sweep in sweeps])
                     for name in ("path_m", "wheel_m", "wheel_m_s")
                 )
             )
             # Where the sweeps were is seen; from there on the motion has carried them.
-            seen = np.mean([np.interp(s, fine, true) for s, _ in self.ways[-10:]]) + behind.path_m
+            seen = np.mean([np.interp(s, fine, true) for s, _ in self.wheels[-10:]]) + lag.path_m
             seen += self.rng.normal(0.0, 0.01)
-            self.filter.match(round(t * 1e9), seen, 0.0, 0.0, MATCH, unique=True, behind=behind)
+            self.filter.match(round(t * 1e9), (seen, 0.0, 0.0), MATCH, unique=True, overlay_lag=lag)
             e = self.filter.estimate()
             errors.append(e.east_m - float(np.interp(t, fine, true)))
             squares.append(errors[-1] ** 2 / e.covariance[0, 0])
@@ -66,7 +80,7 @@ class Straight:
 def test_the_age_of_the_wheels_speed_is_learnt_where_the_speed_changes(lag_s):
     drive = Straight(lag_s=lag_s)
     errors, squares = drive.run(20.0)
-    state = drive.filter._state
+    state = drive.filter.state
     assert state.x[WHEEL_LAG] == pytest.approx(lag_s, abs=0.02)
     assert math.sqrt(state.p[WHEEL_LAG, WHEEL_LAG]) < 0.015
     assert np.abs(errors[60:]).max() < 0.06
@@ -77,6 +91,6 @@ def test_the_age_of_the_wheels_speed_is_learnt_where_the_speed_changes(lag_s):
 def test_a_scale_that_smears_the_local_map_is_learnt_and_not_believed_to_be_a_place(scale):
     drive = Straight(lag_s=0.05, scale=scale)
     errors, squares = drive.run(20.0)
-    assert drive.filter._state.x[SCALE] == pytest.approx(scale, abs=0.002)
+    assert drive.filter.state.x[SCALE] == pytest.approx(scale, abs=0.002)
     assert np.abs(errors[100:]).max() < 0.05
     assert np.mean(squares < 6.63) > 0.95

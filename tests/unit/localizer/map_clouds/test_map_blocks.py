@@ -13,11 +13,11 @@ from camber.localizer.map_clouds.map_blocks import (
     CLOUD_LAYERS,
     MARGIN_M,
     NO_GROUND_M,
-    Block,
-    BlockOptions,
-    CloudLayer,
+    MapBlock,
+    MapBlockOptions,
     MapBlockStore,
 )
+from camber.localizer.map_clouds.tile_download import CloudLayer
 from camber.road_map.tile_grid import Tile, tile_frame, tile_of
 from camber.schemas.road import CloudTile
 
@@ -61,13 +61,13 @@ def street(seed: int = 1, length_m: float = 240.0) -> dict[CloudLayer, Floats]:
 def tile(layer: CloudLayer, x: int, y: int, points_m: Floats) -> CloudTile | None:
     """The points that stand in a tile, its margin of a metre included."""
     latitude, longitude, _ = PLACE.geodetic_from_east_north_array(points_m[:, :2], np.zeros(len(points_m)))
-    own = tile_frame(x, y).east_north_from_geodetic_array(latitude, longitude, np.zeros(len(points_m)))
+    of_tile = tile_frame(x, y).east_north_from_geodetic_array(latitude, longitude, np.zeros(len(points_m)))
     centre = PLACE.east_north_from_geodetic(*tile_frame_place(x, y), 0.0)
     half = np.abs(centre)
     inside = (np.abs(points_m[:, :2] - centre) <= half + 1.0).all(axis=1)
     if not inside.any():
         return None
-    about = np.column_stack((own[inside], points_m[inside, 2] - 45.0))
+    about = np.column_stack((of_tile[inside], points_m[inside, 2] - 45.0))
     return CloudTile(
         time_ns=1_400_000_000 * 10**9,
         x=x,
@@ -97,15 +97,15 @@ def at(east_m: float, north_m: float) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="module")
-def block() -> Block:
+def block() -> MapBlock:
     blocks = MapBlockStore()
     load(blocks, street())
-    found = blocks.block_at(*at(5.0, -5.0))
-    assert found is not None, blocks.reason
-    return found
+    result = blocks.block_at(*at(5.0, -5.0))
+    assert result is not None, blocks.reason
+    return result
 
 
-def test_around_a_corner_four_tiles_are_needed_the_own_one_first() -> None:
+def test_around_a_corner_four_tiles_are_needed_the_nearest_one_first() -> None:
     blocks = MapBlockStore()
     place = at(5.0, -5.0)
     needed = blocks.tiles_needed(*place)
@@ -115,7 +115,7 @@ def test_around_a_corner_four_tiles_are_needed_the_own_one_first() -> None:
     assert tiles[0] == tile_of(*place)
 
 
-def test_while_tiles_are_missing_there_is_no_block_and_it_is_said() -> None:
+def test_while_tiles_are_missing_there_is_no_block_and_it_is_reported() -> None:
     blocks = MapBlockStore()
     assert blocks.block_at(*CORNER) is None
     assert "not been loaded" in blocks.reason
@@ -124,7 +124,7 @@ def test_while_tiles_are_missing_there_is_no_block_and_it_is_said() -> None:
     assert blocks.reason == ""
 
 
-def test_a_block_holds_all_points_in_reach_each_once(block: Block) -> None:
+def test_a_block_holds_all_points_in_reach_each_once(block: MapBlock) -> None:
     """Also those that stand in two tiles, and across the border; no neighbour is lost at it."""
     poles = street()["environment_cloud"]
     latitude, longitude, _ = PLACE.geodetic_from_east_north_array(poles[:, :2], np.zeros(len(poles)))
@@ -143,25 +143,25 @@ def test_a_block_holds_all_points_in_reach_each_once(block: Block) -> None:
     assert len(np.unique(cells, axis=0)) > 0.9 * len(cells)
 
 
-def test_its_heights_are_above_the_road(block: Block) -> None:
+def test_its_heights_are_above_the_road(block: MapBlock) -> None:
     poles = street()["environment_cloud"]
     heights = block.height_above_road_m
     assert np.isfinite(heights).all()
     assert heights.min() == pytest.approx(0.0, abs=0.1)
-    assert heights.max() == pytest.approx(BlockOptions().highest_m, abs=0.2)
+    assert heights.max() == pytest.approx(MapBlockOptions().highest_m, abs=0.2)
     assert len(heights) < len(poles)
 
 
-def test_its_road_is_the_road(block: Block) -> None:
+def test_its_road_is_the_road(block: MapBlock) -> None:
     for east in (-50.0, 0.0, 40.0):
         e, n = block.east_north(*at(east, 1.0))
-        found = block.road.elevation(e, n, 0.0)
-        assert found is not None
-        assert found.height_m + block.base_height_m == pytest.approx(BASE_M + 0.05 * east, abs=0.02)
-        assert found.slope_east == pytest.approx(0.05, abs=0.005)
+        result = block.road.elevation(e, n, 0.0)
+        assert result is not None
+        assert result.height_m + block.base_height_m == pytest.approx(BASE_M + 0.05 * east, abs=0.02)
+        assert result.slope_east == pytest.approx(0.05, abs=0.005)
 
 
-def test_places_go_there_and_back(block: Block) -> None:
+def test_places_go_there_and_back(block: MapBlock) -> None:
     place = at(31.0, -22.0)
     assert block.geodetic(*block.east_north(*place)) == pytest.approx(place, abs=1e-12)
 
@@ -174,15 +174,15 @@ def test_metres_are_those_of_the_sensor_also_on_a_mountain() -> None:
         low = tile(layer, x, y, clouds[layer])
         high = None if low is None else low.model_copy(update={"base_height_m": low.base_height_m + 3000.0})
         blocks.set_tile(layer, x, y, high)
-    found = blocks.block_at(*at(5.0, -5.0))
-    assert found is not None
-    ends = [found.east_north(*at(east, 6.0)) for east in (-50.0, 50.0)]
+    result = blocks.block_at(*at(5.0, -5.0))
+    assert result is not None
+    ends = [result.east_north(*at(east, 6.0)) for east in (-50.0, 50.0)]
     assert math.dist(*ends) == pytest.approx(100.0 * (1.0 + 3045.0 / 6.36e6), abs=2e-3)
-    pole = found.environment_m[np.abs(found.environment_m[:, 0] - ends[1][0]) < 0.15]
+    pole = result.environment_m[np.abs(result.environment_m[:, 0] - ends[1][0]) < 0.15]
     assert pole[:, 0].mean() == pytest.approx(ends[1][0], abs=5e-3)
 
 
-def test_layers_reach_a_little_beyond_their_bounds_but_not_to_the_ground(block: Block) -> None:
+def test_layers_reach_a_little_beyond_their_bounds_but_not_to_the_ground(block: MapBlock) -> None:
     targets = block.layers(BOUNDS)
     assert all(one is other for one, other in zip(block.layers(BOUNDS), targets, strict=True))
     road = block.road
@@ -192,7 +192,7 @@ def test_layers_reach_a_little_beyond_their_bounds_but_not_to_the_ground(block: 
     assert (high.min(), high.max()) == pytest.approx((1.8, 3.2), abs=0.1)
 
 
-def test_a_layer_that_begins_at_the_road_reaches_below_it(block: Block) -> None:
+def test_a_layer_that_begins_at_the_road_reaches_below_it(block: MapBlock) -> None:
     (low,) = block.layers(((0.0, 1.0),))
     assert block.road.height_above_road(low.points_m).min() < 0.1
 
@@ -215,7 +215,7 @@ def test_no_tile_is_asked_for_twice_while_it_is_near() -> None:
 
 
 def test_only_the_last_few_blocks_are_kept() -> None:
-    blocks = MapBlockStore(BlockOptions(blocks=2))
+    blocks = MapBlockStore(MapBlockOptions(blocks=2))
     load(blocks, street())
     first = blocks.block_at(*at(5.0, -5.0))
     blocks.block_at(*at(-5.0, -5.0))
@@ -232,13 +232,13 @@ def test_tiles_far_away_are_forgotten() -> None:
     load(blocks, street())
     held = blocks.points
     assert held > 0
-    blocks.tiles_needed(*at(3000.0, 0.0))
+    blocks.drop_far_tiles(*at(3000.0, 0.0))
     assert blocks.points == 0
     assert load(blocks, street()) == 8
     assert blocks.points == held
 
 
-def test_where_the_map_has_nothing_it_is_said_why() -> None:
+def test_where_the_map_has_nothing_the_reason_is_reported() -> None:
     blocks = MapBlockStore()
     for layer, x, y in blocks.tiles_needed(*CORNER):
         blocks.set_tile(layer, x, y, None, "datum_mismatch")
@@ -255,10 +255,10 @@ def test_at_the_edge_of_the_map_a_block_names_what_is_missing() -> None:
     for layer, x, y in blocks.tiles_needed(*CORNER):
         there = tile(layer, x, y, clouds[layer]) if x == X else None
         blocks.set_tile(layer, x, y, there, "the release has no such tile")
-    found = blocks.block_at(*at(5.0, -5.0))
-    assert found is not None
-    assert {f"{layer} {X - 1} {y}" for layer in CLOUD_LAYERS for y in (Y - 1, Y)} <= set(found.missing)
-    assert f"road_cloud {X} {Y}" not in found.missing
+    result = blocks.block_at(*at(5.0, -5.0))
+    assert result is not None
+    assert {f"{layer} {X - 1} {y}" for layer in CLOUD_LAYERS for y in (Y - 1, Y)} <= set(result.missing)
+    assert f"road_cloud {X} {Y}" not in result.missing
 
 
 def test_an_environment_without_a_road_is_no_block() -> None:
@@ -282,9 +282,9 @@ def test_a_new_tile_replaces_the_old_one_and_its_blocks() -> None:
     assert again is not first
     assert again is not None
     e, n = again.east_north(*at(30.0, -2.0))
-    found = again.road.elevation(e, n, 5.0)
-    assert found is not None
-    assert found.height_m + again.base_height_m == pytest.approx(BASE_M + 1.5 + 1.0, abs=0.03)
+    result = again.road.elevation(e, n, 5.0)
+    assert result is not None
+    assert result.height_m + again.base_height_m == pytest.approx(BASE_M + 1.5 + 1.0, abs=0.03)
 
 
 def test_a_tile_that_was_missing_and_comes_with_a_new_map_makes_blocks_anew() -> None:
@@ -313,13 +313,13 @@ def test_the_block_ahead_is_built_step_by_step() -> None:
         assert blocks.reason == ""
         assert blocks.block_at(*at(5.0, -5.0)) is here
     assert steps == 1 + len(BOUNDS) + 1
-    found = blocks.block_at(*ahead)
-    assert found is not None
-    assert not found.build_next(BOUNDS)
+    result = blocks.block_at(*ahead)
+    assert result is not None
+    assert not result.build_next(BOUNDS)
 
 
 @pytest.mark.parametrize("latitude_deg", [0.1, 35.2, -47.3, 70.0])
-def test_the_tiles_of_the_own_block_are_always_among_those_needed(latitude_deg: float) -> None:
+def test_the_tiles_of_the_vehicles_block_are_always_among_those_needed(latitude_deg: float) -> None:
     """Blocks are larger near the equator."""
     rng = np.random.default_rng(7)
     middle = np.array([math.radians(latitude_deg), 1.0])

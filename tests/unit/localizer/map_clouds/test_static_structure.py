@@ -16,8 +16,8 @@ def column(low_m: float, high_m: float, x_m: float = 0.2, step_m: float = 0.2) -
 def steady(*columns_m: np.ndarray) -> list[bool]:
     """Of each column, whether all of it is steady, or none."""
     points_m = np.concatenate(columns_m)
-    found = static_mask(points_m, points_m[:, 2])
-    parts = np.split(found, np.cumsum([len(part) for part in columns_m])[:-1])
+    result = static_mask(points_m, points_m[:, 2])
+    parts = np.split(result, np.cumsum([len(part) for part in columns_m])[:-1])
     assert all(len(set(part.tolist())) == 1 for part in parts)
     return [bool(part[0]) for part in parts]
 
@@ -46,7 +46,7 @@ def test_a_gap_of_a_window_or_a_sign_does_no_harm() -> None:
     assert static_mask(points_m, points_m[:, 2]).all()
 
 
-def test_a_car_beside_a_post_is_not_made_steady_by_it() -> None:
+def test_a_car_next_to_a_post_is_not_made_static_by_it() -> None:
     assert steady(column(0.0, 5.0), column(0.0, 1.5, x_m=0.8)) == [True, False]
 
 

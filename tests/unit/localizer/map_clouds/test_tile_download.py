@@ -1,4 +1,4 @@
-"""Loading a tile part by part: it arrives whole and right, or it is said why not."""
+"""Loading a tile part by part: it arrives whole and right, or the reason is reported."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run(fetch: TileFetch, server: Server, steps: int = 200) -> int:
     """How many steps it took."""
     for step in range(steps):
         for request in fetch.requests(NOW_NS):
-            fetch.take(request.part, server(request))
+            fetch.receive(request.part, server(request))
         if fetch.state != "loading":
             return step + 1
     return steps
@@ -185,7 +185,7 @@ def test_whatever_comes_it_is_right_or_refused(data: st.DataObject) -> None:
                 payload = reply.payload.copy()
                 payload[len(payload) // 2 :] ^= 0x55
                 reply = reply.model_copy(update={"payload": payload if fault == "bytes" else payload[:100]})
-            fetch.take(request.part, None if fault == "lost" else reply)
+            fetch.receive(request.part, None if fault == "lost" else reply)
     if fetch.state == "loaded":
         assert fetch.tile is not None
         assert encode(fetch.tile) == blob

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from camber.localizer.map_clouds.map_blocks import BlockOptions
+from camber.localizer.map_clouds.map_blocks import MapBlockOptions
 from camber.localizer.map_clouds.tile_loading import CloudTileLoader
-from camber.localizer.map_queries import NoAnswer
+from camber.localizer.map_queries import MapQueryFailure
 from camber.localizer.warm_up import NoDiagnostics, SyntheticMap, synthetic_street
 from camber.road_map.tile_grid import tile_frame
 from camber.schemas.road import TileReply, TileRequest
@@ -27,22 +27,22 @@ class CountingMap(SyntheticMap):
         self.there, self.silent = True, False
         self.seen: list[TileRequest] = []
 
-    def tile(self, request: TileRequest) -> TileReply | NoAnswer:  # type: ignore[override]
+    def tile(self, request: TileRequest) -> TileReply | MapQueryFailure:  # type: ignore[override]
         self.asked[request.layer, request.x, request.y] += 1
         self.seen.append(request)
         if self.silent:
-            return NoAnswer("timeout", "said the test")
+            return MapQueryFailure("timeout", "by the test")
         reply = super().tile(request)
         if request.have_sha256 is not None and request.have_sha256 == reply.sha256:
             return reply.model_copy(update={"status": "unchanged", "payload": np.zeros(0, np.uint8)})
         return reply
 
-    def is_there(self) -> bool:
+    def is_available(self) -> bool:
         return self.there
 
 
 def supply(answers: Any) -> CloudTileLoader:
-    return CloudTileLoader(BlockOptions(), answers, NoDiagnostics())
+    return CloudTileLoader(MapBlockOptions(), answers, NoDiagnostics())
 
 
 def test_a_tile_is_loaded_once_while_it_is_in_use() -> None:

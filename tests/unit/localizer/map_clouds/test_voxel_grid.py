@@ -22,10 +22,10 @@ def test_each_voxel_becomes_the_mean_of_its_points(seed: int, n: int, spread_m: 
     group = group.ravel()
     counts = np.bincount(group)
     expected = np.column_stack([np.bincount(group, points[:, axis]) / counts for axis in range(3)])
-    found = voxel_means(points, 0.3)
-    assert found.shape == expected.shape
-    order, other = np.lexsort(found.T), np.lexsort(expected.T)
-    np.testing.assert_allclose(found[order], expected[other], atol=1e-9)
+    result = voxel_means(points, 0.3)
+    assert result.shape == expected.shape
+    order, other = np.lexsort(result.T), np.lexsort(expected.T)
+    np.testing.assert_allclose(result[order], expected[other], atol=1e-9)
 
 
 def test_they_come_in_the_order_of_first_appearance() -> None:
@@ -41,9 +41,9 @@ def test_equal_input_gives_equal_bytes() -> None:
 def test_points_on_a_plane_stay_on_it() -> None:
     points = cloud(4, 5_000, 5.0)
     points[:, 2] = 0.1 * points[:, 0] - 0.05 * points[:, 1]
-    found = voxel_means(points, 0.5)
-    assert len(found) < 2_500
-    np.testing.assert_allclose(found[:, 2], 0.1 * found[:, 0] - 0.05 * found[:, 1], atol=1e-12)
+    result = voxel_means(points, 0.5)
+    assert len(result) < 2_500
+    np.testing.assert_allclose(result[:, 2], 0.1 * result[:, 0] - 0.05 * result[:, 1], atol=1e-12)
 
 
 def test_of_nothing_comes_nothing() -> None:

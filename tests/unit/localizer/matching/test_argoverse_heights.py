@@ -16,9 +16,14 @@ import pytest
 from camber.formats.map_exchange.argoverse import ArgoverseLog, Floats, LidarSweep, read_log
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import roll_pitch_yaw_from_rotation, transform_points
-from camber.localizer.map_clouds.map_blocks import Block
+from camber.localizer.map_clouds.map_blocks import MapBlock
 from camber.localizer.map_clouds.voxel_grid import voxel_means
-from camber.localizer.matching.ground_alignment import SensorHeights, align_to_road, measure_sensor_heights
+from camber.localizer.matching.ground_alignment import (
+    PlanarPose,
+    SensorHeights,
+    align_to_road,
+    measure_sensor_heights,
+)
 from camber.localizer.matching.sweep_preparation import SensorMount, SweepOptions
 from camber.localizer.road.road_attitude import ground_plane
 from camber.localizer.road.road_raster import RoadHeights
@@ -45,13 +50,16 @@ def of_sensor(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) ->
     """Its points and where it is, in the vehicle frame, whose origin is on the road: thinned, own vehicle left out."""
     motion = log.egovehicle_from_sensor[name]
     x_m, y_m, z_m = motion[:3, 3].tolist()
-    mount = SensorMount(x_m, y_m, z_m + axle_m, *roll_pitch_yaw_from_rotation(motion))
+    roll_rad, pitch_rad, yaw_rad = roll_pitch_yaw_from_rotation(motion)
+    mount = SensorMount(
+        x_m=x_m, y_m=y_m, z_m=z_m + axle_m, roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad
+    )
     points_m = sweep.points_m[sweep.of_sensor(name)]
     forward, left = points_m[:, 0], points_m[:, 1]
-    own = (-OPTIONS.own_rear_m < forward) & (forward < OPTIONS.own_front_m)
-    own &= np.abs(left) < OPTIONS.own_half_width_m
-    near = np.linalg.norm(points_m - motion[:3, 3], axis=1) < OPTIONS.most_range_m
-    return voxel_means(points_m[near & ~own] + [0.0, 0.0, axle_m], OPTIONS.voxel_m), mount
+    vehicle = (-OPTIONS.vehicle_rear_m < forward) & (forward < OPTIONS.vehicle_front_m)
+    vehicle &= np.abs(left) < OPTIONS.vehicle_half_width_m
+    near = np.linalg.norm(points_m - motion[:3, 3], axis=1) < OPTIONS.max_range_m
+    return voxel_means(points_m[near & ~vehicle] + [0.0, 0.0, axle_m], OPTIONS.voxel_m), mount
 
 
 def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> SensorHeights:
@@ -59,16 +67,21 @@ def heights(log: ArgoverseLog, sweep: LidarSweep, name: str, axle_m: float) -> S
     place_m = sweep.city_from_egovehicle[:3, 3]
     corner_m = np.floor(place_m)
     road_m = log.ground.points_near(place_m, 60.0) - corner_m
-    block = Block(
-        LocalFrame(0.7, -1.4, 0.0), float(corner_m[2]), np.zeros((0, 3)), road_m, RoadHeights.of(road_m), ()
+    block = MapBlock(
+        frame=LocalFrame(0.7, -1.4, 0.0),
+        base_height_m=float(corner_m[2]),
+        environment_m=np.zeros((0, 3)),
+        road_m=road_m,
+        road=RoadHeights.of(road_m),
+        missing=(),
     )
     points_m, mount = of_sensor(log, sweep, name, axle_m)
     east_m, north_m, up_m = (place_m - corner_m).tolist()
     _, _, yaw_rad = roll_pitch_yaw_from_rotation(sweep.city_from_egovehicle)
-    standing = align_to_road(points_m, block, east_m, north_m, yaw_rad, up_m)
-    assert standing is not None
+    alignment = align_to_road(points_m, block, PlanarPose(east_m, north_m, yaw_rad), near_m=up_m)
+    assert alignment is not None
     return measure_sensor_heights(
-        points_m, ground_plane(points_m, mount), mount, standing.map_from_local, block
+        points_m, ground_plane(points_m, mount), mount, matched=alignment.map_from_local, block=block
     )
 
 
@@ -80,32 +93,32 @@ def calibrated_m(log: ArgoverseLog, sweep: LidarSweep, name: str) -> float:
 
 @pytest.mark.parametrize("axle_m", AXLES_M)
 @pytest.mark.parametrize("name", SENSORS)
-def test_by_its_own_returns_and_by_matching_the_ground_a_sensor_is_as_high_as_calibrated(
+def test_by_the_ground_in_its_sweep_and_by_matching_the_ground_a_sensor_is_as_high_as_calibrated(
     log: ArgoverseLog, name: str, axle_m: float
 ) -> None:
     assert len(log.sweeps) == 2
     for sweep in log.sweeps:
-        found, true_m = heights(log, sweep, name, axle_m), calibrated_m(log, sweep, name)
-        assert found.ground_m is not None
-        assert found.matched_m is not None
-        print(f"{sweep.time_ns} {name}: ranging {found.ground_m - true_m:+.4f}, "
-              f"matching {found.matched_m - true_m:+.4f} m off {true_m:.3f} m")  # fmt: skip
-        assert abs(found.ground_m - true_m) < WITHIN_M
-        assert abs(found.matched_m - true_m) < WITHIN_M
-        assert not found.misplaced
+        measured, true_m = heights(log, sweep, name, axle_m), calibrated_m(log, sweep, name)
+        assert measured.ground_m is not None
+        assert measured.matched_m is not None
+        print(f"{sweep.time_ns} {name}: ranging {measured.ground_m - true_m:+.4f}, "
+              f"matching {measured.matched_m - true_m:+.4f} m off {true_m:.3f} m")  # fmt: skip
+        assert abs(measured.ground_m - true_m) < WITHIN_M
+        assert abs(measured.matched_m - true_m) < WITHIN_M
+        assert not measured.misplaced
 
 
-def test_the_slope_found_is_that_of_the_pose(log: ArgoverseLog) -> None:
+def test_the_slope_is_that_of_the_pose(log: ArgoverseLog) -> None:
     for sweep in log.sweeps:
-        found = heights(log, sweep, "up_lidar", AXLES_M[0])
+        measured = heights(log, sweep, "up_lidar", AXLES_M[0])
         roll_rad, pitch_rad, _ = roll_pitch_yaw_from_rotation(sweep.city_from_egovehicle)
         # A body that drives is tilted against its road by a degree at most.
-        assert found.slope_forward == pytest.approx(-math.tan(pitch_rad), abs=0.02)
-        assert found.slope_left == pytest.approx(math.tan(roll_rad), abs=0.02)
+        assert measured.slope_forward == pytest.approx(-math.tan(pitch_rad), abs=0.02)
+        assert measured.slope_left == pytest.approx(math.tan(roll_rad), abs=0.02)
 
 
 @pytest.mark.parametrize(("name", "other"), [SENSORS, SENSORS[::-1]])
-def test_each_laser_keeps_its_elevation_in_the_sensor_that_it_is_said_to_be_of(
+def test_each_laser_keeps_its_elevation_in_the_sensor_that_it_belongs_to(
     log: ArgoverseLog, name: str, other: str
 ) -> None:
     sweep = log.sweeps[0]

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import map_from_vehicle, roll_pitch_yaw_from_rotation, transform_points
-from camber.localizer.map_clouds.map_blocks import Block
+from camber.localizer.map_clouds.map_blocks import MapBlock
 from camber.localizer.matching.ground_alignment import (
+    PlanarPose,
     RoadBy,
     SensorHeights,
     align_to_road,
@@ -24,7 +25,7 @@ from camber.localizer.road.road_raster import RoadHeights
 Floats = NDArray[np.float64]
 
 GRADE, CROSSFALL = 0.10, -0.02
-MOUNT = SensorMount(1.2, 0.1, 1.9)
+MOUNT = SensorMount(x_m=1.2, y_m=0.1, z_m=1.9)
 NOSE_UP_RAD = math.radians(0.4)
 """Of the body against the road, about the vehicle frame's origin."""
 
@@ -38,7 +39,14 @@ def road(step_m: float, seed: int) -> Floats:
 
 
 MAP = road(0.25, 1)
-BLOCK = Block(LocalFrame(0.6, 2.4, 0.0), 0.0, np.zeros((0, 3)), MAP, RoadHeights.of(MAP), ())
+BLOCK = MapBlock(
+    frame=LocalFrame(0.6, 2.4, 0.0),
+    base_height_m=0.0,
+    environment_m=np.zeros((0, 3)),
+    road_m=MAP,
+    road=RoadHeights.of(MAP),
+    missing=(),
+)
 TRUTH = map_from_vehicle(
     0.0,
     0.0,
@@ -53,8 +61,8 @@ SENSOR_M = (TRUTH @ MOUNT.vehicle_from_sensor)[:3, 3]
 HEIGHT_M = float(SENSOR_M[2] - GRADE * SENSOR_M[0] - CROSSFALL * SENSOR_M[1])
 
 
-def heights(match: Floats, own: GroundPlane | None = None, sweep_m: Floats = SEEN) -> SensorHeights:
-    return measure_sensor_heights(sweep_m, own, MOUNT, match, BLOCK)
+def heights(match: Floats, ground: GroundPlane | None = None, sweep_m: Floats = SEEN) -> SensorHeights:
+    return measure_sensor_heights(sweep_m, ground, MOUNT, matched=match, block=BLOCK)
 
 
 def off(east_m: float = 0.0, up_m: float = 0.0, pitch_deg: float = 0.0) -> Floats:
@@ -67,40 +75,40 @@ def off(east_m: float = 0.0, up_m: float = 0.0, pitch_deg: float = 0.0) -> Float
     "match", [off(), off(up_m=0.08), off(pitch_deg=0.3), off(up_m=-0.05, pitch_deg=-0.4)]
 )
 def test_height_and_attitude_are_those_of_the_sweep_and_not_of_the_overlay(match: Floats) -> None:
-    found = heights(match)
-    assert found.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
-    assert found.matched_sigma_m is not None
-    assert 0.01 < found.matched_sigma_m < 0.02
+    result = heights(match)
+    assert result.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
+    assert result.matched_sigma_m is not None
+    assert 0.01 < result.matched_sigma_m < 0.02
     wanted = roll_pitch_yaw_from_rotation(TRUTH)
-    assert roll_pitch_yaw_from_rotation(found.map_from_vehicle) == pytest.approx(wanted, abs=5e-4)
-    assert found.slope_forward == pytest.approx(GRADE, abs=0.002)
-    assert found.slope_left == pytest.approx(CROSSFALL, abs=0.002)
+    assert roll_pitch_yaw_from_rotation(result.map_from_vehicle) == pytest.approx(wanted, abs=5e-4)
+    assert result.slope_forward == pytest.approx(GRADE, abs=0.002)
+    assert result.slope_left == pytest.approx(CROSSFALL, abs=0.002)
 
 
 def test_a_match_that_moves_along_the_grade_takes_its_height_along() -> None:
-    found = heights(off(east_m=1.0))  # at the height of the place before
-    assert found.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
-    assert found.map_from_vehicle[2, 3] == pytest.approx(GRADE, abs=0.004)
+    result = heights(off(east_m=1.0))  # at the height of the place before
+    assert result.matched_m == pytest.approx(HEIGHT_M, abs=0.004)
+    assert result.map_from_vehicle[2, 3] == pytest.approx(GRADE, abs=0.004)
 
 
 def test_a_sweep_that_shows_no_road_says_no_height_and_leaves_the_match() -> None:
     walls = np.column_stack((np.full(500, 12.0), np.linspace(-9.0, 9.0, 500), np.linspace(0.5, 4.0, 500)))
     match = off(up_m=0.05)
-    found = heights(match, sweep_m=walls)
-    assert found.matched_m is None
-    np.testing.assert_array_equal(found.map_from_vehicle, match)
+    result = heights(match, sweep_m=walls)
+    assert result.matched_m is None
+    np.testing.assert_array_equal(result.map_from_vehicle, match)
 
 
-def test_beside_the_road_of_the_map_nothing_is_known() -> None:
-    found = heights(map_from_vehicle(0.0, 14.0, 0.0, 0.0, 0.0, 0.0))
-    assert (found.matched_m, found.ground_m, found.slope_forward) == (None, None, None)
+def test_off_the_road_of_the_map_no_height_is_known() -> None:
+    result = heights(map_from_vehicle(0.0, 14.0, 0.0, 0.0, 0.0, 0.0))
+    assert (result.matched_m, result.ground_m, result.slope_forward) == (None, None, None)
 
 
-def test_the_bodys_tilt_against_the_road_is_that_of_its_own_returns() -> None:
-    own = ground_plane(SEEN, MOUNT)
-    assert own is not None
-    assert own.tilt == pytest.approx((0.0, -NOSE_UP_RAD), abs=1e-3)
-    assert heights(off(), own).ground_m == pytest.approx(HEIGHT_M, abs=0.004)
+def test_the_bodys_tilt_against_the_road_is_that_of_the_sweeps_ground() -> None:
+    ground = ground_plane(SEEN, MOUNT)
+    assert ground is not None
+    assert ground.tilt == pytest.approx((0.0, -NOSE_UP_RAD), abs=1e-3)
+    assert heights(off(), ground).ground_m == pytest.approx(HEIGHT_M, abs=0.004)
     turned = ground_plane(SEEN @ TRUTH[:3, :3].T, MOUNT)  # as if it were level: six degrees
     assert turned is not None
     assert (turned.problem, turned.tilt) == ("mounting", (0.0, 0.0))
@@ -108,11 +116,11 @@ def test_the_bodys_tilt_against_the_road_is_that_of_its_own_returns() -> None:
 
 
 @pytest.mark.parametrize("by", ["surface", "line"])
-def test_a_local_map_is_set_down_on_the_grade_by_its_own_ground_or_by_the_maps_line(by: RoadBy) -> None:
-    standing = align_to_road(SEEN, BLOCK, 0.0, 0.0, 0.0, 0.2, by=by)
-    assert standing is not None
-    _, pitch_rad, _ = roll_pitch_yaw_from_rotation(standing.map_from_local)
-    assert abs(standing.map_from_local[2, 3]) < 0.03
+def test_a_local_map_is_aligned_to_the_grade_by_its_ground_or_by_the_maps_line(by: RoadBy) -> None:
+    alignment = align_to_road(SEEN, BLOCK, PlanarPose(0.0, 0.0, 0.0), near_m=0.2, by=by)
+    assert alignment is not None
+    _, pitch_rad, _ = roll_pitch_yaw_from_rotation(alignment.map_from_local)
+    assert abs(alignment.map_from_local[2, 3]) < 0.03
     # The line is the road's; only its own ground shows how the body stands on it.
     body_rad = NOSE_UP_RAD if by == "surface" else 0.0
     assert pitch_rad == pytest.approx(-math.atan(GRADE) - body_rad, abs=math.radians(0.1))
@@ -120,11 +128,11 @@ def test_a_local_map_is_set_down_on_the_grade_by_its_own_ground_or_by_the_maps_l
 
 def test_without_ground_in_sight_the_maps_line_serves() -> None:
     walls = SEEN + np.array([0.0, 0.0, 2.0])
-    standing = align_to_road(walls, BLOCK, 0.0, 0.0, 0.0, 0.2)
-    assert standing is not None
-    assert standing.road is None
-    assert abs(standing.map_from_local[2, 3]) < 0.03
+    alignment = align_to_road(walls, BLOCK, PlanarPose(0.0, 0.0, 0.0), near_m=0.2)
+    assert alignment is not None
+    assert alignment.road is None
+    assert abs(alignment.map_from_local[2, 3]) < 0.03
 
 
-def test_where_the_map_has_no_road_nothing_is_set_down() -> None:
-    assert align_to_road(SEEN, BLOCK, 500.0, 500.0, 0.0, 0.0) is None
+def test_without_a_road_in_the_map_there_is_no_alignment() -> None:
+    assert align_to_road(SEEN, BLOCK, PlanarPose(500.0, 500.0, 0.0), near_m=0.0) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camber.localizer.matching.layer_selection import LayerEstimate, choose, fused
+from camber.localizer.matching.layer_selection import LayerEstimate, fuse, select
 
 
 def estimate(
@@ -18,29 +18,31 @@ def estimate(
 ) -> LayerEstimate:
     north = sigma_m if north_sigma_m is None else north_sigma_m
     return LayerEstimate(
-        np.array([east_m, north_m, yaw_rad]), np.diag([sigma_m**2, north**2, 0.001**2]), distance_m
+        offset=np.array([east_m, north_m, yaw_rad]),
+        covariance=np.diag([sigma_m**2, north**2, 0.001**2]),
+        mean_distance_m=distance_m,
     )
 
 
 def test_best_is_the_layer_of_least_mean_distance() -> None:
-    choice = choose([estimate(0.0, distance_m=0.2), estimate(0.5, distance_m=0.1)], "best")
+    choice = select([estimate(0.0, distance_m=0.2), estimate(0.5, distance_m=0.1)], "best")
     assert choice.offset[0] == 0.5
     assert choice.used == (False, True)
 
 
 def test_mean_is_that_of_all_layers() -> None:
-    choice = choose([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "mean")
+    choice = select([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "mean")
     assert choice.offset[0] == pytest.approx(0.3)
     assert choice.used == (True, True)
 
 
 def test_weighted_mean_is_by_one_over_the_mean_distance() -> None:
-    choice = choose([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "weighted")
+    choice = select([estimate(0.0, distance_m=0.2), estimate(0.6, distance_m=0.1)], "weighted")
     assert choice.offset[0] == pytest.approx(0.4)
 
 
 def test_a_layer_that_two_others_contradict_is_voted_out() -> None:
-    choice = choose([estimate(0.0), estimate(0.8), estimate(0.01)], "voted")
+    choice = select([estimate(0.0), estimate(0.8), estimate(0.01)], "voted")
     assert choice.agreed
     assert choice.used == (True, False, True)
     assert choice.offset[0] == pytest.approx(0.005)
@@ -50,19 +52,19 @@ def test_a_layer_that_two_others_contradict_is_voted_out() -> None:
 def test_without_a_majority_nothing_is_agreed_and_the_covariance_holds_the_spread(
     offsets: tuple[float, ...],
 ) -> None:
-    choice = choose([estimate(east) for east in offsets], "voted")
+    choice = select([estimate(east) for east in offsets], "voted")
     assert not choice.agreed
     sigma_m = float(np.sqrt(choice.covariance[0, 0]))
     assert all(abs(choice.offset[0] - east) < 2.0 * sigma_m for east in offsets)
 
 
 def test_two_layers_that_disagree_by_yaw_alone_are_noticed() -> None:
-    assert not choose([estimate(0.0), estimate(0.0, yaw_rad=0.02)], "voted").agreed
+    assert not select([estimate(0.0), estimate(0.0, yaw_rad=0.02)], "voted").agreed
 
 
 def test_a_direction_that_one_layer_alone_sees_is_taken_from_it() -> None:
     walls_along, house_front = estimate(0.1, -3.0, north_sigma_m=10.0), estimate(0.1, 0.4)
-    choice = choose([walls_along, house_front], "voted")
+    choice = select([walls_along, house_front], "voted")
     assert choice.agreed
     assert choice.used == (True, True)
     assert choice.offset[1] == pytest.approx(0.4, abs=0.001)
@@ -70,7 +72,7 @@ def test_a_direction_that_one_layer_alone_sees_is_taken_from_it() -> None:
 
 def test_a_layer_that_agrees_with_everything_gives_no_majority() -> None:
     blind = estimate(0.0, sigma_m=10.0)
-    assert not choose([estimate(0.0), estimate(0.8), blind], "voted").agreed
+    assert not select([estimate(0.0), estimate(0.8), blind], "voted").agreed
 
 
 def test_fusing_is_the_least_squares_solution() -> None:
@@ -78,8 +80,12 @@ def test_fusing_is_the_least_squares_solution() -> None:
     estimates = []
     for _ in range(3):
         a = random.normal(0.0, 1.0, (3, 3))
-        estimates.append(LayerEstimate(random.normal(0.0, 0.1, 3), a @ a.T + np.eye(3), 0.1))
-    offset, covariance = fused(estimates)
+        estimates.append(
+            LayerEstimate(
+                offset=random.normal(0.0, 0.1, 3), covariance=a @ a.T + np.eye(3), mean_distance_m=0.1
+            )
+        )
+    offset, covariance = fuse(estimates)
     roots = [np.linalg.cholesky(np.linalg.inv(e.covariance)).T for e in estimates]
     rows = np.concatenate(roots)
     wanted, *_ = np.linalg.lstsq(
@@ -91,5 +97,5 @@ def test_fusing_is_the_least_squares_solution() -> None:
 
 def test_layers_that_scatter_more_than_they_say_are_believed_less() -> None:
     apart = [estimate(0.0, sigma_m=0.01), estimate(0.05, sigma_m=0.01)]
-    _, covariance = fused(apart)
+    _, covariance = fuse(apart)
     assert covariance[0, 0] > 0.01**2 / 2.0

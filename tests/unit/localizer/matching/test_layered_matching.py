@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from camber.localizer.matching.icp import moved
 from camber.localizer.matching.layered_matching import (
-    DOCUMENT_BOUNDS_M,
     LayeredMatch,
+    MatchInput,
     MatchOptions,
     match_layers,
 )
 from camber.localizer.matching.match_covariance import UNSEEN_M
-from camber.localizer.matching.point_to_plane import moved
 from camber.localizer.matching.registration import LayerTarget, Method
 from support.plain_layers import (
     CORRIDOR,
@@ -57,7 +57,8 @@ def seen(shift_low_m: float = 0.0, shift_middle_m: float = 0.0, shift_high_m: fl
 def matched(
     points: Floats, layers: list[LayerTarget], guess: Floats = GUESS, options: MatchOptions = OPTIONS
 ) -> LayeredMatch:
-    return match_layers(points, points[:, 2], layers, guess, options)
+    scan = MatchInput(points_m=points, heights_m=points[:, 2], targets=layers, guess=guess)
+    return match_layers(scan, options)
 
 
 def is_confident(match: LayeredMatch, off_m: float) -> bool:
@@ -85,7 +86,8 @@ def test_every_method_matches_the_yard(method: Method, layers: list[LayerTarget]
 
 
 @pytest.mark.parametrize(
-    "bounds", [DOCUMENT_BOUNDS_M, ((0.3, 0.8), (0.8, 3.0)), ((0.3, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 3.4))]
+    "bounds",
+    [((0.0, 1.0), (1.0, 2.0), (2.0, 3.0)), ((0.3, 0.8), (0.8, 3.0)), ((0.3, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 3.4))]
 )  # fmt: skip
 def test_layers_may_be_of_any_number_and_height(
     bounds: tuple[tuple[float, float], ...], map_m: Floats

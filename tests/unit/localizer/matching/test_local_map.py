@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from camber.geodesy.se3 import rotation_from_roll_pitch_yaw
-from camber.localizer.filter.dead_reckoning import TrackPoint
+from camber.localizer.filter.track import TrackPoint
 from camber.localizer.matching.local_map import LocalMap
 from camber.localizer.matching.sweep_preparation import PreparedSweep
 
@@ -17,7 +17,15 @@ BEGIN_NS = 1_400_000_000 * 10**9
 
 
 def sweep(points_m: NDArray[np.float64], k: int) -> PreparedSweep:
-    return PreparedSweep(BEGIN_NS + k * 100_000_000, points_m, None, 1.0, 0, None, 0.0)
+    return PreparedSweep(
+        time_ns=BEGIN_NS + k * 100_000_000,
+        points_m=points_m,
+        problem=None,
+        coverage=1.0,
+        dropped=0,
+        at=None,
+        skew_m=0.0,
+    )
 
 
 def world(seed: int = 1, n: int = 2000) -> NDArray[np.float64]:
@@ -34,20 +42,22 @@ def seen_from(
 
 def arc(k: int, step_m: float = 1.5, turn_rad: float = 0.03) -> TrackPoint:
     yaw, radius = k * turn_rad, step_m / turn_rad
-    return TrackPoint(radius * math.sin(yaw), radius * (1.0 - math.cos(yaw)), yaw, k * step_m)
+    return TrackPoint(
+        east_m=radius * math.sin(yaw), north_m=radius * (1.0 - math.cos(yaw)), yaw_rad=yaw, path_m=k * step_m
+    )
 
 
 def test_what_stands_still_falls_on_itself() -> None:
     local, points = LocalMap(voxel_m=0.001, reach_m=200.0), world()
     for k in range(10):
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
-    found = local.overlay()
-    assert found is not None
-    assert (found.sweeps, found.time_ns) == (10, BEGIN_NS + 900_000_000)
-    assert found.path_m == pytest.approx(13.5)
+    result = local.overlay()
+    assert result is not None
+    assert (result.sweeps, result.time_ns) == (10, BEGIN_NS + 900_000_000)
+    assert result.path_m == pytest.approx(13.5)
     truth = seen_from(points, arc(9))
-    assert len(found.points_m) < 1.5 * len(truth)  # what falls on an edge of a voxel may stand twice
-    nearest = np.abs(found.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
+    assert len(result.points_m) < 1.5 * len(truth)  # what falls on an edge of a voxel may stand twice
+    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
 
 
@@ -55,38 +65,42 @@ def test_only_the_last_ten_are_kept() -> None:
     local, points = LocalMap(), world()
     for k in range(25):
         local.add(sweep(seen_from(points, arc(k)), k), arc(k))
-    found = local.overlay()
-    assert found is not None
-    assert (len(local), found.sweeps) == (10, 10)
+    result = local.overlay()
+    assert result is not None
+    assert (len(local), result.sweeps) == (10, 10)
 
 
 def test_standing_still_adds_nothing() -> None:
     local, points = LocalMap(), world()
-    here = TrackPoint(0.0, 0.0, 0.3, 0.0)
+    here = TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.3, path_m=0.0)
     local.add(sweep(seen_from(points, here), 0), here)
     alone = local.overlay()
     for k in range(1, 30):
         local.add(sweep(seen_from(points, here), k), here)
-    found = local.overlay()
+    result = local.overlay()
     assert alone is not None
-    assert found is not None
-    np.testing.assert_allclose(found.points_m, alone.points_m, atol=1e-9)
+    assert result is not None
+    np.testing.assert_allclose(result.points_m, alone.points_m, atol=1e-9)
 
 
 @pytest.mark.parametrize("grade_rad", [0.1, -0.1])
-def test_on_a_grade_the_way_leads_up_and_down(grade_rad: float) -> None:
+def test_on_a_grade_the_path_rises_and_falls(grade_rad: float) -> None:
     """Track metres are metres of road; body and road tilt alike, up where pitch is negative."""
     local, points = LocalMap(voxel_m=0.001, reach_m=200.0), world()
     for k in range(10):
         along = 1.5 * k
-        true = TrackPoint(along * math.cos(grade_rad), 0.0, 0.0, along)
+        true = TrackPoint(east_m=along * math.cos(grade_rad), north_m=0.0, yaw_rad=0.0, path_m=along)
         up = along * math.sin(grade_rad)
         seen = seen_from(points, true, up, pitch=-grade_rad)
-        local.add(sweep(seen, k), TrackPoint(along, 0.0, 0.0, along), (0.0, -grade_rad))
-    found = local.overlay()
-    assert found is not None
+        local.add(
+            sweep(seen, k),
+            TrackPoint(east_m=along, north_m=0.0, yaw_rad=0.0, path_m=along),
+            (0.0, -grade_rad),
+        )
+    result = local.overlay()
+    assert result is not None
     truth = seen_from(points, true, up, pitch=-grade_rad)
-    nearest = np.abs(found.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
+    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
 
 
@@ -96,10 +110,10 @@ def test_a_body_that_rolls_and_pitches_on_level_road_is_turned_back() -> None:
         roll, pitch = 0.02 * math.sin(k), 0.03 * math.cos(k)
         seen = seen_from(points, arc(k), roll=roll, pitch=pitch)
         local.add(sweep(seen, k), arc(k), (roll, pitch), road_tilt=(roll, pitch))
-    found = local.overlay()
-    assert found is not None
+    result = local.overlay()
+    assert result is not None
     truth = seen_from(points, arc(9), roll=roll, pitch=pitch)
-    nearest = np.abs(found.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
+    nearest = np.abs(result.points_m[:, None] - truth[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
 
 
@@ -107,18 +121,18 @@ def test_a_steady_grade_needs_no_attitude() -> None:
     local, points = LocalMap(voxel_m=0.001, reach_m=200.0), world()
     for k in range(10):
         along = 1.5 * k
-        place = TrackPoint(along * math.cos(0.1), 0.0, 0.0, along)
+        place = TrackPoint(east_m=along * math.cos(0.1), north_m=0.0, yaw_rad=0.0, path_m=along)
         seen = seen_from(points, place, along * math.sin(0.1), pitch=-0.1)
-        local.add(sweep(seen, k), TrackPoint(along, 0.0, 0.0, along))
-    found = local.overlay()
-    assert found is not None
-    nearest = np.abs(found.points_m[:, None] - seen[None]).max(axis=2).min(axis=1)
+        local.add(sweep(seen, k), TrackPoint(east_m=along, north_m=0.0, yaw_rad=0.0, path_m=along))
+    result = local.overlay()
+    assert result is not None
+    nearest = np.abs(result.points_m[:, None] - seen[None]).max(axis=2).min(axis=1)
     assert nearest.max() < 1e-9
 
 
 def add_two(k: int, second: TrackPoint, attitude: tuple[float, float] | None = None) -> LocalMap:
     local, points = LocalMap(), world()
-    local.add(sweep(points, 0), TrackPoint(0.0, 0.0, 0.0, 5.0))
+    local.add(sweep(points, 0), TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.0, path_m=5.0))
     local.add(sweep(points, k), second, attitude)
     return local
 
@@ -128,23 +142,23 @@ def add_two(k: int, second: TrackPoint, attitude: tuple[float, float] | None = N
     [(1, 6.0, 2), (9, 6.0, 2), (11, 6.0, 1), (0, 6.0, 1), (-3, 6.0, 1), (1, 4.0, 1), (1, 40.0, 1)],
 )
 def test_after_a_gap_a_clock_set_back_or_a_jump_it_begins_anew(k: int, path_m: float, kept: int) -> None:
-    assert len(add_two(k, TrackPoint(1.0, 0.0, 0.0, path_m))) == kept
+    assert len(add_two(k, TrackPoint(east_m=1.0, north_m=0.0, yaw_rad=0.0, path_m=path_m))) == kept
 
 
 def test_levelled_and_unlevelled_sweeps_are_not_mixed() -> None:
-    assert len(add_two(1, TrackPoint(1.0, 0.0, 0.0, 6.0), (0.0, 0.0))) == 1
+    assert len(add_two(1, TrackPoint(east_m=1.0, north_m=0.0, yaw_rad=0.0, path_m=6.0), (0.0, 0.0))) == 1
 
 
 def test_after_a_reset_there_is_nothing() -> None:
-    local = add_two(1, TrackPoint(1.0, 0.0, 0.0, 6.0))
+    local = add_two(1, TrackPoint(east_m=1.0, north_m=0.0, yaw_rad=0.0, path_m=6.0))
     local.reset()
     assert local.overlay() is None
 
 
 def test_what_is_beyond_reach_is_left_out() -> None:
     local = LocalMap(reach_m=20.0)
-    local.add(sweep(world(), 0), TrackPoint(0.0, 0.0, 0.0, 0.0))
-    found = local.overlay()
-    assert found is not None
-    assert 0 < len(found.points_m) < 2000
-    assert np.hypot(found.points_m[:, 0], found.points_m[:, 1]).max() < 20.0
+    local.add(sweep(world(), 0), TrackPoint(east_m=0.0, north_m=0.0, yaw_rad=0.0, path_m=0.0))
+    result = local.overlay()
+    assert result is not None
+    assert 0 < len(result.points_m) < 2000
+    assert np.hypot(result.points_m[:, 0], result.points_m[:, 1]).max() < 20.0

@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camber.localizer.matching.match_covariance import FLOOR_M, UNSEEN_M, axes, degenerate, planar_covariance
-from camber.localizer.matching.point_to_plane import (
+from camber.localizer.matching.icp import (
+    IcpOptions,
     find_correspondences,
     icp_point_to_plane,
     normal_equations,
+)
+from camber.localizer.matching.match_covariance import (
+    FLOOR_M,
+    UNSEEN_M,
+    is_degenerate,
+    planar_covariance,
+    principal_axes,
 )
 from camber.localizer.matching.registration import LayerTarget
 from support.plain_layers import CORRIDOR, MAP_DENSITY, YARD, pose, surfaces
@@ -23,7 +30,7 @@ def covariance(
     target = LayerTarget.of(surfaces(walls, MAP_DENSITY, np.random.default_rng(1)))
     source = surfaces(walls, density, np.random.default_rng(2))
     return planar_covariance(
-        normal_equations(target, source, AT, "planar", find_correspondences(target, source, AT)), source
+        normal_equations(target, source, AT, find_correspondences(target, source, AT), free="planar"), source
     )
 
 
@@ -31,20 +38,20 @@ def test_in_a_yard_everything_is_seen_and_no_better_than_the_floor() -> None:
     sigma = np.sqrt(np.diag(covariance(YARD, 10.0)))
     assert (sigma[:2] >= FLOOR_M).all()
     assert (sigma[:2] < 0.02).all()
-    assert not degenerate(covariance(YARD, 10.0))
+    assert not is_degenerate(covariance(YARD, 10.0))
 
 
-def test_in_a_corridor_the_way_along_is_not_known() -> None:
+def test_in_a_corridor_the_position_along_is_not_known() -> None:
     c = covariance([((-30.0, -4.0), (30.0, -4.0)), ((-30.0, 4.0), (30.0, 4.0))], 10.0)
-    assert degenerate(c)
+    assert is_degenerate(c)
     assert c[0, 0] > 0.5 * UNSEEN_M**2
     assert c[1, 1] < 0.03**2
-    sigmas, directions = axes(c)
+    sigmas, directions = principal_axes(c)
     assert sigmas[0] > 5.0 > 0.1 > sigmas[1]
     assert abs(directions[0, 0]) > 0.99
 
 
-def test_twice_as_many_points_on_the_same_walls_tell_hardly_more() -> None:
+def test_twice_as_many_points_on_the_same_walls_add_hardly_any_information() -> None:
     few, many = covariance(YARD, 10.0), covariance(YARD, 40.0)
     assert np.diag(many)[:2] == pytest.approx(np.diag(few)[:2], rel=0.2)
 
@@ -52,7 +59,7 @@ def test_twice_as_many_points_on_the_same_walls_tell_hardly_more() -> None:
 def test_without_any_pair_nothing_is_known() -> None:
     target = LayerTarget.of(surfaces(CORRIDOR, 5.0, np.random.default_rng(1)))
     source = surfaces(YARD, 1.0, np.random.default_rng(2)) + 500.0
-    rows = normal_equations(target, source, AT, "planar", find_correspondences(target, source, AT))
+    rows = normal_equations(target, source, AT, find_correspondences(target, source, AT), free="planar")
     assert np.sqrt(np.diag(planar_covariance(rows, source)))[:2] == pytest.approx(UNSEEN_M, rel=1e-3)
 
 
@@ -67,9 +74,11 @@ def test_errors_are_no_larger_than_the_covariance_says() -> None:
         ]
         target = LayerTarget.of(surfaces(YARD, 12.0, np.random.default_rng((seed, 1))))
         source = surfaces(moved_walls, 4.0, np.random.default_rng((seed, 2)))  # type: ignore[arg-type]
-        fit = icp_point_to_plane([(target, source)], AT, "planar", 1.0, 0.15)
+        fit = icp_point_to_plane(
+            [(target, source)], AT, IcpOptions(free="planar", max_distance_m=1.0, first_scale_m=0.15)
+        )
         rows = normal_equations(
-            target, source, fit.transform, "planar", find_correspondences(target, source, fit.transform)
+            target, source, fit.transform, find_correspondences(target, source, fit.transform), free="planar"
         )
         t = fit.transform
         error = np.array([t[0, 3], t[1, 3], np.arctan2(t[1, 0], t[0, 0])])

@@ -10,8 +10,8 @@ import pytest
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.geodesy.se3 import map_from_vehicle
-from camber.localizer.map_clouds.map_blocks import Block
-from camber.localizer.matching.layered_matching import LayeredMatch, MatchOptions
+from camber.localizer.map_clouds.map_blocks import MapBlock
+from camber.localizer.matching.layered_matching import LayeredMatch, MatchInput, MatchOptions
 from camber.localizer.matching.match_view import MatchView, match_view
 from camber.localizer.matching.registration import LayerTarget
 
@@ -35,9 +35,12 @@ class WallBlock:
 
 def view(local_m: list[tuple[float, float, float]]) -> MatchView:
     points_m = np.array(local_m)
-    match = LayeredMatch("converged", "agreed", MAP_FROM_LOCAL, np.eye(3), ())
-    block = cast(Block, WallBlock())
-    return match_view(7, points_m, points_m[:, 2], block, match, OPTIONS)
+    match = LayeredMatch(
+        status="converged", reason="agreed", map_from_local=MAP_FROM_LOCAL, covariance=np.eye(3), layers=()
+    )
+    block = cast(MapBlock, WallBlock())
+    scan = MatchInput(points_m=points_m, heights_m=points_m[:, 2], targets=(), guess=np.eye(4))
+    return match_view(7, scan, block, match, options=OPTIONS)
 
 
 def test_points_stand_where_the_match_has_put_them() -> None:

@@ -27,10 +27,10 @@ def source_m() -> Floats:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_motion_that_was_put_in_is_found(
-    method: CloudMethod, target: LayerTarget, source_m: Floats
-) -> None:
-    fit = register(target, source_m, pose(3.3, -2.2, 31.0), method, 1.0, 60)
+def test_a_motion_is_recovered(method: CloudMethod, target: LayerTarget, source_m: Floats) -> None:
+    fit = register(
+        target, source_m, pose(3.3, -2.2, 31.0), method=method, max_distance_m=1.0, max_iterations=60
+    )
     off_m, off_rad = error(fit.transform, TRUTH)
     assert fit.converged
     assert off_m < 0.03
@@ -43,20 +43,22 @@ def test_a_motion_that_was_put_in_is_found(
 def test_the_same_clouds_give_the_same_bits(
     method: CloudMethod, target: LayerTarget, source_m: Floats
 ) -> None:
-    first, second = (register(target, source_m, pose(3.3, -2.2, 31.0), method, 1.0) for _ in range(2))
+    first, second = (
+        register(target, source_m, pose(3.3, -2.2, 31.0), method=method, max_distance_m=1.0) for _ in range(2)
+    )
     assert first.transform.tobytes() == second.transform.tobytes()
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("points", [0, NEIGHBOURS - 1])
-def test_too_few_points_on_either_side_leave_the_guess(
+def test_too_few_points_on_one_side_leave_the_guess(
     method: CloudMethod, points: int, target: LayerTarget
 ) -> None:
     few = np.random.default_rng(3).uniform(-1.0, 1.0, (points, 3))
     many = np.random.default_rng(4).uniform(-1.0, 1.0, (100, 3))
     for fit in (
-        register(target, few, TRUTH, method, 1.0),
-        register(LayerTarget.of(few), many, TRUTH, method, 1.0),
+        register(target, few, TRUTH, method=method, max_distance_m=1.0),
+        register(LayerTarget.of(few), many, TRUTH, method=method, max_distance_m=1.0),
     ):
         assert not fit.converged
         assert np.array_equal(fit.transform, TRUTH)
@@ -68,7 +70,7 @@ def test_too_few_points_on_either_side_leave_the_guess(
 def test_a_cloud_far_from_the_map_has_no_pairs_and_does_not_converge(
     method: CloudMethod, target: LayerTarget, source_m: Floats
 ) -> None:
-    fit = register(target, source_m, pose(500.0, 0.0, 0.0), method, 1.0)
+    fit = register(target, source_m, pose(500.0, 0.0, 0.0), method=method, max_distance_m=1.0)
     assert not fit.converged
     assert fit.pairs == 0
     assert fit.overlap == 0.0
@@ -77,13 +79,13 @@ def test_a_cloud_far_from_the_map_has_no_pairs_and_does_not_converge(
 def test_mean_distance_counts_only_pairs_within_the_limit(target: LayerTarget, source_m: Floats) -> None:
     """(7): the mean over the points that have a pair."""
     stray = np.concatenate([source_m, np.full((50, 3), 200.0)])
-    fit = register(target, stray, TRUTH, "point_to_point", 0.5, 1)
+    fit = register(target, stray, TRUTH, method="point_to_point", max_distance_m=0.5, max_iterations=1)
     _, nearest_m = target.nearest(transform_points(fit.transform, stray))
     assert fit.mean_distance_m == pytest.approx(float(nearest_m[nearest_m <= 0.5].mean()))
     assert fit.points == len(stray)
 
 
-def test_planes_of_the_map_are_found_from_what_lies_on_them() -> None:
+def test_planes_of_the_map_are_fitted_to_what_lies_on_them() -> None:
     """Nearest points are those a search through all finds."""
     random = np.random.default_rng(5)
     points, asked = random.uniform(-5.0, 5.0, (300, 3)), random.uniform(-5.0, 5.0, (50, 3))

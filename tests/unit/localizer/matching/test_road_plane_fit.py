@@ -35,15 +35,15 @@ SEEN = seen_from(TRUTH, on_a_slope(road(8.0, np.random.default_rng(2), 10.0), *S
 HEIGHTS = np.zeros(len(SEEN))
 
 
-def test_height_roll_and_pitch_are_found_and_the_rest_is_left() -> None:
+def test_height_roll_and_pitch_are_right_and_the_rest_is_left() -> None:
     guess = TRUTH @ pose(0.0, 0.0, 0.0, 0.12, 0.8, -0.6)
     fit = fit_road(SEEN, HEIGHTS, ROAD, guess)
     assert fit.status == "converged"
     np.testing.assert_array_equal(fit.map_from_local[:2, 3], guess[:2, 3])
     up_m = fit.map_from_local[2, 3] - SLOPE[0] * guess[0, 3] - SLOPE[1] * guess[1, 3]
     assert abs(up_m) < 0.005
-    wanted, found = (roll_pitch_yaw_from_rotation(t) for t in (TRUTH, fit.map_from_local))
-    assert found[:2] == pytest.approx(wanted[:2], abs=0.001)
+    wanted, result = (roll_pitch_yaw_from_rotation(t) for t in (TRUTH, fit.map_from_local))
+    assert result[:2] == pytest.approx(wanted[:2], abs=0.001)
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([0.01, 0.001, 0.001], rel=0.5)
 
 
@@ -76,9 +76,9 @@ def test_a_road_a_metre_lower_is_not_taken_for_this_one() -> None:
 
 def test_a_pavement_where_the_map_has_no_road_says_nothing_against_it() -> None:
     ahead, left = np.meshgrid(np.arange(-20.0, 20.0, 0.4), np.arange(25.0, 40.0, 0.4))
-    beside = np.column_stack((ahead.ravel(), left.ravel() - 45.0, np.full(ahead.size, 0.12)))
+    verge = np.column_stack((ahead.ravel(), left.ravel() - 45.0, np.full(ahead.size, 0.12)))
     narrow = LayerTarget.of(ROAD.points_m[np.abs(ROAD.points_m[:, 1]) < 3.0])
-    seen = np.concatenate((SEEN[np.abs(SEEN[:, 1]) < 3.0], seen_from(TRUTH, on_a_slope(beside, *SLOPE))))
+    seen = np.concatenate((SEEN[np.abs(SEEN[:, 1]) < 3.0], seen_from(TRUTH, on_a_slope(verge, *SLOPE))))
     fit = fit_road(seen, np.zeros(len(seen)), narrow, TRUTH)
     assert fit.status == "converged"
     assert abs(fit.map_from_local[2, 3]) < 0.005

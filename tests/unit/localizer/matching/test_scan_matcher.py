@@ -107,13 +107,13 @@ def test_some_nan_points_and_half_a_sweep_do_no_harm() -> None:
     drive = StreetDrive()
     drive.run(40, sweeps=damaged)
     assert drive.error_m() < 0.1
-    assert drive.heard.issues["sweep_half_sweep"] > 0
+    assert drive.diagnostics.issues["sweep_half_sweep"] > 0
 
 
 def test_a_sensor_that_is_not_where_its_mount_says_moves_nothing() -> None:
-    drive = StreetDrive(mount=SensorMount(0.0, 0.0, LIDAR_HEIGHT_M + 0.5))
+    drive = StreetDrive(mount=SensorMount(x_m=0.0, y_m=0.0, z_m=LIDAR_HEIGHT_M + 0.5))
     drive.run(40)
-    assert drive.heard.issues["sensor_mounting"] > 0
+    assert drive.diagnostics.issues["sensor_mounting"] > 0
     assert all(match.status != "converged" for match in drive.matches[15:])
     assert drive.poses[-1].mode == "dead_reckoning"
 

@@ -32,7 +32,7 @@ def seen(posts_m: list[float], seed: int) -> np.ndarray:
     return points[np.abs(points[:, 0]) < 20.0]
 
 
-def test_posts_tell_the_place_along_a_street() -> None:
+def test_posts_determine_the_position_along_a_street() -> None:
     profile = shift_profile(seen(POSTS, 2), OccupancyRaster.of(street(POSTS)), EAST)
     assert abs(profile.mean_m) < 0.1
     assert profile.sigma_m < 0.15
@@ -44,7 +44,7 @@ def test_walls_alone_do_not() -> None:
 
 
 @pytest.mark.parametrize("off_m", [-1.2, 0.8, 2.0])
-def test_a_match_in_the_wrong_valley_is_told_so(off_m: float) -> None:
+def test_a_match_in_the_wrong_minimum_is_detected(off_m: float) -> None:
     profile = shift_profile(seen(POSTS, 3) + np.array([off_m, 0.0]), OccupancyRaster.of(street(POSTS)), EAST)
     assert profile.mean_m == pytest.approx(-off_m, abs=0.15)
     assert profile.variance_m2 > 0.8 * off_m**2

@@ -1,4 +1,4 @@
-"""Sweeps made ready for matching, and what is said of those that cannot be."""
+"""Sweeps made ready for matching, and the problems of those that cannot be."""
 
 from __future__ import annotations
 
@@ -9,24 +9,39 @@ import pytest
 from numpy.typing import NDArray
 
 from camber.geodesy.se3 import invert, map_from_vehicle, transform_points
-from camber.localizer.filter.dead_reckoning import MotionStep, RelativeTrack
+from camber.localizer.filter.odometry import MotionStep
+from camber.localizer.filter.track import RelativeTrack
 from camber.localizer.matching.sweep_preparation import (
     PreparedSweep,
     SensorMount,
     SweepOptions,
     prepare_sweep,
 )
+from camber.schemas.lidar import Sweep
 
 END_NS = 1_400_000_000 * 10**9
 TURN_NS = 100_000_000
-MOUNT = SensorMount(1.1, 0.2, 1.95, 0.02, -0.03, 0.4)
+
+MOUNT = SensorMount(x_m=1.1, y_m=0.2, z_m=1.95, roll_rad=0.02, pitch_rad=-0.03, yaw_rad=0.4)
 FINE = SweepOptions(voxel_m=0.001)
 
 
 def driving(speed_m_s: float = 20.0, rate_rad_s: float = 0.4) -> RelativeTrack:
     track = RelativeTrack()
     for k in range(-200, 1):
-        step = MotionStep("applied", 0.01, False, speed_m_s, rate_rad_s, None, 0.0, 0.0, 0.0, 0.0, 0.0)
+        step = MotionStep(
+            outcome="applied",
+            dt_s=0.01,
+            standing=False,
+            speed_m_s=speed_m_s,
+            yaw_rate_rad_s=rate_rad_s,
+            steering_rad=None,
+            speed_sigma_m_s=0.0,
+            along_var_m2=0.0,
+            unknown_rate_var_rad2=0.0,
+            creep_m=0.0,
+            creep_var_m2=0.0,
+        )
         track.append(END_NS + k * 10_000_000, step, speed_m_s, rate_rad_s)
     return track
 
@@ -67,16 +82,23 @@ def prepared(
     if points_m is None:
         points_m, offset_ns = measured(walls(), track)
     assert offset_ns is not None
-    return prepare_sweep(points_m, offset_ns, END_NS, MOUNT, track, **options)  # type: ignore[arg-type]
+    sweep = Sweep.model_construct(
+        time_ns=END_NS,
+        sensor="lidar",
+        points_m=points_m,
+        intensity=np.zeros(len(points_m), np.float32),
+        offset_ns=offset_ns,
+    )
+    return prepare_sweep(sweep, MOUNT, track, **options)  # type: ignore[arg-type]
 
 
 def test_what_stands_still_is_where_it_is_seen_from_at_the_end() -> None:
     truth, track = walls(), driving()
-    found = prepared(*measured(truth, track), track=track, options=FINE)
-    assert found.problem is None
-    assert found.skew_m == 0.0
-    assert found.at == track.at(END_NS)
-    np.testing.assert_allclose(found.points_m, truth, atol=2e-3)
+    result = prepared(*measured(truth, track), track=track, options=FINE)
+    assert result.problem is None
+    assert result.skew_m == 0.0
+    assert result.at == track.at(END_NS)
+    np.testing.assert_allclose(result.points_m, truth, atol=2e-3)
 
 
 def test_without_the_motion_it_would_be_metres_off() -> None:
@@ -92,16 +114,16 @@ def test_without_the_motion_it_would_be_metres_off() -> None:
 def test_a_standing_vehicle_needs_no_de_skewing() -> None:
     track = driving(0.0, 0.0)
     truth = walls()
-    found = prepared(*measured(truth, track), track=track, options=FINE)
-    np.testing.assert_allclose(found.points_m, truth, atol=1e-4)
+    result = prepared(*measured(truth, track), track=track, options=FINE)
+    np.testing.assert_allclose(result.points_m, truth, atol=1e-4)
 
 
 def test_it_is_thinned_and_no_voxel_is_lost() -> None:
     track = driving()
-    found = prepared(track=track)
+    result = prepared(track=track)
     fine = prepared(track=track, options=FINE)
     cells = {tuple(cell) for cell in np.floor(fine.points_m / 0.3).astype(int).tolist()}
-    assert len(found.points_m) == len(cells)
+    assert len(result.points_m) == len(cells)
 
 
 def test_the_same_sweep_gives_the_same_bytes() -> None:
@@ -113,26 +135,26 @@ def test_points_that_are_no_numbers_are_left_out_and_counted() -> None:
     points[::10] = np.nan
     points[5] = np.inf
     points[6, 1] = -np.inf
-    found = prepared(points, offset)
-    assert found.problem is None
-    assert found.dropped == 302
-    assert np.isfinite(found.points_m).all()
+    result = prepared(points, offset)
+    assert result.problem is None
+    assert result.dropped == 302
+    assert np.isfinite(result.points_m).all()
 
 
-def test_the_own_vehicle_and_what_is_too_near_or_too_far_is_left_out() -> None:
+def test_the_vehicle_itself_and_what_is_too_near_or_too_far_is_left_out() -> None:
     track = driving(0.0, 0.0)
     truth = walls()
     truth[:4] = [[2.0, 0.5, 1.0], [-1.0, -1.0, 0.3], [1.3, 0.3, 2.1], [80.0, 0.0, 1.0]]
-    found = prepared(*measured(truth, track), track=track, options=FINE)
-    assert len(found.points_m) == len(truth) - 4
+    result = prepared(*measured(truth, track), track=track, options=FINE)
+    assert len(result.points_m) == len(truth) - 4
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3), np.float32), np.full((500, 3), np.nan, np.float32)])
 def test_a_sweep_without_points_is_empty(points: NDArray[np.float32]) -> None:
-    found = prepared(points, np.zeros(len(points), np.int32))
-    assert found.problem == "empty"
-    assert not found.usable
-    assert found.points_m.shape == (0, 3)
+    result = prepared(points, np.zeros(len(points), np.int32))
+    assert result.problem == "empty"
+    assert not result.usable
+    assert result.points_m.shape == (0, 3)
 
 
 def test_a_handful_of_points_is_too_few() -> None:
@@ -143,10 +165,10 @@ def test_a_handful_of_points_is_too_few() -> None:
 def test_half_a_sweep_is_used_and_called_so() -> None:
     points, offset = measured(walls(), driving())
     ahead = points[:, 0] > 0.0
-    found = prepared(points[ahead], offset[ahead])
-    assert found.problem == "half_sweep"
-    assert found.usable
-    assert found.coverage == pytest.approx(0.5, abs=0.03)
+    result = prepared(points[ahead], offset[ahead])
+    assert result.problem == "half_sweep"
+    assert result.usable
+    assert result.coverage == pytest.approx(0.5, abs=0.03)
     assert prepared(points, offset).coverage > 0.98
 
 
@@ -157,7 +179,7 @@ def test_coverage_is_the_share_of_all_directions(part: float) -> None:
     assert prepared(points[seen], offset[seen]).coverage == pytest.approx(part, abs=0.015)
 
 
-def test_times_tell_repeated_future_and_old_sweeps() -> None:
+def test_times_identify_repeated_future_and_old_sweeps() -> None:
     assert prepared(last_time_ns=END_NS).problem == "repeated"
     assert prepared(last_time_ns=END_NS + 1).problem == "repeated"
     assert prepared(last_time_ns=END_NS - 1).problem is None
@@ -169,25 +191,37 @@ def test_times_tell_repeated_future_and_old_sweeps() -> None:
 
 def test_without_a_track_over_the_whole_sweep_there_is_no_motion() -> None:
     late = RelativeTrack()
-    step = MotionStep("first", 0.0, False, 0.0, None, None, 0.0, 0.0, 0.0, 0.0, 0.0)
+    step = MotionStep(
+        outcome="first",
+        dt_s=0.0,
+        standing=False,
+        speed_m_s=0.0,
+        yaw_rate_rad_s=None,
+        steering_rad=None,
+        speed_sigma_m_s=0.0,
+        along_var_m2=0.0,
+        unknown_rate_var_rad2=0.0,
+        creep_m=0.0,
+        creep_var_m2=0.0,
+    )
     late.append(END_NS - 50_000_000, step, 0.0, 0.0)
     points, offset = measured(walls(), driving())
     for track in (RelativeTrack(), late):
-        found = prepared(points, offset, track=track)
-        assert found.problem == "no_motion"
-        assert found.at is None
-        assert found.skew_m is None
-        assert not found.usable
+        result = prepared(points, offset, track=track)
+        assert result.problem == "no_motion"
+        assert result.at is None
+        assert result.skew_m is None
+        assert not result.usable
 
 
-def test_points_of_another_time_are_left_out_and_said() -> None:
+def test_points_of_another_time_are_left_out_and_counted() -> None:
     points, offset = measured(walls(), driving())
     offset[:300] = -250_000_000
     offset[300:400] = 1_000
-    found = prepared(points, offset, options=FINE)
-    assert found.problem == "bad_offsets"
-    assert found.dropped == 400
-    assert len(found.points_m) == len(points) - 400
+    result = prepared(points, offset, options=FINE)
+    assert result.problem == "bad_offsets"
+    assert result.dropped == 400
+    assert len(result.points_m) == len(points) - 400
 
 
 def test_the_order_of_points_does_not_matter() -> None:

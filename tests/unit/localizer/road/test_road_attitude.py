@@ -15,7 +15,7 @@ from camber.localizer.matching.sweep_preparation import SensorMount
 from camber.localizer.road.road_attitude import ground_plane, road_line
 
 Floats = NDArray[np.float64]
-MOUNT = SensorMount(1.1, 0.0, 1.95)
+MOUNT = SensorMount(x_m=1.1, y_m=0.0, z_m=1.95)
 
 
 def road(
@@ -49,30 +49,30 @@ def cars(seed: int, n: int = 600) -> Floats:
     seed=st.integers(0, 999),
 )
 def test_the_map_s_road_under_the_vehicle(up_m: float, ahead: float, left: float, seed: int) -> None:
-    found = road_line(road(seed, up_m=up_m, ahead=ahead, left=left))
-    assert found is not None
-    assert found.dz_m == pytest.approx(up_m, abs=4.0 * found.dz_sigma_m)
-    assert found.dpitch_rad == pytest.approx(-math.atan(ahead), abs=4.0 * found.dpitch_sigma_rad + 1e-4)
-    assert found.droll_rad == pytest.approx(math.atan(left), abs=4.0 * found.droll_sigma_rad + 1e-4)
-    assert found.dz_sigma_m < 0.01
-    assert found.dpitch_sigma_rad < math.radians(0.1)
+    result = road_line(road(seed, up_m=up_m, ahead=ahead, left=left))
+    assert result is not None
+    assert result.dz_m == pytest.approx(up_m, abs=4.0 * result.dz_sigma_m)
+    assert result.dpitch_rad == pytest.approx(-math.atan(ahead), abs=4.0 * result.dpitch_sigma_rad + 1e-4)
+    assert result.droll_rad == pytest.approx(math.atan(left), abs=4.0 * result.droll_sigma_rad + 1e-4)
+    assert result.dz_sigma_m < 0.01
+    assert result.dpitch_sigma_rad < math.radians(0.1)
 
 
 def test_the_correction_puts_the_frame_onto_the_road() -> None:
-    found = road_line(road(ahead=0.1, up_m=0.3, noise_m=0.0))
-    assert found is not None
-    on_road = transform_points(found.local_from_road, np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    result = road_line(road(ahead=0.1, up_m=0.3, noise_m=0.0))
+    assert result is not None
+    on_road = transform_points(result.local_from_road, np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
     np.testing.assert_allclose(on_road[:, 2], 0.3 + 0.1 * on_road[:, 0], atol=1e-3)
 
 
 def test_crossfall_with_points_to_one_side_only_does_not_lift_the_line() -> None:
     points = road(left=0.03)
-    found = road_line(points[points[:, 1] > -0.5])
-    assert found is not None
-    assert found.dz_m == pytest.approx(0.0, abs=0.01)
+    result = road_line(points[points[:, 1] > -0.5])
+    assert result is not None
+    assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_crowned_road_is_measured_on_its_own_side() -> None:
+def test_a_crowned_road_is_measured_on_the_driven_side() -> None:
     """Both halves fall by 3 % from the crown, two metres to the vehicle's left."""
     points = road(13, noise_m=0.005, least_m=3.0, half_width_m=8.0)
     points[:, 2] -= 0.03 * (np.abs(points[:, 1] - 2.0) - 2.0)
@@ -85,15 +85,15 @@ def test_a_crowned_road_is_measured_on_its_own_side() -> None:
 
 
 def test_another_road_above_does_not_count() -> None:
-    found = road_line(np.concatenate((road(2, n=800), road(3, n=8000, up_m=6.0))))
-    assert found is not None
-    assert found.dz_m == pytest.approx(0.0, abs=0.01)
+    result = road_line(np.concatenate((road(2, n=800), road(3, n=8000, up_m=6.0))))
+    assert result is not None
+    assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
 def test_kerbs_and_clutter_do_not_lift_the_line() -> None:
-    found = road_line(np.concatenate((road(4), cars(5))))
-    assert found is not None
-    assert found.dz_m == pytest.approx(0.0, abs=0.01)
+    result = road_line(np.concatenate((road(4), cars(5))))
+    assert result is not None
+    assert result.dz_m == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("n", [0, 5, 14])
@@ -110,27 +110,27 @@ def test_too_few_points_are_no_line_and_no_plane(n: int) -> None:
     up_m=st.floats(-0.1, 0.1),
     seed=st.integers(0, 999),
 )
-def test_the_sensor_above_its_own_road(
+def test_the_sensor_above_the_road_it_sees(
     ahead: float, left: float, bend_per_m: float, up_m: float, seed: int
 ) -> None:
     """Crests and sags of 250 m radius, the body tilted against the road, vehicles about."""
     points = road(seed, n=3000, ahead=ahead, left=left, up_m=up_m, bend_per_m=bend_per_m, least_m=4.0)
-    found = ground_plane(np.concatenate((points, cars(seed, 200))), MOUNT)
-    assert found is not None
+    result = ground_plane(np.concatenate((points, cars(seed, 200))), MOUNT)
+    assert result is not None
     foot_m = up_m + ahead * MOUNT.x_m + 0.5 * bend_per_m * MOUNT.x_m**2
     truth = (MOUNT.z_m - foot_m) / math.sqrt(1.0 + ahead**2 + left**2)
-    assert found.distance_m == pytest.approx(truth, abs=4.0 * found.distance_sigma_m)
-    assert found.distance_sigma_m < 0.012
-    assert found.problem is None
+    assert result.distance_m == pytest.approx(truth, abs=4.0 * result.distance_sigma_m)
+    assert result.distance_sigma_m < 0.012
+    assert result.problem is None
 
 
 def test_the_stated_sigma_is_honest() -> None:
     errors, sigmas = [], []
     for seed in range(100):
-        found = ground_plane(road(seed, n=400, noise_m=0.02, least_m=4.0), MOUNT)
-        assert found is not None
-        errors.append(found.distance_m - MOUNT.z_m)
-        sigmas.append(found.distance_sigma_m)
+        result = ground_plane(road(seed, n=400, noise_m=0.02, least_m=4.0), MOUNT)
+        assert result is not None
+        errors.append(result.distance_m - MOUNT.z_m)
+        sigmas.append(result.distance_sigma_m)
     normalised = np.array(errors) / np.array(sigmas)
     assert (np.abs(normalised) < 3.0).mean() >= 0.99
     assert np.std(normalised) > 0.2
@@ -139,16 +139,16 @@ def test_the_stated_sigma_is_honest() -> None:
 def test_tilt_is_that_of_the_body_against_the_road() -> None:
     roll, pitch = 0.02, -0.015
     body_from_road = rotation_from_roll_pitch_yaw(roll, pitch, 0.0).T
-    found = ground_plane(road(6, least_m=4.0, noise_m=0.002) @ body_from_road.T, MOUNT)
-    assert found is not None
-    assert (found.roll_rad, found.pitch_rad) == pytest.approx((roll, pitch), abs=1e-3)
+    result = ground_plane(road(6, least_m=4.0, noise_m=0.002) @ body_from_road.T, MOUNT)
+    assert result is not None
+    assert (result.roll_rad, result.pitch_rad) == pytest.approx((roll, pitch), abs=1e-3)
 
 
 def test_on_a_grade_the_vertical_height_is_more_than_the_distance() -> None:
-    found = ground_plane(road(7, least_m=4.0), MOUNT)
-    assert found is not None
-    assert found.height_m(0.0) == found.distance_m
-    assert found.height_m(0.1) == pytest.approx(found.distance_m * 1.00499, abs=1e-4)
+    result = ground_plane(road(7, least_m=4.0), MOUNT)
+    assert result is not None
+    assert result.height_m(0.0) == result.distance_m
+    assert result.height_m(0.1) == pytest.approx(result.distance_m * 1.00499, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -173,9 +173,9 @@ def test_a_sensor_that_is_not_where_its_mount_says_is_noticed(
     sensor = np.array([MOUNT.x_m, MOUNT.y_m, MOUNT.z_m])
     turned = rotation_from_roll_pitch_yaw(math.radians(roll_deg), math.radians(pitch_deg), 0.0)
     seen = (points - sensor - [0.0, 0.0, higher_m]) @ turned + sensor
-    found = ground_plane(seen, MOUNT)
-    assert found is not None
-    assert found.problem == problem
+    result = ground_plane(seen, MOUNT)
+    assert result is not None
+    assert result.problem == problem
 
 
 def test_the_same_points_give_the_same_plane() -> None:

@@ -62,7 +62,7 @@ class Fork:
         ]
         write(folder, rows, LINKS)
         self.counts: Counter[str] = Counter()
-        self.under = RoadBelowAntenna(15.0, LocalMapQueries(read_release(folder)), self)
+        self.road_below = RoadBelowAntenna(15.0, LocalMapQueries(read_release(folder)), self)
         self.epochs = 0
 
     def issue(self, code: str, text: str) -> None:
@@ -85,7 +85,7 @@ class Fork:
             link_candidates=links,
             covariance=covariance,
         )
-        return self.under.under(here, *at(east_m, north_m))
+        return self.road_below.update(here, *at(east_m, north_m))
 
 
 @pytest.fixture
@@ -104,7 +104,7 @@ def test_where_a_ramp_lies_on_the_street_the_level_is_not_known_and_the_elevatio
     assert [road.elevation_m for road in roads.values()] == pytest.approx([50.0] * len(roads), abs=1e-3)
 
 
-def test_on_the_ramp_it_is_the_ramp_as_soon_as_the_street_ends_beside_it(fork: Fork) -> None:
+def test_on_the_ramp_it_is_the_ramp_as_soon_as_the_street_ends_next_to_it(fork: Fork) -> None:
     roads = [fork.road(float(x), float(np.interp(x, (20, 40, 60), (0, 2, 5)))) for x in range(-40, 60)]
     assert all(road.status == "known" for road in roads)
     levels = [road.level for road in roads]
@@ -149,7 +149,7 @@ def test_nobody_knows_the_level_who_begins_where_they_agree_but_the_height(fork:
     assert road.elevation_m == pytest.approx(50.0, abs=0.081)
 
 
-def test_of_more_links_than_are_asked_one_by_one_the_road_has_no_level_either(fork: Fork) -> None:
+def test_of_more_links_than_are_asked_one_by_one_the_road_has_no_level(fork: Fork) -> None:
     assert fork.road(-2.0, links=(1,)).level == 0
     road = fork.road(25.0, links=(*ALL, 4, 5, 6))
     assert road.level is None
@@ -160,7 +160,7 @@ def test_of_more_links_than_are_asked_one_by_one_the_road_has_no_level_either(fo
 def test_after_a_jump_or_far_from_it_the_road_driven_before_says_nothing(fork: Fork, jump: bool) -> None:
     assert fork.road(-2.0 if jump else -150.0, links=(1,)).level == 0
     if jump:
-        fork.under.forget()
+        fork.road_below.forget()
     assert fork.road(10.0).level is None
 
 
@@ -172,7 +172,7 @@ def test_roads_above_one_another_are_not_one(tmp_path: Path) -> None:
     assert fork.road(10.0, links=(2,)).level == 0
 
 
-def test_another_level_beside_a_vague_pose_does_not_hide_the_road_that_the_links_lead_along(
+def test_another_level_next_to_a_vague_pose_does_not_hide_the_road_that_the_links_lead_along(
     fork: Fork,
 ) -> None:
     road = fork.road(30.0, links=(2,), sigma_m=1.0)

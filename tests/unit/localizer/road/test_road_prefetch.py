@@ -1,4 +1,4 @@
-"""The road ahead: what the map said of the places to come does where they come, and nowhere else."""
+"""The road ahead: the map's reply for the places to come does where they come, and nowhere else."""
 
 from __future__ import annotations
 
@@ -84,48 +84,48 @@ def test_at_any_speed_the_places_are_few_and_fit_into_the_question(speed_m_s: fl
 @given(st.floats(-0.4, 20.0), st.floats(-1.2, 1.2))
 def test_it_says_what_the_map_would_say_there(along_m: float, across_m: float) -> None:
     point = at(along_m, across_m)
-    found, asked = ask().under(NS + SECOND_NS, *point, (1,), 0.5), MAP.road(*point, (1,))
-    assert found is not None
-    assert (found.status, found.level, found.datum, found.map_version) == ("known", 0, "WGS84", 7)
-    assert found.elevation_m == pytest.approx(asked.elevation_m, abs=1e-3)
-    assert (found.slope_east, found.slope_north) == pytest.approx(
+    result, asked = ask().road_at(NS + SECOND_NS, point, link_ids=(1,), radius_m=0.5), MAP.road(*point, (1,))
+    assert result is not None
+    assert (result.status, result.level, result.datum, result.map_version) == ("known", 0, "WGS84", 7)
+    assert result.elevation_m == pytest.approx(asked.elevation_m, abs=1e-3)
+    assert (result.slope_east, result.slope_north) == pytest.approx(
         (asked.slope_east, asked.slope_north), abs=1e-5
     )
-    assert found.sigma_m == asked.sigma_m
+    assert result.sigma_m == asked.sigma_m
     # At the joint of two surfaces either of them may be named.
-    assert found.surface_id == asked.surface_id or abs((along_m + 10.0) % 20.0) < 0.9 or along_m % 20.0 > 9.1
+    assert result.surface_id == asked.surface_id or abs((along_m + 10.0) % 20.0) < 0.9 or along_m % 20.0 > 9.1
 
 
 @pytest.mark.parametrize(
     ("along_m", "across_m"), [(-1.5, 0.0), (23.0, 0.0), (10.0, 1.6), (10.0, -1.6), (5e3, 0.0)]
 )
 def test_off_the_places_it_says_nothing(along_m: float, across_m: float) -> None:
-    assert ask().under(NS, *at(along_m, across_m), (1,), 0.5) is None
+    assert ask().road_at(NS, at(along_m, across_m), link_ids=(1,), radius_m=0.5) is None
 
 
 def test_it_is_good_for_two_seconds_and_never_for_the_past() -> None:
     answer, here = ask(), at(1.0, 0.0)
-    assert answer.under(NS + 2 * SECOND_NS, *here, (1,), 0.5) is not None
-    assert answer.under(NS + 2 * SECOND_NS + 1, *here, (1,), 0.5) is None
-    assert answer.under(NS - 1, *here, (1,), 0.5) is None
+    assert answer.road_at(NS + 2 * SECOND_NS, here, link_ids=(1,), radius_m=0.5) is not None
+    assert answer.road_at(NS + 2 * SECOND_NS + 1, here, link_ids=(1,), radius_m=0.5) is None
+    assert answer.road_at(NS - 1, here, link_ids=(1,), radius_m=0.5) is None
 
 
 def test_with_other_links_in_question_it_says_nothing() -> None:
-    assert ask().under(NS, *at(1.0, 0.0), (1, 2), 0.5) is None
-    assert ask().under(NS, *at(1.0, 0.0), (), 0.5) is None
+    assert ask().road_at(NS, at(1.0, 0.0), link_ids=(1, 2), radius_m=0.5) is None
+    assert ask().road_at(NS, at(1.0, 0.0), link_ids=(), radius_m=0.5) is None
 
 
 def test_beyond_the_end_of_the_road_it_says_nothing() -> None:
     answer = ask(80.0)
-    assert answer.under(NS, *at(89.0, 0.0), (1,), 0.5) is not None
+    assert answer.road_at(NS, at(89.0, 0.0), link_ids=(1,), radius_m=0.5) is not None
     # The bridge is another link and another level, where the candidates are on this one: ambiguous to the map.
-    assert answer.under(NS, *at(91.5, 0.0), (1,), 0.5) is None
+    assert answer.road_at(NS, at(91.5, 0.0), link_ids=(1,), radius_m=0.5) is None
 
 
 def test_a_level_other_than_the_one_it_was_asked_from_is_asked_for_anew() -> None:
     answer = ask(80.0)
     upstairs = answer.road.model_copy(update={"level": 1})
-    assert replace(answer, road=upstairs).under(NS, *at(81.0, 0.0), (1,), 0.5) is None
+    assert replace(answer, road=upstairs).road_at(NS, at(81.0, 0.0), link_ids=(1,), radius_m=0.5) is None
 
 
 def test_an_answer_that_knows_nothing_or_names_places_never_asked_for_is_none() -> None:
@@ -141,20 +141,20 @@ def test_an_answer_that_knows_nothing_or_names_places_never_asked_for_is_none() 
 def test_where_its_plane_does_not_hold_as_far_as_it_must_it_says_nothing() -> None:
     answer, here = ask(), at(1.25, 0.0)
     extent_m = 10.0  # half the diagonal of a surface, or a little more
-    assert answer.under(NS, *here, (1,), extent_m - 0.5) is not None
-    assert answer.under(NS, *here, (1,), extent_m + 1.0) is None
-    found = answer.under(NS, *here, (1,), 0.0)
-    assert found is not None
-    assert found.extent_m is not None
+    assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m - 0.5) is not None
+    assert answer.road_at(NS, here, link_ids=(1,), radius_m=extent_m + 1.0) is None
+    result = answer.road_at(NS, here, link_ids=(1,), radius_m=0.0)
+    assert result is not None
+    assert result.extent_m is not None
     assert (
-        found.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
+        result.extent_m <= math.hypot(10.0, 2.0) - 0.25 + 1e-6
     )  # measured from the place sampled, a quarter metre away
 
 
 def test_where_the_nearest_place_is_not_known_no_neighbour_stands_for_it() -> None:
     answer = ask()
     at_ten = int(np.argmin(np.hypot(answer.east_m - 10.0, answer.north_m)))
-    assert answer.under(NS, *at(10.1, 0.0), (1,), 0.5) is not None
+    assert answer.road_at(NS, at(10.1, 0.0), link_ids=(1,), radius_m=0.5) is not None
     unknown = answer.row.copy()
     unknown[at_ten] = -1
-    assert replace(answer, row=unknown).under(NS, *at(10.1, 0.0), (1,), 0.5) is None
+    assert replace(answer, row=unknown).road_at(NS, at(10.1, 0.0), link_ids=(1,), radius_m=0.5) is None

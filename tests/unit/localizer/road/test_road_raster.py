@@ -61,14 +61,14 @@ def test_height_and_slope_are_those_of_the_road(east: float, north: float, bend:
     )
     for e, n in np.random.default_rng(seed).uniform((-17.0, -3.0), (17.0, 3.0), (20, 2)).tolist():
         truth = 40.0 + east * e + north * n + bend * e * e
-        found = roads.elevation(e, n, truth + 1.0)
-        assert found is not None
-        assert found.height_m == pytest.approx(truth, abs=0.012)
-        assert found.slope_east == pytest.approx(east + 2.0 * bend * e, abs=0.015)
-        assert found.slope_north == pytest.approx(north, abs=0.015)
-        assert abs(found.height_m - truth) < 4.0 * found.sigma_m
-        assert found.distance_m < CELL_M
-        assert found.other_height_m is None
+        result = roads.elevation(e, n, truth + 1.0)
+        assert result is not None
+        assert result.height_m == pytest.approx(truth, abs=0.012)
+        assert result.slope_east == pytest.approx(east + 2.0 * bend * e, abs=0.015)
+        assert result.slope_north == pytest.approx(north, abs=0.015)
+        assert abs(result.height_m - truth) < 4.0 * result.sigma_m
+        assert result.distance_m < CELL_M
+        assert result.other_height_m is None
 
 
 def test_where_roads_cross_each_keeps_its_height(crossing: RoadHeights) -> None:
@@ -89,10 +89,10 @@ def test_where_roads_cross_each_keeps_its_height(crossing: RoadHeights) -> None:
 def test_no_height_lies_between_two_roads(
     crossing: RoadHeights, east: float, north: float, near: float
 ) -> None:
-    found = crossing.elevation(east, north, near)
-    if found is not None:
+    result = crossing.elevation(east, north, near)
+    if result is not None:
         # Below: from −60 to 60 m by 2 %, and across; above: by 3 %.
-        assert -1.4 <= found.height_m <= 1.4 or 4.1 <= found.height_m <= 7.9
+        assert -1.4 <= result.height_m <= 1.4 or 4.1 <= result.height_m <= 7.9
 
 
 def test_driving_below_every_point_is_above_the_road_below(crossing: RoadHeights) -> None:
@@ -118,15 +118,15 @@ def test_a_ramp_leads_from_one_road_to_the_other_and_stays_apart_where_it_joins(
         return np.maximum(0.1 * east, 0.0) + 0.0 * north
 
     level = strip(lambda e, n: 0.0 * e, along_east=True, half_length_m=40.0, half_width_m=3.0)
-    beside = strip(ramp, along_east=True, half_length_m=40.0, half_width_m=1.5, seed=2)
-    beside[:, 1] += 4.5
-    roads = RoadHeights.of(np.concatenate((level, beside)))
+    outside = strip(ramp, along_east=True, half_length_m=40.0, half_width_m=1.5, seed=2)
+    outside[:, 1] += 4.5
+    roads = RoadHeights.of(np.concatenate((level, outside)))
     for east in (-20.0, 5.0, 12.0, 25.0, 38.0):
-        found = roads.elevation(east, 0.0, 0.2)
+        result = roads.elevation(east, 0.0, 0.2)
         up = roads.elevation(east, 4.5, max(0.1 * east, 0.0))
-        assert found is not None
+        assert result is not None
         assert up is not None
-        assert found.height_m == pytest.approx(0.0, abs=0.02)
+        assert result.height_m == pytest.approx(0.0, abs=0.02)
         assert up.height_m == pytest.approx(max(0.1 * east, 0.0), abs=0.03)
     # At the wall itself each keeps its own height to within the fit of the last cell.
     border = np.array([[35.0, 2.8, 2.0], [35.0, 3.3, 5.0]])
@@ -147,12 +147,12 @@ def test_a_gap_in_the_cloud_is_bridged() -> None:
     np.testing.assert_allclose(surface.height_above(points), -0.05 * points[:, 0], atol=0.02)
 
 
-def test_beside_the_road_its_height_is_continued_level_with_a_growing_sigma() -> None:
+def test_off_the_road_its_height_is_continued_level_with_a_growing_sigma() -> None:
     roads = RoadHeights.of(strip(lambda e, n: 0.02 * n, along_east=True))
     at = [roads.elevation(0.0, north, 0.0) for north in (0.0, 10.0, 20.0, 30.0)]
-    assert all(found is not None for found in at)
-    heights = [found.height_m for found in at if found is not None]
-    sigmas = [found.sigma_m for found in at if found is not None]
+    assert all(result is not None for result in at)
+    heights = [result.height_m for result in at if result is not None]
+    sigmas = [result.sigma_m for result in at if result is not None]
     assert heights[1:] == pytest.approx([0.1, 0.1, 0.1], abs=0.03)
     assert sigmas == sorted(sigmas)
     assert sigmas[2] > 0.3

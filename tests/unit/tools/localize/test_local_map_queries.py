@@ -74,7 +74,7 @@ def questions() -> list[tuple[str, Message]]:
 def test_every_answer_is_that_of_the_map_server(folder: Path) -> None:
     service = MapServerService(MapServerSettings(release=folder), cast(Bus, _Bus()))
     at_hand = LocalMapQueries(release_for(folder, "WGS84"))
-    assert at_hand.is_there()
+    assert at_hand.is_available()
     said: set[str] = set()
     for name, request in questions():
         (theirs,) = service.answers()[name]([request])

@@ -24,8 +24,24 @@ START_NS = 1_300_000_000 * 1_000_000_000
 
 
 def row(low_m: float, high_m: float, outcome: str, mean_distance_m: float) -> LayerMatch:
-    fit = LayerFit(np.eye(4), True, 5, 1234, 1000, mean_distance_m, 0.81)
-    return LayerMatch((low_m, high_m), fit, np.zeros(3), np.eye(3), 0.97, 0.64, outcome)  # type: ignore[arg-type]
+    fit = LayerFit(
+        transform=np.eye(4),
+        converged=True,
+        iterations=5,
+        points=1234,
+        pairs=1000,
+        mean_distance_m=mean_distance_m,
+        overlap=0.81,
+    )
+    return LayerMatch(
+        bounds_m=(low_m, high_m),
+        fit=fit,
+        offset=np.zeros(3),
+        covariance=np.eye(3),
+        residual=0.97,
+        inliers=0.64,
+        outcome=outcome,
+    )  # type: ignore[arg-type]
 
 
 def view(status: str = "ambiguous", reason: str = "layers_disagree") -> MatchView:
@@ -33,13 +49,25 @@ def view(status: str = "ambiguous", reason: str = "layers_disagree") -> MatchVie
     local_m = rng.uniform((-30.0, -30.0, 0.0), (30.0, 30.0, 4.0), (500, 3))
     rows = (row(0.3, 1.0, "used", 0.123), row(1.0, 2.0, "voted_out", math.inf))
     match = LayeredMatch(
-        status, reason, map_from_vehicle(5.0, 7.0, 0.0, 0.0, 0.0, 0.4), np.eye(3), rows  # type: ignore[arg-type]
-    )  # fmt: skip
+        status=status,
+        reason=reason,  # type: ignore[arg-type]
+        map_from_local=map_from_vehicle(5.0, 7.0, 0.0, 0.0, 0.0, 0.4),
+        covariance=np.eye(3),
+        layers=rows,
+    )
     residual_m = np.where(np.arange(500) % 7 == 0, np.nan, rng.uniform(0.0, 0.5, 500))
     return MatchView(
-        START_NS + 2_500_000_000, match, LocalFrame(0.6, 2.4, 0.0), 40.0, local_m, local_m[:, 2],
-        np.where(local_m[:, 2] < 2.0, 0, -1), residual_m, local_m + 0.3, local_m[:, 2],
-    )  # fmt: skip
+        time_ns=START_NS + 2_500_000_000,
+        match=match,
+        frame=LocalFrame(0.6, 2.4, 0.0),
+        base_height_m=40.0,
+        points_m=local_m,
+        heights_m=local_m[:, 2],
+        layer=np.where(local_m[:, 2] < 2.0, 0, -1),
+        residual_m=residual_m,
+        map_m=local_m + 0.3,
+        map_heights_m=local_m[:, 2],
+    )
 
 
 def texts(figure: Figure) -> set[str | None]:
@@ -68,9 +96,14 @@ def test_points_are_images_in_the_file_so_that_it_stays_small() -> None:
 
 def test_a_match_without_points_has_a_picture() -> None:
     empty = replace(
-        view(), points_m=np.zeros((0, 3)), heights_m=np.zeros(0), layer=np.zeros(0, np.int64),
-        residual_m=np.zeros(0), map_m=np.zeros((0, 3)), map_heights_m=np.zeros(0),
-    )  # fmt: skip
+        view(),
+        points_m=np.zeros((0, 3)),
+        heights_m=np.zeros(0),
+        layer=np.zeros(0, np.int64),
+        residual_m=np.zeros(0),
+        map_m=np.zeros((0, 3)),
+        map_heights_m=np.zeros(0),
+    )
     assert "a: scan match at 2.5 s" in texts(match_figure("a", empty, start_ns=START_NS))
 
 
