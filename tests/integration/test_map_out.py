@@ -44,7 +44,7 @@ import sys
 import time
 from pathlib import Path
 
-from camber.road_map.release_server import ReleaseServing
+from camber.road_map.release_server import ReleaseServer
 from camber.runtime.run import run
 from camber.runtime.service import Service
 from camber.runtime.settings import ServiceSettings
@@ -65,7 +65,7 @@ class Cloud(Service):
 
     def __init__(self, settings, bus):
         super().__init__(settings, bus)
-        self.serving, self.said = ReleaseServing(settings.releases), None
+        self.serving, self.said = ReleaseServer(settings.releases), None
 
     def answers(self):
         answers = self.serving.answers(self.bus.now_ns)

@@ -225,7 +225,7 @@ def test_an_upload_is_stored_in_its_own_name_and_refused_in_anothers(world: Worl
         assert stored.status == "stored"
         refused = receipt("car-2")
         assert refused.status == "refused"
-        assert refused.reason == "vehicle car-2 was uploaded under the key of car-1, expected its own"
+        assert refused.reason == "vehicle car-2 was uploaded under the key of car-1, expected the same"
         asked = camber("health", "map_update", "--config", config, "--json")
         assert '"refused.vehicle":1' in asked.stdout.replace(" ", "")
         assert "not_heard" not in asked.stdout

@@ -349,7 +349,7 @@ def test_a_long_gap_is_said_before_it_is_waited_for(endpoint: str, tmp_path: Pat
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--speed", "2"], "with times of now expected 1"),
+        (["--speed", "2"], "expected 1 with --times now"),
         (["--channels", "health"], "channel 'health'"),
         (["--channels", "pose"], "no message of these channels"),
     ],
