@@ -78,11 +78,12 @@ compile-simulator: setup
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 		$(BIN)/camber simulate city --set duration_s=0.5 --set lidar.beams=32 --out "$$folder/city" --quiet
 
-# Two at once, but for what times something by the machine's clock (the marker `timed`): that has the machine alone.
-# The judge's pure modules must be covered whole by their own tests.
+# Tests of processes wait most of the time, so four run at once; others two at once. What measures time (the marker
+# `timed`) runs alone. The judge's pure modules must be covered whole by their own tests.
 define TESTS
+$(BIN)/python -m pytest -n 4 --dist loadfile -m 'not timed' tests/integration tests/container
 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not timed' --ignore tests/unit/integrity \
-	tests/replay tests/integration tests/container tests/architecture tests/contract tests/fuzz tests/unit
+	tests/replay tests/architecture tests/contract tests/fuzz tests/unit
 $(BIN)/python -m pytest -n 2 --dist load tests/unit/integrity --cov
 $(BIN)/python -m pytest -m timed tests/integration tests/container
 endef
