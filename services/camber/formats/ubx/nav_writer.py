@@ -40,7 +40,7 @@ def format_position_velocity_time(solution: ReceiverSolution, *, geoid_separatio
         speed_accuracy = _positive(math.sqrt(ee + nn + uu) * 1e3)
         if ground_m_s > 0.0:
             sigma_deg = math.degrees(math.sqrt(ee + nn) / ground_m_s)
-            heading_accuracy = min(round(sigma_deg * 1e5), heading_accuracy)
+            heading_accuracy = round(min(sigma_deg * 1e5, heading_accuracy))  # infinite at a subnormal speed
     heading = 0
     if ground_m_s > 0.0:
         heading = _scaled(math.degrees(heading_from_yaw(math.atan2(north, east))) % 360.0, 1e5)
