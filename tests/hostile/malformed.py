@@ -36,8 +36,8 @@ class Malformed:
 
 def channels(*, replayed: bool = False) -> tuple[Channel, ...]:
     """Whatever a service subscribes to or answers; in a replay the barrier's too."""
-    heard = (channel for channel in CHANNELS if set(channel.consumers) & set(SERVICES))
-    return tuple(channel for channel in heard if replayed or channel.delivery != "barrier")
+    consumed = (channel for channel in CHANNELS if set(channel.consumers) & set(SERVICES))
+    return tuple(channel for channel in consumed if replayed or channel.delivery != "barrier")
 
 
 def malformed(

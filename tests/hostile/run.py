@@ -40,7 +40,7 @@ class Stretch:
     """What came of a stretch of the drive."""
 
     seconds: float
-    words: dict[str, int]
+    verdict_counts: dict[str, int]
     right_confirmed: float
     """Of the right fixes that were judged."""
     right_confirmed_hz: float
@@ -67,17 +67,17 @@ class Observed:
     def stretch(self) -> Stretch:
         """From the last one to now."""
         now_s, after = time.monotonic(), self.readings()
-        words = self.witness.words(self.began_s, now_s)
-        said_of_right = sum(n for (fix, _), n in words.items() if fix == "right")
-        right = sum(n for (fix, word), n in words.items() if fix == "right" and word in TRUSTED)
+        verdict_counts = self.witness.verdict_counts(self.began_s, now_s)
+        said_of_right = sum(n for (fix, _), n in verdict_counts.items() if fix == "right")
+        right = sum(n for (fix, word), n in verdict_counts.items() if fix == "right" and word in TRUSTED)
         seconds = now_s - self.began_s
         found = Stretch(
             round(seconds, 1),
-            {f"{fix}, {word}": n for (fix, word), n in sorted(words.items())},
+            {f"{fix}, {word}": n for (fix, word), n in sorted(verdict_counts.items())},
             round(right / max(said_of_right, 1), 4),
             round(right / seconds, 2),
-            self.witness.wrong_that_was_trusted(self.began_s, now_s).total(),
-            round(len(self.witness.said(Verdict, self.began_s, now_s)) / seconds, 2),
+            self.witness.wrong_but_trusted(self.began_s, now_s).total(),
+            round(len(self.witness.messages(Verdict, self.began_s, now_s)) / seconds, 2),
             {name: round((after[name].cpu_s - self.before[name].cpu_s) / seconds, 3) for name in after},
             {name: round(after[name].uss_mb, 1) for name in after},
         )

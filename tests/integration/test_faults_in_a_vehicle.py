@@ -91,13 +91,13 @@ def promised(here: Here) -> Iterator[None]:
     began_s = time.monotonic()
     here.witness.wait_for_trust(began_s, timeout_s=RETURN_S)
     yield
-    assert not here.witness.wrong_that_was_trusted(began_s), here.witness.words(began_s)
+    assert not here.witness.wrong_but_trusted(began_s), here.witness.verdict_counts(began_s)
     assert here.vehicle.ended() == {}
 
 
 def trusted_of(witness: Witness, from_s: float, after_ns: int, before_ns: int) -> list[Verdict]:
     """Verdicts said since, that pass on a fix measured in that time."""
-    verdicts = witness.said(Verdict, from_s)
+    verdicts = witness.messages(Verdict, from_s)
     return [said for said in verdicts if said.verdict in TRUSTED and after_ns < said.time_ns < before_ns]
 
 
@@ -118,11 +118,11 @@ def without(here: Here, service: str, fault: str) -> Iterator[Away]:
     away.limit_ns = limit_ns = now_ns() + round(AGE_S[service] * _NS)
     wait_s(AGE_S[service] + BEYOND_S)
     assert trusted_of(here.witness, began_s, limit_ns, now_ns()) == []
-    late = [v for v in here.witness.said(Verdict, began_s) if v.time_ns > limit_ns]
+    late = [v for v in here.witness.messages(Verdict, began_s) if v.time_ns > limit_ns]
     assert {verdict.verdict for verdict in late} <= {"unknown"}, fault
     if service != "integrity":
         wait_until(
-            lambda: [v for v in here.witness.said(Verdict, began_s) if v.time_ns > limit_ns],
+            lambda: [v for v in here.witness.messages(Verdict, began_s) if v.time_ns > limit_ns],
             timeout_s=20.0,
             why=f"{fault}: the judge is silent, expected unknown",
         )
@@ -145,7 +145,7 @@ def test_frozen(here: Here, service: str) -> None:
         with without(here, service, f"{service} frozen") as away:
             here.vehicle.freeze(service)
     finally:
-        here.vehicle.go_on(service)
+        here.vehicle.resume(service)
     back_s, back_ns = time.monotonic(), now_ns()
     after_s = here.witness.wait_for_trust(back_s, timeout_s=RETURN_S, dated_after_ns=back_ns)
     # What it says on waking of the time that it has missed is passed on by nobody.
@@ -189,8 +189,8 @@ def test_a_consumer_that_does_not_keep_up_holds_up_nobody_else(here: Here) -> No
             ended.set()
             thread.join()
             session.close()
-        words = here.witness.words(began_s)
-        assert words["right", "confirmed"] > 0
+        verdict_counts = here.witness.verdict_counts(began_s)
+        assert verdict_counts["right", "confirmed"] > 0
         measured("slow consumer", confirmed_while_it_lasts_s=after_s)
 
 
@@ -228,7 +228,7 @@ def test_a_full_disk(here: Here, service: str) -> None:
     finally:
         here.disks[service].free()
     free_s, free_ns = time.monotonic(), now_ns()
-    sent = {v.time_ns for v in here.witness.said(Verdict, began_s, free_s) if v.verdict == "confirmed"}
+    sent = {v.time_ns for v in here.witness.messages(Verdict, began_s, free_s) if v.verdict == "confirmed"}
     sent = {time_ns for time_ns in sent if began_ns < time_ns < free_ns}
     assert sent
     wait_until(
@@ -242,8 +242,8 @@ def test_a_full_disk(here: Here, service: str) -> None:
     measured(f"disk of {service} full", confirmed_meanwhile_s=meanwhile, uploads_in_the_cloud_after_s=after_s)
 
 
-def met(here: Here, service: str, words: tuple[str, ...]) -> bool:
+def met(here: Here, service: str, verdict_counts: tuple[str, ...]) -> bool:
     """Does the service say something of the kind?"""
     health = here.vehicle.health(service)
     issues = [] if health is None else [f"{issue.code} {issue.text}" for issue in health.issues]
-    return any(word in issue for word in words for issue in issues)
+    return any(word in issue for word in verdict_counts for issue in issues)

@@ -25,8 +25,9 @@ from support.running import wait_until
 pytestmark = pytest.mark.slow
 
 RATE_HZ = 10.0
-LEAST_CONFIRMED_HZ = 1.0
-"""Right fixes of the drive come four times a second; a busy machine may be late with some."""
+RIGHT_FIX_HZ = 4.0
+"""Right fixes of the drive. The fault lasts until a quarter as many are confirmed as come in its time: a busy machine
+may need longer for that."""
 LIMIT_S = 240.0
 WITHOUT_S = 3.0
 CLOUD_PORT = 7448
@@ -89,7 +90,7 @@ def promised(here: Here) -> Iterator[None]:
     began_s = time.monotonic()
     yield
     here.witness.wait_for_trust(began_s, timeout_s=LIMIT_S)
-    assert not here.witness.wrong_that_was_trusted(began_s), here.witness.words(began_s)
+    assert not here.witness.wrong_but_trusted(began_s), here.witness.verdict_counts(began_s)
     assert here.vehicle.ended() == {}
     assert here.cloud.ended() == {}
 
@@ -137,8 +138,11 @@ def suffer(
     try:
         began_s = time.monotonic()
         wait_s(for_s)
-        confirmed = here.witness.words(began_s)["right", "confirmed"]
-        assert confirmed >= for_s * LEAST_CONFIRMED_HZ, here.witness.words(began_s)
+        wait_until(
+            lambda: here.witness.verdict_counts(began_s)["right", "confirmed"] >= for_s * RIGHT_FIX_HZ / 4.0,
+            timeout_s=LIMIT_S,
+            why="too few right fixes confirmed during the fault",
+        )
         here.witness.wait_for_trust(time.monotonic(), timeout_s=LIMIT_S, dated_after_ns=now_ns())
         waited = put(here) - cloud_has(here)
         if passes:

@@ -112,13 +112,13 @@ def test_a_live_vehicle_confirms_right_fixes_and_no_wrong_one_meanwhile(tmp_path
             kinds = said_by(hostile)
         ended_s, ended_ns = time.monotonic(), now_ns()
         after_s = witness.wait_for_trust(ended_s, timeout_s=180.0, dated_after_ns=ended_ns)
-        words = witness.words(began_s)
+        verdict_counts = witness.verdict_counts(began_s)
         assert vehicle.ended() == {}
         assert all(vehicle.health(name, timeout_s=20.0).status == "ok" for name in SERVICES)
         after = {name: read(process.pid, 0.0) for name, process in vehicle.running.items()}
     assert len(kinds) == len({item.kind for item in malformed("demo", now_ns(), SEED, of_each=1)})
-    assert not witness.wrong_that_was_trusted(began_s), words
-    assert words["right", "confirmed"] > 0
+    assert not witness.wrong_but_trusted(began_s), verdict_counts
+    assert verdict_counts["right", "confirmed"] > 0
     grown = {name: after[name].uss_mb - before[name].uss_mb for name in after}
     assert max(grown.values()) < MOST_MB, grown
     measured(

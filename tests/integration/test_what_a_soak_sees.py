@@ -41,17 +41,17 @@ def readings(mb_an_hour: float, *, steps: dict[int, float] | None = None, seed: 
     return found
 
 
-def judged(found: list[Reading], window: Window = CALM) -> list[str]:
+def count_verdicts(found: list[Reading], window: Window = CALM) -> list[str]:
     return complaints({"gnss": drift(found)}, [window], least_mb=LEAST_MB, latency=True)
 
 
 def test_a_calm_process_is_no_leak():
-    assert judged(readings(0.0)) == []
+    assert count_verdicts(readings(0.0)) == []
 
 
 @pytest.mark.parametrize("mb_an_hour", [0.7, 5.0])
 def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
-    assert ["memory grew" in text for text in judged(readings(mb_an_hour))] == [True]
+    assert ["memory grew" in text for text in count_verdicts(readings(mb_an_hour))] == [True]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_memory_that_grows_all_the_time_is_a_leak(mb_an_hour):
     ids=["a step that stays", "late", "early, and kept"],
 )
 def test_memory_that_is_more_in_the_end_is_a_leak(steps):
-    assert ["memory grew" in text for text in judged(readings(0.0, steps=steps))] == [True]
+    assert ["memory grew" in text for text in count_verdicts(readings(0.0, steps=steps))] == [True]
 
 
 def test_descriptors_that_leak_slowly_are_seen_through_a_peak_and_a_dip():
@@ -72,14 +72,14 @@ def test_descriptors_that_leak_slowly_are_seen_through_a_peak_and_a_dip():
 
 
 def test_a_step_up_and_down_again_is_none():
-    assert judged(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
+    assert count_verdicts(readings(0.0, steps={300: 10.0, 420: -10.0})) == []
 
 
 def test_descriptors_and_threads_that_stay_are_a_leak():
     found = readings(0.0)
     grown = [Reading(r.at_s, r.uss_mb, r.pss_mb, r.descriptors + 4 * (n > 300), r.threads + (n > 300), r.cpu_s)
              for n, r in enumerate(found)]  # fmt: skip
-    assert len(judged(grown)) == 2
+    assert len(count_verdicts(grown)) == 2
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_descriptors_and_threads_that_stay_are_a_leak():
     ],
 )
 def test_late_wrong_and_missing_verdicts_are_complained_of(window, said):
-    (text,) = judged(readings(0.0), window)
+    (text,) = count_verdicts(readings(0.0), window)
     assert said in text
 
 
@@ -127,10 +127,10 @@ class Witness:
     def since(self, from_s: float, until_s: float = float("inf")) -> list[SimpleNamespace]:
         return [item for item in self.items if from_s <= item.at_s < until_s]
 
-    def words(self, *_: float) -> dict[tuple[str, str], int]:
+    def verdict_counts(self, *_: float) -> dict[tuple[str, str], int]:
         return {("right", "confirmed"): 1000}
 
-    def wrong_that_was_trusted(self, *_: float) -> SimpleNamespace:
+    def wrong_but_trusted(self, *_: float) -> SimpleNamespace:
         return SimpleNamespace(total=lambda: 0)
 
 

@@ -32,21 +32,21 @@ def read(pid: int, at_s: float) -> Reading:
         name, _, rest = line.partition(":")
         if name in kb:
             kb[name] = int(rest.split()[0])
-    words = (proc / "stat").read_text().rpartition(")")[2].split()
+    fields = (proc / "stat").read_text().rpartition(")")[2].split()
     return Reading(
         at_s,
         (kb["Private_Clean"] + kb["Private_Dirty"]) / 1024,
         kb["Pss"] / 1024,
         len(list((proc / "fd").iterdir())),
-        int(words[17]),
-        (int(words[11]) + int(words[12])) / 100.0,
+        int(fields[17]),
+        (int(fields[11]) + int(fields[12])) / 100.0,
     )
 
 
 def busy_s() -> float:
     """Processor time that this machine has spent on anything, all processors together."""
-    words = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
-    user, nice, system, _idle, _waiting, irq, soft, *_ = (int(word) for word in words)
+    fields = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
+    user, nice, system, _idle, _waiting, irq, soft, *_ = (int(word) for word in fields)
     return (user + nice + system + irq + soft) / 100.0
 
 

@@ -80,8 +80,8 @@ def windows(
         fixes = [i for i in witness.since(at_s, min(end_s, until_s - 1.0)) if isinstance(i.message, Fix)]
         ms = [1e3 * (judged_s.get(item.message.fix_id, np.inf) - item.at_s) for item in fixes]
         p50, p99, largest = np.percentile(ms, [50, 99, 100], method="higher") if ms else (np.inf,) * 3
-        words = witness.words(at_s, end_s)
-        right = sum(n for said, n in words.items() if said[0] == "right" and said[1] in TRUSTED)
+        verdict_counts = witness.verdict_counts(at_s, end_s)
+        right = sum(n for said, n in verdict_counts.items() if said[0] == "right" and said[1] in TRUSTED)
         spent = [busy_of for at, busy_of in busy if at_s <= at < end_s]
         load = (spent[-1] - spent[0]) / (EVERY_S * (len(spent) - 1)) if len(spent) > 1 else float("nan")
         found.append(
@@ -94,7 +94,7 @@ def windows(
                 round(float(p99), 2),
                 round(float(largest), 2),
                 right,
-                witness.wrong_that_was_trusted(at_s, end_s).total(),
+                witness.wrong_but_trusted(at_s, end_s).total(),
                 round(load, 2),
             )
         )
@@ -186,7 +186,8 @@ def soak(folder: Path, minutes: float, warm_up_minutes: float) -> dict[str, Any]
             if now_s - said_s >= WINDOW_S:
                 said_s = now_s
                 print(
-                    f"{(now_s - began_s) / 60.0:.0f} min: {dict(witness.words(now_s - WINDOW_S))}", flush=True
+                    f"{(now_s - began_s) / 60.0:.0f} min: {dict(witness.verdict_counts(now_s - WINDOW_S))}",
+                    flush=True,
                 )
             next_s += EVERY_S
             time.sleep(max(next_s - time.monotonic(), 0.0))

@@ -1,4 +1,4 @@
-"""The short drive with wrong fixes every few seconds, and who of what was said of a fix was right.
+"""The short drive with wrong fixes every few seconds, and which verdicts on its fixes were right.
 
 A fix is recognised by its position: errors make every position of the drive another one, and `camber feed` moves times
 only. So what is confirmed can be called right or wrong whenever the drive is fed, forwards or backwards.
@@ -38,7 +38,7 @@ Key = tuple[int, int, int]
 
 
 def write_drive(folder: Path, seed: int = 1) -> Path:
-    """Write the drive; returns its manifest. No pose is given: a vehicle starts from what it hears."""
+    """Write the drive; returns its manifest. No pose is given: a vehicle starts from its fixes."""
     with patch.object(short_drive, "SCHEDULE", SCHEDULE):
         manifest = short_drive.write_short_drive(folder, seed)
     head, _, _ = manifest.read_text().partition("[initial_pose]")
@@ -65,37 +65,37 @@ class Known:
                         return self.by_position[place]
         return None
 
-    def word(self, message: Any) -> str:
+    def label(self, message: Any) -> str:
         """`right`, `wrong`, or `none of the drive`."""
-        found = self.of(message)
-        return "none of the drive" if found is None else found[1]
+        known = self.of(message)
+        return "none of the drive" if known is None else known[1]
 
 
 def known_fixes(manifest: Path) -> Known:
     """Of a drive that `write_drive` has written."""
     solutions = PosDecoder("receiver").feed((manifest.parent / "receiver.pos").read_bytes())
-    found: dict[Key, tuple[int, str]] = {}
+    by_position: dict[Key, tuple[int, str]] = {}
     for solution in solutions:
         epoch = round((solution.time_ns - short_drive.START_NS) * short_drive.RATE_HZ / 1e9)
         time_s = epoch / short_drive.RATE_HZ
         wrong = any(begin <= round(time_s, 3) < end for begin, end, _ in SCHEDULE)
         key = _key(solution.latitude_rad, solution.longitude_rad, solution.height_m)
-        found[key] = (epoch, "wrong" if wrong else "right")
-    assert len(found) == len(solutions), "two fixes of the drive have the same position"
-    return Known(found)
+        by_position[key] = (epoch, "wrong" if wrong else "right")
+    assert len(by_position) == len(solutions), "two fixes of the drive have the same position"
+    return Known(by_position)
 
 
-def judged(known: Known, fixes: Iterable[Any], verdicts: Iterable[Any]) -> Counter[tuple[str, str]]:
-    """How often what was said of which fixes: (`right` or `wrong`, the judge's word)."""
-    of_fix = {fix.fix_id: known.word(fix) for fix in fixes}
+def count_verdicts(known: Known, fixes: Iterable[Any], verdicts: Iterable[Any]) -> Counter[tuple[str, str]]:
+    """Number of verdicts by (`right` or `wrong` fix, verdict)."""
+    of_fix = {fix.fix_id: known.label(fix) for fix in fixes}
     counts: Counter[tuple[str, str]] = Counter()
     for verdict in verdicts:
         if verdict.fix_id is None:
             counts["no fix", verdict.verdict] += 1
-        elif verdict.verdict in TRUSTED:  # what is passed on has a position of its own, which is what counts
-            counts[known.word(verdict), verdict.verdict] += 1
+        elif verdict.verdict in TRUSTED:  # a trusted verdict has a position, which is what counts
+            counts[known.label(verdict), verdict.verdict] += 1
         else:
-            counts[of_fix.get(verdict.fix_id, "not heard"), verdict.verdict] += 1
+            counts[of_fix.get(verdict.fix_id, "not received"), verdict.verdict] += 1
     return counts
 
 

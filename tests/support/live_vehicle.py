@@ -1,6 +1,6 @@
-"""A vehicle as real processes on a real bus, fed the drive of `live_drive`, and a witness of what they say.
+"""A vehicle as real processes on a real bus, fed the drive of `live_drive`, and a witness of their messages.
 
-Processes are killed, frozen and started again by name. Each can stand in a network namespace (`support/link.py`).
+Processes are killed, frozen and started again by name, each in a network namespace if wanted (`support/link.py`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from camber.schemas.channels import VEHICLE_SERVICES
 from camber.schemas.gnss import Fix
 from camber.schemas.health import Health, HealthRequest
 from camber.schemas.integrity import Position, Verdict
-from support.live_drive import TRUSTED, Known, judged, known_fixes, write_drive
+from support.live_drive import TRUSTED, Known, count_verdicts, known_fixes, write_drive
 from support.running import environment, wait_until
 
 VEHICLE = "demo"
@@ -41,8 +41,8 @@ _LONG_S = 10.0
 
 
 @dataclass(frozen=True)
-class Heard:
-    """A message, and when it came: by this machine's monotonic clock, and as GPS time."""
+class ReceivedMessage:
+    """A message with its time of arrival: of this machine's monotonic clock, and GPS time."""
 
     at_s: float
     at_ns: int
@@ -50,7 +50,7 @@ class Heard:
 
 
 class Witness(threading.Thread):
-    """Keeps all that is said on some channels: whatever its age, what a consumer would refuse too, unless `live`."""
+    """Keeps every message of some channels, even those a consumer would refuse for their age, unless `live`."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Witness(threading.Thread):
     ) -> None:
         super().__init__(daemon=True)
         self.known = known
-        self.heard: deque[Heard] = deque(maxlen=_KEPT)
+        self.received: deque[ReceivedMessage] = deque(maxlen=_KEPT)
         self._ended = threading.Event()
         self._listener = Subscription(
             "fix", "verdict", "position", *more, vehicle=vehicle, connect=[endpoint], live=live
@@ -74,54 +74,55 @@ class Witness(threading.Thread):
             while not self._ended.is_set():
                 message = listener.next(0.1)
                 if message is not None:
-                    self.heard.append(Heard(time.monotonic(), _CLOCK.now_ns(), message))
+                    self.received.append(ReceivedMessage(time.monotonic(), _CLOCK.now_ns(), message))
 
     def end(self) -> None:
         self._ended.set()
         self.join(10.0)
 
-    def since(self, from_s: float, until_s: float = float("inf")) -> list[Heard]:
-        """What came then."""
-        return [item for item in list(self.heard) if from_s <= item.at_s < until_s]
+    def since(self, from_s: float, until_s: float = float("inf")) -> list[ReceivedMessage]:
+        """Messages that arrived in that time."""
+        return [item for item in list(self.received) if from_s <= item.at_s < until_s]
 
-    def said(self, kind: type, from_s: float = 0.0, until_s: float = float("inf")) -> list[Any]:
-        """Messages of a kind that came then."""
+    def messages(self, kind: type, from_s: float = 0.0, until_s: float = float("inf")) -> list[Any]:
+        """Messages of one class that arrived in that time."""
         return [item.message for item in self.since(from_s, until_s) if isinstance(item.message, kind)]
 
-    def words(self, from_s: float = 0.0, until_s: float = float("inf")) -> Counter[tuple[str, str]]:
-        """What was said then, of right fixes and of wrong ones."""
-        return judged(self.known, self.said(Fix), self.said(Verdict, from_s, until_s))
+    def verdict_counts(self, from_s: float = 0.0, until_s: float = float("inf")) -> Counter[tuple[str, str]]:
+        """How many verdicts of which kind, of right fixes and of wrong ones: (fix, verdict)."""
+        return count_verdicts(self.known, self.messages(Fix), self.messages(Verdict, from_s, until_s))
 
-    def wrong_that_was_trusted(
+    def wrong_but_trusted(
         self, from_s: float = 0.0, until_s: float = float("inf")
     ) -> Counter[tuple[str, str]]:
-        """Verdicts that pass on what is no right fix, and positions to be used that are none: (what it is, who)."""
-        said = self.words(from_s, until_s)
-        found = Counter({key: n for key, n in said.items() if key[1] in TRUSTED and key[0] != "right"})
-        for position in self.said(Position, from_s, until_s):
-            if position.usable and position.source == "rtk" and self.known.word(position) != "right":
-                found[self.known.word(position), "usable position"] += 1
-        return found
+        """Trusted verdicts and usable positions that are not those of a right fix, counted by (fix, what trusts it)."""
+        verdicts = self.verdict_counts(from_s, until_s)
+        trusted = Counter({key: n for key, n in verdicts.items() if key[1] in TRUSTED and key[0] != "right"})
+        for position in self.messages(Position, from_s, until_s):
+            label = self.known.label(position)
+            if position.usable and position.source == "rtk" and label != "right":
+                trusted[label, "usable position"] += 1
+        return trusted
 
     def trusted_right(self, verdict: Any) -> bool:
-        """Is a right fix passed on by it?"""
-        return verdict.verdict in TRUSTED and self.known.word(verdict) == "right"
+        """Whether the verdict trusts a right fix."""
+        return verdict.verdict in TRUSTED and self.known.label(verdict) == "right"
 
     def wait_for_trust(self, from_s: float, *, timeout_s: float = 60.0, dated_after_ns: int = 0) -> float:
         """Seconds from then until a right fix (measured after `dated_after_ns`) is confirmed."""
 
         def confirmed() -> float | None:
             for item in self.since(from_s):
-                said = item.message
-                if isinstance(said, Verdict) and said.time_ns > dated_after_ns and self.trusted_right(said):
+                verdict = item.message
+                is_later = isinstance(verdict, Verdict) and verdict.time_ns > dated_after_ns
+                if is_later and self.trusted_right(verdict):
                     return item.at_s - from_s + 1e-9
             return None
 
         after_s = float(wait_until(confirmed, timeout_s=timeout_s, why="no right fix is confirmed"))
         if after_s > _LONG_S:
-            why = Counter(
-                (said.verdict, said.reason) for said in self.said(Verdict, from_s, from_s + after_s)
-            )
+            verdicts = self.messages(Verdict, from_s, from_s + after_s)
+            why = Counter((verdict.verdict, verdict.reason) for verdict in verdicts)
             print(f"nothing confirmed for {after_s:.1f} s: {dict(why)}", flush=True)
         return after_s
 
@@ -135,7 +136,7 @@ class Processes:
         self._commands: dict[str, list[str]] = {}
 
     def start(self, name: str, *command: object, within: Sequence[str] = ()) -> None:
-        """`python command…`, behind the words of `within`; without a command, the one that it had."""
+        """Run `within… python command…`; without a command, the one it was started with before."""
         if command:
             self._commands[name] = [*within, sys.executable, *map(str, command)]
         with self.log(name).open("ab") as log:
@@ -154,14 +155,14 @@ class Processes:
     def freeze(self, name: str) -> None:
         os.kill(self.running[name].pid, signal.SIGSTOP)
 
-    def go_on(self, name: str) -> None:
+    def resume(self, name: str) -> None:
         os.kill(self.running[name].pid, signal.SIGCONT)
 
     def log(self, name: str) -> Path:
         return self.folder / f"{name}.log"
 
     def ended(self) -> dict[str, str]:
-        """Who has ended that should not have, and the end of its log."""
+        """Processes that have ended though they should run, with the end of their logs."""
         return {
             name: self.log(name).read_text()[-1500:]
             for name, process in self.running.items()
@@ -176,7 +177,7 @@ class Processes:
 
 
 class LiveVehicle(Processes):
-    """Router, the services of a vehicle, map_update if it is wanted, and a drive there and back without end.
+    """Router, services of a vehicle (with map_update if wanted) and a drive fed to and fro without end.
 
     `endpoint` is the bus of services and witness; `within` goes before each of their commands. `settings` are lines
     of TOML by service. `state` holds a folder for each service. `router_file` is made by `camber access`.
@@ -206,7 +207,7 @@ class LiveVehicle(Processes):
 
     def assemble(self) -> None:
         """Start all of it."""
-        ends: list[object] = [word for here in self._listens for word in ("--listen", here)]
+        ends: list[object] = [word for endpoint in self._listens for word in ("--listen", endpoint)]
         if self._router_file is not None:
             ends += ["--config-file", self._router_file]
         self.start("router", "-m", "camber.cli", "router", *ends, within=self._within)
@@ -227,7 +228,7 @@ class LiveVehicle(Processes):
         return self.folder / f"{name}.toml"
 
     def _text(self, name: str) -> str:
-        own = {
+        usual = {
             "gnss": 'source = "bus"\nprotocol = "pos"\n',
             "map_server": f'release = "{self.manifest.parent / "map"}"\n',
             "antenna_height": f"fixed_height_m = {ANTENNA_HEIGHT_M}\nfixed_sigma_m = 0.02\n",
@@ -237,7 +238,7 @@ class LiveVehicle(Processes):
         where.mkdir(parents=True, exist_ok=True)
         head = f'vehicle = "{VEHICLE}"\nstate_dir = "{where}"\n'
         bus = f'[zenoh]\nmode = "client"\nconnect = ["{self.endpoint}"]\n'
-        return f"{head}{self._settings.get(name, own.get(name, ''))}{bus}"
+        return f"{head}{self._settings.get(name, usual.get(name, ''))}{bus}"
 
     @contextmanager
     def witnessed(self, *more: str, live: bool = False) -> Iterator[Witness]:
@@ -251,11 +252,11 @@ class LiveVehicle(Processes):
     def stored_ns(self) -> list[int]:
         """Times of the observations that its `map_update` holds, in order."""
         with closing(SqliteStore(self.state / "map_update" / "uploads.sqlite")) as store:
-            found = store.observations_after(0, 1_000_000)
-        return sorted(int(t) for t in found.rows["time_ns"].tolist())
+            stored = store.observations_after(0, 1_000_000)
+        return sorted(int(t) for t in stored.rows["time_ns"].tolist())
 
     def health(self, service: str, *, timeout_s: float = 2.0) -> Health | None:
-        """How a service is; None where it does not answer."""
+        """Health of a service; None where it does not answer."""
         settings = ServiceSettings(
             vehicle=VEHICLE, zenoh=ZenohSettings(mode="client", connect=[self.endpoint])
         )
@@ -274,14 +275,14 @@ class LiveVehicle(Processes):
 
 @contextmanager
 def driving(vehicle: LiveVehicle, *more: str, live: bool = False) -> Iterator[Witness]:
-    """The vehicle on its way, once a first right fix is confirmed; what it has started is ended."""
+    """A driving vehicle, from its first confirmed right fix on; all its processes are ended on leaving."""
     try:
         vehicle.assemble()
         with vehicle.witnessed(*more, live=live) as witness:
             try:
                 witness.wait_for_trust(time.monotonic(), timeout_s=START_LIMIT_S)
             except AssertionError as error:
-                why = Counter(verdict.reason for verdict in witness.said(Verdict))
+                why = Counter(verdict.reason for verdict in witness.messages(Verdict))
                 raise AssertionError(f"{error}; {dict(why)}; {vehicle.ended()}") from None
             yield witness
     finally:
