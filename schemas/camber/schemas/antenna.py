@@ -27,4 +27,4 @@ class AntennaHeight(Message):
     way: HeightMethod | None = None
     height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = None
     sigma_m: Sigma | None = None
-    others: tuple[HeightByMethod, ...] = Field(default=(), max_length=8)
+    others: tuple[HeightByMethod, ...] = Field((), max_length=8)

@@ -7,6 +7,7 @@ from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from camber.schemas import antenna, fleet, gnss, health, integrity, lidar, motion, pose, road
@@ -53,305 +54,124 @@ class Channel:
         return vehicle
 
 
-_V = "camber/v1/{vehicle}/"
-_F = "camber/v1/fleet/"
-_U = _F + "{vehicle}/"  # the vehicle that uploads: access rules bind the key to its certificate
 VEHICLE_SERVICES = ("gnss", "map_server", "localizer", "antenna_height", "integrity")
 FEEDER = "feeder"
 SERVICES = (*VEHICLE_SERVICES, "map_update")
 """In the order of work within one epoch of a replay."""
 SENSORS = "sensors"
-"""Speaks for the vehicle where no other process does; in a replay its part is the feeder's."""
+"""Publishes for the vehicle where no other process does; in a replay its part is the feeder's."""
+_ALL = " ".join(SERVICES)
 
+
+_NAMES = {
+    "localizer/match": "scan_match",
+    "antenna_height/height": "antenna_height",
+    "fleet/map/root": "map_root",
+    "fleet/map/blob": "map_blob",
+    "replay/tick/{service}": "tick",
+    "replay/done/{service}": "done",
+}
+"""Of those that are not called as the end of their key."""
+_NOTES = {
+    "receiver_bytes": "native bytes, where the receiver is not attached to gnss itself: replays",
+    "verdict": "confirmed positions anchor the localizer's next pose",
+    "map_root": "after a notice, and now and then: notices can be lost",
+    "map_blob": "only what the asker lacks",
+    "health": "answered by the work loop",
+    "log_level": "answered by the work loop; falls back by itself",
+}
+
+
+def _row(
+    key: str,
+    flow: str,
+    rate_and_age: tuple[float | None, float | None],
+    message: type[Message] | tuple[type[Message], type[Message]],
+    *,
+    delivery: Delivery = "small",
+    looped: bool = False,
+    made_from: str = "",
+) -> Channel:
+    """A channel below the vehicle's key or the fleet's; `flow`: "producers > consumers"; a query's message: both."""
+    name = _NAMES.get(key) or key.rpartition("/")[2]
+    producers, _, consumers = flow.partition(">")
+    rate_hz, max_age_s = rate_and_age
+    return Channel(
+        name=name,
+        key=f"camber/v1/{key}" if key.startswith("fleet/") else f"camber/v1/{{vehicle}}/{key}",
+        message=message[0] if isinstance(message, tuple) else message,
+        reply=message[1] if isinstance(message, tuple) else None,
+        producers=tuple(producers.split()),
+        consumers=tuple(consumers.split()),
+        rate_hz=rate_hz,
+        max_age_s=max_age_s,
+        delivery=delivery,
+        looped=looped,
+        made_from=made_from,
+        note=_NOTES.get(name, ""),
+    )
+
+
+_bulk, _query = partial(_row, delivery="bulk"), partial(_row, delivery="query")
+_upload, _fetch = partial(_row, delivery="upload"), partial(_row, delivery="fetch")
+_barrier = partial(_row, delivery="barrier")
 CHANNELS: tuple[Channel, ...] = (
-    Channel(
-        name="receiver_bytes",
-        key=_V + "vehicle/receiver_bytes",
-        message=gnss.ReceiverBytes,
-        producers=("vehicle",),
-        consumers=("gnss",),
-        rate_hz=10,
-        max_age_s=2.0,
-        delivery="small",
-        note="native bytes, where the receiver is not attached to gnss itself: replays",
+    _row("vehicle/receiver_bytes", "vehicle > gnss", (10, 2.0), gnss.ReceiverBytes),
+    _row("vehicle/motion", "vehicle > gnss localizer antenna_height integrity", (10, 0.5), motion.Motion),
+    _row("vehicle/suspension", "vehicle > antenna_height", (10, 0.5), motion.Suspension),
+    _row("vehicle/ranging", "vehicle > antenna_height", (10, 0.5), motion.Ranging),
+    _bulk("vehicle/sweep", "vehicle > localizer", (10, 0.5), lidar.Sweep),
+    _row("gnss/fix", "gnss > localizer integrity", (10, 0.5), gnss.Fix),
+    _row("gnss/velocity", "gnss > integrity", (10, 0.5), gnss.SatelliteVelocity),
+    _row("gnss/observations", "gnss >", (10, None), gnss.Observations),
+    _row("gnss/receiver_integrity", "gnss > integrity", (1, 2.0), gnss.ReceiverIntegrity),
+    _query("gnss/estimates", "integrity > gnss", (None, 0.1), (gnss.EstimatesRequest, gnss.Estimates)),
+    _query(
+        "map_server/elevation",
+        "localizer > map_server",
+        (10, 0.1),
+        (road.ElevationRequest, road.ElevationReply),
     ),
-    Channel(
-        name="motion",
-        key=_V + "vehicle/motion",
-        message=motion.Motion,
-        producers=("vehicle",),
-        consumers=("gnss", "localizer", "antenna_height", "integrity"),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
-    ),
-    Channel(
-        name="suspension",
-        key=_V + "vehicle/suspension",
-        message=motion.Suspension,
-        producers=("vehicle",),
-        consumers=("antenna_height",),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
-    ),
-    Channel(
-        name="ranging",
-        key=_V + "vehicle/ranging",
-        message=motion.Ranging,
-        producers=("vehicle",),
-        consumers=("antenna_height",),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
-    ),
-    Channel(
-        name="sweep",
-        key=_V + "vehicle/sweep",
-        message=lidar.Sweep,
-        producers=("vehicle",),
-        consumers=("localizer",),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="bulk",
-    ),
-    Channel(
-        name="fix",
-        key=_V + "gnss/fix",
-        message=gnss.Fix,
-        producers=("gnss",),
-        consumers=("localizer", "integrity"),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
-    ),
-    Channel(
-        name="velocity",
-        key=_V + "gnss/velocity",
-        message=gnss.SatelliteVelocity,
-        producers=("gnss",),
-        consumers=("integrity",),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
-    ),
-    Channel(
-        name="observations",
-        key=_V + "gnss/observations",
-        message=gnss.Observations,
-        producers=("gnss",),
-        consumers=(),
-        rate_hz=10,
-        max_age_s=None,
-        delivery="small",
-    ),
-    Channel(
-        name="receiver_integrity",
-        key=_V + "gnss/receiver_integrity",
-        message=gnss.ReceiverIntegrity,
-        producers=("gnss",),
-        consumers=("integrity",),
-        rate_hz=1,
-        max_age_s=2.0,
-        delivery="small",
-    ),
-    Channel(
-        name="estimates",
-        key=_V + "gnss/estimates",
-        message=gnss.EstimatesRequest,
-        producers=("integrity",),
-        consumers=("gnss",),
-        rate_hz=None,
-        max_age_s=0.1,
-        delivery="query",
-        reply=gnss.Estimates,
-    ),
-    Channel(
-        name="elevation",
-        key=_V + "map_server/elevation",
-        message=road.ElevationRequest,
-        producers=("localizer",),
-        consumers=("map_server",),
-        rate_hz=10,
-        max_age_s=0.1,
-        delivery="query",
-        reply=road.ElevationReply,
-    ),
-    Channel(
-        name="links",
-        key=_V + "map_server/links",
-        message=road.LinksRequest,
-        producers=("localizer",),
-        consumers=("map_server",),
-        rate_hz=0.1,
-        max_age_s=0.5,
-        delivery="query",
-        reply=road.LinksReply,
-    ),
-    Channel(
-        name="tile",
-        key=_V + "map_server/tile",
-        message=road.TileRequest,
-        producers=("localizer",),
-        consumers=("map_server",),
-        rate_hz=0.1,
-        max_age_s=2.0,
-        delivery="query",
-        reply=road.TileReply,
-    ),
-    Channel(
-        name="pose",
-        key=_V + "localizer/pose",
-        message=pose.Pose,
-        producers=("localizer",),
-        consumers=("antenna_height", "integrity"),
-        rate_hz=10,
-        max_age_s=0.3,
-        delivery="small",
-    ),
-    Channel(
-        name="scan_match",
-        key=_V + "localizer/match",
-        message=pose.ScanMatch,
-        producers=("localizer",),
-        consumers=("antenna_height", "integrity"),
-        rate_hz=10,
-        max_age_s=0.5,
-        delivery="small",
+    _query("map_server/links", "localizer > map_server", (0.1, 0.5), (road.LinksRequest, road.LinksReply)),
+    _query("map_server/tile", "localizer > map_server", (0.1, 2.0), (road.TileRequest, road.TileReply)),
+    _row("localizer/pose", "localizer > antenna_height integrity", (10, 0.3), pose.Pose),
+    _row(
+        "localizer/match",
+        "localizer > antenna_height integrity",
+        (10, 0.5),
+        pose.ScanMatch,
         made_from="sweep",
     ),
-    Channel(
-        name="antenna_height",
-        key=_V + "antenna_height/height",
-        message=antenna.AntennaHeight,
-        producers=("antenna_height",),
-        consumers=("integrity",),
-        rate_hz=10,
-        max_age_s=2.0,
-        delivery="small",
+    _row("antenna_height/height", "antenna_height > integrity", (10, 2.0), antenna.AntennaHeight),
+    _row("integrity/verdict", "integrity > localizer consumers", (10, 1.0), integrity.Verdict, looped=True),
+    _row("integrity/position", "integrity > consumers", (10, 1.0), integrity.Position),
+    _upload(
+        "fleet/{vehicle}/upload",
+        "tools > map_update",
+        (None, None),
+        (fleet.ElevationUpload, fleet.UploadReceipt),
     ),
-    Channel(
-        name="verdict",
-        key=_V + "integrity/verdict",
-        message=integrity.Verdict,
-        producers=("integrity",),
-        consumers=("localizer", "consumers"),
-        rate_hz=10,
-        max_age_s=1.0,
-        delivery="small",
-        looped=True,
-        note="confirmed positions anchor the localizer's next pose",
+    _upload(
+        "fleet/{vehicle}/upload_batch",
+        "integrity > map_update",
+        (0.2, None),
+        (fleet.UploadBatch, fleet.UploadReceipt),
     ),
-    Channel(
-        name="position",
-        key=_V + "integrity/position",
-        message=integrity.Position,
-        producers=("integrity",),
-        consumers=("consumers",),
-        rate_hz=10,
-        max_age_s=1.0,
-        delivery="small",
+    _row("fleet/release", "map_update > map_server", (None, None), fleet.ReleaseHead),
+    _fetch(
+        "fleet/map/root", "map_server > map_update", (None, 5.0), (fleet.MapRootRequest, fleet.MapRootReply)
     ),
-    Channel(
-        name="upload",
-        key=_U + "upload",
-        message=fleet.ElevationUpload,
-        producers=("tools",),
-        consumers=("map_update",),
-        rate_hz=None,
-        max_age_s=None,
-        delivery="upload",
-        reply=fleet.UploadReceipt,
+    _fetch(
+        "fleet/map/blob", "map_server > map_update", (None, 5.0), (fleet.MapBlobRequest, fleet.MapBlobReply)
     ),
-    Channel(
-        name="upload_batch",
-        key=_U + "upload_batch",
-        message=fleet.UploadBatch,
-        producers=("integrity",),
-        consumers=("map_update",),
-        rate_hz=0.2,
-        max_age_s=None,
-        delivery="upload",
-        reply=fleet.UploadReceipt,
+    _query(
+        "{service}/health", f"tools > {_ALL} {SENSORS}", (None, 1.0), (health.HealthRequest, health.Health)
     ),
-    Channel(
-        name="release",
-        key=_F + "release",
-        message=fleet.ReleaseHead,
-        producers=("map_update",),
-        consumers=("map_server",),
-        rate_hz=None,
-        max_age_s=None,
-        delivery="small",
+    _query(
+        "{service}/log_level", f"tools > {_ALL}", (None, 1.0), (health.LogLevelRequest, health.LogLevelReply)
     ),
-    Channel(
-        name="map_root",
-        key=_F + "map/root",
-        message=fleet.MapRootRequest,
-        producers=("map_server",),
-        consumers=("map_update",),
-        rate_hz=None,
-        max_age_s=5.0,
-        delivery="fetch",
-        reply=fleet.MapRootReply,
-        note="after a notice, and now and then: notices can be lost",
-    ),
-    Channel(
-        name="map_blob",
-        key=_F + "map/blob",
-        message=fleet.MapBlobRequest,
-        producers=("map_server",),
-        consumers=("map_update",),
-        rate_hz=None,
-        max_age_s=5.0,
-        delivery="fetch",
-        reply=fleet.MapBlobReply,
-        note="only what the asker lacks",
-    ),
-    Channel(
-        name="health",
-        key=_V + "{service}/health",
-        message=health.HealthRequest,
-        producers=("tools",),
-        consumers=(*SERVICES, SENSORS),
-        rate_hz=None,
-        max_age_s=1.0,
-        delivery="query",
-        reply=health.Health,
-        note="answered by the work loop",
-    ),
-    Channel(
-        name="log_level",
-        key=_V + "{service}/log_level",
-        message=health.LogLevelRequest,
-        producers=("tools",),
-        consumers=SERVICES,
-        rate_hz=None,
-        max_age_s=1.0,
-        delivery="query",
-        reply=health.LogLevelReply,
-        note="answered by the work loop; falls back by itself",
-    ),
-    Channel(
-        name="tick",
-        key=_V + "replay/tick/{service}",
-        message=health.Tick,
-        producers=(FEEDER,),
-        consumers=SERVICES,
-        rate_hz=None,
-        max_age_s=None,
-        delivery="barrier",
-    ),
-    Channel(
-        name="done",
-        key=_V + "replay/done/{service}",
-        message=health.Done,
-        producers=SERVICES,
-        consumers=(*SERVICES, FEEDER),
-        rate_hz=None,
-        max_age_s=None,
-        delivery="barrier",
-    ),
+    _barrier("replay/tick/{service}", f"feeder > {_ALL}", (None, None), health.Tick),
+    _barrier("replay/done/{service}", f"{_ALL} > {_ALL} {FEEDER}", (None, None), health.Done),
 )
 
 BY_NAME: dict[str, Channel] = {channel.name: channel for channel in CHANNELS}

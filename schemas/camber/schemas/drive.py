@@ -14,14 +14,7 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PrivateAttr,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from camber.schemas.base import Model, Name, Text
@@ -100,10 +93,10 @@ class ReceiverFile(Model):
     format: Literal["pos", "nmea"] = Field(description="format of the file, pos (RTKLIB) or nmea")
     file: File = Field(description="file of solutions as the receiver or its program wrote it")
     utc_date: date | None = Field(
-        default=None, description="UTC date of the first NMEA position, if the file has none"
+        None, description="UTC date of the first NMEA position, if the file has none"
     )
     arrivals: File | None = Field(
-        default=None, description="CSV file that says when each part of file arrived, as in docs/drive.md"
+        None, description="CSV file that says when each part of file arrived, as in docs/drive.md"
     )
 
 
@@ -112,15 +105,15 @@ class RawObservations(Model):
 
     rover_obs: File = Field(description="observations of the vehicle's antenna (RINEX, UBX or RTCM 3)")
     rover_arrivals: File | None = Field(
-        default=None, description="CSV file that says when each part of rover_obs arrived"
+        None, description="CSV file that says when each part of rover_obs arrived"
     )
     base_obs: File = Field(description="observations of the base station")
-    base_arrivals: File | None = Field(default=None, description="the same for base_obs")
+    base_arrivals: File | None = Field(None, description="the same for base_obs")
     ephemerides: Annotated[tuple[File, ...], Field(strict=False, min_length=1)] = Field(
         description="files of broadcast ephemerides"
     )
     base_ecef_m: Annotated[tuple[EcefMetres, EcefMetres, EcefMetres], Field(strict=False)] | None = Field(
-        default=None, description="where the base's antenna is, ECEF; unset: as base_obs itself says"
+        None, description="where the base's antenna is, ECEF; unset: as base_obs itself says"
     )
 
 
@@ -148,23 +141,20 @@ class Truth(Model):
     format: Literal["camber", "nagoya"] = Field(description="layout of the file, camber or nagoya")
     file: File = Field(description="CSV file of positions, attitudes and velocities")
     receiver_minus_truth_east_m: Metres = Field(
-        default=0.0,
-        description="constant offset of right fixes from the truth (datum, antenna point), to the east",
+        0.0, description="constant offset of right fixes from the truth (datum, antenna point), to the east"
     )
-    receiver_minus_truth_north_m: Metres = Field(default=0.0, description="the same, to the north")
-    receiver_minus_truth_up_m: Metres = Field(default=0.0, description="the same, upwards")
+    receiver_minus_truth_north_m: Metres = Field(0.0, description="the same, to the north")
+    receiver_minus_truth_up_m: Metres = Field(0.0, description="the same, upwards")
 
 
 class LeverArms(Model):
     """Where things are on the vehicle."""
 
-    antenna: LeverArm = Field(default=LeverArm(), description="reference point of the antenna")
-    lidar: LeverArm = Field(default=LeverArm(), description="origin of the surround sensor")
-    wheel: LeverArm = Field(default=LeverArm(), description="point whose speed the wheel sensor gives")
-    ranging: LeverArm | None = Field(default=None, description="origin of the ranging sensor")
-    suspension: LeverArm | None = Field(
-        default=None, description="top of the suspension whose stroke is measured"
-    )
+    antenna: LeverArm = Field(LeverArm(), description="reference point of the antenna")
+    lidar: LeverArm = Field(LeverArm(), description="origin of the surround sensor")
+    wheel: LeverArm = Field(LeverArm(), description="point whose speed the wheel sensor gives")
+    ranging: LeverArm | None = Field(None, description="origin of the ranging sensor")
+    suspension: LeverArm | None = Field(None, description="top of the suspension whose stroke is measured")
 
     @property
     def with_given_height(self) -> dict[str, LeverArm]:
@@ -177,22 +167,20 @@ class AntennaHeightMethod(Model):
     """Road surface to antenna, and how it is known (JP7707657B2, third embodiment)."""
 
     way: Literal["fixed", "stroke", "ranging", "scan_matching", "automatic"] = Field(
-        default="fixed", description="how the antenna's height is found"
+        "fixed", description="how the antenna's height is found"
     )
     height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
-        default=None, description="fixed: road surface to antenna"
+        None, description="fixed: road surface to antenna"
     )
     sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
-        default=None, description="fixed: standard deviation of height_m"
+        None, description="fixed: standard deviation of height_m"
     )
-    suspension_to_antenna_m: Metres | None = Field(
-        default=None, description="stroke: h_ba of JP7707657B2 eq. (1)"
-    )
+    suspension_to_antenna_m: Metres | None = Field(None, description="stroke: h_ba of JP7707657B2 eq. (1)")
     tyre_radius_m: Annotated[float, Field(gt=0.0, le=5.0)] | None = Field(
-        default=None, description="stroke: h_t of JP7707657B2 eq. (1)"
+        None, description="stroke: h_t of JP7707657B2 eq. (1)"
     )
     beam_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
-        default=0.0, description="ranging: where the beam points, counter-clockwise from forward"
+        0.0, description="ranging: where the beam points, counter-clockwise from forward"
     )
 
     @model_validator(mode="after")
@@ -244,59 +232,52 @@ class Surrogates(Model):
     """Which inputs are made from the truth, and with what errors; an error once drawn holds for the whole drive
     where its name has `bias`, `scale` or `deviation`."""
 
-    allow_smaller_errors: bool = Field(
-        default=False, description="true or false; true is shown in every summary"
-    )
+    allow_smaller_errors: bool = Field(False, description="true or false; true is shown in every summary")
     inputs: Annotated[tuple[SurrogateInput, ...], Field(strict=False)] = Field(
-        default=(), description="list of " + ", ".join(get_args(SurrogateInput))
+        (), description="list of " + ", ".join(get_args(SurrogateInput))
     )
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(
-        default=1, description="seed of all errors, a whole number"
-    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(1, description="seed of all errors, a whole number")
     wheel_scale_sigma: Annotated[float, Field(gt=0.0, le=0.5)] = Field(
-        default=LEAST_ERRORS["wheel_scale_sigma"],
+        LEAST_ERRORS["wheel_scale_sigma"],
         description="relative standard deviation of the wheel's scale error",
     )
     wheel_noise_m_s: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
-        default=LEAST_ERRORS["wheel_noise_m_s"], description="white noise of the wheel speed, in m/s"
+        LEAST_ERRORS["wheel_noise_m_s"], description="white noise of the wheel speed, in m/s"
     )
     yaw_rate_bias_sigma_rad_s: ErrorAngle = Field(
-        default=LEAST_ERRORS["yaw_rate_bias_sigma_rad_s"],
+        LEAST_ERRORS["yaw_rate_bias_sigma_rad_s"],
         description="standard deviation of the yaw rate's bias, rad/s",
     )
     yaw_rate_noise_rad_s: ErrorAngle = Field(
-        default=LEAST_ERRORS["yaw_rate_noise_rad_s"], description="white noise of the yaw rate, rad/s"
+        LEAST_ERRORS["yaw_rate_noise_rad_s"], description="white noise of the yaw rate, rad/s"
     )
     steering_bias_sigma_rad: ErrorAngle = Field(
-        default=LEAST_ERRORS["steering_bias_sigma_rad"],
-        description="standard deviation of the steering's bias, rad",
+        LEAST_ERRORS["steering_bias_sigma_rad"], description="standard deviation of the steering's bias, rad"
     )
     steering_noise_rad: ErrorAngle = Field(
-        default=LEAST_ERRORS["steering_noise_rad"], description="white noise of the steering angle, rad"
+        LEAST_ERRORS["steering_noise_rad"], description="white noise of the steering angle, rad"
     )
     wheelbase_m: Annotated[float, Field(gt=0.1, le=20.0)] = Field(
-        default=2.7, description="wheelbase of the bicycle model that steering is made with, metres"
+        2.7, description="wheelbase of the bicycle model that steering is made with, metres"
     )
     link_deviation_m: Annotated[float, Field(gt=0.0, le=50.0)] = Field(
-        default=LEAST_ERRORS["link_deviation_m"],
-        description="how far links run off the track at most, metres",
+        LEAST_ERRORS["link_deviation_m"], description="how far links run off the track at most, metres"
     )
     map_sigma_m: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
-        default=LEAST_ERRORS["map_sigma_m"], description="standard deviation of the road's elevation, metres"
+        LEAST_ERRORS["map_sigma_m"], description="standard deviation of the road's elevation, metres"
     )
     map_correlation_m: Annotated[float, Field(gt=0.0, le=100_000.0)] = Field(
-        default=LEAST_ERRORS["map_correlation_m"],
-        description="distance over which that error falls to 1/e, metres",
+        LEAST_ERRORS["map_correlation_m"], description="distance over which that error falls to 1/e, metres"
     )
     antenna_height_m: Annotated[float, Field(ge=-1.0, le=100.0)] | None = Field(
-        default=None,
+        None,
         description="what is taken from the truth's heights to make roads, metres; unset: antenna_height.height_m",
     )
     initial_pose_sigma_m: ErrorMetres = Field(
-        default=1.0, description="error of the given pose, east and north, metres"
+        1.0, description="error of the given pose, east and north, metres"
     )
     initial_yaw_sigma_rad: ErrorAngle = Field(
-        default=math.radians(2.0), description="error of the given pose's direction, rad"
+        math.radians(2.0), description="error of the given pose's direction, rad"
     )
 
     @field_validator(*LEAST_ERRORS)
@@ -326,44 +307,40 @@ class DriveManifest(Model):
     """One drive. Paths are resolved and exist; angles are in radians unless the name says degrees."""
 
     name: Name = Field(description="name of the drive: letters, digits and _ . : @ + -")
-    description: Text = Field(default="", description="where it comes from, for people")
-    vehicle: Name = Field(default="vehicle", description="name of the vehicle, second part of every key")
-    datum: Name = Field(default="WGS84", description="datum of all positions and ellipsoidal heights")
-    simulated: bool = Field(default=False, description="true where all of it comes from a simulator")
+    description: Text = Field("", description="where it comes from, for people")
+    vehicle: Name = Field("vehicle", description="name of the vehicle, second part of every key")
+    datum: Name = Field("WGS84", description="datum of all positions and ellipsoidal heights")
+    simulated: bool = Field(False, description="true where all of it comes from a simulator")
     alert_limit_m: Annotated[float, Field(gt=0.0, le=1_000.0)] = Field(
-        default=1.5, description="horizontal alert limit, metres"
+        1.5, description="horizontal alert limit, metres"
     )
     start_s: Annotated[float, Field(ge=0.0, le=1e6)] | None = Field(
-        default=None, description="leave out what comes earlier, seconds after the first epoch of the files"
+        None, description="leave out what comes earlier, seconds after the first epoch of the files"
     )
     end_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = Field(
-        default=None, description="leave out what comes later, seconds after the first epoch of the files"
+        None, description="leave out what comes later, seconds after the first epoch of the files"
     )
-    receiver: ReceiverFile | None = Field(default=None, description="table with the receiver's own solutions")
-    observations: RawObservations | None = Field(
-        default=None, description="table with raw observations and a base"
-    )
+    receiver: ReceiverFile | None = Field(None, description="table with the receiver's own solutions")
+    observations: RawObservations | None = Field(None, description="table with raw observations and a base")
     positions: Literal["receiver", "engine"] | None = Field(
-        default=None,
+        None,
         description="whose positions are judged, receiver or engine; unset: the receiver's where there are some",
     )
-    motion: SampleFile | None = Field(
-        default=None, description="table with wheel speed, yaw rate and steering"
-    )
-    suspension: SampleFile | None = Field(default=None, description="table with stroke heights")
-    ranging: SampleFile | None = Field(default=None, description="table with distances to the road")
-    sweeps: Sweeps | None = Field(default=None, description="table with the sweeps' folder")
-    map: MapRelease | None = Field(default=None, description="table with the map release")
-    truth: Truth | None = Field(default=None, description="table with the truth")
-    lever_arms: LeverArms = Field(default=LeverArms(), description="table of places on the vehicle")
+    motion: SampleFile | None = Field(None, description="table with wheel speed, yaw rate and steering")
+    suspension: SampleFile | None = Field(None, description="table with stroke heights")
+    ranging: SampleFile | None = Field(None, description="table with distances to the road")
+    sweeps: Sweeps | None = Field(None, description="table with the sweeps' folder")
+    map: MapRelease | None = Field(None, description="table with the map release")
+    truth: Truth | None = Field(None, description="table with the truth")
+    lever_arms: LeverArms = Field(LeverArms(), description="table of places on the vehicle")
     antenna_height: AntennaHeightMethod = Field(
         description="table that says how the antenna's height is known"
     )
-    initial_pose: InitialPose | None = Field(default=None, description="table with a given pose at the start")
+    initial_pose: InitialPose | None = Field(None, description="table with a given pose at the start")
     kills: Annotated[tuple[Kill, ...], Field(strict=False)] = Field(
-        default=(), max_length=64, description="list of services that are killed during a replay, and when"
+        (), max_length=64, description="list of services that are killed during a replay, and when"
     )
-    surrogates: Surrogates = Field(default=Surrogates(), description="table of inputs made from the truth")
+    surrogates: Surrogates = Field(Surrogates(), description="table of inputs made from the truth")
     _overrides: tuple[str, ...] = PrivateAttr(default=())
 
     @model_validator(mode="after")

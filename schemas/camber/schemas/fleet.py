@@ -100,7 +100,7 @@ class MapRootRequest(Message):
     """Which release of a region is the newest?"""
 
     region: Name
-    have_sha256: Sha256 | None = Field(default=None, description="manifest of the release the asker has")
+    have_sha256: Sha256 | None = Field(None, description="manifest of the release the asker has")
 
 
 class MapRootReply(Message):
@@ -116,14 +116,14 @@ class MapBlobRequest(Message):
 
     sha256: Sha256
     base_sha256: Sha256 | None = Field(
-        default=None, description="a blob that the asker has: the reply may be a difference against it"
+        None, description="a blob that the asker has: the reply may be a difference against it"
     )
     part: Annotated[int, Field(ge=0, lt=1 << 16)] = 0
     more_sha256: tuple[Sha256, ...] = Field(
-        default=(), max_length=64, description="blobs wanted next, as far as they fit into the same reply"
+        (), max_length=64, description="blobs wanted next, as far as they fit into the same reply"
     )
     more_base_sha256: tuple[Sha256 | None, ...] = Field(
-        default=(), max_length=64, description="as `base_sha256`, one for each of these"
+        (), max_length=64, description="as `base_sha256`, one for each of these"
     )
 
 

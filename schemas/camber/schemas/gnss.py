@@ -80,13 +80,13 @@ class ReceiverIntegrity(Message):
     spoofing: Literal["none", "indicated", "affirmed", "unknown"] = "unknown"
     raim: Literal["passed", "failed", "unknown"] = "unknown"
     fix_within_masks: Known = Field(
-        default="unknown", description="the fix keeps the receiver's own limits of dilution and accuracy"
+        "unknown", description="the fix keeps the receiver's own limits of dilution and accuracy"
     )
     authenticated: Known = Field(
-        default="unknown", description="the fix rests on authenticated navigation messages only"
+        "unknown", description="the fix rests on authenticated navigation messages only"
     )
-    expected_error_enu_m: Vector3 | None = Field(default=None, description="of the position, by RAIM")
-    suspect_satellite: Name | None = Field(default=None, description="most likely to have failed: `G05`")
+    expected_error_enu_m: Vector3 | None = Field(None, description="of the position, by RAIM")
+    suspect_satellite: Name | None = Field(None, description="most likely to have failed: `G05`")
     suspect_bias_m: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
     suspect_bias_sigma_m: Sigma | None = None
     missed_detection_probability: Probability | None = None
@@ -112,14 +112,14 @@ class Fix(Message):
     success_rate: Probability | None = None
     ambiguity_continuity: Literal["continuous", "broken", "no_evidence"] = "no_evidence"
     continuous_since_ns: TimeNs | None = Field(
-        default=None, description="first fix of the chain whose integers go on to this one"
+        None, description="first fix of the chain whose integers go on to this one"
     )
     phase_residuals: Literal["consistent", "contradictory", "unknown"] = "unknown"
     base_station: Name | None = Field(
-        default=None, description="on whose coordinate it rests; None: on none, or not reported"
+        None, description="on whose coordinate it rests; None: on none, or not reported"
     )
     subset_agreement: SubsetAgreement = Field(
-        default="unknown", description="of fixes from its satellites less one system; unknown: there is none"
+        "unknown", description="of fixes from its satellites less one system; unknown: there is none"
     )
 
 
@@ -130,7 +130,7 @@ class SatelliteVelocity(Message):
     covariance_enu_m2_s2: Covariance3
     hdop: Sigma
     satellites: Annotated[int, Field(ge=0, le=255)]
-    heading_rad: Angle | None = Field(default=None, description="clockwise from north")
+    heading_rad: Angle | None = Field(None, description="clockwise from north")
     heading_sigma_rad: Sigma | None = None
 
 
@@ -141,7 +141,7 @@ class EstimatesRequest(Message):
     strategy: Literal[
         "leave_one_out", "leave_one_system_out", "by_cn0", "by_elevation", "by_residual", "explicit", "all"
     ] = "all"
-    excluded_satellites: tuple[Name, ...] = Field(default=(), max_length=100)
+    excluded_satellites: tuple[Name, ...] = Field((), max_length=100)
     maximum_trials: Annotated[int, Field(ge=1, le=1000)] = 20
 
 
@@ -166,4 +166,4 @@ class Estimates(Message):
     status: Literal["available", "unavailable", "forgotten"]
     reason: Text = ""
     trials: Count = 0
-    candidates: tuple[Candidate, ...] = Field(default=(), max_length=100)
+    candidates: tuple[Candidate, ...] = Field((), max_length=100)

@@ -17,7 +17,7 @@ class Issue(Model):
     code: Name
     text: Text
     count: Count
-    last_time_ns: TimeNs | None = Field(default=None, description="when it was met last")
+    last_time_ns: TimeNs | None = Field(None, description="when it was met last")
 
 
 class ChannelUse(Model):
@@ -27,7 +27,7 @@ class ChannelUse(Model):
     direction: Literal["in", "out", "asked"] = Field(description="asked: questions that it was asked")
     messages: Count = Field(description="taken from its queue, refused ones among them; or published")
     age_s: Sigma | None = Field(description="since the last one; none: there was none yet")
-    waiting: Count = Field(default=0, description="in its queue now")
+    waiting: Count = Field(0, description="in its queue now")
 
 
 class HealthRequest(Message):
@@ -42,18 +42,14 @@ class Health(Message):
     status: Literal["starting", "ok", "degraded", "failing"]
     uptime_s: Sigma
     loop_age_s: Sigma = Field(description="since the work loop last finished a round")
-    issues: tuple[Issue, ...] = Field(default=(), max_length=64)
-    counters: dict[Name, Count] = Field(default={}, max_length=256)
-    channels: tuple[ChannelUse, ...] = Field(default=(), max_length=64)
+    issues: tuple[Issue, ...] = Field((), max_length=64)
+    counters: dict[Name, Count] = Field({}, max_length=256)
+    channels: tuple[ChannelUse, ...] = Field((), max_length=64)
     gauges: dict[Name, Annotated[float, Field(ge=-1e15, le=1e15)]] = Field(
-        default={},
-        max_length=48,
-        description="what goes up and down; names end in their unit, or count what waits",
+        {}, max_length=48, description="what goes up and down; names end in their unit, or count what waits"
     )
-    facts: dict[Name, Text] = Field(
-        default={}, max_length=16, description="what it works with: process, map_release"
-    )
-    log_level: LogLevel | None = Field(default=None, description="least level that is logged now")
+    facts: dict[Name, Text] = Field({}, max_length=16, description="what it works with: process, map_release")
+    log_level: LogLevel | None = Field(None, description="least level that is logged now")
 
 
 class LogLevelRequest(Message):
@@ -95,4 +91,4 @@ class Done(Message):
     service: Name
     index: Annotated[int, Field(ge=-1, le=2**62)]
     published: dict[Annotated[str, Field(max_length=64)], Count] = Field(max_length=64)
-    heard: tuple[Name, ...] = Field(default=(), max_length=32)
+    heard: tuple[Name, ...] = Field((), max_length=32)

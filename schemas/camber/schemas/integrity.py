@@ -84,23 +84,23 @@ class Verdict(Message):
     verdict: VerdictValue
     reason: Reason
     detail: Text = ""
-    evidence: tuple[Evidence, ...] = Field(default=(), max_length=8)
+    evidence: tuple[Evidence, ...] = Field((), max_length=8)
     height_difference_m: float | None = None
     tolerance_m: Sigma | None = None
     position_difference_m: Vector2 | None = Field(
-        default=None, description="fix less pose, east and north, at the fix's time"
+        None, description="fix less pose, east and north, at the fix's time"
     )
     joint_distance2: Sigma | None = Field(
-        default=None, description="squared Mahalanobis distance of height and position together"
+        None, description="squared Mahalanobis distance of height and position together"
     )
-    joint_limit: Sigma | None = Field(default=None, description="beyond it the fix contradicts")
+    joint_limit: Sigma | None = Field(None, description="beyond it the fix contradicts")
     missed_detection_probability: Probability | None = Field(
-        default=None, description="that a wrong fix would have passed, all trials charged"
+        None, description="that a wrong fix would have passed, all trials charged"
     )
-    cause: Cause = Field(default="none", description="of a lasting difference, where one is known")
-    correction_m: float = Field(default=0.0, description="h_e in force when this was judged")
+    cause: Cause = Field("none", description="of a lasting difference, where one is known")
+    correction_m: float = Field(0.0, description="h_e in force when this was judged")
     trials: Count = 0
-    latitude_rad: Latitude | None = Field(default=None, description="of the antenna, where confirmed")
+    latitude_rad: Latitude | None = Field(None, description="of the antenna, where confirmed")
     longitude_rad: Longitude | None = None
     height_m: Height | None = None
     covariance_enu_m2: Covariance3 | None = None
@@ -118,24 +118,20 @@ class Position(Message):
     reason: Reason = "none"
     latitude_rad: Latitude | None = None
     longitude_rad: Longitude | None = None
-    height_m: Height | None = Field(default=None, description="ellipsoidal")
+    height_m: Height | None = Field(None, description="ellipsoidal")
     covariance_enu_m2: Covariance3 | None = None
     yaw_rad: Angle | None = None
-    semi_major_99_m: Sigma | None = Field(default=None, description="99 % horizontal error ellipse")
+    semi_major_99_m: Sigma | None = Field(None, description="99 % horizontal error ellipse")
     semi_minor_99_m: Sigma | None = None
-    semi_major_999_m: Sigma | None = Field(default=None, description="99.9 % horizontal error ellipse")
+    semi_major_999_m: Sigma | None = Field(None, description="99.9 % horizontal error ellipse")
     semi_minor_999_m: Sigma | None = None
-    orientation_rad: Angle | None = Field(
-        default=None, description="of the major axis, counter-clockwise from east"
-    )
+    orientation_rad: Angle | None = Field(None, description="of the major axis, counter-clockwise from east")
     horizontal_protection_level_m: Sigma | None = None
     vertical_protection_level_m: Sigma | None = None
-    integrity_risk: Probability | None = Field(
-        default=None, description="per epoch, at which the levels hold"
-    )
+    integrity_risk: Probability | None = Field(None, description="per epoch, at which the levels hold")
     alert_limit_m: Sigma
     vertical_alert_limit_m: Sigma | None = None
     wrong_fix_probability: Probability | None = Field(
-        default=None, description="that a wrong fix has passed, as the levels take it into account"
+        None, description="that a wrong fix has passed, as the levels take it into account"
     )
     fix_id: Count | None = None

@@ -12,20 +12,16 @@ from camber.schemas.base import Angle, Message, Model, Sigma, Speed
 class Motion(Message):
     """One sample of the vehicle's motion; a sensor that gave nothing is None."""
 
-    wheel_speed_m_s: Speed | None = Field(
-        default=None, description="along the vehicle's x, backwards negative"
-    )
+    wheel_speed_m_s: Speed | None = Field(None, description="along the vehicle's x, backwards negative")
     yaw_rate_rad_s: Annotated[float, Field(ge=-20.0, le=20.0)] | None = Field(
-        default=None, description="counter-clockwise positive, seen from above"
+        None, description="counter-clockwise positive, seen from above"
     )
     steering_angle_rad: Angle | None = Field(
-        default=None, description="of the equivalent front wheel, to the left positive"
+        None, description="of the equivalent front wheel, to the left positive"
     )
-    pitch_rad: Angle | None = Field(
-        default=None, description="of the body against the vertical, nose down positive"
-    )
+    pitch_rad: Angle | None = Field(None, description="of the body against the vertical, nose down positive")
     roll_rad: Angle | None = Field(
-        default=None, description="of the body against the vertical, left side up positive"
+        None, description="of the body against the vertical, left side up positive"
     )
 
 

@@ -74,17 +74,15 @@ class Road(Model):
     reason: RoadReason = "none"
     surface_id: Count | None = None
     level: Annotated[int, Field(ge=-20, le=20)] | None = None
-    elevation_m: Height | None = Field(default=None, description="ellipsoidal height of the road surface")
-    sigma_m: Sigma | None = Field(
-        default=None, description="of the map's elevation itself, without the pose's share"
-    )
+    elevation_m: Height | None = Field(None, description="ellipsoidal height of the road surface")
+    sigma_m: Sigma | None = Field(None, description="of the map's elevation itself, without the pose's share")
     slope_east: Annotated[float, Field(ge=-2.0, le=2.0)] | None = None
     slope_north: Annotated[float, Field(ge=-2.0, le=2.0)] | None = None
     extent_m: Sigma | None = None
     datum: Name | None = None
     map_version: Count | None = None
     patch: RoadPatch | None = Field(
-        default=None, description="the road around, where it was asked for and the pose is uncertain"
+        None, description="the road around, where it was asked for and the pose is uncertain"
     )
 
 
@@ -93,24 +91,22 @@ class Pose(Message):
 
     mode: PoseMode
     provenance: Provenance
-    reason: Text = Field(default="", description="why there is no pose, or why it is only provisional")
-    latitude_rad: Latitude | None = Field(default=None, description="of the antenna")
-    longitude_rad: Longitude | None = Field(default=None, description="of the antenna")
-    yaw_rad: Angle | None = Field(default=None, description="counter-clockwise from east, of the vehicle's x")
+    reason: Text = Field("", description="why there is no pose, or why it is only provisional")
+    latitude_rad: Latitude | None = Field(None, description="of the antenna")
+    longitude_rad: Longitude | None = Field(None, description="of the antenna")
+    yaw_rad: Angle | None = Field(None, description="counter-clockwise from east, of the vehicle's x")
     covariance_east_north_yaw: Covariance3 | None = Field(
-        default=None, description="(ee, en, eψ, nn, nψ, ψψ) in m², m·rad, rad², of antenna position and yaw"
+        None, description="(ee, en, eψ, nn, nψ, ψψ) in m², m·rad, rad², of antenna position and yaw"
     )
     pitch_rad: Angle | None = None
     roll_rad: Angle | None = None
     speed_m_s: Speed | None = None
     yaw_rate_rad_s: Annotated[float, Field(ge=-20.0, le=20.0)] | None = None
     link_id: Count | None = None
-    anchor_time_ns: TimeNs | None = Field(
-        default=None, description="of the last confirmed position that entered"
-    )
-    motion_time_ns: TimeNs | None = Field(default=None, description="of the last motion sample that entered")
+    anchor_time_ns: TimeNs | None = Field(None, description="of the last confirmed position that entered")
+    motion_time_ns: TimeNs | None = Field(None, description="of the last motion sample that entered")
     match_time_ns: TimeNs | None = Field(
-        default=None, description="of the last scan match that entered and left no direction open"
+        None, description="of the last scan match that entered and left no direction open"
     )
     road: Road
 
@@ -127,31 +123,30 @@ class ScanMatch(Message):
     reason: Text = ""
     latitude_rad: Latitude | None = None
     longitude_rad: Longitude | None = None
-    height_m: Height | None = Field(default=None, description="ellipsoidal, of the sensor")
+    height_m: Height | None = Field(None, description="ellipsoidal, of the sensor")
     sensor_height_m: Annotated[float, Field(ge=-10.0, le=100.0)] | None = Field(
-        default=None,
+        None,
         description="vertical distance from the map's road surface below the sensor to the sensor, from matching",
     )
     sensor_height_sigma_m: Sigma | None = None
     ground_height_m: Annotated[float, Field(ge=-10.0, le=100.0)] | None = Field(
-        default=None,
+        None,
         description="the same by the sensor's own returns from the road near the vehicle, without the map",
     )
     ground_height_sigma_m: Sigma | None = None
     road_slope_forward: Annotated[float, Field(ge=-2.0, le=2.0)] | None = Field(
-        default=None, description="of the map's road under the vehicle, along the heading, up positive"
+        None, description="of the map's road under the vehicle, along the heading, up positive"
     )
     road_slope_left: Annotated[float, Field(ge=-2.0, le=2.0)] | None = Field(
-        default=None, description="of the same across it, up to the left positive"
+        None, description="of the same across it, up to the left positive"
     )
     roll_pitch_yaw_rad: Vector3 | None = Field(
-        default=None, description="of the vehicle, against the vertical and east"
+        None, description="of the vehicle, against the vertical and east"
     )
     covariance_east_north: Covariance2 | None = None
     overlap: Probability | None = None
     layer: Annotated[Int32, ArrayOf("<i4", ("layers",), ge=0)] | None = Field(
-        default=None,
-        description="numbers of the layers that had partners in the map, 0 the lowest; None: all",
+        None, description="numbers of the layers that had partners in the map, 0 the lowest; None: all"
     )
     layer_mean_distance_m: Annotated[Float64, ArrayOf("<f8", ("layers",), ge=0.0)] | None = None
 

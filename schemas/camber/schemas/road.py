@@ -82,16 +82,14 @@ class ElevationRequest(Message):
     latitude_rad: Latitude
     longitude_rad: Longitude
     link_ids: tuple[Count, ...] = Field(
-        default=(),
-        max_length=16,
-        description="links the vehicle may be on, by its own topology; empty: not known",
+        (), max_length=16, description="links the vehicle may be on, by its own topology; empty: not known"
     )
     last_surface_id: Count | None = None
     radius_m: Annotated[float, Field(ge=0.0, le=100.0)] = Field(
-        default=0.0, description="how far the point may be off: above 0 the reply has a patch of that radius"
+        0.0, description="how far the point may be off: above 0 the reply has a patch of that radius"
     )
     ahead: Places | None = Field(
-        default=None, description="where the vehicle will be next, about the point: saves it some questions"
+        None, description="where the vehicle will be next, about the point: saves it some questions"
     )
 
 
@@ -99,7 +97,7 @@ class ElevationReply(Message):
     """The road there, or why it is not known."""
 
     road: Road
-    ahead: RoadsAhead | None = Field(default=None, description="where it was asked for and the road is known")
+    ahead: RoadsAhead | None = Field(None, description="where it was asked for and the road is known")
 
 
 class LinksRequest(Message):
@@ -213,14 +211,13 @@ class Manifest(Message):
     map_version: Count
     datum: Name = Field(description="of positions and ellipsoidal heights, e.g. WGS84")
     epoch_year: Annotated[float, Field(ge=1980.0, le=2200.0)]
-    surrogate: Text = Field(default="", description="not empty: not surveyed, and made how")
+    surrogate: Text = Field("", description="not empty: not surveyed, and made how")
     previous_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     reference_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None,
-        description="manifest of the survey or import that this release corrects; None: it is one",
+        None, description="manifest of the survey or import that this release corrects; None: it is one"
     )
     corrections_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="SurfaceCorrections, kept where releases are made; None: it has none"
+        None, description="SurfaceCorrections, kept where releases are made; None: it has none"
     )
     tile_x: Annotated[Int32, ArrayOf("<i4", ("blobs",))]
     tile_y: Annotated[Int32, ArrayOf("<i4", ("blobs",))]
@@ -259,8 +256,8 @@ class ReleaseRoot(Message):
     region: Name
     map_version: Count
     manifest_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    key_id: Name | None = Field(default=None, description="which key signed; None: unsigned")
-    signature: Annotated[UInt8, ArrayOf("|u1", (64,))] | None = Field(default=None, description="Ed25519")
+    key_id: Name | None = Field(None, description="which key signed; None: unsigned")
+    signature: Annotated[UInt8, ArrayOf("|u1", (64,))] | None = Field(None, description="Ed25519")
 
 
 def signed_bytes(root: ReleaseRoot) -> bytes:

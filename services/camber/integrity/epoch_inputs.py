@@ -190,11 +190,7 @@ ROAD_CHECKS: tuple[InputCheck, ...] = (
         explanation="the localizer reports a map in another datum",
         applies=_no_road_because("datum_mismatch"),
     ),
-    InputCheck(
-        reason="road_unknown",
-        explanation="the map has no road below the pose",
-        applies=_has_no_road,
-    ),
+    InputCheck(reason="road_unknown", explanation="the map has no road below the pose", applies=_has_no_road),
     InputCheck(
         reason="datum_mismatch",
         explanation="the datum of the road's heights is not known",

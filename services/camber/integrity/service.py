@@ -184,8 +184,7 @@ class IntegrityService(Service[IntegritySettings]):
         inputs = self._judge.latest.inputs(pose.time_ns, alive)
         self._schedule.position(pose.time_ns)
         self.bus.publish(
-            "position",
-            self._positions.at(pose.time_ns, inputs, self._judge.correction(inputs).correction_m),
+            "position", self._positions.at(pose.time_ns, inputs, self._judge.correction(inputs).correction_m)
         )
 
     def _break_silence(self, now_ns: int, alive: frozenset[str]) -> None:

@@ -30,8 +30,7 @@ class IntegritySettings(ServiceSettings):
     SERVICE: ClassVar[str] = "integrity"
 
     tests: tuple[Test, ...] = Field(
-        ALL_TESTS,
-        description="what a fix is asked; not continuity and receiver alone, which speak for none",
+        ALL_TESTS, description="what a fix is asked; not continuity and receiver alone, which speak for none"
     )
     tolerance: Literal["from_covariances", "fixed"] = Field(
         "from_covariances",

@@ -129,9 +129,7 @@ def _check_link_of_rules(config: zenoh.Config) -> None:
 
 def _depart_from_defaults(config: zenoh.Config, lease_s: float = 2.0) -> None:
     _put(
-        config,
-        "connect/retry",
-        {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        config, "connect/retry", {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
     )
     _put(config, "scouting/multicast/enabled", False)
     _put(config, "transport/link/tx/lease", round(1000.0 * lease_s))  # Zenoh's own is 10 s

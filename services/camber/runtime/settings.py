@@ -38,8 +38,7 @@ class ZenohSettings(BaseModel):
     model_config = ConfigDict(extra="forbid")
     mode: Literal["peer", "client", "router"] = Field("peer", description="role on the bus")
     connect: list[str] = Field(
-        ["tcp/127.0.0.1:7447"],
-        description="endpoints to join; tried again for ever when nobody is there",
+        ["tcp/127.0.0.1:7447"], description="endpoints to join; tried again for ever when nobody is there"
     )
     listen: list[str] = Field(
         ["tcp/127.0.0.1:0"],
@@ -164,12 +163,7 @@ def load(cls: type[S], argv: list[str], *, prog: str) -> tuple[S, argparse.Names
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         source_text = _source_of(
-            cls,
-            first["loc"],
-            missing=first["type"] == "missing",
-            argv=rest,
-            path=args.config,
-            table=table,
+            cls, first["loc"], missing=first["type"] == "missing", argv=rest, path=args.config, table=table
         )
         raise ConfigError(f"{source_text}{_one_line(cls, first)}") from None
     except SettingsError as error:  # a list or a table that cannot be parsed

@@ -377,7 +377,7 @@ def test_a_password_in_an_address_is_refused_and_not_repeated(
 
 
 def test_a_failure_rate_is_one_that_the_table_has(capsys: pytest.CaptureFixture[str]) -> None:
-    assert read(GnssSettings, ["--engine.failure-rate", "0.001"]).engine.options().failure_rate == 0.001
+    assert read(GnssSettings, ["--engine.failure-rate", "0.001"]).engine.failure_rate == 0.001
     said = complaint(GnssSettings, ["--engine.failure-rate", "0.0001"], capsys)
     assert said == "engine.failure_rate: 0.0001: expected 0 or from 0.001 to 0.01"
 

@@ -10,11 +10,7 @@ from functools import cached_property
 
 from camber.integrity.checks.chi2_test import AGREES, CONTRADICTS
 from camber.integrity.checks.comparison import FixComparison, compare
-from camber.integrity.checks.consistency import (
-    ALL_AGREE,
-    POSITION_CONTRADICTS,
-    POSITION_UNVERIFIED,
-)
+from camber.integrity.checks.consistency import ALL_AGREE, POSITION_CONTRADICTS, POSITION_UNVERIFIED
 from camber.integrity.checks.fix_history import FixHistory, is_precise
 from camber.integrity.checks.height_check import HeightModel, RoadPoint, road_at
 from camber.integrity.checks.pose_gate import offset_from_pose, pose_sigma_m

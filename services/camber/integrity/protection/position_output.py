@@ -24,9 +24,7 @@ from camber.integrity.protection.fault_hypotheses import (
     of_pose,
     updated_dispute,
 )
-from camber.integrity.protection.fault_hypotheses import (
-    is_provisional as is_provisional,
-)
+from camber.integrity.protection.fault_hypotheses import is_provisional as is_provisional
 from camber.integrity.protection.position_bounds import Bounds, LevelRules, bounds_of, is_beyond
 from camber.integrity.protection.reliability_index import ReliabilityIndex
 from camber.integrity.rules import SAME_EPOCH_S, Rules

@@ -16,10 +16,7 @@ RULES = StartRules(fixes=5, duration_s=0.8, longest_gap_s=1.0, distance_m=0.3, d
 def fix(epoch, *, east_m=0.0, speed_m_s=SPEED_M_S):
     latitude_rad, longitude_rad = place(epoch, east_m)
     return StartFix(
-        time_ns=at(epoch),
-        latitude_rad=latitude_rad,
-        longitude_rad=longitude_rad,
-        speed_m_s=speed_m_s,
+        time_ns=at(epoch), latitude_rad=latitude_rad, longitude_rad=longitude_rad, speed_m_s=speed_m_s
     )
 
 

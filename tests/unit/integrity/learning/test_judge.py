@@ -632,10 +632,7 @@ def test_stale_or_missing_input_never_gives_confirmation(pose_age, antenna_age, 
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
-@given(
-    st.sampled_from(["float", "dgps", "single", "ppp", "sbas", "estimated", "none"]),
-    st.floats(-1.0, 1.0),
-)
+@given(st.sampled_from(["float", "dgps", "single", "ppp", "sbas", "estimated", "none"]), st.floats(-1.0, 1.0))
 def test_nothing_but_a_fix_is_ever_confirmed(quality, up_m):
     assert not judged(fix(quality=quality, up_m=up_m)).confirmed
 
