@@ -16,7 +16,7 @@ import zstandard
 
 from camber.formats.broadcast.klobuchar_coefficients import IonosphereCoefficients
 from camber.formats.errors import FormatError
-from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_line
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
 from camber.formats.lidar_can.dbc import read_dbc
 from camber.formats.lidar_can.firings import LidarDecoder
 from camber.formats.lidar_can.ouster import OusterDecoder
@@ -442,7 +442,12 @@ def _pcap(random: Random) -> list[list[bytes]]:
     def frames() -> list[bytes]:
         return [
             pcap_frames(
-                Datagram(START_NS + k, "10.0.0.7", 2368, random.randbytes(random.choice((9, 1206, 4000)))),
+                Datagram(
+                    time_ns=START_NS + k,
+                    source="10.0.0.7",
+                    port=2368,
+                    payload=random.randbytes(random.choice((9, 1206, 4000))),
+                ),
                 "10.0.0.1",
                 k,
             )
@@ -456,8 +461,14 @@ def _candump(random: Random) -> list[list[bytes]]:
     def line() -> str:
         size = random.choice((0, 3, 8, 64))
         extended = random.random() < 0.5
-        frame = CanFrame(START_NS, "can0", random.randrange(1 << 11), extended, random.randbytes(size))
-        return candump_line(frame)
+        frame = CanFrame(
+            time_ns=START_NS,
+            bus="can0",
+            identifier=random.randrange(1 << 11),
+            extended=extended,
+            data=random.randbytes(size),
+        )
+        return candump_text([frame])
 
     return [[line().encode() for _ in range(12)] for _ in range(4)]
 

@@ -91,7 +91,7 @@ class LidarReader:
         runs: list[tuple[bool, dict[int, int]]] = [(False, {})]
         filled_ns = self._filled_ns(decoded)
         for number, (stamp_ns, arrival_ns) in enumerate(zip(decoded.stamp_ns, arrivals_ns, strict=True)):
-            if number in decoded.otherwise:
+            if number in decoded.wrong_rotation:
                 runs.append((True, {}))  # what fitted by chance is of the same turn
             if stamp_ns is None:
                 continue

@@ -32,7 +32,11 @@ def frame(name: str, raw: int | None = None, length: int | None = None) -> CanFr
     message = MESSAGES[name]
     (signal,) = message.signals.values()
     data = signal.placed(INVALID if raw is None else raw, bytes(message.length_bytes))
-    return CanFrame(0, "can0", message.identifier, message.extended, data[:length])
+    return can_frame(message.identifier, data[:length], extended=message.extended)
+
+
+def can_frame(identifier: int, data: bytes, *, extended: bool = False) -> CanFrame:
+    return CanFrame(time_ns=0, bus="can0", identifier=identifier, extended=extended, data=data)
 
 
 def motion_of(*frames: tuple[float, CanFrame], **more: object) -> list:
@@ -147,7 +151,7 @@ def test_the_ends_of_a_range_are_in_it_and_one_step_beyond_is_not(factor: float,
     last = round((most if factor > 0.0 else least) / factor)
 
     def speed(raw: int) -> float | None:
-        (found,) = can.take(CanFrame(0, "can0", 1, False, raw.to_bytes(2, "little", signed=True)), START_NS)
+        (found,) = can.take(can_frame(1, raw.to_bytes(2, "little", signed=True)), START_NS)
         return found.wheel_speed_m_s
 
     assert speed(0) == 0.0
@@ -175,8 +179,8 @@ def test_another_message_can_make_the_motion() -> None:
 
 def test_frames_of_others_and_of_another_length_of_identifier_change_nothing() -> None:
     other = frame("Dynamics", 1)
-    assert motion_of((0.0, CanFrame(0, "can0", other.identifier, True, other.data))) == []
-    assert motion_of((0.0, CanFrame(0, "can0", 0x7FF, False, bytes(8)))) == []
+    assert motion_of((0.0, can_frame(other.identifier, other.data, extended=True))) == []
+    assert motion_of((0.0, can_frame(0x7FF, bytes(8)))) == []
 
 
 @pytest.mark.parametrize(("gear", "speed_m_s"), [(7, -10.0), (1, 10.0), (0, None), (15, None), (None, None)])
@@ -186,7 +190,7 @@ def test_where_the_speed_has_no_sign_the_gear_gives_it(gear: int | None, speed_m
     uses = {**USES, "reverse_gear": SignalUse("Gear.Now", None)}
     can = CanMotion(messages, uses, reverse=(7,), forward=(1, 2, 3))
     if gear is not None:
-        can.take(CanFrame(0, "can0", 5, False, bytes([gear])), START_NS)
+        can.take(can_frame(5, bytes([gear])), START_NS)
     can.take(frame("Wheels", 3600), START_NS)
     (found,) = can.take(frame("Dynamics", 1), START_NS)
     assert found.wheel_speed_m_s == (None if speed_m_s is None else pytest.approx(speed_m_s))

@@ -77,7 +77,8 @@ def test_cantools_has_the_same_values(tmp_path: Path) -> None:
         message = list(messages.values())[k % len(messages)]
         (signal,) = message.signals.values()
         data = signal.placed(int(rng.integers(-32768, 32768)), rng.bytes(message.length_bytes))
-        frames.append(CanFrame(1_700_000_000_000_000_000, "can0", message.identifier, message.extended, data))
+        identity = {"identifier": message.identifier, "extended": message.extended}
+        frames.append(CanFrame(time_ns=1_700_000_000_000_000_000, bus="can0", data=data, **identity))
     (tmp_path / "can.log").write_text(candump_text(frames))
     (tmp_path / "can.dbc").write_text(DBC)
     theirs = asked("can", tmp_path / "can.log", tmp_path / "can.dbc").decode().splitlines()

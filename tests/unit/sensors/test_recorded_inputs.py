@@ -1,5 +1,6 @@
 """Recordings at the pace of the clock: what was set, what is cut short, what is no recording."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,8 @@ def played(folder: Path, text: str) -> Played[CanFrame]:
 
 
 def frames(*at_s: float) -> str:
-    return candump_text([CanFrame(UNIX_NS + round(s * S), "can0", 1, False, b"") for s in at_s])
+    frame = CanFrame(time_ns=0, bus="can0", identifier=1, extended=False, data=b"")
+    return candump_text([replace(frame, time_ns=UNIX_NS + round(s * S)) for s in at_s])
 
 
 def test_what_comes_before_a_step_back_comes_at_its_time_and_the_rest_waits(tmp_path: Path) -> None:
@@ -84,7 +86,7 @@ def test_damages_between_frames_are_never_too_many(tmp_path: Path) -> None:
 
 
 def datagrams() -> list[Datagram]:
-    return [Datagram(UNIX_NS + k, "10.0.0.2", 7502, bytes(100)) for k in range(3)]
+    return [Datagram(time_ns=UNIX_NS + k, source="10.0.0.2", port=7502, payload=bytes(100)) for k in range(3)]
 
 
 def test_frames_that_are_not_whole_are_named_with_the_file_and_how_many(tmp_path: Path) -> None:

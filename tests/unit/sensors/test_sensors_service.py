@@ -80,7 +80,11 @@ def time(monkeypatch: pytest.MonkeyPatch) -> Iterator[Time]:
 def frame(name: str, at_s: float) -> CanFrame:
     message = MESSAGES[name]
     return CanFrame(
-        UNIX_NS + round(at_s * S), "can0", message.identifier, message.extended, bytes(message.length_bytes)
+        time_ns=UNIX_NS + round(at_s * S),
+        bus="can0",
+        identifier=message.identifier,
+        extended=message.extended,
+        data=bytes(message.length_bytes),
     )
 
 
@@ -177,7 +181,9 @@ def test_playing_goes_on_where_the_recordings_clock_was_set(
 
 
 def test_where_one_recording_alone_has_a_gap_the_other_stays_with_it(time: Time, tmp_path: Path) -> None:
-    datagrams = [Datagram(UNIX_NS + s * S, "10.0.0.2", 2368, b"packet") for s in (0, 1, 30)]
+    datagrams = [
+        Datagram(time_ns=UNIX_NS + s * S, source="10.0.0.2", port=2368, payload=b"packet") for s in (0, 1, 30)
+    ]
     path = tmp_path / "lidar.pcap"
     path.write_bytes(pcap_header() + b"".join(pcap_frames(each, "10.0.0.1", 1) for each in datagrams))
     lidar = cast(Any, {**LIDAR, "source": f"pcap:{path}"})

@@ -1,11 +1,11 @@
-"""What the packets of a rotating LiDAR hold, whoever made it: firings, by the sensor's own clock."""
+"""Firings of a rotating LiDAR as its packets contain them, by the sensor's own clock."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,13 @@ Bools = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Firings:
-    """Firings (n,), in each all beams (b,) of the sensor once.
+    """Firings (n,), each of all beams (b,) of the sensor once.
 
-    `packet` is the place of each firing's packet among those that were decoded, `after_ns` its time after its packet's
-    stamp; `turn` ∈ [0, 1) its place in the turn, from the seam on. Points (n, b, 3) are in the sensor's frame, x
-    forward, y left, z up; where `returned` is false nothing came back.
+    `packet` is the index of each firing's packet among those that were decoded, `after_ns` its time after its packet's
+    stamp; `turn` ∈ [0, 1) its position in the rotation, from the seam on. Points (n, b, 3) are in the sensor's frame,
+    x forward, y left, z up; `returned` is false where nothing came back.
     """
 
     packet: Int64
@@ -38,51 +38,65 @@ class Firings:
         return len(self.packet)
 
     def chosen(self, rows: slice | Bools | Int64) -> Firings:
-        """Some of them."""
-        return Firings(
-            self.packet[rows],
-            self.after_ns[rows],
-            self.turn[rows],
-            self.points_m[rows],
-            self.intensity[rows],
-            self.returned[rows],
-        )
+        """Return the firings of a slice, a mask or indices."""
+        return Firings(**{column.name: getattr(self, column.name)[rows] for column in fields(Firings)})
 
 
 def joined(parts: Sequence[Firings]) -> Firings:
-    """One after the other; at least one part."""
-    return Firings(
-        np.concatenate([part.packet for part in parts]),
-        np.concatenate([part.after_ns for part in parts]),
-        np.concatenate([part.turn for part in parts]),
-        np.concatenate([part.points_m for part in parts]),
-        np.concatenate([part.intensity for part in parts]),
-        np.concatenate([part.returned for part in parts]),
-    )
+    """Return the firings one after the other; at least one part."""
+    names = (column.name for column in fields(Firings))
+    return Firings(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False, kw_only=True)
 class Decoded:
-    """Of some packets (p,): `stamp_ns` by the sensor's clock, and of those that could be read the firings.
+    """Content of some packets (p,): `stamp_ns` by the sensor's clock, None for a refused one, and the firings.
 
-    `stamp_ns` is None for a packet that was refused; why stands in `refused`, by reason, with the last one's words in
-    `details`. `session` is what tells one run of the sensor from the next, where packets say it. `otherwise` are those
-    that were refused because the sensor does not turn as it should: what came before them of a turn is void.
+    `refused` counts by reason, `details` is the last text of each. `session` distinguishes runs of the sensor, where
+    packets contain it. `wrong_rotation` are the packets refused because the sensor does not rotate as it should
+    (reason `turn`): what came before them of a rotation is void.
     """
 
-    stamp_ns: Sequence[int | None]
-    firings: Firings | None
-    refused: Counter[str]
-    details: Mapping[str, str]
+    stamp_ns: list[int | None]
+    firings: Firings | None = None
+    refused: Counter[str] = field(default_factory=Counter)
+    details: dict[str, str] = field(default_factory=dict)
     session: int | None = None
-    otherwise: frozenset[int] = frozenset()
+    wrong_rotation: set[int] = field(default_factory=set)
+
+    def refuse(self, number: int, reason: str, detail: str) -> None:
+        """Refuse one packet."""
+        self.stamp_ns[number] = None
+        self.refused[reason] += 1
+        self.details[reason] = detail
+        if reason == "turn":
+            self.wrong_rotation.add(number)
 
 
 class LidarDecoder(Protocol):
-    """A model of sensor. `beam_after_ns` (b,): when each beam fires after its firing's time."""
+    """Decoder of a sensor model. `beam_after_ns` (b,): when each beam fires after its firing's time."""
 
     interval_ns: int
     beam_after_ns: Int32
 
     def decode(self, payloads: Sequence[bytes]) -> Decoded:
-        """Of packets as they arrived."""
+        """Decode packets in the order of arrival."""
+
+
+Refusal = tuple[str, str] | None
+"""Reason and detail; None for a packet that is accepted."""
+
+
+def accepted_packets(
+    payloads: Sequence[bytes], refusal: Callable[[bytes], Refusal], packet: np.dtype[Any]
+) -> tuple[Decoded, NDArray[Any], Int64]:
+    """Refuse packets; return the result so far, the accepted packets as one array (a,) and their indices (a,)."""
+    decoded = Decoded(stamp_ns=[None] * len(payloads))
+    accepted = []
+    for number, payload in enumerate(payloads):
+        if refused := refusal(payload):
+            decoded.refuse(number, *refused)
+        else:
+            accepted.append(number)
+    packets = np.frombuffer(b"".join(payloads[number] for number in accepted), packet)
+    return decoded, packets, np.array(accepted, np.int64)

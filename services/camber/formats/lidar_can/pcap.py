@@ -1,8 +1,9 @@
-"""UDP datagrams out of recordings of a network: pcap (µs, ns, both byte orders) and pcapng.
+"""UDP datagrams of network recordings: pcap (µs, ns, both byte orders) and pcapng.
 
 Sources: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng (files), RFC 791 (IPv4 and its fragments: a LiDAR's packet
-is often longer than a frame), RFC 768 (UDP). Ethernet with VLAN tags, Linux' cooked captures and raw IP are read; what
-is not UDP over IPv4 is counted in `skipped`, as are frames that were cut short and datagrams of which a fragment lacks.
+is often longer than a frame), RFC 768 (UDP). Ethernet with VLAN tags, Linux' cooked captures and raw IP are supported;
+other protocols than UDP over IPv4 are counted in `skipped`, as are truncated frames and datagrams with a missing
+fragment.
 """
 
 from __future__ import annotations
@@ -12,21 +13,22 @@ from collections import Counter
 from dataclasses import dataclass
 
 from camber.formats.errors import FormatError
+from camber.geodesy.gps_time import NS_PER_SECOND
 
-MOST_BYTES = 1 << 18  # of one frame; what claims more is no recording of a network
+MOST_BYTES = 1 << 18  # chosen: of one frame; a greater length is no recording of a network
 _CLASSIC = {b"\xa1\xb2\xc3\xd4": 1000, b"\xa1\xb2\x3c\x4d": 1}
 _SECTION = b"\x0a\x0d\x0d\x0a"
 _ETHERNET, _RAW, _COOKED, _COOKED_2, _IPV4 = 1, 101, 113, 276, 228
 _LINKS = {_ETHERNET: (12, 14), _COOKED: (14, 16), _COOKED_2: (0, 20), _RAW: (None, 0), _IPV4: (None, 0)}
-"""Link type → where the protocol stands, and how long its header is."""
+"""Link type → position of the protocol, and length of the header."""
 _ETHERTYPE_IPV4, _VLAN = 0x0800, (0x8100, 0x88A8)
-_UDP = 17
-_HELD = 64  # datagrams that wait for fragments
-_HELD_NS = 15_000_000_000  # so long (RFC 791): numbers of datagrams come again, an OS1's after 51 s
-_MOST_OF_ALL = 1 << 16  # bytes of a datagram
+_UDP = 17  # RFC 790
+_MAX_INCOMPLETE = 64  # chosen: datagrams that wait for fragments
+_REASSEMBLY_NS = 15_000_000_000  # RFC 791; identifications repeat, an OS1's after 51 s
+_MAX_DATAGRAM_BYTES = 1 << 16  # RFC 791
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Datagram:
     """`time_ns` is when it was recorded, by the recording machine's clock: UTC, nanoseconds since 1970."""
 
@@ -36,8 +38,18 @@ class Datagram:
     payload: bytes
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Interface:
+    link: int
+    ticks_per_s: int
+    offset_s: int = 0
+
+    def time_ns(self, ticks: int) -> int:
+        return ticks * NS_PER_SECOND // self.ticks_per_s + self.offset_s * NS_PER_SECOND
+
+
 class PcapDecoder:
-    """Datagrams in the file's order, whatever pieces the file comes in. A file that is none costs one FormatError."""
+    """Datagrams in the file's order, for chunks of any size. A file of another format is one FormatError."""
 
     def __init__(self, source_name: str) -> None:
         self.skipped: Counter[str] = Counter()
@@ -46,49 +58,42 @@ class PcapDecoder:
         self._at = 0
         self._kind = ""
         self._order = "<"
-        self._tick_ns = 1000
-        self._links: list[tuple[int, int, int]] = []  # link type, ticks a second, offset in seconds
+        self._interfaces: list[_Interface] = []
         self._fragments: dict[tuple[bytes, bytes, int], _Fragments] = {}
         self._broken = False
+        self._results: list[Datagram | FormatError] = []
 
     def feed(self, data: bytes) -> list[Datagram | FormatError]:
-        """What is complete with these bytes."""
+        """Return the datagrams that these bytes complete."""
         if self._broken:
             return []
         self._bytes += data
-        found: list[Datagram | FormatError] = []
         try:
-            while self._step(found):
+            while self._step():
                 pass
         except FormatError as error:
             self._broken = True
             self._bytes.clear()
-            found.append(error)
-        return found
+            self._results.append(error)
+        results, self._results = self._results, []
+        return results
 
     def finish(self) -> list[Datagram | FormatError]:
-        """The file has ended; one that ends within a frame says so."""
+        """Return an error where the file ends within a frame."""
         if self._fragments:
             self.skipped["fragment"] += len(self._fragments)
             self._fragments.clear()
-        if self._broken or not self._bytes:
-            return []
-        return [FormatError(self._name, "end", "a whole frame", byte_offset=self._at)]
+        return [] if self._broken or not self._bytes else [self._error("end", "a whole frame")]
 
-    def _step(self, found: list[Datagram | FormatError]) -> bool:
+    def _error(self, field: str, expected: str, actual: object = None) -> FormatError:
+        text = None if actual is None else str(actual)
+        return FormatError(self._name, field, expected, actual=text, byte_offset=self._at)
+
+    def _step(self) -> bool:
+        """Read one header, block or frame; False where its end has not arrived."""
         if not self._kind:
             return self._begin()
-        if self._kind == "pcapng":
-            return self._block(found)
-        if len(self._bytes) < 16:
-            return False
-        seconds, fraction, length, whole = struct.unpack_from(f"{self._order}4I", self._bytes)
-        self._check(length)
-        if len(self._bytes) < 16 + length:
-            return False
-        frame = self._taken(16 + length)[16:]
-        self._frame(seconds * 1_000_000_000 + fraction * self._tick_ns, frame, length < whole, 0, found)
-        return True
+        return self._block() if self._kind == "pcapng" else self._classic_frame()
 
     def _begin(self) -> bool:
         if len(self._bytes) < 4:
@@ -100,80 +105,79 @@ class PcapDecoder:
         order = ">" if magic in _CLASSIC else "<"
         tick_ns = _CLASSIC.get(magic if order == ">" else magic[::-1])
         if tick_ns is None:
-            raise FormatError(
-                self._name, "magic number", "that of pcap or pcapng", actual=magic.hex(), byte_offset=0
-            )
+            raise self._error("magic number", "that of pcap or pcapng", magic.hex())
         if len(self._bytes) < 24:
             return False
-        self._kind, self._order, self._tick_ns = "pcap", order, tick_ns
+        self._kind, self._order = "pcap", order
         link = struct.unpack_from(f"{order}I", self._taken(24), 20)[0] & 0xFFFF
-        self._add_link(link, 0, 0)
+        self._add_interface(_Interface(link=link, ticks_per_s=NS_PER_SECOND // tick_ns))
         return True
 
-    def _add_link(self, link: int, ticks: int, offset_s: int) -> None:
-        if link not in _LINKS:
-            expected = "Ethernet (1), raw IP (101) or Linux cooked (113, 276)"
-            raise FormatError(self._name, "link type", expected, actual=str(link), byte_offset=self._at)
-        self._links.append((link, ticks, offset_s))
+    def _classic_frame(self) -> bool:
+        if len(self._bytes) < 16:
+            return False
+        seconds, fraction, length, original_length = struct.unpack_from(f"{self._order}4I", self._bytes)
+        self._check(length)
+        if len(self._bytes) < 16 + length:
+            return False
+        interface = self._interfaces[0]
+        ticks = seconds * interface.ticks_per_s + fraction
+        self._frame(interface, ticks, self._taken(16 + length)[16:], original_length)
+        return True
 
-    def _block(self, found: list[Datagram | FormatError]) -> bool:
+    def _add_interface(self, interface: _Interface) -> None:
+        if interface.link not in _LINKS:
+            raise self._error(
+                "link type", "Ethernet (1), raw IP (101) or Linux cooked (113, 276)", interface.link
+            )
+        self._interfaces.append(interface)
+
+    def _block(self) -> bool:
         if len(self._bytes) < 12:
             return False
         if self._bytes[:4] == _SECTION:
             order = {b"\x1a\x2b\x3c\x4d": ">", b"\x4d\x3c\x2b\x1a": "<"}.get(bytes(self._bytes[8:12]))
             if order is None:
-                raise FormatError(self._name, "byte order", "that of pcapng", byte_offset=self._at)
-            self._order, self._links = order, []
+                raise self._error("byte order", "that of pcapng")
+            self._order, self._interfaces = order, []
         kind, length = struct.unpack_from(f"{self._order}2I", self._bytes)
         self._check(length)
         if length < 12 or length % 4:
-            raise FormatError(
-                self._name,
-                "block length",
-                "a multiple of 4, 12 or more",
-                actual=str(length),
-                byte_offset=self._at,
-            )
+            raise self._error("block length", "a multiple of 4, 12 or more", length)
         if len(self._bytes) < length:
             return False
         body = self._taken(length)[8:-4]
         if kind == 1 and len(body) >= 8:
-            self._interface(body)
+            self._interface_description(body)
         elif kind == 6 and len(body) >= 20:
-            self._packet(body, found)
+            self._enhanced_packet(body)
         return True
 
-    def _interface(self, body: bytes) -> None:
-        ticks, offset_s, at = 1_000_000, 0, 8
+    def _interface_description(self, body: bytes) -> None:
+        ticks_per_s, offset_s, at = 1_000_000, 0, 8
         while at + 4 <= len(body):
             code, size = struct.unpack_from(f"{self._order}2H", body, at)
             value = body[at + 4 : at + 4 + size]
             if code == 9 and len(value) == 1:
                 power = value[0] & 0x7F
                 if power > 30:
-                    raise FormatError(
-                        self._name, "if_tsresol", "at most 30", actual=str(power), byte_offset=self._at
-                    )
-                ticks = 2**power if value[0] & 0x80 else 10**power
+                    raise self._error("if_tsresol", "at most 30", power)
+                ticks_per_s = 2**power if value[0] & 0x80 else 10**power
             elif code == 14 and len(value) == 8:
                 offset_s = struct.unpack(f"{self._order}q", value)[0]
             at += 4 + (size + 3) // 4 * 4
-        self._add_link(struct.unpack_from(f"{self._order}H", body)[0], ticks, offset_s)
+        link = struct.unpack_from(f"{self._order}H", body)[0]
+        self._add_interface(_Interface(link=link, ticks_per_s=ticks_per_s, offset_s=offset_s))
 
-    def _packet(self, body: bytes, found: list[Datagram | FormatError]) -> None:
-        interface, high, low, length, whole = struct.unpack_from(f"{self._order}5I", body)
-        if interface >= len(self._links) or 20 + length > len(body):
-            raise FormatError(
-                self._name, "packet block", "a known interface and all bytes", byte_offset=self._at
-            )
-        _, ticks, offset_s = self._links[interface]
-        time_ns = (high << 32 | low) * 1_000_000_000 // ticks + offset_s * 1_000_000_000
-        self._frame(time_ns, body[20 : 20 + length], length < whole, interface, found)
+    def _enhanced_packet(self, body: bytes) -> None:
+        number, high, low, length, original_length = struct.unpack_from(f"{self._order}5I", body)
+        if number >= len(self._interfaces) or 20 + length > len(body):
+            raise self._error("packet block", "a known interface and all bytes")
+        self._frame(self._interfaces[number], high << 32 | low, body[20 : 20 + length], original_length)
 
     def _check(self, length: int) -> None:
         if length > MOST_BYTES:
-            expected = f"{MOST_BYTES} bytes at most"
-            raise FormatError(self._name, "frame length", expected, actual=str(length), byte_offset=self._at)
+            raise self._error("frame length", f"{MOST_BYTES} bytes at most", length)
 
     def _taken(self, length: int) -> bytes:
         taken = bytes(self._bytes[:length])
@@ -181,15 +185,13 @@ class PcapDecoder:
         self._at += length
         return taken
 
-    def _frame(
-        self, time_ns: int, frame: bytes, cut: bool, interface: int, found: list[Datagram | FormatError]
-    ) -> None:
-        if cut:  # by a snap length: half a packet is none
+    def _frame(self, interface: _Interface, ticks: int, frame: bytes, original_length: int) -> None:
+        if len(frame) < original_length:  # cut by a snap length
             self.skipped["truncated"] += 1
             return
-        datagram = self._datagram(time_ns, _network_layer(frame, self._links[interface][0]))
+        datagram = self._datagram(interface.time_ns(ticks), _network_layer(frame, interface.link))
         if datagram is not None:
-            found.append(datagram)
+            self._results.append(datagram)
 
     def _datagram(self, time_ns: int, packet: bytes | None) -> Datagram | None:
         if packet is None or len(packet) < 20 or packet[0] >> 4 != 4 or packet[9] != _UDP:
@@ -199,47 +201,47 @@ class PcapDecoder:
         if header < 20 or not header < total <= len(packet):
             self.skipped["truncated"] += 1
             return None
-        place = int.from_bytes(packet[6:8], "big")
         payload: bytes | None = packet[header:total]
-        if place & 0x3FFF:  # more to come, or not the first
-            payload = self._assembled(
-                time_ns, packet, packet[header:total], 8 * (place & 0x1FFF), bool(place & 0x2000)
-            )
+        if int.from_bytes(packet[6:8], "big") & 0x3FFF:  # more fragments follow, or not the first one
+            payload = self._reassembled(time_ns, packet, packet[header:total])
             if payload is None:
                 return None
         assert payload is not None
         if len(payload) < 8 or int.from_bytes(payload[4:6], "big") != len(payload):
             self.skipped["truncated"] += 1
             return None
-        source = ".".join(map(str, packet[12:16]))
-        return Datagram(time_ns, source, int.from_bytes(payload[2:4], "big"), payload[8:])
+        source, port = ".".join(map(str, packet[12:16])), int.from_bytes(payload[2:4], "big")
+        return Datagram(time_ns=time_ns, source=source, port=port, payload=payload[8:])
 
-    def _assembled(self, time_ns: int, packet: bytes, part: bytes, at: int, more: bool) -> bytes | None:
+    def _reassembled(self, time_ns: int, packet: bytes, part: bytes) -> bytes | None:
+        position = int.from_bytes(packet[6:8], "big")
         key = (packet[12:16], packet[16:20], int.from_bytes(packet[4:6], "big"))
-        held = self._fragments.setdefault(key, _Fragments(time_ns))
-        if abs(time_ns - held.time_ns) > _HELD_NS:  # of a datagram before, that had the same number
+        fragments = self._fragments.setdefault(key, _Fragments(time_ns))
+        if (
+            abs(time_ns - fragments.time_ns) > _REASSEMBLY_NS
+        ):  # of an earlier datagram with this identification
             self.skipped["fragment"] += 1
-            held = self._fragments[key] = _Fragments(time_ns)
-        whole = held.add(at, part, more)
+            fragments = self._fragments[key] = _Fragments(time_ns)
+        whole = fragments.add(8 * (position & 0x1FFF), part, more=bool(position & 0x2000))
         if whole is not None:
             del self._fragments[key]
-        elif len(self._fragments) > _HELD:
+        elif len(self._fragments) > _MAX_INCOMPLETE:
             del self._fragments[next(iter(self._fragments))]
             self.skipped["fragment"] += 1
         return whole
 
 
 class _Fragments:
-    """Of one datagram, whose first came at this time."""
+    """Fragments of one datagram, whose first was recorded at this time."""
 
     def __init__(self, time_ns: int) -> None:
         self.time_ns = time_ns
         self._parts: dict[int, bytes] = {}
         self._end: int | None = None
 
-    def add(self, at: int, part: bytes, more: bool) -> bytes | None:
-        """All of it, once nothing is missing."""
-        if sum(map(len, self._parts.values())) + len(part) > _MOST_OF_ALL:  # no datagram is so long
+    def add(self, at: int, part: bytes, *, more: bool) -> bytes | None:
+        """Return the datagram once nothing is missing."""
+        if sum(map(len, self._parts.values())) + len(part) > _MAX_DATAGRAM_BYTES:
             self._parts.clear()
         self._parts[at] = part
         if not more:
@@ -251,7 +253,7 @@ class _Fragments:
 
 
 def _network_layer(frame: bytes, link: int) -> bytes | None:
-    """The IP packet of a frame; None where it carries something else."""
+    """Return the IPv4 packet of a frame; None for another protocol."""
     place, header = _LINKS[link]
     if len(frame) < header:
         return None
@@ -265,12 +267,12 @@ def _network_layer(frame: bytes, link: int) -> bytes | None:
 
 
 def pcap_header() -> bytes:
-    """Of a file of Ethernet frames, with times in nanoseconds."""
+    """Return the header of a file of Ethernet frames, with times in nanoseconds."""
     return struct.pack("<4s2HiIII", b"\x4d\x3c\xb2\xa1", 2, 4, 0, 0, MOST_BYTES, _ETHERNET)
 
 
 def pcap_frames(datagram: Datagram, destination: str, identification: int, most_bytes: int = 1500) -> bytes:
-    """A datagram as its frames, recorded at its time: more than one where it is longer than a frame may be."""
+    """Return a datagram's frames, recorded at its time: several where it is longer than a frame may be."""
     ends = bytes(map(int, f"{datagram.source}.{destination}".split(".")))
     udp = struct.pack(">4H", datagram.port, datagram.port, 8 + len(datagram.payload), 0) + datagram.payload
     step = (most_bytes - 20) // 8 * 8
@@ -282,7 +284,7 @@ def pcap_frames(datagram: Datagram, destination: str, identification: int, most_
         header = struct.pack(">2B3H2B", *fields)
         ip = header + _checksum(header + b"\0\0" + ends) + ends + part
         frame = b"\x02" + bytes(5) + b"\x02" + bytes(4) + b"\x01" + b"\x08\0" + ip
-        seconds, fraction = divmod(datagram.time_ns, 1_000_000_000)
+        seconds, fraction = divmod(datagram.time_ns, NS_PER_SECOND)
         frames.append(struct.pack("<4I", seconds, fraction, len(frame), len(frame)) + frame)
     return b"".join(frames)
 

@@ -9,21 +9,31 @@ here that axis is x, forward. Of two returns the last one is taken.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from camber.formats.lidar_can.firings import Bools, Decoded, Firings, Float64, Int32, Int64, joined
+from camber.formats.lidar_can.firings import (
+    Bools,
+    Decoded,
+    Firings,
+    Float64,
+    Int32,
+    Int64,
+    Refusal,
+    accepted_packets,
+    joined,
+)
+from camber.geodesy.gps_time import NS_PER_SECOND
 
-PACKET_BYTES = 1206
-HOUR_NS = 3600 * 1_000_000_000
-BLOCK_FLAG = 0xEEFF
+# The manuals, "Sensor Data": packet, flag of a block, units of azimuth.
+PACKET_BYTES, BLOCK_FLAG = 1206, 0xEEFF
+HOUR_NS = 3600 * NS_PER_SECOND  # unit
 STRONGEST, LAST, DUAL = 0x37, 0x38, 0x39
 _FLAG = b"\xff\xee"
-_FLAGS = {_FLAG, b"\xff\xdd", b"\xff\xcc", b"\xff\xbb"}  # of sensors with more than 32 lasers the others too
+_FLAGS = {_FLAG, b"\xff\xdd", b"\xff\xcc", b"\xff\xbb"}  # the others: sensors with more than 32 lasers
 _BLOCKS, _CHANNELS, _TURN = 12, 32, 36_000
 _FASTEST_BLOCK = 500  # 5° in one block: no sensor turns so fast
 BLOCK = np.dtype(
@@ -32,17 +42,17 @@ BLOCK = np.dtype(
 PACKET = np.dtype([("blocks", BLOCK, _BLOCKS), ("stamp_us", "<u4"), ("mode", "u1"), ("model", "u1")])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VelodyneModel:
     """A model, its beams (b,) in the order of the packet; lasers fire `together` at a time, each `beam_ns` later."""
 
     name: str
     code: int
     elevation_deg: tuple[float, ...]
-    firing_ns: float
-    beam_ns: float
     azimuth_deg: tuple[float, ...] = ()
     up_mm: tuple[float, ...] = ()
+    firing_ns: float = 55_296.0
+    beam_ns: float = 2_304.0
     together: int = 1
     step_m: float = 0.002
 
@@ -66,39 +76,43 @@ _VLP_32C = (
 )  # fmt: skip
 _HDL_32E = tuple(e / 3.0 for k in range(16) for e in (-92.0 + 4.0 * k, -28.0 + 4.0 * k))
 _UP_32E = tuple(-29.0 * math.tan(math.radians(elevation)) for elevation in _HDL_32E)
-"""Its lasers stand 29 mm from the axis, from which distances count: by the maker's viewer, the manual says nothing."""
+"""Lasers are 29 mm from the axis, from which distances count: maker's viewer; the manual does not state it."""
 
 
 def _alternating(first: tuple[float, ...], second: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(float(one) for pair in zip(first, second, strict=True) for one in pair)
 
 
+_VLP_32C_ELEVATION, _VLP_32C_AZIMUTH = zip(*_VLP_32C, strict=True)
 MODELS = {
     model.name: model
     for model in (
-        VelodyneModel("VLP-16", 0x22, _alternating(_EVEN, _ODD), 55_296.0, 2_304.0, up_mm=_UP_16),
+        VelodyneModel(name="VLP-16", code=0x22, elevation_deg=_alternating(_EVEN, _ODD), up_mm=_UP_16),
         VelodyneModel(
-            "Puck Hi-Res",
-            0x24,
-            _alternating(_HI_RES, tuple(-e for e in reversed(_HI_RES))),
-            55_296.0,
-            2_304.0,
+            name="Puck Hi-Res",
+            code=0x24,
+            elevation_deg=_alternating(_HI_RES, tuple(-e for e in reversed(_HI_RES))),
             up_mm=_HI_RES_MM,
         ),
-        VelodyneModel("HDL-32E", 0x21, _HDL_32E, 46_080.0, 1_152.0, up_mm=_UP_32E),
         VelodyneModel(
-            "VLP-32C",
-            0x28,
-            tuple(elevation for elevation, _ in _VLP_32C),
-            55_296.0,
-            2_304.0,
-            azimuth_deg=tuple(azimuth for _, azimuth in _VLP_32C),
+            name="HDL-32E",
+            code=0x21,
+            elevation_deg=_HDL_32E,
+            up_mm=_UP_32E,
+            firing_ns=46_080.0,
+            beam_ns=1_152.0,
+        ),
+        VelodyneModel(
+            name="VLP-32C",
+            code=0x28,
+            elevation_deg=_VLP_32C_ELEVATION,
+            azimuth_deg=_VLP_32C_AZIMUTH,
             together=2,
             step_m=0.004,
         ),
     )
 }
-"""Those that can be read, by their names."""
+"""The supported models by name."""
 _NAMES = {model.code: name for name, model in MODELS.items()} | {
     0xA1: "VLS-128",
     0x63: "VLS-128",
@@ -107,7 +121,7 @@ _NAMES = {model.code: name for name, model in MODELS.items()} | {
 
 
 class VelodyneDecoder:
-    """Packets of one model as firings; what is no packet of it is refused by its reason.
+    """Packets of one model as firings; any other packet is refused with a reason.
 
     Sweeps begin where the azimuth, clockwise from straight ahead, passes `seam_deg`.
     """
@@ -120,46 +134,31 @@ class VelodyneDecoder:
         self.beam_after_ns: Int32 = np.rint(model.beam_after_ns).astype(np.int32)
         elevation = np.radians(model.elevation_deg)
         self._flat, self._up = np.cos(elevation), np.sin(elevation)
-        self._aside = np.radians(model.azimuth_deg or (0.0,) * self._beams)
+        self._azimuth = np.radians(model.azimuth_deg or (0.0,) * self._beams)
         self._up_m = np.array(model.up_mm or (0.0,) * self._beams) / 1000.0
 
     def decode(self, payloads: Sequence[bytes]) -> Decoded:
-        """Of packets as they arrived; stamps are nanoseconds since the hour."""
-        refused: Counter[str] = Counter()
-        details: dict[str, str] = {}
-        stamps: list[int | None] = []
-        kept: list[tuple[int, bytes]] = []
-        for number, payload in enumerate(payloads):
-            reason, words = self._refusal(payload)
-            if reason:
-                refused[reason] += 1
-                details[reason] = words
-                stamps.append(None)
-            else:
-                stamps.append(int.from_bytes(payload[1200:1204], "little") * 1000)
-                kept.append((number, payload))
-        if not kept:
-            return Decoded(stamps, None, refused, details)
-        packets = np.frombuffer(b"".join(payload for _, payload in kept), PACKET)
-        numbers = np.array([number for number, _ in kept], np.int64)
-        turning = _turning(packets)
-        if not turning.all():
-            refused["azimuth"] = int((~turning).sum())
-            details["azimuth"] = "azimuths that no turning sensor has"
-            for number in numbers[~turning].tolist():
-                stamps[number] = None
-            packets, numbers = packets[turning], numbers[turning]
+        """Decode packets in the order of arrival; stamps are nanoseconds since the hour."""
+        decoded, packets, numbers = accepted_packets(payloads, self._refusal, PACKET)
         if not len(packets):
-            return Decoded(stamps, None, refused, details)
+            return decoded
+        for number, stamp_us in zip(numbers.tolist(), packets["stamp_us"].tolist(), strict=True):
+            decoded.stamp_ns[number] = stamp_us * 1000
+        rotating = _rotating(packets)
+        for number in numbers[~rotating].tolist():
+            decoded.refuse(number, "azimuth", "azimuths that no turning sensor has")
+        packets, numbers = packets[rotating], numbers[rotating]
         single = packets["mode"] != DUAL
         parts = [
             self._firings(packets[rows], numbers[rows], blocks)
             for rows, blocks in ((single, slice(None)), (~single, slice(0, None, 2)))
             if rows.any()
         ]
-        return Decoded(stamps, parts[0] if len(parts) == 1 else joined(parts), refused, details)
+        if parts:
+            decoded.firings = parts[0] if len(parts) == 1 else joined(parts)
+        return decoded
 
-    def _refusal(self, payload: bytes) -> tuple[str, str]:
+    def _refusal(self, payload: bytes) -> Refusal:
         if len(payload) != PACKET_BYTES:
             return "size", f"a packet of {len(payload)} bytes, expected {PACKET_BYTES}"
         mode, code = payload[1204], payload[1205]
@@ -168,29 +167,27 @@ class VelodyneDecoder:
             name = _NAMES.get(code, "a model that is not known")
             return "model", f"a packet of {name} (0x{code:02X}), expected {self._model.name}"
         if flags != {_FLAG}:
-            return (
-                "flag",
-                f"a block that begins with {min(flags - {_FLAG}).hex(' ').upper()}, expected FF EE",
-            )
+            wrong_flag = min(flags - {_FLAG}).hex(" ").upper()
+            return "flag", f"a block that begins with {wrong_flag}, expected FF EE"
         if mode not in (STRONGEST, LAST, DUAL):
             return "mode", f"return mode 0x{mode:02X}, expected strongest, last or dual (0x37, 0x38, 0x39)"
         if int.from_bytes(payload[1200:1204], "little") >= 3_600_000_000:
             return "stamp", "a time of an hour or more since the hour"
-        return "", ""
+        return None
 
     def _firings(self, packets: Any, numbers: Int64, blocks: slice) -> Firings:
-        """`blocks`: all, or of two returns of each firing those with the last one."""
+        """`blocks`: all, or with two returns per firing those of the last return."""
         part = packets["blocks"][:, blocks]
         n, b = part.shape
         per = self._per_block
         azimuth = part["azimuth"].astype(np.float64)
-        # How far it turns within a block: from all steps of the packet, but for those over a part that is not measured.
+        # Rotation within a block: from all steps of the packet, but for those over a sector that is not measured.
         steps = np.diff(azimuth, axis=1) % _TURN
         even = steps <= 2.0 * np.median(steps, axis=1, keepdims=True)
         turned = (steps * even).sum(axis=1) / even.sum(axis=1)
         block_ns = per * self._model.firing_ns
         per_ns = turned / block_ns
-        # A packet that is not full where a part begins that is not measured is filled up behind it.
+        # A packet that is not full at the begin of a sector that is not measured is filled up after it.
         blocks_on = np.ones(steps.shape)
         np.divide(steps, turned[:, None], out=blocks_on, where=~even & (turned[:, None] > 0.0))
         block_at_ns = np.zeros((n, b))
@@ -198,7 +195,7 @@ class VelodyneDecoder:
         firing = np.arange(b * per)
         begins = np.repeat(azimuth, per, axis=1) + per_ns[:, None] * (firing % per * self._model.firing_ns)
         after = self._model.beam_after_ns
-        angle = np.radians((begins[:, :, None] + per_ns[:, None, None] * after) / 100.0) + self._aside
+        angle = np.radians((begins[:, :, None] + per_ns[:, None, None] * after) / 100.0) + self._azimuth
         beams = part["beams"].reshape(n, b * per, self._beams)
         distance = beams["distance"].astype(np.float64) * self._model.step_m
         flat = distance * self._flat
@@ -206,22 +203,21 @@ class VelodyneDecoder:
         points[..., 0] = flat * np.cos(angle)
         points[..., 1] = -flat * np.sin(angle)
         points[..., 2] = distance * self._up + self._up_m
+        after_ns = np.repeat(block_at_ns, per, axis=1) + firing % per * self._model.firing_ns
         return Firings(
-            np.repeat(numbers, b * per),
-            np.rint(np.repeat(block_at_ns, per, axis=1) + firing % per * self._model.firing_ns)
-            .astype(np.int64)
-            .reshape(-1),
-            ((begins.reshape(-1) / _TURN) - self._seam) % 1.0,
-            points.reshape(-1, self._beams, 3),
-            beams["brightness"].reshape(-1, self._beams).astype(np.float32),
-            beams["distance"].reshape(-1, self._beams) != 0,
+            packet=np.repeat(numbers, b * per),
+            after_ns=np.rint(after_ns).astype(np.int64).reshape(-1),
+            turn=((begins.reshape(-1) / _TURN) - self._seam) % 1.0,
+            points_m=points.reshape(-1, self._beams, 3),
+            intensity=beams["brightness"].reshape(-1, self._beams).astype(np.float32),
+            returned=beams["distance"].reshape(-1, self._beams) != 0,
         )
 
 
-def _turning(packets: Any) -> Bools:
-    """Of packets (n,) those whose azimuths are those of a sensor that turns, or stands."""
+def _rotating(packets: Any) -> Bools:
+    """Return which packets (n,) have azimuths of a sensor that rotates, or stands."""
     azimuth = packets["blocks"]["azimuth"].astype(np.int64)
     # In dual mode two blocks each have the same azimuth.
     steps = (azimuth[:, 2:] - azimuth[:, :-2]) % _TURN
-    turning: Bools = (azimuth.max(axis=1) < _TURN) & (np.median(steps, axis=1) <= 2 * _FASTEST_BLOCK)
-    return turning
+    rotating: Bools = (azimuth.max(axis=1) < _TURN) & (np.median(steps, axis=1) <= 2 * _FASTEST_BLOCK)
+    return rotating

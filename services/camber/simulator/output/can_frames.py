@@ -107,6 +107,12 @@ def _frames(said: Readings, spoken: _Spoken, message: DbcMessage) -> Sequence[tu
     for time_ns, value in zip(said.time_ns.tolist(), said.value.tolist(), strict=True):
         raw = INVALID if math.isnan(value) else round(value * spoken.scale / signal.factor)
         data = signal.placed(max(min(raw, 32_767), INVALID), bytes(message.length_bytes))
-        frame = CanFrame(unix_ns_from_gps_ns(time_ns), BUS, message.identifier, message.extended, data)
+        frame = CanFrame(
+            time_ns=unix_ns_from_gps_ns(time_ns),
+            bus=BUS,
+            identifier=message.identifier,
+            extended=message.extended,
+            data=data,
+        )
         frames.append((time_ns, frame))
     return frames

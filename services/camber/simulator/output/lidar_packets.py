@@ -59,7 +59,11 @@ def pcap_of(sweeps: Iterable[Sweep], kind: str) -> Iterator[bytes]:
     packets = velodyne_packets(sweeps) if kind == "velodyne" else ouster_packets(sweeps)
     for number, (last_ns, payload) in enumerate(packets):
         time_ns = unix_ns_from_gps_ns(last_ns + _UNDER_WAY_NS)
-        yield pcap_frames(Datagram(time_ns, SENSOR_ADDRESS, port, payload), MACHINE_ADDRESS, number)
+        yield pcap_frames(
+            Datagram(time_ns=time_ns, source=SENSOR_ADDRESS, port=port, payload=payload),
+            MACHINE_ADDRESS,
+            number,
+        )
 
 
 def velodyne_packets(sweeps: Iterable[Sweep]) -> Iterator[tuple[int, bytes]]:

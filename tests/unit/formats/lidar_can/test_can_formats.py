@@ -1,4 +1,4 @@
-"""candump's lines, DBC files, and the frames of Linux' sockets."""
+"""candump lines, DBC files, frames of Linux sockets."""
 
 import struct
 from random import Random
@@ -6,15 +6,24 @@ from random import Random
 import pytest
 
 from camber.formats.errors import FormatError
-from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_line, candump_text
+from camber.formats.lidar_can.candump import CandumpDecoder, CanFrame, candump_text
 from camber.formats.lidar_can.dbc import DbcSignal, read_dbc
 from camber.transport.packet_ports import frame_from_socket
 
 FRAMES = [
-    CanFrame(1_700_000_000_123_456_000, "can0", 0x1A0, False, b"\x01\x02\x03"),
-    CanFrame(1_700_000_000_123_457_000, "can0", 0x18FEF200, True, bytes(8)),
-    CanFrame(1_700_000_001_000_000_000, "vcan1", 0x7FF, False, b""),
-    CanFrame(1_700_000_001_000_001_000, "can0", 0x10, False, bytes(range(64))),
+    CanFrame(
+        time_ns=1_700_000_000_000_000_000 + time_us * 1000,
+        bus=bus,
+        identifier=i,
+        extended=extended,
+        data=data,
+    )
+    for time_us, bus, i, extended, data in (
+        (123_456, "can0", 0x1A0, False, b"\x01\x02\x03"),
+        (123_457, "can0", 0x18FEF200, True, bytes(8)),
+        (1_000_000, "vcan1", 0x7FF, False, b""),
+        (1_000_001, "can0", 0x10, False, bytes(range(64))),
+    )
 ]
 DBC = """\
 VERSION "1"
@@ -38,11 +47,11 @@ def decoded(text: str) -> list:
     return decoder.feed(text.encode()) + decoder.finish()
 
 
-def test_frames_are_read_as_they_were_written() -> None:
+def test_written_frames_are_read_back() -> None:
     assert decoded(candump_text(FRAMES)) == FRAMES
 
 
-def test_as_candump_itself_writes() -> None:
+def test_lines_of_candump_are_decoded() -> None:
     lines = "(1436509052.249713) vcan0 044#2A366C2BBA\n(1436509053.850870) vcan0 1F334455#1122334455667788\n"
     assert [(f.identifier, f.extended, f.data.hex(), f.time_ns) for f in decoded(lines)] == [
         (0x44, False, "2a366c2bba", 1436509052249713000),
@@ -50,25 +59,21 @@ def test_as_candump_itself_writes() -> None:
     ]
 
 
-def test_remote_and_error_frames_are_counted_and_damaged_lines_cost_themselves() -> None:
+def test_remote_and_error_frames_are_counted_and_only_damaged_lines_are_lost() -> None:
     decoder = CandumpDecoder("x.log")
     text = "(1.0) can0 123#R\n(1.0) can0 20000004#0000000000000000\nnonsense\n(1.0) can0 900#00\n(1.0) can0 001#00\n"
-    found = decoder.feed(text.encode())
+    results = decoder.feed(text.encode())
     assert decoder.skipped == {"remote": 1, "error": 1}
-    assert [type(each) for each in found] == [FormatError, FormatError, CanFrame]
-    assert str(found[0]).startswith("x.log:3: line is 'nonsense', expected (seconds) bus identifier#bytes")
+    assert [type(each) for each in results] == [FormatError, FormatError, CanFrame]
+    assert str(results[0]).startswith("x.log:3: line is 'nonsense', expected (seconds) bus identifier#bytes")
 
 
 def test_messages_and_signals_of_a_dbc_file() -> None:
     messages = read_dbc(DBC, "x.dbc")
     assert sorted(messages) == ["Far", "Wheels"]
     far, wheels = messages["Far"], messages["Wheels"]
-    assert (far.identifier, far.extended, wheels.identifier, wheels.extended) == (
-        0x18FEF200,
-        True,
-        416,
-        False,
-    )
+    assert (far.identifier, far.extended) == (0x18FEF200, True)
+    assert (wheels.identifier, wheels.extended) == (416, False)
     speed, fine = wheels.signals["Speed"], wheels.signals["Fine"]
     assert (speed.intel, speed.signed, speed.factor, speed.unit) == (False, True, 0.01, "km/h")
     assert (fine.intel, fine.signed, fine.offset, fine.multiplexed) == (True, False, -10.0, True)
@@ -81,31 +86,35 @@ def test_a_floating_point_signal_is_one_with_a_colon_or_without(words: str) -> N
     assert [name for name, signal in signals.items() if signal.real] == ["Real"]
 
 
-def test_words_may_be_parted_by_tabs() -> None:
+def test_tabs_may_separate_fields() -> None:
     assert read_dbc(DBC.replace("SG_ ", "SG_\t").replace("\nBO_ ", "\nBO_\t"), "x.dbc") == read_dbc(
         DBC, "x.dbc"
     )
 
 
+def signal_at(start: int, bits: int, *, intel: bool, signed: bool = False) -> DbcSignal:
+    scaling = {"factor": 1.0, "offset": 0.0, "least": 0.0, "most": 0.0, "unit": ""}
+    return DbcSignal(message="M", name="s", start_bit=start, bits=bits, intel=intel, signed=signed, **scaling)  # type: ignore[arg-type]
+
+
 def test_bits_are_where_the_format_says() -> None:
     """Worked by hand: 0x1234 as Motorola's from bit 7 of byte 0, as Intel's from bit 4."""
-    motorola = DbcSignal("M", "s", 7, 16, False, False, 1.0, 0.0, 0.0, 0.0, "")
-    intel = DbcSignal("M", "s", 4, 16, True, False, 1.0, 0.0, 0.0, 0.0, "")
-    assert motorola.raw(bytes.fromhex("1234")) == 0x1234
+    assert signal_at(7, 16, intel=False).raw(bytes.fromhex("1234")) == 0x1234
+    intel = signal_at(4, 16, intel=True)
     assert intel.raw(bytes.fromhex("402301")) == 0x1234
     assert intel.raw(bytes.fromhex("4023")) is None
-    twelve = DbcSignal("M", "s", 3, 12, False, True, 1.0, 0.0, 0.0, 0.0, "")
+    twelve = signal_at(3, 12, intel=False, signed=True)
     assert twelve.raw(bytes.fromhex("0fff")) == -1
     assert twelve.raw(bytes.fromhex("f7ff")) == 2047
 
 
-def test_a_signal_that_is_placed_is_read_again_and_touches_no_other_bit() -> None:
-    """Against a walk bit by bit."""
+def test_a_placed_signal_is_read_back_and_changes_no_other_bit() -> None:
+    """Reference: a walk bit by bit."""
     random = Random(3)
     for _ in range(2000):
         intel, signed = random.random() < 0.5, random.random() < 0.5
         start, bits = random.randrange(64), random.randrange(1, 65)
-        signal = DbcSignal("M", "s", start, bits, intel, signed, 1.0, 0.0, 0.0, 0.0, "")
+        signal = signal_at(start, bits, intel=intel, signed=signed)
         if signal.last_byte >= 8:
             continue
         places = [start]
@@ -124,7 +133,7 @@ def test_a_signal_that_is_placed_is_read_again_and_touches_no_other_bit() -> Non
 
 
 @pytest.mark.parametrize(
-    ("line", "words"),
+    ("line", "message"),
     [
         ("BO_ 416 Wheels 8 Gateway", "x.dbc:1: message is 'BO_ 416 Wheels 8 Gateway', expected BO_ identifier name"),
         ("BO_ 4096 Wheels: 8 Gateway", "x.dbc:1: identifier is '4096', expected 11 or 29 bits"),
@@ -134,10 +143,10 @@ def test_a_signal_that_is_placed_is_read_again_and_touches_no_other_bit() -> Non
         ("nothing", "x.dbc: content, expected messages"),
     ],
 )  # fmt: skip
-def test_a_dbc_file_that_cannot_be_is_one_clear_line(line: str, words: str) -> None:
+def test_an_invalid_dbc_file_is_one_clear_error(line: str, message: str) -> None:
     with pytest.raises(FormatError) as error:
         read_dbc(line, "x.dbc")
-    assert str(error.value).startswith(words)
+    assert str(error.value).startswith(message)
 
 
 def socket_bytes(frame: CanFrame) -> bytes:
@@ -146,12 +155,12 @@ def socket_bytes(frame: CanFrame) -> bytes:
     return struct.pack(f"=IB3x{8 if len(frame.data) <= 8 else 64}s", flags, len(frame.data), frame.data)
 
 
-@pytest.mark.parametrize("frame", FRAMES, ids=candump_line)
-def test_a_frame_of_a_socket_is_that_of_a_log(frame: CanFrame) -> None:
+@pytest.mark.parametrize("frame", FRAMES, ids=lambda frame: candump_text([frame]))
+def test_a_frame_of_a_socket_equals_that_of_a_log(frame: CanFrame) -> None:
     assert frame_from_socket(socket_bytes(frame), frame.time_ns, frame.bus) == frame
 
 
-def test_remote_and_error_frames_of_a_socket_are_none() -> None:
+def test_remote_and_error_frames_of_a_socket_are_ignored() -> None:
     whole = bytearray(socket_bytes(FRAMES[0]))
     for flag in (0x40, 0x20):
         other = bytes(whole[:3]) + bytes([whole[3] | flag]) + bytes(whole[4:])

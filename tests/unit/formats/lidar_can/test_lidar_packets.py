@@ -1,4 +1,4 @@
-"""Packets of Velodyne and Ouster: what is read is what is in them, and what cannot be is refused by its name."""
+"""Packets of Velodyne and Ouster sensors: decoded by the manuals' formulas; invalid ones are refused with a reason."""
 
 import json
 
@@ -7,6 +7,7 @@ import pytest
 
 from camber.formats.errors import FormatError
 from camber.formats.lidar_can import ouster, velodyne
+from camber.formats.lidar_can.firings import Firings
 from camber.formats.lidar_can.ouster_metadata import PROFILES, read_ouster_metadata
 from camber.formats.lidar_can.velodyne import MODELS, VelodyneDecoder
 
@@ -30,7 +31,7 @@ def velodyne_packet(
 
 @pytest.mark.parametrize("name", MODELS)
 def test_directions_distances_and_times_of_a_velodyne(name: str) -> None:
-    """Each point anew by the manual's formulas, one at a time."""
+    """Reference: the manual's formulas, one point at a time."""
     model, decoder = MODELS[name], VelodyneDecoder(MODELS[name])
     decoded = decoder.decode([velodyne_packet(name)])
     firings = decoded.firings
@@ -43,8 +44,8 @@ def test_directions_distances_and_times_of_a_velodyne(name: str) -> None:
         assert firings.after_ns[firing] == round(firing * model.firing_ns)
         for beam in range(beams):
             share = (part + model.beam_after_ns[beam] / model.firing_ns) / per_block
-            aside = model.azimuth_deg[beam] if model.azimuth_deg else 0.0
-            around = np.radians((1000 + 20 * block + 20 * share) / 100.0 + aside)
+            offset_deg = model.azimuth_deg[beam] if model.azimuth_deg else 0.0
+            around = np.radians((1000 + 20 * block + 20 * share) / 100.0 + offset_deg)
             up = np.radians(model.elevation_deg[beam])
             distance = (1000 + 32 * block + beams * part + beam) * model.step_m
             x_right, y_ahead = (distance * np.cos(up) * f(around) for f in (np.sin, np.cos))
@@ -61,16 +62,15 @@ def test_of_two_returns_the_last_is_taken() -> None:
     np.testing.assert_allclose(blocks, 1000 + 32 * np.arange(0, 12, 2), atol=3.0)
 
 
-def test_the_place_in_the_turn_counts_from_the_seam() -> None:
+def test_the_turn_begins_at_the_seam() -> None:
     for seam_deg, azimuth, turn in ((180.0, 18_000, 0.0), (180.0, 17_900, 0.9972), (0.0, 9_000, 0.25)):
-        firings = (
-            VelodyneDecoder(MODELS["HDL-32E"], seam_deg).decode([velodyne_packet(azimuth=azimuth)]).firings
-        )
+        decoder = VelodyneDecoder(MODELS["HDL-32E"], seam_deg)
+        firings = decoder.decode([velodyne_packet(azimuth=azimuth)]).firings
         assert firings is not None
         assert firings.turn[0] == pytest.approx(turn, abs=1e-4)
 
 
-def test_a_velodyne_packet_that_is_none_is_refused_by_its_reason() -> None:
+def test_an_invalid_velodyne_packet_is_refused_with_its_reason() -> None:
     good = velodyne_packet()
     wrong = {
         "size": good[:-1],
@@ -87,10 +87,10 @@ def test_a_velodyne_packet_that_is_none_is_refused_by_its_reason() -> None:
         assert decoded.stamp_ns == [None, 7000]
         assert decoded.firings is not None
         assert set(decoded.firings.packet.tolist()) == {1}
-    said = decoder.decode(list(wrong.values())).details
-    assert said.keys() == wrong.keys()
-    assert said["model"] == "a packet of VLP-16 (0x22), expected HDL-32E"
-    assert said["flag"] == "a block that begins with FF DD, expected FF EE"
+    details = decoder.decode(list(wrong.values())).details
+    assert details.keys() == wrong.keys()
+    assert details["model"] == "a packet of VLP-16 (0x22), expected HDL-32E"
+    assert details["flag"] == "a block that begins with FF DD, expected FF EE"
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_packet_of_a_model_with_other_flags_is_named_as_that_model(code: int, 
 
 def metadata(profile: str = PROFILES[1], **changes: object) -> str:
     rng = np.random.default_rng(5)
-    said: dict = {
+    content: dict = {
         "sensor_info": {"prod_line": "OS-1-32", "prod_sn": "991"},
         "config_params": {"lidar_mode": "512x10", "timestamp_mode": "TIME_FROM_PTP_1588"},
         "lidar_data_format": {"columns_per_frame": 512, "columns_per_packet": 16, "udp_profile_lidar": profile},
@@ -121,10 +121,10 @@ def metadata(profile: str = PROFILES[1], **changes: object) -> str:
     for path, value in changes.items():
         table, _, name = path.partition("__")
         if value is None:
-            del said[table][name]
+            del content[table][name]
         else:
-            said[table][name] = value
-    return json.dumps(said)
+            content[table][name] = value
+    return json.dumps(content)
 
 
 def ouster_packet(profile: str, first: int = 0, stamp_ns: int = 5_000_000_000) -> np.ndarray:
@@ -142,10 +142,9 @@ def ouster_packet(profile: str, first: int = 0, stamp_ns: int = 5_000_000_000) -
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_directions_distances_and_times_of_an_ouster(profile: str) -> None:
-    """Each point anew by the manual's formulas, one at a time."""
-    said = read_ouster_metadata(metadata(profile), "m.json")
-    decoder = ouster.OusterDecoder(said)
-    decoded = decoder.decode([ouster_packet(profile, 32).tobytes()])
+    """Reference: the manual's formulas, one point at a time."""
+    sensor = read_ouster_metadata(metadata(profile), "m.json")
+    decoded = ouster.OusterDecoder(sensor).decode([ouster_packet(profile, 32).tobytes()])
     firings = decoded.firings
     assert firings is not None
     assert decoded.stamp_ns == [5_000_000_000]
@@ -157,7 +156,7 @@ def test_directions_distances_and_times_of_an_ouster(profile: str) -> None:
         encoder = 2 * np.pi * (1 - (32 + column) / 512)
         for beam in range(32):
             length = (2000 + 32 * column + beam) * step_m - 0.0158
-            around, up = encoder - said.azimuth_rad[beam], said.elevation_rad[beam]
+            around, up = encoder - sensor.azimuth_rad[beam], sensor.elevation_rad[beam]
             x = length * np.cos(around) * np.cos(up) + 0.0158 * np.cos(encoder)
             y = length * np.sin(around) * np.cos(up) + 0.0158 * np.sin(encoder)
             np.testing.assert_allclose(
@@ -167,7 +166,7 @@ def test_directions_distances_and_times_of_an_ouster(profile: str) -> None:
     assert firings.returned.all()
 
 
-def test_an_ouster_packet_that_is_none_is_refused_by_its_reason() -> None:
+def test_an_invalid_ouster_packet_is_refused_with_its_reason() -> None:
     profile = "RNG19_RFL8_SIG16_NIR16"
     decoder = ouster.OusterDecoder(read_ouster_metadata(metadata(), "m.json"))
     other, beyond, kind, empty = (ouster_packet(profile) for _ in range(4))
@@ -176,28 +175,29 @@ def test_an_ouster_packet_that_is_none_is_refused_by_its_reason() -> None:
     kind["type"] = 2
     empty["columns"]["status"] = 0
     cut = ouster_packet(profile).tobytes()[:-1]
-    for packet, reason in (
-        (other, "model"),
-        (beyond, "turn"),
-        (kind, "type"),
-        (empty, "empty"),
-        (cut, "size"),
-    ):
-        data = packet if isinstance(packet, bytes) else packet.tobytes()
+    wrong = {"model": other, "turn": beyond, "type": kind, "empty": empty}
+    for reason, data in {
+        "size": cut,
+        **{reason: packet.tobytes() for reason, packet in wrong.items()},
+    }.items():
         decoded = decoder.decode([data])
         assert decoded.refused == {reason: 1}
         assert decoded.firings is None
         assert decoded.details.keys() == {reason}
 
 
-def test_columns_that_the_sensor_calls_invalid_and_returns_that_are_none_are_left_out() -> None:
+def firings_of(packet: np.ndarray) -> Firings:
+    decoder = ouster.OusterDecoder(read_ouster_metadata(metadata(), "m.json"))
+    firings = decoder.decode([packet.tobytes()]).firings
+    assert firings is not None
+    return firings
+
+
+def test_invalid_columns_and_missing_returns_are_left_out() -> None:
     packet = ouster_packet("RNG19_RFL8_SIG16_NIR16")
     packet["columns"]["status"][2] = 0
     packet["columns"]["pixels"]["range"][0, 5] = 0
-    firings = (
-        ouster.OusterDecoder(read_ouster_metadata(metadata(), "m.json")).decode([packet.tobytes()]).firings
-    )
-    assert firings is not None
+    firings = firings_of(packet)
     assert (firings.turn * 512).round().astype(int).tolist() == [0, 1, *range(3, 16)]
     assert np.argwhere(~firings.returned).tolist() == [[0, 5]]
 
@@ -206,10 +206,7 @@ def test_columns_that_the_sensor_calls_invalid_and_returns_that_are_none_are_lef
 def test_a_column_stamped_far_from_the_others_of_its_packet_is_left_out(off_ns: int) -> None:
     packet = ouster_packet("RNG19_RFL8_SIG16_NIR16")
     packet["columns"]["stamp_ns"][5] = (int(packet["columns"]["stamp_ns"][0]) + off_ns) % 2**64
-    firings = (
-        ouster.OusterDecoder(read_ouster_metadata(metadata(), "m.json")).decode([packet.tobytes()]).firings
-    )
-    assert firings is not None
+    firings = firings_of(packet)
     assert (firings.turn * 512).round().astype(int).tolist() == [*range(5), *range(6, 16)]
 
 
@@ -217,13 +214,13 @@ def test_the_flat_metadata_of_earlier_firmware_are_read() -> None:
     nested = json.loads(metadata("LEGACY"))
     flat = {name: value for table in nested.values() for name, value in table.items()}
     del flat["udp_profile_lidar"]
-    said, again = (read_ouster_metadata(json.dumps(each), "m.json") for each in (flat, nested))
-    assert (said.profile, said.columns, said.serial) == ("LEGACY", 512, 991)
-    np.testing.assert_array_equal(said.azimuth_rad, again.azimuth_rad)
+    old, new = (read_ouster_metadata(json.dumps(each), "m.json") for each in (flat, nested))
+    assert (old.profile, old.columns, old.serial) == ("LEGACY", 512, 991)
+    np.testing.assert_array_equal(old.azimuth_rad, new.azimuth_rad)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         ({"config_params__lidar_mode": None}, "m.json: lidar_mode is 'missing', expected a text"),
         ({"config_params__lidar_mode": "1024x11"}, "m.json: lidar_mode is '1024x11', expected COLUMNSxHZ"),
@@ -238,7 +235,7 @@ def test_the_flat_metadata_of_earlier_firmware_are_read() -> None:
         ({"beam_intrinsics__beam_to_lidar_transform": None}, "m.json: lidar_origin_to_beam_origin_mm is 'missing'"),
     ],
 )  # fmt: skip
-def test_metadata_that_cannot_be_are_one_clear_line(changes: dict, words: str) -> None:
+def test_invalid_metadata_are_one_clear_error(changes: dict, message: str) -> None:
     with pytest.raises(FormatError) as error:
         read_ouster_metadata(metadata(**changes), "m.json")
-    assert str(error.value).startswith(words)
+    assert str(error.value).startswith(message)

@@ -8,8 +8,8 @@ from camber.formats.errors import FormatError
 from camber.formats.lidar_can.pcap import Datagram, PcapDecoder, pcap_frames, pcap_header
 
 TIME_NS = 1_700_000_000_123_456_789
-SMALL = Datagram(TIME_NS, "192.168.1.201", 2368, b"packet")
-LARGE = Datagram(TIME_NS + 1, "192.168.1.201", 7502, bytes(range(256)) * 50)
+SMALL = Datagram(time_ns=TIME_NS, source="192.168.1.201", port=2368, payload=b"packet")
+LARGE = Datagram(time_ns=TIME_NS + 1, source="192.168.1.201", port=7502, payload=bytes(range(256)) * 50)
 
 
 def recording(*datagrams: Datagram) -> bytes:
@@ -26,11 +26,11 @@ def frame_of(datagram: Datagram) -> bytes:
     return pcap_frames(datagram, "10.0.0.1", 1)[16:]
 
 
-def test_what_was_written_is_read_to_the_nanosecond_longer_than_a_frame_or_not() -> None:
+def test_written_datagrams_are_read_back_to_the_nanosecond_fragmented_or_not() -> None:
     assert decoded(recording(SMALL, LARGE))[0] == [SMALL, LARGE]
 
 
-def test_fragments_may_come_in_any_order_and_one_that_is_missing_costs_its_datagram() -> None:
+def test_fragments_in_any_order_are_reassembled_and_a_missing_one_loses_its_datagram() -> None:
     whole = pcap_frames(LARGE, "192.168.1.100", 5)
     parts, at = [], 0
     while at < len(whole):
@@ -45,19 +45,17 @@ def test_fragments_may_come_in_any_order_and_one_that_is_missing_costs_its_datag
 
 
 @pytest.mark.parametrize("apart_s", [51, -51])
-def test_fragments_of_a_datagram_that_had_the_same_number_long_before_are_none_of_it(
-    apart_s: int,
-) -> None:
+def test_old_fragments_with_a_repeated_identification_are_not_mixed_in(apart_s: int) -> None:
     """Such as an OS1's packets after 51 s: never one of the bytes of both."""
     again = replace(LARGE, time_ns=LARGE.time_ns + apart_s * 1_000_000_000, payload=b"B" * len(LARGE.payload))
     first = pcap_frames(LARGE, "192.168.1.100", 5)
     lost = first[16 + struct.unpack_from("<I", first, 8)[0] :]
-    found, decoder = decoded(pcap_header() + lost + pcap_frames(again, "192.168.1.100", 5))
-    assert found == [again]
+    results, decoder = decoded(pcap_header() + lost + pcap_frames(again, "192.168.1.100", 5))
+    assert results == [again]
     assert decoder.skipped == {"fragment": 1}
 
 
-def test_a_datagram_of_which_a_fragment_lacks_at_the_end_is_counted() -> None:
+def test_an_incomplete_datagram_at_the_end_is_counted() -> None:
     first = pcap_frames(LARGE, "192.168.1.100", 5)
     _, decoder = decoded(pcap_header() + first[: 16 + struct.unpack_from("<I", first, 8)[0]])
     assert decoder.skipped == {"fragment": 1}
@@ -65,14 +63,14 @@ def test_a_datagram_of_which_a_fragment_lacks_at_the_end_is_counted() -> None:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize(("magic", "tick_ns"), [(0xA1B2C3D4, 1000), (0xA1B23C4D, 1)])
-def test_both_byte_orders_and_both_resolutions_are_read(order: str, magic: int, tick_ns: int) -> None:
+def test_both_byte_orders_and_resolutions(order: str, magic: int, tick_ns: int) -> None:
     frame = frame_of(SMALL)
     fraction = TIME_NS % 1_000_000_000 // tick_ns
     header = struct.pack(f"{order}IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
     record = struct.pack(f"{order}4I", TIME_NS // 1_000_000_000, fraction, len(frame), len(frame))
-    ((found,), _) = decoded(header + record + frame)
-    assert found.payload == b"packet"
-    assert found.time_ns == TIME_NS // tick_ns * tick_ns
+    ((datagram,), _) = decoded(header + record + frame)
+    assert datagram.payload == b"packet"
+    assert datagram.time_ns == TIME_NS // tick_ns * tick_ns
 
 
 def block(kind: int, body: bytes) -> bytes:
@@ -100,8 +98,8 @@ def test_pcapng_is_read_with_the_resolution_of_its_interface(power: int) -> None
             ),
         )
     )
-    ((found,), _) = decoded(data)
-    assert (found.payload, found.time_ns) == (b"packet", ticks * 10 ** (9 - power))
+    ((datagram,), _) = decoded(data)
+    assert (datagram.payload, datagram.time_ns) == (b"packet", ticks * 10 ** (9 - power))
 
 
 def with_link(link: int, frame: bytes) -> bytes:
@@ -114,11 +112,11 @@ def test_vlan_tags_cooked_captures_and_raw_ip_are_read() -> None:
     tagged = bytes(12) + b"\x81\x00\x00\x07\x08\x00" + ip
     for link, frame in ((1, tagged), (113, bytes(14) + b"\x08\x00" + ip), (276, b"\x08\x00" + bytes(18) + ip),
                         (101, ip)):  # fmt: skip
-        ((found,), _) = decoded(with_link(link, frame))
-        assert (found.source, found.port, found.payload) == ("192.168.1.201", 2368, b"packet")
+        ((datagram,), _) = decoded(with_link(link, frame))
+        assert (datagram.source, datagram.port, datagram.payload) == ("192.168.1.201", 2368, b"packet")
 
 
-def test_what_is_no_whole_udp_datagram_is_counted() -> None:
+def test_other_protocols_and_truncated_datagrams_are_counted() -> None:
     frame = bytearray(frame_of(SMALL))
     tcp = bytearray(frame)
     tcp[14 + 9] = 6
@@ -126,8 +124,8 @@ def test_what_is_no_whole_udp_datagram_is_counted() -> None:
     longer[14 + 20 + 5] = 200
     snapped = struct.pack("<4I", 1, 0, 20, 60) + bytes(frame[:20])
     data = with_link(1, bytes(tcp)) + with_link(1, bytes(longer))[24:] + snapped
-    found, decoder = decoded(data)
-    assert found == []
+    results, decoder = decoded(data)
+    assert results == []
     assert decoder.skipped == {"other": 1, "truncated": 2}
 
 
@@ -140,15 +138,15 @@ def test_what_is_no_whole_udp_datagram_is_counted() -> None:
         (with_link(147, b"frame"), "x.pcap at byte 24: link type is '147', expected Ethernet (1)"),
     ],
 )  # fmt: skip
-def test_what_is_no_recording_is_one_clear_line(data: bytes, expected: str) -> None:
-    found, _ = decoded(data)
-    assert len(found) == 1
-    assert isinstance(found[0], FormatError)
-    assert str(found[0]).startswith(expected)
+def test_an_invalid_recording_is_one_clear_error(data: bytes, expected: str) -> None:
+    results, _ = decoded(data)
+    assert len(results) == 1
+    assert isinstance(results[0], FormatError)
+    assert str(results[0]).startswith(expected)
 
 
-def test_the_pieces_in_which_a_file_comes_change_nothing() -> None:
+def test_the_result_does_not_depend_on_the_chunks() -> None:
     data = recording(SMALL, LARGE, SMALL)
     decoder = PcapDecoder("x.pcap")
-    found = [each for k in range(0, len(data), 7) for each in decoder.feed(data[k : k + 7])]
-    assert found + decoder.finish() == [SMALL, LARGE, SMALL]
+    results = [each for k in range(0, len(data), 7) for each in decoder.feed(data[k : k + 7])]
+    assert results + decoder.finish() == [SMALL, LARGE, SMALL]
