@@ -8,10 +8,7 @@ from camber import cli
 from camber.tools.maps.build import KINDS
 from camber.tools.maps.command import SUBCOMMANDS
 
-COMMANDS = [
-    *((name,) for name in SUBCOMMANDS),
-    *(("build", kind) for kind in KINDS),
-]
+COMMANDS = [*((name,) for name in SUBCOMMANDS), *(("build", kind) for kind in KINDS)]
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

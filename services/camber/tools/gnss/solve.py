@@ -271,11 +271,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
     parser.add_argument("drive", type=Path, metavar="drive.toml", help="manifest with a table observations")
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/solve"),
-        metavar="DIR",
-        help="output folder (default out/solve)",
+        "--out", type=Path, default=Path("out/solve"), metavar="DIR", help="output folder (default out/solve)"
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override the manifest"

@@ -168,10 +168,7 @@ def _write(
     """Write tables, plot and pictures; returns the files."""
     poses, matches = PoseColumns.from_poses(drive.poses), MatchColumns.from_matches(drive.matches)
     errors = None if inputs.truth is None else PoseErrors.from_truth(poses, inputs.truth)
-    texts = {
-        "poses.csv": poses_csv(drive.poses, errors),
-        "matches.csv": matches_csv(drive.matches),
-    }
+    texts = {"poses.csv": poses_csv(drive.poses, errors), "matches.csv": matches_csv(drive.matches)}
     name = inputs.manifest.name
     figure = drive_figure(
         name, poses=poses, matches=matches, errors=errors, truth=inputs.truth, release=release

@@ -98,11 +98,7 @@ def localize(
                 observer.on_matches(step.matches, matcher)
             bar.update()
     return LocalizedDrive(
-        poses=poses,
-        matches=matches,
-        sweep_s=sweep_s,
-        tally=tally,
-        notes=(*inputs.notes, *reader.notes()),
+        poses=poses, matches=matches, sweep_s=sweep_s, tally=tally, notes=(*inputs.notes, *reader.notes())
     )
 
 

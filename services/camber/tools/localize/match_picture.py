@@ -139,11 +139,7 @@ def _draw_table(figure: Figure, view: MatchView) -> None:
     axes = figure.add_axes((0.74 / width_in, 0.85 / height_in + 0.07 - height, 0.62, height))
     axes.axis("off")
     table = axes.table(
-        [list(row) for row in rows],
-        colWidths=_COLUMN_WIDTHS,
-        cellLoc="left",
-        bbox=Bbox.unit(),
-        edges="open",
+        [list(row) for row in rows], colWidths=_COLUMN_WIDTHS, cellLoc="left", bbox=Bbox.unit(), edges="open"
     )
     table.auto_set_font_size(False)
 

@@ -46,9 +46,7 @@ def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
             socket.create_connection(_address(host[1], host[2]), timeout=_REACH_S).close()
         except OSError as error:
             yield problem(
-                f"bus {endpoint}",
-                f"{error.strerror or error}",
-                "start the router, or correct its address",
+                f"bus {endpoint}", f"{error.strerror or error}", "start the router, or correct its address"
             )
             continue
         yield ok(f"bus {endpoint}", "a server listens")

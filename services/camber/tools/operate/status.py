@@ -139,12 +139,7 @@ def _parser() -> argparse.ArgumentParser:
         help="seconds over which rates are measured (default 1)",
     )
     parser.add_argument(
-        "--watch",
-        nargs="?",
-        type=SECONDS,
-        const=5.0,
-        metavar="S",
-        help="repeat every S seconds (default 5)",
+        "--watch", nargs="?", type=SECONDS, const=5.0, metavar="S", help="repeat every S seconds (default 5)"
     )
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per query, with all health reports"

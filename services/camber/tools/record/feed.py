@@ -251,12 +251,7 @@ def _joined(settings: ServiceSettings, stop: threading.Event, prog: str) -> Bus 
 
 
 def feed_passes(
-    drive_passes: Iterator[Sequence[Epoch]],
-    bus: Bus,
-    stop: threading.Event,
-    *,
-    drive: str,
-    prog: str = _PROG,
+    drive_passes: Iterator[Sequence[Epoch]], bus: Bus, stop: threading.Event, *, drive: str, prog: str = _PROG
 ) -> None:
     """Publish pass after pass, reporting each on standard error, until none is left or `stop` is set."""
     first = next(drive_passes)

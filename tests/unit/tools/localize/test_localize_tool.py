@@ -228,11 +228,7 @@ def test_what_a_drive_lacks_is_one_line(
     ],
 )
 def test_what_is_wrong_is_one_line(
-    arguments: list[str],
-    expected: str,
-    blind: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], expected: str, blind: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = ["localize", str(blind), "--out", str(tmp_path), "--no-match-sweeps", *arguments]
     assert cli.main(given) == 2

@@ -116,12 +116,7 @@ def test_whoever_gave_no_answer_is_not_answering_whatever_it_declared(
 
 @pytest.mark.parametrize(
     ("states", "code"),
-    [
-        (["ok", "ok"], 0),
-        (["ok", "degraded"], 4),
-        (["starting", "ok"], 4),
-        (["degraded", "failing"], 1),
-    ],
+    [(["ok", "ok"], 0), (["ok", "degraded"], 4), (["starting", "ok"], 4), (["degraded", "failing"], 1)],
 )
 def test_the_exit_code_is_that_of_the_worst(states: list[str], code: int) -> None:
     answers = {f"s{n}": [health(f"s{n}", status=state)] for n, state in enumerate(states)}
@@ -171,10 +166,7 @@ def test_a_fleet_is_a_list_of_vehicles() -> None:
     assert fleet_text({}) == "no vehicle is on this bus"
     assert fleet_text({"v2": frozenset({"gnss"}), "v1": frozenset({"integrity", "gnss"})}).splitlines()[
         1:
-    ] == [
-        "v1       gnss, integrity",
-        "v2       gnss",
-    ]
+    ] == ["v1       gnss, integrity", "v2       gnss"]
 
 
 def test_durations_are_short() -> None:
