@@ -1,4 +1,4 @@
-"""`camber map`: every row of its tables is a command with its own help; what is not a row is one line."""
+"""`camber map`: its subcommands and kinds of maps, each with its help; a name that is none of them is one line."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from camber.tools.maps.command import SUBCOMMANDS
 COMMANDS = [*((name,) for name in SUBCOMMANDS), *(("build", kind) for kind in KINDS)]
 
 
-@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_every_command_has_its_own_help(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_subcommands_and_the_kinds_of_maps() -> None:
+    assert set(SUBCOMMANDS) == {"build", "inspect", "diff", "export", "picture", "releases", "review"}
+    assert set(KINDS) == {"lanelet2", "opendrive", "argoverse", "clouds", "drive", "geojson", "geotiff"}
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+def test_every_command_prints_its_help(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.main(["map", *words, "--help"])
+        cli.main(["map", *arguments, "--help"])
     assert ended.value.code == 0
-    assert f"usage: camber map {' '.join(words)}" in capsys.readouterr().out
+    assert f"usage: camber map {' '.join(arguments)}" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [("bild",), ("build", "shapefile")], ids=" ".join)
-def test_what_is_no_command_is_one_line(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["map", *words]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert f"'{words[-1]}'" in said.err
+@pytest.mark.parametrize("arguments", [("bild",), ("build", "shapefile")], ids=" ".join)
+def test_an_unknown_command_is_one_line(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["map", *arguments]) == 2
+    output, error = capsys.readouterr()
+    assert (output, error.count("\n")) == ("", 1)
+    assert f"'{arguments[-1]}'" in error

@@ -93,8 +93,8 @@ def test_a_map_that_is_not_imported_yet_says_what_must_be_named(
     assert lanelets["lanelets"] == {"road": 5}
     assert lanelets["vertical datum"].startswith("not stated")
     assert cli.main(["map", "inspect", str(tmp_path / "town.xodr")]) == 0
-    said = capsys.readouterr().out
-    assert "+proj=utm +zone=32" in said
+    output = capsys.readouterr().out
+    assert "+proj=utm +zone=32" in output
     assert cli.main(["map", "inspect", str(tmp_path / "town.xodr"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["geometries"] == {
         "line": 3,
@@ -109,9 +109,9 @@ def test_what_is_no_map_is_one_line(name: str, tmp_path: Path, capsys: pytest.Ca
     if name != "nothing":
         (tmp_path / name).write_bytes(b"x")
     assert cli.main(["map", "inspect", str(tmp_path / name)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"camber map inspect: {tmp_path / name}: ")
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert output.startswith(f"camber map inspect: {tmp_path / name}: ")
+    assert output.count("\n") == 1
 
 
 def test_a_difference_names_surfaces_heights_lineage_and_tiles(tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--s
 def build(folder: Path, lanelets: LaneletMap, *options: str) -> Release:
     folder.mkdir(exist_ok=True)
     (folder / "town.osm").write_bytes(lanelet2_bytes(lanelets))
-    words = ["map", "build", "lanelet2", str(folder / "town.osm"), *COMMON, *options]
-    assert cli.main([*words, "--vertical-datum", "ellipsoidal", "--out", str(folder / "map")]) == 0
+    arguments = ["map", "build", "lanelet2", str(folder / "town.osm"), *COMMON, *options]
+    assert cli.main([*arguments, "--vertical-datum", "ellipsoidal", "--out", str(folder / "map")]) == 0
     return read_release(folder / "map")
 
 
@@ -52,9 +52,9 @@ def roads_at(release: Release, east_m: Floats, north_m: Floats, *links: int) -> 
     heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
     plane = np.column_stack((east_m, north_m))
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(plane, np.zeros(len(plane)))
-    found = heights.roads(latitude, longitude, links)
-    assert len(found.known) == len(east_m)
-    return found.elevation_m
+    result = heights.roads(latitude, longitude, links)
+    assert len(result.known) == len(east_m)
+    return result.elevation_m
 
 
 def test_elevations_are_those_that_the_map_was_made_of_within_a_millimetre(release: Release) -> None:
@@ -144,7 +144,7 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "output"),
     [
         ((), "vertical datum is 'not stated', expected --vertical-datum with its name"),
         (("--vertical-datum", "EPSG:5773"), "expected the grid us_nga_egm96_15.tif in "),
@@ -156,28 +156,36 @@ def test_a_lane_with_another_course_has_new_surfaces_that_come_from_the_old_ones
     ],
 )
 def test_heights_of_an_unknown_kind_are_refused_in_one_line(
-    options: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], output: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    words = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *COMMON, *options]
-    assert cli.main([*words, "--out", str(tmp_path / "map")]) == 2
+    arguments = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *COMMON, *options]
+    assert cli.main([*arguments, "--out", str(tmp_path / "map")]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"camber map build lanelet2: {tmp_path / 'town.osm'}: ")
-    assert said in error
+    assert output in error
     assert error.count("\n") == 1
     assert not (tmp_path / "map").exists()
 
 
 def test_an_undulation_that_the_user_answers_for_stands_in_the_release(tmp_path: Path) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    words = ["map", "build", "lanelet2", str(tmp_path / "town.osm"), *COMMON, "--out", str(tmp_path / "map")]
+    arguments = [
+        "map",
+        "build",
+        "lanelet2",
+        str(tmp_path / "town.osm"),
+        *COMMON,
+        "--out",
+        str(tmp_path / "map"),
+    ]
     constant = ["--geoid-undulation-m", "45.5", "--geoid-sigma-m", "0.1", "--geoid-source", "mark 17"]
-    assert cli.main([*words, *constant]) == 0
+    assert cli.main([*arguments, *constant]) == 0
     release = read_release(tmp_path / "map")
     assert "mark 17" in release.manifest.surrogate
     assert release.road_surfaces().sigma_m == pytest.approx(math.hypot(0.02, 0.1), rel=1e-3)
-    found = roads_at(release, np.array([1.0]), np.array([20.0]), BRIDGE)
-    assert found - bridge_height_m(np.array([20.0]), np.zeros(1)) == pytest.approx(45.5, abs=1e-3)
+    result = roads_at(release, np.array([1.0]), np.array([20.0]), BRIDGE)
+    assert result - bridge_height_m(np.array([20.0]), np.zeros(1)) == pytest.approx(45.5, abs=1e-3)
 
 
 def test_a_recorded_circuit_is_followed_within_a_centimetre(tmp_path: Path) -> None:
@@ -185,19 +193,19 @@ def test_a_recorded_circuit_is_followed_within_a_centimetre(tmp_path: Path) -> N
     path = Path(data or "") / "lanelet2" / "monza.osm"
     if data is None or not path.exists():
         pytest.skip("CAMBER_DATA does not name a folder with lanelet2")
-    words = ["map", "build", "lanelet2", str(path), *COMMON, "--vertical-datum", "ellipsoidal"]
-    assert cli.main([*words, "--out", str(tmp_path / "map")]) == 0
+    arguments = ["map", "build", "lanelet2", str(path), *COMMON, "--vertical-datum", "ellipsoidal"]
+    assert cli.main([*arguments, "--out", str(tmp_path / "map")]) == 0
     release, circuit = read_release(tmp_path / "map"), read_lanelet2(path)
     heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
     off = {}
     for own in circuit.lanelets:
         ids = own.left + own.right
         rows = [circuit.row_of[ref] for ref in ids]
-        found = heights.roads(circuit.latitude_rad[rows], circuit.longitude_rad[rows], [own.lanelet_id])
-        assert len(found.known) == len(rows)
-        difference_m = np.abs(found.elevation_m - circuit.height_m[rows])
+        result = heights.roads(circuit.latitude_rad[rows], circuit.longitude_rad[rows], [own.lanelet_id])
+        assert len(result.known) == len(rows)
+        difference_m = np.abs(result.elevation_m - circuit.height_m[rows])
         off |= {ids[k]: difference_m[k] for k in np.flatnonzero(difference_m > 0.01).tolist()}
-        assert (found.sigma_m >= 0.5 * difference_m).all()
+        assert (result.sigma_m >= 0.5 * difference_m).all()
     # Two points of one border are 1 cm apart and differ by 40 cm in height: no road has both.
     assert len(off) == 2
     rows = [circuit.row_of[ref] for ref in off]

@@ -183,7 +183,7 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "town.osm").write_bytes(lanelet2_bytes(town()))
-    words = [
+    arguments = [
         "map",
         "build",
         "lanelet2",
@@ -193,7 +193,7 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
         "--sigma-m",
         "0.02",
     ]
-    words += [
+    arguments += [
         "--region",
         "town",
         "--datum",
@@ -203,12 +203,14 @@ def test_a_release_goes_only_into_a_folder_of_its_predecessor(
         "--out",
         str(tmp_path / "map"),
     ]
-    assert cli.main(words) == 0
-    assert cli.main(words) == 2
+    assert cli.main(arguments) == 0
+    assert cli.main(arguments) == 2
     assert "expected one without a release, or --previous" in capsys.readouterr().err
-    assert cli.main([*words, "--previous", str(tmp_path / "map"), "--surveyed", "2024-09-01"]) == 0
+    assert cli.main([*arguments, "--previous", str(tmp_path / "map"), "--surveyed", "2024-09-01"]) == 0
     root = read_release(tmp_path / "map").root
     assert root.map_version == 2
-    assert cli.main([*words, "--previous", str(tmp_path / "map"), "--map-version", "2"]) == 2
-    assert cli.main([*words[:-1], str(tmp_path / "new"), "--signing-key", str(tmp_path / "none.pem")]) == 2
+    assert cli.main([*arguments, "--previous", str(tmp_path / "map"), "--map-version", "2"]) == 2
+    assert (
+        cli.main([*arguments[:-1], str(tmp_path / "new"), "--signing-key", str(tmp_path / "none.pem")]) == 2
+    )
     assert not (tmp_path / "new").exists()

@@ -27,8 +27,16 @@ COMMON = ("--region", "town", "--datum", "WGS84", "--epoch-year", "2024.5", "--s
 
 def build(folder: Path, drive: OpenDrive, *options: str) -> int:
     (folder / "town.xodr").write_bytes(opendrive_bytes(drive))
-    words = ["map", "build", "opendrive", str(folder / "town.xodr"), *COMMON, "--out", str(folder / "map")]
-    return cli.main([*words, *options])
+    arguments = [
+        "map",
+        "build",
+        "opendrive",
+        str(folder / "town.xodr"),
+        *COMMON,
+        "--out",
+        str(folder / "map"),
+    ]
+    return cli.main([*arguments, *options])
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +58,9 @@ def off_m(release: Release, road: OpenDriveRoad, section: int, lane: int, s: Flo
     expected = cubics_at(road.elevation, s) + t * np.sin(roll)
     longitude, latitude = pyproj.Proj(proj="utm", zone=32, datum="WGS84")(x, y, inverse=True)
     heights = ElevationMap(release.surface_tile, release.link_tile, datum="WGS84", map_version=1)
-    found = heights.roads(np.radians(latitude), np.radians(longitude), [link(road.identity, section, lane)])
-    assert len(found.known) == len(s)
-    return float(np.abs(found.elevation_m - expected).max())
+    result = heights.roads(np.radians(latitude), np.radians(longitude), [link(road.identity, section, lane)])
+    assert len(result.known) == len(s)
+    return float(np.abs(result.elevation_m - expected).max())
 
 
 def test_elevations_are_those_of_the_formulas_within_a_millimetre(release: Release) -> None:
@@ -102,7 +110,7 @@ def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("georeference", "options", "said"),
+    ("georeference", "options", "output"),
     [
         (None, ("--vertical-datum", "ellipsoidal"), "header, geoReference is 'none', expected a projection"),
         ("+proj=utm +zone=32 +datum=WGS84", (), "vertical datum is 'not stated'"),
@@ -121,14 +129,14 @@ def test_traffic_on_the_left_turns_the_links(release: Release, tmp_path: Path) -
 def test_a_place_or_height_that_is_not_known_is_refused_in_one_line(
     georeference: str | None,
     options: tuple[str, ...],
-    said: str,
+    output: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert build(tmp_path, dataclasses.replace(town(), georeference=georeference), *options) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"camber map build opendrive: {tmp_path / 'town.xodr'}: ")
-    assert said in error
+    assert output in error
     assert error.count("\n") == 1
 
 

@@ -30,14 +30,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: Any, code: int = 0) -> str:
-    assert main([str(word) for word in words]) == code
+def output(capsys: pytest.CaptureFixture[str], *expected: Any, code: int = 0) -> str:
+    assert main([str(word) for word in expected]) == code
     captured = capsys.readouterr()
     return captured.err if code else captured.out
 
 
 def test_releases_are_listed_from_the_newest_to_the_reference(folder: Path, capsys: Any) -> None:
-    rows = [line.split() for line in said(capsys, "releases", folder).splitlines()[1:]]
+    rows = [line.split() for line in output(capsys, "releases", folder).splitlines()[1:]]
     assert [row[0] for row in rows] == ["10", "9", "8", "7"]
     assert [row[2:4] for row in rows] == [["2", "2"], ["1", "1"], ["0", "0"], ["reference", "0"]]
 
@@ -49,14 +49,16 @@ def test_a_user_without_a_name_as_in_a_container_is_known_by_number(
         raise KeyError("getpwuid(): uid not found: 10001")
 
     monkeypatch.setattr("getpass.getuser", nameless)
-    assert said(capsys, "review", folder) == "nothing is held\n"
+    assert output(capsys, "review", folder) == "nothing is held\n"
     key = folder.parent / "key"
-    said(capsys, "releases", folder, "--roll-back", 9, "--signing-key", key, "--reason", "a ferry was mapped")
-    assert f"uid {os.getuid()}: rolled back to version 9" in said(capsys, "review", folder, "--log")
+    output(
+        capsys, "releases", folder, "--roll-back", 9, "--signing-key", key, "--reason", "a ferry was mapped"
+    )
+    assert f"uid {os.getuid()}: rolled back to version 9" in output(capsys, "review", folder, "--log")
 
 
 def test_a_height_is_followed_to_the_release_it_is_from(folder: Path, capsys: Any) -> None:
-    text = said(capsys, "releases", folder, "--why", 3)
+    text = output(capsys, "releases", folder, "--why", 3)
     assert [line.split()[:2] for line in text.splitlines()[2:4]] == [["10", "+0.080"], ["9", "+0.050"]]
     assert "car" not in text
 
@@ -65,9 +67,9 @@ def test_a_roll_back_is_a_release_and_what_was_withdrawn_does_not_come_again(
     folder: Path, capsys: Any
 ) -> None:
     key = folder.parent / "key"
-    words = ("releases", folder, "--roll-back", 9, "--signing-key", key, "--who", "ann")
-    assert "--reason" in said(capsys, *words, code=2)
-    text = said(capsys, *words, "--reason", "a ferry was mapped")
+    expected = ("releases", folder, "--roll-back", 9, "--signing-key", key, "--who", "ann")
+    assert "--reason" in output(capsys, *expected, code=2)
+    text = output(capsys, *expected, "--reason", "a ferry was mapped")
     assert "version 11 has the corrections of 9; 2 were withdrawn" in text
     rolled = read_release(folder, public_key=KEY.public_key())
     assert rolled.road_surfaces().heights_m[3][0, 0] == pytest.approx(50.05)
@@ -76,22 +78,24 @@ def test_a_roll_back_is_a_release_and_what_was_withdrawn_does_not_come_again(
     assert ReviewFolder(folder).apply(Decisions(rows), MADE_NS).surfaces["decision"][0] == DECISIONS.index(
         "nothing"
     )
-    assert "ann: rolled back to version 9: a ferry was mapped" in said(capsys, "releases", folder, "--why", 5)
-    assert "one of 11, 10, 9, 8, 7" in said(
+    assert "ann: rolled back to version 9: a ferry was mapped" in output(
+        capsys, "releases", folder, "--why", 5
+    )
+    assert "one of 11, 10, 9, 8, 7" in output(
         capsys, "releases", folder, "--roll-back", 77, "--signing-key", key, "--reason", "x", code=2
     )
 
 
 def test_held_changes_are_listed_and_decided(folder: Path, capsys: Any) -> None:
-    assert said(capsys, "review", folder) == "nothing is held\n"
+    assert output(capsys, "review", folder) == "nothing is held\n"
     rows = np.zeros(1, DECISION)
     rows["surface_id"], rows["offset_m"], rows["decision"] = 4, 0.31, DECISIONS.index("hold")
     ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
-    assert "+0.310 m" in said(capsys, "review", folder)
-    assert "--why" in said(capsys, "review", folder, "--accept", 4, code=2)
-    assert "one that is held" in said(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
-    said(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
-    assert "ben: new surface laid" in said(capsys, "review", folder, "--log")
+    assert "+0.310 m" in output(capsys, "review", folder)
+    assert "--why" in output(capsys, "review", folder, "--accept", 4, code=2)
+    assert "one that is held" in output(capsys, "review", folder, "--accept", 9, "--why", "x", code=2)
+    output(capsys, "review", folder, "--accept", 4, "--who", "ben", "--why", "new surface laid")
+    assert "ben: new surface laid" in output(capsys, "review", folder, "--log")
     judged = ReviewFolder(folder).apply(Decisions(rows), MADE_NS)
     assert judged.surfaces["decision"][0] == DECISIONS.index("publish")
 
@@ -111,14 +115,14 @@ def test_a_vehicle_goes_back_by_its_operator_only(folder: Path, capsys: Any) -> 
         fetching.ask(cloud)
         list(fetching.fetch(cloud))
         builder.build(offsets(s1=0.1 * step), time_ns=MADE_NS + 10 * step)
-    lines = said(capsys, "releases", path).splitlines()
+    lines = output(capsys, "releases", path).splitlines()
     assert [line.split()[0] for line in lines[:2]] == ["11", "10"]
-    assert "version 10 is in force again" in said(capsys, "releases", path, "--go-back")
+    assert "version 10 is in force again" in output(capsys, "releases", path, "--go-back")
     assert open_release(store).root.map_version == 10
-    assert "left by the operator" in said(capsys, "releases", path)
-    assert "folder of releases" in said(capsys, "releases", path, "--why", 3, code=2)
+    assert "left by the operator" in output(capsys, "releases", path)
+    assert "folder of releases" in output(capsys, "releases", path, "--why", 3, code=2)
 
 
 @pytest.mark.parametrize("command", ["releases", "review"])
 def test_what_is_not_there_is_one_line(tmp_path: Path, capsys: Any, command: str) -> None:
-    assert said(capsys, command, tmp_path / "none", code=2).count("\n") == 1
+    assert output(capsys, command, tmp_path / "none", code=2).count("\n") == 1

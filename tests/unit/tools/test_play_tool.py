@@ -50,9 +50,9 @@ def test_recordings_of_two_vehicles_are_not_mixed(tmp_path: Path, capsys: pytest
     both = recording(tmp_path / "both.mcap", motion_of("c1"), motion_of("c2"))
     for files in ([one, two], [both]):
         assert tool.main([*map(str, files), "--vehicle", "bench"]) == 2
-        said = capsys.readouterr().err
+        output = capsys.readouterr().err
         assert (
-            said == f"camber play: {', '.join(map(str, files))}: messages of c1, c2, expected one vehicle\n"
+            output == f"camber play: {', '.join(map(str, files))}: messages of c1, c2, expected one vehicle\n"
         )
 
 
@@ -62,9 +62,9 @@ def test_a_key_that_names_no_vehicle_is_one_line(
 ) -> None:
     path = recording(tmp_path / "x.mcap", key)
     assert tool.main([str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"camber play: {path}: motion: key {key!r}: expected")
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert output.startswith(f"camber play: {path}: motion: key {key!r}: expected")
+    assert output.count("\n") == 1
 
 
 @pytest.mark.parametrize("times", ["now", "recorded"])

@@ -6,7 +6,6 @@ receiver and corrections. Nothing is changed.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib
 import json
@@ -34,10 +33,11 @@ from camber.tools.operate.doctor_machine_checks import (
     problem,
 )
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.parsers import add_with_default, tool_parser
 
 _PROG = "camber doctor"
 _CLOUD = ("map_update",)
-_DIRECTIONS = ("listen", "connect")
+_TLS_FIELDS = ("tls_ca", "tls_certificate", "tls_key")
 _HELP = """\
 exit codes: 0 no problem; 1 at least one problem; 2 wrong usage. A check that is not possible here is no problem.
 """
@@ -45,7 +45,13 @@ exit codes: 0 no problem; 1 at least one problem; 2 wrong usage. A check that is
 
 def main(argv: Sequence[str]) -> int:
     """Check a deployment; return the exit code."""
-    args = _parser().parse_args(argv)
+    parser = tool_parser(_PROG, __doc__, _HELP)
+    text = "a TOML for each service, as deploy/config/vehicle"
+    parser.add_argument("config", type=Path, metavar="FOLDER", help=text)
+    add_with_default(parser, "--seconds", 5.0, "to listen to the receiver", type=SECONDS, metavar="S")
+    parser.add_argument("--offline", action="store_true", help="leave out bus, ports, receiver and caster")
+    parser.add_argument("--json", action="store_true", help="a list of findings")
+    args = parser.parse_args(argv)
     if not os.path.isdir(args.config):  # False also without permission
         print(f"{_PROG}: {args.config}: expected the folder of a deployment's settings", file=sys.stderr)
         return 2
@@ -58,7 +64,7 @@ def main(argv: Sequence[str]) -> int:
     if args.json:
         print(json.dumps([asdict(finding) for finding in findings]))
     else:
-        print(f"\n{wrong} problem{'' if wrong == 1 else 's'}" if wrong else "\nno problem")
+        print(f"\n{wrong or 'no'} problem{'s' if wrong > 1 else ''}")
     return 1 if wrong else 0
 
 
@@ -71,22 +77,19 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
     for path in sorted(folder.glob("*.toml")):
         yield _check_settings(path, known)
     if not known:
-        yield problem(
-            "settings", f"{folder}: no file of a service that can be read", "one TOML for each service"
-        )
+        text = f"{folder}: no file of a service that can be read"
+        yield problem("settings", text, "one TOML for each service")
         return
     yield _check_vehicle_names(known, folder)
     yield from _check_vehicle(known, folder)
     yield from _check_disks(known)
     yield from _check_service_certificates(known)
-    guarded = (
-        [_check_maps(known)]
-        if offline
-        else [_check_connections(known), _check_maps(known), _check_receivers(known, receiver_s)]
-    )
-    for checks in guarded:
+    checks = [_check_maps(known)]
+    if not offline:
+        checks = [_check_connections(known), *checks, _check_receivers(known, receiver_s)]
+    for check in checks:
         try:
-            yield from checks
+            yield from check
         except ModuleNotFoundError as error:
             yield not_checked("map and receiver", f"{error.name} is not installed here")
 
@@ -94,24 +97,19 @@ def examine(folder: Path, *, receiver_s: float = 5.0, offline: bool = False) -> 
 def _check_settings(path: Path, known: dict[str, Any]) -> Finding:
     """Read one service's file as that service does, into `known`."""
     what, name = f"settings {path.name}", path.stem
-    no_service = problem(what, "no service has this name", "rename or remove it")
     try:
-        module = importlib.import_module(f"camber.{name}.settings")
+        classes = vars(importlib.import_module(f"camber.{name}.settings")).values()
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("camber"):
-            return not_checked(
-                what, f"{error.name} is not installed here; `camber {name} --check` where it is"
-            )
-        return no_service
-    classes = [
-        value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, ServiceSettings) and name == value.SERVICE
-    ]
-    if not classes:
-        return no_service
+            text = f"{error.name} is not installed here; `camber {name} --check` where it is"
+            return not_checked(what, text)
+        classes = {}.values()
+    services = (each for each in classes if isinstance(each, type) and issubclass(each, ServiceSettings))
+    cls = next((each for each in services if name == each.SERVICE), None)
+    if cls is None:
+        return problem(what, "no service has this name", "rename or remove it")
     try:
-        known[name], _ = load(classes[0], ["--config", str(path)], prog=_PROG)
+        known[name], _ = load(cls, ["--config", str(path)], prog=_PROG)
     except ConfigError as error:
         return problem(what, str(error), f"`camber {name} --help` has all settings")
     return ok(what, f"right, for {known[name].vehicle}")
@@ -124,11 +122,8 @@ def _check_vehicle_names(known: dict[str, Any], folder: Path) -> Finding:
             names[path.name] = name
     if len(set(names.values())) > 1:
         each = ", ".join(f"{name} {vehicle}" for name, vehicle in sorted(names.items()))
-        return problem(
-            "vehicle",
-            f"not the same in all files: {each}",
-            "services of different vehicles do not exchange messages",
-        )
+        remedy = "services of different vehicles do not exchange messages"
+        return problem("vehicle", f"not the same in all files: {each}", remedy)
     return ok("vehicle", next(iter(names.values()), "none: services of the cloud"))
 
 
@@ -149,45 +144,32 @@ def _check_vehicle(known: dict[str, Any], folder: Path) -> Iterator[Finding]:
         yield not_checked("services", f"no settings here of {', '.join(missing)}; a vehicle needs them all")
     height = known.get("antenna_height")
     if height is not None and height.way == "fixed" and height.fixed_height_m is None:
-        yield problem(
-            "antenna height",
-            "way = fixed without fixed_height_m: no fix will be confirmed",
-            "measure it, or set another way: docs/services/antenna_height.md",
-        )
+        text = "way = fixed without fixed_height_m: no fix will be confirmed"
+        remedy = "measure it, or set another way: docs/services/antenna_height.md"
+        yield problem("antenna height", text, remedy)
 
 
 def _check_disks(known: dict[str, Any]) -> Iterator[Finding]:
     seen: set[Path] = set()
     for name, settings in known.items():
         store = getattr(settings, "store", None)
-        places = (
-            settings.state_dir,
-            store.parent if isinstance(store, Path) else None,
-            getattr(settings, "releases", None),
-        )
-        for folder in places:
-            if folder is None or folder in seen:
-                continue
-            seen.add(folder)
-            outbox = getattr(settings, "outbox_limit_mb", 0)
-            least = max(LEAST_FREE_BYTES, int(outbox) << 20)
-            yield check_folder(f"disk of {name}", folder, least_free_bytes=least)
+        store_folder = store.parent if isinstance(store, Path) else None
+        for folder in (settings.state_dir, store_folder, getattr(settings, "releases", None)):
+            if folder is not None and folder not in seen:
+                seen.add(folder)
+                least = max(LEAST_FREE_BYTES, int(getattr(settings, "outbox_limit_mb", 0)) << 20)
+                yield check_folder(f"disk of {name}", folder, least_free_bytes=least)
 
 
 def _check_service_certificates(known: dict[str, Any]) -> Iterator[Finding]:
     now, seen = datetime.now(UTC), set()
     for name, settings in known.items():
-        files = tuple(
-            getattr(settings.zenoh, field, None) for field in ("tls_ca", "tls_certificate", "tls_key")
-        )
+        files = tuple(getattr(settings.zenoh, field, None) for field in _TLS_FIELDS)
         caster = getattr(settings, "ntrip_ca_file", None)
         for what, each in ((f"TLS of {name}", files), ("TLS of the caster", (caster, None, None))):
             if any(each) and each not in seen:
                 seen.add(each)
-                authority, certificate, key = each
-                yield from check_certificates(
-                    what, authority=authority, certificate=certificate, key=key, now=now
-                )
+                yield from check_certificates(what, each, now)
 
 
 def _check_routers(folder: Path) -> Iterator[Finding]:
@@ -202,26 +184,22 @@ def _check_routers(folder: Path) -> Iterator[Finding]:
         except BusError as error:
             yield problem(what, str(error), "docs/security.md")
             continue
-        pairs = {(tls.get(f"{side}_certificate"), tls.get(f"{side}_private_key")) for side in _DIRECTIONS}
+        sides = ("listen", "connect")
+        pairs = {(tls.get(f"{side}_certificate"), tls.get(f"{side}_private_key")) for side in sides}
         for pair in pairs - {(None, None)}:
-            authority, certificate, key = (
-                Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair)
-            )
-            yield from check_certificates(
-                what, authority=authority, certificate=certificate, key=key, now=now
-            )
+            files = (Path(file) if file else None for file in (tls.get("root_ca_certificate"), *pair))
+            yield from check_certificates(what, tuple(files), now)
 
 
 def _check_connections(known: dict[str, Any]) -> Iterator[Finding]:
     from camber.tools.operate.doctor_connection_checks import check_bus, check_ports
 
     yield from check_ports(list(known.items()))
-    seen: set[str] = set()
+    buses: dict[str, ServiceSettings] = {}
     for settings in known.values():
-        key = settings.zenoh.model_dump_json()
-        if key not in seen:
-            seen.add(key)
-            yield from check_bus(settings)
+        buses.setdefault(settings.zenoh.model_dump_json(), settings)
+    for settings in buses.values():
+        yield from check_bus(settings)
 
 
 def _check_maps(known: dict[str, Any]) -> Iterator[Finding]:
@@ -244,22 +222,3 @@ def _check_receivers(known: dict[str, Any], seconds: float) -> Iterator[Finding]
     with contextlib.suppress(BusError), QueryClient(settings, timeout_s=1.0) as client:
         runs = "gnss" in client.alive(settings.vehicle).get(settings.vehicle, ())
     yield from check_receiver(settings, seconds, gnss_runs=runs)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "config", type=Path, metavar="FOLDER", help="a TOML for each service, as deploy/config/vehicle"
-    )
-    parser.add_argument(
-        "--seconds", type=SECONDS, default=5.0, metavar="S", help="to listen to the receiver (default 5)"
-    )
-    parser.add_argument("--offline", action="store_true", help="leave out bus, ports, receiver and caster")
-    parser.add_argument("--json", action="store_true", help="a list of findings")
-    return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

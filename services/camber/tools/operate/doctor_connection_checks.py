@@ -7,7 +7,6 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from camber.formats.receiver.frame_buffer import FrameBuffer
@@ -21,43 +20,36 @@ from camber.runtime.query import BusError, QueryClient
 from camber.runtime.settings import ServiceSettings
 from camber.runtime.tls import TlsError
 from camber.tools.operate.doctor_machine_checks import Finding, not_checked, ok, problem
-from camber.transport.byte_streams import open_stream
+from camber.transport.byte_streams import ByteStream, open_stream
 from camber.transport.ntrip_client import NtripAccess
 
-# Chosen: an operator waits for the result; a router on a slow uplink answers within a second.
-_REACH_S = 3.0
-_VERIFY_S = 20.0
+_REACH_S, _VERIFY_S = 3.0, 20.0
+"""Chosen: an operator waits for the result; a router on a slow uplink answers within a second."""
 # A receiver's message arrives some tenths of a second after its epoch and never before it (measured on receiver logs).
 MOST_LATENCY_S, MOST_AHEAD_S = 0.5, 0.05
-
-
-# -- bus and ports ----------------------------------------------------------------------------------------------------
 
 
 def check_bus(settings: ServiceSettings) -> Iterator[Finding]:
     """Check that a router answers at the endpoints of a service, and that access rules allow us to publish."""
     zenoh = settings.zenoh
     for endpoint in zenoh.connect:
+        what = f"bus {endpoint}"
         host = re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)(?:[?#].*)?", endpoint)
         if host is None:
-            yield not_checked(f"bus {endpoint}", "only tcp/ and tls/ endpoints can be checked")
+            yield not_checked(what, "only tcp/ and tls/ endpoints can be checked")
             continue
         try:
             socket.create_connection(_address(host[1], host[2]), timeout=_REACH_S).close()
+            yield ok(what, "a server listens")
         except OSError as error:
-            yield problem(
-                f"bus {endpoint}", f"{error.strerror or error}", "start the router, or correct its address"
-            )
-            continue
-        yield ok(f"bus {endpoint}", "a server listens")
+            yield problem(what, f"{error.strerror or error}", "start the router, or correct its address")
     try:
         with QueryClient(settings, timeout_s=_REACH_S) as client:
             alive = client.alive(settings.vehicle).get(settings.vehicle, frozenset())
         yield ok("bus", f"joined; services of {settings.vehicle}: {', '.join(sorted(alive)) or 'none yet'}")
         if zenoh.over_tls and can_publish(zenoh, settings.vehicle, timeout_s=_REACH_S) == "denied":
-            yield problem(
-                "bus, access", denial_message(zenoh, settings.vehicle), "run `camber access cloud` again"
-            )
+            text = denial_message(zenoh, settings.vehicle)
+            yield problem("bus, access", text, "run `camber access cloud` again")
     except (BusError, TlsError) as error:
         yield problem("bus", str(error), "router, certificates; `camber health router`")
 
@@ -68,19 +60,15 @@ def check_ports(all_settings: Sequence[tuple[str, ServiceSettings]]) -> Iterator
     for name, settings in all_settings:
         ports = [] if settings.metrics_port is None else [(settings.metrics_host, settings.metrics_port)]
         if settings.zenoh.mode != "client":
-            matches = (
-                re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)", endpoint) for endpoint in settings.zenoh.listen
-            )
+            matches = (re.fullmatch(r"(?:tcp|tls)/(.+):(\d+)", each) for each in settings.zenoh.listen)
             ports += [(match[1].strip("[]"), int(match[2])) for match in matches if match is not None]
         for host, port in ports:
             if port == 0:
                 continue
             what = f"port {host}:{port} of {name}"
-            others = (
-                of for (place, number), of in wanted.items() if number == port and _overlap(place, host)
-            )
-            if (other := next(others, None)) is not None:
-                yield problem(what, f"also assigned to {other}", "a different port for each service")
+            others = [of for (place, used), of in wanted.items() if used == port and _overlap(place, host)]
+            if others:
+                yield problem(what, f"also assigned to {others[0]}", "a different port for each service")
                 continue
             wanted[host, port] = name
             yield _check_port(what, host, port)
@@ -111,9 +99,8 @@ def _check_port(what: str, host: str, port: int) -> Finding:
     except OSError as error:
         if _is_ours(host, port):
             return ok(what, "in use by a running service of Camber")
-        return problem(
-            what, f"{error.strerror or error}", "another port, or stop the program that uses it (`ss -ltnp`)"
-        )
+        remedy = "another port, or stop the program that uses it (`ss -ltnp`)"
+        return problem(what, f"{error.strerror or error}", remedy)
 
 
 def _is_ours(host: str, port: int) -> bool:
@@ -126,20 +113,15 @@ def _is_ours(host: str, port: int) -> bool:
         return False
 
 
-# -- map --------------------------------------------------------------------------------------------------------------
-
-
 def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
     """Check that the release opens, carries the trusted signature, has the datum of the fixes and can be read."""
     if settings.store is not None and settings.public_key is None and not settings.unsigned:
         text = f"without public_key no newer release is fetched into {settings.store}"
-        yield problem(
-            "map, signature", text, "set public_key of map_server to the public half of the signing key"
-        )
+        remedy = "set public_key of map_server to the public half of the signing key"
+        yield problem("map, signature", text, remedy)
     if settings.release is None:
-        yield not_checked(
-            "map", f"map_server fetches it into {settings.store}; `camber status` shows which it uses"
-        )
+        text = f"map_server fetches it into {settings.store}; `camber status` shows which it uses"
+        yield not_checked("map", text)
         return
     try:
         key = None if settings.public_key is None else load_public_key(settings.public_key)
@@ -158,9 +140,8 @@ def check_map(settings: Any, datum_of_fixes: str | None) -> Iterator[Finding]:
         text = f"{age_ns / NS_PER_DAY:.0f} days old, expected at most {settings.max_age_days:g}"
         yield problem("map, age", text, "a newer release, or another max_age_days")
     if manifest.surrogate:
-        yield problem(
-            "map, origin", f"a surrogate: {manifest.surrogate}", "a surveyed map for a real vehicle"
-        )
+        text = f"a surrogate: {manifest.surrogate}"
+        yield problem("map, origin", text, "a surveyed map for a real vehicle")
     yield _check_tiles(release)
 
 
@@ -184,11 +165,8 @@ def check_reference(settings: Any) -> Iterator[Finding]:
 def _check_datums(of_map: str, of_server: str, of_fixes: str | None) -> Iterator[Finding]:
     for name, datum in (("map_server.toml", of_server), ("gnss.toml", of_fixes)):
         if datum is not None and datum != of_map:
-            yield problem(
-                "datum",
-                f"map {of_map}, {name} {datum}: every verdict will be unknown",
-                "the datum of the corrections, and a map in the same (`camber map build --datum`)",
-            )
+            remedy = "the datum of the corrections, and a map in the same (`camber map build --datum`)"
+            yield problem("datum", f"map {of_map}, {name} {datum}: every verdict will be unknown", remedy)
             return
     yield ok("datum", f"{of_map}, as of fixes and map_server" if of_fixes else f"{of_map}, as of map_server")
 
@@ -205,59 +183,41 @@ def _check_tiles(release: Any) -> Finding:
     return ok("map, tiles", f"all {tiles}, {size / 1e6:.1f} MB, are intact")
 
 
-# -- receiver and corrections -----------------------------------------------------------------------------------------
-
-
 def check_receiver(settings: Any, seconds: float, *, gnss_runs: bool) -> Iterator[Finding]:
     """Check that receiver and corrections deliver current data in the protocol of the settings."""
-    access = _access(settings)
-    if settings.source == "bus":
-        yield not_checked("receiver", "its bytes arrive over the bus; `camber status` shows receiver_bytes")
-    elif gnss_runs and settings.source.startswith("serial:"):
-        yield not_checked("receiver", f"the running gnss has opened {settings.source}; see `camber status`")
-    else:
-        stream = _Stream(what="receiver", url=settings.source, protocol=settings.protocol)
-        yield from _check_stream(stream, access, seconds, with_time=True)
-    if settings.base_source in (None, "bus"):
-        yield not_checked("corrections", "no base_source: corrections go to the receiver or over the bus")
-    elif gnss_runs and settings.base_source.startswith("serial:"):
-        yield not_checked("corrections", f"the running gnss has opened {settings.base_source}")
-    else:
-        stream = _Stream(what="corrections", url=settings.base_source, protocol=settings.base_protocol)
-        yield from _check_stream(stream, access, seconds, with_time=False)
-
-
-def _access(settings: Any) -> NtripAccess:
     password = settings.ntrip_password
-    return NtripAccess(
+    access = NtripAccess(
         user=settings.ntrip_user,
         password=None if password is None else password.get_secret_value(),
         version=settings.ntrip_version,
         ca_file=settings.ntrip_ca_file,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Stream:
-    what: str
-    url: str
-    protocol: str
+    over_bus = "its bytes arrive over the bus; `camber status` shows receiver_bytes"
+    no_source = "no base_source: corrections go to the receiver or over the bus"
+    for what, url, protocol, otherwise in (
+        ("receiver", settings.source, settings.protocol, over_bus),
+        ("corrections", settings.base_source, settings.base_protocol, no_source),
+    ):
+        if url in (None, "bus"):
+            yield not_checked(what, otherwise)
+        elif gnss_runs and url.startswith("serial:"):
+            yield not_checked(what, f"the running gnss has opened {url}; see `camber status`")
+        else:
+            stream = open_stream(url, on_data=lambda: None, ntrip=access)
+            yield from _check_stream(stream, what=what, url=url, protocol=protocol, seconds=seconds)
 
 
 def _check_stream(
-    source: _Stream, access: NtripAccess, seconds: float, *, with_time: bool
+    stream: ByteStream, *, what: str, url: str, protocol: str, seconds: float
 ) -> Iterator[Finding]:
-    what, url, protocol = source.what, source.url, source.protocol
-    remedy = (
-        "cable, address, permissions of the device"
-        if url.startswith(("serial", "tcp", "file"))
-        else "caster, mount point, user"
-    )
+    """Read a stream for some seconds; of a receiver also compare the clocks."""
+    with_time = what == "receiver"
+    is_cable = url.startswith(("serial", "tcp", "file"))
+    remedy = "cable, address, permissions of the device" if is_cable else "caster, mount point, user"
     clock = SystemClock()
     frames, decoder = FrameBuffer("ubx", "nmea", "rtcm"), MixedDecoder("receiver", clock.now_ns())
     frame_counts: Counter[str] = Counter()
     latencies_s: list[float] = []
-    stream = open_stream(url, on_data=lambda: None, ntrip=access)
     size, deadline_s = 0, time.monotonic() + seconds
     try:
         while time.monotonic() < deadline_s:
@@ -271,21 +231,15 @@ def _check_stream(
                 latencies_s += [(now_ns - solution.time_ns) / 1e9 for solution in solutions]
     finally:
         stream.close()
-    if stream.failures and not size:
-        yield problem(what, f"{url}: {stream.last_failure}", remedy)
-        return
     if not size:
-        yield problem(what, f"{url}: no data within {seconds:g} s", remedy)
+        text = stream.last_failure if stream.failures else f"no data within {seconds:g} s"
+        yield problem(what, f"{url}: {text}", remedy)
         return
     counts = ", ".join(f"{count} {name}" for name, count in frame_counts.most_common())
     if protocol in ("ubx", "nmea", "rtcm", "mixed"):
-        has_protocol = bool(frame_counts) if protocol == "mixed" else bool(frame_counts[protocol])
-        if not has_protocol:
-            yield problem(
-                what,
-                f"{url}: {size} bytes without {protocol} ({counts or 'no frame of any protocol'})",
-                "protocol in gnss.toml, baud rate, output of the receiver",
-            )
+        if not (frame_counts.total() if protocol == "mixed" else frame_counts[protocol]):
+            text = f"{url}: {size} bytes without {protocol} ({counts or 'no frame of any protocol'})"
+            yield problem(what, text, "protocol in gnss.toml, baud rate, output of the receiver")
             return
         if protocol != "mixed" and len(frame_counts) > 1:
             yield problem(what, f"{url}: {counts}, but only {protocol} is read", 'protocol = "mixed"')
@@ -297,15 +251,13 @@ def _check_stream(
 
 def _check_clock_offset(latencies_s: list[float]) -> Finding:
     """Compare the machine's clock with the receiver's by the smallest latency of a solution."""
+    what = "clock against the receiver"
     if not latencies_s:
-        return not_checked("clock against the receiver", "no position with a date was received")
+        return not_checked(what, "no position with a date was received")
     least_s = min(latencies_s)
     text = f"positions arrive {least_s:+.3f} s after their epoch"
     if -MOST_AHEAD_S <= least_s <= MOST_LATENCY_S:
-        return ok("clock against the receiver", text)
+        return ok(what, text)
     is_whole_second = abs(least_s) > 0.9 and abs(least_s - round(least_s)) < 0.3
-    return problem(
-        "clock against the receiver",
-        text,
-        f"{'leap seconds or ' if is_whole_second else ''}the machine's clock (NTP, PTP): fixes will be stale",
-    )
+    suspects = f"{'leap seconds or ' if is_whole_second else ''}the machine's clock (NTP, PTP)"
+    return problem(what, text, f"{suspects}: fixes will be stale")

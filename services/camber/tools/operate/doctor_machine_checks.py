@@ -19,7 +19,7 @@ from typing import Literal
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from camber.geodesy.gps_time import gps_minus_utc_s
 from camber.runtime.clock import SystemClock
@@ -27,12 +27,9 @@ from camber.runtime.tls import RENEW_BEFORE
 
 State = Literal["ok", "problem", "not checked"]
 
-# Chosen: a clock error of 50 ms moves a fix at 20 m/s by 1 m against the pose.
-MOST_CLOCK_ERROR_S = 0.05
-# Chosen: an hour of uploads and logs.
-LEAST_FREE_BYTES = 500 << 20
-# Chosen: each upload waits for one flush, and verdicts come five to ten times a second.
-SLOW_FSYNC_S = 0.5
+MOST_CLOCK_ERROR_S = 0.05  # chosen: moves a fix at 20 m/s by 1 m against the pose
+LEAST_FREE_BYTES = 500 << 20  # chosen: an hour of uploads and logs
+SLOW_FSYNC_S = 0.5  # chosen: each upload waits for one flush, and verdicts come five to ten times a second
 _EARLIEST_UNIX_S = 1_704_067_200  # 2024-01-01: an earlier time means that the clock was never set
 _TAI_MINUS_GPS_S = 19  # constant by definition of GPS time, IS-GPS-200
 
@@ -65,9 +62,6 @@ def not_checked(what: str, why: str) -> Finding:
     return Finding(what=what, state="not checked", text=why)
 
 
-# -- clock ------------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockDiscipline:
     """The kernel's report on its clock: synchronised by NTP or PTP, largest error, TAI − UTC (0: not known)."""
@@ -85,7 +79,6 @@ class _Timex(ctypes.Structure):
         *((name, ctypes.c_long) for name in ("offset", "freq", "maxerror", "esterror")),
         ("status", ctypes.c_int),
         *((name, ctypes.c_long) for name in ("constant", "precision", "tolerance", "sec", "usec", "tick")),
-        *((name, ctypes.c_long) for name in ("ppsfreq", "jitter")),
         ("shift", ctypes.c_int),
         *((name, ctypes.c_long) for name in ("stabil", "jitcnt", "calcnt", "errcnt", "stbcnt")),
         ("tai", ctypes.c_int),
@@ -93,9 +86,7 @@ class _Timex(ctypes.Structure):
     )
 
 
-# linux/timex.h
-_STA_UNSYNC = 0x0040
-_TIME_ERROR = 5
+_STA_UNSYNC, _TIME_ERROR = 0x0040, 5  # linux/timex.h
 
 
 def kernel_discipline() -> ClockDiscipline | None:
@@ -116,42 +107,32 @@ def kernel_discipline() -> ClockDiscipline | None:
 
 def check_clock(discipline: ClockDiscipline | None, unix_s: float) -> Iterator[Finding]:
     """Check that the clock is plausible and synchronised, and that leap seconds agree with Camber's table."""
-    what = "clock"
     if unix_s < _EARLIEST_UNIX_S:
-        yield problem(what, f"it is {_date(unix_s)}", "set it: without a time no fix is judged")
+        date = f"it is {datetime.fromtimestamp(unix_s, UTC):%Y-%m-%d}"
+        yield problem("clock", date, "set it: without a time no fix is judged")
         return
     if discipline is None:
-        yield not_checked(what, "the kernel does not report whether it is synchronised")
+        yield not_checked("clock", "the kernel does not report whether it is synchronised")
         return
+    error_s = discipline.most_error_s
     if not discipline.synchronised:
-        yield problem(
-            what,
-            "not synchronised by NTP or PTP",
-            "start chrony, systemd-timesyncd or phc2sys; stale messages are refused",
-        )
-    elif discipline.most_error_s > MOST_CLOCK_ERROR_S:
-        yield problem(
-            what,
-            f"synchronised, but up to {discipline.most_error_s:.3f} s off",
-            f"a nearer time server: expected {MOST_CLOCK_ERROR_S} s or less",
-        )
+        remedy = "start chrony, systemd-timesyncd or phc2sys; stale messages are refused"
+        yield problem("clock", "not synchronised by NTP or PTP", remedy)
+    elif error_s > MOST_CLOCK_ERROR_S:
+        remedy = f"a nearer time server: expected {MOST_CLOCK_ERROR_S} s or less"
+        yield problem("clock", f"synchronised, but up to {error_s:.3f} s off", remedy)
     else:
-        yield ok(what, f"synchronised, at most {1e3 * discipline.most_error_s:.1f} ms off")
+        yield ok("clock", f"synchronised, at most {1e3 * error_s:.1f} ms off")
     known_s = gps_minus_utc_s(max(SystemClock().now_ns(), 0))
+    kernel_s = discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S
+    what, text = "leap seconds", f"GPS − UTC is {known_s} s here"
     if discipline.tai_minus_utc_s == 0:
-        yield ok("leap seconds", f"GPS − UTC is {known_s} s here; the kernel does not report it")
-    elif discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S != known_s:
-        kernel_s = discipline.tai_minus_utc_s - _TAI_MINUS_GPS_S
-        yield problem(
-            "leap seconds",
-            f"GPS − UTC is {known_s} s here, {kernel_s} s for the kernel",
-            "update Camber, or the machine's leap second file (tzdata)",
-        )
+        yield ok(what, f"{text}; the kernel does not report it")
+    elif kernel_s != known_s:
+        remedy = "update Camber, or the machine's leap second file (tzdata)"
+        yield problem(what, f"{text}, {kernel_s} s for the kernel", remedy)
     else:
-        yield ok("leap seconds", f"GPS − UTC is {known_s} s here and in the kernel")
-
-
-# -- disk -------------------------------------------------------------------------------------------------------------
+        yield ok(what, f"{text} and in the kernel")
 
 
 def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_BYTES) -> Finding:
@@ -168,34 +149,25 @@ def check_folder(what: str, folder: Path, *, least_free_bytes: int = LEAST_FREE_
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        owner = f"as user {os.getuid()}"
-        return problem(
-            what,
-            f"{place}: {error.strerror or error} {owner}",
-            "owner, mount options and free space of this folder",
-        )
+        text = f"{place}: {error.strerror or error} as user {os.getuid()}"
+        return problem(what, text, "owner, mount options and free space of this folder")
     finally:
         with suppress(OSError):
             probe.unlink()
     took_s = time.monotonic() - began_s
     free = shutil.disk_usage(place).free
     if free < least_free_bytes:
-        return problem(
-            what, f"{place}: {free >> 20} MB free", f"make room: expected {least_free_bytes >> 20} MB or more"
-        )
+        remedy = f"make room: expected {least_free_bytes >> 20} MB or more"
+        return problem(what, f"{place}: {free >> 20} MB free", remedy)
     if took_s > SLOW_FSYNC_S:
         return problem(what, f"{place}: a flush took {took_s:.1f} s", "a faster disk: uploads wait for it")
     made = "" if place == folder else f", {folder} will be created"
     return ok(what, f"{place}: {free >> 20} MB free, a flush takes {1e3 * took_s:.0f} ms{made}")
 
 
-# -- certificates -----------------------------------------------------------------------------------------------------
-
-
-def check_certificates(
-    what: str, *, authority: Path | None, certificate: Path | None, key: Path | None, now: datetime
-) -> Iterator[Finding]:
-    """Check that certificates are readable, valid and signed by the authority, and that the key fits and is private."""
+def check_certificates(what: str, files: tuple[Path | None, ...], now: datetime) -> Iterator[Finding]:
+    """Check authority, certificate and key: readable, valid, signed by the authority; the key fits and is private."""
+    authority, certificate, key = files
     authorities = _read(authority)
     if isinstance(authorities, str):
         yield problem(f"{what}, authority", authorities, "camber certs")
@@ -242,9 +214,8 @@ def _check_issuer(what: str, certificate: x509.Certificate, authorities: list[x5
             return ok(what, f"signed by {authority.subject.rfc4514_string()}")
         except (ValueError, TypeError, InvalidSignature):
             continue
-    return problem(
-        what, "not signed by this authority", "certificate and authority of the same `camber certs`"
-    )
+    remedy = "certificate and authority of the same `camber certs`"
+    return problem(what, "not signed by this authority", remedy)
 
 
 def _check_key(what: str, path: Path, certificate: x509.Certificate | None) -> Finding:
@@ -257,23 +228,17 @@ def _check_key(what: str, path: Path, certificate: x509.Certificate | None) -> F
         return problem(what, f"{path}: expected a private key in PEM, without a password", "camber certs")
     if mode & 0o077:
         return problem(what, f"{path}: mode {mode:04o}: others may read it", f"chmod 600 {path}")
-    form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
-    if certificate is not None and key.public_key().public_bytes(
-        *form
-    ) != certificate.public_key().public_bytes(*form):
-        return problem(
-            what, f"{path}: not the key of the certificate", "certificate and key that were issued together"
-        )
-    return ok(what, f"{path}: mode {mode:04o}{', of this certificate' if certificate is not None else ''}")
-
-
-# -- cache of machine code --------------------------------------------------------------------------------------------
+    if certificate is None:
+        return ok(what, f"{path}: mode {mode:04o}")
+    if key.public_key() != certificate.public_key():
+        remedy = "certificate and key that were issued together"
+        return problem(what, f"{path}: not the key of the certificate", remedy)
+    return ok(what, f"{path}: mode {mode:04o}, of this certificate")
 
 
 def check_python() -> Iterator[Finding]:
     """Check the interpreter and the cache of machine code, without which every start compiles for a minute."""
-    version = ".".join(map(str, sys.version_info[:3]))
-    yield ok("Python", version)
+    yield ok("Python", ".".join(map(str, sys.version_info[:3])))
     if importlib.util.find_spec("numba") is None:
         yield not_checked("machine code", "numba is not installed; it comes with the services that need it")
         return
@@ -289,12 +254,5 @@ def check_python() -> Iterator[Finding]:
     if next((package / "__pycache__").glob("*.nbc"), None):
         yield ok("machine code", f"shipped in {package}")
         return
-    yield problem(
-        "machine code",
-        f"none of {', '.join(map(str, places))} is writable: compiled again at each start",
-        "set NUMBA_CACHE_DIR to a writable folder",
-    )
-
-
-def _date(unix_s: float) -> str:
-    return f"{datetime.fromtimestamp(unix_s, UTC):%Y-%m-%d}"
+    text = f"none of {', '.join(map(str, places))} is writable: compiled again at each start"
+    yield problem("machine code", text, "set NUMBA_CACHE_DIR to a writable folder")

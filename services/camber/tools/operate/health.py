@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
-from pathlib import Path
-
-from pydantic_settings import SettingsConfigDict
 
 from camber.runtime.clock import SystemClock
 from camber.runtime.query import BusError, QueryFailed, check_router, query_once
-from camber.runtime.settings import ServiceSettings, load_or_exit
 from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import Health, HealthRequest
+from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import number_from
+from camber.tools.options.parsers import add_with_default, tool_parser
 
 ROUTER = "router"
 _PROG = "camber health"
@@ -27,19 +23,31 @@ exit codes: 0 ok, starting or degraded (waiting for inputs, which a restart woul
 
 def main(argv: Sequence[str]) -> int:
     """Query one service and print its health; return the exit code."""
-    args = _parser().parse_args(argv)
-    settings = _settings_of(args.service, args.config, args.vehicle, args.connect)
+    parser = tool_parser(_PROG, __doc__, _HELP)
+    services = (*SERVICES, SENSORS, ROUTER)
+    parser.add_argument("service", choices=services, metavar="SERVICE", help="name of the service, or router")
+    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
+    add_bus_options(parser)
+    add_with_default(
+        parser, "--timeout", 3.0, "seconds to wait", type=number_from(0.001, 60.0, "s"), metavar="S"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object with counters and texts of issues"
+    )
+    args = parser.parse_args(argv)
+    settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle, service=args.service)
+    endpoints = settings.zenoh.connect
     try:
         if args.service == ROUTER:
             check_router(settings, timeout_s=args.timeout)
-            print(_router_text(settings, as_json=args.json))
+            report = {"service": ROUTER, "status": "ok", "endpoints": endpoints}
+            print(json.dumps(report) if args.json else f"{ROUTER}: ok, reached over {', '.join(endpoints)}")
             return 0
         request = HealthRequest(time_ns=SystemClock().now_ns())
         health = query_once(settings, "health", request, service=args.service, timeout_s=args.timeout)
     except (BusError, QueryFailed) as error:
-        text = f"{args.service}: no answer: {error}"
-        silence = {"service": args.service, "status": "no_answer", "reason": str(error)}
-        print(json.dumps(silence) if args.json else text)
+        report = {"service": args.service, "status": "no_answer", "reason": str(error)}
+        print(json.dumps(report) if args.json else f"{args.service}: no answer: {error}")
         return 1
     print(health.model_dump_json() if args.json else line(health))
     return exit_code(health)
@@ -56,60 +64,3 @@ def line(health: Health) -> str:
     issues = ", ".join(f"{issue.code} ×{issue.count}" for issue in issues_by_count)
     status = f"{health.service}: {health.status}, version {health.version}, up {health.uptime_s:.0f} s"
     return f"{status}; {issues}" if issues else status
-
-
-def _router_text(settings: ServiceSettings, *, as_json: bool) -> str:
-    if as_json:
-        return json.dumps({"service": ROUTER, "status": "ok", "endpoints": settings.zenoh.connect})
-    return f"{ROUTER}: ok, reached over {', '.join(settings.zenoh.connect)}"
-
-
-class _Anywhere(ServiceSettings):
-    """The settings common to all services; specific ones are ignored, so that no service is imported."""
-
-    model_config = SettingsConfigDict(extra="ignore")
-
-
-def _settings_of(
-    service: str, config: Path | None, vehicle: str | None, connect: list[str] | None
-) -> ServiceSettings:
-    """Return vehicle and endpoints as given, else from environment, file and default as the service reads them."""
-    cls = type("_Settings", (_Anywhere,), {"SERVICE": service, "__doc__": __doc__, "__module__": __name__})
-    argv = [] if config is None else ["--config", str(config)]
-    argv += [] if vehicle is None else ["--vehicle", vehicle]
-    argv += [] if connect is None else ["--zenoh.connect", json.dumps(connect)]
-    return load_or_exit(cls, argv, prog=_PROG)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "service",
-        choices=(*SERVICES, SENSORS, ROUTER),
-        metavar="SERVICE",
-        help="name of the service, or router",
-    )
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the service's own settings: vehicle and endpoints"
-    )
-    parser.add_argument("--vehicle", metavar="V", help="name of the vehicle")
-    parser.add_argument(
-        "--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable"
-    )
-    parser.add_argument(
-        "--timeout",
-        type=number_from(0.001, 60.0, "s"),
-        default=3.0,
-        metavar="S",
-        help="seconds to wait (default 3)",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="one JSON object with counters and texts of issues"
-    )
-    return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -14,6 +14,7 @@ from camber.schemas.channels import SENSORS, SERVICES
 from camber.schemas.health import LogLevel, LogLevelRequest
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.parsers import add_with_default, tool_parser
 
 _CHOICES = (*SERVICES, SENSORS)
 _PROG = "camber log_level"
@@ -23,7 +24,15 @@ _LONGEST_S = 86_400.0  # chosen: a forgotten debug level ends within a day
 
 def main(argv: Sequence[str]) -> int:
     """Set the level of one service, in all its workers; 0 done, 1 no answer, 3 no connection to the bus."""
-    args = _parser().parse_args(argv)
+    parser = tool_parser(_PROG, __doc__)
+    parser.add_argument("service", choices=_CHOICES, metavar="SERVICE", help=", ".join(_CHOICES))
+    parser.add_argument("level", choices=typing.get_args(LogLevel), help="lowest level that is logged")
+    duration = "90s, 10m, 2h (default 10m)"
+    parser.add_argument("--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help=duration)
+    parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
+    add_bus_options(parser)
+    add_with_default(parser, "--timeout", 3.0, "seconds to wait", type=SECONDS, metavar="S")
+    args = parser.parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=args.vehicle)
     request = LogLevelRequest(time_ns=SystemClock().now_ns(), level=args.level, for_s=args.for_s)
     try:
@@ -32,12 +41,14 @@ def main(argv: Sequence[str]) -> int:
     except BusError as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
         return 3
+    code = 0
     for reply in replies:
         if isinstance(reply, QueryFailed):
             print(f"{_PROG}: {args.service}: no answer: {reply}", file=sys.stderr)
+            code = 1
         else:
             print(f"{reply.service}: {reply.level} for {reply.for_s:g} s, was {reply.before}")
-    return 1 if any(isinstance(reply, QueryFailed) for reply in replies) else 0
+    return code
 
 
 def duration_s(text: str) -> float:
@@ -47,22 +58,3 @@ def duration_s(text: str) -> float:
     if not 0.0 < value <= _LONGEST_S:
         raise argparse.ArgumentTypeError(f"{text!r}: expected a duration as 90s, 10m or 2h, at most 24h")
     return value
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=_PROG, description=__doc__)
-    parser.add_argument("service", choices=_CHOICES, metavar="SERVICE", help=", ".join(_CHOICES))
-    parser.add_argument("level", choices=typing.get_args(LogLevel), help="lowest level that is logged")
-    parser.add_argument(
-        "--for", dest="for_s", type=duration_s, default=600.0, metavar="T", help="90s, 10m, 2h (default 10m)"
-    )
-    parser.add_argument("--vehicle", metavar="V", help="its name (default vehicle)")
-    add_bus_options(parser)
-    parser.add_argument(
-        "--timeout", type=SECONDS, default=3.0, metavar="S", help="seconds to wait (default 3)"
-    )
-    return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

@@ -11,6 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -23,6 +24,7 @@ from camber.tools.operate.status_table import as_text, fleet_text
 from camber.tools.operate.status_view import Answers, StatusView, view_of
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.parsers import add_with_default, tool_parser
 
 FLEET = "fleet"
 _PROG = "camber status"
@@ -65,11 +67,11 @@ def _query_and_print(client: QueryClient, vehicle: str, args: argparse.Namespace
         if args.fleet:
             content["vehicles"] = {name: sorted(services) for name, services in sorted(vehicles.items())}
         print(json.dumps(content), flush=True)
-    else:
-        if args.watch is not None and sys.stdout.isatty():
-            print("\x1b[2J\x1b[H", end="")
-        text = as_text(view, SystemClock().now_ns())
-        print(f"{text}\n\n{fleet_text(vehicles)}" if args.fleet else text, flush=True)
+        return view.exit_code
+    if args.watch is not None and sys.stdout.isatty():
+        print("\x1b[2J\x1b[H", end="")
+    text = as_text(view, SystemClock().now_ns())
+    print(f"{text}\n\n{fleet_text(vehicles)}" if args.fleet else text, flush=True)
     return view.exit_code
 
 
@@ -85,7 +87,7 @@ def query_view(
     """Query all services twice, `over_s` apart; the rates come from the difference of their counters."""
     usual = only or (_OF_FLEET if vehicle == FLEET else VEHICLE_SERVICES)
     listed = dict.fromkeys((*usual, *expected))
-    others = () if only else tuple(sorted(alive - set(listed) - _NO_SERVICES))
+    others = () if only else sorted(alive - set(listed) - _NO_SERVICES)
     services = (*listed, *others)
     before = _ask(client, vehicle, services)
     time.sleep(over_s)
@@ -104,48 +106,21 @@ def _service(text: str) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, epilog=_HELP, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__, _HELP)
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--vehicle", metavar="V", help="name of the vehicle (default: that of --config)")
-    which.add_argument(
-        "--fleet", action="store_true", help="the services of the cloud, and the vehicles there"
-    )
-    parser.add_argument(
-        "--service",
-        action="append",
-        type=_service,
-        metavar="S",
-        help="only this service; repeatable (default: all of a vehicle)",
-    )
-    parser.add_argument(
-        "--expect",
-        action="append",
-        type=_service,
-        default=[],
-        metavar="S",
-        help="expect this service too, such as sensors; repeatable",
-    )
+    which.add_argument("--fleet", action="store_true", help="services of the cloud, and the vehicles there")
+    for name, default, text in (
+        ("--service", None, "only this service; repeatable (default: all of a vehicle)"),
+        ("--expect", [], "expect this service too, such as sensors; repeatable"),
+    ):
+        parser.add_argument(name, action="append", type=_service, default=default, metavar="S", help=text)
     add_bus_options(parser)
-    parser.add_argument(
-        "--timeout", type=SECONDS, default=2.0, metavar="S", help="seconds to wait (default 2)"
-    )
-    parser.add_argument(
-        "--over",
-        type=SECONDS,
-        default=1.0,
-        metavar="S",
-        help="seconds over which rates are measured (default 1)",
-    )
-    parser.add_argument(
-        "--watch", nargs="?", type=SECONDS, const=5.0, metavar="S", help="repeat every S seconds (default 5)"
-    )
+    seconds: dict[str, Any] = {"type": SECONDS, "metavar": "S"}
+    add_with_default(parser, "--timeout", 2.0, "seconds to wait", **seconds)
+    add_with_default(parser, "--over", 1.0, "seconds over which rates are measured", **seconds)
+    parser.add_argument("--watch", nargs="?", const=5.0, help="repeat every S seconds (default 5)", **seconds)
     parser.add_argument(
         "--json", action="store_true", help="one JSON object per query, with all health reports"
     )
     return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))

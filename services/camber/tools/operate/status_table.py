@@ -8,6 +8,8 @@ from camber.schemas.health import Health
 from camber.tools.operate.status_view import ChannelRow, ServiceRow, StatusView, last_issue
 
 _WAITING = ("fixes_waiting", "uploads_not_stored", "uploads_waiting", "queue_waiting")
+_UNITS = ((1.0, "ms", 1e-3), (120.0, "s", 1.0), (7200.0, "min", 60.0), (172_800.0, "h", 3600.0))
+"""Limit up to which a unit is used, and its size [s]; chosen: at most three digits."""
 _MOST_TEXT = 70  # chosen: a row fits a wide terminal
 
 
@@ -28,32 +30,21 @@ def fleet_text(vehicles: dict[str, frozenset[str]]) -> str:
 
 def duration(seconds: float) -> str:
     """Return a duration with two digits in a suitable unit."""
-    for limit, unit, size in (
-        (1.0, "ms", 1e-3),
-        (120.0, "s", 1.0),
-        (7200.0, "min", 60.0),
-        (172_800.0, "h", 3600.0),
-    ):
-        if seconds < limit:
+    for limit_s, unit, size in _UNITS:
+        if seconds < limit_s:
             return f"{seconds / size:.2g} {unit}" if seconds < 10.0 * size else f"{seconds / size:.0f} {unit}"
     return f"{seconds / 86_400.0:.0f} d"
 
 
 def _services(rows: Sequence[ServiceRow], now_ns: int) -> list[str]:
     head = ("service", "state", "up", "version", "memory", "lag", "waiting", "map", "last issue")
-    table = [head]
-    for row in rows:
-        if row.health is None:
-            table.append((row.service, row.state, "", "", "", "", "", "", row.why))
-        else:
-            table.append((row.service, row.state, *_cells(row.health, now_ns)))
-    return _table(table)
+    cells = [("",) * 6 + (row.why,) if row.health is None else _cells(row.health, now_ns) for row in rows]
+    return _table([head, *((row.service, row.state, *rest) for row, rest in zip(rows, cells, strict=True))])
 
 
-def _cells(health: Health, now_ns: int) -> tuple[str, str, str, str, str, str, str]:
+def _cells(health: Health, now_ns: int) -> tuple[str, ...]:
     gauges = health.gauges
-    memory = gauges.get("memory_bytes")
-    lag_s = gauges.get("loop_lag_s")
+    memory, lag_s = gauges.get("memory_bytes"), gauges.get("loop_lag_s")
     waiting = sum(use.waiting for use in health.channels) + sum(gauges.get(name, 0.0) for name in _WAITING)
     return (
         duration(health.uptime_s),

@@ -42,9 +42,8 @@ class ChannelRow:
 
     channel: str
     producers: set[str] = field(default_factory=set)
-    received_s_ago: dict[str, float] = field(
-        default_factory=dict
-    )  # by consumer; since its start without a message
+    received_s_ago: dict[str, float] = field(default_factory=dict)
+    """By consumer; since its start without a message."""
     rate_hz: float | None = None
     table_rate_hz: float | None = None
     youngest_s: float | None = None
@@ -74,18 +73,9 @@ class ChannelRow:
 
     def as_json(self) -> dict[str, Any]:
         """Return this as JSON."""
-        return {
-            "channel": self.channel,
-            "producers": sorted(self.producers),
-            "consumers": sorted(self.received_s_ago),
-            "rate_hz": self.rate_hz,
-            "table_rate_hz": self.table_rate_hz,
-            "age_s": self.age_s,
-            "late": self.late,
-            "deaf": self.deaf,
-            "refused": dict(self.refused),
-            "waiting": self.waiting,
-        }
+        names = ("rate_hz", "table_rate_hz", "age_s", "late", "deaf", "refused", "waiting")
+        services = {"producers": sorted(self.producers), "consumers": sorted(self.received_s_ago)}
+        return {"channel": self.channel, **services, **{name: getattr(self, name) for name in names}}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,12 +112,8 @@ def view_of(vehicle: str, answers: Answers, before: Answers, alive: frozenset[st
         for service, several in answers.items()
         for answer in several
     )
-    earlier = {
-        _worker(health): health
-        for several in before.values()
-        for health in several
-        if isinstance(health, Health)
-    }
+    reports = (health for several in before.values() for health in several if isinstance(health, Health))
+    earlier = {_worker(health): health for health in reports}
     channels = _channel_rows(services, earlier)
     notes = (*_notes(services), *_deaf_notes(channels))
     return StatusView(vehicle=vehicle, services=services, channels=channels, notes=notes)
@@ -169,13 +155,10 @@ def _channel_rows(
             channel = BY_NAME.get(use.channel)
             if channel is None or channel.delivery == "barrier" or use.channel in ("health", "log_level"):
                 continue
-            shown = rows.setdefault(
-                use.channel,
-                ChannelRow(
-                    channel=use.channel, producers=set(channel.producers), table_rate_hz=channel.rate_hz
-                ),
+            new = ChannelRow(
+                channel=use.channel, producers=set(channel.producers), table_rate_hz=channel.rate_hz
             )
-            _add(shown, row.health, use, _rate(use, row.health, before))
+            _add(rows.setdefault(use.channel, new), row.health, use, _rate(use, row.health, before))
     order = {name: place for place, name in enumerate(BY_NAME)}
     return tuple(sorted(rows.values(), key=lambda shown: order[shown.channel]))
 
@@ -218,17 +201,16 @@ def _deaf_notes(channels: Sequence[ChannelRow]) -> Iterator[str]:
 def _notes(services: Sequence[ServiceRow]) -> tuple[str, ...]:
     """Return notes on versions that differ and on debug logging."""
     reports = [row.health for row in services if row.health is not None]
-    notes = []
-    for what, values in (
-        ("version of Camber", {health.version for health in reports}),
-        (
-            "versions of messages",
-            {health.facts["messages"] for health in reports if "messages" in health.facts},
-        ),
-    ):
-        if len(values) > 1:
-            notes.append(f"not all have the same {what}: {', '.join(sorted(values))}")
-    notes += [
-        f"{health.service} logs at {health.log_level}" for health in reports if health.log_level == "debug"
+    versions = {
+        "version of Camber": {health.version for health in reports},
+        "versions of messages": {
+            health.facts["messages"] for health in reports if "messages" in health.facts
+        },
+    }
+    notes = [
+        f"not all have the same {what}: {', '.join(sorted(values))}"
+        for what, values in versions.items()
+        if len(values) > 1
     ]
+    notes += [f"{health.service} logs at debug" for health in reports if health.log_level == "debug"]
     return tuple(notes)

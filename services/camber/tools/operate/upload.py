@@ -13,7 +13,6 @@ vehicle once, so a file may be sent repeatedly: `stored` and `duplicate` both me
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections import Counter
@@ -26,6 +25,7 @@ from camber.runtime.query import BusError, QueryClient, QueryFailed
 from camber.schemas.fleet import UploadBatch, UploadReceipt
 from camber.tools.options.bus_options import add_bus_options, bus_settings
 from camber.tools.options.number_options import SECONDS
+from camber.tools.options.parsers import add_with_default, tool_parser
 
 _PROG = "camber upload"
 _HELP = "exit codes: 0 all stored; 1 a batch refused or not acknowledged; 2 invalid file or setting"
@@ -34,15 +34,17 @@ _RETRY_S = 0.5  # chosen: a few retries within the time of a restart of the stor
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Read all files, then send them in order; return the exit code."""
-    args = _parser().parse_args(argv)
+    parser = tool_parser(_PROG, __doc__, _HELP, allow_abbrev=False)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    add_bus_options(parser)
+    add_with_default(parser, "--timeout", 30.0, "time limit for each batch", type=SECONDS, metavar="S")
+    args = parser.parse_args(argv)
     settings = bus_settings(args, prog=_PROG, vehicle=None)
     try:
         files = [(path, read_uploads(path)) for path in args.files]
-    except FormatError as error:
-        print(f"{_PROG}: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"{_PROG}: {error.filename}: {error.strerror}", file=sys.stderr)
+    except (FormatError, OSError) as error:
+        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error
+        print(f"{_PROG}: {text}", file=sys.stderr)
         return 2
     try:
         with QueryClient(settings, timeout_s=min(args.timeout, 5.0)) as client:
@@ -80,11 +82,7 @@ def _receipt(client: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[s
     deadline = time.monotonic() + limit_s
     while True:
         (replies,) = client.ask("upload_batch", batch, batch.vehicle, ["map_update"]).values()
-        receipts = [
-            reply
-            for reply in replies
-            if isinstance(reply, UploadReceipt) and reply.upload_id == batch.batch_id
-        ]
+        receipts = [r for r in replies if isinstance(r, UploadReceipt) and r.upload_id == batch.batch_id]
         if receipts:
             # Several workers may reply; a batch that one has stored is stored.
             receipt = min(receipts, key=lambda each: ("stored", "duplicate", "refused").index(each.status))
@@ -93,23 +91,3 @@ def _receipt(client: QueryClient, batch: UploadBatch, limit_s: float) -> tuple[s
             failed = [str(reply) for reply in replies if isinstance(reply, QueryFailed)]
             return "not acknowledged", f"not acknowledged: {'; '.join(failed) or 'a receipt for another'}"
         time.sleep(_RETRY_S)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=_PROG,
-        description=__doc__,
-        epilog=_HELP,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    add_bus_options(parser)
-    parser.add_argument(
-        "--timeout", type=SECONDS, default=30.0, metavar="S", help="time limit for each batch (default 30)"
-    )
-    return parser
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -6,7 +6,6 @@ from the environment.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import os
 import sys
@@ -21,6 +20,7 @@ from camber.map_update.settings import MapUpdateSettings
 from camber.map_update.stores.sqlite_store import SqliteStore
 from camber.map_update.stores.store import ENTRY_COLUMNS, LedgerEntry, ObservationPage, Store, StoreError
 from camber.runtime.settings import ConfigError, load
+from camber.tools.options.parsers import tool_parser
 
 _PROG = "camber uploads"
 _PAGE_SIZE = 50_000  # chosen: some megabytes
@@ -28,9 +28,7 @@ _PAGE_SIZE = 50_000  # chosen: some megabytes
 
 def main(argv: list[str] | None = None) -> int:
     """Write the CSV; return 2 where the store cannot be read."""
-    parser = argparse.ArgumentParser(
-        prog=_PROG, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = tool_parser(_PROG, __doc__)
     parser.add_argument("store", metavar="STORE")
     parser.add_argument("--records", action="store_true", help="observations; without it: contributions")
     args = parser.parse_args(argv)
@@ -38,8 +36,10 @@ def main(argv: list[str] | None = None) -> int:
         with closing(_opened(args.store)) as store:
             out = csv.writer(sys.stdout, lineterminator="\n")
             out.writerow([*ENTRY_COLUMNS, *((OBSERVATION.names or ()) if args.records else ("records",))])
-            for page in _all(store):
+            cursor = 0
+            while (page := store.observations_after(cursor, _PAGE_SIZE)).entries:
                 out.writerows(_records(page) if args.records else _contributions(page))
+                cursor = page.cursor
             sys.stdout.flush()
     except (StoreError, ConfigError) as error:
         print(f"{_PROG}: {error}", file=sys.stderr)
@@ -52,20 +52,12 @@ def _opened(where: str) -> Store:
         from camber.map_update.stores.postgres_store import PostgresStore
 
         settings, _ = load(MapUpdateSettings, [f"--store={where}"], prog=_PROG)
-        password = settings.store_password
-        return PostgresStore(
-            where, password=None if password is None else password.get_secret_value(), limit_s=30.0
-        )
+        secret = settings.store_password
+        password = None if secret is None else secret.get_secret_value()
+        return PostgresStore(where, password=password, limit_s=30.0)
     if not os.path.isfile(where):
         raise StoreError(f"{where}: no such file")
     return SqliteStore(Path(where), read_only=True)
-
-
-def _all(store: Store) -> Iterator[ObservationPage]:
-    cursor = 0
-    while (page := store.observations_after(cursor, _PAGE_SIZE)).entries:
-        yield page
-        cursor = page.cursor
 
 
 def _contributions(page: ObservationPage) -> Iterator[tuple[object, ...]]:
@@ -76,18 +68,11 @@ def _contributions(page: ObservationPage) -> Iterator[tuple[object, ...]]:
 
 def _records(page: ObservationPage) -> Iterator[tuple[object, ...]]:
     names_of = {"fix_quality": QUALITIES, "verdict": VERDICTS}
-    names = OBSERVATION.names or ()
     for entry, row in zip(page.entry_of.tolist(), page.rows.tolist(), strict=True):
-        values = (
-            names_of[name][value] if name in names_of else value
-            for name, value in zip(names, row, strict=True)
-        )
-        yield (*_columns(page.entries[entry]), *values)
+        values = zip(OBSERVATION.names or (), row, strict=True)
+        texts = (names_of[name][value] if name in names_of else value for name, value in values)
+        yield (*_columns(page.entries[entry]), *texts)
 
 
 def _columns(entry: LedgerEntry) -> tuple[object, ...]:
     return tuple(getattr(entry, name) for name in ENTRY_COLUMNS)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 from pydantic_settings import SettingsConfigDict
 
@@ -23,18 +24,28 @@ def add_bus_options(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--connect", action="append", metavar="ENDPOINT", help="router to connect to; repeatable"
     )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help="settings of any service: its vehicle and [zenoh], TLS among it",
-    )
+    text = "settings of any service: its vehicle and [zenoh], TLS among it"
+    parser.add_argument("--config", type=Path, metavar="FILE", help=text)
 
 
-def bus_settings(args: argparse.Namespace, *, prog: str, vehicle: str | None) -> ServiceSettings:
-    """Return settings from command line, `CAMBER_TOOLS_…`, file and default, in client mode; exit where invalid."""
+def bus_settings(
+    args: argparse.Namespace, *, prog: str, vehicle: str | None, service: str | None = None
+) -> ServiceSettings:
+    """Return settings from command line, environment, file and default; exit where invalid.
+
+    The environment is `CAMBER_TOOLS_…` in client mode, or that of a `service`, in its mode.
+    """
+    cls: Any = _OfTools
     argv = ["--zenoh.mode", "client"]
+    if service is not None:
+        cls = type(
+            "_OfService",
+            (_OfTools,),
+            {"SERVICE": service, "__doc__": _OfTools.__doc__, "__module__": __name__},
+        )
+        argv = []
     argv += [] if args.config is None else ["--config", str(args.config)]
     argv += [] if vehicle is None else ["--vehicle", vehicle]
     argv += [] if args.connect is None else ["--zenoh.connect", json.dumps(args.connect)]
-    return load_or_exit(_OfTools, argv, prog=prog)
+    settings: ServiceSettings = load_or_exit(cls, argv, prog=prog)
+    return settings

@@ -150,7 +150,7 @@ def test_names_of_messages_are_those_of_a_second_implementation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         (b"", "empty file, expected RINEX 3 or 4, UBX"),
         (np.random.default_rng(3).bytes(20_000), "content is"),
@@ -162,12 +162,12 @@ def test_names_of_messages_are_those_of_a_second_implementation() -> None:
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_one_clear_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | str, said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes | str, output: str
 ) -> None:
     code, out, err = run(write(tmp_path, content), capsys)
     assert (code, out) == (2, "")
     assert err.startswith("camber gnss inspect: recording:")
-    assert said in err
+    assert output in err
     assert err.count("\n") == 1
 
 
@@ -360,9 +360,9 @@ def test_the_week_of_rtcm_comes_from_ephemerides_or_from_who_asks_and_else_is_a_
 def test_the_week_of_corrections_is_that_of_the_receiver_they_are_for(tmp_path: Path) -> None:
     epochs = steady_epochs(5)
     position = format_position_velocity_time(solution(4), geoid_separation_m=38.0)
-    for said in (b"".join(map(format_raw_measurements, epochs)), position):
+    for output in (b"".join(map(format_raw_measurements, epochs)), position):
         # The corrections come before anything that has a date.
-        path = write(tmp_path, rtcm(epochs) + said)
+        path = write(tmp_path, rtcm(epochs) + output)
         os.utime(path, (1_000_000_000, 1_000_000_000))
         report = inspect_recording(path)
         times = {observed["of"]: observed["time"]["first_ns"] for observed in report["observations"]}
@@ -478,8 +478,8 @@ def whole(kind: str) -> bytes:
     positions = [solution(k) for k in range(5)]
     match kind:
         case "ubx":
-            said = format_position_velocity_time(positions[3], geoid_separation_m=38.0)
-            return b"".join(map(format_raw_measurements, steady_epochs(3))) + said
+            output = format_position_velocity_time(positions[3], geoid_separation_m=38.0)
+            return b"".join(map(format_raw_measurements, steady_epochs(3))) + output
         case "rtcm":
             return rtcm(steady_epochs(3)) + format_reference_station(PLACE_ECEF_M, station_id=3)
         case "rinex":
@@ -506,16 +506,16 @@ def test_damage_is_counted_or_said_in_one_line_and_never_more(
         place = at % len(content)
         content[place : place + len(new)] = new
     path = write(tmp_path_factory.getbasetemp(), bytes(content[: len(content) - cut % 200]))
-    text, said = "", ""
+    text, output = "", ""
     try:
         report = inspect_recording(path)
     except FormatError as error:
-        said = str(error)
+        output = str(error)
     else:
         json.dumps(report, allow_nan=False)
         text = text_of(report)
-    assert said.startswith("recording:") != text.startswith("recording: ")
-    assert "\n" not in said
+    assert output.startswith("recording:") != text.startswith("recording: ")
+    assert "\n" not in output
 
 
 # recordings

@@ -52,40 +52,40 @@ def solve(
     drive: Path, out: Path, capsys: pytest.CaptureFixture[str], *more: str
 ) -> tuple[str, list[ReceiverSolution]]:
     code = cli.main(["gnss", "solve", str(drive / "drive.toml"), "--out", str(out), *more])
-    said, err = capsys.readouterr()
+    output, err = capsys.readouterr()
     assert (code, err) == (0, "")
     solutions = list(read_pos(out / "engine.pos"))
     assert all(isinstance(item, ReceiverSolution) for item in solutions)
-    return said, [item for item in solutions if isinstance(item, ReceiverSolution)]
+    return output, [item for item in solutions if isinstance(item, ReceiverSolution)]
 
 
 def errors_m(solutions: list[ReceiverSolution], truth: TruthTable) -> np.ndarray:
     """Distances in 3D; the truth is of the same times."""
     rows = np.searchsorted(truth.time_ns, [solution.time_ns for solution in solutions])
     assert truth.time_ns[rows].tolist() == [solution.time_ns for solution in solutions]
-    found = ecef_from_geodetic(
+    result = ecef_from_geodetic(
         *np.array([(s.latitude_rad, s.longitude_rad, s.height_m) for s in solutions]).T
     )
     right = ecef_from_geodetic(truth.latitude_rad[rows], truth.longitude_rad[rows], truth.height_m[rows])
-    distance: np.ndarray = np.linalg.norm(found - right, axis=1)
+    distance: np.ndarray = np.linalg.norm(result - right, axis=1)
     return distance
 
 
 def test_in_the_open_every_epoch_is_fixed_where_the_antenna_was(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said, solutions = solve(drive, tmp_path, capsys)
+    output, solutions = solve(drive, tmp_path, capsys)
     rover = read_observations(drive / "rover.obs").epochs
     assert [s.time_ns for s in solutions] == [epoch.time_ns for epoch in rover]
     assert Counter(s.quality for s in solutions) == {SolutionQuality.FIX: 121}
     distance_m = errors_m(solutions, read_truth(drive / "truth.csv", "camber"))
     assert np.quantile(distance_m, 0.95) < 0.02
-    assert "open-sky: 121 epochs" in said
-    assert "121 fixed (100.0%), 0 float" in said
-    assert "120 continuous, 1 no evidence" in said
-    assert "0 wrong by more than 0.5 m" in said
-    assert f"p50 {np.quantile(distance_m, 0.5):.3f} m, p95 {np.quantile(distance_m, 0.95):.3f} m" in said
-    assert said.count("\n") == 1
+    assert "open-sky: 121 epochs" in output
+    assert "121 fixed (100.0%), 0 float" in output
+    assert "120 continuous, 1 no evidence" in output
+    assert "0 wrong by more than 0.5 m" in output
+    assert f"p50 {np.quantile(distance_m, 0.5):.3f} m, p95 {np.quantile(distance_m, 0.95):.3f} m" in output
+    assert output.count("\n") == 1
     # Standard deviations of what the phases say: neither nothing nor metres.
     sigma_m = np.sqrt([s.covariance_enu_m2[5] for s in solutions if s.covariance_enu_m2 is not None])
     assert len(sigma_m) == 121
@@ -97,12 +97,12 @@ def test_streams_of_the_receiver_and_the_base_give_the_same_as_rinex(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (drive / "base.rtcm.gz").write_bytes(gzip.compress((drive / "base.rtcm").read_bytes()))
-    said, from_streams = solve(
+    output, from_streams = solve(
         drive, tmp_path / "a", capsys, "--set", STREAMS[0], "--set", "observations.base_obs=base.rtcm.gz",
         "--set", 'observations.ephemerides=["rover.ubx", "base.rtcm.gz"]',
     )  # fmt: skip
-    assert "121 fixed" in said
-    assert "Base position from RTCM 1005 or 1006 of station 1." in said
+    assert "121 fixed" in output
+    assert "Base position from RTCM 1005 or 1006 of station 1." in output
     _, from_rinex = solve(drive, tmp_path / "b", capsys)
     for a, b in zip(from_streams, from_rinex, strict=True):
         # RINEX has mm of the code, the streams their own steps, and other ionosphere.
@@ -177,10 +177,10 @@ def test_without_any_position_of_the_base_nothing_is_fixed_and_the_reason_is_sai
 ) -> None:
     text = (drive / "base.obs").read_text().splitlines(keepends=True)
     (drive / "nowhere.obs").write_text("".join(line for line in text if "APPROX POSITION XYZ" not in line))
-    said, solutions = solve(drive, tmp_path, capsys, "--set", "observations.base_obs=nowhere.obs")
+    output, solutions = solve(drive, tmp_path, capsys, "--set", "observations.base_obs=nowhere.obs")
     assert {s.quality for s in solutions} == {SolutionQuality.SINGLE}
-    assert "121 no base position" in said
-    assert "Base position from nothing." in said
+    assert "121 no base position" in output
+    assert "Base position from nothing." in output
 
 
 # the engine's food
@@ -244,8 +244,8 @@ def test_a_file_with_a_damaged_line_is_used_and_the_line_is_noted(
     at = [k for k, line in enumerate(lines) if line.startswith(">")][5]
     lines[at + 3] = lines[at + 3][:5] + "12a4" + lines[at + 3][9:]
     (drive / "damaged.obs").write_text("".join(lines))
-    said, solutions = solve(drive, tmp_path, capsys, "--set", "observations.rover_obs=damaged.obs")
-    assert f"\ndamaged.obs:{at + 4}: " in said
+    output, solutions = solve(drive, tmp_path, capsys, "--set", "observations.rover_obs=damaged.obs")
+    assert f"\ndamaged.obs:{at + 4}: " in output
     assert len(solutions) == 121
 
 
@@ -263,9 +263,9 @@ def test_options_reach_the_engine(drive: Path, tmp_path: Path, capsys: pytest.Ca
     assert gps < mean_satellites("--systems", "GE") < everything
     assert mean_satellites("--elevation-deg", "35") < everything
     assert mean_satellites("--cn0-dbhz", "44") < everything
-    said, _ = solve(drive, tmp_path, capsys, "--ratio", "1000", "--no-partial")
-    assert "121 ratio too low" in said
-    said, solutions = solve(drive, tmp_path, capsys, "--set", "end_s=4")
+    output, _ = solve(drive, tmp_path, capsys, "--ratio", "1000", "--no-partial")
+    assert "121 ratio too low" in output
+    output, solutions = solve(drive, tmp_path, capsys, "--set", "end_s=4")
     assert len(solutions) == 41
 
 
@@ -290,7 +290,7 @@ def test_an_option_that_cannot_be_meant_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "output"),
     [
         ("observations.rover_obs=absent.obs", "there is no such file"),
         ("observations.rover_obs=brdc.nav", "brdc.nav: observations, expected at least one epoch"),
@@ -300,7 +300,7 @@ def test_an_option_that_cannot_be_meant_is_refused(
     ],
 )
 def test_a_drive_that_cannot_be_solved_is_one_clear_line(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], override: str, said: str
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], override: str, output: str
 ) -> None:
     epoch = read_observations(drive / "rover.obs").epochs[0]
     station = StationHeader(marker="x", position_ecef_m=(-3.8e6, 3.5e6, 3.6e6))
@@ -315,7 +315,7 @@ def test_a_drive_that_cannot_be_solved_is_one_clear_line(
     assert cli.main(argv) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert said in err
+    assert output in err
     assert err.startswith("camber gnss solve: ")
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()

@@ -75,14 +75,14 @@ def test_every_answer_is_that_of_the_map_server(folder: Path) -> None:
     service = MapServerService(MapServerSettings(release=folder), cast(Bus, _Bus()))
     at_hand = LocalMapQueries(release_for(folder, "WGS84"))
     assert at_hand.is_available()
-    said: set[str] = set()
+    output: set[str] = set()
     for name, request in questions():
         (theirs,) = service.answers()[name]([request])
         mine = getattr(at_hand, name)(request)
         assert encode(mine) == encode(cast(Message, theirs))
         road = getattr(mine, "road", None)
-        said.add(road.status if road is not None else mine.status)
-    assert said == {"known", "unknown"}
+        output.add(road.status if road is not None else mine.status)
+    assert output == {"known", "unknown"}
 
 
 def test_a_map_of_another_datum_is_refused(folder: Path) -> None:

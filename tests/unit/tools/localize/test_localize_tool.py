@@ -100,30 +100,30 @@ def test_in_a_street_matches_hold_the_pose(matched: tuple[Path, str]) -> None:
 
 
 def test_the_paragraph_says_what_the_tables_hold(matched: tuple[Path, str]) -> None:
-    out, said = matched
+    out, output = matched
     poses, matches = table(out / "poses.csv"), table(out / "matches.csv")
-    assert said.startswith(f"canyon: {len(poses)} poses from ")
-    assert f"{sum(row['mode'] == 'scan_match' for row in poses)} scan match (" in said
-    assert f"{len(matches)} scan matches: " in said
+    assert output.startswith(f"canyon: {len(poses)} poses from ")
+    assert f"{sum(row['mode'] == 'scan_match' for row in poses)} scan match (" in output
+    assert f"{len(matches)} scan matches: " in output
     errors_m = np.hypot(column(poses, "error_along_m"), column(poses, "error_cross_m"))
     p50, p95 = np.nanquantile(errors_m, (0.5, 0.95))
-    figures = re.search(r"horizontal p50 ([0-9.]+) m, p95 ([0-9.]+) m", said)
+    figures = re.search(r"horizontal p50 ([0-9.]+) m, p95 ([0-9.]+) m", output)
     assert figures is not None
     # The tables are rounded to millimetres.
     assert [float(value) for value in figures.groups()] == pytest.approx([p50, p95], abs=0.002)
     right = int((column(poses, "level") == 0.0).sum())
-    assert f"level right at {right} of {right};" in said
+    assert f"level right at {right} of {right};" in output
 
 
 def test_the_plot_and_the_pictures_are_whole(matched: tuple[Path, str]) -> None:
-    out, said = matched
+    out, output = matched
     assert "mean distance by layer [m]" in texts(out / "localize.svg")
     for name in ("match-worst.svg", "match-1.5s.svg"):
-        assert str(out / name) in said
+        assert str(out / name) in output
         images = [e for e in ElementTree.parse(out / name).iter() if e.tag.endswith("image")]
         assert len(images) >= 2
     assert "canyon: scan match at 1.5 s" in texts(out / "match-1.5s.svg")
-    assert "No picture at 99 s: nothing was matched there." in said.splitlines()
+    assert "No picture at 99 s: nothing was matched there." in output.splitlines()
     assert not (out / "match-99s.svg").exists()
 
 
@@ -139,8 +139,8 @@ def test_a_sweep_that_cannot_be_read_costs_itself_and_a_line(street: Path, tmp_p
     shutil.copytree(street.parent, drive)
     broken = sorted((drive / "sweeps").glob("*.pcd"))[7]
     broken.write_bytes(broken.read_bytes()[:5000])
-    said = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out", LocalizeOptions())
-    assert said.splitlines()[-1].startswith("1 sweep could not be read and left out, the first: ")
+    output = localize_drive(load_manifest(drive / "drive.toml"), tmp_path / "out", LocalizeOptions())
+    assert output.splitlines()[-1].startswith("1 sweep could not be read and left out, the first: ")
     assert broken.stem not in {row["time_ns"] for row in table(tmp_path / "out" / "matches.csv")}
 
 
@@ -156,8 +156,8 @@ def drive_of(inputs: DriveInputs, **heard: object) -> LocalizedDrive:
 
 
 def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> None:
-    said = localize_drive(load_manifest(blind), tmp_path, BLIND)
-    assert "601 dead reckoning (100.0%)" in said
+    output = localize_drive(load_manifest(blind), tmp_path, BLIND)
+    assert "601 dead reckoning (100.0%)" in output
     assert table(tmp_path / "matches.csv") == []
     assert not list(tmp_path.glob("match-*.svg"))
 
@@ -165,10 +165,10 @@ def test_motion_and_links_alone_need_no_sweeps(blind: Path, tmp_path: Path) -> N
 def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> None:
     for anchors in ("truth", "right-fixes"):
         out = tmp_path / anchors
-        said = localize_drive(
+        output = localize_drive(
             load_manifest(blind), out, LocalizeOptions(anchors=anchors, settings=BLIND.settings)
         )  # type: ignore[arg-type]
-        assert f"Surrogate: anchors from {anchors}: an integrity judge without errors." in said
+        assert f"Surrogate: anchors from {anchors}: an integrity judge without errors." in output
         poses = table(out / "poses.csv")
         error_m = np.hypot(column(poses, "error_along_m"), column(poses, "error_cross_m"))
         assert np.median(error_m) < 0.1
@@ -177,8 +177,8 @@ def test_anchors_hold_the_pose_and_are_named(blind: Path, tmp_path: Path) -> Non
 
 def test_without_a_given_pose_fixes_start_it_provisionally(blind: Path, tmp_path: Path) -> None:
     manifest = load_manifest(blind).model_copy(update={"initial_pose": None})
-    said = localize_drive(manifest, tmp_path, LocalizeOptions(fixes=True, settings=BLIND.settings))
-    assert "provisional (" in said
+    output = localize_drive(manifest, tmp_path, LocalizeOptions(fixes=True, settings=BLIND.settings))
+    assert "provisional (" in output
     poses = table(tmp_path / "poses.csv")
     assert poses[0]["mode"] == "none"
     assert poses[0]["latitude_deg"] == poses[0]["covariance_ee_m2"] == ""

@@ -62,7 +62,7 @@ def pixels(png: bytes) -> np.ndarray:
 
 
 def test_the_road_rises_from_blue_to_yellow_and_the_bridge_lies_over_it(release: Path) -> None:
-    png, said = picture(read_release(release), "t", None, 200)
+    png, output = picture(read_release(release), "t", None, 200)
     image = pixels(png)
     height, width, _ = image.shape
     m_a_pixel = 2.0 * (math.hypot(20.0, 4.0) + 5.0) / width
@@ -77,7 +77,7 @@ def test_the_road_rises_from_blue_to_yellow_and_the_bridge_lies_over_it(release:
     assert east[1] > west[1]
     assert at(0.0, 17.0) == bridge
     assert at(-10.0, -2.0) == [205, 60, 80]  # the link over the surface
-    assert "2 surfaces, heights 15.0 to 30.0 m" in said
+    assert "2 surfaces, heights 15.0 to 30.0 m" in output
 
 
 def test_one_tile_or_the_whole_map_into_a_file_and_a_tile_that_is_not_there_is_refused(

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,84 +51,64 @@ def states(findings: Iterator[Finding] | list[Finding]) -> dict[str, str]:
 
 
 def the_problem(findings: Iterator[Finding]) -> Finding:
-    (found,) = [finding for finding in findings if finding.state == "problem"]
-    assert found.todo, "it says what to do"
-    return found
+    (result,) = [finding for finding in findings if finding.state == "problem"]
+    assert result.todo
+    return result
 
 
-# -- clock ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_disciplined_clock_is_well() -> None:
+def test_a_disciplined_clock_is_ok() -> None:
     assert states(check_clock(SYNCHRONISED, time.time())) == {"clock": "ok", "leap seconds": "ok"}
 
 
 @pytest.mark.parametrize(
-    ("discipline", "unix_s", "words"),
+    ("fault", "unix_s", "expected"),
     [
-        (
-            ClockDiscipline(synchronised=False, most_error_s=16.0, tai_minus_utc_s=37),
-            TODAY,
-            "not synchronised",
-        ),
-        (
-            ClockDiscipline(synchronised=True, most_error_s=0.2, tai_minus_utc_s=37),
-            TODAY,
-            "up to 0.200 s off",
-        ),
-        (
-            ClockDiscipline(synchronised=True, most_error_s=0.002, tai_minus_utc_s=36),
-            TODAY,
-            "17 s for the kernel",
-        ),
-        (SYNCHRONISED, 100.0, "1970-01-01"),
+        ({"synchronised": False, "most_error_s": 16.0}, TODAY, "not synchronised"),
+        ({"most_error_s": 0.2}, TODAY, "up to 0.200 s off"),
+        ({"tai_minus_utc_s": 36}, TODAY, "17 s for the kernel"),
+        ({}, 100.0, "1970-01-01"),
     ],
 )
-def test_a_clock_with_a_fault_is_a_problem(discipline: ClockDiscipline, unix_s: float, words: str) -> None:
-    assert words in the_problem(check_clock(discipline, unix_s)).text
+def test_a_clock_with_a_fault_is_a_problem(fault: dict[str, Any], unix_s: float, expected: str) -> None:
+    assert expected in the_problem(check_clock(replace(SYNCHRONISED, **fault), unix_s)).text
 
 
-def test_what_the_kernel_does_not_tell_is_not_checked() -> None:
+def test_a_clock_that_the_kernel_does_not_report_is_not_checked() -> None:
     assert states(check_clock(None, time.time())) == {"clock": "not checked"}
 
 
-def test_the_kernel_tells() -> None:
+def test_the_kernel_reports_its_clock() -> None:
     discipline = checks.kernel_discipline()
     assert discipline is not None
     assert discipline.most_error_s >= 0.0
     assert discipline.tai_minus_utc_s in range(100)
 
 
-# -- disk -------------------------------------------------------------------------------------------------------------
-
-
-def test_a_folder_that_takes_state_is_well_and_nothing_is_left_in_it(tmp_path: Path) -> None:
+def test_a_writable_folder_is_ok_and_nothing_is_left_in_it(tmp_path: Path) -> None:
     assert check_folder("disk", tmp_path, least_free_bytes=1).state == "ok"
-    found = check_folder("disk", tmp_path / "a" / "b", least_free_bytes=1)
-    assert (found.state, "will be created" in found.text) == ("ok", True)
+    result = check_folder("disk", tmp_path / "a" / "b", least_free_bytes=1)
+    assert (result.state, "will be created" in result.text) == ("ok", True)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_below_one_that_is_others_is_a_problem(tmp_path: Path) -> None:
+def test_a_folder_below_one_without_permission_is_a_problem(tmp_path: Path) -> None:
     private = tmp_path / "private"
     private.mkdir(mode=0o000)
     us = os.geteuid()
     if us == 0:
         os.seteuid(65534)
     try:
-        found = check_folder("disk", private / "state", least_free_bytes=1)
+        result = check_folder("disk", private / "state", least_free_bytes=1)
     finally:
         os.seteuid(us)
-    assert (found.state, "Permission denied" in found.text) == ("problem", True)
+    assert (result.state, "Permission denied" in result.text) == ("problem", True)
 
 
-def test_a_folder_without_room_is_a_problem(tmp_path: Path) -> None:
+def test_no_room_a_file_in_place_of_a_folder_and_a_read_only_folder_are_problems(tmp_path: Path) -> None:
     assert "make room" in check_folder("disk", tmp_path, least_free_bytes=1 << 60).todo
-
-
-def test_a_file_in_place_of_a_folder_is_a_problem(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("")
     assert check_folder("disk", tmp_path / "state" / "integrity").state == "problem"
+    assert check_folder("disk", Path("/proc/camber")).state == "problem"
 
 
 def test_a_disk_that_cannot_flush_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,8 +116,8 @@ def test_a_disk_that_cannot_flush_is_a_problem(tmp_path: Path, monkeypatch: pyte
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", broken)
-    found = check_folder("disk", tmp_path, least_free_bytes=1)
-    assert (found.state, "Input/output error" in found.text) == ("problem", True)
+    result = check_folder("disk", tmp_path, least_free_bytes=1)
+    assert (result.state, "Input/output error" in result.text) == ("problem", True)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -146,22 +127,12 @@ def test_a_slow_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert "a flush took 2.0 s" in check_folder("disk", tmp_path, least_free_bytes=1).text
 
 
-def test_a_read_only_folder_is_a_problem() -> None:
-    found = check_folder("disk", Path("/proc/camber"))
-    assert found.state == "problem"
-
-
-# -- certificates -----------------------------------------------------------------------------------------------------
-
-
 class Pki:
     """An authority, and a certificate of it with its key, in files."""
 
     def __init__(self, folder: Path, *, begins: datetime = NOW - timedelta(days=1), days: int = 365) -> None:
         folder.mkdir(exist_ok=True)
-        self.authority, self.certificate, self.key = (
-            folder / name for name in ("ca.pem", "car.pem", "car.key")
-        )
+        self.authority, self.certificate, self.key = (folder / f for f in ("ca.pem", "car.pem", "car.key"))
         self._ca_key = ec.generate_private_key(ec.SECP256R1())
         key = ec.generate_private_key(ec.SECP256R1())
         self._write(self.authority, "authority", self._ca_key, NOW - timedelta(days=9), 3650)
@@ -172,28 +143,24 @@ class Pki:
     def _write(self, path: Path, name: str, key: Any, begins: datetime, days: int) -> None:
         issuer = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "authority")])
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-        builder = (
-            x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key.public_key())
-        )
-        builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begins)
-        builder = builder.not_valid_after(begins + timedelta(days=days))
+        builder = x509.CertificateBuilder(issuer, subject, key.public_key(), x509.random_serial_number())
+        builder = builder.not_valid_before(begins).not_valid_after(begins + timedelta(days=days))
         builder = builder.add_extension(x509.BasicConstraints(ca=name == "authority", path_length=None), True)
         path.write_bytes(builder.sign(self._ca_key, hashes.SHA256()).public_bytes(Encoding.PEM))
 
     def check(self, **other: Path) -> list[Finding]:
         files = {"authority": self.authority, "certificate": self.certificate, "key": self.key} | other
-        return list(check_certificates("TLS", **files, now=NOW))
+        return list(check_certificates("TLS", tuple(files.values()), NOW))
 
 
-def test_a_pair_of_its_authority_is_well(tmp_path: Path) -> None:
-    found = Pki(tmp_path).check()
-    assert {finding.state for finding in found} == {"ok"}
-    assert any("until 2027" in finding.text for finding in found)
-    assert len(found) == 4
+def test_a_certificate_and_its_key_are_ok(tmp_path: Path) -> None:
+    findings = Pki(tmp_path).check()
+    assert [finding.state for finding in findings] == 4 * ["ok"]
+    assert any("until 2027" in finding.text for finding in findings)
 
 
 @pytest.mark.parametrize(
-    ("begins", "days", "words"),
+    ("begins", "days", "expected"),
     [
         (NOW - timedelta(days=100), 50, "expired 2026-04-12"),
         (NOW - timedelta(days=100), 105, "expires 2026-06-06"),
@@ -201,23 +168,23 @@ def test_a_pair_of_its_authority_is_well(tmp_path: Path) -> None:
     ],
 )
 def test_a_certificate_out_of_its_time_is_a_problem(
-    tmp_path: Path, begins: datetime, days: int, words: str
+    tmp_path: Path, begins: datetime, days: int, expected: str
 ) -> None:
-    assert words in the_problem(iter(Pki(tmp_path, begins=begins, days=days).check())).text
+    assert expected in the_problem(iter(Pki(tmp_path, begins=begins, days=days).check())).text
 
 
 def test_files_that_do_not_belong_together_are_a_problem(tmp_path: Path) -> None:
-    own, other = Pki(tmp_path / "a"), Pki(tmp_path / "b")
-    assert "not the key of the certificate" in the_problem(iter(own.check(key=other.key))).text
-    assert "not signed by this authority" in the_problem(iter(own.check(authority=other.authority))).text
+    pki, other = Pki(tmp_path / "a"), Pki(tmp_path / "b")
+    assert "not the key of the certificate" in the_problem(iter(pki.check(key=other.key))).text
+    assert "not signed by this authority" in the_problem(iter(pki.check(authority=other.authority))).text
 
 
 def test_a_key_that_others_may_read_is_a_problem(tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     pki.key.chmod(0o644)
-    found = the_problem(iter(pki.check()))
-    assert "0644" in found.text
-    assert found.todo.startswith("chmod 600")
+    result = the_problem(iter(pki.check()))
+    assert "0644" in result.text
+    assert result.todo.startswith("chmod 600")
 
 
 def test_files_that_are_missing_or_none_are_a_problem(tmp_path: Path) -> None:
@@ -226,13 +193,13 @@ def test_files_that_are_missing_or_none_are_a_problem(tmp_path: Path) -> None:
     (tmp_path / "junk").chmod(0o600)
     for name, other in (("junk", "expected"), ("nosuch", "No such file")):
         for which in ("certificate", "key", "authority"):
-            found = [f for f in pki.check(**{which: tmp_path / name}) if f.state == "problem"]
-            assert other in found[0].text
+            result = [f for f in pki.check(**{which: tmp_path / name}) if f.state == "problem"]
+            assert other in result[0].text
 
 
-@pytest.mark.parametrize(("days", "words"), [(-10, "expired"), (7, "expires"), (300, None)])
-def test_a_router_s_certificate_is_looked_at_in_the_router_s_own_file(
-    tmp_path: Path, days: int, words: str | None
+@pytest.mark.parametrize(("days", "expected"), [(-10, "expired"), (7, "expires"), (300, None)])
+def test_the_certificate_that_a_router_s_file_names_is_checked(
+    tmp_path: Path, days: int, expected: str | None
 ) -> None:
     begins = datetime.now(UTC) - timedelta(days=20)
     pki = Pki(tmp_path / "tls", begins=begins, days=days + 20)
@@ -241,31 +208,27 @@ def test_a_router_s_certificate_is_looked_at_in_the_router_s_own_file(
     router = {"mode": "client", "connect": {"endpoints": ["tls/127.0.0.1:1"]}}
     router["transport"] = {"link": {"tls": tls}}
     (tmp_path / "vehicle_router.json5").write_text(json.dumps(router))
-    found = [each for each in tool.examine(tmp_path, offline=True) if each.what.startswith("router ")]
-    wrong = [each.text for each in found if each.state == "problem"]
-    assert found
-    assert (len(wrong) == 1 and words in wrong[0]) if words else not wrong
-
-
-# -- map --------------------------------------------------------------------------------------------------------------
+    result = [each for each in tool.examine(tmp_path, offline=True) if each.what.startswith("router ")]
+    wrong = [each.text for each in result if each.state == "problem"]
+    assert result
+    assert (len(wrong) == 1 and expected in wrong[0]) if expected else not wrong
 
 
 def map_settings(folder: Path, **more: Any) -> Any:
-    fields = {"release": folder, "store": None, "public_key": None, "datum": "WGS84", "max_age_days": None}
-    fields |= {"unsigned": False}
+    names = ("store", "public_key", "max_age_days")
+    fields = {"release": folder, "datum": "WGS84", "unsigned": False, **dict.fromkeys(names)}
     return SimpleNamespace(**(fields | more))
 
 
-def test_a_whole_map_of_the_same_datum_is_well(tmp_path: Path) -> None:
+def test_a_whole_map_of_the_same_datum_is_ok(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)])
     assert set(states(check_map(map_settings(tmp_path), "WGS84")).values()) == {"ok"}
 
 
 def test_a_map_of_another_datum_is_a_problem(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)], datum="JGD2011")
-    assert (
-        "map JGD2011, map_server.toml WGS84" in the_problem(check_map(map_settings(tmp_path), "JGD2011")).text
-    )
+    of_server = the_problem(check_map(map_settings(tmp_path), "JGD2011"))
+    assert "map JGD2011, map_server.toml WGS84" in of_server.text
     same = map_settings(tmp_path, datum="JGD2011")
     assert "gnss.toml WGS84" in the_problem(check_map(same, "WGS84")).text
 
@@ -296,21 +259,16 @@ def test_a_map_without_the_trusted_signature_is_a_problem(tmp_path: Path) -> Non
 def test_a_vehicle_that_fetches_maps_and_names_no_key_is_a_problem(tmp_path: Path) -> None:
     write(tmp_path / "map", [surface(5)])
     fetching = {"store": tmp_path / "map.sqlite"}
-    found = the_problem(check_map(map_settings(tmp_path / "map", **fetching), None))
-    assert (found.what, "without public_key no newer release is fetched" in found.text) == (
-        "map, signature",
-        True,
-    )
-    own = map_settings(tmp_path / "map", **fetching, unsigned=True)
-    assert set(states(check_map(own, None)).values()) == {"ok"}
+    result = the_problem(check_map(map_settings(tmp_path / "map", **fetching), None))
+    assert result.what == "map, signature"
+    assert "without public_key no newer release is fetched" in result.text
+    unsigned = map_settings(tmp_path / "map", **fetching, unsigned=True)
+    assert set(states(check_map(unsigned, None)).values()) == {"ok"}
 
 
 def test_a_map_that_is_too_old_is_a_problem(tmp_path: Path) -> None:
     write(tmp_path, [surface(5)])
     assert "days old" in the_problem(check_map(map_settings(tmp_path, max_age_days=0.001), None)).text
-
-
-# -- bus and ports ----------------------------------------------------------------------------------------------------
 
 
 def service(endpoint: str = "tcp/127.0.0.1:1", **more: Any) -> Any:
@@ -319,7 +277,7 @@ def service(endpoint: str = "tcp/127.0.0.1:1", **more: Any) -> Any:
     return ServiceSettings(vehicle="car", zenoh=ZenohSettings(mode="client", connect=[endpoint]), **more)
 
 
-def test_a_router_that_lets_us_in_is_well_and_none_is_a_problem() -> None:
+def test_a_router_that_lets_us_in_is_ok_and_none_is_a_problem() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with open_session(ZenohSettings(mode="router", listen=[endpoint], connect=[])):
         assert set(states(check_bus(service(endpoint))).values()) == {"ok"}
@@ -348,19 +306,16 @@ def test_a_port_that_is_taken_or_wanted_twice_is_a_problem() -> None:
 )
 def test_a_port_on_all_addresses_is_one_on_each_of_them(one: str, other: str, meet: bool) -> None:
     port = free_port()
-    both = [
-        (name, service(metrics_port=port, metrics_host=host.strip("[]")))
-        for name, host in (("gnss", one), ("integrity", other))
-    ]
-    found = list(check_ports(both))
-    assert ["also assigned to gnss" in finding.text for finding in found] == [False, meet]
+    hosts = {"gnss": one.strip("[]"), "integrity": other.strip("[]")}
+    services = [(name, service(metrics_port=port, metrics_host=host)) for name, host in hosts.items()]
+    assert ["also assigned to gnss" in each.text for each in check_ports(services)] == [False, meet]
 
 
 def test_ports_and_hosts_that_there_cannot_be_are_problems() -> None:
     listening = ZenohSettings(mode="peer", connect=[], listen=["tcp/127.0.0.1:99999", "tcp/a..b:7447"])
     settings = service().model_copy(update={"zenoh": listening})
-    found = list(check_ports([("gnss", settings)]))
-    assert [(finding.what, finding.state) for finding in found] == [
+    result = list(check_ports([("gnss", settings)]))
+    assert [(finding.what, finding.state) for finding in result] == [
         ("port 127.0.0.1:99999 of gnss", "problem"),
         ("port a..b:7447 of gnss", "problem"),
     ]
@@ -370,23 +325,20 @@ def test_ports_and_hosts_that_there_cannot_be_are_problems() -> None:
         assert tried.text
 
 
-def test_a_port_that_a_running_service_of_ours_has_is_well() -> None:
+def test_a_port_that_a_running_service_of_ours_has_is_ok() -> None:
     from camber.runtime.health.metrics import HealthCollector, MetricsServer
 
     server = MetricsServer("127.0.0.1", 0, HealthCollector("gnss", "car"))
     try:
-        found = list(check_ports([("gnss", service(metrics_port=server.port))]))
+        result = list(check_ports([("gnss", service(metrics_port=server.port))]))
     finally:
         server.close()
-    assert [(finding.state, "running service" in finding.text) for finding in found] == [("ok", True)]
-
-
-# -- receiver ---------------------------------------------------------------------------------------------------------
+    assert [(finding.state, "running service" in finding.text) for finding in result] == [("ok", True)]
 
 
 @contextmanager
 def receiver(*, late_s: float = 0.05, bytes_of: Any = None) -> Iterator[str]:
-    """Says, five times a second, a position of `late_s` ago; or what is given."""
+    """A server that sends a position of `late_s` ago, or the bytes given, five times a second."""
     server = socket.create_server(("127.0.0.1", 0))
     ended = threading.Event()
 
@@ -427,16 +379,13 @@ def receiver(*, late_s: float = 0.05, bytes_of: Any = None) -> Iterator[str]:
 
 
 def gnss_settings(source: str, **more: Any) -> Any:
-    fields = {
+    fields: dict[str, Any] = {
         "source": source,
         "protocol": "nmea",
-        "base_source": None,
         "base_protocol": "rtcm",
-        "ntrip_user": None,
-        "ntrip_password": None,
         "ntrip_version": 2,
-        "ntrip_ca_file": None,
     }
+    fields |= dict.fromkeys(("base_source", "ntrip_user", "ntrip_password", "ntrip_ca_file"))
     return SimpleNamespace(**(fields | more))
 
 
@@ -444,25 +393,25 @@ def received(settings: Any, seconds: float = 2.0) -> dict[str, Finding]:
     return {finding.what: finding for finding in check_receiver(settings, seconds, gnss_runs=False)}
 
 
-def test_a_receiver_that_speaks_as_set_and_of_now_is_well() -> None:
+def test_a_receiver_with_the_protocol_of_the_settings_and_current_times_is_ok() -> None:
     with receiver() as url:
-        found = received(gnss_settings(url))
-    assert found["receiver"].state == found["clock against the receiver"].state == "ok"
-    assert "nmea" in found["receiver"].text
-    assert found["corrections"].state == "not checked"
+        result = received(gnss_settings(url))
+    assert result["receiver"].state == result["clock against the receiver"].state == "ok"
+    assert "nmea" in result["receiver"].text
+    assert result["corrections"].state == "not checked"
 
 
 def test_a_receiver_whose_time_is_not_that_of_the_machine_is_a_problem() -> None:
     with receiver(late_s=18.02) as url:
-        found = received(gnss_settings(url))["clock against the receiver"]
-    assert found.state == "problem"
-    assert "leap seconds" in found.todo
+        result = received(gnss_settings(url))["clock against the receiver"]
+    assert result.state == "problem"
+    assert "leap seconds" in result.todo
 
 
-def test_a_receiver_that_speaks_otherwise_is_silent_or_away_is_a_problem() -> None:
+def test_a_receiver_with_another_protocol_silent_or_absent_is_a_problem() -> None:
     with receiver() as url:
-        found = received(gnss_settings(url, protocol="ubx"))["receiver"]
-        assert (found.state, "without ubx" in found.text) == ("problem", True)
+        result = received(gnss_settings(url, protocol="ubx"))["receiver"]
+        assert (result.state, "without ubx" in result.text) == ("problem", True)
     with receiver(bytes_of=b"\x00\x01garbage" * 20) as url:
         assert "no frame of any protocol" in received(gnss_settings(url, protocol="mixed"))["receiver"].text
     with receiver(bytes_of=b"") as url:
@@ -473,16 +422,13 @@ def test_a_receiver_that_speaks_otherwise_is_silent_or_away_is_a_problem() -> No
 
 def test_corrections_that_do_not_come_are_a_problem() -> None:
     with receiver() as url:
-        found = received(gnss_settings(url, base_source=url))["corrections"]
-    assert (found.state, "without rtcm" in found.text) == ("problem", True)
+        result = received(gnss_settings(url, base_source=url))["corrections"]
+    assert (result.state, "without rtcm" in result.text) == ("problem", True)
 
 
 def test_a_serial_port_that_gnss_has_is_left_to_it() -> None:
-    found = list(check_receiver(gnss_settings("serial:/dev/ttyACM0"), 1.0, gnss_runs=True))
-    assert {finding.state for finding in found} == {"not checked"}
-
-
-# -- the whole --------------------------------------------------------------------------------------------------------
+    result = list(check_receiver(gnss_settings("serial:/dev/ttyACM0"), 1.0, gnss_runs=True))
+    assert {finding.state for finding in result} == {"not checked"}
 
 
 @pytest.fixture
@@ -492,26 +438,26 @@ def deployment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write(tmp_path / "map", [surface(5)])
     folder = tmp_path / "config"
     folder.mkdir()
-    for name, own in (
-        ("gnss", 'source = "bus"\n'),
-        ("map_server", f'release = "{tmp_path / "map"}"\n'),
-        ("integrity", f'state_dir = "{tmp_path / "state"}"\n'),
+    for name, setting in (
+        ("gnss", 'source = "bus"'),
+        ("map_server", f'release = "{tmp_path / "map"}"'),
+        ("integrity", f'state_dir = "{tmp_path / "state"}"'),
     ):
-        (folder / f"{name}.toml").write_text(f'vehicle = "car"\n{own}')
+        (folder / f"{name}.toml").write_text(f'vehicle = "car"\n{setting}\n')
     return folder
 
 
-def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_deployment_that_is_ok_is_code_0(deployment: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tool.main([str(deployment), "--offline"]) == 0
-    said = capsys.readouterr().out
-    assert said.endswith("no problem\n")
-    assert "ok          settings gnss.toml" in said
-    assert "ok          disk of integrity" in said
-    assert "no settings here of localizer, antenna_height; a vehicle needs them all" in said
+    output = capsys.readouterr().out
+    assert output.endswith("no problem\n")
+    assert "ok          settings gnss.toml" in output
+    assert "ok          disk of integrity" in output
+    assert "no settings here of localizer, antenna_height; a vehicle needs them all" in output
 
 
 @pytest.mark.parametrize(
-    ("file", "text", "words"),
+    ("file", "text", "expected"),
     [
         ("gnss.toml", 'vehicle = "car"\nsorce = "bus"\n', "sorce: unknown setting"),
         ("gnss.toml", 'vehicle = "van"\nsource = "bus"\n', "not the same in all files"),
@@ -531,13 +477,13 @@ def test_a_deployment_that_is_well_is_code_0(deployment: Path, capsys: pytest.Ca
     ],
 )
 def test_a_deployment_with_a_fault_is_code_1_and_says_what_to_do(
-    deployment: Path, capsys: pytest.CaptureFixture[str], file: str, text: str, words: str
+    deployment: Path, capsys: pytest.CaptureFixture[str], file: str, text: str, expected: str
 ) -> None:
     (deployment / file).write_text(text)
     assert tool.main([str(deployment), "--offline", "--json"]) == 1
-    problems = [found for found in json.loads(capsys.readouterr().out) if found["state"] == "problem"]
-    assert any(words in f"{found['what']}: {found['text']}" for found in problems)
-    assert all(found["todo"] for found in problems)
+    problems = [result for result in json.loads(capsys.readouterr().out) if result["state"] == "problem"]
+    assert any(expected in f"{result['what']}: {result['text']}" for result in problems)
+    assert all(result["todo"] for result in problems)
 
 
 def test_no_folder_is_wrong_usage_and_an_empty_one_a_problem(tmp_path: Path) -> None:
@@ -547,7 +493,7 @@ def test_no_folder_is_wrong_usage_and_an_empty_one_a_problem(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "0"])
-def test_a_receiver_is_listened_to_for_so_long_and_no_longer(tmp_path: Path, number: str) -> None:
+def test_the_time_to_listen_to_a_receiver_is_bounded(tmp_path: Path, number: str) -> None:
     with pytest.raises(SystemExit) as ended:
         tool.main([str(tmp_path), f"--seconds={number}"])
     assert ended.value.code == 2

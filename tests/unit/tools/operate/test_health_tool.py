@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -17,14 +16,9 @@ from camber.runtime.settings import ZenohSettings
 from camber.schemas.codec import encode, encoding_of
 from camber.schemas.health import Health, Issue
 from camber.tools.operate import health as tool
+from support.running import free_port
 
 KEY = "camber/v1/v7/gnss/health"
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def a_health(status: Any = "ok", issues: tuple[Issue, ...] = ()) -> Health:
@@ -43,7 +37,7 @@ def a_health(status: Any = "ok", issues: tuple[Issue, ...] = ()) -> Health:
 @pytest.fixture
 def endpoint() -> Iterator[str]:
     """Of a router in this process."""
-    where = free_endpoint()
+    where = f"tcp/127.0.0.1:{free_port()}"
     with open_session(ZenohSettings(mode="router", listen=[where], connect=[])):
         yield where
 
@@ -56,12 +50,16 @@ def answering(endpoint: str, answer: Callable[[zenoh.Query], None]) -> Iterator[
         yield
 
 
-def says(message: Health) -> Callable[[zenoh.Query], None]:
+def replies(data: bytes) -> Callable[[zenoh.Query], None]:
     def answer(query: zenoh.Query) -> None:
         with query:
-            query.reply(KEY, encode(message, source="gnss"), encoding=encoding_of(Health))
+            query.reply(KEY, data, encoding=encoding_of(Health))
 
     return answer
+
+
+def reports(message: Health) -> Callable[[zenoh.Query], None]:
+    return replies(encode(message, source="gnss"))
 
 
 def ask(endpoint: str, *more: str) -> int:
@@ -72,16 +70,16 @@ def ask(endpoint: str, *more: str) -> int:
 def test_only_a_failing_service_is_unhealthy(
     endpoint: str, status: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with answering(endpoint, says(a_health(status))):
+    with answering(endpoint, reports(a_health(status))):
         assert ask(endpoint) == code
     assert capsys.readouterr().out.startswith(f"gnss: {status}, version 0.1.0, up 12 s")
 
 
 def test_json_is_the_whole_answer(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with answering(endpoint, says(a_health("degraded"))):
+    with answering(endpoint, reports(a_health("degraded"))):
         assert ask(endpoint, "--json") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert (said["service"], said["status"], said["counters"]) == ("gnss", "degraded", {"fix.stale": 4})
+    output = json.loads(capsys.readouterr().out)
+    assert (output["service"], output["status"], output["counters"]) == ("gnss", "degraded", {"fix.stale": 4})
 
 
 def test_a_service_that_is_not_on_the_bus_is_unhealthy(
@@ -92,7 +90,7 @@ def test_a_service_that_is_not_on_the_bus_is_unhealthy(
 
 
 def test_a_service_of_another_vehicle_does_not_answer_for_this_one(endpoint: str) -> None:
-    with answering(endpoint, says(a_health())):
+    with answering(endpoint, reports(a_health())):
         assert tool.main(["gnss", "--vehicle", "v8", "--connect", endpoint]) == 1
 
 
@@ -104,14 +102,8 @@ def test_a_loop_that_hangs_is_unhealthy(endpoint: str, capsys: pytest.CaptureFix
     assert "no answer: timeout" in capsys.readouterr().out
 
 
-def test_an_answer_that_cannot_be_read_is_unhealthy(
-    endpoint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def answer(query: zenoh.Query) -> None:
-        with query:
-            query.reply(KEY, b"\x00 not a message", encoding=encoding_of(Health))
-
-    with answering(endpoint, answer):
+def test_an_undecodable_answer_is_unhealthy(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with answering(endpoint, replies(b"\x00 not a message")):
         assert ask(endpoint) == 1
     assert "no answer: invalid" in capsys.readouterr().out
 
@@ -123,18 +115,20 @@ def test_a_refused_question_is_unhealthy(endpoint: str, capsys: pytest.CaptureFi
 
     with answering(endpoint, answer):
         assert ask(endpoint, "--json") == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said == {"service": "gnss", "status": "no_answer", "reason": "refused: busy"}
+    output = json.loads(capsys.readouterr().out)
+    assert output == {"service": "gnss", "status": "no_answer", "reason": "refused: busy"}
 
 
 def test_without_a_router_everything_is_unhealthy(capsys: pytest.CaptureFixture[str]) -> None:
-    nobody = free_endpoint()
+    nobody = f"tcp/127.0.0.1:{free_port()}"
     assert ask(nobody, "--timeout", "0.3") == 1
     assert tool.main(["router", "--connect", nobody, "--timeout", "0.3"]) == 1
     assert "cannot join the bus" in capsys.readouterr().out
 
 
-def test_a_router_is_healthy_when_it_lets_one_in(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_router_that_accepts_a_session_is_healthy(
+    endpoint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert tool.main(["router", "--connect", endpoint]) == 0
     assert capsys.readouterr().out == f"router: ok, reached over {endpoint}\n"
 
@@ -146,18 +140,14 @@ def test_vehicle_and_endpoint_come_from_the_services_own_settings(
     file.write_text(
         f'vehicle = "nobody"\nsource = "bus"\ndatum = "WGS84"\n[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]\n'
     )
-    with answering(endpoint, says(a_health())):
+    with answering(endpoint, reports(a_health())):
         assert tool.main(["gnss", "--config", str(file)]) == 1
         monkeypatch.setenv("CAMBER_GNSS_VEHICLE", "v7")
         assert tool.main(["gnss", "--config", str(file)]) == 0
 
 
-def test_the_line_names_what_was_met_most_often_first() -> None:
-    issues = (
-        Issue(code="b", text="t", count=2),
-        Issue(code="c", text="t", count=30),
-        Issue(code="a", text="t", count=2),
-    )
+def test_the_line_has_the_most_frequent_issue_first() -> None:
+    issues = tuple(Issue(code=code, text="t", count=count) for code, count in (("b", 2), ("c", 30), ("a", 2)))
     assert tool.line(a_health(issues=issues)) == "gnss: ok, version 0.1.0, up 12 s; c ×30, a ×2, b ×2"
 
 
@@ -166,9 +156,7 @@ def test_the_line_names_what_was_met_most_often_first() -> None:
     [
         ["nosuch"],
         [],
-        ["gnss", "--timeout", "0"],
-        ["gnss", "--config", "/no/such.toml"],
-        ["gnss", "--vehicle", "a b"],
+        *(["gnss", *more] for more in (("--timeout", "0"), ("--config", "/no"), ("--vehicle", "a b"))),
     ],
 )
 def test_wrong_usage_is_one_line_and_code_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:

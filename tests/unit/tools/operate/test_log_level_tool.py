@@ -48,8 +48,8 @@ def bus(endpoint: str) -> Iterator[Bus]:
     bus.close()
 
 
-def tell(endpoint: str, *words: str) -> int:
-    return tool.main([*words, "--vehicle", "v7", "--connect", endpoint])
+def tell(endpoint: str, *arguments: str) -> int:
+    return tool.main([*arguments, "--vehicle", "v7", "--connect", endpoint])
 
 
 def test_it_logs_at_that_level_and_falls_back_by_itself(
@@ -80,7 +80,7 @@ def test_durations(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "words",
+    "arguments",
     [
         ["gnss", "loud"],
         ["gnss", "debug", "--for", "10"],
@@ -90,7 +90,7 @@ def test_durations(text: str, seconds: float) -> None:
         ["gnss", "debug", "--timeout", "-1"],
     ],
 )
-def test_wrong_usage_is_code_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_is_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        tool.main(words)
+        tool.main(arguments)
     assert ended.value.code == 2

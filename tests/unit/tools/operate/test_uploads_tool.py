@@ -26,10 +26,10 @@ def test_contributions_and_records_come_as_csv(tmp_path, capsys):
         ("b1", "batch", "3"),
     ]
     assert main([str(path), "--records"]) == 0
-    found = rows(capsys)
-    assert [row["id"] for row in found] == ["u1", "b1", "b1", "b1"]
-    assert [float(row["road_height_m"]) for row in found] == [40.0, 41.5, 41.5, 41.5]
-    assert {row["verdict"] for row in found} == {"confirmed"}
+    result = rows(capsys)
+    assert [row["id"] for row in result] == ["u1", "b1", "b1", "b1"]
+    assert [float(row["road_height_m"]) for row in result] == [40.0, 41.5, 41.5, 41.5]
+    assert {row["verdict"] for row in result} == {"confirmed"}
 
 
 def test_a_store_that_is_not_there_is_one_line_and_no_new_file(tmp_path, capsys):
@@ -44,11 +44,11 @@ def refusal(path, capsys):
     before = path.read_bytes()
     assert main([str(path)]) == 2
     assert path.read_bytes() == before
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"camber uploads: {path}: ")
-    assert said.err.count("\n") == 1
-    return said.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith(f"camber uploads: {path}: ")
+    assert output.err.count("\n") == 1
+    return output.err
 
 
 def test_what_is_no_store_does_not_become_one(tmp_path, capsys):
@@ -107,7 +107,7 @@ def test_where_we_may_not_look_there_is_no_file(tmp_path, capsys):
 )
 def test_an_address_is_judged_as_map_update_judges_it(address, why, capsys):
     assert main([address]) == 2
-    said = capsys.readouterr().err
-    assert why in said
-    assert "geheim" not in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert why in output
+    assert "geheim" not in output
+    assert output.count("\n") == 1

@@ -13,7 +13,7 @@ import camber
 from camber.tools.options.number_options import each_of, number_from, whole_from
 
 
-def said_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     parser = argparse.ArgumentParser(prog="camber tool")
     parser.add_argument("--width-m", type=number_from(0.5, 20.0, "m"))
     parser.add_argument("--band", type=whole_from(1, 12))
@@ -21,7 +21,7 @@ def said_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         "--place", nargs=2, action=each_of(number_from(-90.0, 90.0), number_from(-180.0, 180.0))
     )
     with pytest.raises(SystemExit) as ended:
-        parser.parse_args(words)
+        parser.parse_args(arguments)
     assert ended.value.code == 2
     return capsys.readouterr().err.splitlines()[-1]
 

@@ -301,30 +301,30 @@ def test_where_nothing_can_be_written_it_is_one_line_and_code_2(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", "/proc/nowhere")
     assert feed.main([str(drive)]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("camber feed: /proc/nowhere/")
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert output.startswith("camber feed: /proc/nowhere/")
+    assert output.count("\n") == 1
 
 
 def test_what_is_no_endpoint_is_not_waited_for(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert feed.main([str(drive), "--connect", "127.0.0.1:7447"]) == 3
-    said = capsys.readouterr().err
-    assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert "expected what Zenoh takes, protocol/address of an endpoint, got ['127.0.0.1:7447']" in output
+    assert output.count("\n") == 1
 
 
 @pytest.mark.parametrize(
-    ("words", "named"), [(["--vehicle", "a b"], "vehicle:"), (["--connect", "tls/router:7447"], "tls_ca")]
+    ("expected", "named"), [(["--vehicle", "a b"], "vehicle:"), (["--connect", "tls/router:7447"], "tls_ca")]
 )
 def test_wrong_settings_of_the_bus_are_one_line_and_code_2(
-    drive: Path, words: list[str], named: str, capsys: pytest.CaptureFixture[str]
+    drive: Path, expected: list[str], named: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        feed.main([str(drive), *words])
+        feed.main([str(drive), *expected])
     assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert named in said
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert named in output
+    assert output.count("\n") == 1
 
 
 def test_a_router_that_is_not_there_is_asked_for_in_peace(

@@ -200,10 +200,10 @@ def test_a_channel_that_cannot_be_recorded_is_named(names: str | None, without: 
         chosen(names, without, sweeps=False)
 
 
-def said_of(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def said_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """Of wrong usage: the last line, after argparse's own."""
     with pytest.raises(SystemExit) as ended:
-        raise SystemExit(main(words))
+        raise SystemExit(main(arguments))
     assert ended.value.code == 2
     return capsys.readouterr().err.splitlines()[-1]
 
@@ -222,8 +222,8 @@ def test_what_is_kept_has_room_for_a_file_before_the_one_that_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "vehicle-20200101T000000Z-000.mcap").write_bytes(b"x")
-    said = said_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
-    assert said == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
+    output = said_of(["--out", str(tmp_path), "--keep-mb", "1500"], capsys)
+    assert output == "camber record: --keep-mb 1500: expected at least 2048, twice --max-mb"
     assert "argument --max-mb" in said_of(["--out", str(tmp_path), "--max-mb", "0"], capsys)
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -232,5 +232,5 @@ def test_a_file_in_place_of_the_folder_is_wrong_usage(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
-    said = said_of(["--out", str(tmp_path / "file")], capsys)
-    assert said == f"camber record: --out {tmp_path / 'file'}: File exists"
+    output = said_of(["--out", str(tmp_path / "file")], capsys)
+    assert output == f"camber record: --out {tmp_path / 'file'}: File exists"

@@ -26,10 +26,10 @@ def test_moved_and_moved_back_every_message_is_what_it_was(cls: type[Message]) -
 def test_every_instant_is_moved_and_no_duration() -> None:
     fields = [(cls.__name__, name) for cls in MESSAGES for name in cls.model_fields]
     named = {f"{cls}.{name}" for cls, name in fields if name.endswith(("time_ns", "since_ns"))}
-    found = {f"{cls.__name__}.{name}" for cls in MESSAGES for name in instants(cls)}
+    result = {f"{cls.__name__}.{name}" for cls in MESSAGES for name in instants(cls)}
     # How long a lock has held is a duration.
-    assert named - found <= {"Observations.lock_time_ns", "UploadBatch.positioning_time_ns"}
-    assert {"Fix.continuous_since_ns", "Pose.anchor_time_ns"} <= found
+    assert named - result <= {"Observations.lock_time_ns", "UploadBatch.positioning_time_ns"}
+    assert {"Fix.continuous_since_ns", "Pose.anchor_time_ns"} <= result
 
 
 def test_a_fix_is_called_by_its_new_epoch() -> None:

@@ -98,9 +98,9 @@ def test_only_map_update_publishes_releases_and_answers_for_the_fleet() -> None:
     of_fleet = {"release", "map_root", "map_blob", "upload", "upload_batch"}
     for kind in ALL:
         rules = allowed_messages(Party(kind=kind, name="car-1"), ALL)
-        said = keys(rules, "ingress", "put", "reply", "declare_queryable")
+        output = keys(rules, "ingress", "put", "reply", "declare_queryable")
         wanted = {BY_NAME[name].answered_at("car-1") for name in of_fleet}
-        assert bool(said & wanted) == (kind == "map_update"), kind
+        assert bool(output & wanted) == (kind == "map_update"), kind
 
 
 def test_consumers_only_hear_verdicts_and_positions() -> None:
@@ -185,41 +185,41 @@ def test_a_name_that_would_be_something_else_in_a_key_is_refused(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert access.main(["vehicle", name, "--connect", "tls/c:1"]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/c:1", "unixsock-stream//c", "ws/c:1"])
 def test_a_vehicle_joins_the_cloud_over_tls_alone(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     # Over anything else the cloud would be a service within.
     assert access.main(["vehicle", "car-1", "--connect", "tls/c:1", "--connect", endpoint]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert f"--connect {endpoint}: expected tls/" in said.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert f"--connect {endpoint}: expected tls/" in output.err
 
 
 @pytest.mark.parametrize("endpoint", ["tls/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/0.0.0.0:7447"])
 def test_within_a_vehicle_nobody_is_taken_for_the_cloud(
     endpoint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
-    assert access.main(words) == 0
+    arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--listen", "tcp/127.0.0.1:7447"]
+    assert access.main(arguments) == 0
     capsys.readouterr()
-    assert access.main([*words, "--listen", endpoint]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…\n"
+    assert access.main([*arguments, "--listen", endpoint]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err == f"camber access: --listen {endpoint}: expected tcp/… or unixsock-stream/…\n"
 
 
 def test_a_file_is_written_where_it_stands_with_the_mode_that_it_has(tmp_path: Path) -> None:
-    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "link.json5")]
+    arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "link.json5")]
     (tmp_path / "there").mkdir()
     target = tmp_path / "there" / "vehicle.json5"
     target.write_text("before")
     target.chmod(0o640)
     (tmp_path / "link.json5").symlink_to(target)
-    assert access.main(words) == 0
+    assert access.main(arguments) == 0
     assert (tmp_path / "link.json5").is_symlink()
     assert "access_control" in target.read_text()
     assert stat.S_IMODE(target.stat().st_mode) == 0o640
@@ -230,8 +230,8 @@ def test_where_a_file_cannot_be_written_nothing_is_left(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "folder").mkdir()
-    words = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "folder")]
-    assert access.main(words) == 2
+    arguments = ["vehicle", "car-1", "--connect", "tls/c:1", "--out", str(tmp_path / "folder")]
+    assert access.main(arguments) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
 

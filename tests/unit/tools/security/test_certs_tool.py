@@ -23,8 +23,10 @@ from camber.tools.security.certificates import Authority, IssuedCertificate, com
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     made = tmp_path / "pki"
-    words = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
-    assert certs.main([*words, "--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]) == 0
+    arguments = ["make", str(made), "--host", "cloud.example", "--host", "10.0.0.1", "--days", "20"]
+    assert (
+        certs.main([*arguments, "--vehicle", "car-1", "--vehicle", "car-2", "--consumer", "dashboard"]) == 0
+    )
     return made
 
 
@@ -75,10 +77,10 @@ def test_nothing_is_overwritten(folder: Path, capsys: pytest.CaptureFixture[str]
     assert certs.main(["make", str(folder), "--host", "x"]) == 2
     assert certs.main(["issue", str(folder), "car-1", "--kind", "vehicle"]) == 2
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 2
-    assert "ca.key: there is one already" in said[0]
-    assert "--renew" in said[1]
+    output = capsys.readouterr().err.splitlines()
+    assert len(output) == 2
+    assert "ca.key: there is one already" in output[0]
+    assert "--renew" in output[1]
 
 
 def test_a_renewed_certificate_has_the_same_name_and_a_new_key(folder: Path) -> None:
@@ -129,12 +131,12 @@ def subjects_in(out: Path) -> list[str]:
 
 def test_map_update_is_revoked_like_all_others(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "cloud.json5"
-    words = ["cloud", "--certs", str(folder), "--out", str(out)]
+    arguments = ["cloud", "--certs", str(folder), "--out", str(out)]
     assert certs.main(["revoke", str(folder), "map_update"]) == 0
-    assert access.main(words) == 0
+    assert access.main(arguments) == 0
     assert ["map_update"] not in subjects_in(out)
     assert certs.main(["issue", str(folder), "map_update", "--kind", "map_update"]) == 0
-    assert access.main(words) == 0
+    assert access.main(arguments) == 0
     assert ["map_update"] not in subjects_in(out)
     assert ["map_update+2"] in subjects_in(out)
 
@@ -146,8 +148,8 @@ def test_a_router_that_was_revoked_and_issued_anew_is_given_its_file(
     out = tmp_path / "cloud.json5"
     assert certs.main(["revoke", str(folder), "cloud"]) == 0
     assert certs.main(["issue", str(folder), "cloud", "--kind", "router", "--host", "cloud.example"]) == 0
-    words = ["cloud", "--certs", str(folder), "--tls", str(folder), "--out", str(out), *more]
-    assert access.main(words) == 0
+    arguments = ["cloud", "--certs", str(folder), "--tls", str(folder), "--out", str(out), *more]
+    assert access.main(arguments) == 0
     assert subjects_in(out)[0] == ["cloud+2"]
     _, _, table = router_endpoints(out)
     assert Path(table["listen_certificate"]) == folder / "cloud.pem"
@@ -169,12 +171,12 @@ def test_what_is_revoked_is_not_listed_by_hand_either(
 def test_show_says_who_by_whom_until_when(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert certs.main(["show", str(folder / "cloud.pem"), str(folder / "ca.pem")]) == 0
-    said = capsys.readouterr().out
-    assert "who    cloud (client and server)" in said
-    assert "by     Camber development" in said
-    assert "19 days left" in said
-    assert "hosts  cloud.example, 10.0.0.1" in said
-    assert "(an authority)" in said
+    output = capsys.readouterr().out
+    assert "who    cloud (client and server)" in output
+    assert "by     Camber development" in output
+    assert "19 days left" in output
+    assert "hosts  cloud.example, 10.0.0.1" in output
+    assert "(an authority)" in output
 
 
 def test_show_and_list_say_what_has_expired(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -215,7 +217,7 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("arguments", "why"),
     [
         (["issue", "car 3", "--kind", "vehicle"], "not a name"),
         (["issue", "fleet", "--kind", "vehicle"], "reserved"),
@@ -237,12 +239,12 @@ def test_what_was_not_written_is_not_listed(folder: Path, end: str) -> None:
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_what_cannot_be_done_is_one_line(
-    folder: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+    folder: Path, arguments: list[str], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert certs.main([words[0], str(folder), *words[1:]]) == 2
-    said = capsys.readouterr().err
-    assert why in said
-    assert said.count("\n") == 1
+    assert certs.main([arguments[0], str(folder), *arguments[1:]]) == 2
+    output = capsys.readouterr().err
+    assert why in output
+    assert output.count("\n") == 1
 
 
 def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,9 +252,9 @@ def test_no_key_is_ever_printed(folder: Path, capsys: pytest.CaptureFixture[str]
     certs.main(["show", str(folder / "car-1.key")])
     certs.main(["show", *map(str, folder.glob("*.pem"))])
     certs.main(["list", str(folder)])
-    said = capsys.readouterr()
-    assert "car-1.key: not a certificate in PEM" in said.err
-    assert not [line for line in lines if line in said.out + said.err]
+    output = capsys.readouterr()
+    assert "car-1.key: not a certificate in PEM" in output.err
+    assert not [line for line in lines if line in output.out + output.err]
 
 
 def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
@@ -265,18 +267,18 @@ def test_hosts_are_names_and_addresses(tmp_path: Path) -> None:
         "::1",
         "7.b",
     ]
-    words = [word for host in hosts for word in ("--host", host)]
-    assert certs.main(["make", str(tmp_path / "pki"), *words]) == 0
+    arguments = [word for host in hosts for word in ("--host", host)]
+    assert certs.main(["make", str(tmp_path / "pki"), *arguments]) == 0
     names = read_certificate(tmp_path / "pki" / "cloud.pem").extensions
     places = names.get_extension_for_class(x509.SubjectAlternativeName).value
     assert [str(place.value) for place in places] == hosts
 
 
 def test_a_name_of_the_greatest_length_can_be_revoked_and_issued_anew(folder: Path) -> None:
-    words = ["issue", str(folder), "c" * 60, "--kind", "vehicle"]
+    arguments = ["issue", str(folder), "c" * 60, "--kind", "vehicle"]
     for generation in range(1, 4):
-        assert certs.main(words) == 0, generation
-        assert certs.main(["revoke", *words[1:3]]) == 0
+        assert certs.main(arguments) == 0, generation
+        assert certs.main(["revoke", *arguments[1:3]]) == 0
 
 
 def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_line(
@@ -289,16 +291,16 @@ def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_li
             IssuedCertificate(name=name, kind="vehicle", common_name=name, serial="1", until=until),
         ]
     )
-    words = ["issue", str(folder), name, "--kind", "vehicle"]
-    assert certs.main([*words, "--renew"]) == 0
+    arguments = ["issue", str(folder), name, "--kind", "vehicle"]
+    assert certs.main([*arguments, "--renew"]) == 0
     assert certs.main(["revoke", str(folder), name]) == 0
     capsys.readouterr()
-    assert certs.main(words) == 2
+    assert certs.main(arguments) == 2
     assert capsys.readouterr().err == f"camber certs: {name}: 64 characters, expected at most 60\n"
 
 
 @pytest.mark.parametrize(
-    ("words", "why"),
+    ("arguments", "why"),
     [
         (["--vehicle", "car 1"], "not a name"),
         (["--vehicle", "c" * 61], "61 characters"),
@@ -311,13 +313,13 @@ def test_a_longer_name_of_earlier_days_can_be_renewed_and_once_revoked_is_one_li
     ids=lambda value: " ".join(value)[:20] if isinstance(value, list) else "",
 )
 def test_no_half_of_an_authority_is_made(
-    tmp_path: Path, words: list[str], why: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, arguments: list[str], why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert certs.main(["make", str(tmp_path / "pki"), "--host", "cloud.example", *words]) == 2
-    said = capsys.readouterr()
-    assert why in said.err
-    assert said.err.count("\n") == 1
-    assert said.out == ""
+    assert certs.main(["make", str(tmp_path / "pki"), "--host", "cloud.example", *arguments]) == 2
+    output = capsys.readouterr()
+    assert why in output.err
+    assert output.err.count("\n") == 1
+    assert output.out == ""
     assert not (tmp_path / "pki").exists()
 
 
@@ -339,7 +341,7 @@ def test_a_revocation_meanwhile_is_not_undone_and_no_certificate_is_lost(
     first.start()
     assert reading.wait(30.0)
     others = [["revoke", str(folder), "car-1"], ["issue", str(folder), "car-4", "--kind", "vehicle"]]
-    threads = [threading.Thread(target=certs.main, args=(words,)) for words in others]
+    threads = [threading.Thread(target=certs.main, args=(arguments,)) for arguments in others]
     for thread in threads:
         thread.start()
         thread.join(0.5)  # time enough for whoever does not wait
@@ -375,6 +377,9 @@ def test_a_renewal_that_was_interrupted_leaves_a_pair_or_is_finished_by_the_next
 
 
 def test_no_lock_is_left_in_a_folder_that_is_no_authority_s(tmp_path: Path) -> None:
-    for words in (["revoke", str(tmp_path), "car-1"], ["issue", str(tmp_path), "car-1", "--kind", "vehicle"]):
-        assert certs.main(words) == 2
+    for arguments in (
+        ["revoke", str(tmp_path), "car-1"],
+        ["issue", str(tmp_path), "car-1", "--kind", "vehicle"],
+    ):
+        assert certs.main(arguments) == 2
     assert list(tmp_path.iterdir()) == []

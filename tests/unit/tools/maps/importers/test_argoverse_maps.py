@@ -33,14 +33,14 @@ def elevations(folder: Path, city: str, places_m: Floats) -> Floats:
     """Of the road under places (n, 3), as map_server answers, surface after surface."""
     asked = LocalMapQueries(read_release(folder))
     latitude, longitude = CityFrame.of_city(city).to_geodetic(places_m[:, 0], places_m[:, 1])
-    found, last = np.full(len(places_m), np.nan), None
+    result, last = np.full(len(places_m), np.nan), None
     for k, (lat, lon) in enumerate(zip(latitude.tolist(), longitude.tolist(), strict=True)):
         road = asked.elevation(
             ElevationRequest(time_ns=10**18, latitude_rad=lat, longitude_rad=lon, last_surface_id=last)
         ).road
         if road.elevation_m is not None:
-            found[k], last = road.elevation_m, road.surface_id
-    return found
+            result[k], last = road.elevation_m, road.surface_id
+    return result
 
 
 @pytest.mark.parametrize("name", NAMES)

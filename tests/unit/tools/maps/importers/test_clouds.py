@@ -74,12 +74,12 @@ def build(folder: Path, *clouds: Path, more: tuple[str, ...] = LOCAL) -> int:
 def at(surfaces: RoadSurfaces, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Height of the nearest surface less the road's, and how far outside it."""
     latitude, longitude, height = FRAME.geodetic_from_enu_array(np.column_stack((x, y, road(x, y))))
-    asked, found, nearest = SurfaceHeights(surfaces), np.full(len(x), np.nan), np.full(len(x), np.inf)
+    asked, result, nearest = SurfaceHeights(surfaces), np.full(len(x), np.nan), np.full(len(x), np.inf)
     for row in range(len(surfaces)):
         height_m, outside_m = asked.heights_m(np.full(len(x), row), latitude, longitude)
         nearer = outside_m < nearest
-        found[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
-    return found - height, nearest
+        result[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
+    return result - height, nearest
 
 
 def test_the_road_is_where_it_was_and_not_where_nothing_was_measured(tmp_path: Path) -> None:
@@ -155,9 +155,9 @@ def test_what_cannot_be_a_cloud_is_one_clear_line(tmp_path: Path, capsys: pytest
     (tmp_path / "empty").mkdir()
     for name in ("cut.pcd", "cut.laz", "cut.ply", "cloud.xyz", "empty", "none.pcd"):
         assert build(tmp_path, tmp_path / name) == 2, name
-        said = capsys.readouterr().err
-        assert name in said, name
-        assert len(said.splitlines()) == 1, name
+        output = capsys.readouterr().err
+        assert name in output, name
+        assert len(output.splitlines()) == 1, name
     assert build(tmp_path, tmp_path / "whole.pcd", more=()) == 2
     assert "--origin" in capsys.readouterr().err
     assert build(tmp_path, tmp_path / "whole.pcd", more=("--sweeps",)) == 2  # its name is no time
@@ -177,6 +177,6 @@ def test_where_open3d_lacks_a_library_one_line_names_it(
     monkeypatch.setattr(builtins, "__import__", without_libusb)
     write_pcd(tmp_path / "whole.pcd", PointCloud(points_m=scene()[:100].astype(np.float32)))
     assert build(tmp_path, tmp_path / "whole.pcd") == 2
-    said = capsys.readouterr().err
-    assert "libusb-1.0-0" in said
-    assert len(said.splitlines()) == 1
+    output = capsys.readouterr().err
+    assert "libusb-1.0-0" in output
+    assert len(output.splitlines()) == 1

@@ -82,14 +82,14 @@ def along(level: int) -> Floats:
 def heights(map_release: Release, places_m: Floats, level: int) -> Floats:
     surfaces = map_release.road_surfaces()
     latitude, longitude, _ = FRAME.geodetic_from_east_north_array(places_m, 0.0)
-    found, nearest = np.full(len(places_m), np.nan), np.full(len(places_m), 0.01)
+    result, nearest = np.full(len(places_m), np.nan), np.full(len(places_m), 0.01)
     for row in np.flatnonzero(surfaces.level == level):
         height_m, outside_m = SurfaceHeights(surfaces).heights_m(
             np.full(len(places_m), row), latitude, longitude
         )
         nearer = outside_m < nearest
-        found[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
-    return found
+        result[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
+    return result
 
 
 def test_geojson_comes_back_as_it_went_to_the_last_byte_of_its_tiles(release: Path, tmp_path: Path) -> None:

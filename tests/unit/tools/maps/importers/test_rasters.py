@@ -103,9 +103,9 @@ def test_a_raster_without_a_vertical_datum_is_refused_and_told_how_to_name_it(
 ) -> None:
     raster, roads = geotiff(tmp_path / "dem.tif", cells(), ZONE), line(tmp_path / "road.geojson")
     assert build(raster, roads) == 2
-    said = capsys.readouterr().err
-    assert "--vertical-datum" in said
-    assert len(said.splitlines()) == 1
+    output = capsys.readouterr().err
+    assert "--vertical-datum" in output
+    assert len(output.splitlines()) == 1
     assert not (tmp_path / "map").exists()
     assert build(raster, roads, "--vertical-datum", "ellipsoidal") == 0
     assert np.abs(errors(tmp_path / "map")[1]).max() < 0.001
@@ -116,9 +116,9 @@ def test_a_geoid_whose_grid_is_missing_is_refused_by_its_file_s_name(
 ) -> None:
     raster = geotiff(tmp_path / "dem.tif", cells(), f"{ZONE}+3855")
     assert build(raster, line(tmp_path / "road.geojson")) == 2
-    said = capsys.readouterr().err
-    assert "egm08_25" in said
-    assert len(said.splitlines()) == 1
+    output = capsys.readouterr().err
+    assert "egm08_25" in output
+    assert len(output.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -129,9 +129,9 @@ def test_without_a_system_in_feet_on_another_datum_or_geocentric_is_refused(
 ) -> None:
     raster = geotiff(tmp_path / "dem.tif", cells(), crs)
     assert build(raster, line(tmp_path / "road.geojson"), "--vertical-datum", "ellipsoidal") == 2
-    said = capsys.readouterr().err
-    assert word in said
-    assert len(said.splitlines()) == 1
+    output = capsys.readouterr().err
+    assert word in output
+    assert len(output.splitlines()) == 1
 
 
 def test_where_a_raster_has_no_data_there_is_no_surface(tmp_path: Path) -> None:

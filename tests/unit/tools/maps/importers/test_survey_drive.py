@@ -33,13 +33,13 @@ BUILD = ("--region", "t", "--datum", "WGS84", "--epoch-year", "2024.0")
 
 def heights(surfaces: RoadSurfaces, latitude: Floats, longitude: Floats, near_m: float = 0.5) -> Floats:
     """Of the nearest surface, NaN where none is within `near_m`."""
-    found, nearest = np.full(len(latitude), np.nan), np.full(len(latitude), near_m)
+    result, nearest = np.full(len(latitude), np.nan), np.full(len(latitude), near_m)
     asked = SurfaceHeights(surfaces)
     for row in range(len(surfaces)):
         height_m, outside_m = asked.heights_m(np.full(len(latitude), row), latitude, longitude)
         nearer = outside_m < nearest
-        found[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
-    return found
+        result[nearer], nearest[nearer] = height_m[nearer], outside_m[nearer]
+    return result
 
 
 @pytest.mark.parametrize("name", ["7fab2350", "3bffdcff"])
