@@ -339,15 +339,16 @@ def hill_district(seed: int) -> District:
     names = [f"N{k}" for k in range(9)]
     for k, name in enumerate(names):
         b.node(name, -800.0 + 200.0 * k, 0.0, radius_m=0.0)
-    kind = LinkKind("street", speed_m_s=11.0, crossfall=0.015)
+    kind = LinkKind(style="street", speed_m_s=11.0, crossfall=0.015)
     for one, other in pairwise(names):
         b.straight(one, other, kind)
     hill = (35.0, 0.0, 0.0, 300.0, 2000.0)
     roads = b.roads(rolling_terrain(seed, base_m=45.0, slope=0.002, hills=[hill]))
     there = tuple(Leg(k, True) for k in range(8))
     back = tuple(Leg(k, False) for k in range(7, -1, -1))
-    routes = {"default": Route(there, signals=False), "back": Route(back, signals=False)}
-    return District("city", seed, LocalFrame(*NAGOYA_RAD, 0.0), Layout(roads, routes), {})
+    routes = {"default": Route(legs=there, signals=False), "back": Route(legs=back, signals=False)}
+    frame = LocalFrame(*NAGOYA_RAD, 0.0)
+    return District(kind="city", seed=seed, frame=frame, layout=Layout(roads, routes), changed_roads={})
 
 
 def _part(trajectory: Trajectory, rows: slice) -> Trajectory:
@@ -395,7 +396,7 @@ def _surveyed(of: _District, links: tuple[int, ...], time_ns: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="camber-lidar-map-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     district = of.district
-    around = Route(tuple(Leg(link, True) for link in links))
+    around = Route(legs=tuple(Leg(link, True) for link in links))
     named = replace(district, layout=Layout(district.layout.roads, {"around": around}))
     write_survey(folder / "map", named, time_ns, SurveyErrors(), scanned_route="around")
     return folder / "map"

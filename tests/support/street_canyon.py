@@ -71,7 +71,13 @@ def street_canyon(seed: int, yaw_rad: float, length_m: float) -> Canyon:
             wall(front, along, BLOCK_M, up, -side * across)
             wall(front, side * across, DEPTH_M, up, -along)
             wall(front + along * BLOCK_M, side * across, DEPTH_M, up, along)
-    walls = Walls(np.array(foot), np.array(direction), np.array(length), np.array(height), np.array(normal))
+    walls = Walls(
+        foot_m=np.array(foot),
+        along=np.array(direction),
+        length_m=np.array(length),
+        height_m=np.array(height),
+        normal=np.array(normal),
+    )
     return Canyon(Shapes.of(boxes=boxes), walls, yaw_rad, length_m)
 
 

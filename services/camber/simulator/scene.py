@@ -1,4 +1,4 @@
-"""What a simulated place is made of, and the ways through it: the types that world, vehicle and satellites share.
+"""What a simulated place is made of, and the paths through it: the types that world, vehicle and satellites share.
 
 **World frame.** (east, north) in metres are those of the tangent plane at height zero about the district's origin, as
 `LocalFrame(latitude, longitude, 0.0).east_north_from_geodetic` gives them; the third coordinate, up, is the
@@ -8,16 +8,17 @@ its vertical is 0.16 mrad off the true one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 
 class Material(IntEnum):
@@ -32,7 +33,7 @@ class Material(IntEnum):
     TUNNEL = 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Shapes:
     """Solids and surfaces, as columns, in the world frame.
 
@@ -54,35 +55,24 @@ class Shapes:
     def of(
         cls,
         *,
-        boxes: list[tuple[float, ...]] | None = None,
-        boxes_material: list[int] | None = None,
-        cylinders: list[tuple[float, ...]] | None = None,
-        cylinders_material: list[int] | None = None,
-        crowns: list[tuple[float, ...]] | None = None,
-        triangles: Floats | None = None,
-        triangles_material: list[int] | None = None,
+        boxes: Sequence[Sequence[float]] = (),
+        cylinders: Sequence[Sequence[float]] = (),
+        crowns: Sequence[Sequence[float]] = (),
+        triangles: Floats | Sequence[Floats] = (),
     ) -> Shapes:
-        """From lists; boxes are buildings, cylinders poles, triangles road, where no material is said."""
-        boxes_m = np.array(boxes or [], np.float64).reshape(-1, 7)
-        cylinders_m = np.array(cylinders or [], np.float64).reshape(-1, 5)
-        triangles_m = np.zeros((0, 3, 3)) if triangles is None else np.asarray(triangles, np.float64)
+        """From rows: boxes are buildings, cylinders poles, triangles road."""
         return cls(
-            boxes_m,
-            _materials(boxes_material, len(boxes_m), Material.BUILDING),
-            cylinders_m,
-            _materials(cylinders_material, len(cylinders_m), Material.POLE),
-            np.array(crowns or [], np.float64).reshape(-1, 5),
-            triangles_m,
-            _materials(triangles_material, len(triangles_m), Material.ROAD),
+            boxes_m=np.array(boxes, np.float64).reshape(-1, 7),
+            boxes_material=np.full(len(boxes), int(Material.BUILDING)),
+            cylinders_m=np.array(cylinders, np.float64).reshape(-1, 5),
+            cylinders_material=np.full(len(cylinders), int(Material.POLE)),
+            crowns_m=np.array(crowns, np.float64).reshape(-1, 5),
+            triangles_m=np.array(triangles, np.float64).reshape(-1, 3, 3),
+            triangles_material=np.full(len(triangles), int(Material.ROAD)),
         )
 
 
-def _materials(given: list[int] | None, count: int, default: Material) -> Integers:
-    return np.array([default] * count if given is None else given, np.int64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hits:
+class Hits(NamedTuple):
     """What n rays met first, or nothing.
 
     `distance_m` (n,), infinite where nothing; `material` (n,), −1 where nothing; `normal` (n, 3), the unit normal of
@@ -94,23 +84,7 @@ class Hits:
     normal: Floats
 
 
-class Tracer(Protocol):
-    """Answers rays against fixed shapes; `world.tracing` has the one."""
-
-    def first_hits(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Hits:
-        """The first surface along each ray; origin (n, 3), direction (n, 3), unit."""
-        ...
-
-    def blocked(self, origin_m: Floats, direction: Floats, max_range_m: float) -> NDArray[np.bool_]:
-        """Is there anything but a tree's crown along each ray? (n,)"""
-        ...
-
-    def through_crowns_m(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Floats:
-        """How many metres of tree crowns each ray passes. (n,)"""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Walls:
     """Upright rectangles that reflect satellites' signals.
 
@@ -125,9 +99,9 @@ class Walls:
     normal: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Path:
-    """The way of a vehicle's rear axle over the road: samples every `step_m` of it, columns (n,).
+    """The path of a vehicle's rear axle over the road: samples every `step_m` of it, columns (n,).
 
     `yaw_rad` is unwrapped, counter-clockwise from east. `grade` is dz/ds along, `crossfall` dz/dy towards the left.
     `link_offset_m` is the distance from the link's true centre line, positive to the left. `speed_limit_m_s` is the
@@ -146,12 +120,12 @@ class Path:
     link_offset_m: Floats
     speed_limit_m_s: Floats
     stop_s: Floats
-    tunnel: NDArray[np.bool_]
+    tunnel: Booleans
     surface_m: Callable[[Floats, Floats, Integers], Floats]
-    """(east, north, level) → height of the road's surface there (ellipsoidal); NaN beside any road of that level."""
+    """(east, north, level) → height of the road's surface there (ellipsoidal); NaN off any road of that level."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
     """True motion of a vehicle, columns (n,) or (n, 3) in the world frame, at even steps of time.
 

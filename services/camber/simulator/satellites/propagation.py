@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from camber.simulator.satellites.parameters import SignalParameters
 from camber.simulator.satellites.reflections import reflections
-from camber.simulator.scene import Material, Shapes, Tracer, Walls
+from camber.simulator.scene import Material, Shapes, Walls
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -42,7 +43,7 @@ def what_blocks(shapes: Shapes) -> Shapes:
 class Surroundings:
     """What stands around: the shapes that rays are traced through, and the walls that reflect."""
 
-    tracer: Tracer
+    tracer: ShapeTracer
     walls: Walls
 
 
@@ -113,7 +114,7 @@ def propagation(
 
 
 def _over_an_edge(
-    origin_m: Floats, direction: Floats, tracer: Tracer, reach_rad: float
+    origin_m: Floats, direction: Floats, tracer: ShapeTracer, reach_rad: float
 ) -> tuple[Floats, Floats]:
     """How far the direction must be raised to be free, NaN where more than the reach; and the edge's distance."""
     count = len(origin_m)
@@ -140,7 +141,7 @@ def _raised(direction: Floats, by_rad: Floats) -> Floats:
     return np.column_stack((direction[:, 0] * scale, direction[:, 1] * scale, np.sin(elevation)))
 
 
-def _enclosure(antenna_m: Floats, tracer: Tracer) -> Floats:
+def _enclosure(antenna_m: Floats, tracer: ShapeTracer) -> Floats:
     """The share of 72 directions that is blocked, every few metres of the way, in between by interpolation."""
     n = len(antenna_m)
     if n == 0:

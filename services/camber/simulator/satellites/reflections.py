@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.simulator.scene import Tracer, Walls
+from camber.simulator.scene import Walls
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -33,7 +34,7 @@ class Reflections:
 
 
 def reflections(
-    antenna_m: Floats, direction: Floats, walls: Walls, tracer: Tracer, reach_m: float, sky_m: float
+    antenna_m: Floats, direction: Floats, walls: Walls, tracer: ShapeTracer, reach_m: float, sky_m: float
 ) -> Reflections:
     """The shortest free way by one wall: antenna (n, 3), directions to satellites (n, m, 3), in the world frame.
 
@@ -70,7 +71,7 @@ def reflections(
     return Reflections(best, slope)
 
 
-def _blocked_within(tracer: Tracer, origin_m: Floats, direction: Floats, length_m: Floats) -> Booleans:
+def _blocked_within(tracer: ShapeTracer, origin_m: Floats, direction: Floats, length_m: Floats) -> Booleans:
     """Rays of their own lengths: what is blocked within the longest is looked at again by its distance."""
     if not len(length_m):
         return np.zeros(0, np.bool_)

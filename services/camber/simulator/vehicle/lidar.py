@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from camber.compiled.decorator import compiled_without_gil
 from camber.schemas.lidar import Sweep
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Floats, Integers, Material, Tracer
+from camber.simulator.scene import Floats, Integers, Material
 from camber.simulator.vehicle.beam_pattern import BeamPattern
 from camber.simulator.vehicle.pose_track import PoseTrack
 from camber.simulator.vehicle.sensor_clock import SensorClock
 from camber.simulator.vehicle.traffic import Traffic, hit_traffic
+from camber.simulator.world.ray_tracing import ShapeTracer
 
 _REFLECTIVITY = {
     Material.ROAD: 0.17,
@@ -71,7 +72,7 @@ class Lidar:
 
     pattern: BeamPattern
     track: PoseTrack
-    tracer: Tracer
+    tracer: ShapeTracer
     seed: int
     traffic: Traffic | None = None
     clock: SensorClock = field(default_factory=SensorClock)

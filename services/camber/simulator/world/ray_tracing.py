@@ -6,10 +6,9 @@ All loops are compiled and run without the interpreter's lock, so two threads ma
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled, compiled_without_gil
-from camber.simulator.scene import Hits, Material, Shapes
+from camber.simulator.scene import Booleans, Floats, Hits, Shapes
 from camber.simulator.world.ray_shapes import (
     box_normal,
     crown_normal,
@@ -17,101 +16,39 @@ from camber.simulator.world.ray_shapes import (
     cylinder_normal,
     triangle_normal,
 )
-from camber.simulator.world.ray_walk import (
-    NOTHING,
-    TRIANGLE,
-    Lists,
-    Place,
-    Solids,
-    first_cell,
-    heights,
-    nearest,
-    next_cell,
-)
-from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, CellLists, ShapeGrid, shape_grid
+from camber.simulator.world.ray_walk import NOTHING, TRIANGLE, first_cell, heights, nearest, next_cell
+from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, GriddedShapes, gridded
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-CELL_M = 6.0
+CELL_M = 6.0  # benchmarks/simulator.py
 
 
 class ShapeTracer:
-    """The Tracer of `scene`. A ray that starts inside a solid meets that solid's surface from inside."""
+    """Answers rays against fixed shapes; a ray that starts inside a solid meets its surface from inside.
+
+    All questions are of rays with origins (n, 3) and unit directions (n, 3) in the world frame.
+    """
 
     def __init__(self, shapes: Shapes, cell_m: float = CELL_M) -> None:
-        grid = shape_grid(shapes, cell_m)
-        self._crowns = len(shapes.crowns_m)
-        self._place = _place(grid)
-        self._solid_lists = _lists(grid.solids)
-        self._triangle_lists = _lists(grid.triangles)
-        boxes = shapes.boxes_m
-        rows = np.column_stack((boxes[:, :6], np.cos(boxes[:, 6]), np.sin(boxes[:, 6])))
-        self._solids: Solids = (
-            grid.solid_kind.astype(np.int64),
-            grid.solid_row.astype(np.int64),
-            np.ascontiguousarray(rows),
-            np.ascontiguousarray(shapes.cylinders_m),
-            np.ascontiguousarray(shapes.crowns_m),
-        )
-        corner = shapes.triangles_m
-        self._triangles = np.ascontiguousarray(
-            np.concatenate((corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        )
-        crowns = np.full(len(shapes.crowns_m), int(Material.TREE), np.int64)
-        self._solid_material = np.concatenate((shapes.boxes_material, shapes.cylinders_material, crowns))
-        self._triangle_material = shapes.triangles_material
+        self._shapes = gridded(shapes, cell_m)
 
     def first_hits(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Hits:
-        """The first surface along each ray; origin (n, 3), direction (n, 3), unit."""
+        """The first surface along each ray."""
         origin, towards = _rays(origin_m, direction)
-        distance = np.full(len(origin), np.inf)
-        material = np.full(len(origin), -1, np.int64)
-        normal = np.zeros((len(origin), 3))
-        _first_hits(
-            origin,
-            towards,
-            max_range_m,
-            self._place,
-            self._solid_lists,
-            self._triangle_lists,
-            self._solids,
-            self._triangles,
-            self._solid_material,
-            self._triangle_material,
-            distance,
-            material,
-            normal,
-        )
-        return Hits(distance, material, normal)
+        n = len(origin)
+        hits = Hits(distance_m=np.full(n, np.inf), material=np.full(n, -1, np.int64), normal=np.zeros((n, 3)))
+        _first_hits(self._shapes, (origin, towards), max_range_m, hits)
+        return hits
 
-    def blocked(self, origin_m: Floats, direction: Floats, max_range_m: float) -> NDArray[np.bool_]:
+    def blocked(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Booleans:
         """Is there anything but a tree's crown along each ray? (n,)"""
-        origin, towards = _rays(origin_m, direction)
-        result = np.zeros(len(origin), np.bool_)
-        _blocked(
-            origin,
-            towards,
-            max_range_m,
-            self._place,
-            self._solid_lists,
-            self._triangle_lists,
-            self._solids,
-            self._triangles,
-            result,
-        )
-        return result
+        return _blocked(self._shapes, _rays(origin_m, direction), max_range_m)
 
     def through_crowns_m(self, origin_m: Floats, direction: Floats, max_range_m: float) -> Floats:
         """How many metres of tree crowns each ray passes, (n,); where crowns overlap, once. Walls do not end it."""
-        origin, towards = _rays(origin_m, direction)
-        result = np.zeros(len(origin))
-        if self._crowns:
-            spans = np.empty((self._crowns + 1, 2))
-            _through_crowns(
-                origin, towards, max_range_m, self._place, self._solid_lists, self._solids, spans, result
-            )
-        return result
+        rays = _rays(origin_m, direction)
+        if not len(self._shapes.crowns):
+            return np.zeros(len(rays[0]))
+        return _through_crowns(self._shapes, rays, max_range_m)
 
 
 def _rays(origin_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
@@ -122,119 +59,68 @@ def _rays(origin_m: Floats, direction: Floats) -> tuple[Floats, Floats]:
     return origin, towards
 
 
-def _place(grid: ShapeGrid) -> Place:
-    return grid.west_m, grid.south_m, grid.cell_m, grid.columns, grid.rows
-
-
-def _lists(lists: CellLists) -> Lists:
-    return lists.first, lists.shape, lists.span_m, lists.cell_span_m
-
-
 @compiled_without_gil
-def _first_hits(
-    origin: Floats,
-    towards: Floats,
-    max_m: float,
-    place: Place,
-    solid_lists: Lists,
-    triangle_lists: Lists,
-    solids: Solids,
-    triangles: Floats,
-    solid_material: Integers,
-    triangle_material: Integers,
-    distance: Floats,
-    material: Integers,
-    normal: Floats,
-) -> None:
-    kind, row_of, boxes, cylinders, crowns = solids
+def _first_hits(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float, hits: Hits) -> None:
+    origin, towards = rays
     for i in range(len(origin)):
         x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
         dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
-        at, sort, k = nearest(
-            place,
-            solid_lists,
-            triangle_lists,
-            solids,
-            triangles,
-            True,
-            False,
-            (x, y, z, dx, dy, dz),
-            max_m,
-        )
+        at, sort, k = nearest(shapes, (x, y, z, dx, dy, dz), max_m, False)
         if sort == NOTHING:
             continue
-        distance[i] = at
-        px, py, pz = x + at * dx, y + at * dy, z + at * dz
+        hits.distance_m[i] = at
+        point = x + at * dx, y + at * dy, z + at * dz
         if sort == TRIANGLE:
-            material[i] = triangle_material[k]
-            nx, ny, nz = triangle_normal(triangles, k)
+            hits.material[i] = shapes.triangle_material[k]
+            nx, ny, nz = triangle_normal(shapes.corner_and_edges, k)
         else:
-            material[i] = solid_material[k]
-            if kind[k] == BOX:
-                nx, ny, nz = box_normal(boxes, row_of[k], px, py, pz)
-            elif kind[k] == CYLINDER:
-                nx, ny, nz = cylinder_normal(cylinders, row_of[k], px, py, pz)
+            hits.material[i] = shapes.solid_material[k]
+            row = shapes.solid_row[k]
+            if shapes.solid_kind[k] == BOX:
+                nx, ny, nz = box_normal(shapes.boxes, row, point)
+            elif shapes.solid_kind[k] == CYLINDER:
+                nx, ny, nz = cylinder_normal(shapes.cylinders, row, point)
             else:
-                nx, ny, nz = crown_normal(crowns, row_of[k], px, py, pz)
+                nx, ny, nz = crown_normal(shapes.crowns, row, point)
         side = -1.0 if nx * dx + ny * dy + nz * dz > 0.0 else 1.0
-        normal[i, 0], normal[i, 1], normal[i, 2] = side * nx, side * ny, side * nz
+        hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2] = side * nx, side * ny, side * nz
 
 
 @compiled_without_gil
-def _blocked(
-    origin: Floats,
-    towards: Floats,
-    max_m: float,
-    place: Place,
-    solid_lists: Lists,
-    triangle_lists: Lists,
-    solids: Solids,
-    triangles: Floats,
-    result: NDArray[np.bool_],
-) -> None:
+def _blocked(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float) -> Booleans:
+    origin, towards = rays
+    blocked = np.zeros(len(origin), np.bool_)
     for i in range(len(origin)):
-        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
-        dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
-        ray = (x, y, z, dx, dy, dz)
-        _, sort, _ = nearest(place, solid_lists, triangle_lists, solids, triangles, False, True, ray, max_m)
-        result[i] = sort != NOTHING
+        ray = origin[i, 0], origin[i, 1], origin[i, 2], towards[i, 0], towards[i, 1], towards[i, 2]
+        blocked[i] = nearest(shapes, ray, max_m, True)[1] != NOTHING
+    return blocked
 
 
 @compiled_without_gil
-def _through_crowns(
-    origin: Floats,
-    towards: Floats,
-    max_m: float,
-    place: Place,
-    solid_lists: Lists,
-    solids: Solids,
-    spans: Floats,
-    result: Floats,
-) -> None:
-    first, shape, span_m, cell_span = solid_lists
-    kind, row_of, _, _, crowns = solids
+def _through_crowns(shapes: GriddedShapes, rays: tuple[Floats, Floats], max_m: float) -> Floats:
+    origin, towards = rays
+    solids = shapes.solids
+    spans, metres = np.empty((len(shapes.crowns) + 1, 2)), np.zeros(len(origin))
     for i in range(len(origin)):
-        x, y, z = origin[i, 0], origin[i, 1], origin[i, 2]
-        dx, dy, dz = towards[i, 0], towards[i, 1], towards[i, 2]
+        ray = origin[i, 0], origin[i, 1], origin[i, 2], towards[i, 0], towards[i, 1], towards[i, 2]
         used = 0
-        ray = (x, y, z, dx, dy, dz)
-        at_cell, steps = first_cell(place, ray, max_m)
+        at_cell, steps = first_cell(shapes.grid, ray, max_m)
         while at_cell[0] >= 0:
             cell = at_cell[0]
             low, high = heights(ray, at_cell)
-            if low <= cell_span[cell, 1] and high >= cell_span[cell, 0]:
-                for j in range(first[cell], first[cell + 1]):
-                    k = shape[j]
-                    if kind[k] == CROWN and low <= span_m[j, 1] and high >= span_m[j, 0]:
-                        a, b = crown_span(crowns, row_of[k], x, y, z, dx, dy, dz)
+            if low <= solids.cell_span_m[cell, 1] and high >= solids.cell_span_m[cell, 0]:
+                for j in range(solids.first[cell], solids.first[cell + 1]):
+                    k = solids.shape[j]
+                    in_span = low <= solids.span_m[j, 1] and high >= solids.span_m[j, 0]
+                    if in_span and shapes.solid_kind[k] == CROWN:
+                        a, b = crown_span(shapes.crowns, shapes.solid_row[k], ray)
                         a, b = max(a, 0.0), min(b, max_m)
                         if a < b:
                             used = _joined(spans, used, a, b)
-            at_cell = next_cell(place, steps, at_cell)
-        total = 0.0
+            at_cell = next_cell(shapes.grid, steps, at_cell)
         for j in range(used):
-            total += spans[j, 1] - spans[j, 0]
-        result[i] = total
+            metres[i] += spans[j, 1] - spans[j, 0]
+    return metres
 
 
 @compiled

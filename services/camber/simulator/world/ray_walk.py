@@ -8,44 +8,28 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from camber.compiled.decorator import compiled
-from camber.simulator.world.ray_shapes import box_span, crown_span, cylinder_span, triangle_distance
-from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER
+from camber.simulator.world.ray_shapes import Ray, box_span, crown_span, cylinder_span, triangle_distance
+from camber.simulator.world.shape_grid import BOX, CROWN, CYLINDER, Grid, GriddedShapes
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-_NEAREST_M = 1.0e-6
-"""A surface nearer than this is the one that a ray starts from."""
+_NEAREST_M = 1.0e-6  # chosen: a surface nearer than this is the one that a ray starts from
 NOTHING, SOLID, TRIANGLE = -1, 0, 1
 
-Lists = tuple[Integers, Integers, Floats, Floats]
-"""The fields of CellLists, in their order."""
-Place = tuple[float, float, float, int, int]
-"""West, south, size of a cell, columns, rows of a grid."""
-Ray = tuple[float, float, float, float, float, float]
-"""Origin and unit direction."""
 Cell = tuple[int, float, float, int, int, float, float]
-"""One cell on a ray's way: its number, −1 for none; from where to where on the ray; column, row; where the next column
+"""One cell on a ray's path: its number, −1 for none; from where to where on the ray; column, row; where the next column
 and row begin."""
 Steps = tuple[int, int, float, float, float]
-"""To the next column and row, and how far that is on the ray; where the way ends."""
-Solids = tuple[Integers, Integers, Floats, Floats, Floats]
-"""Kind and row of each solid; boxes, cylinders, crowns, as `ray_shapes` takes them."""
+"""To the next column and row, and how far that is on the ray; where the path ends."""
 
 
 @compiled
-def first_cell(place: Place, ray: Ray, max_m: float) -> tuple[Cell, Steps]:
+def first_cell(grid: Grid, ray: Ray, max_m: float) -> tuple[Cell, Steps]:
     """The first cell above which a ray is, for at most so far, and how it goes on; number −1: none."""
-    west, south, cell_m, columns, rows = place
     x, y, _, dx, dy, _ = ray
     t, end = 0.0, max_m
     for origin, step, low, high in (
-        (x, dx, west, west + columns * cell_m),
-        (y, dy, south, south + rows * cell_m),
+        (x, dx, grid.west_m, grid.west_m + grid.columns * grid.cell_m),
+        (y, dy, grid.south_m, grid.south_m + grid.rows * grid.cell_m),
     ):
         if step == 0.0:
             if origin < low or origin >= high:
@@ -53,23 +37,19 @@ def first_cell(place: Place, ray: Ray, max_m: float) -> tuple[Cell, Steps]:
         else:
             a, b = (low - origin) / step, (high - origin) / step
             t, end = max(t, min(a, b)), min(end, max(a, b))
-    column = min(max(int((x + t * dx - west) / cell_m), 0), columns - 1)
-    row = min(max(int((y + t * dy - south) / cell_m), 0), rows - 1)
-    step_c, next_c, every_c = _steps(column, west, cell_m, x, dx)
-    step_r, next_r, every_r = _steps(row, south, cell_m, y, dy)
-    number = row * columns + column if t <= end else -1
-    return (number, t, min(next_c, next_r, end), column, row, next_c, next_r), (
-        step_c,
-        step_r,
-        every_c,
-        every_r,
-        end,
-    )
+    column = min(max(int((x + t * dx - grid.west_m) / grid.cell_m), 0), grid.columns - 1)
+    row = min(max(int((y + t * dy - grid.south_m) / grid.cell_m), 0), grid.rows - 1)
+    step_c, next_c, every_c = _steps(column, (grid.west_m, grid.cell_m), x, dx)
+    step_r, next_r, every_r = _steps(row, (grid.south_m, grid.cell_m), y, dy)
+    number = row * grid.columns + column if t <= end else -1
+    cell = number, t, min(next_c, next_r, end), column, row, next_c, next_r
+    return cell, (step_c, step_r, every_c, every_r, end)
 
 
 @compiled
-def _steps(number: int, first_m: float, cell_m: float, x: float, dx: float) -> tuple[int, float, float]:
-    """Along one axis: the step to the next cell, the distance to it and from one to the next."""
+def _steps(number: int, axis: tuple[float, float], x: float, dx: float) -> tuple[int, float, float]:
+    """Along one axis (its begin, size of a cell): the step to the next cell, how far that is and to the one after."""
+    first_m, cell_m = axis
     if dx > 0.0:
         return 1, (first_m + (number + 1) * cell_m - x) / dx, cell_m / dx
     if dx < 0.0:
@@ -78,19 +58,18 @@ def _steps(number: int, first_m: float, cell_m: float, x: float, dx: float) -> t
 
 
 @compiled
-def next_cell(place: Place, steps: Steps, cell: Cell) -> Cell:
+def next_cell(grid: Grid, steps: Steps, cell: Cell) -> Cell:
     """The next one; number −1: the ray ends or leaves the grid."""
     _, _, leave, column, row, next_c, next_r = cell
     step_c, step_r, every_c, every_r, end = steps
-    columns, rows = place[3], place[4]
     if next_c < next_r:
         column += step_c
         next_c += every_c
     else:
         row += step_r
         next_r += every_r
-    inside = leave < end and 0 <= column < columns and 0 <= row < rows
-    number = row * columns + column if inside else -1
+    inside = leave < end and 0 <= column < grid.columns and 0 <= row < grid.rows
+    number = row * grid.columns + column if inside else -1
     return number, leave, min(next_c, next_r, end), column, row, next_c, next_r
 
 
@@ -102,58 +81,45 @@ def heights(ray: Ray, cell: Cell) -> tuple[float, float]:
 
 
 @compiled
-def _solid_span(
-    solids: Solids, k: int, x: float, y: float, z: float, dx: float, dy: float, dz: float
-) -> tuple[float, float]:
-    kind, row, boxes, cylinders, crowns = solids
-    if kind[k] == BOX:
-        return box_span(boxes, row[k], x, y, z, dx, dy, dz)
-    if kind[k] == CYLINDER:
-        return cylinder_span(cylinders, row[k], x, y, z, dx, dy, dz)
-    return crown_span(crowns, row[k], x, y, z, dx, dy, dz)
+def _solid_span(shapes: GriddedShapes, k: int, ray: Ray) -> tuple[float, float]:
+    row = shapes.solid_row[k]
+    if shapes.solid_kind[k] == BOX:
+        return box_span(shapes.boxes, row, ray)
+    if shapes.solid_kind[k] == CYLINDER:
+        return cylinder_span(shapes.cylinders, row, ray)
+    return crown_span(shapes.crowns, row, ray)
 
 
 @compiled
-def nearest(
-    place: Place,
-    solid_lists: Lists,
-    triangle_lists: Lists,
-    solids: Solids,
-    triangles: Floats,
-    with_crowns: bool,
-    any_will_do: bool,
-    ray: Ray,
-    max_m: float,
-) -> tuple[float, int, int]:
-    """Distance to the nearest surface, which sort of shape it is (SOLID, TRIANGLE, NOTHING) and its number."""
-    x, y, z, dx, dy, dz = ray
+def nearest(shapes: GriddedShapes, ray: Ray, max_m: float, blocking: bool) -> tuple[float, int, int]:
+    """Distance to the nearest surface, which sort of shape it is (SOLID, TRIANGLE, NOTHING) and its number.
+
+    `blocking`: crowns of trees do not count, and any surface will do.
+    """
     best, sort, number = max_m, NOTHING, -1
-    s_first, s_shape, s_span, s_cell = solid_lists
-    t_first, t_shape, t_span, t_cell = triangle_lists
-    at_cell, steps = first_cell(place, ray, max_m)
+    solids, triangles = shapes.solids, shapes.triangles
+    at_cell, steps = first_cell(shapes.grid, ray, max_m)
     while at_cell[0] >= 0:
         cell, leave = at_cell[0], at_cell[2]
         low, high = heights(ray, at_cell)
-        if low <= t_cell[cell, 1] and high >= t_cell[cell, 0]:
-            for j in range(t_first[cell], t_first[cell + 1]):
-                if low <= t_span[j, 1] and high >= t_span[j, 0]:
-                    at = triangle_distance(triangles, t_shape[j], x, y, z, dx, dy, dz)
+        if low <= triangles.cell_span_m[cell, 1] and high >= triangles.cell_span_m[cell, 0]:
+            for j in range(triangles.first[cell], triangles.first[cell + 1]):
+                if low <= triangles.span_m[j, 1] and high >= triangles.span_m[j, 0]:
+                    at = triangle_distance(shapes.corner_and_edges, triangles.shape[j], ray)
                     if _NEAREST_M < at < best:
-                        best, sort, number = at, TRIANGLE, t_shape[j]
-        if low <= s_cell[cell, 1] and high >= s_cell[cell, 0]:
-            for j in range(s_first[cell], s_first[cell + 1]):
-                if low <= s_span[j, 1] and high >= s_span[j, 0]:
-                    k = s_shape[j]
-                    if not with_crowns and solids[0][k] == CROWN:
-                        continue
-                    enter, out = _solid_span(solids, k, x, y, z, dx, dy, dz)
-                    if enter <= out:
-                        at = enter if enter > _NEAREST_M else out
-                        if _NEAREST_M < at < best:
-                            best, sort, number = at, SOLID, k
-        if sort != NOTHING and (any_will_do or best <= leave):
+                        best, sort, number = at, TRIANGLE, triangles.shape[j]
+        if low <= solids.cell_span_m[cell, 1] and high >= solids.cell_span_m[cell, 0]:
+            for j in range(solids.first[cell], solids.first[cell + 1]):
+                k = solids.shape[j]
+                if low > solids.span_m[j, 1] or high < solids.span_m[j, 0]:
+                    continue
+                if blocking and shapes.solid_kind[k] == CROWN:
+                    continue
+                enter, out = _solid_span(shapes, k, ray)
+                at = enter if enter > _NEAREST_M else out
+                if enter <= out and _NEAREST_M < at < best:
+                    best, sort, number = at, SOLID, k
+        if sort != NOTHING and (blocking or best <= leave):
             break
-        at_cell = next_cell(place, steps, at_cell)
-    if sort == NOTHING:
-        return math.inf, NOTHING, -1
-    return best, sort, number
+        at_cell = next_cell(shapes.grid, steps, at_cell)
+    return (math.inf, NOTHING, -1) if sort == NOTHING else (best, sort, number)

@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from camber.simulator.world.roads import Roads, answering_rows
 from camber.simulator.world.terrain import Terrain
 
+# Chosen: a street of two lanes of 3.5 m with space for parking; room for the turns of a lorry.
 JUNCTION_RADIUS_M = 14.0
 STREET_HALF_WIDTH_M = 5.0
 STREET_LANE_M = 1.75
-_CLOSED_M = 1.0e-6
-
+_CLOSED_M = 1.0e-6  # chosen: micrometres, for rounding
 
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkKind:
     """What a link is like; `lift_m` at start and end changes within `rise_m`, s to s (None: all along).
 
@@ -40,17 +41,18 @@ class LinkKind:
     bridge_m: Pair = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Node:
-    name: str
+    """Radius 0: roads go straight through, and there is no disc for turns."""
+
     east_m: float
     north_m: float
-    radius_m: float
-    lift_m: float
-    level: int
+    radius_m: float = JUNCTION_RADIUS_M
+    lift_m: float = 0.0
+    level: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Link:
     start: int
     end: int
@@ -59,7 +61,10 @@ class _Link:
 
 
 class RoadBuilder:
-    """Collects nodes and links; their ids are their numbers in the order drawn, from 1."""
+    """Collects nodes and links; their ids are their numbers in the order drawn, from 1.
+
+    `row_of_link`: by name, which is "start-end" of the names of its nodes.
+    """
 
     def __init__(self) -> None:
         self._nodes: list[_Node] = []
@@ -67,41 +72,25 @@ class RoadBuilder:
         self._links: list[_Link] = []
         self._elements: list[tuple[float, ...]] = []
         self._element_link: list[int] = []
-        self._named: dict[str, int] = {}
+        self.row_of_link: dict[str, int] = {}
 
-    def node(
-        self,
-        name: str,
-        east_m: float,
-        north_m: float,
-        *,
-        radius_m: float = JUNCTION_RADIUS_M,
-        lift_m: float = 0.0,
-        level: int = 0,
-    ) -> None:
-        """A node; radius 0: roads go straight through, and there is no disc for turns."""
+    def node(self, name: str, east_m: float, north_m: float, **more: Any) -> None:
+        """A node with its place, and more of its fields."""
         self._number[name] = len(self._nodes)
-        self._nodes.append(_Node(name, east_m, north_m, radius_m, lift_m, level))
+        self._nodes.append(_Node(east_m=east_m, north_m=north_m, **more))
 
-    def straight(self, start: str, end: str, kind: LinkKind, name: str | None = None) -> None:
-        """A straight link between two nodes, called "start-end" where it has no other name."""
+    def straight(self, start: str, end: str, kind: LinkKind) -> None:
+        """A straight link between two nodes."""
         a, b = self._nodes[self._number[start]], self._nodes[self._number[end]]
         east, north = b.east_m - a.east_m, b.north_m - a.north_m
-        self.chain(start, end, math.atan2(north, east), [(math.hypot(east, north), 0.0)], kind, name)
+        self.chain(f"{start} {end}", math.atan2(north, east), [(math.hypot(east, north), 0.0)], kind)
 
-    def chain(
-        self,
-        start: str,
-        end: str,
-        yaw_rad: float,
-        pieces: Sequence[Pair],
-        kind: LinkKind,
-        name: str | None = None,
-    ) -> None:
-        """A link from `start` in direction `yaw_rad` by pieces of (length [m], curvature [1/m]) to `end`.
+    def chain(self, nodes: str, yaw_rad: float, pieces: Sequence[Pair], kind: LinkKind) -> None:
+        """A link by pieces of (length [m], curvature [1/m]) from its start, in direction `yaw_rad`, to its end.
 
-        Raises ValueError where the pieces do not end at the node.
+        `nodes` names the two. Raises ValueError where the pieces do not end at the second one.
         """
+        start, end = nodes.split()
         a, b = self._nodes[self._number[start]], self._nodes[self._number[end]]
         east, north, yaw, s = a.east_m, a.north_m, yaw_rad, 0.0
         for length, curvature in pieces:
@@ -109,20 +98,15 @@ class RoadBuilder:
             self._element_link.append(len(self._links))
             turn = curvature * length
             chord = length * float(np.sinc(0.5 * turn / np.pi))
-            east, north = (
-                east + chord * math.cos(yaw + 0.5 * turn),
-                north + chord * math.sin(yaw + 0.5 * turn),
-            )
+            east += chord * math.cos(yaw + 0.5 * turn)
+            north += chord * math.sin(yaw + 0.5 * turn)
             yaw, s = yaw + turn, s + length
         missed = math.hypot(east - b.east_m, north - b.north_m)
         if missed > _CLOSED_M:
-            raise ValueError(f"link {start} to {end} ends {missed:.3f} m beside its node, expected at it")
-        self._named[name or f"{start}-{end}"] = len(self._links)
-        self._links.append(_Link(self._number[start], self._number[end], s, kind))
-
-    def link_numbers(self) -> dict[str, int]:
-        """Row of each link by its name."""
-        return dict(self._named)
+            raise ValueError(f"link {start} to {end} ends {missed:.3f} m off its node, expected at it")
+        self.row_of_link[f"{start}-{end}"] = len(self._links)
+        ends = self._number[start], self._number[end]
+        self._links.append(_Link(start=ends[0], end=ends[1], length_m=s, kind=kind))
 
     def roads(self, terrain: Terrain) -> Roads:
         """All that was drawn, on a terrain."""
@@ -133,6 +117,7 @@ class RoadBuilder:
         shape = np.array([self._shape(link) for link in self._links])
         element_link = np.array(self._element_link, np.int64)
         node_level = np.array([node.level for node in self._nodes], np.int64)
+        places = [(node.east_m, node.north_m, node.radius_m, node.lift_m) for node in self._nodes]
         return Roads(
             terrain=terrain,
             link_id=np.arange(1, len(level) + 1),
@@ -148,11 +133,9 @@ class RoadBuilder:
             elements=np.array(self._elements, np.float64),
             element_link=element_link,
             node_id=np.arange(1, len(self._nodes) + 1),
-            nodes_m=np.array(
-                [(node.east_m, node.north_m, node.radius_m, node.lift_m) for node in self._nodes]
-            ),
+            nodes_m=np.array(places),
             node_level=node_level,
-            _rows=answering_rows(level, start, end, node_level, shape, element_link),
+            _rows=answering_rows((start, end), (level, node_level), shape, element_link),
         )
 
     def _shape(self, link: _Link) -> tuple[float, ...]:

@@ -7,9 +7,8 @@ millimetres off the closed form.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.simulator.scene import Material
+from camber.simulator.scene import Booleans, Floats, Integers, Material
 from camber.simulator.world.roads import (
     FLAT_END,
     FLAT_START,
@@ -19,10 +18,9 @@ from camber.simulator.world.roads import (
     Roads,
 )
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Mesh = tuple[Floats, Integers]
 
+# Chosen: fine enough for the millimetres above, coarse for the land; heights as built.
 _STEP_M = 2.5
 _GROUND_CELL_M = 20.0
 _GROUND_BELOW_M = 0.3
@@ -31,12 +29,10 @@ _VERGE_M = 7.0
 _KERB_M = 0.12
 _PARAPET_M = 0.9
 _DECK_M = 0.8
-CEILING_M = 4.8
-"""Height of a tunnel's ceiling above its road."""
-WALL_BEYOND_M = 0.05
-"""Walls and parapets stand so far beside the road."""
 _LIFTED_M = 0.05
 _SECTORS = 24
+CEILING_M = 4.8  # of a tunnel above its road; chosen: 4.5 m of clearance and lamps
+WALL_BEYOND_M = 0.05  # chosen: walls and parapets stand so far off the road
 
 
 def road_mesh(roads: Roads) -> Mesh:
@@ -65,8 +61,8 @@ def _sheet(points_m: Floats) -> Floats:
 
 def _across(roads: Roads, link: int, s: Floats, y: Floats) -> tuple[Floats, Floats]:
     """East and north (len(s), len(y)) of sections across a link."""
-    east, north, yaw = roads.centre_line(link, s)
-    return east[:, None] - np.sin(yaw)[:, None] * y, north[:, None] + np.cos(yaw)[:, None] * y
+    east, north, yaw = (column[:, None] for column in roads.centre_line(link, s))
+    return east - np.sin(yaw) * y, north + np.cos(yaw) * y
 
 
 def _link(roads: Roads, link: int) -> list[Mesh]:
@@ -80,7 +76,7 @@ def _link(roads: Roads, link: int) -> list[Mesh]:
         if roads.level[link] == 0:
             meshes.append(_of(_verge(roads, link, s, side * (half + 0.05)), Material.GROUND))
         elif np.abs(lift).max() > _LIFTED_M:
-            meshes += _side_walls(roads, link, s, lift, side)
+            meshes += _side_walls(roads, link, (s, lift), side)
     bridge, covered = roads.bridge_m[link], roads.covered_m[link]
     if bridge[1] > bridge[0]:
         meshes.append(_of(_plate(roads, link, bridge, -_DECK_M), Material.BUILDING))
@@ -102,7 +98,7 @@ def _sections(roads: Roads, link: int) -> Floats:
 
 
 def _verge(roads: Roads, link: int, s: Floats, y: float) -> Floats:
-    """The strip beside a road, a kerb higher, without what lies on another road."""
+    """The strip along a road, a kerb higher, without what lies on another road."""
     out = y + np.sign(y) * np.array([0.0, 0.5 * _VERGE_M, _VERGE_M])
     east, north = _across(roads, link, s, out)
     # It keeps the crossfall of the road's edge, not more.
@@ -114,7 +110,7 @@ def _verge(roads: Roads, link: int, s: Floats, y: float) -> Floats:
     return triangles[~_touches_road(roads, triangles)]
 
 
-def _touches_road(roads: Roads, triangles: Floats) -> NDArray[np.bool_]:
+def _touches_road(roads: Roads, triangles: Floats) -> Booleans:
     """Is a corner or the middle of a triangle on a street, or over a road in an open cut?"""
     points = np.concatenate((triangles, triangles.mean(axis=1, keepdims=True)), axis=1).reshape(-1, 3)
     on_street = np.isfinite(roads.surface_m(points[:, 0], points[:, 1], np.array(0)))
@@ -123,7 +119,7 @@ def _touches_road(roads: Roads, triangles: Floats) -> NDArray[np.bool_]:
     return on_any > 0
 
 
-def _in_open_cut(roads: Roads, east: Floats, north: Floats, margin_m: float = 0.3) -> NDArray[np.bool_]:
+def _in_open_cut(roads: Roads, east: Floats, north: Floats, margin_m: float = 0.3) -> Booleans:
     """Places over, or within `margin_m` of, a road that lies below the ground under the open sky."""
     inside = np.zeros(east.shape, bool)
     for link in np.flatnonzero(roads.level < 0).tolist():
@@ -135,8 +131,9 @@ def _in_open_cut(roads: Roads, east: Floats, north: Floats, margin_m: float = 0.
     return inside
 
 
-def _side_walls(roads: Roads, link: int, s: Floats, lift: Floats, side: float) -> list[Mesh]:
-    """Parapets and retaining walls, walls of a tunnel; none where another road joins."""
+def _side_walls(roads: Roads, link: int, sections: tuple[Floats, Floats], side: float) -> list[Mesh]:
+    """Parapets and retaining walls, walls of a tunnel; none where another road joins. Sections: s and lift."""
+    s, lift = sections
     y = side * (roads.shape[link, HALF_WIDTH] + WALL_BEYOND_M)
     east, north = (v.ravel() for v in _across(roads, link, s, np.array([y])))
     road = roads.link_height_m(np.array(link), east, north)
@@ -151,10 +148,8 @@ def _side_walls(roads: Roads, link: int, s: Floats, lift: Floats, side: float) -
     top = np.where(roofed, road + CEILING_M + 0.1, top)
     low, high = (np.column_stack((east, north, v)) for v in (bottom, top))
     quads = _sheet(np.stack((low, high), axis=1)).reshape(-1, 2, 3, 3)
-    middle = 0.5 * (s[1:] + s[:-1])
-    out_east, out_north = _across(
-        roads, link, middle, np.array([side * (roads.shape[link, HALF_WIDTH] + 0.4)])
-    )
+    beyond = np.array([side * (roads.shape[link, HALF_WIDTH] + 0.4)])
+    out_east, out_north = _across(roads, link, 0.5 * (s[1:] + s[:-1]), beyond)
     free = np.isnan(roads.surface_m(out_east, out_north, roads.level[link]).ravel())
     free &= np.abs(0.5 * (lift[1:] + lift[:-1])) > _LIFTED_M
     inner = 0.5 * (roofed[1:].astype(float) + roofed[:-1]) >= 0.5

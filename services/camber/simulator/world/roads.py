@@ -16,30 +16,25 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled, compiled_without_gil
+from camber.simulator.scene import Floats, Integers
 from camber.simulator.world.terrain import Terrain, ground_height
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-FADE_M = 20.0
-"""Crossfall comes in over this length."""
-RESURFACING_FADE_M = 20.0
+FADE_M = 20.0  # chosen: crossfall comes in over this length
+RESURFACING_FADE_M = 20.0  # chosen: as the crossfall, so that the offset gives no bump
 BEYOND_NODE_M = 15.0
-"""A question about one level is answered this far onto roads of another level that begin at a common node."""
-_TOUCH_M = 1.0e-6
+"""Chosen: longer than a vehicle; so far onto roads of another level that begin at a common node a level is known."""
+_TOUCH_M = 1.0e-6  # chosen: micrometres, for rounding
 
 # columns of `shape`
-HALF_WIDTH, CROSSFALL, LIFT_START, LIFT_END, RISE_FROM, RISE_TO, FLAT_START, FLAT_END, LENGTH, RESURFACED = (
-    range(10)
-)
+HALF_WIDTH, CROSSFALL, LIFT_START, LIFT_END, RISE_FROM = range(5)
+RISE_TO, FLAT_START, FLAT_END, LENGTH, RESURFACED = range(5, 10)
 # columns of `elements`
 _E0, _N0, _YAW0, _LONG, _CURVATURE, _S0 = range(6)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Roads:
     """Links (n,), nodes (m,) and the elements (k,) of the centre lines, in the order of their links.
 
@@ -76,43 +71,27 @@ class Roads:
     def surface_m(self, east_m: Floats, north_m: Floats, level: Integers) -> Floats:
         """Ellipsoidal height of the road of a level at places (n,); NaN beside any road of that level."""
         east, north, on = np.broadcast_arrays(east_m, north_m, level)
-        result = np.full(east.shape, np.nan)
-        _surface(
-            self._ground(),
-            self.shape,
-            self.elements,
-            self.element_link,
+        heights = _surface(
+            (self.terrain, self.shape, self.elements, self.element_link, self.nodes_m),
             self._rows,
-            self.nodes_m,
-            np.ascontiguousarray(east, np.float64).ravel(),
-            np.ascontiguousarray(north, np.float64).ravel(),
+            (_flat(east), _flat(north)),
             np.ascontiguousarray(on, np.int64).ravel(),
-            result.reshape(-1),
         )
-        return result
+        return heights.reshape(east.shape)
 
     def place(self, link: Integers, east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
         """s and y of places (n,) against the centre line of given links (row numbers, (n,)), its ends lengthened."""
         east, north, row = np.broadcast_arrays(east_m, north_m, link)
-        s, y = np.empty(east.shape), np.empty(east.shape)
         first = np.searchsorted(self.element_link, np.arange(len(self.link_id) + 1))
-        _place(
-            self.elements,
-            first,
-            np.ascontiguousarray(row, np.int64).ravel(),
-            np.ascontiguousarray(east).ravel(),
-            np.ascontiguousarray(north).ravel(),
-            s.reshape(-1),
-            y.reshape(-1),
-        )
-        return s, y
+        rows = np.ascontiguousarray(row, np.int64).ravel()
+        s, y = _place(self.elements, first, rows, (_flat(east), _flat(north)))
+        return s.reshape(east.shape), y.reshape(east.shape)
 
     def link_height_m(self, link: Integers, east_m: Floats, north_m: Floats) -> Floats:
         """Height (n,) of given links' surfaces, each continued beyond its sides and ends."""
         s, y = self.place(link, east_m, north_m)
-        rise = np.empty(s.shape)
         row = np.ascontiguousarray(np.broadcast_to(link, s.shape), np.int64)
-        _rises(self.shape, row.ravel(), s.ravel(), y.ravel(), rise.reshape(-1))
+        rise = _rises(self.shape, row.ravel(), s.ravel(), y.ravel()).reshape(s.shape)
         heights: Floats = self.terrain.height_m(east_m, north_m) + rise
         return heights
 
@@ -129,13 +108,16 @@ class Roads:
         middle = of[:, _YAW0] + 0.5 * turn
         return of[:, _E0] + chord * np.cos(middle), of[:, _N0] + chord * np.sin(middle), yaw
 
+    def beside(self, link: int, s_m: Floats, y_m: Floats | float) -> tuple[Floats, Floats, Floats]:
+        """East, north (n,) at y to the left of the centre line of one link at s, and its yaw there."""
+        east, north, yaw = self.centre_line(link, s_m)
+        return east - y_m * np.sin(yaw), north + y_m * np.cos(yaw), yaw
+
     def lift_m(self, link: int, s_m: Floats) -> Floats:
         """Height above the ground of one link's centre line as it was first built, (n,)."""
         shape = self.shape.copy()
         shape[:, RESURFACED] = 0.0
-        rise = np.empty(len(s_m))
-        _rises(shape, np.full(len(s_m), link), np.ascontiguousarray(s_m), np.zeros(len(s_m)), rise)
-        return rise
+        return _rises(shape, np.full(len(s_m), link), np.ascontiguousarray(s_m), np.zeros(len(s_m)))
 
     def resurfaced(self, offset_m: Floats) -> Roads:
         """The same roads with new surfaces, (n,) metres higher; towards their ends the offset fades out."""
@@ -143,38 +125,36 @@ class Roads:
         shape[:, RESURFACED] = offset_m
         return replace(self, shape=shape)
 
-    def _ground(self) -> tuple[float, Floats, Floats]:
-        return self.terrain.base_m, self.terrain.waves, self.terrain.hills
+
+def _flat(values: Floats) -> Floats:
+    return np.ascontiguousarray(values, np.float64).ravel()
 
 
 def answering_rows(
-    level: Integers,
-    start_node: Integers,
-    end_node: Integers,
-    node_level: Integers,
-    shape: Floats,
-    element_link: Integers,
+    ends: tuple[Integers, Integers], levels: tuple[Integers, Integers], shape: Floats, element_link: Integers
 ) -> tuple[Integers, Floats, Integers]:
     """Which elements answer for which level: (rows, 3) element, level, rank; (rows, 2) the part of the link, s to s.
 
     And which nodes' discs: (discs, 3) row of the node, level, rank. Rank 0: of that level. Rank 1: the beginning of a
-    road of another level that has a node in common with it, and that node. Nodes are numbered from 1.
+    road of another level that has a node in common with it, and that node. `ends`: nodes of the links at their start
+    and end, numbered from 1; `levels` of links and of nodes.
     """
+    (start_node, end_node), (level, node_level) = ends, levels
     whole, parts = [], []
     elements_of = [np.flatnonzero(element_link == link).tolist() for link in range(len(level))]
     levels_at: dict[int, set[int]] = {}
     for node, on in zip([*start_node.tolist(), *end_node.tolist()], [*level.tolist()] * 2, strict=True):
         levels_at.setdefault(node, set()).add(on)
-    for link, own in enumerate(level.tolist()):
+    for link, link_level in enumerate(level.tolist()):
         long = float(shape[link, LENGTH])
         for element in elements_of[link]:
-            whole.append((element, own, 0))
+            whole.append((element, link_level, 0))
             parts.append((-_TOUCH_M, long + _TOUCH_M))
         for node, low, high in (
             (int(start_node[link]), 0.0, BEYOND_NODE_M),
             (int(end_node[link]), long - BEYOND_NODE_M, long),
         ):
-            for other in sorted(levels_at[node] - {own}):
+            for other in sorted(levels_at[node] - {link_level}):
                 for element in elements_of[link]:
                     whole.append((element, other, 1))
                     parts.append((low - _TOUCH_M, high + _TOUCH_M))
@@ -183,8 +163,8 @@ def answering_rows(
         for node, levels in sorted(levels_at.items())
         for on in sorted(levels | {int(node_level[node - 1])})
     ]
-    rows = np.array(whole, np.int64).reshape(-1, 3), np.array(parts).reshape(-1, 2)
-    return *rows, np.array(discs, np.int64).reshape(-1, 3)
+    rows, discs_of = np.array(whole, np.int64).reshape(-1, 3), np.array(discs, np.int64).reshape(-1, 3)
+    return rows, np.array(parts).reshape(-1, 2), discs_of
 
 
 @compiled
@@ -199,30 +179,31 @@ def _smooth(x: float) -> float:
 @compiled
 def _fade(shape: Floats, link: int, s: float, over: float) -> float:
     """From 0 where the link is flat at its ends to 1 in its middle."""
-    begin: float = (s - shape[link, 6]) / over
-    end: float = (shape[link, 8] - shape[link, 7] - s) / over
+    begin: float = (s - shape[link, FLAT_START]) / over
+    end: float = (shape[link, LENGTH] - shape[link, FLAT_END] - s) / over
     return _smooth(begin) * _smooth(end)
 
 
 @compiled
 def _rise(shape: Floats, link: int, s: float, y: float) -> float:
     """Height of a link's surface above the ground."""
-    low: float = shape[link, 2]
-    high: float = shape[link, 3]
-    fall: float = shape[link, 1]
-    new: float = shape[link, 9]
-    rise = low + fall * _fade(shape, link, s, FADE_M) * y
+    low: float = shape[link, LIFT_START]
+    high: float = shape[link, LIFT_END]
+    rise: float = low + shape[link, CROSSFALL] * _fade(shape, link, s, FADE_M) * y
     if low != high:
-        rise += (high - low) * _smooth((s - shape[link, 4]) / (shape[link, 5] - shape[link, 4]))
-    if new != 0.0:
-        rise += new * _fade(shape, link, s, RESURFACING_FADE_M)
+        rise_m = shape[link, RISE_TO] - shape[link, RISE_FROM]
+        rise += (high - low) * _smooth((s - shape[link, RISE_FROM]) / rise_m)
+    if shape[link, RESURFACED] != 0.0:
+        rise += shape[link, RESURFACED] * _fade(shape, link, s, RESURFACING_FADE_M)
     return rise
 
 
 @compiled
-def _rises(shape: Floats, link: Integers, s: Floats, y: Floats, result: Floats) -> None:
+def _rises(shape: Floats, link: Integers, s: Floats, y: Floats) -> Floats:
+    rises = np.empty(len(s))
     for i in range(len(s)):
-        result[i] = _rise(shape, link[i], s[i], y[i])
+        rises[i] = _rise(shape, link[i], s[i], y[i])
+    return rises
 
 
 @compiled
@@ -247,19 +228,15 @@ def _along_across(elements: Floats, k: int, e: float, n: float) -> tuple[float, 
 
 @compiled_without_gil
 def _surface(
-    ground: tuple[float, Floats, Floats],
-    shape: Floats,
-    elements: Floats,
-    element_link: Integers,
+    roads: tuple[Terrain, Floats, Floats, Integers, Floats],
     answering: tuple[Integers, Floats, Integers],
-    nodes: Floats,
-    east: Floats,
-    north: Floats,
+    places: tuple[Floats, Floats],
     level: Integers,
-    result: Floats,
-) -> None:
+) -> Floats:
+    terrain, shape, elements, element_link, nodes = roads
     rows, parts, discs = answering
-    base, waves, hills = ground
+    east, north = places
+    result = np.full(len(east), np.nan)
     for i in range(len(east)):
         e, n = east[i], north[i]
         best_rank, best_away, rise = 9, np.inf, 0.0
@@ -268,7 +245,7 @@ def _surface(
                 continue
             k = rows[r, 0]
             link = element_link[k]
-            width = shape[link, 0]
+            width = shape[link, HALF_WIDTH]
             de, dn = e - elements[k, 0], n - elements[k, 1]
             reach = elements[k, 3] + width + 1.0
             if de * de + dn * dn > reach * reach:
@@ -289,13 +266,16 @@ def _surface(
                 if de * de + dn * dn <= nodes[k, 2] * nodes[k, 2]:
                     best_rank, rise = discs[d, 2], nodes[k, 3]
         if best_rank < 9:
-            result[i] = ground_height(base, waves, hills, e, n) + rise
+            result[i] = ground_height(terrain, e, n) + rise
+    return result
 
 
 @compiled
 def _place(
-    elements: Floats, first: Integers, link: Integers, east: Floats, north: Floats, s: Floats, y: Floats
-) -> None:
+    elements: Floats, first: Integers, link: Integers, places: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    east, north = places
+    s, y = np.empty(len(east)), np.empty(len(east))
     for i in range(len(east)):
         best = np.inf
         for k in range(first[link[i]], first[link[i] + 1]):
@@ -310,3 +290,4 @@ def _place(
             if away < best:
                 best = away
                 s[i], y[i] = at + elements[k, 5], left
+    return s, y

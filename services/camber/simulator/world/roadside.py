@@ -1,4 +1,4 @@
-"""What stands beside the roads: buildings, trees, poles, parked vehicles, on the survey day and on the drive day."""
+"""What stands along the roads: buildings, trees, poles, parked vehicles, on the survey day and on the drive day."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Material
+from camber.simulator.scene import Booleans, Floats, Integers, Material
 from camber.simulator.world.roads import HALF_WIDTH, Roads
+from camber.simulator.world.tunnel_fittings import tunnel_fittings
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Day = Literal["survey", "drive"]
 
-_NODE_CLEAR_M = 24.0
-"""Nothing is parked nearer to a node, and no tree or pole stands nearer than two thirds of it."""
+_NODE_CLEAR_M = (
+    24.0  # chosen: nothing is parked nearer to a node, nor a tree or pole nearer than two thirds of it
+)
+_LOWEST_M = 3.0  # chosen: a bungalow
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,59 +37,56 @@ class Frontage:
 
 FRONTAGES = {
     "street": Frontage(12.0, (14.0, 26.0), (12.0, 18.0), (13.0, 5.0), 0.25, 0.0, 35.0, 0.30),
-    # H. 30 m blocks, N(50, 15) m, 10 % gaps on a street 20 m wide: the trial of the street canyon.
+    # 30 m blocks, N(50, 15) m, 10 % gaps on a street 20 m wide: the street canyon of Kikuchi (TUMSAT).
     "canyon": Frontage(10.0, (30.0, 30.0), (20.0, 20.0), (50.0, 15.0), 0.10, 0.0, 35.0, 0.15),
     "avenue": Frontage(16.0, (15.0, 28.0), (12.0, 20.0), (16.0, 6.0), 0.35, 9.0, 45.0, 0.25),
     "open": Frontage(45.0, (15.0, 25.0), (10.0, 14.0), (6.0, 1.5), 0.92, 120.0, 60.0, 0.02),
 }
-_LOWEST_M = 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Roadside:
-    """Columns as in Shapes; on one day."""
+    """Columns as in Shapes; on one day, with what hangs in tunnels."""
 
-    buildings_m: Floats
-    vehicles_m: Floats
-    poles_m: Floats
-    trunks_m: Floats
+    boxes_m: Floats
+    boxes_material: Integers
+    cylinders_m: Floats
+    cylinders_material: Integers
     crowns_m: Floats
-    cabinets_m: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class _Spots:
-    """Places beside links: link, s, y and where that is."""
-
-    east: Floats
-    north: Floats
-    yaw: Floats
 
 
 def roadside(roads: Roads, seed: int, day: Day) -> Roadside:
-    """All that stands beside the roads on one day; the buildings are the same on both."""
-    poles = _poles(roads, seed, day)
+    """All that stands along the roads on one day; the buildings are the same on both."""
     trunks, crowns = _trees(roads, seed, day)
+    boxes = {
+        Material.BUILDING: buildings(roads, seed),
+        Material.VEHICLE: _vehicles(roads, seed, day),
+        Material.POLE: _cabinets(roads, seed, day),
+        Material.TUNNEL: tunnel_fittings(roads, seed),
+    }
+    cylinders = {Material.POLE: _poles(roads, seed, day), Material.TREE: trunks}
     return Roadside(
-        buildings(roads, seed),
-        _vehicles(roads, seed, day),
-        poles,
-        trunks,
-        crowns,
-        _cabinets(roads, seed, day),
+        boxes_m=np.concatenate([*boxes.values()]),
+        boxes_material=_material_of(boxes),
+        cylinders_m=np.concatenate([*cylinders.values()]),
+        cylinders_material=_material_of(cylinders),
+        crowns_m=crowns,
     )
+
+
+def _material_of(parts: dict[Material, Floats]) -> Integers:
+    return np.repeat([int(material) for material in parts], [len(part) for part in parts.values()])
 
 
 def buildings(roads: Roads, seed: int) -> Floats:
     """Boxes (n, 7) along all links that are built up, none on a road or in another."""
     rng = stream(seed, "buildings")
-    found: list[Floats] = []
+    houses = [np.zeros((0, 7))]
     for link, style in enumerate(roads.style):
-        if style not in FRONTAGES:
-            continue
-        for side in (-1.0, 1.0):
-            found.append(_row_of_houses(roads, link, side, FRONTAGES[style], rng))
-    boxes = np.concatenate([np.zeros((0, 7)), *found])
+        if style in FRONTAGES:
+            for side in (-1.0, 1.0):
+                houses.append(_row_of_houses((roads, link), side, FRONTAGES[style], rng))
+    boxes = np.concatenate(houses)
     boxes = boxes[_clear_of_roads(roads, boxes)]
     kept: list[int] = []
     for k in range(len(boxes)):
@@ -98,7 +95,8 @@ def buildings(roads: Roads, seed: int) -> Floats:
     return boxes[kept]
 
 
-def _row_of_houses(roads: Roads, link: int, side: float, front: Frontage, rng: np.random.Generator) -> Floats:
+def _row_of_houses(at: tuple[Roads, int], side: float, front: Frontage, rng: np.random.Generator) -> Floats:
+    roads, link = at
     length = float(roads.length_m[link])
     count = int(length / front.lot_m[0]) + 1
     lot = rng.uniform(*front.lot_m, count)
@@ -106,22 +104,13 @@ def _row_of_houses(roads: Roads, link: int, side: float, front: Frontage, rng: n
     depth = rng.uniform(*front.depth_m, count)
     height = np.maximum(rng.normal(*front.height_m, count), _LOWEST_M)
     stands = (rng.random(count) >= front.gap) & (end <= length + 0.5 * lot)
-    spots = _spots(roads, link, end - 0.5 * lot, side * (front.setback_m + 0.5 * depth))
-    base = roads.terrain.height_m(spots.east, spots.north)
-    boxes = np.column_stack(
-        (spots.east, spots.north, base - 2.0, 0.5 * lot - 0.05, 0.5 * depth, height + 2.0, spots.yaw)
-    )
+    east, north, yaw = roads.beside(link, end - 0.5 * lot, side * (front.setback_m + 0.5 * depth))
+    base = roads.terrain.height_m(east, north)
+    boxes = np.column_stack((east, north, base - 2.0, 0.5 * lot - 0.05, 0.5 * depth, height + 2.0, yaw))
     return boxes[stands]
 
 
-def _spots(roads: Roads, link: int, s: Floats, y: Floats) -> _Spots:
-    east, north, yaw = roads.centre_line(link, s)
-    return _Spots(east - y * np.sin(yaw), north + y * np.cos(yaw), yaw)
-
-
-def _clear_of_roads(
-    roads: Roads, boxes: Floats, margin_m: float = 2.0, but: int | None = None
-) -> NDArray[np.bool_]:
+def _clear_of_roads(roads: Roads, boxes: Floats, margin_m: float = 2.0, but: int | None = None) -> Booleans:
     """Boxes of which no point comes near a road that is not in a tunnel; `but`: a link that does not count."""
     u, v = (g.ravel() for g in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 7)))
     c, s = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
@@ -143,7 +132,7 @@ def _clear_of_roads(
     return clear
 
 
-def _overlap(box: Floats, others: Floats) -> NDArray[np.bool_]:
+def _overlap(box: Floats, others: Floats) -> Booleans:
     """Does the plan of a box overlap those of others? By separating axes."""
     apart = np.zeros(len(others), bool)
     de, dn = others[:, 0] - box[0], others[:, 1] - box[1]
@@ -160,26 +149,19 @@ def _overlap(box: Floats, others: Floats) -> NDArray[np.bool_]:
     return ~apart
 
 
-def _along(roads: Roads, link: int, every_m: float, clear_m: float) -> Floats:
-    """Places along a link, s, some metres apart and away from its ends."""
-    length = float(roads.length_m[link])
-    return np.arange(clear_m, length - clear_m, every_m) if every_m > 0.0 else np.zeros(0)
-
-
 def _beside(roads: Roads, key: str, out_m: float, clear_m: float) -> tuple[Floats, Floats, Floats, Floats]:
     """East, north, ground and yaw of places on both sides of all links, as far apart as their frontage says."""
     rows: list[Floats] = [np.zeros((0, 3))]
     for link, style in enumerate(roads.style):
-        if style in FRONTAGES:
-            s = _along(roads, link, float(getattr(FRONTAGES[style], key)), clear_m)
+        every_m = float(getattr(FRONTAGES[style], key)) if style in FRONTAGES else 0.0
+        if every_m > 0.0:
+            s = np.arange(clear_m, float(roads.length_m[link]) - clear_m, every_m)
             for side in (-1.0, 1.0):
                 y = side * (roads.shape[link, HALF_WIDTH] + out_m)
-                spots = _spots(roads, link, s + (4.0 if side > 0.0 else 0.0), np.full(len(s), y))
-                rows.append(np.column_stack((spots.east, spots.north, spots.yaw)))
+                rows.append(np.column_stack(roads.beside(link, s + (4.0 if side > 0.0 else 0.0), y)))
     east, north, yaw = np.concatenate(rows).T
-    small = np.zeros(len(east))
-    free = _clear_of_roads(roads, np.column_stack((east, north, small, small, small, small, yaw)), 0.4)
-    east, north, yaw = east[free], north[free], yaw[free]
+    points = np.column_stack((east, north, *np.zeros((4, len(east))), yaw))
+    east, north, yaw = points[_clear_of_roads(roads, points, 0.4)][:, [0, 1, 6]].T
     return east, north, roads.terrain.height_m(east, north), yaw
 
 
@@ -217,7 +199,7 @@ def _vehicles(roads: Roads, seed: int, day: Day) -> Floats:
     for link, style in enumerate(roads.style):
         if style not in FRONTAGES:
             continue
-        s = _along(roads, link, 7.5, _NODE_CLEAR_M)
+        s = np.arange(_NODE_CLEAR_M, float(roads.length_m[link]) - _NODE_CLEAR_M, 7.5)
         for side, side_name in ((-1.0, "right"), (1.0, "left")):
             rng = stream(seed, f"parked {link} {side_name}")
             then = rng.random(len(s)) < FRONTAGES[style].parked
@@ -225,24 +207,14 @@ def _vehicles(roads: Roads, seed: int, day: Day) -> Floats:
             shift, size = rng.uniform(-0.7, 0.7, (2, len(s))), rng.uniform(0.85, 1.05, (2, len(s)))
             k = 0 if day == "survey" else 1
             taken = then if k == 0 else now
-            y = np.full(len(s), side * (roads.shape[link, HALF_WIDTH] - 0.85))
-            spots = _spots(roads, link, s + shift[k], y)
-            up = roads.link_height_m(np.array(link), spots.east, spots.north)
+            y = side * (roads.shape[link, HALF_WIDTH] - 0.85)
+            east, north, yaw = roads.beside(link, s + shift[k], y)
+            up = roads.link_height_m(np.array(link), east, north)
             shape = np.tile((0.0, 2.4, 0.9, 1.5), (len(s), 1))
-            place = np.column_stack((spots.east, spots.north, shape, spots.yaw))
-            taken = taken & _clear_of_roads(roads, place, 0.3, but=link)
+            taken = taken & _clear_of_roads(roads, np.column_stack((east, north, shape, yaw)), 0.3, but=link)
             for low, high, long, wide in ((0.2, 0.75, 2.2, 0.85), (0.95, 0.55, 1.2, 0.72)):
-                body = np.column_stack(
-                    (
-                        spots.east,
-                        spots.north,
-                        up + low,
-                        long * size[k],
-                        np.full(len(s), wide),
-                        np.full(len(s), high),
-                        spots.yaw,
-                    )
-                )
+                across = np.tile((wide, high), (len(s), 1))
+                body = np.column_stack((east, north, up + low, long * size[k], across, yaw))
                 bodies.append(body[taken])
     return np.concatenate(bodies)
 
@@ -259,17 +231,3 @@ def _cabinets(roads: Roads, seed: int, day: Day) -> Floats:
         east, north = east + by * np.cos(yaw), north + by * np.sin(yaw)
     boxes = np.column_stack((east, north, ground, half_length, np.full(n, 0.3), height + 0.2, yaw))
     return boxes[there]
-
-
-def materials(side: Roadside) -> tuple[Floats, Integers, Floats, Integers]:
-    """Boxes and cylinders with their materials."""
-    boxes = (side.buildings_m, side.vehicles_m, side.cabinets_m)
-    of_boxes = np.repeat([Material.BUILDING, Material.VEHICLE, Material.POLE], [len(part) for part in boxes])
-    cylinders = (side.poles_m, side.trunks_m)
-    of_cylinders = np.repeat([Material.POLE, Material.TREE], [len(part) for part in cylinders])
-    return (
-        np.concatenate(boxes),
-        of_boxes.astype(np.int64),
-        np.concatenate(cylinders),
-        of_cylinders.astype(np.int64),
-    )

@@ -1,6 +1,6 @@
-"""The way of a vehicle along links: keeping left, round corners, smooth in its curvature.
+"""The path of a vehicle along links: keeping left, round corners, smooth in its curvature.
 
-In a link the way keeps the lane's distance from the centre line; where two links meet at an angle an arc joins the two
+In a link the path keeps the lane's distance from the centre line; where two links meet at an angle an arc joins the two
 lanes. The whole line is then averaged over a few metres of itself, which leaves straight road as it is, moves an arc
 inwards by a few centimetres and makes the curvature continuous, as steering does.
 """
@@ -12,18 +12,16 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.simulator.scene import Path
+from camber.simulator.scene import Floats, Integers, Path
 from camber.simulator.world.roads import Roads
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
+# Chosen: comfortable driving of a passenger car that keeps left.
 STEP_M = 0.1
 LEFT_TURN_RADIUS_M = 9.0
 RIGHT_TURN_RADIUS_M = 13.0
 LATERAL_ACCELERATION_M_S2 = 2.0
+# Chosen: fine against the step; averaged over the length in which a wheel is turned.
 _FINE_M = 0.02
 _AVERAGED_M = 6.0
 _SAME_DIRECTION_RAD = 1.0e-3
@@ -38,7 +36,7 @@ class Leg:
     forward: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
     """A vehicle stops before the end of a leg of its route, `before_m` before the node, for `stop_s`."""
 
@@ -55,25 +53,23 @@ def route_path(
     It begins `start_m` after the start of the first leg and ends `end_m` before the end of the last. Raises ValueError
     where legs do not follow one another, or leave no room for a turn.
     """
-    line_m, leg_of, at_m = _lane_line(roads, legs, start_m, end_m)
-    line_m, at_m, leg_of = _fine(line_m, at_m, leg_of)
+    line_m, leg_of = _fine(*_lane_line(roads, legs, start_m, end_m))
     line_m = _averaged(line_m)
-    step = np.diff(line_m, axis=0)
-    fine_s = np.concatenate(([0.0], np.cumsum(np.hypot(*step.T))))
+    fine_s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))))
     tangent = np.gradient(line_m, axis=0)
     fine_yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    s = np.arange(int(fine_s[-1] / STEP_M) + 1) * STEP_M
+    s = STEP_M * np.arange(int(fine_s[-1] / STEP_M) + 1, dtype=np.float64)
     east, north, yaw = (np.interp(s, fine_s, v) for v in (line_m[:, 0], line_m[:, 1], fine_yaw))
-    leg = leg_of[
-        np.clip(np.rint(np.interp(s, fine_s, np.arange(len(fine_s)))).astype(np.int64), 0, len(leg_of) - 1)
-    ]
+    leg = leg_of[_nearest(s, fine_s)]
     link = np.array([one.link for one in legs])[leg]
     direction = np.where(np.array([one.forward for one in legs])[leg], 1.0, -1.0)
     level = roads.level[link]
     along, offset = roads.place(link, east, north)
-    slope_east, slope_north = _slopes(roads, east, north, level, link)
+    slope_east, slope_north = _slopes(roads, east, north, level)
     covered = roads.covered_m[link]
-    limit = np.minimum(roads.speed_m_s[link], _speed_in_curves(yaw))
+    curvature = np.abs(np.gradient(yaw, STEP_M))
+    limit_in_curves = np.sqrt(LATERAL_ACCELERATION_M_S2 / np.maximum(curvature, 1.0e-4))
+    limit = np.minimum(roads.speed_m_s[link], limit_in_curves)
     stop_s = np.zeros(len(s))
     for stop in stops:
         before = np.flatnonzero(leg == stop.leg)
@@ -97,20 +93,18 @@ def route_path(
     )
 
 
-def _slopes(
-    roads: Roads, east: Floats, north: Floats, level: Integers, link: Integers
-) -> tuple[Floats, Floats]:
+def _nearest(at: Floats, distance_m: Floats) -> Integers:
+    """The number of the nearest of ascending distances, for each."""
+    place = np.rint(np.interp(at, distance_m, np.arange(len(distance_m)))).astype(np.int64)
+    return np.clip(place, 0, len(distance_m) - 1)
+
+
+def _slopes(roads: Roads, east: Floats, north: Floats, level: Integers) -> tuple[Floats, Floats]:
     """Slopes of the surface towards east and north, by central differences of the closed form."""
     d = _DIFFERENCE_M
     towards_east = roads.surface_m(east + d, north, level) - roads.surface_m(east - d, north, level)
     towards_north = roads.surface_m(east, north + d, level) - roads.surface_m(east, north - d, level)
     return towards_east / (2.0 * d), towards_north / (2.0 * d)
-
-
-def _speed_in_curves(yaw: Floats) -> Floats:
-    curvature = np.abs(np.gradient(yaw, STEP_M))
-    limit: Floats = np.sqrt(LATERAL_ACCELERATION_M_S2 / np.maximum(curvature, 1.0e-4))
-    return limit
 
 
 @dataclass(slots=True)
@@ -122,15 +116,12 @@ class _LaneEnd:
     cut_m: float = 0.0
 
 
-def _lane_line(
-    roads: Roads, legs: Sequence[Leg], start_m: float, end_m: float
-) -> tuple[Floats, Integers, Floats]:
-    """Points of the lanes and of the arcs between them, the leg of each, and the distance along."""
+def _lane_line(roads: Roads, legs: Sequence[Leg], start_m: float, end_m: float) -> tuple[Floats, Integers]:
+    """Points of the lanes and of the arcs between them, and the leg of each."""
     for a, b in pairwise(legs):
         if _nodes(roads, a)[1] != _nodes(roads, b)[0]:
-            raise ValueError(
-                f"link {roads.link_id[b.link]} does not begin where {roads.link_id[a.link]} ends"
-            )
+            first, second = roads.link_id[a.link], roads.link_id[b.link]
+            raise ValueError(f"link {second} does not begin where {first} ends")
     begins = [_LaneEnd(*_lane(roads, leg, np.zeros(1))) for leg in legs]
     ends = [_LaneEnd(*_lane(roads, leg, roads.length_m[leg.link : leg.link + 1])) for leg in legs]
     begins[0].cut_m, ends[-1].cut_m = start_m, end_m
@@ -146,11 +137,9 @@ def _lane_line(
         if k < len(arcs):
             points.append(arcs[k])
             leg_of.append(np.where(np.arange(len(arcs[k])) * 2 < len(arcs[k]), k, k + 1))
-    line, of = np.concatenate(points), np.concatenate(leg_of)
-    step = np.hypot(*np.diff(line, axis=0).T)
-    new = np.concatenate(([True], step > 1.0e-9))
-    line, of = line[new], of[new]
-    return line, of, np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
+    line = np.concatenate(points)
+    new = np.concatenate(([True], np.hypot(*np.diff(line, axis=0).T) > 1.0e-9))
+    return line[new], np.concatenate(leg_of)[new]
 
 
 def _nodes(roads: Roads, leg: Leg) -> tuple[int, int]:
@@ -185,18 +174,17 @@ def _arc(end: _LaneEnd, begin: _LaneEnd) -> Floats:
     side = 1.0 if turn > 0.0 else -1.0
     angle = np.linspace(0.0, abs(turn), max(3, int(radius * abs(turn) / 0.02)))[1:-1]
     left = np.array([-ahead[1], ahead[0]])
-    arc: Floats = (
-        start + np.outer(radius * np.sin(angle), ahead) + np.outer(side * radius * (1 - np.cos(angle)), left)
-    )
+    forward, sideways = radius * np.sin(angle), side * radius * (1 - np.cos(angle))
+    arc: Floats = start + np.outer(forward, ahead) + np.outer(sideways, left)
     return arc
 
 
-def _fine(line_m: Floats, at_m: Floats, leg_of: Integers) -> tuple[Floats, Floats, Integers]:
+def _fine(line_m: Floats, leg_of: Integers) -> tuple[Floats, Integers]:
     """The line at even distances of 2 cm."""
+    at_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line_m, axis=0).T))))
     at = np.linspace(0.0, at_m[-1], int(at_m[-1] / _FINE_M) + 1)
     fine = np.column_stack([np.interp(at, at_m, line_m[:, k]) for k in range(2)])
-    nearest = np.clip(np.rint(np.interp(at, at_m, np.arange(len(at_m)))).astype(np.int64), 0, len(at_m) - 1)
-    return fine, at, leg_of[nearest]
+    return fine, leg_of[_nearest(at, at_m)]
 
 
 def _averaged(line_m: Floats) -> Floats:

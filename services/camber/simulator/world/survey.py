@@ -1,6 +1,6 @@
 """A release of the map as a survey of a district makes it: on the survey day, with a survey's errors.
 
-Whoever drives on the drive day finds vehicles parked elsewhere, trees grown and some roads resurfaced since.
+On the drive day vehicles are parked elsewhere, trees have grown and some roads have been resurfaced.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from camber.road_map.release import write_release
 from camber.schemas.road import CloudTile, ReleaseRoot
 from camber.simulator.world.district import District
 from camber.simulator.world.ray_tracing import ShapeTracer
-from camber.simulator.world.survey_clouds import surveyed_clouds
+from camber.simulator.world.survey_clouds import scan_stations, surveyed_clouds
 from camber.simulator.world.survey_links import surveyed_links
 from camber.simulator.world.survey_surfaces import surveyed_surfaces
 
@@ -23,7 +23,7 @@ SURVEYED_BEFORE_NS = 120 * 86_400 * 1_000_000_000
 """Between the survey day and the drive day."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyErrors:
     """How good the survey is. `clouds`: False leaves the point clouds out, which take nearly all of the time.
 
@@ -46,7 +46,6 @@ def write_survey(
     errors: SurveyErrors | None = None,
     *,
     seed: int | None = None,
-    map_version: int = 1,
     scanned_route: str | None = None,
 ) -> ReleaseRoot:
     """Write the release of a district as surveyed at `time_ns`; the seed is the district's where none is given.
@@ -57,41 +56,35 @@ def write_survey(
     errors = errors or SurveyErrors()
     seed = district.seed if seed is None else seed
     roads = district.roads("survey")
+    sigma_m, correlation_m = errors.height_sigma_m, errors.height_correlation_m
     surfaces = surveyed_surfaces(
-        roads, district.frame, seed, errors.height_sigma_m, errors.height_correlation_m, time_ns
+        roads, district.frame, seed, sigma_m=sigma_m, correlation_m=correlation_m, seen_ns=time_ns
     )
     off_m = [errors.wrong_m.get(link, 0.0) for link in surfaces.link_id.tolist()]
-    surfaces = replace(
-        surfaces, heights_m=[h + off for h, off in zip(surfaces.heights_m, off_m, strict=True)]
-    )
+    heights_m = [h + off for h, off in zip(surfaces.heights_m, off_m, strict=True)]
     clouds: list[CloudTile] = []
     if errors.clouds:
         links = list(range(len(roads.link_id)))
         if scanned_route is not None:
             links = sorted({leg.link for leg in district.layout.routes[scanned_route].legs})
+        tracer = ShapeTracer(district.shapes("survey"))
+        stations = scan_stations(roads, links, errors.scan_spacing_m)
         clouds = surveyed_clouds(
-            roads,
-            links,
-            ShapeTracer(district.shapes("survey")),
-            district.frame,
-            seed=seed,
-            spacing_m=errors.scan_spacing_m,
-            voxel_m=errors.voxel_m,
-            seen_ns=time_ns,
+            stations, tracer, district.frame, seed=seed, voxel_m=errors.voxel_m, seen_ns=time_ns
         )
     day = gpst_from_gps_ns(time_ns)
     return write_release(
         folder,
         region=district.kind,
-        map_version=map_version,
+        map_version=1,
         datum=DATUM,
         epoch_year=round(day.year + (day.month - 0.5) / 12.0, 2),
         time_ns=time_ns,
-        surfaces=surfaces,
+        surfaces=replace(surfaces, heights_m=heights_m),
         links=surveyed_links(roads, district.frame, seed, errors.link_deviation_m),
         clouds=clouds,
         surrogate=(
-            f"simulated survey of district {district.kind}, seed {seed}: heights with {errors.height_sigma_m:g} m of "
-            f"noise (correlation {errors.height_correlation_m:g} m), links up to {errors.link_deviation_m:g} m off"
+            f"simulated survey of district {district.kind}, seed {seed}: heights with {sigma_m:g} m of "
+            f"noise (correlation {correlation_m:g} m), links up to {errors.link_deviation_m:g} m off"
         ),
     )

@@ -11,17 +11,16 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.cloud_tiles import cloud_tiles, first_of_voxels
 from camber.schemas.road import CloudTile, Layer
 from camber.simulator.random_streams import stream
-from camber.simulator.scene import Material, Tracer
+from camber.simulator.scene import Booleans, Floats, Material
+from camber.simulator.world.ray_tracing import ShapeTracer
 from camber.simulator.world.roads import Roads
 
-Floats = NDArray[np.float64]
-
+# Chosen: a scanner on the roof of a car, denser than a LiDAR that drives by, in blocks that fit into the cache.
 SENSOR_HEIGHT_M = 2.2
 _ELEVATIONS_RAD = np.deg2rad(np.concatenate((np.linspace(-28.0, 0.0, 32), np.linspace(2.0, 32.0, 16))))
 _AZIMUTHS = 240
@@ -29,37 +28,35 @@ _RANGE_M = 80.0
 _RANGE_SIGMA_M = 0.01
 _SWEEPS_AT_ONCE = 40
 _THREADS = 2
+Station = tuple[Floats, Floats]
+"""Places (n, 3) of the scanner, some at a time, and its yaws (n,)."""
 _LAYERS: tuple[tuple[Layer, bool], ...] = (("environment_cloud", False), ("road_cloud", True))
 
 
 def surveyed_clouds(
-    roads: Roads,
-    links: Sequence[int],
-    tracer: Tracer,
+    stations: Iterator[Station],
+    tracer: ShapeTracer,
     frame: LocalFrame,
     *,
     seed: int,
-    spacing_m: float,
     voxel_m: float,
     seen_ns: int,
 ) -> list[CloudTile]:
-    """Two clouds of each tile, scanned from some links (row numbers): the roads' surfaces, and all else."""
+    """Two clouds of each tile: the roads' surfaces, and all else."""
     tiles: list[CloudTile] = []
-    stations = _stations(roads, links, spacing_m)
     points, on_road = _scanned(stations, tracer, seed, voxel_m)
     for layer, road in _LAYERS:
         kept = points[on_road == road]
-        kept = kept[first_of_voxels(kept, voxel_m)]
-        tiles += cloud_tiles(kept, frame, layer, seen_ns)
+        tiles += cloud_tiles(kept[first_of_voxels(kept, voxel_m)], frame, layer, seen_ns)
     return tiles
 
 
 def _scanned(
-    stations: Iterator[tuple[Floats, Floats]], tracer: Tracer, seed: int, voxel_m: float
-) -> tuple[Floats, NDArray[np.bool_]]:
+    stations: Iterator[Station], tracer: ShapeTracer, seed: int, voxel_m: float
+) -> tuple[Floats, Booleans]:
     """Points (n, 3) in the world frame, and which of them lie on a road."""
 
-    def scan(numbered: tuple[int, tuple[Floats, Floats]]) -> tuple[Floats, NDArray[np.bool_]]:
+    def scan(numbered: tuple[int, Station]) -> tuple[Floats, Booleans]:
         number, (place_m, yaw_rad) = numbered
         points, road = _scan(tracer, place_m, yaw_rad, stream(seed, f"survey scans {number}"))
         # Scans near one another: most of what is thinned out is theirs.
@@ -73,8 +70,8 @@ def _scanned(
 
 
 def _scan(
-    tracer: Tracer, place_m: Floats, yaw_rad: Floats, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.bool_]]:
+    tracer: ShapeTracer, place_m: Floats, yaw_rad: Floats, rng: np.random.Generator
+) -> tuple[Floats, Booleans]:
     """What scans at places (n, 3) hit, and whether it is road."""
     step = 2.0 * math.pi / _AZIMUTHS
     azimuth = (yaw_rad + rng.uniform(0.0, step, len(yaw_rad)))[:, None] + np.arange(_AZIMUTHS) * step
@@ -92,15 +89,13 @@ def _scan(
     return origin[met] + distance[:, None] * direction[met], hits.material[met] == Material.ROAD
 
 
-def _stations(roads: Roads, links: Sequence[int], spacing_m: float) -> Iterator[tuple[Floats, Floats]]:
-    """Places (n, 3) and yaws (n,) of the scanner, some at a time; never more of one link than fit."""
+def scan_stations(roads: Roads, links: Sequence[int], spacing_m: float) -> Iterator[Station]:
+    """Along the lanes of some links (row numbers)."""
     for link in links:
         length = float(roads.length_m[link])
         s = np.linspace(0.0, length, max(2, math.ceil(length / spacing_m) + 1))[:-1] + 0.5 * spacing_m
         s = s[s < length]
-        east, north, yaw = roads.centre_line(link, s)
-        left = float(roads.lane_offset_m[link])
-        east, north = east - left * np.sin(yaw), north + left * np.cos(yaw)
+        east, north, yaw = roads.beside(link, s, float(roads.lane_offset_m[link]))
         up = roads.link_height_m(np.array(link), east, north) + SENSOR_HEIGHT_M
         for k in range(0, len(s), _SWEEPS_AT_ONCE):
             part = slice(k, k + _SWEEPS_AT_ONCE)

@@ -1,4 +1,4 @@
-"""Links of the map as coarse as those of maps that navigation uses: thinned, and metres beside the road.
+"""Links of the map as coarse as those of maps that navigation uses: thinned, and metres off the road.
 
 Nodes are off by a vector each; along a link the error goes from that of its first node over errors across the road,
 drawn every 50 m, to that of its last node, always a mean of such errors, so that it is nowhere larger than the largest.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.replay.coarse_links import thinned
@@ -17,8 +16,7 @@ from camber.road_map.road_columns import RoadLinks
 from camber.simulator.random_streams import stream
 from camber.simulator.world.roads import Roads
 
-Floats = NDArray[np.float64]
-
+# Chosen: fine against the knots of the error, of which a small share is left to the thinning.
 _STEP_M = 2.0
 _KNOT_M = 50.0
 _THINNING_SHARE = 1.0 / 6.0

@@ -7,18 +7,19 @@ those of one survey do.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.road_map.road_columns import RoadSurfaces
 from camber.simulator.random_streams import stream
+from camber.simulator.scene import Floats
 from camber.simulator.world.roads import HALF_WIDTH, Roads
 
-Floats = NDArray[np.float64]
-
+# Chosen: surfaces as maps have them, lanes of some 20 m with heights every 4 m that follow the road's bends.
 LONGEST_M = 20.0
 _GRID_M = 4.0
 _OVERLAP_M = 0.5
@@ -40,58 +41,60 @@ class ErrorField:
         self._size = sigma_m * math.sqrt(2.0 / _FEATURES)
 
     def at(self, east_m: Floats, north_m: Floats) -> Floats:
-        """Errors at places (n,)."""
+        """Errors at places of any shape."""
         angle = np.outer(east_m, self._wave[:, 0]) + np.outer(north_m, self._wave[:, 1]) + self._phase
-        errors: Floats = self._size * np.cos(angle).sum(axis=1)
+        errors: Floats = (self._size * np.cos(angle).sum(axis=1)).reshape(east_m.shape)
         return errors
 
 
+class _Rectangle(NamedTuple):
+    surface_id: int
+    link_id: int
+    level: int
+    east: float
+    north: float
+    yaw: float
+    half_length: float
+    half_width: float
+
+    def grid(self, rows: int, columns: int) -> tuple[Floats, Floats]:
+        """East and north (rows, columns): from the rear to the front, from the right to the left."""
+        along = np.linspace(-self.half_length, self.half_length, rows)
+        left = np.linspace(-self.half_width, self.half_width, columns)
+        u, v = np.meshgrid(along, left, indexing="ij")
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return self.east + c * u - s * v, self.north + s * u + c * v
+
+
 def surveyed_surfaces(
-    roads: Roads, frame: LocalFrame, seed: int, sigma_m: float, correlation_m: float, seen_ns: int
+    roads: Roads, frame: LocalFrame, seed: int, *, sigma_m: float, correlation_m: float, seen_ns: int
 ) -> RoadSurfaces:
     """Surfaces of all links, a row for each lane, and of all junctions; `seen_ns` is when they were seen."""
     fields = {
         level: ErrorField(sigma_m, correlation_m, stream(seed, f"survey heights {level}"))
         for level in sorted(set(roads.level.tolist()) | set(roads.node_level.tolist()))
     }
-    rows: list[tuple[int, int, int, float, float, float, float, float]] = []
-    grids: list[Floats] = []
+    rows: list[_Rectangle] = []
+    heights_m: list[Floats] = []
     for link in range(len(roads.link_id)):
-        level, half = int(roads.level[link]), float(roads.shape[link, HALF_WIDTH])
-        for piece, (first, last) in enumerate(_pieces(roads, link)):
-            east, north, _ = roads.centre_line(link, np.array([first, last]))
-            yaw = math.atan2(north[1] - north[0], east[1] - east[0])
-            long = math.hypot(north[1] - north[0], east[1] - east[0])
-            bow = _bow(roads, link, first, last)
-            for lane, side in enumerate((-1.0, 1.0)):
-                # The road bends away from the chord; the rectangle reaches to where it comes.
-                y, wide = side * 0.5 * half, 0.5 * half + bow
-                centre = (
-                    0.5 * (east[0] + east[1]) - y * math.sin(yaw),
-                    0.5 * (north[0] + north[1]) + y * math.cos(yaw),
-                )
-                half_length = 0.5 * long + _OVERLAP_M
-                e, n = _grid(
-                    *centre, yaw, half_length, wide, max(2, round(2.0 * half_length / _GRID_M) + 1), 3
-                )
-                up = roads.link_height_m(np.array(link), e, n) + fields[level].at(
-                    e.ravel(), n.ravel()
-                ).reshape(e.shape)
-                number = int(roads.link_id[link]) * _IDS_PER_LINK + 2 * piece + lane
-                rows.append((number, int(roads.link_id[link]), level, *centre, yaw, half_length, wide))
-                grids.append(up)
+        for rectangle in _lanes(roads, link):
+            e, n = rectangle.grid(max(2, round(2.0 * rectangle.half_length / _GRID_M) + 1), 3)
+            heights_m.append(roads.link_height_m(np.array(link), e, n) + fields[rectangle.level].at(e, n))
+            rows.append(rectangle)
     for node in np.flatnonzero(roads.nodes_m[:, 2] > 0.0).tolist():
-        centre_east, centre_north, radius, lift = roads.nodes_m[node].tolist()
+        east, north, radius, lift = roads.nodes_m[node].tolist()
         level = int(roads.node_level[node])
-        cells = max(2, round(2.0 * radius / _GRID_M) + 1)
-        e, n = _grid(centre_east, centre_north, 0.0, radius, radius, cells, cells)
-        up = roads.terrain.height_m(e, n) + lift + fields[level].at(e.ravel(), n.ravel()).reshape(e.shape)
         link_id = _link_at(roads, node, level)
-        rows.append((_FIRST_NODE_ID + node, link_id, level, centre_east, centre_north, 0.0, radius, radius))
-        grids.append(up)
+        square = (east, north, 0.0, radius, radius)
+        rectangle = _Rectangle(_FIRST_NODE_ID + node, link_id, level, *square)
+        cells = max(2, round(2.0 * radius / _GRID_M) + 1)
+        e, n = rectangle.grid(cells, cells)
+        heights_m.append(roads.terrain.height_m(e, n) + lift + fields[level].at(e, n))
+        rows.append(rectangle)
     columns = np.array(rows)
     latitude, longitude, _ = frame.geodetic_from_east_north_array(columns[:, 3:5], np.zeros(len(columns)))
-    convergence = (longitude - frame.longitude_rad) * math.sin(frame.latitude_rad)
+    # Against east at the surface's place, not at the district's origin.
+    yaw = columns[:, 5] - (longitude - frame.longitude_rad) * math.sin(frame.latitude_rad)
     whole = columns[:, :3].astype(np.int64)
     return RoadSurfaces(
         surface_id=whole[:, 0],
@@ -99,15 +102,38 @@ def surveyed_surfaces(
         level=whole[:, 2],
         latitude_rad=latitude,
         longitude_rad=longitude,
-        # Against east at the surface's own place, not at the district's origin.
-        yaw_rad=_wrapped(columns[:, 5] - convergence),
+        yaw_rad=(yaw + math.pi) % (2.0 * math.pi) - math.pi,
         half_length_m=columns[:, 6],
         half_width_m=columns[:, 7],
         sigma_m=np.full(len(columns), sigma_m),
         vehicles=np.zeros(len(columns), np.int64),
         last_seen_ns=np.full(len(columns), seen_ns),
-        heights_m=grids,
+        heights_m=heights_m,
     )
+
+
+def _lanes(roads: Roads, link: int) -> Iterator[_Rectangle]:
+    """Piece by piece of a link, the right lane and the left one."""
+    link_id, half = int(roads.link_id[link]), float(roads.shape[link, HALF_WIDTH])
+    for piece, (first, last) in enumerate(_pieces(roads, link)):
+        east, north, _ = roads.centre_line(link, np.array([first, 0.5 * (first + last), last]))
+        yaw = math.atan2(north[2] - north[0], east[2] - east[0])
+        half_length = 0.5 * math.hypot(north[2] - north[0], east[2] - east[0]) + _OVERLAP_M
+        middle_east, middle_north = 0.5 * (east[0] + east[2]), 0.5 * (north[0] + north[2])
+        # The road bends away from the chord; the rectangle reaches to where it comes.
+        half_width = 0.5 * half + math.hypot(east[1] - middle_east, north[1] - middle_north)
+        for lane, side in enumerate((-1.0, 1.0)):
+            y = side * 0.5 * half
+            yield _Rectangle(
+                surface_id=link_id * _IDS_PER_LINK + 2 * piece + lane,
+                link_id=link_id,
+                level=int(roads.level[link]),
+                east=middle_east - y * math.sin(yaw),
+                north=middle_north + y * math.cos(yaw),
+                yaw=yaw,
+                half_length=half_length,
+                half_width=half_width,
+            )
 
 
 def _pieces(roads: Roads, link: int) -> list[tuple[float, float]]:
@@ -121,32 +147,8 @@ def _pieces(roads: Roads, link: int) -> list[tuple[float, float]]:
     return pieces
 
 
-def _bow(roads: Roads, link: int, first: float, last: float) -> float:
-    """How far the middle of a piece lies off its chord."""
-    east, north, _ = roads.centre_line(link, np.array([first, 0.5 * (first + last), last]))
-    return float(math.hypot(east[1] - 0.5 * (east[0] + east[2]), north[1] - 0.5 * (north[0] + north[2])))
-
-
-def _grid(
-    east: float, north: float, yaw: float, half_length: float, half_width: float, rows: int, columns: int
-) -> tuple[Floats, Floats]:
-    """East and north (rows, columns): from the rear to the front, from the right to the left."""
-    u, v = np.meshgrid(
-        np.linspace(-half_length, half_length, rows),
-        np.linspace(-half_width, half_width, columns),
-        indexing="ij",
-    )
-    c, s = math.cos(yaw), math.sin(yaw)
-    return east + c * u - s * v, north + s * u + c * v
-
-
 def _link_at(roads: Roads, node: int, level: int) -> int:
     """The id of the first link of a level at a node (row number); any, where there is none of it."""
     there = (roads.start_node == node + 1) | (roads.end_node == node + 1)
-    own = there & (roads.level == level)
-    return int(roads.link_id[np.flatnonzero(own if own.any() else there)[0]])
-
-
-def _wrapped(angle: Floats) -> Floats:
-    wrapped: Floats = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    return wrapped
+    at_level = there & (roads.level == level)
+    return int(roads.link_id[np.flatnonzero(at_level if at_level.any() else there)[0]])

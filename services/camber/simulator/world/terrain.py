@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.simulator.random_streams import stream
+from camber.simulator.scene import Floats
 
-Floats = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Terrain:
+class Terrain(NamedTuple):
     """Ellipsoidal height of the ground over east and north of the world frame.
 
     `waves` (n, 4): amplitude [m], wave number east and north [rad/m], phase [rad]. `hills` (n, 5): height [m], east,
@@ -31,15 +29,14 @@ class Terrain:
         """Heights at places of any shape."""
         east = np.ascontiguousarray(east_m, np.float64)
         north = np.ascontiguousarray(north_m, np.float64)
-        result = np.empty(east.shape)
-        _heights(self.base_m, self.waves, self.hills, east.ravel(), north.ravel(), result.ravel())
-        return result
+        return _heights(self, east.ravel(), north.ravel()).reshape(east.shape)
 
 
 @compiled
-def ground_height(base: float, waves: Floats, hills: Floats, e: float, n: float) -> float:
-    """Height at one place; arguments as the fields of Terrain."""
-    height = base
+def ground_height(terrain: Terrain, e: float, n: float) -> float:
+    """Height at one place."""
+    height = terrain.base_m
+    waves, hills = terrain.waves, terrain.hills
     for i in range(len(waves)):
         height += waves[i, 0] * math.sin(waves[i, 1] * e + waves[i, 2] * n + waves[i, 3])
     for i in range(len(hills)):
@@ -50,29 +47,21 @@ def ground_height(base: float, waves: Floats, hills: Floats, e: float, n: float)
 
 
 @compiled
-def _heights(base: float, waves: Floats, hills: Floats, east: Floats, north: Floats, result: Floats) -> None:
+def _heights(terrain: Terrain, east: Floats, north: Floats) -> Floats:
+    heights = np.empty(len(east))
     for i in range(len(east)):
-        result[i] = ground_height(base, waves, hills, east[i], north[i])
+        heights[i] = ground_height(terrain, east[i], north[i])
+    return heights
 
 
 def rolling_terrain(
-    seed: int,
-    *,
-    base_m: float,
-    slope: float,
-    hills: list[tuple[float, float, float, float, float]] | None = None,
+    seed: int, *, base_m: float, slope: float, hills: Sequence[tuple[float, ...]] = ()
 ) -> Terrain:
     """Three waves of 500 to 1,300 m in drawn directions whose slopes add up to at most `slope`, and given hills."""
     rng = stream(seed, "terrain")
     length_m = rng.uniform(500.0, 1300.0, 3)
     direction = rng.uniform(0.0, 2.0 * math.pi, 3)
     number = 2.0 * math.pi / length_m
-    waves = np.column_stack(
-        (
-            slope / 3.0 / number,
-            number * np.cos(direction),
-            number * np.sin(direction),
-            rng.uniform(0.0, 2.0 * math.pi, 3),
-        )
-    )
-    return Terrain(base_m, waves, np.array(hills or [], np.float64).reshape(-1, 5))
+    towards = number * np.cos(direction), number * np.sin(direction)
+    waves = np.column_stack((slope / 3.0 / number, *towards, rng.uniform(0.0, 2.0 * math.pi, 3)))
+    return Terrain(base_m, waves, np.array(hills, np.float64).reshape(-1, 5))

@@ -14,17 +14,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.simulator.random_streams import stream
+from camber.simulator.scene import Booleans, Floats
 from camber.simulator.world.road_mesh import CEILING_M, WALL_BEYOND_M
 from camber.simulator.world.roads import HALF_WIDTH, Roads
 
-Floats = NDArray[np.float64]
-
-BARE_M = 100.0
-_BARE_FROM_M = 300.0
-"""A link's tunnel of this length and more has a bare stretch in its middle."""
+BARE_M = 100.0  # chosen: longer than a LiDAR with 32 beams sees along even walls
+_BARE_FROM_M = 300.0  # chosen: a link's tunnel of this length and more has a bare stretch in its middle
+# Chosen: behind the wall's surface, and clear of the road's edge.
 _INTO_WALL_M = 0.05
 _BESIDE_M = 0.4
 _LEFT, _RIGHT, _BOTH = (1.0,), (-1.0,), (-1.0, 1.0)
@@ -67,14 +65,14 @@ def tunnel_fittings(roads: Roads, seed: int) -> Floats:
             for name, fitting in FITTINGS.items():
                 for side in fitting.sides:
                     rng = stream(seed, f"tunnel {name} {link} {'left' if side > 0.0 else 'right'}")
-                    boxes.append(_row(roads, link, fitting, side, begin, end, rng))
+                    boxes.append(_row((roads, link), fitting, side, rng))
     return np.concatenate(boxes)
 
 
-def _row(
-    roads: Roads, link: int, fitting: Fitting, side: float, begin: float, end: float, rng: np.random.Generator
-) -> Floats:
+def _row(at: tuple[Roads, int], fitting: Fitting, side: float, rng: np.random.Generator) -> Floats:
     """One sort on one side of one link."""
+    roads, link = at
+    begin, end = roads.covered_m[link].tolist()
     most = int((end - begin) / fitting.every_m[0]) + 1
     first = begin + rng.uniform(0.2, 1.0) * fitting.every_m[0]
     s = first + np.append(0.0, np.cumsum(rng.uniform(*fitting.every_m, most)))
@@ -87,19 +85,18 @@ def _row(
     stands &= _at_a_wall(roads, link, side, s, long)
     inwards = 0.5 * deep - _INTO_WALL_M if fitting.inwards_m is None else fitting.inwards_m
     y = side * (roads.shape[link, HALF_WIDTH] + WALL_BEYOND_M - inwards)
-    east, north, yaw = roads.centre_line(link, s)
-    east, north = east - y * np.sin(yaw), north + y * np.cos(yaw)
+    east, north, yaw = roads.beside(link, s, y)
     above = CEILING_M - high if fitting.up_m is None else fitting.up_m
     up = roads.link_height_m(np.array(link), east, north) + above
-    return np.column_stack((east, north, up, 0.5 * long, 0.5 * deep, high, yaw))[stands]
+    boxes: Floats = np.column_stack((east, north, up, 0.5 * long, 0.5 * deep, high, yaw))[stands]
+    return boxes
 
 
-def _at_a_wall(roads: Roads, link: int, side: float, s: Floats, long: Floats) -> NDArray[np.bool_]:
-    """Is there a wall beside the whole of a fitting, or another tube that joins this one?"""
+def _at_a_wall(roads: Roads, link: int, side: float, s: Floats, long: Floats) -> Booleans:
+    """Is there a wall along the whole of a fitting, or another tube that joins this one?"""
     y = side * (roads.shape[link, HALF_WIDTH] + _BESIDE_M)
     free = np.ones(len(s), bool)
     for end in (-0.5, 0.0, 0.5):
-        east, north, yaw = roads.centre_line(link, s + end * long)
-        beside = roads.surface_m(east - y * np.sin(yaw), north + y * np.cos(yaw), roads.level[link])
-        free &= np.isnan(beside)
+        east, north, _ = roads.beside(link, s + end * long, y)
+        free &= np.isnan(roads.surface_m(east, north, roads.level[link]))
     return free

@@ -16,7 +16,7 @@ from camber.simulator.world.ray_tracing import ShapeTracer
 FAR_M = 1.0e9
 
 
-class WallTracer:
+class WallTracer(ShapeTracer):
     """Rays against upright rectangles, by their planes."""
 
     def __init__(self, walls: Walls, crown_m: float = 0.0) -> None:
@@ -52,14 +52,12 @@ class WallTracer:
 
 
 def wall(foot, along, length, height, normal) -> Walls:
-    return Walls(
-        np.array([foot], float), np.array([along], float), np.array([length], float), np.array([height], float),
-        np.array([normal], float),
-    )  # fmt: skip
+    columns = {"foot_m": foot, "along": along, "length_m": length, "height_m": height, "normal": normal}
+    return Walls(**{name: np.array([value], float) for name, value in columns.items()})
 
 
 def joined(*walls: Walls) -> Walls:
-    return Walls(*(np.concatenate([getattr(w, k) for w in walls]) for k in Walls.__slots__))
+    return Walls(**{k: np.concatenate([getattr(w, k) for w in walls]) for k in Walls.__slots__})
 
 
 def towards(azimuth_deg: float, elevation_deg: float) -> np.ndarray:

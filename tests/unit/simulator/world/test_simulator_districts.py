@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -35,10 +34,6 @@ def tracer(kind: Kind) -> ShapeTracer:
 
 def above(path: Path, height_m: float, every: int = 7) -> Floats:
     return np.column_stack((path.east_m, path.north_m, path.up_m + height_m))[::every]
-
-
-def test_all_kinds_are_there() -> None:
-    assert get_args(Kind) == KINDS
 
 
 @pytest.mark.parametrize(("kind", "name"), WAYS)
@@ -221,12 +216,3 @@ def test_a_seed_gives_the_same_bytes_and_another_seed_other_ones(kind: Kind) -> 
 
     assert everything(1) == everything(1)
     assert everything(1) != everything(2)
-
-
-def test_what_is_not_there_is_said() -> None:
-    with pytest.raises(KeyError, match="expected one of default"):
-        district("city").path("nowhere")
-    with pytest.raises(ValueError, match="has link 999"):
-        make_district("city", 1, changed_roads={999: 0.1})
-    with pytest.raises(ValueError, match="kind is moon"):
-        make_district("moon", 1)  # type: ignore[arg-type]

@@ -114,8 +114,8 @@ def test_links_that_do_not_fit_are_refused() -> None:
     b.node("a", 0.0, 0.0)
     b.node("b", 100.0, 0.0)
     b.node("c", 100.0, 12.0)
-    with pytest.raises(ValueError, match=r"ends 10\.000 m beside its node"):
-        b.chain("a", "b", 0.0, [(90.0, 0.0)], LinkKind())
+    with pytest.raises(ValueError, match=r"ends 10\.000 m off its node"):
+        b.chain("a b", 0.0, [(90.0, 0.0)], LinkKind())
     b = RoadBuilder()
     for name, east, north in (("a", 0.0, 0.0), ("b", 100.0, 0.0), ("c", 100.0, 12.0), ("d", 200.0, 12.0)):
         b.node(name, east, north)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import threading
 
@@ -29,12 +30,7 @@ def random_shapes(rng: np.random.Generator, count: int = 40, extent_m: float = 5
     cylinders = np.column_stack((places(), rng.uniform(0.05, 3.0, count), rng.uniform(0.5, 12.0, count)))
     crowns = np.column_stack((places(), rng.uniform(0.5, 5.0, (count, 2))))
     triangles = places()[:, None, :] + rng.uniform(-15.0, 15.0, (count, 3, 3))
-    return Shapes.of(
-        boxes=[tuple(row) for row in boxes],
-        cylinders=[tuple(row) for row in cylinders],
-        crowns=[tuple(row) for row in crowns],
-        triangles=triangles,
-    )
+    return Shapes.of(boxes=boxes, cylinders=cylinders, crowns=crowns, triangles=triangles)
 
 
 def random_rays(rng: np.random.Generator, count: int, extent_m: float = 90.0) -> tuple[Floats, Floats]:
@@ -293,15 +289,8 @@ def test_turning_and_moving_world_and_rays_together_changes_no_distance(
 
     boxes = moved(shapes.boxes_m)
     boxes[:, 6] += turn
-    other = Shapes(
-        boxes,
-        shapes.boxes_material,
-        moved(shapes.cylinders_m),
-        shapes.cylinders_material,
-        moved(shapes.crowns_m),
-        moved(shapes.triangles_m),
-        shapes.triangles_material,
-    )
+    solids = {"cylinders_m": moved(shapes.cylinders_m), "crowns_m": moved(shapes.crowns_m)}
+    other = dataclasses.replace(shapes, boxes_m=boxes, triangles_m=moved(shapes.triangles_m), **solids)
     before = ShapeTracer(shapes).first_hits(origin, direction, 80.0)
     after = ShapeTracer(other).first_hits(moved(origin), direction @ turning, 80.0)
     # Rays that graze an edge may fall to either side of it by rounding.
