@@ -195,10 +195,7 @@ class MapServerService(Service[MapServerSettings]):
         download = DownloadThread(
             lambda: MapStore(path, limit_bytes=settings.store_limit_bytes),
             FetchRequest(
-                region=settings.region,
-                public_key=key,
-                around_m=around_m,
-                acceptable=self._check_datum,
+                region=settings.region, public_key=key, around_m=around_m, acceptable=self._check_datum
             ),
             cloud=_Cloud(bus, trusted=key is not None or settings.unsigned),
             folder=None if settings.release is None else FolderSupplier(settings.release),

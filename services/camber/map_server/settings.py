@@ -28,9 +28,7 @@ class MapServerSettings(ServiceSettings):
     )
     datum: Name = Field("WGS84", description="datum of positions and heights")
     max_age_days: float | None = Field(
-        None,
-        gt=0.0,
-        description="an older release is stale and all roads are unknown; unset: no limit",
+        None, gt=0.0, description="an older release is stale and all roads are unknown; unset: no limit"
     )
     look_every_s: float = Field(
         2.0, gt=0.0, le=3600.0, description="interval of checks for a new release on disk"

@@ -184,10 +184,7 @@ class MapUpdateService(Service[MapUpdateSettings]):
         return self._attempt("commit", lambda: store.commit(contributions, now_ns, lambda c: of[id(c)]))
 
     def _forward(
-        self,
-        sender: QueueSender,
-        contributions: Sequence[Contribution],
-        refusals: Sequence[Refusal | None],
+        self, sender: QueueSender, contributions: Sequence[Contribution], refusals: Sequence[Refusal | None]
     ) -> list[Outcome | None] | None:
         queued = [QueuedContribution(*pair) for pair in zip(contributions, refusals, strict=True)]
         before = sender.too_large

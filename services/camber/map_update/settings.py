@@ -48,10 +48,7 @@ class MapUpdateSettings(AdmissionLimits, FusionSettings, ServiceSettings):
     )
     shard: str = Field("", description="the one of `shards` that this worker stores")
     answer_s: float = Field(
-        2.0,
-        gt=0.0,
-        le=5.0,
-        description="longest wait for a reply of `store` or `queue`; vehicles wait 5 s",
+        2.0, gt=0.0, le=5.0, description="longest wait for a reply of `store` or `queue`; vehicles wait 5 s"
     )
     retention_days: float = Field(
         30.0,
@@ -60,8 +57,7 @@ class MapUpdateSettings(AdmissionLimits, FusionSettings, ServiceSettings):
         description="observations are deleted this long after they were received, once they are fused",
     )
     reference: Path | None = Field(
-        None,
-        description="folder of the release that the fleet's corrections refer to; unset: no fusion",
+        None, description="folder of the release that the fleet's corrections refer to; unset: no fusion"
     )
     releases: Path | None = Field(
         None, description="folder of the releases made and served; unset: `releases` in `state_dir`"

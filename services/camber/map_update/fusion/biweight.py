@@ -107,11 +107,7 @@ class FusedHeights:
 
 
 def estimate_heights(
-    begins: Integers,
-    votes: VoteColumns,
-    *,
-    known: NDArray[np.bool_],
-    vote_sigma_m: float,
+    begins: Integers, votes: VoteColumns, *, known: NDArray[np.bool_], vote_sigma_m: float
 ) -> FusedHeights:
     """Return the heights of surfaces; votes of surface i are rows `begins[i]` to `begins[i + 1]`.
 

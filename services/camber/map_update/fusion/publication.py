@@ -168,9 +168,7 @@ def decide(
     surfaces["region"] = neighbourhood.region[row]
     considered = heights.voters > 0
     without_few_m = np.where(
-        change_m > 0.0,
-        heights.without_highest_m - correction_m,
-        correction_m - heights.without_lowest_m,
+        change_m > 0.0, heights.without_highest_m - correction_m, correction_m - heights.without_lowest_m
     )
     z, z_without_few = (
         normal_deviates((size_m - settings.publish_threshold_m) / error_m, heights.degrees)

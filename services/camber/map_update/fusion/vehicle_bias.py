@@ -240,12 +240,7 @@ def _biweight_step(
 
 @compiled_without_gil
 def _session_means(
-    groups: _Groups,
-    residual_m: Floats,
-    stated: Floats,
-    centre_m: Floats,
-    vote_m: float,
-    from_medians: bool,
+    groups: _Groups, residual_m: Floats, stated: Floats, centre_m: Floats, vote_m: float, from_medians: bool
 ) -> _SessionMeans:
     """Return the mean residual of each session and the sums of each cell.
 

@@ -101,11 +101,7 @@ def session_of(time_ns: Integers, longitude_rad: Floats) -> Integers:
 
 
 def votes_from(
-    observations: NDArray[np.void],
-    voter: Integers | int,
-    *,
-    reference: ReferenceHeights,
-    secret: bytes,
+    observations: NDArray[np.void], voter: Integers | int, *, reference: ReferenceHeights, secret: bytes
 ) -> Votes:
     """Return the votes, sorted by key, of observations (n,) of OBSERVATION; `voter` is (n,) or one for all.
 

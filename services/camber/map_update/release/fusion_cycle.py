@@ -54,13 +54,7 @@ class FusionCycle:
     """The fusion of one store into the releases of one region; raises the errors of its store and its builder."""
 
     def __init__(
-        self,
-        store: Store,
-        fusion: Fusion,
-        builder: ReleaseBuilder,
-        *,
-        every_s: float,
-        most_records: int,
+        self, store: Store, fusion: Fusion, builder: ReleaseBuilder, *, every_s: float, most_records: int
     ) -> None:
         self._store, self._fusion, self._builder = store, fusion, builder
         self._datum = builder.reference.manifest.datum

@@ -165,9 +165,7 @@ class Store(abc.ABC):
 
 
 def settle(
-    contributions: Sequence[Contribution],
-    known: Mapping[tuple[str, str, str], bytes],
-    judge: Judge,
+    contributions: Sequence[Contribution], known: Mapping[tuple[str, str, str], bytes], judge: Judge
 ) -> tuple[list[Outcome], list[Contribution]]:
     """Return the outcome of each contribution, given the ledger's digests `known`, and the contributions to store."""
     digests = dict(known)
