@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
@@ -57,7 +58,7 @@ class Release:
     def sha256(self, layer: Layer, x: int, y: int) -> str | None:
         """Return the hash of a tile; None if the release has no such tile."""
         row = self._rows.get((layer, x, y))
-        return None if row is None else self.manifest.sha256[row].tobytes().hex()
+        return None if row is None else self._digest(row)
 
     def blob(self, layer: Layer, x: int, y: int) -> bytes | None:
         """Return the bytes of a tile; None if the release has no such tile."""
@@ -66,21 +67,15 @@ class Release:
 
     def surface_tile(self, x: int, y: int) -> SurfaceTile | None:
         """Return the road surfaces of a tile; None if the release has none there."""
-        tile = self.tile("surfaces", x, y)
-        assert tile is None or isinstance(tile, SurfaceTile)
-        return tile
+        return cast("SurfaceTile | None", self.tile("surfaces", x, y))
 
     def link_tile(self, x: int, y: int) -> LinkTile | None:
         """Return the links of a tile; None if the release has none there."""
-        tile = self.tile("links", x, y)
-        assert tile is None or isinstance(tile, LinkTile)
-        return tile
+        return cast("LinkTile | None", self.tile("links", x, y))
 
     def cloud_tile(self, layer: Layer, x: int, y: int) -> CloudTile | None:
         """Return the points of a tile; None if the release has none there."""
-        tile = self.tile(layer, x, y)
-        assert tile is None or isinstance(tile, CloudTile)
-        return tile
+        return cast("CloudTile | None", self.tile(layer, x, y))
 
     def tile(self, layer: Layer, x: int, y: int) -> AnyTile | None:
         """Return a tile of any layer; None if the release has no such tile."""
@@ -107,7 +102,7 @@ class Release:
 
     def hashes(self) -> frozenset[str]:
         """Return the hashes of all tiles."""
-        return frozenset(row.tobytes().hex() for row in self.manifest.sha256)
+        return frozenset(map(self._digest, range(len(self.manifest.sha256))))
 
     def _read(self, row: int) -> bytes:
         return self.source.blob(self._digest(row), int(self.manifest.size_bytes[row]))

@@ -65,7 +65,9 @@ class ReleaseFolder:
 
     def blob(self, digest: str, size: int | None) -> bytes:
         """Return the bytes of a blob's file, verified."""
-        return read_blob(self.folder, digest, size)
+        path = blob_path(self.folder, digest)
+        data = read_file(path, MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES))
+        return verified(data, str(path), digest=digest, size=size, named="file")
 
     def name(self, digest: str | None) -> str:
         """Return the path of a file."""
@@ -85,14 +87,12 @@ def decoded(cls: type[MessageT], data: bytes, file: str) -> MessageT:
         raise ReleaseError(file, cls.__name__, f"a message of {cls.schema_name()} ({why})") from None
 
 
-def read_blob(folder: Path, digest: str, size: int | None) -> bytes:
-    """Read a blob and verify its hash and, if known, its size."""
-    path = blob_path(folder, digest)
-    data = read_file(path, MAX_BLOB_BYTES if size is None else min(size, MAX_BLOB_BYTES))
+def verified(data: bytes, name: str, *, digest: str, size: int | None = None, named: str) -> bytes:
+    """Return the bytes of the `named` (file, blob) `name`; ReleaseError for another hash or, if known, another size."""
     if size is not None and len(data) != size:
-        raise ReleaseError(str(path), "size", f"{size} bytes", actual=str(len(data)))
+        raise ReleaseError(name, "size", f"{size} bytes", actual=str(len(data)))
     if hashlib.sha256(data).hexdigest() != digest:
-        raise ReleaseError(str(path), "SHA-256 of the bytes", "the file's name")
+        raise ReleaseError(name, "SHA-256 of the bytes", f"the {named}'s name")
     return data
 
 
@@ -129,7 +129,7 @@ def encoded(message: Message, name: str) -> bytes:
 def write_blob(folder: Path, digest: str, data: bytes) -> None:
     """Write a blob unless it exists; a damaged one is replaced."""
     try:
-        read_blob(folder, digest, len(data))
+        ReleaseFolder(folder).blob(digest, len(data))
     except ReleaseError:
         write_file(blob_path(folder, digest), data)
 

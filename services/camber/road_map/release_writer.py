@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NotRequired, TypedDict, Unpack
 
 import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -33,27 +32,37 @@ class StoredBlob(NamedTuple):
     size: int
 
 
+class ReleaseMetadata(TypedDict):
+    """Fields of Manifest besides tiles, predecessor and lineage.
+
+    `surrogate`: how the map was made if it was not surveyed, else empty. `time_ns`: time of making.
+    """
+
+    region: str
+    map_version: int
+    datum: str
+    epoch_year: float
+    time_ns: int
+    surrogate: NotRequired[str]
+    reference_sha256: NotRequired[str | None]
+    corrections_sha256: NotRequired[str | None]
+
+
 def write_release(
     folder: Path,
     *,
-    region: str,
-    map_version: int,
-    datum: str,
-    epoch_year: float,
-    time_ns: int,
     surfaces: RoadSurfaces,
     links: RoadLinks,
     clouds: Iterable[CloudTile] = (),
     lineage: Iterable[tuple[int, int]] = (),
-    surrogate: str = "",
     previous: ReleaseRoot | None = None,
     signing_key: Ed25519PrivateKey | None = None,
+    **metadata: Unpack[ReleaseMetadata],
 ) -> ReleaseRoot:
     """Write a release atomically and return its root. The same arguments give the same bytes, on every machine.
 
-    `lineage`: pairs of a surface and the surface of an earlier release that it was split or merged from. `surrogate`:
-    how the map was made if it was not surveyed, else empty. `time_ns`: time of making. Raises ReleaseError for invalid
-    contents and OSError if the disk fails; the old release then remains.
+    `lineage`: pairs of a surface and the surface of an earlier release that it was split or merged from. Raises
+    ReleaseError for invalid contents and OSError if the disk fails; the old release then remains.
     """
     tiles: list[tuple[Layer, AnyTile]] = [("surfaces", tile) for tile in surface_tiles(surfaces)]
     tiles += [("links", tile) for tile in link_tiles(links)]
@@ -61,74 +70,48 @@ def write_release(
     blobs: dict[TileKey, bytes] = {}
     for layer, tile in tiles:
         blobs[_place_of(layer, tile, blobs)] = encoded(tile, f"{layer} of tile {tile.x}, {tile.y}")
-    known = set(surfaces.surface_id.tolist())
     pairs = sorted(set(lineage))
-    missing = {child for child, _ in pairs} - known
+    missing = {child for child, _ in pairs} - set(surfaces.surface_id.tolist())
     if missing:
         raise ReleaseError("lineage", "surface", "a surface of this release", actual=str(min(missing)))
-    metadata = ReleaseMetadata(
-        region=region,
-        map_version=map_version,
-        datum=datum,
-        epoch_year=epoch_year,
-        time_ns=time_ns,
-        surrogate=surrogate,
-        lineage=pairs,
+    return write_tiles_and_manifest(
+        folder, blobs, lineage=pairs, previous=previous, signing_key=signing_key, **metadata
     )
-    return write_tiles_and_manifest(folder, metadata, blobs, previous=previous, signing_key=signing_key)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReleaseMetadata:
-    """Fields of a manifest besides its tiles; names as in Manifest."""
-
-    region: str
-    map_version: int
-    datum: str
-    epoch_year: float
-    time_ns: int
-    surrogate: str = ""
-    lineage: Sequence[tuple[int, int]] = ()
-    reference_sha256: str | None = None
-    corrections_sha256: str | None = None
 
 
 def write_tiles_and_manifest(
     folder: Path,
-    metadata: ReleaseMetadata,
     blobs: Mapping[TileKey, bytes | StoredBlob],
     *,
+    lineage: Iterable[tuple[int, int]],
     previous: ReleaseRoot | None,
     signing_key: Ed25519PrivateKey | None,
+    **metadata: Unpack[ReleaseMetadata],
 ) -> ReleaseRoot:
     """Write the blobs that the folder does not contain yet, then manifest and root; as `write_release`.
 
     A blob is given as bytes, or, if the folder contains it already, as hash and size.
     """
-    region, map_version, time_ns = metadata.region, metadata.map_version, metadata.time_ns
+    region, map_version, time_ns = metadata["region"], metadata["map_version"], metadata["time_ns"]
     if previous is not None and (previous.region != region or previous.map_version >= map_version):
         expected = f"region {previous.region} and more than {previous.map_version}"
         raise ReleaseError("release", "region and map_version", expected, actual=f"{region}, {map_version}")
-    places = sorted(blobs)
-    entries = [_entry(blobs[place]) for place in places]
+    entries = {place: _entry(blob) for place, blob in sorted(blobs.items())}
+    places = np.array([*entries], np.int32).reshape(-1, 3)
+    pairs = np.array([*lineage], np.int64).reshape(-1, 2)
     try:
         manifest = Manifest(
-            time_ns=time_ns,
-            region=region,
-            map_version=map_version,
-            datum=metadata.datum,
-            epoch_year=metadata.epoch_year,
-            surrogate=metadata.surrogate,
+            **metadata,
             previous_sha256=None if previous is None else previous.manifest_sha256,
-            reference_sha256=metadata.reference_sha256,
-            corrections_sha256=metadata.corrections_sha256,
-            tile_x=np.array([x for _, x, _ in places], np.int32),
-            tile_y=np.array([y for _, _, y in places], np.int32),
-            layer=np.array([layer for layer, _, _ in places], np.uint8),
-            sha256=np.frombuffer(b"".join(entry.digest for entry in entries), np.uint8).reshape(-1, 32),
-            size_bytes=np.array([entry.size for entry in entries], np.int64),
-            lineage_surface_id=np.array([child for child, _ in metadata.lineage], np.int64),
-            lineage_parent_id=np.array([parent for _, parent in metadata.lineage], np.int64),
+            layer=places[:, 0].astype(np.uint8),
+            tile_x=places[:, 1].copy(),
+            tile_y=places[:, 2].copy(),
+            sha256=np.frombuffer(b"".join(entry.digest for entry in entries.values()), np.uint8).reshape(
+                -1, 32
+            ),
+            size_bytes=np.array([entry.size for entry in entries.values()], np.int64),
+            lineage_surface_id=pairs[:, 0].copy(),
+            lineage_parent_id=pairs[:, 1].copy(),
         )
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
@@ -137,7 +120,7 @@ def write_tiles_and_manifest(
     digest = hashlib.sha256(head).hexdigest()
     root = ReleaseRoot(time_ns=time_ns, region=region, map_version=map_version, manifest_sha256=digest)
     root = root if signing_key is None else signed(root, signing_key)
-    for place, entry in zip(places, entries, strict=True):
+    for place, entry in entries.items():
         data = blobs[place]
         if isinstance(data, bytes):
             write_blob(folder, entry.digest.hex(), data)

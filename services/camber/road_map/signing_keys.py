@@ -9,7 +9,9 @@ A key's id is the first 16 hexadecimal digits of the SHA-256 of its 32 public by
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -22,26 +24,27 @@ from camber.schemas.road import ReleaseRoot, signed_bytes
 
 def load_public_key(path: Path) -> Ed25519PublicKey:
     """Load the public key of a PEM file; ReleaseError if there is none."""
-    try:
-        key = load_pem_public_key(path.read_bytes())
-    except (OSError, ValueError, UnsupportedAlgorithm) as error:
-        raise ReleaseError(str(path), "public key", f"an Ed25519 key in PEM ({_first_line(error)})") from None
-    if not isinstance(key, Ed25519PublicKey):
-        raise ReleaseError(str(path), "public key", "an Ed25519 key in PEM")
+    key: Ed25519PublicKey = _load(path, "public key", load_pem_public_key, Ed25519PublicKey)
     return key
 
 
 def load_signing_key(path: Path) -> Ed25519PrivateKey:
     """Load the private key of a PEM file without passphrase; ReleaseError if there is none."""
-    try:
-        key = load_pem_private_key(path.read_bytes(), password=None)
-    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise ReleaseError(
-            str(path), "signing key", f"an Ed25519 key in PEM ({_first_line(error)})"
-        ) from None
-    if not isinstance(key, Ed25519PrivateKey):
-        raise ReleaseError(str(path), "signing key", "an Ed25519 key in PEM")
+    key: Ed25519PrivateKey = _load(
+        path, "signing key", lambda data: load_pem_private_key(data, None), Ed25519PrivateKey
+    )
     return key
+
+
+def _load(path: Path, field: str, load: Callable[[bytes], object], cls: Any) -> Any:
+    cause = ""
+    try:
+        key = load(path.read_bytes())
+        if isinstance(key, cls):
+            return key
+    except (OSError, ValueError, TypeError, UnsupportedAlgorithm) as error:
+        cause = f" ({(str(error) or type(error).__name__).splitlines()[0][:120]})"
+    raise ReleaseError(str(path), field, f"an Ed25519 key in PEM{cause}")
 
 
 def key_id(key: Ed25519PublicKey) -> str:
@@ -65,7 +68,3 @@ def check_signature(root: ReleaseRoot, key: Ed25519PublicKey, file: str) -> None
         key.verify(root.signature.tobytes(), signed_bytes(root))
     except InvalidSignature:
         raise ReleaseError(file, "signature", f"one by key {key_id(key)} over this root") from None
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__

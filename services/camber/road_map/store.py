@@ -13,22 +13,19 @@ harm. The file is a copy of what the cloud has: a damaged one is renamed and a n
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
-from collections.abc import Callable, Collection, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from camber.road_map.release import Release, release_of
-from camber.road_map.release_files import BlobMissingError, decoded
+from camber.road_map.release_files import BlobMissingError, decoded, verified
 from camber.road_map.road_columns import ReleaseError
 from camber.road_map.signing_keys import check_signature
 from camber.schemas.road import ReleaseRoot
-
-T = TypeVar("T")
 
 State = Literal["coming", "here", "left"]
 """State of a release: being downloaded; was or is active; left by the operator."""
@@ -57,6 +54,9 @@ CREATE TABLE IF NOT EXISTS fact (name TEXT PRIMARY KEY, value INTEGER NOT NULL);
 PRAGMA user_version = {FORMAT};
 COMMIT;
 """
+_RELEASES = "SELECT map_version, region, manifest, state FROM release"
+_SET_FACT = "INSERT OR REPLACE INTO fact VALUES (?, ?)"
+_SET_STATE = "UPDATE release SET state = ? WHERE map_version = ?"
 
 
 class StoreFullError(ReleaseError):
@@ -83,8 +83,8 @@ class MapStore:
         self.path = path
         self.notice: str | None = None
         self._limit_bytes = limit_bytes
-        self._read_only = read_only
-        self._db = self._open()
+        with self._errors():
+            self._db = self._opened_read_only() if read_only else self._opened()
 
     # -- as a source of blobs ----------------------------------------------------------------------------------------
 
@@ -99,15 +99,10 @@ class MapStore:
 
     def blob(self, digest: str, size: int | None) -> bytes:
         """Return the bytes of a blob, verified; BlobMissingError if it has not been downloaded."""
-        row = self._run(lambda db: db.execute("SELECT data FROM blob WHERE sha256 = ?", (digest,)).fetchone())
-        if row is None:
+        rows = self._select("SELECT data FROM blob WHERE sha256 = ?", digest)
+        if not rows:
             raise BlobMissingError(self.name(digest), "blob", "one that has been fetched")
-        data = bytes(row[0])
-        if size is not None and len(data) != size:
-            raise ReleaseError(self.name(digest), "size", f"{size} bytes", actual=str(len(data)))
-        if hashlib.sha256(data).hexdigest() != digest:
-            raise ReleaseError(self.name(digest), "SHA-256 of the bytes", "the blob's name")
-        return data
+        return verified(bytes(rows[0][0]), self.name(digest), digest=digest, size=size, named="blob")
 
     def name(self, digest: str | None) -> str:
         """Return the name of the file, or of a blob in it."""
@@ -121,27 +116,21 @@ class MapStore:
 
     def current(self) -> StoredRelease | None:
         """Return the active release."""
-        return self._kept(self._fact("current"))
+        return self._release(self._fact("current"))
 
     def previous(self) -> StoredRelease | None:
         """Return the release that was active before."""
-        return self._kept(self._fact("previous"))
+        return self._release(self._fact("previous"))
 
     def coming(self) -> StoredRelease | None:
         """Return the newest release that is accepted and not yet active."""
-        row = self._run(
-            lambda db: db.execute("SELECT max(map_version) FROM release WHERE state = 'coming'").fetchone()
+        return self._release(
+            self._select("SELECT max(map_version) FROM release WHERE state = 'coming'")[0][0]
         )
-        return self._kept(row[0])
 
     def releases(self) -> list[StoredRelease]:
         """Return all releases, the newest first."""
-        rows = self._run(
-            lambda db: db.execute(
-                "SELECT map_version, region, manifest, state FROM release ORDER BY map_version DESC"
-            ).fetchall()
-        )
-        return [StoredRelease(*row) for row in rows]
+        return [StoredRelease(*row) for row in self._select(f"{_RELEASES} ORDER BY map_version DESC")]
 
     def highest(self) -> int | None:
         """Return the highest version ever accepted."""
@@ -158,27 +147,24 @@ class MapStore:
         root = decoded(ReleaseRoot, data, file)
         if public_key is not None:
             check_signature(root, public_key, file)
-        here, highest = self.current(), self.highest()
-        expected = region or (None if here is None else here.region)
+        current, highest = self.current(), self.highest()
+        expected = region or (None if current is None else current.region)
         if expected is not None and root.region != expected:
             raise ReleaseError(file, "region", expected, actual=root.region)
         if highest is not None and root.map_version < highest:
             newest = f"{highest} or more, which has been here already"
             raise ReleaseError(file, "map_version", newest, actual=str(root.map_version))
-        known = self._kept(root.map_version)
+        known = self._release(root.map_version)
         if known is not None:
             if known.manifest_sha256 != root.manifest_sha256:
                 expected = f"the manifest of version {root.map_version} that was accepted before"
                 raise ReleaseError(file, "manifest_sha256", expected, actual=root.manifest_sha256)
             return False
-
-        def work(db: sqlite3.Connection) -> None:
+        with self._writing() as db:
             db.execute("DELETE FROM release WHERE state = 'coming'")
             row = (root.map_version, root.region, root.manifest_sha256, data)
             db.execute("INSERT INTO release VALUES (?, ?, ?, ?, 'coming')", row)
-            _set(db, "highest", root.map_version)
-
-        self._run(work, writes=True)
+            db.execute(_SET_FACT, ("highest", root.map_version))
         return True
 
     def open(self, map_version: int) -> Release:
@@ -188,85 +174,69 @@ class MapStore:
 
     def put_in_force(self, map_version: int) -> None:
         """Make this release active; the one before is kept."""
-
-        def work(db: sqlite3.Connection) -> None:
-            current = _get(db, "current")
-            if current is not None and current != map_version:
-                _set(db, "previous", current)
-            _set(db, "current", map_version)
-            db.execute("UPDATE release SET state = 'here' WHERE map_version = ?", (map_version,))
-
-        self._run(work, writes=True)
+        with self._writing() as db:
+            db.execute(
+                "INSERT OR REPLACE INTO fact SELECT 'previous', value FROM fact"
+                " WHERE name = 'current' AND value != ?",
+                (map_version,),
+            )
+            db.execute(_SET_FACT, ("current", map_version))
+            db.execute(_SET_STATE, ("here", map_version))
 
     def go_back(self) -> StoredRelease:
         """Return to the previous release, for the operator; the one left does not return by itself."""
-        current, previous = self.current(), self.previous()
+        previous = self.previous()
         if previous is None:
             raise ReleaseError(str(self.path), "release", "one before the one in force")
-
-        def work(db: sqlite3.Connection) -> None:
-            db.execute("UPDATE release SET state = 'left' WHERE state = 'coming'")
-            if current is not None:
-                db.execute("UPDATE release SET state = 'left' WHERE map_version = ?", (current.map_version,))
-            _set(db, "current", previous.map_version)
+        with self._writing() as db:
+            db.execute(
+                "UPDATE release SET state = 'left' WHERE state = 'coming'"
+                " OR map_version = (SELECT value FROM fact WHERE name = 'current')"
+            )
+            db.execute(_SET_FACT, ("current", previous.map_version))
             db.execute("DELETE FROM fact WHERE name = 'previous'")
-            db.execute("UPDATE release SET state = 'here' WHERE map_version = ?", (previous.map_version,))
-
-        self._run(work, writes=True)
+            db.execute(_SET_STATE, ("here", previous.map_version))
         return previous
 
     def allow_from(self, map_version: int) -> None:
         """Accept roots from this version on again, for the operator, after the cloud's versions started anew."""
-
-        def work(db: sqlite3.Connection) -> None:
-            current = _get(db, "current")
+        with self._writing() as db:
             db.execute(
-                "DELETE FROM release WHERE map_version >= ? AND map_version IS NOT ?", (map_version, current)
+                "DELETE FROM release WHERE map_version >= ?"
+                " AND map_version IS NOT (SELECT value FROM fact WHERE name = 'current')",
+                (map_version,),
             )
-            _set(db, "highest", map_version)
-
-        self._run(work, writes=True)
+            db.execute(_SET_FACT, ("highest", map_version))
 
     # -- blobs and parts of them -------------------------------------------------------------------------------------
 
     def missing(self, digests: Iterable[str]) -> list[str]:
         """Return the missing ones, in their order."""
-        return self._run(lambda db: [digest for digest in digests if not _has(db, digest)])
+        return [each for each in digests if not self._select("SELECT 1 FROM blob WHERE sha256 = ?", each)]
 
     def put(self, digest: str, data: bytes) -> None:
         """Store a blob; ReleaseError if its hash is wrong."""
-        if hashlib.sha256(data).hexdigest() != digest:
-            raise ReleaseError(self.name(digest), "SHA-256 of the bytes", "the blob's name")
-
-        def work(db: sqlite3.Connection) -> None:
+        verified(data, self.name(digest), digest=digest, named="blob")
+        with self._writing() as db:
             db.execute("INSERT OR REPLACE INTO blob VALUES (?, ?)", (digest, data))
             db.execute("DELETE FROM part WHERE sha256 = ?", (digest,))
 
-        self._run(work, writes=True)
-
     def put_part(self, digest: str, base: str | None, number: int, data: bytes) -> None:
         """Store a part of a compressed blob for a download that continues later."""
-        row = (digest, base or "", number, data)
-        self._run(lambda db: db.execute("INSERT OR REPLACE INTO part VALUES (?, ?, ?, ?)", row), writes=True)
+        with self._writing() as db:
+            db.execute("INSERT OR REPLACE INTO part VALUES (?, ?, ?, ?)", (digest, base or "", number, data))
 
     def parts(self, digest: str, base: str | None) -> list[bytes]:
         """Return the leading parts of a blob compressed against `base`."""
-        rows = self._run(
-            lambda db: db.execute(
-                "SELECT number, data FROM part WHERE sha256 = ? AND base = ? ORDER BY number",
-                (digest, base or ""),
-            ).fetchall()
-        )
+        query = "SELECT number, data FROM part WHERE sha256 = ? AND base = ? ORDER BY number"
+        rows = self._select(query, digest, base or "")
         return [bytes(data) for place, (number, data) in enumerate(rows) if number == place]
 
     def drop(self, digest: str) -> None:
         """Delete a damaged blob and its parts, so that it is downloaded again."""
-
-        def work(db: sqlite3.Connection) -> None:
+        with self._writing() as db:
             db.execute("DELETE FROM blob WHERE sha256 = ?", (digest,))
             db.execute("DELETE FROM part WHERE sha256 = ?", (digest,))
-
-        self._run(work, writes=True)
 
     def collect(self, in_use: Collection[int] = (), keep: Callable[[Release], set[str]] | None = None) -> int:
         """Delete the blobs that no kept release needs; returns their number.
@@ -282,22 +252,16 @@ class MapStore:
                 release = self.open(version)
                 needed |= {release.root.manifest_sha256}
                 needed |= release.hashes() if keep is None else keep(release)
-
-        def work(db: sqlite3.Connection) -> int:
-            here = {row[0] for row in db.execute("SELECT sha256 FROM blob")}
-            gone = [(digest,) for digest in here - needed]
-            db.executemany("DELETE FROM blob WHERE sha256 = ?", gone)
+        with self._writing() as db:
+            unneeded = {row[0] for row in db.execute("SELECT sha256 FROM blob")} - needed
+            db.executemany("DELETE FROM blob WHERE sha256 = ?", [(digest,) for digest in unneeded])
             db.execute("DELETE FROM part WHERE sha256 IN (SELECT sha256 FROM blob)")
             marks = ", ".join("?" * len(versions))
-            db.execute(
-                f"DELETE FROM release WHERE state = 'here' AND map_version NOT IN ({marks})", [*versions]
-            )
-            return len(gone)
-
-        gone = self._run(work, writes=True)
-        if gone:
-            self._run(lambda db: db.execute("PRAGMA incremental_vacuum").fetchall())
-        return gone
+            query = f"DELETE FROM release WHERE state = 'here' AND map_version NOT IN ({marks})"
+            db.execute(query, [*versions])
+        if unneeded:
+            self._select("PRAGMA incremental_vacuum")
+        return len(unneeded)
 
     def close(self) -> None:
         """Close the file."""
@@ -305,40 +269,37 @@ class MapStore:
 
     # -- the file ----------------------------------------------------------------------------------------------------
 
-    def _open(self) -> sqlite3.Connection:
+    def _opened_read_only(self) -> sqlite3.Connection:
+        return sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro", uri=True, timeout=_WAIT_S)
+
+    def _opened(self) -> sqlite3.Connection:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            if self._read_only:
-                uri = f"{self.path.resolve().as_uri()}?mode=ro"
-                return sqlite3.connect(uri, uri=True, timeout=_WAIT_S)
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                return self._connect()
-            except sqlite3.DatabaseError as error:
-                if getattr(error, "sqlite_errorcode", 0) & 0xFF not in (
-                    sqlite3.SQLITE_CORRUPT,
-                    sqlite3.SQLITE_NOTADB,
-                ):
-                    raise
-            renamed = self.path.with_name(f"{self.path.name}.corrupt")
-            self.path.replace(renamed)
-            for ending in ("-wal", "-shm"):
-                self.path.with_name(self.path.name + ending).unlink(missing_ok=True)
-            self.notice = f"{self.path} was damaged: renamed to {renamed.name}; the map is downloaded again"
             return self._connect()
-        except (sqlite3.Error, OSError) as error:
-            raise self._error(error) from None
+        except sqlite3.DatabaseError as error:
+            if _code_of(error) not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+                raise
+        renamed = self.path.with_name(f"{self.path.name}.corrupt")
+        self.path.replace(renamed)
+        for ending in ("-wal", "-shm"):
+            self.path.with_name(self.path.name + ending).unlink(missing_ok=True)
+        self.notice = f"{self.path} was damaged: renamed to {renamed.name}; the map is downloaded again"
+        return self._connect()
 
     def _connect(self) -> sqlite3.Connection:
         db = sqlite3.connect(self.path, timeout=_WAIT_S, isolation_level=None)
         try:
-            db.execute(f"PRAGMA page_size = {_PAGE_BYTES}")
-            db.execute("PRAGMA auto_vacuum = INCREMENTAL")
-            db.execute("PRAGMA journal_mode = WAL")
-            db.execute("PRAGMA synchronous = FULL")
-            db.execute("PRAGMA wal_autocheckpoint = 256")
-            db.execute(f"PRAGMA journal_size_limit = {256 * _PAGE_BYTES}")
-            db.execute("PRAGMA cell_size_check = ON")
-            db.execute(f"PRAGMA max_page_count = {max(self._limit_bytes // _PAGE_BYTES, 16)}")
+            for setting in (
+                f"page_size = {_PAGE_BYTES}",
+                "auto_vacuum = INCREMENTAL",
+                "journal_mode = WAL",
+                "synchronous = FULL",
+                "wal_autocheckpoint = 256",
+                f"journal_size_limit = {256 * _PAGE_BYTES}",
+                "cell_size_check = ON",
+                f"max_page_count = {max(self._limit_bytes // _PAGE_BYTES, 16)}",
+            ):
+                db.execute(f"PRAGMA {setting}")
             (version,) = db.execute("PRAGMA user_version").fetchone()
             if version > FORMAT:
                 expected = f"at most {FORMAT}: made by a later version of this program"
@@ -350,59 +311,48 @@ class MapStore:
             raise
         return db
 
-    def _run(self, work: Callable[[sqlite3.Connection], T], *, writes: bool = False) -> T:
-        """Run `work`, in one transaction if it writes."""
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
         try:
-            if not writes:
-                return work(self._db)
+            yield
+        except (sqlite3.Error, OSError) as error:
+            if _code_of(error) == sqlite3.SQLITE_FULL:
+                expected = "free space on the disk and below the limit"
+                raise StoreFullError(str(self.path), "store", expected) from None
+            raise ReleaseError(str(self.path), "store", f"a readable store of the map ({error})") from None
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction."""
+        with self._errors():
             self._db.execute("BEGIN IMMEDIATE")
             try:
-                result = work(self._db)
+                yield self._db
                 self._db.execute("COMMIT")
             except BaseException:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-            return result
-        except sqlite3.Error as error:
-            raise self._error(error) from None
 
-    def _error(self, error: Exception) -> ReleaseError:
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
-            return StoreFullError(str(self.path), "store", "free space on the disk and below the limit")
-        return ReleaseError(str(self.path), "store", f"a readable store of the map ({error})")
+    def _select(self, query: str, *parameters: object) -> list[Any]:
+        with self._errors():
+            return self._db.execute(query, parameters).fetchall()
 
     def _fact(self, name: str) -> int | None:
-        return self._run(lambda db: _get(db, name))
+        rows = self._select("SELECT value FROM fact WHERE name = ?", name)
+        return int(rows[0][0]) if rows else None
 
-    def _kept(self, map_version: int | None) -> StoredRelease | None:
-        row = self._run(
-            lambda db: db.execute(
-                "SELECT map_version, region, manifest, state FROM release WHERE map_version = ?",
-                (map_version,),
-            ).fetchone()
-        )
-        return None if row is None else StoredRelease(*row)
+    def _release(self, map_version: int | None) -> StoredRelease | None:
+        rows = self._select(f"{_RELEASES} WHERE map_version = ?", map_version)
+        return StoredRelease(*rows[0]) if rows else None
 
     def _root_of(self, map_version: int | None) -> bytes:
-        row = self._run(
-            lambda db: db.execute("SELECT root FROM release WHERE map_version = ?", (map_version,)).fetchone()
-        )
-        if row is None:
-            raise ReleaseError(
-                str(self.path), "release", "one that has been fetched", actual=str(map_version)
-            )
-        return bytes(row[0])
+        rows = self._select("SELECT root FROM release WHERE map_version = ?", map_version)
+        if not rows:
+            expected = "one that has been fetched"
+            raise ReleaseError(str(self.path), "release", expected, actual=str(map_version))
+        return bytes(rows[0][0])
 
 
-def _get(db: sqlite3.Connection, name: str) -> int | None:
-    row = db.execute("SELECT value FROM fact WHERE name = ?", (name,)).fetchone()
-    return None if row is None else int(row[0])
-
-
-def _set(db: sqlite3.Connection, name: str, value: int) -> None:
-    db.execute("INSERT OR REPLACE INTO fact VALUES (?, ?)", (name, value))
-
-
-def _has(db: sqlite3.Connection, digest: str) -> bool:
-    return db.execute("SELECT 1 FROM blob WHERE sha256 = ?", (digest,)).fetchone() is not None
+def _code_of(error: Exception) -> int:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF

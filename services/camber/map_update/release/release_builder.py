@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from camber.map_update.fusion.corrections import NONE, Corrections, from_bytes, normalize, rows_of, to_bytes
 from camber.road_map.release import ROOT_NAME, BlobSource, Release, ReleaseError, open_release, release_of
 from camber.road_map.release_files import ReleaseFolder, decoded, encoded, write_blob
-from camber.road_map.release_writer import ReleaseMetadata, StoredBlob, TileKey, write_tiles_and_manifest
+from camber.road_map.release_writer import StoredBlob, TileKey, write_tiles_and_manifest
 from camber.road_map.tile_checks import tile_defect
 from camber.road_map.tile_grid import Tile
 from camber.schemas.road import LAYERS, Manifest, ReleaseRoot, SurfaceTile
@@ -96,19 +96,20 @@ class ReleaseBuilder:
         kept = to_bytes(rows, time_ns)
         digest = hashlib.sha256(kept).hexdigest()
         write_blob(self.folder, digest, kept)
-        heading = ReleaseMetadata(
+        return write_tiles_and_manifest(
+            self.folder,
+            blobs,
+            lineage=self._lineage(current),
+            previous=previous,
+            signing_key=self._signing_key,
             region=reference.manifest.region,
             map_version=version,
             datum=reference.manifest.datum,
             epoch_year=reference.manifest.epoch_year,
             time_ns=time_ns,
             surrogate=reference.manifest.surrogate,
-            lineage=self._lineage(current),
             reference_sha256=reference.root.manifest_sha256,
             corrections_sha256=digest,
-        )
-        return write_tiles_and_manifest(
-            self.folder, heading, blobs, previous=previous, signing_key=self._signing_key
         )
 
     def _kept_blobs(self) -> dict[TileKey, bytes | StoredBlob]:
