@@ -7,13 +7,7 @@ line and not compressed. Writing costs the server a quarter of one table row for
 
 from __future__ import annotations
 
-import json
-
 from camber.map_update.contribution import OBSERVATION
-from camber.map_update.fusion.votes import VOTE
-
-FORMAT = 2  # of the tables; as the format of the SQLite file
-LAYOUT = {"format": str(FORMAT), "observation": json.dumps(OBSERVATION.descr), "vote": json.dumps(VOTE.descr)}
 
 
 def _integer(at: int) -> str:

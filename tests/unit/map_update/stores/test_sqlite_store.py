@@ -15,8 +15,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from camber.map_update.stores.sqlite_store import FORMAT, SqliteStore
-from camber.map_update.stores.store import FusionStep, StoreError
+from camber.map_update.stores.sqlite_store import SqliteStore
+from camber.map_update.stores.store import FORMAT, FusionStep, StoreError
 from support.contributions import NOW_NS, committed, contribution, random_batch
 
 
