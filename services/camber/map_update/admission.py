@@ -7,8 +7,8 @@ refused; whether a possible height is *true* is decided by the fusion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field
 
 from camber.geodesy.gps_time import NS_PER_DAY
 from camber.map_update.contribution import Contribution
-from camber.schemas.base import EARLIEST_NS, Name
+from camber.schemas.base import EARLIEST_NS, Name, Text
 
 _LARGEST_ID = 2**62  # as `Count` in camber.schemas.base
 
@@ -47,12 +47,11 @@ class AdmissionLimits(BaseModel):
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
+class Refusal(NamedTuple):
     """Why an upload is refused: a code to count by, and a line with the field, its value and what was expected."""
 
-    code: str
-    text: str
+    code: Name
+    text: Text
 
 
 def check(

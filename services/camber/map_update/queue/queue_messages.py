@@ -10,25 +10,26 @@ too: one that the ledger knows is a duplicate. The reply is msgpack, [version, [
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgpack
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
 from camber.map_update.admission import Refusal
 from camber.map_update.contribution import OBSERVATION, Contribution, Kind
 from camber.map_update.stores.store import Outcome
-from camber.schemas.base import Count, Covariance3, Name, Text
+from camber.schemas.base import Count, Covariance3, Name
 from camber.schemas.fleet import EpochYear
 
 VERSION = 1  # of the message format
 _LENGTH = struct.Struct("<I")
 _MAX_HEADER = 4 << 20  # chosen: a bound on what untrusted bytes make the parser read
+_FLOATS = [name for name in OBSERVATION.names or () if OBSERVATION[name].kind == "f"]
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
-_RefusalFields = tuple[Name, Text]
 
 
 class QueueError(RuntimeError):
@@ -48,6 +49,8 @@ class QueuedContribution:
 
 
 class _ContributionHeader(BaseModel):
+    """The fields in the order of the message; named as in Contribution."""
+
     model_config = _STRICT
     vehicle: Name
     kind: Kind
@@ -55,19 +58,19 @@ class _ContributionHeader(BaseModel):
     datum: Name
     map_version: Count
     epoch_year: EpochYear
-    covariance: Covariance3 | None
+    position_covariance_enu_m2: Covariance3 | None
     records: Annotated[int, Field(ge=0, le=1 << 24)]
-    refusal: _RefusalFields | None
+    refusal: Refusal | None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_fields(cls, values: Any) -> dict[str, Any]:
+        return dict(zip(cls.model_fields, values, strict=True))
 
 
-class _OutcomeFields(BaseModel):
-    model_config = _STRICT
-    status: Literal["stored", "duplicate", "refused"]
-    refusal: _RefusalFields | None
-
-
-_HEADER_FIELDS, _OUTCOME = list(_ContributionHeader.model_fields), list(_OutcomeFields.model_fields)
-_REPLY: TypeAdapter[str] = TypeAdapter(Annotated[str, Field(pattern=r"^[A-Za-z0-9_.$-]{1,128}$")])
+_Reply = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.$-]{1,128}$")]
+_CONTRIBUTIONS = TypeAdapter(tuple[Literal[1], _Reply, tuple[_ContributionHeader, ...]], config=_STRICT)
+_OUTCOMES = TypeAdapter(tuple[Literal[1], tuple[Outcome, ...]], config=_STRICT)
 
 
 def pack_contributions(reply: str, queued: Sequence[QueuedContribution]) -> bytes:
@@ -75,9 +78,8 @@ def pack_contributions(reply: str, queued: Sequence[QueuedContribution]) -> byte
     headers = []
     for item in queued:
         c = item.contribution
-        covariance = c.position_covariance_enu_m2
-        fields = (*c.name, c.datum, c.map_version, c.epoch_year, covariance, len(c.observations))
-        headers.append([*fields, _refusal_fields(item.refusal)])
+        common = (*c.name, c.datum, c.map_version, c.epoch_year, c.position_covariance_enu_m2)
+        headers.append((*common, len(c.observations), item.refusal))
     header: bytes = msgpack.packb([VERSION, reply, headers])
     rows = (item.contribution.observations.tobytes() for item in queued)
     return b"".join([_LENGTH.pack(len(header)), header, *rows])
@@ -85,81 +87,45 @@ def pack_contributions(reply: str, queued: Sequence[QueuedContribution]) -> byte
 
 def unpack_contributions(data: bytes) -> tuple[str, list[QueuedContribution]]:
     """Decode reply subject and contributions; raises only QueueMessageError, for any bytes."""
-    try:
+    with _errors_named():
         (length,) = _LENGTH.unpack_from(data)
-        version, reply, headers = _unpacked(data[_LENGTH.size : _LENGTH.size + min(length, _MAX_HEADER)], 3)
-        reply = _REPLY.validate_python(reply, strict=True)
-        parsed = [_ContributionHeader.model_validate(_named(_HEADER_FIELDS, values)) for values in headers]
-        offset, queued = _LENGTH.size + length, []
-        if version != VERSION or len(data) - offset != OBSERVATION.itemsize * sum(h.records for h in parsed):
-            raise QueueMessageError(
-                f"{len(data)} bytes of version {version!r}, expected another length or {VERSION}"
-            )
-        for fields in parsed:
-            rows = np.frombuffer(data, OBSERVATION, fields.records, offset)
-            offset += rows.nbytes
-            queued.append(_queued(fields, rows))
-    except (ValidationError, ValueError, TypeError, struct.error, RecursionError, OverflowError) as error:
-        raise QueueMessageError(str(error)[:300]) from None
-    return reply, queued
+        values = msgpack.unpackb(data[_LENGTH.size : _LENGTH.size + min(length, _MAX_HEADER)], use_list=False)
+        _, reply, headers = _CONTRIBUTIONS.validate_python(values)
+        rows = np.frombuffer(data, OBSERVATION, offset=_LENGTH.size + length)
+        ends = np.cumsum([header.records for header in headers], dtype=np.int64).tolist() or [0]
+        if len(rows) != ends[-1]:
+            raise QueueMessageError(f"{len(rows)} rows, expected {ends[-1]}")
+        if not all(np.isfinite(rows[name]).all() for name in _FLOATS):
+            raise QueueMessageError("expected finite numbers")
+        queued = []
+        for header, part in zip(headers, np.split(rows, ends[:-1]), strict=False):
+            fields = header.model_dump(exclude={"records", "refusal"})
+            queued.append(QueuedContribution(Contribution(**fields, observations=part), header.refusal))
+        return reply, queued
 
 
 def pack_outcomes(outcomes: Sequence[Outcome]) -> bytes:
     """Encode the outcomes of a message's contributions, in their order."""
-    rows = [[outcome.status, _refusal_fields(outcome.refusal)] for outcome in outcomes]
-    data: bytes = msgpack.packb([VERSION, rows])
+    data: bytes = msgpack.packb([VERSION, outcomes])
     return data
 
 
 def unpack_outcomes(data: bytes) -> list[Outcome]:
     """Decode outcomes; raises only QueueMessageError, for any bytes."""
+    with _errors_named():
+        return list(_OUTCOMES.validate_python(msgpack.unpackb(data, use_list=False))[1])
+
+
+@contextmanager
+def _errors_named() -> Iterator[None]:
     try:
-        version, rows = _unpacked(data, 2)
-        if version != VERSION:
-            raise QueueMessageError(f"version {version!r}, expected {VERSION}")
-        results = [_OutcomeFields.model_validate(_named(_OUTCOME, row)) for row in rows]
-    except (ValidationError, ValueError, TypeError, RecursionError, OverflowError) as error:
+        yield
+    except (
+        ValueError,
+        TypeError,
+        msgpack.UnpackException,
+        struct.error,
+        RecursionError,
+        OverflowError,
+    ) as error:
         raise QueueMessageError(str(error)[:300]) from None
-    return [Outcome(r.status, None if r.refusal is None else Refusal(*r.refusal)) for r in results]
-
-
-def _refusal_fields(refusal: Refusal | None) -> tuple[str, str] | None:
-    return None if refusal is None else (refusal.code, refusal.text[:512])
-
-
-def _named(names: Sequence[str], values: object) -> dict[str, Any]:
-    return dict(zip(names, _of_length(values, len(names)), strict=True))
-
-
-def _queued(
-    fields: _ContributionHeader, rows: np.ndarray[tuple[int], np.dtype[np.void]]
-) -> QueuedContribution:
-    if not all(
-        np.isfinite(rows[name]).all() for name in OBSERVATION.names or () if OBSERVATION[name].kind == "f"
-    ):
-        raise QueueMessageError("expected finite numbers")
-    contribution = Contribution(
-        vehicle=fields.vehicle,
-        kind=fields.kind,
-        id=fields.id,
-        datum=fields.datum,
-        map_version=fields.map_version,
-        epoch_year=fields.epoch_year,
-        position_covariance_enu_m2=fields.covariance,
-        observations=rows,
-    )
-    return QueuedContribution(contribution, None if fields.refusal is None else Refusal(*fields.refusal))
-
-
-def _unpacked(data: bytes, length: int) -> tuple[Any, ...]:
-    try:
-        values = msgpack.unpackb(data, use_list=False)
-    except (ValueError, msgpack.UnpackException) as error:
-        raise QueueMessageError(f"not msgpack: {error}") from None
-    return _of_length(values, length)
-
-
-def _of_length(values: object, length: int) -> tuple[Any, ...]:
-    if not isinstance(values, tuple) or len(values) != length:
-        raise QueueMessageError(f"expected {length} values")
-    return values
