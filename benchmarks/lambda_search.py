@@ -23,8 +23,10 @@ import numpy as np
 from figure import Figure, lower
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
 from camber.gnss.ambiguity.resolution import RESOLVED, FixCriteria, resolve
-from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
+from support.ambiguity_models import drawn, float_covariance
 
 Floats = NDArray[np.float64]
 Prepare = Callable[[Floats, Floats], tuple[Callable[[], object], Floats]]

@@ -11,15 +11,18 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from camber.compiled.decorator import compiled
 from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
 from camber.gnss.ambiguity.resolution import bootstrapped_log_success
-from camber.simulator.satellites.ambiguity_models import float_covariance
+from support.ambiguity_models import float_covariance
 
 Floats = NDArray[np.float64]
 

@@ -89,4 +89,5 @@ def drive_through(canyon: Canyon, begin_ns: int, duration_s: float, rate_hz: int
     east, north = way * c + OFF_MIDDLE_M * d, way * d - OFF_MIDDLE_M * c
     position = np.column_stack((east, north, np.full(n, GROUND_M + ANTENNA_M)))
     time_ns = begin_ns + np.arange(n, dtype=np.int64) * (NS_PER_SECOND // rate_hz)
-    return AntennaTrack(time_ns, position, np.tile([SPEED_M_S * c, SPEED_M_S * d, 0.0], (n, 1)))
+    velocity = np.tile([SPEED_M_S * c, SPEED_M_S * d, 0.0], (n, 1))
+    return AntennaTrack(time_ns=time_ns, antenna_m=position, antenna_velocity_m_s=velocity)

@@ -84,8 +84,7 @@ class Hits(NamedTuple):
     normal: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Walls:
+class Walls(NamedTuple):
     """Upright rectangles that reflect satellites' signals.
 
     `foot_m` (n, 3) one lower corner, `along` (n, 2) unit vector to the other one, `length_m`, `height_m` (n,),

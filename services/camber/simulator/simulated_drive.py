@@ -18,7 +18,7 @@ from camber.formats.observations import Ephemeris, ObservationEpoch
 from camber.formats.receiver.solution import ReceiverSolution, SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults import radio_faults
+from camber.simulator.faults.radio_faults import JammingSignal, RadioFaults, SpoofingSignal
 from camber.simulator.faults.schedule import (
     ChangedLoad,
     ChangedRoad,
@@ -131,10 +131,14 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
         district, path, trajectory = _laid_out(scenario, body)
     except ValueError as error:
         raise ScenarioError(f"{scenario.name}: {error}") from None
-    sky = scenario.satellites
+    sky, seed = scenario.satellites, scenario.seed
     of_epoch = np.arange(0, len(trajectory.time_ns), INNER_RATE_HZ // sky.rate_hz)
     epoch_ns = trajectory.time_ns[of_epoch]
-    track = AntennaTrack(epoch_ns, trajectory.antenna_m[of_epoch], trajectory.antenna_velocity_m_s[of_epoch])
+    track = AntennaTrack(
+        time_ns=epoch_ns,
+        antenna_m=trajectory.antenna_m[of_epoch],
+        antenna_velocity_m_s=trajectory.antenna_velocity_m_s[of_epoch],
+    )
     shapes = district.shapes("drive")
     tracer = ShapeTracer(shapes)
     frame = district.frame
@@ -145,10 +149,13 @@ def simulate_drive(scenario: Scenario) -> SimulatedDrive:
     ]
     radio = _radio_faults(scenario)
     surroundings = Surroundings(ShapeTracer(what_blocks(shapes)), district.walls())
-    rover = simulate_signals(track, frame, true, ROVER, scenario.seed, "rover", surroundings, radio)
+    rover = simulate_signals(
+        track, frame, true, ROVER, seed=seed, receiver="rover", surroundings=surroundings, faults=radio
+    )
     base_m = _base_place(trajectory, sky.base_distance_m)
-    base = simulate_signals(static_track(epoch_ns, base_m), frame, true, BASE, scenario.seed, "base")
-    solutions = receiver_solutions(rover, base, track, frame, scenario.seed)
+    standing = static_track(epoch_ns, base_m)
+    base = simulate_signals(standing, frame, true, BASE, seed=seed, receiver="base")
+    solutions = receiver_solutions(rover, base, track, frame, seed=seed)
     time_s = (epoch_ns - epoch_ns[0]) / _NS
     base_offset_m = _base_offset(scenario.faults, time_s)
     moved = {
@@ -254,15 +261,16 @@ def _vehicle_faults(faults: tuple[Fault, ...]) -> list[VehicleFault]:
     ]
 
 
-def _radio_faults(scenario: Scenario) -> radio_faults.RadioFaults:
-    def span(fault: Jamming | Spoofing) -> tuple[int, int]:
+def _radio_faults(scenario: Scenario) -> RadioFaults:
+    def span(fault: Jamming | Spoofing) -> dict[str, int]:
         end_s = scenario.duration_s if fault.end_s is None else fault.end_s
-        return scenario.start_ns + round(fault.onset_s * _NS), scenario.start_ns + round(end_s * _NS)
+        begin_ns, end_ns = (scenario.start_ns + round(time_s * _NS) for time_s in (fault.onset_s, end_s))
+        return {"begin_ns": begin_ns, "end_ns": end_ns}
 
-    return radio_faults.RadioFaults(
-        jamming=tuple(radio_faults.Jamming(*span(f), f.loss_db) for f in of_kind(scenario.faults, Jamming)),
+    return RadioFaults(
+        jamming=tuple(JammingSignal(**span(f), loss_db=f.loss_db) for f in of_kind(scenario.faults, Jamming)),
         spoofing=tuple(
-            radio_faults.Spoofing(*span(f), (f.east_m_s, f.north_m_s, f.up_m_s))
+            SpoofingSignal(**span(f), drift_m_s=(f.east_m_s, f.north_m_s, f.up_m_s))
             for f in of_kind(scenario.faults, Spoofing)
         ),
     )

@@ -1,29 +1,18 @@
-"""What happens to a receiver from outside, each with onset and end: restarts, jamming, slow spoofing."""
+"""What happens to a receiver from outside, each with onset and end: jamming, slow spoofing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from camber.simulator.scene import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True)
-class Restart:
-    """No observations from begin to before end; all locks are new after it."""
-
-    begin_ns: int
-    end_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Jamming:
-    """C/N0 of all signals falls by `loss_db`, within `ramp_s` at either end."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JammingSignal:
+    """C/N0 of all signals falls by `loss_db`, within `ramp_s` at each end."""
 
     begin_ns: int
     end_ns: int
@@ -31,8 +20,8 @@ class Jamming:
     ramp_s: float = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class Spoofing:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpoofingSignal:
     """All signals are those of an antenna that drifts off the true one, from zero on, and comes back at the end."""
 
     begin_ns: int
@@ -44,22 +33,8 @@ class Spoofing:
 class RadioFaults:
     """All of a drive; none by default."""
 
-    restarts: tuple[Restart, ...] = ()
-    jamming: tuple[Jamming, ...] = ()
-    spoofing: tuple[Spoofing, ...] = ()
-
-    def running(self, time_ns: Integers) -> NDArray[np.bool_]:
-        """Does the receiver work at these times (n,)?"""
-        runs = np.ones(len(time_ns), np.bool_)
-        for r in self.restarts:
-            runs &= ~((time_ns >= r.begin_ns) & (time_ns < r.end_ns))
-        return runs
-
-    def restarted(self, time_ns: Integers) -> Integers:
-        """How often it has been restarted by then (n,)."""
-        return np.sum([time_ns >= r.end_ns for r in self.restarts], axis=0, dtype=np.int64) + np.zeros(
-            len(time_ns), np.int64
-        )
+    jamming: tuple[JammingSignal, ...] = ()
+    spoofing: tuple[SpoofingSignal, ...] = ()
 
     def cn0_loss_db(self, time_ns: Integers) -> Floats:
         """(n,)"""

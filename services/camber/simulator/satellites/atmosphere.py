@@ -10,19 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
 from camber.simulator.random_streams import stream
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from camber.simulator.scene import Floats, Integers
 
 KLOBUCHAR_ALPHA = (1.118e-08, 2.235e-08, -5.96e-08, -1.192e-07)
 KLOBUCHAR_BETA = (1.167e05, 1.802e05, -1.311e05, -4.588e05)
 """Broadcast by GPS on a day of moderate activity; s, s/semicircle, …"""
 
+# IS-GPS-200N, 20.3.3.5.2.6: the ionosphere as a shell at 350 km over a sphere.
 _SHELL_M = 350e3
 _EARTH_M = 6371e3
 
@@ -70,7 +68,7 @@ def shell_mapping(elevation_rad: Floats) -> Floats:
     return mapping
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Atmosphere:
     """The atmosphere of one day about a place; rover and base share it.
 
@@ -86,35 +84,34 @@ class Atmosphere:
     wet_gradient_m_per_m: tuple[float, float]
 
     @classmethod
-    def drawn(cls, seed: int, ionosphere_mm_per_km: float = 1.0, wet_mm_per_km: float = 0.3) -> Atmosphere:
-        """From a seed; gradients of one standard deviation as given."""
+    def drawn(cls, seed: int) -> Atmosphere:
+        """From a seed; gradients with σ of 1 mm/km (ionosphere) and 0.3 mm/km (wet troposphere)."""
         draw = stream(seed, "satellites/atmosphere").normal(size=6)
         return cls(
-            float(np.clip(1.0 + 0.2 * draw[0], 0.4, 1.6)),
-            (float(draw[1]) * ionosphere_mm_per_km * 1e-6, float(draw[2]) * ionosphere_mm_per_km * 1e-6),
-            0.7,
-            0.05 * float(draw[3]),
-            (float(draw[4]) * wet_mm_per_km * 1e-6, float(draw[5]) * wet_mm_per_km * 1e-6),
+            ionosphere_scale=float(np.clip(1.0 + 0.2 * draw[0], 0.4, 1.6)),
+            gradient_m_per_m=(float(draw[1]) * 1e-6, float(draw[2]) * 1e-6),
+            humidity=0.7,
+            wet_zenith_m=0.05 * float(draw[3]),
+            wet_gradient_m_per_m=(float(draw[4]) * 0.3 * 1e-6, float(draw[5]) * 0.3 * 1e-6),
         )
 
     def delays_m(
         self,
         time_ns: Integers,
-        latitude_rad: Floats,
-        longitude_rad: Floats,
-        height_m: Floats,
+        place: tuple[Floats, Floats, Floats],
         east_north_m: Floats,
-        azimuth_rad: Floats,
-        elevation_rad: Floats,
+        sky: tuple[Floats, Floats],
     ) -> tuple[Floats, Floats]:
-        """Ionosphere of code on L1 and troposphere [m], (n, m) each; `east_north_m` (n, 2) from the frame's origin."""
-        el = np.maximum(elevation_rad, np.deg2rad(2.0))
-        ionosphere = self.ionosphere_scale * klobuchar_m(
-            time_ns, latitude_rad, longitude_rad, azimuth_rad, el
-        )
-        ionosphere = ionosphere + (east_north_m @ np.array(self.gradient_m_per_m))[:, None] * shell_mapping(
-            el
-        )
+        """Ionosphere of code on L1 and troposphere [m], (n, m) each.
+
+        `place`: latitude, longitude, height (n,); `east_north_m` (n, 2) from the frame's origin; `sky`: azimuth and
+        elevation (n, m).
+        """
+        (latitude, longitude, height_m), (azimuth, elevation) = place, sky
+        el = np.maximum(elevation, np.deg2rad(2.0))
+        modelled = klobuchar_m(time_ns, latitude, longitude, azimuth_rad=azimuth, elevation_rad=el)
+        beyond = (east_north_m @ np.array(self.gradient_m_per_m))[:, None]
+        ionosphere = self.ionosphere_scale * modelled + beyond * shell_mapping(el)
         wet = self.wet_zenith_m + east_north_m @ np.array(self.wet_gradient_m_per_m)
-        troposphere = saastamoinen_m(latitude_rad, height_m, el, self.humidity) + wet[:, None] / np.sin(el)
+        troposphere = saastamoinen_m(latitude, height_m, el, self.humidity) + wet[:, None] / np.sin(el)
         return ionosphere, troposphere

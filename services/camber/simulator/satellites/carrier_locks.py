@@ -5,62 +5,50 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.simulator.random_streams import stream
-from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.parameters import Receiver
+from camber.simulator.scene import Booleans, Floats, Integers
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
-
-_RUNNING_S = 300.0  # how long a receiver has been on at most when the first epoch is written
+_RUNNING_S = 300.0  # chosen: how long a receiver has been on at most when the first epoch is written
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Locks:
     """Per epoch, satellite and frequency (n, m, 2).
 
-    `ambiguity_cycles` are whole numbers, and half ones where half a cycle is off; `slipped_unseen` is true where the
-    phase has jumped and no flag says so.
+    `ambiguity_cycles` are whole numbers, and half ones where half a cycle is off.
     """
 
     ambiguity_cycles: Floats
     lock_time_s: Floats
     loss_of_lock: Booleans
     half_cycle: Booleans
-    slipped_unseen: Booleans
 
 
 def locks(
     time_ns: Integers,
     tracked: Booleans,
     cn0_dbhz: Floats,
+    *,
     data_only: Booleans,
     direct: Booleans,
-    restarted: Integers,
-    parameters: SignalParameters,
-    seed: int,
-    receiver: str,
+    receiver: Receiver,
 ) -> Locks:
     """Of phases tracked (n, m, 2) with their C/N0.
 
-    `data_only` (m, 2): signals without a pilot, `direct` (n, m): satellites in the line of sight, `restarted` (n,)
-    counts the receiver's restarts.
+    `data_only` (m, 2): signals without a pilot, `direct` (n, m): satellites in the line of sight.
     """
-    p = parameters
-    rng = stream(seed, f"satellites/{receiver}/locks")
+    p, rng = receiver.parameters, receiver.stream("locks")
     n = len(time_ns)
     dt = np.diff(time_ns, prepend=time_ns[:1]) / NS_PER_SECOND
     hazard = p.slips_per_s * 10.0 ** np.clip((45.0 - cn0_dbhz) / 10.0, -1.0, 3.0) * dt[:, None, None]
     slip = tracked & (rng.random(tracked.shape) < hazard)
     unseen = slip & (rng.random(tracked.shape) < p.slip_unseen)
     before = np.zeros_like(tracked)
-    before[1:] = tracked[:-1] & (np.diff(restarted) == 0)[:, None, None]
+    before[1:] = tracked[:-1]
     unseen &= before
     begins = tracked & (~before | (slip & ~unseen))
-
     row = np.broadcast_to(np.arange(n)[:, None, None], tracked.shape)
     began = np.maximum.accumulate(np.where(begins, row, 0), axis=0)
 
@@ -75,7 +63,7 @@ def locks(
     since = (time_ns[:, None, None] - time_ns[began]) / NS_PER_SECOND
     already = rng.uniform(5.0, _RUNNING_S, tracked.shape[1:])
     first = began == 0
-    lock_time = np.where(first & (restarted[0] == 0), since + already, since)
+    lock_time = np.where(first, since + already, since)
 
     # Of signals whose sign is not known, half are half a cycle off.
     asked = at_beginning((rng.random(tracked.shape) < p.half_cycle_after_lock).astype(np.float64)) > 0.0
@@ -93,4 +81,9 @@ def locks(
     settled = np.zeros_like(tracked)
     settled[1:] = unresolved[:-1] & ~unresolved[1:] & off[1:] & tracked[1:] & ~begins[1:]
     loss = (begins & ~first) | settled
-    return Locks(whole + np.where(unresolved & off, 0.5, 0.0), lock_time, loss, half_flag, unseen)
+    return Locks(
+        ambiguity_cycles=whole + np.where(unresolved & off, 0.5, 0.0),
+        lock_time_s=lock_time,
+        loss_of_lock=loss,
+        half_cycle=half_flag,
+    )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,8 +29,8 @@ from camber.simulator.satellites.orbits import (
 
 _HOUR_NS = 3600 * NS_PER_SECOND
 _STEP_NS = {"G": 2 * _HOUR_NS, "J": 2 * _HOUR_NS, "E": _HOUR_NS // 2, "C": _HOUR_NS}
-_SYNCHRONOUS_S = 86164.0905
-# −3/2 J2 n (R / a)² cos i; Galileo's is told, −0.0276° a day (European GNSS Service Centre, orbital parameters).
+_SYNCHRONOUS_S = 86164.0905  # one sidereal day
+# −3/2 J2 n (R / a)² cos i; Galileo's is published, −0.0276° a day (European GNSS Service Centre, orbital parameters).
 _NODE_RATE_RAD_S = {"G": -7.8e-9, "E": -5.58e-9, "C": -7.0e-9}
 _GPS_NODES_DEG = (272.847, 332.847, 32.847, 92.847, 152.847, 212.847)
 _GPS_SLOTS_DEG = (
@@ -50,33 +50,20 @@ _BEIDOU_MEO_PRN = (
 )  # fmt: skip
 # Number, longitude of the figure of eight, phase: of the third generation and of the second one, still in use.
 _BEIDOU_IGSO = (
-    (38, 118.0, 0.0),
-    (39, 118.0, 120.0),
-    (40, 118.0, 240.0),
-    (6, 118.0, 60.0),
-    (7, 118.0, 180.0),
-    (8, 118.0, 300.0),
-    (9, 95.0, 20.0),
-    (10, 95.0, 140.0),
-    (13, 95.0, 260.0),
-    (16, 112.0, 330.0),
-)
+    (38, 118.0, 0.0), (39, 118.0, 120.0), (40, 118.0, 240.0), (6, 118.0, 60.0), (7, 118.0, 180.0),
+    (8, 118.0, 300.0), (9, 95.0, 20.0), (10, 95.0, 140.0), (13, 95.0, 260.0), (16, 112.0, 330.0),
+)  # fmt: skip
 _BEIDOU_GEO = ((1, 140.0), (2, 80.0), (3, 110.5), (4, 160.0), (5, 58.75))
 _QZSS = ((2, 0.0), (3, 263.0), (4, 130.0))  # number, phase of the figure of eight over 135° E
 _QZSS_GEO = (7, 127.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Orbit:
-    """An orbit at a time: the node's longitude in ECEF (of a GEO its own longitude), the argument of latitude."""
-
-    satellite: int
-    semi_major_m: float
-    eccentricity: float
-    inclination_deg: float
-    node_deg: float
-    perigee_deg: float
-    mean_argument_deg: float
+_Orbit = tuple[str, float, float, float, float, float, float]
+"""Satellite; period [s]; eccentricity; inclination, longitude of the node in ECEF (of a GEO its longitude), perigee and
+mean argument of latitude at a time [°]."""
+_GPS_EPOCH_NS = gps_ns_from_gpst(CalendarTime(1993, 7, 1, *(0, 0, 0)))
+_GALILEO_EPOCH_NS = gps_ns_from_gpst(CalendarTime(2016, 11, 21, *(0, 0, 0)))
+_J2000_NS = gps_ns_from_gpst(CalendarTime(2000, 1, 1, *(12, 0, 0)))
 
 
 def true_ephemerides(begin_ns: int, end_ns: int, seed: int) -> list[Ephemeris]:
@@ -84,20 +71,17 @@ def true_ephemerides(begin_ns: int, end_ns: int, seed: int) -> list[Ephemeris]:
 
     Their ages stay within what receivers accept (GPS, QZSS 2 h, Galileo 4 h, BeiDou 6 h), Galileo's and BeiDou's
     toe lies before the time of use. The constellation at a time is nominal with small deviations drawn from the seed.
-    Raises ValueError where `end_ns` lies before `begin_ns`.
     """
-    if end_ns < begin_ns:
-        raise ValueError(f"end_ns {end_ns} lies before begin_ns {begin_ns}")
     reference_ns = begin_ns // NS_PER_DAY * NS_PER_DAY
     sets: list[Ephemeris] = []
-    for orbit in _orbits(reference_ns, seed):
-        system = chr(orbit.satellite >> 8)
+    for orbit in _orbits(reference_ns):
+        base = _reference_set(orbit, reference_ns, seed)
+        system = chr(base.satellite >> 8)
         step_ns = _STEP_NS[system]
         shift_ns = BDT_MINUS_GPS_NS if system == "C" else 0
         # The newest set that has begun before; GPS and QZSS send toe up to two hours ahead.
         first = (begin_ns + shift_ns) // step_ns - (0 if system in "GJ" else 1)
         last = (end_ns + shift_ns) // step_ns + (1 if system in "GJ" else 0)
-        base = _reference_set(orbit, reference_ns, seed)
         sets += [_moved(base, k * step_ns - shift_ns, reference_ns, k) for k in range(first, last + 1)]
     return sets
 
@@ -107,11 +91,11 @@ def broadcast_ephemerides(true: Sequence[Ephemeris], seed: int) -> list[Ephemeri
 
     (Montenbruck, Steigenberger, Hauschild, "Broadcast versus precise ephemerides", GPS Solutions 19 (2015).)
     """
-    said = []
+    broadcast = []
     for e in true:
         draw = stream(seed, f"satellites/broadcast/{e.satellite}/{e.toe_ns}").normal(size=4)
         radius_m = e.sqrt_a**2
-        said.append(
+        broadcast.append(
             replace(
                 e,
                 mean_anomaly_rad=e.mean_anomaly_rad + 1.0 / radius_m * draw[0],
@@ -120,93 +104,72 @@ def broadcast_ephemerides(true: Sequence[Ephemeris], seed: int) -> list[Ephemeri
                 clock=(e.clock[0] + 0.5 / SPEED_OF_LIGHT_M_S * draw[3], e.clock[1], e.clock[2]),
             )
         )
-    return said
+    return broadcast
 
 
-def _orbits(time_ns: int, seed: int) -> list[_Orbit]:
+def _orbits(time_ns: int) -> list[_Orbit]:
+    """The nominal constellations at a time."""
     turned_deg = _sidereal_deg(time_ns)
+
+    def since_deg(epoch_ns: int, period_s: float) -> float:
+        return 360.0 * (((time_ns - epoch_ns) / NS_PER_SECOND / period_s) % 1.0)
+
     orbits: list[_Orbit] = []
-
-    def add(
-        name: str,
-        period_s: float,
-        e: float,
-        i_deg: float,
-        node_deg: float,
-        perigee_deg: float,
-        argument_deg: float,
-    ) -> None:
-        draw = stream(seed, f"satellites/orbit/{name}").normal(size=4)
-        a = (gravity_m3_s2(name[0]) * (period_s / (2.0 * math.pi)) ** 2) ** (1.0 / 3.0)
-        number = satellite_number(name)
-        geo = is_geostationary(number)
-        orbits.append(
-            _Orbit(
-                number,
-                a,
-                e * (1.0 + 0.2 * float(np.clip(draw[0], -2.0, 2.0))),
-                i_deg + (0.0 if geo else 0.3 * draw[1]),
-                node_deg + (0.0 if geo else 0.3 * draw[2]),
-                perigee_deg,
-                argument_deg + 0.5 * draw[3] * (0.05 if geo else 1.0),
-            )
-        )
-
-    epoch = gps_ns_from_gpst(CalendarTime(1993, 7, 1, 0, 0, 0))
     period = 0.5 * _SYNCHRONOUS_S
-    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    since = since_deg(_GPS_EPOCH_NS, period)
     slots = [(p, u) for p, plane in enumerate(_GPS_SLOTS_DEG) for u in plane] + list(_GPS_SURPLUS_DEG)
     for prn, (plane, u) in enumerate(slots, start=1):
         perigee = 360.0 * ((prn * 0.381966) % 1.0)
-        add(f"G{prn:02d}", period, 0.008, 55.0, _GPS_NODES_DEG[plane] - turned_deg, perigee, u + since)
-
-    epoch = gps_ns_from_gpst(CalendarTime(2016, 11, 21, 0, 0, 0))
+        node = _GPS_NODES_DEG[plane] - turned_deg
+        orbits.append((f"G{prn:02d}", period, 0.008, 55.0, node, perigee, u + since))
     period = 2.0 * math.pi * math.sqrt(29599801.0**3 / gravity_m3_s2("E"))
-    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    since = since_deg(_GALILEO_EPOCH_NS, period)
     for k, prn in enumerate(_GALILEO_PRN):
         plane, slot = (k // 8, float(k % 8)) if k < 24 else (k - 24, 3.5)
         u = 225.153 + 15.0 * plane + 45.0 * slot + since
-        add(f"E{prn:02d}", period, 0.0002, 56.0, 317.632 + 120.0 * plane - turned_deg, 40.0, u)
-
+        orbits.append((f"E{prn:02d}", period, 0.0002, 56.0, 317.632 + 120.0 * plane - turned_deg, 40.0, u))
     period = _SYNCHRONOUS_S * 7.0 / 13.0
-    since = 360.0 * (((time_ns - epoch) / NS_PER_SECOND / period) % 1.0)
+    since = since_deg(_GALILEO_EPOCH_NS, period)
     for k, prn in enumerate(_BEIDOU_MEO_PRN):
         plane, slot = divmod(k, 8)
         u = 15.0 * plane + 45.0 * slot + since
-        add(f"C{prn:02d}", period, 0.0007, 55.0, 25.0 + 120.0 * plane - turned_deg, 20.0, u)
+        orbits.append((f"C{prn:02d}", period, 0.0007, 55.0, 25.0 + 120.0 * plane - turned_deg, 20.0, u))
     for prn, longitude, phase in _BEIDOU_IGSO:
         u = turned_deg + phase
-        add(f"C{prn:02d}", _SYNCHRONOUS_S, 0.002, 55.0, longitude - u, 190.0, u)
-    for prn, longitude in _BEIDOU_GEO:
-        add(f"C{prn:02d}", 2.0 * math.pi / rotation_rad_s("C"), 0.0003, 0.0, longitude, 0.0, 0.0)
+        orbits.append((f"C{prn:02d}", _SYNCHRONOUS_S, 0.002, 55.0, longitude - u, 190.0, u))
+    period = 2.0 * math.pi / rotation_rad_s("C")
+    orbits += [(f"C{prn:02d}", period, 0.0003, 0.0, longitude, 0.0, 0.0) for prn, longitude in _BEIDOU_GEO]
     for prn, phase in _QZSS:
         u = turned_deg + phase
-        add(f"J{prn:02d}", _SYNCHRONOUS_S, 0.075, 41.0, 135.0 - u, 270.0, u)
+        orbits.append((f"J{prn:02d}", _SYNCHRONOUS_S, 0.075, 41.0, 135.0 - u, 270.0, u))
     prn, longitude = _QZSS_GEO
-    add(f"J{prn:02d}", _SYNCHRONOUS_S, 0.0003, 0.5, longitude - turned_deg, 0.0, turned_deg)
+    orbits.append((f"J{prn:02d}", _SYNCHRONOUS_S, 0.0003, 0.5, longitude - turned_deg, 0.0, turned_deg))
     return orbits
 
 
 def _sidereal_deg(time_ns: int) -> float:
     """Greenwich mean sidereal time, UT1 taken as GPS time: planes turn by 0.08° of it."""
-    days = (time_ns - gps_ns_from_gpst(CalendarTime(2000, 1, 1, 12, 0, 0))) / NS_PER_DAY
-    return (280.46061837 + 360.98564736629 * days) % 360.0
+    return (280.46061837 + 360.98564736629 * ((time_ns - _J2000_NS) / NS_PER_DAY)) % 360.0
 
 
 def _reference_set(orbit: _Orbit, reference_ns: int, seed: int) -> Ephemeris:
-    """The orbit with toe at the reference time."""
-    number = orbit.satellite
-    system = chr(number >> 8)
+    """The orbit with toe at the reference time, deviations drawn."""
+    name, period_s, eccentricity, inclination_deg, node_deg, perigee_deg, argument_deg = orbit
+    number, system = satellite_number(name), name[0]
     geo = is_geostationary(number)
+    free = 0.0 if geo else 1.0
+    draw = stream(seed, f"satellites/orbit/{name}").normal(size=4)
     rng = stream(seed, f"satellites/elements/{number}")
-    h = rng.normal(size=6) * (0.0 if geo else 1.0)
+    h = rng.normal(size=6) * free
     clock = rng.normal(size=2)
     delays = rng.normal(size=2)
-    tilt = math.radians(5.0)
+    semi_major_m = (gravity_m3_s2(system) * (period_s / (2.0 * math.pi)) ** 2) ** (1.0 / 3.0)
+    node_deg += 0.0 if geo else 0.3 * draw[2]
     # In the tilted frame an equatorial orbit has inclination 5° and its node at 180°, where longitude is u − 180°.
-    perigee = math.radians(orbit.perigee_deg + (180.0 + orbit.node_deg if geo else 0.0))
-    argument = math.radians(orbit.mean_argument_deg + (180.0 + orbit.node_deg if geo else 0.0))
-    synchronous = orbit.semi_major_m > 4.0e7
+    tilt, tilted_deg = math.radians(5.0), 180.0 + node_deg if geo else 0.0
+    perigee = math.radians(perigee_deg + tilted_deg)
+    argument = math.radians(argument_deg + 0.5 * draw[3] * (0.05 if geo else 1.0) + tilted_deg)
+    synchronous = semi_major_m > 4.0e7
     return Ephemeris(
         satellite=number,
         toe_ns=reference_ns,
@@ -214,11 +177,11 @@ def _reference_set(orbit: _Orbit, reference_ns: int, seed: int) -> Ephemeris:
         transmission_ns=reference_ns,
         iode=0,
         clock=(2.0e-4 * float(clock[0]), 3.0e-12 * float(clock[1]), 0.0),
-        sqrt_a=math.sqrt(orbit.semi_major_m),
-        eccentricity=orbit.eccentricity,
-        inclination_rad=tilt if geo else math.radians(orbit.inclination_deg),
+        sqrt_a=math.sqrt(semi_major_m),
+        eccentricity=eccentricity * (1.0 + 0.2 * float(np.clip(draw[0], -2.0, 2.0))),
+        inclination_rad=tilt if geo else math.radians(inclination_deg + 0.3 * draw[1]),
         inclination_rate_rad_s=0.0 if geo else 1.0e-10 * float(h[5]),
-        ascending_node_rad=math.pi if geo else math.radians(orbit.node_deg),
+        ascending_node_rad=math.pi if geo else math.radians(node_deg),
         ascending_node_rate_rad_s=0.0 if synchronous else _NODE_RATE_RAD_S[system],
         perigee_rad=perigee,
         mean_anomaly_rad=argument - perigee,
@@ -258,10 +221,8 @@ def _moved(e: Ephemeris, toe_ns: int, reference_ns: int, number: int) -> Ephemer
         node = e.ascending_node_rad + rotation * of_week_s
         perigee = e.perigee_rad - rotation * since_s
     else:
-        node = (
-            e.ascending_node_rad + (e.ascending_node_rate_rad_s - rotation) * since_s + rotation * of_week_s
-        )
-        perigee = e.perigee_rad
+        node = e.ascending_node_rad + (e.ascending_node_rate_rad_s - rotation) * since_s
+        node, perigee = node + rotation * of_week_s, e.perigee_rad
     iode = {"G": number % 240, "J": number % 240, "E": number % 1024, "C": 1}[system]
     other = dict(e.other)
     if "iodc" in other:

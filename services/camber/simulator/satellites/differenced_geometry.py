@@ -9,35 +9,23 @@ ADOP = |Q_a|^(1 / 2n) (Teunissen, "A canonical theory for short GPS baselines", 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.simulator.satellites.observations import SimulatedSignals
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
+from camber.simulator.satellites.parameters import SolutionParameters
+from camber.simulator.scene import Booleans, Floats, Integers
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
-
-_FEWEST_IN_GROUP = 2
-_SINGULAR = 1e-6
-_MOST_LEFT_OUT = 12
-_LEAST_REDUNDANCY = 0.02
+_FEWEST_IN_GROUP = 2  # one is used up by the clock
+_SINGULAR = 1e-6  # chosen: of a determinant in units of squared direction cosines
+_MOST_LEFT_OUT = 12  # chosen: then too little is left to trust
+_LEAST_REDUNDANCY = 0.02  # chosen: with less nothing checks a signal
 
 
-@dataclass(frozen=True, slots=True)
-class Screening:
-    """What a receiver leaves out: by elevation, by C/N0, and by what does not fit the rest, in standard deviations."""
-
-    lowest_elevation_rad: float = 0.0
-    lowest_cn0_dbhz: float = 0.0
-    code_sigmas: float = np.inf
-    phase_sigmas: float = np.inf
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DifferencedGeometry:
     """Of n epochs, m satellites, two frequencies.
 
@@ -64,56 +52,57 @@ class DifferencedGeometry:
 
 
 def differenced_geometry(
-    rover: SimulatedSignals,
-    base: SimulatedSignals | None,
-    code_sigma_m: float,
-    phase_sigma_m: float,
-    screening: Screening | None = None,
+    rover: SimulatedSignals, base: SimulatedSignals, parameters: SolutionParameters
 ) -> DifferencedGeometry:
-    """Of what a rover tracks and a base too, with the errors of both; without a base the rover's own.
+    """Of what a rover tracks and a base too, with the errors of both.
 
     The air is taken to be the same for both: over some kilometres it differs by millimetres.
     """
-    screening = screening or Screening()
-    high = (rover.geometry.elevation_rad >= screening.lowest_elevation_rad)[..., None]
-    high = high & (rover.levels.cn0_dbhz >= screening.lowest_cn0_dbhz)
+    p = parameters
+    high = (rover.geometry.elevation_rad >= float(np.deg2rad(p.elevation_mask_deg)))[..., None]
+    high = high & (rover.levels.cn0_dbhz >= p.cn0_mask_dbhz)
     wavelength = SPEED_OF_LIGHT_M_S / rover.carrier_hz
-    code_error, phase_error = rover.levels.code_error_m, _phase_error_m(rover)
-    code_used = rover.levels.code_tracked & high
-    phase_used = rover.levels.phase_tracked & high & ~rover.locks.half_cycle
-    if base is not None:
-        seen, code_at_base, phase_at_base = _at_base(base, rover)
-        code_used &= seen
-        phase_used &= seen
-        code_error = code_error - code_at_base
-        phase_error = phase_error - phase_at_base
+    seen, code_at_base, phase_at_base = _at_base(base, rover)
+    code_used = rover.levels.code_tracked & high & seen
+    phase_used = rover.levels.phase_tracked & high & ~rover.locks.half_cycle & seen
+    code_error = rover.levels.code_error_m - code_at_base
+    phase_error = _phase_error_m(rover) - phase_at_base
     # Whole cycles of an error go into the integers, which are what fits best.
     phase_error = phase_error - wavelength * np.rint(phase_error / wavelength)
     group = (rover.satellite >> 8)[:, None] * 2 + np.arange(2)
     group = np.unique(group, return_inverse=True)[1].reshape(group.shape)
-    direction = rover.geometry.direction
-    code_used, _ = fitting(direction, code_used, group, code_error, screening.code_sigmas * code_sigma_m)
+    direction, sigmas = rover.geometry.direction, p.sigmas_left_out
+    code_used, _ = fitting(direction, code_used, group, error_m=code_error, limit_m=sigmas * p.code_sigma_m)
     phase_used, phase_fits = fitting(
-        direction, phase_used & code_used, group, phase_error, screening.phase_sigmas * phase_sigma_m
+        direction, phase_used & code_used, group, error_m=phase_error, limit_m=sigmas * p.phase_sigma_m
     )
     n_code, x_code = _solved(direction, code_used, group, code_error)
     n_phase, x_phase = _solved(direction, phase_used, group, phase_error)
-    count, log_det = _ambiguities(phase_used, group, wavelength, phase_sigma_m)
+    count, log_det = _ambiguities(phase_used, group, wavelength, p.phase_sigma_m)
     solvable = (np.linalg.det(n_code) > _SINGULAR) & (count >= 3)
-    eye = np.eye(3)
-    a = np.where(solvable[:, None, None], n_code / code_sigma_m**2, eye)
-    b = np.where(solvable[:, None, None], n_phase / phase_sigma_m**2, 0.0)
+    a = np.where(solvable[:, None, None], n_code / p.code_sigma_m**2, np.eye(3))
+    b = np.where(solvable[:, None, None], n_phase / p.phase_sigma_m**2, 0.0)
     log_det = log_det + np.log(np.linalg.det(a + b)) - np.log(np.linalg.det(a))
     adop = np.exp(log_det / (2.0 * np.maximum(count, 1)))
-    success = np.where(solvable, _between(0.5 / adop) ** np.maximum(count, 1), 0.0)
     return DifferencedGeometry(
-        code_used, phase_used, group, wavelength, n_code, n_phase, x_code, x_phase, count, success, phase_fits,
-        np.sum(code_used[..., 0], axis=1), np.sum(phase_used[..., 0], axis=1),
-    )  # fmt: skip
+        code_used=code_used,
+        phase_used=phase_used,
+        group=group,
+        wavelength_m=wavelength,
+        code_normal=n_code,
+        phase_normal=n_phase,
+        code_solution_m=x_code,
+        phase_solution_m=x_phase,
+        ambiguities=count,
+        success=np.where(solvable, _between(0.5 / adop) ** np.maximum(count, 1), 0.0),
+        phase_fits=phase_fits,
+        code_satellites=np.sum(code_used[..., 0], axis=1),
+        phase_satellites=np.sum(phase_used[..., 0], axis=1),
+    )
 
 
 def fitting(
-    direction: Floats, used: Booleans, group: Integers, error_m: Floats, limit_m: float
+    direction: Floats, used: Booleans, group: Integers, *, error_m: Floats, limit_m: float
 ) -> tuple[Booleans, Booleans]:
     """Signals (n, m, 2) whose residuals fit the rest, and at which epochs (n,) that was reached.
 
@@ -140,7 +129,6 @@ def fitting(
 
 def _standing_out(direction: Floats, used: Booleans, group: Integers, error_m: Floats) -> Floats:
     """|residual| / √redundancy (n, m, 2), zero where not used or nothing checks it."""
-    n = len(used)
     g = centred(direction, used, group)
     e = centred(np.broadcast_to(error_m[..., None], (*used.shape, 1)), used, group)[..., 0]
     normal, solution = _solved(direction, used, group, error_m)
@@ -148,21 +136,30 @@ def _standing_out(direction: Floats, used: Booleans, group: Integers, error_m: F
     solvable = np.linalg.det(normal) > _SINGULAR
     inverse = np.linalg.inv(np.where(solvable[:, None, None], normal, np.eye(3)))
     leverage = np.einsum("nmfi,nij,nmfj->nmf", g, inverse, g)
-    number = np.zeros(used.shape)
-    for k in range(int(group.max()) + 1 if group.size else 0):
-        rows, frequency = np.nonzero(group == k)
-        number[:, rows, frequency] = used[:, rows, frequency].sum(axis=1)[:, None]
-    redundancy = 1.0 - 1.0 / np.maximum(number, 1.0) - leverage
+    redundancy = 1.0 - 1.0 / np.maximum(_number_in_group(used, group), 1.0) - leverage
     checked = used & solvable[:, None, None] & (redundancy > _LEAST_REDUNDANCY)
-    found: Floats = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, redundancy, 1.0)), 0.0)
-    return found.reshape(n, *used.shape[1:])
+    return np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, redundancy, 1.0)), 0.0)
+
+
+def _groups(group: Integers) -> Iterator[tuple[Integers, Integers]]:
+    """Row and frequency of the signals of each group."""
+    for g in range(int(group.max(initial=-1)) + 1):
+        rows, frequency = np.nonzero(group == g)
+        yield rows, frequency
+
+
+def _number_in_group(used: Booleans, group: Integers) -> Integers:
+    """How many are used (n, m, 2) in each signal's group."""
+    number = np.zeros(used.shape, np.int64)
+    for rows, frequency in _groups(group):
+        number[:, rows, frequency] = used[:, rows, frequency].sum(axis=1)[:, None]
+    return number
 
 
 def centred(values: Floats, used: Booleans, group: Integers) -> Floats:
     """Values (n, m, k) or (n, m, 2, k) about the mean of those used in their group: (n, m, 2, k), zero elsewhere."""
     out = np.zeros((*used.shape, values.shape[-1]))
-    for g in range(int(group.max()) + 1 if group.size else 0):
-        rows, frequency = np.nonzero(group == g)
+    for rows, frequency in _groups(group):
         w = used[:, rows, frequency]
         inside = values[:, rows] if values.ndim == 3 else values[:, rows, frequency]
         total = np.maximum(w.sum(axis=1), 1)
@@ -190,8 +187,7 @@ def _ambiguities(
     """Double differences (n,), and Σ [(k − 1) ln(σ² / λ²) + ln k] over groups."""
     count = np.zeros(len(used), np.int64)
     log_det = np.zeros(len(used))
-    for g in range(int(group.max()) + 1 if group.size else 0):
-        rows, frequency = np.nonzero(group == g)
+    for rows, frequency in _groups(group):
         k = used[:, rows, frequency].sum(axis=1)
         some = k >= _FEWEST_IN_GROUP
         count += np.where(some, k - 1, 0)
@@ -202,12 +198,7 @@ def _ambiguities(
 
 def _grouped(used: Booleans, group: Integers) -> Booleans:
     """Without those that are alone in their group: they say nothing once its clock is estimated."""
-    out = used.copy()
-    for g in range(int(group.max()) + 1 if group.size else 0):
-        rows, frequency = np.nonzero(group == g)
-        enough = used[:, rows, frequency].sum(axis=1) >= _FEWEST_IN_GROUP
-        out[:, rows, frequency] &= enough[:, None]
-    return out
+    return used & (_number_in_group(used, group) >= _FEWEST_IN_GROUP)
 
 
 def _phase_error_m(signals: SimulatedSignals) -> Floats:

@@ -6,40 +6,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_name, signal_number
+from camber.formats.observations import Ephemeris, ObservationEpoch, carrier_hz, signal_number
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.faults.radio_faults import RadioFaults
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.atmosphere import Atmosphere
 from camber.simulator.satellites.carrier_locks import Locks, locks
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S, OrbitTable, newest_in_use
-from camber.simulator.satellites.parameters import DATA_ONLY, SignalParameters
-from camber.simulator.satellites.propagation import Propagation, Surroundings, open_sky, propagation
+from camber.simulator.satellites.parameters import DATA_ONLY, Receiver, SignalParameters
+from camber.simulator.satellites.propagation import Surroundings, open_sky, propagation
 from camber.simulator.satellites.ranges import Ranges, ranges
 from camber.simulator.satellites.signal_levels import Levels, levels
 from camber.simulator.satellites.track import AntennaTrack, GeodeticTrack, geodetic_track
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from camber.simulator.scene import Booleans, Floats, Integers
 
 _LOOK_NS = 60 * NS_PER_SECOND
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SimulatedSignals:
     """All that was simulated of one receiver, per epoch, satellite and frequency, tracked or not.
 
     `satellite` (m,), `signal`, `carrier_hz` (m, 2); `pseudorange_m`, `carrier_phase_cycles`, `doppler_hz` (n, m, 2);
-    `receiver_clock_s` (n,); `antenna_offset_m` (n, 3): where the signals say the antenna is, off the true one, by
-    spoofing; `running` (n,): epochs at which the receiver gives anything.
+    `antenna_offset_m` (n, 3): where the signals say the antenna is, off the true one, by spoofing.
     """
 
     time_ns: Integers
-    running: NDArray[np.bool_]
-    receiver_clock_s: Floats
     antenna_offset_m: Floats
     satellite: Integers
     signal: Integers
@@ -48,20 +41,19 @@ class SimulatedSignals:
     carrier_phase_cycles: Floats
     doppler_hz: Floats
     geometry: Ranges
-    ways: Propagation
     levels: Levels
     locks: Locks
 
     def epochs(self) -> list[ObservationEpoch]:
         """As the receiver gives them: tracked signals only, in the order of satellites and frequencies."""
         satellite = np.broadcast_to(self.satellite[:, None], self.signal.shape)
-        found = []
-        for k in np.nonzero(self.running)[0]:
+        epochs = []
+        for k, time_ns in enumerate(self.time_ns.tolist()):
             rows = self.levels.code_tracked[k]
             phase = self.levels.phase_tracked[k][rows]
-            found.append(
+            epochs.append(
                 ObservationEpoch(
-                    time_ns=int(self.time_ns[k]),
+                    time_ns=time_ns,
                     satellite=satellite[rows],
                     signal=self.signal[rows],
                     pseudorange_m=self.pseudorange_m[k][rows],
@@ -73,7 +65,7 @@ class SimulatedSignals:
                     half_cycle=phase & self.locks.half_cycle[k][rows],
                 )
             )
-        return found
+        return epochs
 
 
 def simulate_signals(
@@ -95,37 +87,39 @@ def simulate_signals(
     time_ns = track.time_ns
     if not len(time_ns) or bool(np.any(np.diff(time_ns) <= 0)):
         raise ValueError("time_ns of the track must have rising times")
+    one = Receiver(name=receiver, seed=seed, parameters=parameters)
     faults = faults or RadioFaults()
     atmosphere = atmosphere or Atmosphere.drawn(seed)
-    clock, drift = _receiver_clock(time_ns, parameters, seed, receiver)
+    clock, drift = _receiver_clock(time_ns, one)
     offset, offset_rate = faults.antenna_offset_m(time_ns)
     antenna = track.antenna_m - clock[:, None] * track.antenna_velocity_m_s
-    said = geodetic_track(frame, antenna + offset, track.antenna_velocity_m_s + offset_rate)
-    middle = int(time_ns[len(time_ns) // 2])
-    table, geometry = _in_view(newest_in_use(ephemerides, middle), time_ns, clock, said, frame, parameters)
-    signal, carrier = _signals_of(table.satellite, parameters)
+    reported = geodetic_track(frame, antenna + offset, track.antenna_velocity_m_s + offset_rate)
+    sets = newest_in_use(ephemerides, int(time_ns[len(time_ns) // 2]))
+    sets = [e for e in sets if chr(e.satellite >> 8) in parameters.signals]
+    lowest = np.deg2rad(parameters.lowest_elevation_deg - 1.0)
+    sets = [sets[k] for k in _rising(sets, (time_ns, clock), reported, frame, lowest_rad=lowest)]
+    table = OrbitTable.of(sets)
+    geometry = ranges(table, (time_ns, clock), reported, frame)
+    signal, carrier, data_only = _signals_of(table.satellite, parameters)
 
-    ways = (
-        open_sky(len(time_ns), len(table.satellite))
-        if surroundings is None
-        else propagation(antenna, geometry.direction, geometry.elevation_rad, surroundings, parameters)
-    )
-    arriving = levels(
-        time_ns, track.antenna_velocity_m_s, geometry.elevation_rad, carrier, ways,
-        faults.cn0_loss_db(time_ns), parameters, seed, receiver,
-    )  # fmt: skip
-    running = faults.running(time_ns)
-    arriving.code_tracked[~running] = False
-    arriving.phase_tracked[~running] = False
+    paths = open_sky(len(time_ns), len(sets))
+    elevation = geometry.elevation_rad
+    if surroundings is not None:
+        paths = propagation(antenna, geometry.direction, elevation, surroundings, parameters=parameters)
+    loss_db = faults.cn0_loss_db(time_ns)
+    arriving = levels(track, elevation, carrier, paths, cn0_loss_db=loss_db, receiver=one)
     held = locks(
-        time_ns, arriving.phase_tracked, arriving.cn0_dbhz, _data_only(table.satellite, signal), ways.direct,
-        faults.restarted(time_ns), parameters, seed, receiver,
-    )  # fmt: skip
+        time_ns,
+        arriving.phase_tracked,
+        arriving.cn0_dbhz,
+        data_only=data_only,
+        direct=paths.direct,
+        receiver=one,
+    )
 
     ionosphere, troposphere = atmosphere.delays_m(
-        time_ns, said.latitude_rad, said.longitude_rad, said.height_m, antenna[:, :2],
-        geometry.azimuth_rad, geometry.elevation_rad,
-    )  # fmt: skip
+        time_ns, reported[:3], antenna[:, :2], (geometry.azimuth_rad, elevation)
+    )
     delay = _group_delays_s(ephemerides, table.satellite, carrier)
     dispersive = ionosphere[..., None] * (1575.42e6 / carrier) ** 2
     common = geometry.range_m + SPEED_OF_LIGHT_M_S * (clock[:, None] - geometry.clock_s) + troposphere
@@ -133,53 +127,50 @@ def simulate_signals(
     wavelength = SPEED_OF_LIGHT_M_S / carrier
     phase = (common[..., None] - dispersive + arriving.phase_error_m) / wavelength + held.ambiguity_cycles
     rate = geometry.rate_m_s + SPEED_OF_LIGHT_M_S * (drift[:, None] - geometry.clock_rate)
+    air_rate = np.zeros_like(dispersive)
     if len(time_ns) > 1:
         # What the atmosphere changes by: low satellites' troposphere, centimetres a second.
         since_s = (time_ns - time_ns[0]) / NS_PER_SECOND
         air_rate = np.gradient(troposphere[..., None] - dispersive, since_s, axis=0)
-    else:
-        air_rate = np.zeros_like(dispersive)
-    doppler = -(rate[..., None] + air_rate + arriving.rate_error_m_s) / wavelength
     return SimulatedSignals(
-        time_ns, running, clock, offset, table.satellite, signal, carrier, code, phase, doppler, geometry, ways,
-        arriving, held,
-    )  # fmt: skip
-
-
-def _in_view(
-    sets: list[Ephemeris],
-    time_ns: Integers,
-    clock_s: Floats,
-    said: GeodeticTrack,
-    frame: LocalFrame,
-    parameters: SignalParameters,
-) -> tuple[OrbitTable, Ranges]:
-    """Only satellites that rise above the lowest elevation: looked at once a minute first, with a margin of 1°."""
-    sets = [e for e in sets if chr(e.satellite >> 8) in parameters.signals]
-    every = np.unique(
-        np.append(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _LOOK_NS)), len(time_ns) - 1)
+        time_ns=time_ns,
+        antenna_offset_m=offset,
+        satellite=table.satellite,
+        signal=signal,
+        carrier_hz=carrier,
+        pseudorange_m=code,
+        carrier_phase_cycles=phase,
+        doppler_hz=-(rate[..., None] + air_rate + arriving.rate_error_m_s) / wavelength,
+        geometry=geometry,
+        levels=arriving,
+        locks=held,
     )
-    coarse = ranges(OrbitTable.of(sets), time_ns[every], clock_s[every], said.rows(every), frame)
-    lowest = np.deg2rad(parameters.lowest_elevation_deg - 1.0)
-    seen = np.max(coarse.elevation_rad, axis=0) >= lowest
-    table = OrbitTable.of([e for e, up in zip(sets, seen, strict=True) if up])
-    return table, ranges(table, time_ns, clock_s, said, frame)
 
 
-def _signals_of(satellite: Integers, parameters: SignalParameters) -> tuple[Integers, Floats]:
-    systems = [chr(s >> 8) for s in satellite]
-    names = [parameters.signals[s] for s in systems]
-    signal = np.array([[signal_number(name) for name in pair] for pair in names], np.int64).reshape(-1, 2)
-    carrier = [[carrier_hz(s, name) for name in pair] for s, pair in zip(systems, names, strict=True)]
-    return signal, np.array(carrier, np.float64).reshape(-1, 2)
+def _rising(
+    sets: list[Ephemeris],
+    times: tuple[Integers, Floats],
+    track: GeodeticTrack,
+    frame: LocalFrame,
+    *,
+    lowest_rad: float,
+) -> list[int]:
+    """Which satellites rise above an elevation, looked at once a minute."""
+    time_ns, clock_s = times
+    rows = np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _LOOK_NS))
+    every = np.unique(np.append(rows, len(time_ns) - 1))
+    coarse = ranges(OrbitTable.of(sets), (time_ns[every], clock_s[every]), track.rows(every), frame)
+    rising: list[int] = np.flatnonzero(np.max(coarse.elevation_rad, axis=0) >= lowest_rad).tolist()
+    return rising
 
 
-def _data_only(satellite: Integers, signal: Integers) -> NDArray[np.bool_]:
-    found = [
-        [signal_name(number) in DATA_ONLY[chr(s >> 8)] for number in pair]
-        for s, pair in zip(satellite.tolist(), signal.tolist(), strict=True)
-    ]
-    return np.array(found, np.bool_).reshape(-1, 2)
+def _signals_of(satellite: Integers, parameters: SignalParameters) -> tuple[Integers, Floats, Booleans]:
+    """Number and carrier of each satellite's signals (m, 2), and whether they have no pilot."""
+    signals = [(chr(s >> 8), name) for s in satellite for name in parameters.signals[chr(s >> 8)]]
+    numbers = np.array([signal_number(name) for _, name in signals], np.int64)
+    carriers = np.array([carrier_hz(system, name) for system, name in signals], np.float64)
+    data_only = np.array([name in DATA_ONLY[system] for system, name in signals], np.bool_)
+    return numbers.reshape(-1, 2), carriers.reshape(-1, 2), data_only.reshape(-1, 2)
 
 
 def _group_delays_s(ephemerides: Sequence[Ephemeris], satellite: Integers, carrier_hz: Floats) -> Floats:
@@ -199,14 +190,12 @@ def _group_delays_s(ephemerides: Sequence[Ephemeris], satellite: Integers, carri
     return delays
 
 
-def _receiver_clock(
-    time_ns: Integers, parameters: SignalParameters, seed: int, receiver: str
-) -> tuple[Floats, Floats]:
+def _receiver_clock(time_ns: Integers, receiver: Receiver) -> tuple[Floats, Floats]:
     """Receiver's clock minus true time (n,) [s] and its rate: a bias, a drift, and a drift that walks."""
-    rng = stream(seed, f"satellites/{receiver}/clock")
+    p, rng = receiver.parameters, receiver.stream("clock")
     dt = np.diff(time_ns, prepend=time_ns[:1]) / NS_PER_SECOND
-    walk = np.cumsum(parameters.clock_walk_s_per_root_s * np.sqrt(dt) * rng.normal(size=len(dt)))
-    drift = parameters.clock_drift_s_s * rng.normal() + walk
+    walk = np.cumsum(p.clock_walk_s_per_root_s * np.sqrt(dt) * rng.normal(size=len(dt)))
+    drift = p.clock_drift_s_s * rng.normal() + walk
     mean = 0.5 * (drift + np.concatenate((drift[:1], drift[:-1])))
-    bias = parameters.clock_bias_s * rng.normal() + np.cumsum(mean * dt)
+    bias = p.clock_bias_s * rng.normal() + np.cumsum(mean * dt)
     return bias, drift

@@ -11,21 +11,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.formats.observations import Ephemeris
 from camber.geodesy.gps_time import NS_PER_SECOND, NS_PER_WEEK
+from camber.simulator.scene import Booleans, Floats, Integers
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-SPEED_OF_LIGHT_M_S = 299792458.0
-EARTH_ROTATION_RAD_S = 7.2921151467e-5
-"""As IS-GPS-200 and Galileo have it; BeiDou's own is 7.292115e-5."""
-BDT_MINUS_GPS_NS = -14 * NS_PER_SECOND
-"""BeiDou time runs 14 s behind GPS time."""
+SPEED_OF_LIGHT_M_S = 299792458.0  # exact, SI
+EARTH_ROTATION_RAD_S = 7.2921151467e-5  # as IS-GPS-200 and Galileo have it; BeiDou's is 7.292115e-5
+BDT_MINUS_GPS_NS = -14 * NS_PER_SECOND  # BeiDou time runs 14 s behind GPS time
 
 _KEPLER_STEPS = 8  # Newton's method squares the error; e < 0.1
+_ELEMENTS = (
+    "sqrt_a", "eccentricity", "inclination_rad", "inclination_rate_rad_s", "ascending_node_rad",
+    "ascending_node_rate_rad_s", "perigee_rad", "mean_anomaly_rad", "mean_motion_difference_rad_s",
+    "cuc", "cus", "crc_m", "crs_m", "cic", "cis",
+)  # fmt: skip
 _TILT_RAD = np.deg2rad(-5.0)  # of the geostationary satellites' orbital frame
 
 
@@ -44,7 +44,7 @@ def is_geostationary(satellite: int) -> bool:
     return satellite >> 8 == ord("C") and ((satellite & 255) <= 5 or (satellite & 255) >= 59)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OrbitTable:
     """Ephemerides as columns (m,): names and units are those of `Ephemeris`; `toe_of_week_s` in the system's time."""
 
@@ -54,7 +54,7 @@ class OrbitTable:
     toe_of_week_s: Floats
     gravity_m3_s2: Floats
     rotation_rad_s: Floats
-    geostationary: NDArray[np.bool_]
+    geostationary: Booleans
     clock: Floats
     elements: dict[str, Floats]
 
@@ -64,26 +64,23 @@ class OrbitTable:
         systems = [chr(e.satellite >> 8) for e in ephemerides]
         toe_ns = np.array([e.toe_ns for e in ephemerides], np.int64)
         shift_ns = np.array([BDT_MINUS_GPS_NS if s == "C" else 0 for s in systems], np.int64)
-        names = (
-            "sqrt_a", "eccentricity", "inclination_rad", "inclination_rate_rad_s", "ascending_node_rad",
-            "ascending_node_rate_rad_s", "perigee_rad", "mean_anomaly_rad", "mean_motion_difference_rad_s",
-            "cuc", "cus", "crc_m", "crs_m", "cic", "cis",
-        )  # fmt: skip
         return cls(
-            np.array([e.satellite for e in ephemerides], np.int64),
-            toe_ns,
-            np.array([e.toc_ns for e in ephemerides], np.int64),
-            ((toe_ns + shift_ns) % NS_PER_WEEK) / NS_PER_SECOND,
-            np.array([gravity_m3_s2(s) for s in systems]),
-            np.array([rotation_rad_s(s) for s in systems]),
-            np.array([is_geostationary(e.satellite) for e in ephemerides], np.bool_),
-            np.array([e.clock for e in ephemerides], np.float64).reshape(-1, 3),
-            {name: np.array([getattr(e, name) for e in ephemerides], np.float64) for name in names},
+            satellite=np.array([e.satellite for e in ephemerides], np.int64),
+            toe_ns=toe_ns,
+            toc_ns=np.array([e.toc_ns for e in ephemerides], np.int64),
+            toe_of_week_s=((toe_ns + shift_ns) % NS_PER_WEEK) / NS_PER_SECOND,
+            gravity_m3_s2=np.array([gravity_m3_s2(s) for s in systems]),
+            rotation_rad_s=np.array([rotation_rad_s(s) for s in systems]),
+            geostationary=np.array([is_geostationary(e.satellite) for e in ephemerides], np.bool_),
+            clock=np.array([e.clock for e in ephemerides], np.float64).reshape(-1, 3),
+            elements={
+                name: np.array([getattr(e, name) for e in ephemerides], np.float64) for name in _ELEMENTS
+            },
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SatelliteStates:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OrbitStates:
     """At n times, of m satellites: ECEF of the time itself, `position_m`, `velocity_m_s` (n, m, 3).
 
     `clock_s`, `clock_rate` (n, m): the satellite's clock minus system time, with the relativistic term and without
@@ -106,7 +103,7 @@ def newest_in_use(ephemerides: Sequence[Ephemeris], time_ns: int) -> list[Epheme
     return [nearest[s] for s in sorted(nearest)]
 
 
-def satellite_states(table: OrbitTable, time_ns: Integers, offset_s: Floats) -> SatelliteStates:
+def satellite_states(table: OrbitTable, time_ns: Integers, offset_s: Floats) -> OrbitStates:
     """States at the times `time_ns` (n,) + `offset_s` (n, m), for all m rows of the table.
 
     The time is that of the system's own scale for the orbit and the clock alike (transmission time).
@@ -132,7 +129,6 @@ def satellite_states(table: OrbitTable, time_ns: Integers, offset_s: Floats) -> 
     i = el["inclination_rad"] + el["cis"] * s2 + el["cic"] * c2 + el["inclination_rate_rad_s"] * tk
     node_rate = el["ascending_node_rate_rad_s"] - np.where(table.geostationary, 0.0, table.rotation_rad_s)
     node = el["ascending_node_rad"] + node_rate * tk - table.rotation_rad_s * table.toe_of_week_s
-
     anomaly_rate = n / (1.0 - e * cos_e)
     phi_rate = root * anomaly_rate / (1.0 - e * cos_e)
     u_rate = phi_rate * (1.0 + 2.0 * (el["cus"] * c2 - el["cuc"] * s2))
@@ -159,7 +155,7 @@ def satellite_states(table: OrbitTable, time_ns: Integers, offset_s: Floats) -> 
     f = -2.0 * np.sqrt(table.gravity_m3_s2) / SPEED_OF_LIGHT_M_S**2 * e * el["sqrt_a"]
     clock = af0 + (af1 + af2 * tc) * tc + f * sin_e
     clock_rate = af1 + 2.0 * af2 * tc + f * cos_e * anomaly_rate
-    return SatelliteStates(position, velocity, clock, clock_rate)
+    return OrbitStates(position_m=position, velocity_m_s=velocity, clock_s=clock, clock_rate=clock_rate)
 
 
 def _from_tilted(position: Floats, velocity: Floats, rate: Floats, tk: Floats) -> tuple[Floats, Floats]:

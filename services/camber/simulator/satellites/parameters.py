@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from camber.simulator.random_streams import stream
+
 SIGNALS: Mapping[str, tuple[str, str]] = {
     "G": ("1C", "2L"),
     "J": ("1C", "2L"),
@@ -19,10 +23,10 @@ DATA_ONLY: Mapping[str, tuple[str, ...]] = {
     "E": ("1B", "5I", "7I"),
     "C": ("2I", "6I", "7I"),
 }
-"""Signals without a pilot: their phase is known to half a cycle only, until the data tell the sign."""
+"""Signals without a pilot: their phase is known to half a cycle only, until the data give the sign."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SignalParameters:
     """Noise, obstruction and tracking. Probabilities are shares of time, `…_time_s` how long things last."""
 
@@ -80,12 +84,12 @@ class SignalParameters:
     crown_code_m_per_db: float = 0.05
     crown_phase_m_per_db: float = 5.0e-4
 
-    # Breaks of the phase, at 45 dB-Hz per second and signal, ten times as many every 10 dB lower.
+    # Slips of the phase, at 45 dB-Hz per second and signal, ten times as many every 10 dB lower.
     slips_per_s: float = 2.0e-4
     slip_unseen: float = 0.02
 
-    # After a lock of a signal without pilot its sign is known from data that the receiver can tell beforehand, or else,
-    # for such a share, only after a word to some words of 0.6 s (IS-GPS-200N, 20.3.2); until then a flag says so. Of
+    # After a lock of a signal without pilot its sign is known from data that the receiver can predict, or else, for
+    # such a share, only after one to some subframe words of 0.6 s (IS-GPS-200N, 20.3.2); until then a flag says so. Of
     # signals that come over an edge or by a wall it is taken wrongly now and then, since they fade, and no flag says so
     # until the preamble of the next subframe, 6 s: so often at the weakest phase that is tracked, a tenth of that every
     # so many dB above. Noise alone does not do it: 33 dB-Hz are 16 dB for each bit, one wrong bit in 10¹⁸.
@@ -105,3 +109,49 @@ class SignalParameters:
 ROVER = SignalParameters()
 BASE = SignalParameters(noise_factor=0.7, clock_bias_s=1.0e-7, clock_drift_s_s=1.0e-10)
 """A base station's antenna and receiver are better: noise and background by 0.7."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Receiver:
+    """One receiver of a simulation; its name and the seed make its random streams."""
+
+    name: str
+    seed: int
+    parameters: SignalParameters
+
+    def stream(self, name: str) -> np.random.Generator:
+        """The generator of one of its errors."""
+        return stream(self.seed, f"satellites/{self.name}/{name}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SolutionParameters:
+    """The receiver's engine. Sigmas are of one signal, rover and base together.
+
+    Signals below the masks are left out, and what stands out of the rest by `sigmas_left_out`. The risk of wrong
+    integers grows with the doubt (one less the success rate) and with the metres by which the code is off beyond two.
+    """
+
+    elevation_mask_deg: float = 15.0
+    cn0_mask_dbhz: float = 33.0
+    code_sigma_m: float = 0.6
+    phase_sigma_m: float = 0.006
+    sigmas_left_out: float = 4.0
+    largest_dop: float = 25.0
+    success_to_fix: float = 0.9
+    fewest_ambiguities: int = 5
+    search_s: float = 1.5
+    wrong_by_doubt: float = 2.0
+    wrong_by_code: float = 0.05
+    wrong_at_most: float = 0.5
+    wrong_lasts_s: float = 8.0
+    # What antenna, air and filter do to right fixes beyond the signals' errors: half of them are within 0.013 m, in the
+    # plane and up (u-blox, ZED-F9R integration manual, UBX-20039643, 2.1.4: 0.01 m + 1 ppm CEP; here 3 km).
+    fix_plane_sigma_m: float = 0.011
+    fix_up_sigma_m: float = 0.019
+    fix_time_s: float = 30.0
+    float_smoothing_s: float = 20.0
+    single_bias_m: float = 0.8
+    single_factor: float = 1.5
+    velocity_sigma_m_s: float = 0.03
+    ratio_to_fix: float = 3.0

@@ -1,20 +1,17 @@
-"""Which ways the signals take to the antenna: directly, over an edge, by a wall, through crowns of trees, or none."""
+"""How signals come to the antenna: directly, over an edge, by a wall, through crowns of trees, or not at all."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.simulator.satellites.parameters import SignalParameters
 from camber.simulator.satellites.reflections import reflections
-from camber.simulator.scene import Material, Shapes, Walls
+from camber.simulator.scene import Booleans, Floats, Material, Shapes, Walls
 from camber.simulator.world.ray_tracing import ShapeTracer
 
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-
+# Chosen: beyond any house of a district; thinner than the first Fresnel zone; to 0.2°; a few metres of a street.
 _SKY_M = 1000.0
 _THIN_M = 0.3
 _BISECTIONS = 5
@@ -47,13 +44,13 @@ class Surroundings:
     walls: Walls
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Propagation:
     """Per epoch and satellite (n, m).
 
     `direct`: nothing but crowns in between. `bent_rad`: how far below an edge the satellite stands, where the signal
     comes over it, else NaN; `edge_m` how far away that edge is. `crown_m`: metres of crowns on the straight line.
-    `excess_m`: how much longer the shortest way by a wall is, NaN where there is none, and
+    `excess_m`: how much longer the shortest path by a wall is, NaN where there is none, and
     `excess_per_m` (n, m, 3) what it grows by with the antenna's motion. `enclosure` (n,): the share of
     the sky between 10° and 60° that is built up.
     """
@@ -71,7 +68,13 @@ def open_sky(n: int, m: int) -> Propagation:
     """Nothing around."""
     none = np.full((n, m), np.nan)
     return Propagation(
-        np.ones((n, m), np.bool_), none, none, np.zeros((n, m)), none, np.zeros((n, m, 3)), np.zeros(n)
+        direct=np.ones((n, m), np.bool_),
+        bent_rad=none,
+        edge_m=none,
+        crown_m=np.zeros((n, m)),
+        excess_m=none,
+        excess_per_m=np.zeros((n, m, 3)),
+        enclosure=np.zeros(n),
     )
 
 
@@ -84,32 +87,34 @@ def propagation(
 ) -> Propagation:
     """Of antenna positions (n, 3) and directions to satellites (n, m, 3), both in the world frame.
 
-    Satellites below the lowest elevation are not looked at: not direct and without any other way.
+    Satellites below the lowest elevation are not looked at: not direct and without any other path.
     """
+    tracer, lowest_rad = around.tracer, np.deg2rad(parameters.lowest_elevation_deg)
     n, m = direction.shape[:2]
     direct = np.zeros((n, m), np.bool_)
     bent, edge = np.full((n, m), np.nan), np.full((n, m), np.nan)
     crown = np.zeros((n, m))
-    epoch, satellite = np.nonzero(elevation_rad >= np.deg2rad(parameters.lowest_elevation_deg))
+    epoch, satellite = np.nonzero(elevation_rad >= lowest_rad)
     origin, towards = antenna_m[epoch], direction[epoch, satellite]
-    blocked = around.tracer.blocked(origin, towards, _SKY_M)
+    blocked = tracer.blocked(origin, towards, _SKY_M)
     direct[epoch, satellite] = ~blocked
     e, s = epoch[blocked], satellite[blocked]
-    bent[e, s], edge[e, s] = _over_an_edge(
-        origin[blocked], towards[blocked], around.tracer, np.deg2rad(parameters.diffraction_reach_deg)
-    )
+    reach_rad = np.deg2rad(parameters.diffraction_reach_deg)
+    bent[e, s], edge[e, s] = _over_an_edge(origin[blocked], towards[blocked], tracer, reach_rad)
     comes = ~blocked
     comes[blocked] = np.isfinite(bent[e, s])
-    crown[epoch[comes], satellite[comes]] = around.tracer.through_crowns_m(
-        origin[comes], towards[comes], _SKY_M
-    )
-    by_wall = reflections(
-        antenna_m, direction, around.walls, around.tracer, parameters.reflection_reach_m, _SKY_M
-    )
-    excess = by_wall.excess_m
-    excess[elevation_rad < np.deg2rad(parameters.lowest_elevation_deg)] = np.nan
+    crown[epoch[comes], satellite[comes]] = tracer.through_crowns_m(origin[comes], towards[comes], _SKY_M)
+    reach_m = parameters.reflection_reach_m
+    by_wall = reflections(antenna_m, direction, around.walls, tracer, reach_m=reach_m, sky_m=_SKY_M)
+    by_wall.excess_m[elevation_rad < lowest_rad] = np.nan
     return Propagation(
-        direct, bent, edge, crown, excess, by_wall.excess_per_m, _enclosure(antenna_m, around.tracer)
+        direct=direct,
+        bent_rad=bent,
+        edge_m=edge,
+        crown_m=crown,
+        excess_m=by_wall.excess_m,
+        excess_per_m=by_wall.excess_per_m,
+        enclosure=_enclosure(antenna_m, tracer),
     )
 
 
@@ -142,19 +147,16 @@ def _raised(direction: Floats, by_rad: Floats) -> Floats:
 
 
 def _enclosure(antenna_m: Floats, tracer: ShapeTracer) -> Floats:
-    """The share of 72 directions that is blocked, every few metres of the way, in between by interpolation."""
-    n = len(antenna_m)
-    if n == 0:
-        return np.zeros(0)
+    """The share of 72 directions that is blocked, every few metres driven, in between by interpolation."""
     step = np.sqrt(np.sum(np.diff(antenna_m, axis=0) ** 2, axis=1))
-    way = np.concatenate(([0.0], np.cumsum(step)))
-    cells = np.floor(way / _ENCLOSURE_EVERY_M).astype(np.int64)
-    chosen = np.unique(np.concatenate((np.nonzero(np.diff(cells, prepend=-1))[0], [n - 1])))
+    driven_m = np.concatenate(([0.0], np.cumsum(step)))
+    cells = np.floor(driven_m / _ENCLOSURE_EVERY_M).astype(np.int64)
+    chosen = np.unique(np.concatenate((np.nonzero(np.diff(cells, prepend=-1))[0], [len(cells) - 1])))
     azimuth, elevation = np.meshgrid(np.arange(0.0, 360.0, 20.0), np.array([10.0, 25.0, 40.0, 55.0]))
     az, el = np.deg2rad(azimuth.ravel()), np.deg2rad(elevation.ravel())
     rays = np.column_stack((np.cos(el) * np.sin(az), np.cos(el) * np.cos(az), np.sin(el)))
     origins = np.repeat(antenna_m[chosen], len(rays), axis=0)
     blocked = tracer.blocked(origins, np.tile(rays, (len(chosen), 1)), _SKY_M)
     share = np.mean(blocked.reshape(len(chosen), len(rays)), axis=1)
-    enclosure: Floats = np.interp(way, way[chosen], share)
+    enclosure: Floats = np.interp(driven_m, driven_m[chosen], share)
     return enclosure

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.local_frame import LocalFrame
 from camber.simulator.satellites.orbits import (
@@ -15,12 +14,10 @@ from camber.simulator.satellites.orbits import (
     satellite_states,
 )
 from camber.simulator.satellites.track import GeodeticTrack
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from camber.simulator.scene import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Ranges:
     """Of n epochs and m satellites: columns (n, m), `direction` (n, m, 3) in the frame's east, north, up.
 
@@ -37,9 +34,10 @@ class Ranges:
 
 
 def ranges(
-    table: OrbitTable, time_ns: Integers, receiver_clock_s: Floats, track: GeodeticTrack, frame: LocalFrame
+    table: OrbitTable, times: tuple[Integers, Floats], track: GeodeticTrack, frame: LocalFrame
 ) -> Ranges:
-    """At the receiver's time tags `time_ns` (n,), true time being the tag less the receiver's clock (n,)."""
+    """At the receiver's `times`: its tags [ns] and its clock [s] (n,), true time being the tag less the clock."""
+    time_ns, receiver_clock_s = times
     true_offset = -receiver_clock_s[:, None]
     travel = np.full((len(time_ns), len(table.satellite)), 0.08)
     for first in (True, False):
@@ -55,17 +53,16 @@ def ranges(
         if first:
             travel = travel + (distance / SPEED_OF_LIGHT_M_S - travel) / slope
     # dρ/dt of ρ = |R(ρ/c) s(t − ρ/c) − r(t)|: through ρ/c the rate stands on both sides.
-    own = np.sum(unit * track.ecef_velocity_m_s[:, None, :], axis=-1)
-    rate = (along - own) / slope
+    of_receiver = np.sum(unit * track.ecef_velocity_m_s[:, None, :], axis=-1)
     direction = unit @ frame.enu_from_ecef_rotation().T
     return Ranges(
-        distance,
-        rate,
-        states.clock_s,
-        states.clock_rate,
-        direction,
-        np.arctan2(direction[..., 0], direction[..., 1]),
-        np.arcsin(np.clip(direction[..., 2], -1.0, 1.0)),
+        range_m=distance,
+        rate_m_s=(along - of_receiver) / slope,
+        clock_s=states.clock_s,
+        clock_rate=states.clock_rate,
+        direction=direction,
+        azimuth_rad=np.arctan2(direction[..., 0], direction[..., 1]),
+        elevation_rad=np.arcsin(np.clip(direction[..., 2], -1.0, 1.0)),
     )
 
 

@@ -1,7 +1,7 @@
 """Signals that come by a wall: mirror geometry.
 
 The satellite's direction s, mirrored in a wall of normal n, is s′ = s − 2 (s·n) n; an antenna at distance d in front of
-the wall meets the wall along s′ after d / (s·n), and the way by the wall is longer by 2 d (s·n).
+the wall meets the wall along s′ after d / (s·n), and the path by the wall is longer by 2 d (s·n).
 """
 
 from __future__ import annotations
@@ -9,22 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
-from camber.simulator.scene import Walls
+from camber.simulator.scene import Booleans, Floats, Integers, Walls
 from camber.simulator.world.ray_tracing import ShapeTracer
 
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-
-CANDIDATES = 3
-_OFF_WALL_M = 0.05
+CANDIDATES = 3  # chosen: a fourth wall hardly ever reflects where three nearer ones are hidden
+_OFF_WALL_M = 0.05  # chosen: against rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflections:
-    """Per epoch and satellite (n, m): the shortest way by one wall.
+    """Per epoch and satellite (n, m): the shortest path by one wall.
 
     `excess_m`, NaN where there is none; `excess_per_m` (n, m, 3): how the excess grows with the antenna's motion.
     """
@@ -36,7 +32,7 @@ class Reflections:
 def reflections(
     antenna_m: Floats, direction: Floats, walls: Walls, tracer: ShapeTracer, reach_m: float, sky_m: float
 ) -> Reflections:
-    """The shortest free way by one wall: antenna (n, 3), directions to satellites (n, m, 3), in the world frame.
+    """The shortest free path by one wall: antenna (n, 3), directions to satellites (n, m, 3), in the world frame.
 
     Walls further than `reach_m` away from the antenna are left out; `sky_m` is how far what blocks may stand.
     """
@@ -45,10 +41,8 @@ def reflections(
     slope = np.zeros((n, m, 3))
     if not len(walls.length_m) or not n or not m:
         return Reflections(best, slope)
-    excess, distance, wall = _mirrored(
-        np.ascontiguousarray(antenna_m), np.ascontiguousarray(direction), walls.foot_m, walls.along,
-        walls.length_m, walls.height_m, walls.normal, reach_m,
-    )  # fmt: skip
+    antenna, towards = np.ascontiguousarray(antenna_m), np.ascontiguousarray(direction)
+    excess, distance, wall = _mirrored(antenna, towards, walls, reach_m)
     for k in range(CANDIDATES):
         epoch, satellite = np.nonzero((wall[..., k] >= 0) & np.isnan(best))
         if not len(epoch):
@@ -85,15 +79,9 @@ def _blocked_within(tracer: ShapeTracer, origin_m: Floats, direction: Floats, le
 
 @compiled
 def _mirrored(
-    antenna: Floats,
-    direction: Floats,
-    foot: Floats,
-    along: Floats,
-    length: Floats,
-    height: Floats,
-    normal: Floats,
-    reach: float,
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    antenna: Floats, direction: Floats, walls: Walls, reach: float
+) -> tuple[Floats, Floats, Integers]:
+    foot, along, length, height, normal = walls
     n, m = direction.shape[0], direction.shape[1]
     excess = np.full((n, m, CANDIDATES), np.inf)
     distance = np.full((n, m, CANDIDATES), np.inf)
@@ -117,10 +105,8 @@ def _mirrored(
                 x, y = antenna[i, 0] - foot[w, 0], antenna[i, 1] - foot[w, 1]
                 d = x * normal[w, 0] + y * normal[w, 1]
                 far = d / c
-                side = (
-                    x * along[w, 0] + y * along[w, 1]
-                    + far * (direction[i, j, 0] * along[w, 0] + direction[i, j, 1] * along[w, 1])
-                )  # fmt: skip
+                sideways = direction[i, j, 0] * along[w, 0] + direction[i, j, 1] * along[w, 1]
+                side = x * along[w, 0] + y * along[w, 1] + far * sideways
                 up = antenna[i, 2] - foot[w, 2] + far * direction[i, j, 2]
                 if side < 0.0 or side > length[w] or up < 0.0 or up > height[w]:
                     continue

@@ -1,4 +1,4 @@
-"""What arrives: strength and errors of each signal, from the ways it takes.
+"""What arrives: strength and errors of each signal, by its propagation.
 
 Sources: ITU-R P.526-15, 4.1 eq. 31 (loss over a knife's edge); M. S. Braasch, "Multipath effects", in Parkinson and
 Spilker, Global Positioning System: Theory and Applications I (1996): one reflection of amplitude α and phase ψ makes
@@ -11,21 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.gps_time import NS_PER_SECOND
 from camber.simulator.random_processes import gauss_markov, memory_of, switched
-from camber.simulator.random_streams import stream
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
-from camber.simulator.satellites.parameters import SignalParameters
+from camber.simulator.satellites.parameters import Receiver
 from camber.simulator.satellites.propagation import Propagation
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
+from camber.simulator.satellites.track import AntennaTrack
+from camber.simulator.scene import Booleans, Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Levels:
     """Per epoch, satellite and frequency (n, m, 2): errors in metres, and whether code and phase can be tracked."""
 
@@ -38,54 +34,47 @@ class Levels:
 
 
 def levels(
-    time_ns: Integers,
-    velocity_m_s: Floats,
+    track: AntennaTrack,
     elevation_rad: Floats,
     carrier_hz: Floats,
-    ways: Propagation,
+    paths: Propagation,
+    *,
     cn0_loss_db: Floats,
-    parameters: SignalParameters,
-    seed: int,
-    receiver: str,
+    receiver: Receiver,
 ) -> Levels:
-    """Of n epochs, m satellites with carriers (m, 2); velocity (n, 3), elevation (n, m), `cn0_loss_db` (n,)."""
-    p = parameters
+    """Of n epochs, m satellites with carriers (m, 2); elevation (n, m), `cn0_loss_db` (n,)."""
+    p, rng = receiver.parameters, receiver.stream
     n, m = elevation_rad.shape
-
-    def rng(name: str) -> np.random.Generator:
-        return stream(seed, f"satellites/{receiver}/{name}")
 
     def on(name: str, share: Floats, time_s: float) -> Booleans:
         draws = rng(name)
         return switched(draws.random((n, m)), draws.random((n, m)), memory_of(dt, time_s), share)
 
-    dt = np.diff(time_ns, prepend=time_ns[:1]) / NS_PER_SECOND
+    velocity_m_s = track.antenna_velocity_m_s
+    dt = np.diff(track.time_ns, prepend=track.time_ns[:1]) / NS_PER_SECOND
     driven = np.sqrt(np.sum(velocity_m_s**2, axis=1)) * dt
     sin_el = np.sin(np.maximum(elevation_rad, np.deg2rad(p.lowest_elevation_deg)))
     high = elevation_rad >= np.deg2rad(p.lowest_elevation_deg)
-    bent = ~ways.direct & np.isfinite(ways.bent_rad)
-    wall = np.isfinite(ways.excess_m)
-    straight = high & (ways.direct | bent)
+    bent = ~paths.direct & np.isfinite(paths.bent_rad)
+    wall = np.isfinite(paths.excess_m)
+    straight = high & (paths.direct | bent)
     by_wall = high & ~straight & wall & on("by wall", np.full(n, p.reflected_tracked), p.reflected_time_s)
-
     cn0 = p.zenith_cn0_dbhz - p.horizon_cn0_loss_db * (1.0 - sin_el) - cn0_loss_db[:, None]
-    crown_db = np.minimum(p.crown_loss_db_per_m * ways.crown_m, p.crown_loss_most_db)
+    crown_db = np.minimum(p.crown_loss_db_per_m * paths.crown_m, p.crown_loss_most_db)
     cn0 = cn0 - np.where(straight, crown_db, p.reflected_cn0_loss_db)
     cn0 = np.repeat(cn0[..., None], 2, axis=2)
     cn0[..., 1] -= p.second_cn0_loss_db
-    cn0 -= np.where(bent[..., None], _edge_loss_db(ways.bent_rad, ways.edge_m, carrier_hz), 0.0)
+    cn0 -= np.where(bent[..., None], _edge_loss_db(paths.bent_rad, paths.edge_m, carrier_hz), 0.0)
 
-    code = np.zeros((n, m, 2))
-    phase = np.zeros((n, m, 2))
+    code, phase = np.zeros((2, n, m, 2))
     memory = memory_of(driven, p.reflection_length_m) * memory_of(dt, p.reflection_time_s)
 
     both = straight & wall
     draws = rng("reflection")
-    amplitude = p.reflection_amplitude * np.clip(
-        1.0 + p.reflection_spread * gauss_markov(draws.normal(size=(n, m)), memory), 0.0, 3.0
-    )
+    spread = 1.0 + p.reflection_spread * gauss_markov(draws.normal(size=(n, m)), memory)
+    amplitude = p.reflection_amplitude * np.clip(spread, 0.0, 3.0)
     turn = np.arctan2(*(gauss_markov(draws.normal(size=(n, m)), memory) for _ in range(2)))
-    excess = np.where(wall, ways.excess_m, 0.0)
+    excess = np.where(wall, paths.excess_m, 0.0)
     psi = 2.0 * np.pi * excess[..., None] * (carrier_hz / SPEED_OF_LIGHT_M_S) + turn[..., None]
     a = np.where(both, amplitude, 0.0)[..., None]
     in_phase = 1.0 + a * np.cos(psi)
@@ -96,20 +85,21 @@ def levels(
     late = np.where(by_wall, excess, 0.0)[..., None]
     code += late
     phase += late
-    rate = np.where(by_wall, np.einsum("nmk,nk->nm", ways.excess_per_m, velocity_m_s), 0.0)
+    rate = np.where(by_wall, np.einsum("nmk,nk->nm", paths.excess_per_m, velocity_m_s), 0.0)
 
-    depth = np.where(bent, np.nan_to_num(ways.bent_rad) / max(np.deg2rad(p.diffraction_reach_deg), 1e-9), 0.0)
-    # The way over an edge at distance d is longer by d θ² / 2; far edges bend less than that, many being before them.
-    detour = np.minimum(
-        0.5 * np.nan_to_num(ways.edge_m) * np.nan_to_num(ways.bent_rad) ** 2, p.diffraction_phase_m * depth**2
-    )
+    bent_rad, edge_m = np.nan_to_num(paths.bent_rad), np.nan_to_num(paths.edge_m)
+    depth = np.where(bent, bent_rad / max(np.deg2rad(p.diffraction_reach_deg), 1e-9), 0.0)
+    # The path over an edge at distance d is longer by d θ² / 2; far edges bend less than that, many being before them.
+    detour = np.minimum(0.5 * edge_m * bent_rad**2, p.diffraction_phase_m * depth**2)
     scatter = np.tanh(np.abs(gauss_markov(rng("edge").normal(size=(n, m)), memory)))
     code += (depth * scatter * p.diffraction_code_m)[..., None]
     phase += np.where(bent, detour, 0.0)[..., None]
 
+    # Leaves scatter: errors that grow with the loss, the same on both frequencies.
     draws = rng("crown")
-    code += _crown(draws, memory, straight, crown_db, p.crown_code_m_per_db, n, m)
-    phase += _crown(draws, memory, straight, crown_db, p.crown_phase_m_per_db, n, m)
+    for error, per_db in ((code, p.crown_code_m_per_db), (phase, p.crown_phase_m_per_db)):
+        scattered = gauss_markov(draws.normal(size=(n, m)), memory)
+        error += (np.where(straight, crown_db * per_db, 0.0) * scattered)[..., None]
 
     draws = rng("background")
     slow = memory_of(dt, p.background_time_s)
@@ -125,31 +115,23 @@ def levels(
     rates = rate[..., None] + scale * p.doppler_noise_m_s * draws.normal(size=(n, m, 2))
 
     tracked = (straight | by_wall)[..., None] & (cn0 > p.code_tracked_above_dbhz)
-    share = p.second_absent * np.clip(ways.enclosure / p.second_absent_enclosure, 0.0, 1.0)
+    share = p.second_absent * np.clip(paths.enclosure / p.second_absent_enclosure, 0.0, 1.0)
     tracked[..., 1] &= tracked[..., 0] & ~on("second", share, p.second_absent_time_s)
     locked = tracked & (cn0 > p.phase_tracked_above_dbhz)
     no_phase = by_wall & on("phase", np.full(n, p.reflected_phase_absent), p.reflected_time_s)
     locked &= ~no_phase[..., None]
-    return Levels(cn0, code, phase, rates, tracked, locked)
+    return Levels(
+        cn0_dbhz=cn0,
+        code_error_m=code,
+        phase_error_m=phase,
+        rate_error_m_s=rates,
+        code_tracked=tracked,
+        phase_tracked=locked,
+    )
 
 
 def _edge_loss_db(bent_rad: Floats, edge_m: Floats, carrier_hz: Floats) -> Floats:
-    nu = np.nan_to_num(bent_rad)[..., None] * np.sqrt(
-        2.0 * np.nan_to_num(edge_m)[..., None] * carrier_hz / SPEED_OF_LIGHT_M_S
-    )
+    scale = 2.0 * np.nan_to_num(edge_m)[..., None] * carrier_hz / SPEED_OF_LIGHT_M_S
+    nu = np.nan_to_num(bent_rad)[..., None] * np.sqrt(scale)
     loss: Floats = 6.9 + 20.0 * np.log10(np.sqrt((nu - 0.1) ** 2 + 1.0) + nu - 0.1)
     return loss
-
-
-def _crown(
-    draws: np.random.Generator,
-    memory: Floats,
-    straight: Booleans,
-    loss_db: Floats,
-    per_db: float,
-    n: int,
-    m: int,
-) -> Floats:
-    """Leaves scatter: errors that grow with the loss, the same on both frequencies."""
-    error: Floats = gauss_markov(draws.normal(size=(n, m)), memory)
-    return (np.where(straight, loss_db * per_db, 0.0) * error)[..., None]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.geodesy.ellipsoid import ecef_from_geodetic
 from camber.geodesy.local_frame import LocalFrame
+from camber.simulator.scene import Floats, Integers
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-
-_MEAN_RADIUS_M = 6.371e6
+_MEAN_RADIUS_M = 6.371e6  # IUGG
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AntennaTrack:
     """An antenna's motion: `time_ns` (n,), `antenna_m`, `antenna_velocity_m_s` (n, 3) in the world frame of `scene`.
 
@@ -31,11 +29,11 @@ class AntennaTrack:
 def static_track(time_ns: Integers, antenna_m: tuple[float, float, float]) -> AntennaTrack:
     """An antenna that stands: a base station."""
     n = len(time_ns)
-    return AntennaTrack(time_ns, np.tile(np.array(antenna_m, np.float64), (n, 1)), np.zeros((n, 3)))
+    place_m = np.tile(np.array(antenna_m, np.float64), (n, 1))
+    return AntennaTrack(time_ns=time_ns, antenna_m=place_m, antenna_velocity_m_s=np.zeros((n, 3)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GeodeticTrack:
+class GeodeticTrack(NamedTuple):
     """Latitude, longitude [rad], ellipsoidal height [m] (n,), ECEF position and velocity (n, 3)."""
 
     latitude_rad: Floats
@@ -46,13 +44,7 @@ class GeodeticTrack:
 
     def rows(self, index: Integers) -> GeodeticTrack:
         """Some of its times."""
-        return GeodeticTrack(
-            self.latitude_rad[index],
-            self.longitude_rad[index],
-            self.height_m[index],
-            self.ecef_m[index],
-            self.ecef_velocity_m_s[index],
-        )
+        return GeodeticTrack(*(column[index] for column in self))
 
 
 def geodetic_track(frame: LocalFrame, antenna_m: Floats, velocity_m_s: Floats) -> GeodeticTrack:
@@ -62,4 +54,5 @@ def geodetic_track(frame: LocalFrame, antenna_m: Floats, velocity_m_s: Floats) -
     # Height above the ellipsoid rises against the tangent plane by d² / 2R.
     tangent = velocity_m_s.copy()
     tangent[:, 2] -= np.sum(antenna_m[:, :2] * velocity_m_s[:, :2], axis=1) / _MEAN_RADIUS_M
-    return GeodeticTrack(latitude, longitude, height, ecef, tangent @ frame.enu_from_ecef_rotation())
+    rotation = frame.enu_from_ecef_rotation()
+    return GeodeticTrack(*(latitude, longitude, height, ecef, tangent @ rotation))

@@ -9,11 +9,9 @@ what LAMBDA finds from floats that reflected codes have biased, as a common rece
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from camber.compiled.decorator import compiled
 from camber.gnss.ambiguity.fixed_solution import CONTRADICTORY, chi2_limit, estimate, phase_residuals
@@ -22,10 +20,8 @@ from camber.gnss.observations.single_differences import SingleDifferences, witho
 from camber.gnss.position.engine_settings import EngineSettings
 from camber.gnss.position.float_solution import PositionPrior, inverse_3
 from camber.simulator.satellites.random_skies import LATER_S, RandomSkies
+from camber.simulator.scene import Booleans, Floats, Integers
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 Kind = Literal["cycles", "search", "right"]
 
 _LIMITS = EngineSettings(least_success_rate=0.0, partial=False).fix_criteria()
@@ -33,9 +29,8 @@ _WHITE = 0.4  # of the σ that an engine assumes, the rest of which is for refle
 _MOST_ROWS_OF_SEARCH, _MOST_OF_SEARCH = 20, 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixShapes:
-    """n tentative fixes that passed the ratio test (or, of `cycles`, were made without it).
+class FixShapes(NamedTuple):
+    """n candidate fixes that passed the ratio test (or, of `cycles`, were made without it).
 
     `shift_m`, `rate_m_s` (n, 3): of the position by wrong integers, now and its change as the satellites move.
     `claimed_m2` (n, 3, 3): covariance that the engine claims. `reflected_m2` (n, 3, 3): of a right fix by the phases'
@@ -56,54 +51,66 @@ class FixShapes:
 
     def chosen(self, which: Booleans | Integers) -> FixShapes:
         """Some of them."""
-        return FixShapes(*(getattr(self, name)[which] for name in self.__slots__))
+        return FixShapes._make(column[which] for column in self)
+
+
+class _Tries(NamedTuple):
+    """Columns of the tries; `status` 1: passes all tests, 2: its residuals do not, 0: no fix of this kind."""
+
+    shift: Floats
+    rate: Floats
+    claimed: Floats
+    reflected: Floats
+    status: Integers
+    ambiguities: Integers
 
 
 def fix_shapes(skies: RandomSkies, kind: Kind, tries: int, rng: np.random.Generator) -> FixShapes:
     """So many tries on each sky, but of a `search` at most three that succeed; what is no fix, or not of that kind, is
     left out. A search is tried on skies of at most 20 rows: where there are more it hardly ever errs.
     """
-    n = len(skies.rows) * tries
-    seeds = rng.integers(0, 2**31 - 1, n)
-    shift, rate = np.zeros((n, 3)), np.zeros((n, 3))
-    claimed, reflected = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
-    status, count = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    _shapes(
-        skies.rows, skies.direction, skies.later_direction, skies.satellite, skies.group, skies.wavelength_m,
-        skies.code_sigma_m, skies.phase_sigma_m, skies.reflection_m, skies.code_bias_sigma_m, skies.detour_m,
-        ("cycles", "search", "right").index(kind), _LIMITS, tries, seeds,
-        shift, rate, claimed, reflected, status, count,
-    )  # fmt: skip
-    good = status > 0
+    seeds = rng.integers(0, 2**31 - 1, len(skies.rows) * tries)
+    kind_number = get_args(Kind).index(kind)
+    made = _shapes(skies, seeds, kind=kind_number, tries=tries, limits=_LIMITS)
     sky = np.repeat(np.arange(len(skies.rows)), tries)
     along = np.column_stack((np.cos(skies.street_rad), np.sin(skies.street_rad)))
     seen = np.array([len(np.unique(row[:m])) for row, m in zip(skies.satellite, skies.rows, strict=True)])
     return FixShapes(
-        sky, shift, rate, claimed, reflected, status == 1, count, skies.street[sky], along[sky], seen[sky]
-    ).chosen(good)
+        sky=sky,
+        shift_m=made.shift,
+        rate_m_s=made.rate,
+        claimed_m2=made.claimed,
+        reflected_m2=made.reflected,
+        residuals_agree=made.status == 1,
+        ambiguities=made.ambiguities,
+        street=skies.street[sky],
+        along=along[sky],
+        satellites=seen[sky],
+    ).chosen(made.status > 0)
 
 
 @compiled
-def _shapes(
-    rows: Integers, direction: Floats, later: Floats, satellite: Integers, group: Integers, wavelength: Floats,
-    code_sigma: Floats, phase_sigma: Floats, reflection: Floats, code_bias: Floats, detour: Floats,
-    kind: int, limits: FixCriteria, tries: int, seeds: Integers,
-    shift: Floats, rate: Floats, claimed: Floats, reflected: Floats, status: Integers, count: Integers,
-) -> None:  # fmt: skip
-    """Into the columns of each try; `status` 1: passes all tests, 2: its residuals do not, 0: no fix of this kind."""
+def _shapes(skies: RandomSkies, seeds: Integers, kind: int, tries: int, limits: FixCriteria) -> _Tries:
+    rows, direction, later = skies.rows, skies.direction, skies.later_direction
+    code_sigma, phase_sigma, reflection = skies.code_sigma_m, skies.phase_sigma_m, skies.reflection_m
+    n = seeds.size
+    shift, rate = np.zeros((n, 3)), np.zeros((n, 3))
+    claimed, reflected = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+    status, count = np.zeros(n, np.int64), np.zeros(n, np.int64)
     for k in range(rows.size):
         if kind == 1 and rows[k] > _MOST_ROWS_OF_SEARCH:
             continue
-        m, found = rows[k], 0
+        m, successes = rows[k], 0
         nothing, zeros, air = np.zeros(m, np.int64), np.zeros(m), np.zeros((3, 3))
         sky = SingleDifferences(
-            nothing, nothing, satellite[k, :m].copy(), group[k, :m].copy(), wavelength[k, :m].copy(),
-            direction[k, :m].copy(), np.zeros(m), np.zeros(m), code_sigma[k, :m] ** 2, phase_sigma[k, :m] ** 2,
-            zeros, zeros, air,
+            rover=nothing, base=nothing, satellite=skies.satellite[k, :m].copy(), group=skies.group[k, :m].copy(),
+            wavelength_m=skies.wavelength_m[k, :m].copy(), direction=direction[k, :m].copy(), code_m=np.zeros(m),
+            phase_m=np.zeros(m), code_variance_m2=code_sigma[k, :m] ** 2, phase_variance_m2=phase_sigma[k, :m] ** 2,
+            elevation_rad=zeros, cn0_dbhz=zeros, atmosphere_m2=air,
         )  # fmt: skip
         for at in range(k * tries, (k + 1) * tries):
             np.random.seed(seeds[at])
-            _disturb(sky, phase_sigma[k], reflection[k], code_sigma[k], code_bias[k], detour[k])
+            _disturb(sky, skies, k)
             good, passed, integer = _integers(sky, kind, limits)
             if not good:
                 continue
@@ -120,29 +127,29 @@ def _shapes(
                     for b in range(3):
                         reflected[at, a, b] += variance * mapped[i, a] * mapped[i, b]
             status[at] = 1 if passed else 2
-            found += 1
-            if kind == 1 and found == _MOST_OF_SEARCH:
+            successes += 1
+            if kind == 1 and successes == _MOST_OF_SEARCH:
                 break
+    return _Tries(
+        shift=shift, rate=rate, claimed=claimed, reflected=reflected, status=status, ambiguities=count
+    )
 
 
 @compiled
-def _disturb(
-    sky: SingleDifferences,
-    phase_sigma: Floats,
-    reflection: Floats,
-    code_sigma: Floats,
-    code_bias: Floats,
-    detour: Floats,
-) -> None:
+def _disturb(sky: SingleDifferences, skies: RandomSkies, k: int) -> None:
     """Errors of codes and phases, drawn anew; of the codes' reflections a quarter to three times the sky's σ."""
     of_satellite, factor = 0.0, np.exp(np.random.uniform(np.log(0.25), np.log(3.0)))
     for i in range(sky.satellite.size):
         if i == 0 or sky.satellite[i] != sky.satellite[i - 1]:
             of_satellite = np.random.normal()
-        sky.phase_m[i] = np.random.normal() * np.hypot(_WHITE * phase_sigma[i], reflection[i])
-        sky.code_m[i] = 0.5 * code_sigma[i] * np.random.normal() + detour[i]
+        sky.phase_m[i] = np.random.normal() * np.hypot(
+            _WHITE * skies.phase_sigma_m[k, i], skies.reflection_m[k, i]
+        )
+        sky.code_m[i] = 0.5 * skies.code_sigma_m[k, i] * np.random.normal() + skies.detour_m[k, i]
         # A reflection lengthens the codes of both bands alike.
-        sky.code_m[i] += factor * code_bias[i] * (0.7 * of_satellite + 0.7 * np.random.normal())
+        sky.code_m[i] += (
+            factor * skies.code_bias_sigma_m[k, i] * (0.7 * of_satellite + 0.7 * np.random.normal())
+        )
 
 
 @compiled
@@ -153,11 +160,11 @@ def _integers(sky: SingleDifferences, kind: int, limits: FixCriteria) -> tuple[b
     if kind == 0:
         _off_by_cycles(sky, integer)
     elif kind == 1:
-        found = estimate(sky, np.ones(m, np.bool_), PositionPrior(np.zeros(3), np.zeros((3, 3))), limits)
-        if found.status != RESOLVED and found.status != CONTRADICTORY:
+        estimated = estimate(sky, np.ones(m, np.bool_), PositionPrior(np.zeros(3), np.zeros((3, 3))), limits)
+        if estimated.status != RESOLVED and estimated.status != CONTRADICTORY:
             return False, False, integer
-        passed = found.status == RESOLVED
-        integer[:] = found.integer
+        passed = estimated.status == RESOLVED
+        integer[:] = estimated.integer
     for i in range(m):
         off = off or (integer[i] == integer[i] and integer[i] != 0.0)
     if off != (kind != 2):
@@ -194,9 +201,10 @@ def _solved(
             length[i] = -integer[i] * rows.wavelength_m[i]
             weights[i] = 1.0 / rows.phase_variance_m2[i]
     turned = SingleDifferences(
-        rows.rover, rows.base, rows.satellite, rows.group, rows.wavelength_m, np.ascontiguousarray(direction),
-        rows.code_m, rows.phase_m, rows.code_variance_m2, rows.phase_variance_m2, rows.elevation_rad,
-        rows.cn0_dbhz, rows.atmosphere_m2,
+        rover=rows.rover, base=rows.base, satellite=rows.satellite, group=rows.group, wavelength_m=rows.wavelength_m,
+        direction=np.ascontiguousarray(direction), code_m=rows.code_m, phase_m=rows.phase_m,
+        code_variance_m2=rows.code_variance_m2, phase_variance_m2=rows.phase_variance_m2,
+        elevation_rad=rows.elevation_rad, cn0_dbhz=rows.cn0_dbhz, atmosphere_m2=rows.atmosphere_m2,
     )  # fmt: skip
     centred, _, _ = without_clocks(turned, length, weights)
     information = np.zeros((3, 3))

@@ -10,51 +10,49 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
+from camber.simulator.scene import Booleans, Floats, Integers
 
-_DRAWS = 512
-_ROUNDS = 4
+_DRAWS = 512  # chosen: enough to meet the most plausible points of the lattice
+_ROUNDS = 4  # chosen: the steps do not change anything after these
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WrongIntegers:
-    """`offset_cycles` (m, 2), whole numbers, zero where right or not used; `shift_m` (3,) of the position."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PhaseSignals:
+    """Phases of one epoch: `directions` (m, 3) to the satellites; `used`, `group`, `wavelength_m` (m, 2)."""
 
-    offset_cycles: Floats
-    shift_m: Floats
-    norm: float
+    directions: Floats
+    used: Booleans
+    group: Integers
+    wavelength_m: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class CodePosition:
+    """The float position: normal matrix (3, 3) of unit weights, the position's error (3,), σ of one code."""
+
+    normal: Floats
+    error_m: Floats
+    sigma_m: float
 
 
 def wrong_integers(
-    directions: Floats,
-    used: Booleans,
-    group: Integers,
-    wavelength_m: Floats,
-    code_normal: Floats,
-    code_error_m: Floats,
-    code_sigma_m: float,
-    phase_sigma_m: float,
-    rng: np.random.Generator,
-) -> WrongIntegers | None:
+    signals: PhaseSignals, code: CodePosition, phase_sigma_m: float, rng: np.random.Generator
+) -> tuple[Floats, Floats] | None:
     """One wrong point of the lattice at one epoch, drawn by its plausibility; None where there is none.
 
-    `directions` (m, 3) to the satellites, `used` and `group` (m, 2), `code_normal` (3, 3) of unit weights,
-    `code_error_m` (3,): the float position's error, about which the lattice is searched.
+    Its integers' offsets (m, 2) in whole cycles, zero where right or not used, and the shift (3,) of the position.
     """
-    satellite, frequency = np.nonzero(used)
-    wave = wavelength_m[satellite, frequency]
-    reference = _references(group[satellite, frequency])
-    g = directions[satellite] - directions[satellite[reference]]
+    satellite, frequency = np.nonzero(signals.used)
+    wave = signals.wavelength_m[satellite, frequency]
+    reference = _references(signals.group[satellite, frequency])
+    g = signals.directions[satellite] - signals.directions[satellite[reference]]
     other = reference != np.arange(len(reference))
     g, wave_other = g[other], wave[other]
     if len(g) < 4 or np.linalg.matrix_rank(g) < 3:
         return None
-    spread = np.linalg.cholesky(np.linalg.inv(code_normal) * code_sigma_m**2)
-    x = code_error_m + rng.normal(size=(_DRAWS, 3)) @ spread.T * rng.uniform(0.2, 1.5, (_DRAWS, 1))
+    spread = np.linalg.cholesky(np.linalg.inv(code.normal) * code.sigma_m**2)
+    x = code.error_m + rng.normal(size=(_DRAWS, 3)) @ spread.T * rng.uniform(0.2, 1.5, (_DRAWS, 1))
     whole = np.zeros((_DRAWS, len(g)))
     solve = np.linalg.solve(g.T @ g, g.T)
     for _ in range(_ROUNDS):
@@ -65,27 +63,28 @@ def wrong_integers(
     single = np.concatenate((np.eye(len(g)), -np.eye(len(g))))
     whole = np.concatenate((whole, single))
     x = np.concatenate((x, -(single * wave_other) @ solve.T))
-    norm = _norm(whole * wave_other, g, x, code_normal, code_error_m, code_sigma_m, phase_sigma_m)
+    # Differences to one reference are noisier than one phase by √2 each and alike: half of the square is a fair weight.
+    norm = 0.5 * np.sum((whole * wave_other + x @ g.T) ** 2, axis=1) / phase_sigma_m**2
+    off = x - code.error_m
+    norm = norm + np.einsum("ki,ij,kj->k", off, code.normal, off) / code.sigma_m**2
     wrong = np.any(whole != 0.0, axis=1)
     if not bool(wrong.any()):
         return None
     _, first = np.unique(whole, axis=0, return_index=True)
     candidates = first[wrong[first]]
-    # Drawn with weights exp(−norm / 2), by Gumbel's way.
+    # Drawn with weights exp(−norm / 2), by Gumbel's method.
     drawn = candidates[np.argmax(-0.5 * norm[candidates] + rng.gumbel(size=len(candidates)))]
-    offset = np.zeros(used.shape)
+    offset = np.zeros(signals.used.shape)
     offset[satellite[other], frequency[other]] = whole[drawn]
-    return WrongIntegers(offset, x[drawn], float(norm[drawn]))
+    return offset, x[drawn]
 
 
-def shift_of(
-    offset_cycles: Floats, directions: Floats, used: Booleans, group: Integers, wavelength_m: Floats
-) -> Floats | None:
+def shift_of(offset_cycles: Floats, signals: PhaseSignals) -> Floats | None:
     """What integers (m, 2) that are off move the position by with these signals: (3,), None if not solvable."""
-    satellite, frequency = np.nonzero(used)
-    groups = group[satellite, frequency]
-    length: Floats = offset_cycles[satellite, frequency] * wavelength_m[satellite, frequency]
-    g: Floats = directions[satellite].copy()
+    satellite, frequency = np.nonzero(signals.used)
+    groups = signals.group[satellite, frequency]
+    length: Floats = offset_cycles[satellite, frequency] * signals.wavelength_m[satellite, frequency]
+    g: Floats = signals.directions[satellite].copy()
     for k in np.unique(groups):
         inside = groups == k
         g[inside] = g[inside] - g[inside].mean(axis=0)
@@ -96,25 +95,18 @@ def shift_of(
     return np.asarray(-np.linalg.solve(normal, g.T @ length), np.float64)
 
 
-def integers_at(
-    shift_m: Floats,
-    offset_cycles: Floats,
-    known: Booleans,
-    directions: Floats,
-    used: Booleans,
-    group: Integers,
-    wavelength_m: Floats,
-) -> Floats:
+def integers_at(shift_m: Floats, offset_cycles: Floats, known: Booleans, signals: PhaseSignals) -> Floats:
     """What a receiver that believes in `shift_m` takes for the integers of signals new to it, (m, 2).
 
     `known` (m, 2) are those whose integers it holds; a group it holds nothing of starts with its first
     signal as reference.
     """
+    used, group = signals.used, signals.group
+    expected = -(signals.directions @ shift_m)[:, None] / signals.wavelength_m
     out = np.where(known & used, offset_cycles, 0.0)
     for k in np.unique(group[used]):
         inside = used & (group == k)
         held = inside & known
-        expected = -(directions @ shift_m)[:, None] / wavelength_m
         anchor = held if held.any() else inside & (np.cumsum(inside.ravel()).reshape(inside.shape) == 1)
         level = np.mean(out[anchor] - expected[anchor])
         new = inside & ~held & ~(anchor & ~held)
@@ -127,20 +119,3 @@ def _references(groups: Integers) -> Integers:
     _, first, inverse = np.unique(groups, return_index=True, return_inverse=True)
     reference: Integers = first[inverse.ravel()]
     return reference
-
-
-def _norm(
-    length: Floats,
-    g: Floats,
-    x: Floats,
-    code_normal: Floats,
-    code_error: Floats,
-    code_sigma: float,
-    phase_sigma: float,
-) -> Floats:
-    left = length + x @ g.T
-    # Differences to one reference are noisier than one phase by √2 each and alike: half of the square is a fair weight.
-    off = x - code_error
-    norm: Floats = 0.5 * np.sum(left**2, axis=1) / phase_sigma**2
-    norm = norm + np.einsum("ki,ij,kj->k", off, code_normal, off) / code_sigma**2
-    return norm

@@ -24,7 +24,7 @@ from camber.gnss.ambiguity.resolution import (
     bootstrapped_log_success,
     conditional_update,
 )
-from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
+from support.ambiguity_models import drawn, float_covariance
 from support.ambiguity_resolution import resolved
 
 Floats = NDArray[np.float64]

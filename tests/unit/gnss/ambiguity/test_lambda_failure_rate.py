@@ -12,7 +12,7 @@ from camber.gnss.ambiguity.lambda_decorrelation import decorrelated
 from camber.gnss.ambiguity.lambda_search import nearest_integers
 from camber.gnss.ambiguity.ratio_thresholds import ratio_for_failure_rate
 from camber.gnss.ambiguity.resolution import RATIO_TOO_LOW, RESOLVED, bootstrapped_log_success
-from camber.simulator.satellites.ambiguity_models import drawn, float_covariance
+from support.ambiguity_models import drawn, float_covariance
 from support.ambiguity_resolution import resolved
 
 Floats = NDArray[np.float64]

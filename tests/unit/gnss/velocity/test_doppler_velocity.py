@@ -50,7 +50,8 @@ def circle(
     velocity = np.column_stack((-12.0 * np.sin(turn), 12.0 * np.cos(turn), np.zeros(300)))
     true = true_ephemerides(int(time_ns[0]), int(time_ns[-1]), seed)
     parameters = replace(ROVER, noise_factor=noise_factor)
-    signals = simulate_signals(AntennaTrack(time_ns, place, velocity), FRAME, true, parameters, seed, "rover")
+    track = AntennaTrack(time_ns=time_ns, antenna_m=place, antenna_velocity_m_s=velocity)
+    signals = simulate_signals(track, FRAME, true, parameters, seed, "rover")
     store = EphemerisStore()
     for e in broadcast_ephemerides(true, seed):
         store.add(e)

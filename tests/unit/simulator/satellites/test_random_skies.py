@@ -72,8 +72,8 @@ def test_the_same_seed_makes_the_same_fixes(skies: RandomSkies, kind: Kind) -> N
 
 
 def test_a_search_in_biased_floats_errs_by_metres_and_its_residuals_pass(skies: RandomSkies) -> None:
-    found = fix_shapes(skies, "search", 20, np.random.default_rng(SEED))
-    assert len(found.sky) >= 10
-    assert np.median(np.linalg.norm(found.shift_m, axis=1)) > 0.5
-    assert found.residuals_agree.mean() > 0.5
-    assert np.bincount(found.sky).max() <= 3
+    made = fix_shapes(skies, "search", 20, np.random.default_rng(SEED))
+    assert len(made.sky) >= 10
+    assert np.median(np.linalg.norm(made.shift_m, axis=1)) > 0.5
+    assert made.residuals_agree.mean() > 0.5
+    assert np.bincount(made.sky).max() <= 3

@@ -38,11 +38,17 @@ def test_the_troposphere_is_the_standard_one():
 
 
 def test_gradients_are_what_rover_and_base_differ_by():
-    quiet = Atmosphere(1.0, (2e-6, 0.0), 0.7, 0.0, (0.0, 0.0))
+    quiet = Atmosphere(
+        ionosphere_scale=1.0,
+        gradient_m_per_m=(2e-6, 0.0),
+        humidity=0.7,
+        wet_zenith_m=0.0,
+        wet_gradient_m_per_m=(0.0, 0.0),
+    )
     time_ns = np.zeros(2, np.int64)
     same = np.full(2, 0.6), np.full(2, 2.4), np.zeros(2)
     angles = np.zeros((2, 1)), np.full((2, 1), 0.5 * np.pi)
-    ionosphere, troposphere = quiet.delays_m(time_ns, *same, np.array([[0.0, 0.0], [3000.0, 0.0]]), *angles)
+    ionosphere, troposphere = quiet.delays_m(time_ns, same, np.array([[0.0, 0.0], [3000.0, 0.0]]), angles)
     assert ionosphere[1, 0] - ionosphere[0, 0] == pytest.approx(6e-3, rel=1e-6)
     assert troposphere[1, 0] == troposphere[0, 0]
     assert Atmosphere.drawn(4) == Atmosphere.drawn(4) != Atmosphere.drawn(5)

@@ -24,10 +24,10 @@ TRUE = true_ephemerides(BEGIN_NS, BEGIN_NS + 2 * HOUR_NS, 7)
 
 
 def by_satellite() -> dict[int, list[Ephemeris]]:
-    found: dict[int, list[Ephemeris]] = {}
+    sets: dict[int, list[Ephemeris]] = {}
     for e in TRUE:
-        found.setdefault(e.satellite, []).append(e)
-    return found
+        sets.setdefault(e.satellite, []).append(e)
+    return sets
 
 
 def one_position(e: Ephemeris, time_ns: int) -> np.ndarray:
@@ -47,11 +47,8 @@ def one_position(e: Ephemeris, time_ns: int) -> np.ndarray:
     half = np.sqrt((1 + e.eccentricity) / (1 - e.eccentricity)) * np.tan(0.5 * middle)
     phi = 2.0 * np.arctan(half) + e.perigee_rad
     u = phi + e.cus * np.sin(2 * phi) + e.cuc * np.cos(2 * phi)
-    r = (
-        e.sqrt_a**2 * (1 - e.eccentricity * np.cos(middle))
-        + e.crs_m * np.sin(2 * phi)
-        + e.crc_m * np.cos(2 * phi)
-    )
+    r = e.sqrt_a**2 * (1 - e.eccentricity * np.cos(middle))
+    r += e.crs_m * np.sin(2 * phi) + e.crc_m * np.cos(2 * phi)
     i = e.inclination_rad + e.inclination_rate_rad_s * tk + e.cis * np.sin(2 * phi) + e.cic * np.cos(2 * phi)
     toe_of_week = ((e.toe_ns - (14 * NS_PER_SECOND if system == "C" else 0)) % NS_PER_WEEK) * 1e-9
     node = e.ascending_node_rad + e.ascending_node_rate_rad_s * tk - omega * toe_of_week
@@ -74,9 +71,8 @@ def test_positions_agree_with_the_table_worked_out_one_satellite_at_a_time():
     states = satellite_states(OrbitTable.of(TRUE), times, np.zeros((3, len(TRUE))))
     for k, e in enumerate(TRUE):
         for j, time_ns in enumerate(times.tolist()):
-            assert states.position_m[j, k] == pytest.approx(one_position(e, time_ns), abs=2e-3), (
-                satellite_name(e.satellite)
-            )
+            expected = one_position(e, time_ns)
+            assert states.position_m[j, k] == pytest.approx(expected, abs=2e-3), satellite_name(e.satellite)
 
 
 def test_velocities_and_clock_rates_are_the_derivatives_of_positions_and_clocks():
@@ -107,9 +103,8 @@ def test_the_constellations_have_their_sizes_and_orbits():
             assert radius[k] == pytest.approx(26560e3, rel=0.02)
         if system == "C" and number <= 5:
             longitude = np.rad2deg(np.arctan2(state.position_m[0, k, 1], state.position_m[0, k, 0]))
-            assert longitude == pytest.approx(
-                {1: 140.0, 2: 80.0, 3: 110.5, 4: 160.0, 5: 58.75}[number], abs=0.5
-            )
+            nominal = {1: 140.0, 2: 80.0, 3: 110.5, 4: 160.0, 5: 58.75}
+            assert longitude == pytest.approx(nominal[number], abs=0.5)
             assert np.linalg.norm(state.velocity_m_s[0, k]) < 10.0
 
 
@@ -124,9 +119,9 @@ def test_a_receiver_finds_a_set_of_the_age_it_accepts_at_any_time_of_the_drive()
 
 
 def test_broadcast_sets_are_metres_off_the_true_ones():
-    said = broadcast_ephemerides(TRUE, 7)
+    broadcast = broadcast_ephemerides(TRUE, 7)
     times, zero = np.array([BEGIN_NS]), np.zeros((1, len(TRUE)))
-    off = satellite_states(OrbitTable.of(said), times, zero).position_m
+    off = satellite_states(OrbitTable.of(broadcast), times, zero).position_m
     off = off - satellite_states(OrbitTable.of(TRUE), times, zero).position_m
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
     assert 0.5 < rms < 2.0
@@ -140,7 +135,7 @@ def test_ranges_solve_the_light_time_equation_and_rates_are_their_derivatives():
 
     def at(seconds: float):
         track = geodetic_track(FRAME, place + seconds * velocity, velocity)
-        return ranges(table, np.array([BEGIN_NS]), np.array([-seconds]), track, FRAME), track
+        return ranges(table, (np.array([BEGIN_NS]), np.array([-seconds])), track, FRAME), track
 
     now, track = at(0.0)
     for k in range(0, len(sets), 9):
@@ -165,5 +160,3 @@ def test_another_seed_moves_the_satellites_a_little():
         for a, b in zip(other, same, strict=True)
         if a.satellite != satellite_number("C01")
     )
-    with pytest.raises(ValueError, match="lies before"):
-        true_ephemerides(BEGIN_NS, BEGIN_NS - 1, 7)

@@ -1,5 +1,7 @@
 """The receiver's own solution: what is right, what is wrong, and that the truth beside it says so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -7,18 +9,18 @@ from scipy.stats import norm
 
 from camber.formats.receiver.solution import SolutionQuality
 from camber.geodesy.gps_time import NS_PER_SECOND
-from camber.simulator.faults.radio_faults import RadioFaults, Spoofing
+from camber.simulator.faults.radio_faults import RadioFaults, SpoofingSignal
 from camber.simulator.satellites.constellation import true_ephemerides
-from camber.simulator.satellites.differenced_geometry import Screening, differenced_geometry, fitting
+from camber.simulator.satellites.differenced_geometry import differenced_geometry, fitting
 from camber.simulator.satellites.observations import simulate_signals
-from camber.simulator.satellites.parameters import BASE, ROVER
+from camber.simulator.satellites.parameters import BASE, ROVER, SolutionParameters
 from camber.simulator.satellites.receiver_solution import receiver_solutions
 from camber.simulator.satellites.track import static_track
-from camber.simulator.satellites.wrong_integers import shift_of, wrong_integers
+from camber.simulator.satellites.wrong_integers import CodePosition, PhaseSignals, shift_of, wrong_integers
 from support.canyon_statistics import BASE_M, FRAME, canyon_run
 
 BEGIN_NS = 1_461_000_000 * NS_PER_SECOND
-SCREENING = Screening(float(np.deg2rad(15.0)), 33.0, 4.0, 4.0)
+ENGINE = SolutionParameters()
 CANYONS = [canyon_run(seed, 1) for seed in range(1, 9)]
 
 
@@ -27,129 +29,119 @@ def standing(seconds):
     return track, true_ephemerides(BEGIN_NS, int(track.time_ns[-1]), 1)
 
 
+def in_the_open(seconds, seed, faults=None):
+    track, true = standing(seconds)
+    rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover", faults=faults)
+    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
+    return track, receiver_solutions(rover, base, track, FRAME, seed)
+
+
 def test_in_the_open_all_is_fixed_and_right():
-    track, true = standing(60)
-    rover = simulate_signals(track, FRAME, true, ROVER, 1, "rover")
-    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, 1, "base")
-    found = receiver_solutions(rover, base, track, FRAME, 1)
-    assert np.all(found.quality == SolutionQuality.FIX)
-    assert not found.wrong_integers.any()
-    assert np.max(np.abs(found.error_m)) < 0.08
+    _, made = in_the_open(60, 1)
+    assert np.all(made.quality == SolutionQuality.FIX)
+    assert not made.wrong_integers.any()
+    assert np.max(np.abs(made.error_m)) < 0.08
 
 
-def test_right_fixes_in_the_open_are_as_good_as_a_data_sheet_says():
-    horizontal = []
-    for seed in range(1, 9):
-        track, true = standing(120)
-        rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover")
-        base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base")
-        found = receiver_solutions(rover, base, track, FRAME, seed)
-        horizontal.append(np.hypot(found.error_m[:, 0], found.error_m[:, 1]))
+def test_right_fixes_in_the_open_are_as_good_as_in_a_data_sheet():
+    errors = [in_the_open(120, seed)[1].error_m for seed in range(1, 9)]
+    horizontal = [np.hypot(error[:, 0], error[:, 1]) for error in errors]
     assert 0.009 < np.median(horizontal) < 0.018
     assert np.quantile(horizontal, 0.95) < 0.04
 
 
 def test_a_spoofed_fix_goes_where_the_signals_go_though_its_integers_are_right():
-    track, true = standing(60)
-    begin = BEGIN_NS + 20 * NS_PER_SECOND
-    faults = RadioFaults(spoofing=(Spoofing(begin, BEGIN_NS + 60 * NS_PER_SECOND, (0.1, 0.0, 0.05)),))
-    rover = simulate_signals(track, FRAME, true, ROVER, 1, "rover", faults=faults)
-    base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, 1, "base")
-    found = receiver_solutions(rover, base, track, FRAME, 1)
+    begin, end = BEGIN_NS + 20 * NS_PER_SECOND, BEGIN_NS + 60 * NS_PER_SECOND
+    spoof = SpoofingSignal(begin_ns=begin, end_ns=end, drift_m_s=(0.1, 0.0, 0.05))
+    track, made = in_the_open(60, 1, RadioFaults(spoofing=(spoof,)))
     since = np.maximum((track.time_ns - begin) / NS_PER_SECOND, 0.0)
-    assert np.max(np.abs(found.error_m - since[:, None] * [0.1, 0.0, 0.05])) < 0.08
-    assert not found.wrong_integers.any()
+    assert np.max(np.abs(made.error_m - since[:, None] * [0.1, 0.0, 0.05])) < 0.08
+    assert not made.wrong_integers.any()
 
 
-def test_in_canyons_wrong_fixes_come_in_episodes_that_the_truth_dates():
+def test_in_canyons_wrong_fixes_come_in_episodes():
     fixed = wrong = episodes = 0
     for seed, (track, rover, base) in enumerate(CANYONS, start=1):
-        found = receiver_solutions(rover, base, track, FRAME, seed)
-        horizontal = np.hypot(found.error_m[:, 0], found.error_m[:, 1])
-        right = (found.quality == SolutionQuality.FIX) & ~found.wrong_integers
-        assert np.all(horizontal[right] < 0.5)
-        assert np.all(found.quality[found.wrong_integers] == SolutionQuality.FIX)
-        assert np.all((found.wrong_integers_since_ns >= 0) == found.wrong_integers)
-        for since in np.unique(found.wrong_integers_since_ns[found.wrong_integers]):
-            rows = np.nonzero(found.wrong_integers_since_ns == since)[0]
-            assert track.time_ns[rows[0]] == since
-            assert np.all(np.diff(rows) == 1)
-            episodes += 1
-        fixed += int(np.sum(found.quality == SolutionQuality.FIX))
-        wrong += int(np.sum(found.wrong_integers))
+        made = receiver_solutions(rover, base, track, FRAME, seed)
+        horizontal = np.hypot(made.error_m[:, 0], made.error_m[:, 1])
+        is_fix = made.quality == SolutionQuality.FIX
+        assert np.all(horizontal[is_fix & ~made.wrong_integers] < 0.5)
+        assert np.all(is_fix[made.wrong_integers])
+        episodes += int(np.sum(np.diff(made.wrong_integers.astype(int), prepend=0) == 1))
+        fixed += int(is_fix.sum())
+        wrong += int(made.wrong_integers.sum())
     assert 0.1 < fixed / (8 * 120) < 0.8
     assert episodes >= 3
     assert 0.01 < wrong / fixed < 0.3
 
 
-def test_solutions_carry_the_errors_that_the_truth_names():
+def test_solutions_carry_the_errors_of_the_truth():
     track, rover, base = CANYONS[0]
-    found = receiver_solutions(rover, base, track, FRAME, 1)
-    rows = np.nonzero(found.quality)[0]
-    assert [s.time_ns for s in found.solutions] == track.time_ns[rows].tolist()
-    place = FRAME.east_north_from_geodetic_array(
-        [s.latitude_rad for s in found.solutions], [s.longitude_rad for s in found.solutions],
-        [s.height_m for s in found.solutions],
-    )  # fmt: skip
-    height = np.array([s.height_m for s in found.solutions])
-    said = np.column_stack((place, height)) - track.antenna_m[rows]
-    assert np.max(np.abs(said - found.error_m[rows])) < 1e-6
-    again = receiver_solutions(rover, base, track, FRAME, 1)
-    assert again.solutions == found.solutions
+    made = receiver_solutions(rover, base, track, FRAME, 1)
+    rows = np.nonzero(made.quality)[0]
+    assert [s.time_ns for s in made.solutions] == track.time_ns[rows].tolist()
+    latitude, longitude, height = np.array(
+        [(s.latitude_rad, s.longitude_rad, s.height_m) for s in made.solutions]
+    ).T
+    place = FRAME.east_north_from_geodetic_array(latitude, longitude, height)
+    reported = np.column_stack((place, height)) - track.antenna_m[rows]
+    assert np.max(np.abs(reported - made.error_m[rows])) < 1e-6
+    assert receiver_solutions(rover, base, track, FRAME, 1).solutions == made.solutions
 
 
-def test_wrong_integers_move_the_position_as_the_double_differences_say():
+def test_wrong_integers_move_the_position_as_in_double_differences():
     """Oracle: integers that are wrong by δ put into explicit double differences with their covariance."""
     tried = 0
     for _, rover, base in CANYONS:
-        geometry = differenced_geometry(rover, base, 0.6, 0.006, SCREENING)
+        geometry = differenced_geometry(rover, base, ENGINE)
         for k in np.nonzero(geometry.ambiguities >= 8)[0][::10]:
-            used, directions = geometry.phase_used[k], rover.geometry.direction[k]
-            new = wrong_integers(
-                directions, used, geometry.group, geometry.wavelength_m, geometry.code_normal[k], np.zeros(3), 0.6,
-                0.006, np.random.default_rng(int(k)),
-            )  # fmt: skip
+            signals = PhaseSignals(
+                directions=rover.geometry.direction[k],
+                used=geometry.phase_used[k],
+                group=geometry.group,
+                wavelength_m=geometry.wavelength_m,
+            )
+            code = CodePosition(normal=geometry.code_normal[k], error_m=np.zeros(3), sigma_m=0.6)
+            new = wrong_integers(signals, code, 0.006, np.random.default_rng(int(k)))
             if new is None:
                 continue
-            assert new.offset_cycles.any()
-            assert np.all(new.offset_cycles == np.rint(new.offset_cycles))
-            assert not new.offset_cycles[~used].any()
-            rows, covariance, right = [], [], []
-            for g in np.unique(geometry.group[used]):
-                sat, freq = np.nonzero(used & (geometry.group == g))
-                d = np.hstack((-np.ones((len(sat) - 1, 1)), np.eye(len(sat) - 1)))
-                rows.append(d @ -directions[sat])
-                covariance.append(d @ d.T)
-                right.append(d @ (new.offset_cycles[sat, freq] * geometry.wavelength_m[sat, freq]))
-            size = sum(map(len, right))
-            weight = np.zeros((size, size))
-            at = 0
-            for c in covariance:
-                weight[at : at + len(c), at : at + len(c)] = np.linalg.inv(c)
-                at += len(c)
-            a, y = np.vstack(rows), np.concatenate(right)
+            offset, _ = new
+            assert offset.any()
+            assert np.all(offset == np.rint(offset))
+            assert not offset[~signals.used].any()
+            ones = np.ones(signals.used.shape)
+            a, q = double_differences(signals.directions, signals.used, signals.group, ones)
+            length = offset * signals.wavelength_m
+            y = np.concatenate([d @ length[at] for d, at in differences(signals.used, signals.group)])
+            weight = np.linalg.inv(q)
             expected = np.linalg.solve(a.T @ weight @ a, a.T @ weight @ y)
-            shift = shift_of(new.offset_cycles, directions, used, geometry.group, geometry.wavelength_m)
-            assert shift == pytest.approx(expected, abs=1e-9)
+            assert shift_of(offset, signals) == pytest.approx(expected, abs=1e-9)
             tried += 1
     assert tried >= 10
+
+
+def differences(used, group):
+    """For each group the matrix that differences its signals to the first, and which signals they are."""
+    for g in np.unique(group[used]):
+        at = np.nonzero(used & (group == g))
+        count = len(at[0]) - 1
+        yield np.hstack((-np.ones((count, 1)), np.eye(count))), at
 
 
 def double_differences(directions, used, group, unit_m):
     """Explicit ones: design matrix and covariance, both in units of `unit_m` (m, 2) for undifferenced noise of 1 m."""
     rows, noise = [], []
-    for g in np.unique(group[used]):
-        sat, freq = np.nonzero(used & (group == g))
-        d = np.hstack((-np.ones((len(sat) - 1, 1)), np.eye(len(sat) - 1)))
-        unit = unit_m[sat[0], freq[0]]
-        rows.append(d @ -directions[sat] / unit)
+    for d, at in differences(used, group):
+        unit = unit_m[at[0][0], at[1][0]]
+        rows.append(d @ -directions[at[0]] / unit)
         noise.append(d @ d.T / unit**2)
     return np.vstack(rows), block_diag(*noise)
 
 
 def test_the_success_rate_is_that_of_explicit_double_differences():
     _, rover, base = CANYONS[1]
-    geometry = differenced_geometry(rover, base, 0.6, 0.006, Screening(np.deg2rad(15.0)))
+    plain = replace(ENGINE, cn0_mask_dbhz=0.0, sigmas_left_out=np.inf)
+    geometry = differenced_geometry(rover, base, plain)
     for k in np.nonzero(geometry.ambiguities >= 5)[0][::15]:
         directions, group, waves = rover.geometry.direction[k], geometry.group, geometry.wavelength_m
         code, q_code = double_differences(directions, geometry.code_used[k], group, np.ones(waves.shape))
@@ -163,7 +155,7 @@ def test_the_success_rate_is_that_of_explicit_double_differences():
 
 def seen_from(directions, used, error_m, limit_m):
     group = np.tile([0, 1], (len(directions), 1))
-    return fitting(directions[None], used[None], group, error_m[None], limit_m)
+    return fitting(directions[None], used[None], group, error_m=error_m[None], limit_m=limit_m)
 
 
 def random_sky(rng, count):
@@ -190,7 +182,7 @@ def test_what_does_not_fit_the_rest_is_left_out_without_asking_the_truth():
 def test_an_error_that_looks_like_a_shift_or_a_clock_is_not_seen():
     rng = np.random.default_rng(8)
     directions = random_sky(rng, 9)
-    # All signals agree on a place three metres off and on clocks of their own: no receiver could tell.
+    # All signals agree on a place three metres off and on clocks of each group: no receiver could see it.
     shifted = np.repeat((-directions @ [2.0, -1.0, 2.0])[:, None], 2, axis=1)
     error = shifted + np.array([5.0, -40.0])
     used, fits = seen_from(directions, np.ones((9, 2), np.bool_), error, 0.024)
@@ -210,5 +202,7 @@ def test_residuals_are_those_of_explicit_double_differences():
     w = np.abs(d.T @ left) / np.sqrt(np.diag(d.T @ spread @ d))
     worst = int(np.argmax(w))
     for limit, kept in ((float(w[worst]) * 1.001, True), (float(w[worst]) * 0.999, False)):
-        used, _ = fitting(directions[None], np.ones((1, 7, 1), np.bool_), group, error[None], limit)
+        used, _ = fitting(
+            directions[None], np.ones((1, 7, 1), np.bool_), group, error_m=error[None], limit_m=limit
+        )
         assert used[0, worst, 0] == kept

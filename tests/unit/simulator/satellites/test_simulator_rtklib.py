@@ -20,30 +20,20 @@ def test_in_the_open_rtklib_fixes_nearly_every_epoch_within_two_centimetres(tmp_
     n = 100
     s = np.arange(n, dtype=np.float64)
     velocity = np.tile([8.0, 3.0, 0.1], (n, 1))
-    track = AntennaTrack(
-        begin + np.arange(n, dtype=np.int64) * NS_PER_SECOND,
-        np.array([-300.0, 0.0, 60.0]) + s[:, None] * velocity,
-        velocity,
-    )
+    place = np.array([-300.0, 0.0, 60.0]) + s[:, None] * velocity
+    time_ns = begin + np.arange(n, dtype=np.int64) * NS_PER_SECOND
+    track = AntennaTrack(time_ns=time_ns, antenna_m=place, antenna_velocity_m_s=velocity)
     true = true_ephemerides(begin, int(track.time_ns[-1]), seed)
     rover = simulate_signals(track, FRAME, true, ROVER, seed, "rover").epochs()
     base = simulate_signals(static_track(track.time_ns, BASE_M), FRAME, true, BASE, seed, "base").epochs()
-    found = run_rtklib(
-        tmp_path,
-        rover,
-        base,
-        broadcast_ephemerides(true, seed),
-        FRAME,
-        track.time_ns,
-        track.antenna_m,
-        BASE_M,
-    )
-    assert len(found.time_ns) == n
-    assert np.mean(found.fixed) >= 0.99
-    assert np.quantile(found.horizontal_m[found.fixed], 0.95) <= 0.02
-    assert np.max(found.horizontal_m[found.fixed]) < 0.1
+    broadcast = broadcast_ephemerides(true, seed)
+    solved = run_rtklib(tmp_path, rover, base, broadcast, FRAME, time_ns, track.antenna_m, BASE_M)
+    assert len(solved.time_ns) == n
+    assert np.mean(solved.fixed) >= 0.99
+    assert np.quantile(solved.horizontal_m[solved.fixed], 0.95) <= 0.02
+    assert np.max(solved.horizontal_m[solved.fixed]) < 0.1
     # All four systems take part: a system that RTKLIB cannot read would leave far fewer.
-    assert np.min(found.satellites) >= 20
+    assert np.min(solved.satellites) >= 20
 
 
 def test_in_a_street_canyon_rtklib_fixes_some_epochs_and_some_of_them_wrongly():

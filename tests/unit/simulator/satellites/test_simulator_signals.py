@@ -8,12 +8,12 @@ import pytest
 from camber.formats.observations import ObservationEpoch
 from camber.geodesy.gps_time import NS_PER_SECOND, CalendarTime, gps_ns_from_gpst
 from camber.geodesy.local_frame import LocalFrame
-from camber.simulator.faults.radio_faults import Jamming, RadioFaults, Restart, Spoofing
+from camber.simulator.faults.radio_faults import JammingSignal, RadioFaults, SpoofingSignal
 from camber.simulator.satellites.carrier_locks import locks
 from camber.simulator.satellites.constellation import true_ephemerides
 from camber.simulator.satellites.observations import SimulatedSignals, simulate_signals
 from camber.simulator.satellites.orbits import SPEED_OF_LIGHT_M_S
-from camber.simulator.satellites.parameters import ROVER
+from camber.simulator.satellites.parameters import ROVER, Receiver
 from camber.simulator.satellites.track import AntennaTrack
 
 BEGIN_NS = gps_ns_from_gpst(CalendarTime(2026, 5, 2, 6, 0, 0))
@@ -31,7 +31,8 @@ def drive(seconds: int = 40) -> AntennaTrack:
     s = np.arange(n) / RATE_HZ
     velocity = np.tile([9.0, -4.0, 0.2], (n, 1))
     place = np.array([50.0, 20.0, 60.0]) + s[:, None] * velocity
-    return AntennaTrack(BEGIN_NS + (s * NS_PER_SECOND).astype(np.int64), place, velocity)
+    time_ns = BEGIN_NS + (s * NS_PER_SECOND).astype(np.int64)
+    return AntennaTrack(time_ns=time_ns, antenna_m=place, antenna_velocity_m_s=velocity)
 
 
 def simulated(faults: RadioFaults | None = None, parameters=ROVER, seed: int = 3) -> SimulatedSignals:
@@ -39,12 +40,8 @@ def simulated(faults: RadioFaults | None = None, parameters=ROVER, seed: int = 3
 
 
 def as_bytes(epochs: list[ObservationEpoch]) -> bytes:
-    return b"".join(
-        np.concatenate(
-            (e.satellite, e.pseudorange_m, e.carrier_phase_cycles, e.doppler_hz, e.cn0_dbhz)
-        ).tobytes()
-        for e in epochs
-    )
+    names = ("satellite", "pseudorange_m", "carrier_phase_cycles", "doppler_hz", "cn0_dbhz")
+    return b"".join(getattr(epoch, name).tobytes() for epoch in epochs for name in names)
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
@@ -53,13 +50,18 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
     assert first != other
 
 
-def test_phase_changes_as_doppler_says():
+def jamming(begin_s: float, end_s: float, loss_db: float, ramp_s: float) -> RadioFaults:
+    begin_ns, end_ns = (BEGIN_NS + round(s * NS_PER_SECOND) for s in (begin_s, end_s))
+    jam = JammingSignal(begin_ns=begin_ns, end_ns=end_ns, loss_db=loss_db, ramp_s=ramp_s)
+    return RadioFaults(jamming=(jam,))
+
+
+def test_phase_changes_at_the_rate_of_the_doppler():
     signals = simulated(parameters=QUIET)
     change = np.diff(signals.carrier_phase_cycles, axis=0) * RATE_HZ
     mean = -0.5 * (signals.doppler_hz[1:] + signals.doppler_hz[:-1])
-    held = (
-        ~signals.locks.loss_of_lock[1:] & signals.levels.phase_tracked[1:] & signals.levels.phase_tracked[:-1]
-    )
+    tracked = signals.levels.phase_tracked
+    held = ~signals.locks.loss_of_lock[1:] & tracked[1:] & tracked[:-1]
     assert held.mean() > 0.7
     assert np.max(np.abs(change - mean)[held]) < 0.01
 
@@ -75,7 +77,7 @@ def test_code_minus_phase_is_twice_the_ionosphere_and_a_whole_number_of_waveleng
     assert np.all(signals.locks.ambiguity_cycles == np.rint(signals.locks.ambiguity_cycles))
 
 
-def test_noise_at_45_dbhz_is_what_the_parameters_say():
+def test_noise_at_45_dbhz_is_that_of_the_parameters():
     parameters = replace(ROVER, background_code_m=0.0, background_phase_m=0.0)
     signals = simulated(parameters=parameters)
     near = np.abs(signals.levels.cn0_dbhz - 45.0) < 0.5
@@ -85,22 +87,8 @@ def test_noise_at_45_dbhz_is_what_the_parameters_say():
     assert np.std(signals.levels.phase_error_m[near]) == pytest.approx(1.5e-3, rel=0.1)
 
 
-def test_a_restart_leaves_a_gap_and_breaks_every_lock():
-    restart = Restart(BEGIN_NS + 10 * NS_PER_SECOND, BEGIN_NS + 15 * NS_PER_SECOND)
-    epochs = simulated(RadioFaults(restarts=(restart,))).epochs()
-    times = np.array([e.time_ns for e in epochs])
-    assert len(times) == 35 * RATE_HZ
-    assert not np.any((times >= restart.begin_ns) & (times < restart.end_ns))
-    after = epochs[int(np.argmax(times >= restart.end_ns))]
-    has_phase = np.isfinite(after.carrier_phase_cycles)
-    assert has_phase.any()
-    assert np.all(after.loss_of_lock[has_phase])
-    assert np.all(after.lock_time_s == 0.0)
-
-
 def test_jamming_lowers_carrier_to_noise_only_while_it_lasts():
-    jam = Jamming(BEGIN_NS + 10 * NS_PER_SECOND, BEGIN_NS + 20 * NS_PER_SECOND, 15.0, ramp_s=1.0)
-    plain, jammed = simulated(), simulated(RadioFaults(jamming=(jam,)))
+    plain, jammed = simulated(), simulated(jamming(10.0, 20.0, 15.0, ramp_s=1.0))
     loss = np.mean(plain.levels.cn0_dbhz - jammed.levels.cn0_dbhz, axis=(1, 2))
     since = (plain.time_ns - BEGIN_NS) / NS_PER_SECOND
     assert np.allclose(loss[(since >= 11.0) & (since <= 19.0)], 15.0)
@@ -112,17 +100,20 @@ def test_jamming_lowers_carrier_to_noise_only_while_it_lasts():
 def test_spoofed_ranges_are_those_of_the_place_that_drifts_off():
     drift = (0.3, -0.2, 0.0)  # level: the troposphere changes with height
     begin = BEGIN_NS + 10 * NS_PER_SECOND
-    spoof = Spoofing(begin, BEGIN_NS + 60 * NS_PER_SECOND, drift)
+    spoof = SpoofingSignal(begin_ns=begin, end_ns=BEGIN_NS + 60 * NS_PER_SECOND, drift_m_s=drift)
     plain, spoofed = simulated(), simulated(RadioFaults(spoofing=(spoof,)))
     since = np.maximum((plain.time_ns - begin) / NS_PER_SECOND, 0.0)
     expected = -np.einsum("nmk,k->nm", plain.geometry.direction, np.array(drift)) * since[:, None]
     assert np.max(np.abs((spoofed.pseudorange_m - plain.pseudorange_m)[..., 0] - expected)) < 2e-3
 
 
-def test_only_signals_without_pilot_lose_half_a_cycle_and_a_flag_tells_of_it():
-    restart = Restart(BEGIN_NS + 5 * NS_PER_SECOND, BEGIN_NS + 6 * NS_PER_SECOND)
+def test_only_signals_without_pilot_lose_half_a_cycle_and_it_is_flagged():
     always = replace(ROVER, half_cycle_after_lock=1.0, half_cycle_wrong_when_weak=0.0, slips_per_s=0.0)
-    signals = simulated(RadioFaults(restarts=(restart,)), always)
+    signals = simulated(jamming(5.0, 6.0, 60.0, ramp_s=0.0), always)
+    since = (signals.time_ns - BEGIN_NS) / NS_PER_SECOND - 6.0
+    assert not signals.levels.code_tracked[(since > -0.9) & (since < -0.1)].any()
+    first = int(np.argmax(since >= 0.0))  # every lock is a new one
+    assert signals.locks.loss_of_lock[first][signals.levels.phase_tracked[first]].all()
     off = signals.locks.ambiguity_cycles % 1.0 == 0.5
     letters = [chr(s >> 8) for s in signals.satellite]
     data = np.array([[letter in "GJC", letter == "C"] for letter in letters])
@@ -131,7 +122,6 @@ def test_only_signals_without_pilot_lose_half_a_cycle_and_a_flag_tells_of_it():
     assert not signals.locks.half_cycle[:, ~data].any()
     assert np.all(signals.locks.half_cycle[off])
     # Resolved within three seconds, and the jump says that it is one.
-    since = (signals.time_ns - restart.end_ns) / NS_PER_SECOND
     assert not signals.locks.half_cycle[since > 3.0].any()
     jumps = (np.diff(off, axis=0) != 0) & signals.levels.phase_tracked[1:] & signals.levels.phase_tracked[:-1]
     assert jumps.any()
@@ -145,27 +135,31 @@ def locked_at(cn0_dbhz, direct=False, count=4000):
     tracked[5:10] = False
     always = replace(ROVER, slips_per_s=0.0, half_cycle_after_lock=1.0)
     return locks(
-        time_ns, tracked, np.full(tracked.shape, cn0_dbhz), np.ones((count, 2), np.bool_),
-        np.full((len(time_ns), count), direct), np.zeros(len(time_ns), np.int64), always, 3, "rover",
-    )  # fmt: skip
+        time_ns,
+        tracked,
+        np.full(tracked.shape, cn0_dbhz),
+        data_only=np.ones((count, 2), np.bool_),
+        direct=np.full((len(time_ns), count), direct),
+        receiver=Receiver(name="rover", seed=3, parameters=always),
+    )
 
 
-def untold_half_cycles(found):
-    return (found.ambiguity_cycles % 1.0 == 0.5) & ~found.half_cycle
+def unflagged_half_cycles(held):
+    return (held.ambiguity_cycles % 1.0 == 0.5) & ~held.half_cycle
 
 
-def test_half_cycles_that_no_flag_tells_of_happen_to_weak_signals_out_of_sight():
-    untold = {}
+def test_half_cycles_without_a_flag_happen_to_weak_signals_out_of_sight():
+    unflagged = {}
     for cn0 in (33.0, 37.0, 45.0):
-        hidden = untold_half_cycles(locked_at(cn0))
-        untold[cn0] = float(np.mean(hidden.any(axis=0)))
+        hidden = unflagged_half_cycles(locked_at(cn0))
+        unflagged[cn0] = float(np.mean(hidden.any(axis=0)))
         # Never for longer than until the next subframe.
         assert hidden.sum(axis=0).max() <= 6 * RATE_HZ + 1
-    assert untold[33.0] == pytest.approx(0.01, rel=0.3)
-    assert untold[37.0] == pytest.approx(0.001, rel=0.8)
-    assert untold[45.0] < 3e-4
+    assert unflagged[33.0] == pytest.approx(0.01, rel=0.3)
+    assert unflagged[37.0] == pytest.approx(0.001, rel=0.8)
+    assert unflagged[45.0] < 3e-4
     in_sight = locked_at(33.0, direct=True)
-    assert not untold_half_cycles(in_sight).any()
+    assert not unflagged_half_cycles(in_sight).any()
     assert (in_sight.half_cycle & (in_sight.ambiguity_cycles % 1.0 == 0.5)).any()
 
 

@@ -24,16 +24,16 @@ SCENE = Scene(0.08, 0.06)
 def _shapes(n: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FixShapes:
     cube = np.broadcast_to(np.eye(3), (n, 3, 3))
     return FixShapes(
-        np.arange(n),
-        np.tile(shift_m, (n, 1)),
-        np.zeros((n, 3)),
-        cube * 0.005**2,
-        cube * 0.01**2,
-        np.ones(n, np.bool_),
-        np.full(n, 9),
-        np.ones(n, np.bool_),
-        np.tile((1.0, 0.0), (n, 1)),
-        np.full(n, 9),
+        sky=np.arange(n),
+        shift_m=np.tile(shift_m, (n, 1)),
+        rate_m_s=np.zeros((n, 3)),
+        claimed_m2=cube * 0.005**2,
+        reflected_m2=cube * 0.01**2,
+        residuals_agree=np.ones(n, np.bool_),
+        ambiguities=np.full(n, 9),
+        street=np.ones(n, np.bool_),
+        along=np.tile((1.0, 0.0), (n, 1)),
+        satellites=np.full(n, 9),
     )
 
 
@@ -78,12 +78,7 @@ def test_a_wrong_fix_moves_with_its_rate_and_faults_move_what_they_concern() -> 
     still = Scene(0.0, 0.0)
     shapes = _shapes(1, (1.0, 2.0, 3.0))
     shapes.rate_m_s[:] = (0.1, 0.0, -0.1)
-    shapes = FixShapes(
-        *(
-            np.zeros((1, 3, 3)) if name == "reflected_m2" else getattr(shapes, name)
-            for name in shapes.__slots__
-        )
-    )
+    shapes = shapes._replace(reflected_m2=np.zeros((1, 3, 3)))
     faults = FaultOffsets(
         np.array([[0.5, 0.0]]), np.array([0.2]), np.array([0.1]), np.array([[0.0, 0.0, 1.0]])
     )

@@ -7,16 +7,10 @@ the code holds them.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
-from camber.formats.observations import CARRIER_OF_BAND_HZ
+from camber.formats.observations import CARRIER_OF_BAND_HZ, SPEED_OF_LIGHT_M_S, Floats
 
-Floats: TypeAlias = NDArray[np.float64]
-
-_SPEED_OF_LIGHT_M_S = 299_792_458.0
 _BANDS = ("1", "2", "5")
 _LOWEST_RAD, _HIGHEST_RAD = np.radians(15.0), np.radians(85.0)
 
@@ -52,7 +46,7 @@ def float_covariance(
     cofactor = 2.0 * differences @ np.diag(np.sin(elevation_rad) ** -2) @ differences.T
     normal = bands / code_sigma_m**2 * geometry.T @ np.linalg.solve(cofactor, geometry)
     shared = geometry @ np.linalg.solve(normal, geometry.T)
-    wavelengths_m = np.array([_SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"][band] for band in _BANDS[:bands]])
+    wavelengths_m = np.array([SPEED_OF_LIGHT_M_S / CARRIER_OF_BAND_HZ["G"][band] for band in _BANDS[:bands]])
     phases = np.kron(np.diag(wavelengths_m**-2), phase_sigma_m**2 * cofactor)
     covariance = np.kron(np.outer(1.0 / wavelengths_m, 1.0 / wavelengths_m), shared) + phases
     return np.asarray(0.5 * (covariance + covariance.T))
